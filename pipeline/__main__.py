@@ -1,0 +1,332 @@
+"""The command line: ``python -m pipeline stage=STAGE experiment=NAME [overrides]``.
+
+Every command is checked before anything runs. Exit codes: 0 done, 1 a threshold passed
+(``stage=check``), 2 a mistake in what was given, 70 a bug here, 130 interrupted, 141 a closed pipe.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import sys
+import textwrap
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pipeline import __version__
+from pipeline.errors import ConfigError, PipelineError
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+
+    from omegaconf import DictConfig
+
+MISTAKE, BUG, INTERRUPTED, CLOSED_PIPE = 2, 70, 130, 141
+
+# A job's folder says what was swept; these keys already change the folder (output: artifacts/${name}),
+# and the stages of one experiment share it.
+_NOT_IN_FOLDER = {"experiment", "name", "output", "stage"}
+_LONGEST_FOLDER = 120
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command line and return its exit code."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    return _exit_code(lambda: _command(arguments))
+
+
+def _command(arguments: list[str]) -> None:
+    if {"-h", "--help"} & set(arguments):
+        print(_help())
+    elif "--version" in arguments:
+        print(f"pipeline {__version__}")
+    else:
+        _hydra(_parsed(arguments))
+
+
+# --- exit codes ----------------------------------------------------------------------------------
+
+
+class JobFailed(Exception):
+    """A job of a multirun that has said itself why it failed; ``args`` holds its exit code."""
+
+
+def _exit_code(action: Callable[[], None]) -> int:
+    """Run ``action``, say what went wrong, and return the exit code."""
+    try:
+        action()
+        sys.stdout.flush()
+        return 0
+    except SystemExit as stop:
+        return stop.code if isinstance(stop.code, int) else _said(stop.code, MISTAKE) if stop.code else 0
+    except JobFailed as failure:
+        return int(failure.args[0])
+    except PipelineError as error:
+        return _said(error, MISTAKE)
+    except KeyboardInterrupt:
+        return _said("interrupted; run the same command again to start over", INTERRUPTED)
+    except BrokenPipeError:
+        _drop_output()
+        return CLOSED_PIPE
+    except Exception as error:
+        if isinstance(error, OSError) and error.errno is not None:
+            _drop_output()
+            return _said(_storage(error), MISTAKE)
+        traceback.print_exc()
+        return _said("internal error: this is a bug of the pipeline; please report it with the lines above", BUG)
+
+
+def _said(words: object, code: int) -> int:
+    print(words, file=sys.stderr, flush=True)
+    return code
+
+
+def _storage(error: OSError) -> str:
+    place = f"'{error.filename}'" if error.filename else "the files of a run"
+    return (
+        f"{place} must be readable or writable, but got: {error.strerror}; "
+        "free or change that place, or write elsewhere with output=FOLDER"
+    )
+
+
+def _drop_output() -> None:
+    """Let Python's last flush of an unwritable stdout succeed, or it would replace the exit code."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+# --- Hydra ---------------------------------------------------------------------------------------
+
+
+def _parsed(arguments: list[str]) -> Namespace:
+    """Hydra's own options, also after overrides; ``multirun`` is true for ``hydra.mode=MULTIRUN`` too."""
+    from hydra._internal.utils import get_args_parser
+
+    parser = get_args_parser()
+    parser.error = _refuse_option  # type: ignore[method-assign]
+    options = parser.parse_intermixed_args(arguments)
+    for name in ("config_path", "config_name", "config_dir", "experimental_rerun"):
+        if getattr(options, name) is not None:
+            _refuse_option(f"--{name.replace('_', '-')} is not for this pipeline, whose configuration is conf/config.yaml")
+    commands = [options.multirun, options.cfg, options.info, options.shell_completion, options.hydra_help]
+    if sum(map(bool, commands)) > 1:
+        _refuse_option("there is more than one of --multirun, --cfg, --info, --shell-completion and --hydra-help")
+    if options.resolve and not options.cfg:
+        _refuse_option("--resolve goes with --cfg job")
+    options.multirun = options.multirun or (not any(commands) and "hydra.mode=MULTIRUN" in options.overrides)
+    options.flags = [argument for argument in arguments if argument not in options.overrides]
+    return options
+
+
+def _refuse_option(message: str) -> None:
+    raise ConfigError(f"the options must be Hydra's, but {message}; `python -m pipeline --help` lists the usual ones")
+
+
+def _hydra(options: Namespace) -> None:
+    """Check the overrides, then hand the command to Hydra."""
+    import hydra
+
+    from pipeline.config.compose import CONF, ROOT_CONFIG, VERSION_BASE, deduplicated
+
+    job = Job()
+    if not (options.shell_completion or options.hydra_help):
+        options.overrides = deduplicated(options.overrides)
+        job = _checked(options)
+    with _process(["pipeline", *options.overrides, *options.flags]):
+        try:
+            hydra.main(config_path=str(CONF), config_name=ROOT_CONFIG, version_base=VERSION_BASE)(job)()
+        except SystemExit as stop:
+            # Hydra's 1, such as for --cfg job with an unknown --package, is not that of stage=check.
+            raise SystemExit(MISTAKE if options.cfg and stop.code == 1 else stop.code) from None
+
+
+def _checked(options: Namespace) -> Job:
+    """The job that Hydra may start: all its configurations compose and fit the schema."""
+    from pipeline.config.compose import compose_config, composed_mapping, expanded
+
+    if options.cfg or options.info:
+        composed_mapping(options.overrides)
+        return Job()
+    if not options.multirun:
+        compose_config(options.overrides)
+        return Job()
+    jobs, fixed = expanded(options.overrides)
+    job = Job(multirun=True, fixed=fixed, count=len(jobs))
+    _refuse_shared_folders(job, jobs)
+    return job
+
+
+def _refuse_shared_folders(job: Job, jobs: list[list[str]]) -> None:
+    from pipeline.config.compose import compose_config
+
+    stages_of: dict[str, set[str]] = {}
+    for overrides in jobs:
+        config = compose_config(overrides)
+        folder = job.folder(config.output, overrides)
+        if config.stage in stages_of.setdefault(folder, set()):
+            raise ConfigError(
+                f"the jobs of a multirun must write to folders of their own, but two would write to '{folder}'; "
+                "give 'output=FOLDER/${name}', or leave output out"
+            )
+        stages_of[folder].add(config.stage)
+    parallel = any(o.startswith("hydra/launcher=") and o != "hydra/launcher=basic" for o in jobs[0])
+    if parallel and any(len(stages) > 1 for stages in stages_of.values()):
+        raise ConfigError(
+            "the stages of one experiment must run one after the other, but a parallel launcher got several; "
+            "give the stages in separate commands, or leave hydra/launcher out"
+        )
+
+
+@contextmanager
+def _process(argv: list[str]) -> Iterator[None]:
+    """The command line that Hydra reads, and its errors raised to us instead of printed."""
+    saved = sys.argv, os.environ.get("HYDRA_FULL_ERROR")
+    sys.argv, os.environ["HYDRA_FULL_ERROR"] = argv, "1"
+    try:
+        yield
+    finally:
+        sys.argv = saved[0]
+        if saved[1] is None:
+            del os.environ["HYDRA_FULL_ERROR"]
+        else:
+            os.environ["HYDRA_FULL_ERROR"] = saved[1]
+
+
+@dataclass(frozen=True)
+class Job:
+    """What Hydra calls with each composed configuration, perhaps in another process.
+
+    ``fixed`` holds the keys that all jobs of a multirun share; the others name a job's folder.
+    """
+
+    multirun: bool = False
+    fixed: frozenset[str] = frozenset()
+    count: int = 1
+
+    def __call__(self, composed: DictConfig) -> None:
+        code = _exit_code(lambda: self._run(composed))
+        if not code:
+            return
+        if not self.multirun or code == INTERRUPTED:
+            raise SystemExit(code)
+        _said(f"{self._which()} failed", code)
+        raise JobFailed(code)  # Hydra goes on with the other jobs
+
+    def _run(self, composed: DictConfig) -> None:
+        from omegaconf import OmegaConf
+
+        from pipeline.config.compose import validated
+        from pipeline.stages import run_stage
+
+        if self.multirun:
+            composed.output = self.folder(composed.output, _job().overrides.task)
+            print(f"{self._which()} -> {composed.output}", flush=True)
+        mapping: Any = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
+        run_stage(validated(mapping))
+
+    def _which(self) -> str:
+        return f"[{_job().job.num + 1}/{self.count}] {' '.join(_job().overrides.task)}"
+
+    def folder(self, output: str, overrides: Sequence[str]) -> str:
+        """The folder of the job with these overrides: no other job of the multirun has it."""
+        swept = [o for o in overrides if _key(o) not in self.fixed | _NOT_IN_FOLDER and not _key(o).startswith("hydra")]
+        if not swept:
+            return output
+        raw = "__".join(override.lstrip("+~").replace("=", "-", 1) for override in swept)
+        name = re.sub(r"[^\w.-]+", "_", raw)[:_LONGEST_FOLDER]
+        if name != raw:  # what the cleaning made equal stays apart
+            name += "-" + hashlib.sha256(raw.encode()).hexdigest()[:8]
+        return str(Path(output) / name)
+
+
+def _job() -> Any:
+    """Hydra's record of the job that runs."""
+    from hydra.core.hydra_config import HydraConfig
+
+    return HydraConfig.get()
+
+
+def _key(override: str) -> str:
+    return override.lstrip("+~").partition("=")[0].partition("@")[0]
+
+
+# --- help ----------------------------------------------------------------------------------------
+
+
+def _help() -> str:
+    from pipeline.config.compose import options
+    from pipeline.stages import STAGES
+
+    experiments = {name: _description(name) for name in options("experiment")}
+    return f"""\
+usage: python -m pipeline stage=STAGE experiment=NAME [KEY=VALUE ...] [-m]
+
+{textwrap.fill(_SUMMARY, 100)}
+
+stages (default: train; a stage whose input is missing makes it first):
+{_table(STAGES)}
+
+experiments:
+{_table(experiments)}
+
+examples:
+{_EXAMPLES}
+
+options:
+  -m, --multirun   one job for every combination of values such as seed=1,2,3
+  --cfg job        print the whole configuration and run nothing
+  --info           print how Hydra composed it
+  -h, --help       this help
+  --version        the version
+
+Results of an experiment go to artifacts/NAME/ (output=FOLDER for another place); the jobs of a
+multirun to a folder of their own each, named by what was swept, such as
+artifacts/NAME/optimizer.adam.steps-500/.
+Exit codes: 0 done, 1 a threshold passed (stage=check), 2 a mistake in what was given, 70 a bug,
+130 interrupted."""
+
+
+_SUMMARY = (
+    "Identifies the bearing coefficients of rotating machines from their measured vibration and a model of "
+    "shaft and discs. The bearings' stiffness and damping are trained so that the equation of motion holds "
+    "at the bearings (FEM-NN)."
+)
+_EXAMPLES = """\
+  python -m pipeline                                         train the default experiment
+  python -m pipeline stage=evaluate experiment=NAME          compare with the modelled coefficients
+  python -m pipeline optimizer.adam.steps=500 seed=3         change values
+  python -m pipeline 'rotor.shaft.0.length=150 mm'           quantities carry their unit
+  python -m pipeline -m seed=1,2,3                           one job for each value
+  python -m pipeline --cfg job experiment=NAME               see the whole configuration"""
+
+
+def _table(rows: dict[str, str]) -> str:
+    width = max(map(len, rows), default=0) + 2
+    indent = " " * (width + 2)
+    return "\n".join(
+        textwrap.fill(words or "-", 100, initial_indent=f"  {name:<{width}}", subsequent_indent=indent)
+        for name, words in rows.items()
+    )
+
+
+def _description(experiment: str) -> str:
+    """The experiment's ``description``, read without the cost of a YAML parser."""
+    from pipeline.config.compose import CONF
+
+    text = (CONF / "experiment" / f"{experiment}.yaml").read_text(encoding="utf-8")
+    found = re.search(r"^description: *[>|]?-?\s*(.+)$", text, re.MULTILINE)
+    return found[1].strip().strip("'\"") if found else ""
+
+
+if __name__ == "__main__":
+    # The workers of a parallel multirun import Job by name, and `__main__` is another module there.
+    from pipeline.__main__ import main as importable_main
+
+    sys.exit(importable_main())

@@ -1,0 +1,1 @@
+"""The configuration: its schema, the units at its edge, and its composition from ``conf/``."""

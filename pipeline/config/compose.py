@@ -1,0 +1,288 @@
+"""From ``conf/`` and overrides to a checked :class:`~pipeline.config.schema.Config`.
+
+Besides ``pipeline.__main__`` the only module that knows Hydra. Its errors, and pydantic's, leave
+here as :class:`~pipeline.errors.ConfigError`: the law, what came, the next step.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pipeline.errors import ConfigError
+
+if TYPE_CHECKING:
+    from hydra.core.config_loader import ConfigLoader
+    from hydra.core.override_parser.types import Override
+
+    from pipeline.config.schema import Config
+
+CONF = Path(__file__).parents[2] / "conf"
+ROOT_CONFIG = "config"
+VERSION_BASE = "1.3"
+
+
+def compose_config(overrides: Sequence[str] = ()) -> Config:
+    """The configuration that ``python -m pipeline OVERRIDES`` would run with."""
+    return validated(composed_mapping(overrides))
+
+
+def composed_mapping(overrides: Sequence[str] = ()) -> dict[str, Any]:
+    """The composed configuration, interpolations resolved, before the schema has seen it."""
+    with _hydra() as loader:
+        parsed = last_of_each(_parsed(overrides, loader))
+        _refuse_sweeps(parsed)
+        return _composed(parsed, loader)
+
+
+def validated(mapping: Mapping[str, Any]) -> Config:
+    """``mapping`` as a Config."""
+    from pydantic import ValidationError
+
+    from pipeline.config.messages import schema_errors, shown, suggestion
+    from pipeline.config.schema import Config
+    from pipeline.stages import STAGES
+
+    stage = mapping.get("stage")
+    if stage not in STAGES:
+        raise ConfigError(f"stage must be one of the stages, but got {shown(stage)}{suggestion(str(stage), STAGES)}")
+    try:
+        return Config.model_validate(mapping)
+    except ValidationError as error:
+        raise ConfigError(schema_errors(error, mapping, Config)) from None
+
+
+def expanded(overrides: Sequence[str]) -> tuple[list[list[str]], frozenset[str]]:
+    """The overrides of every job of a multirun, and the keys that are the same in all of them."""
+    with _hydra() as loader:
+        parsed = last_of_each(_parsed(overrides, loader))
+        choices = [_choices(override) for override in parsed]
+    fixed = frozenset(override.key_or_group for override in parsed if not override.is_sweep_override())
+    return [list(job) for job in itertools.product(*choices)], fixed
+
+
+def options(group: str) -> list[str]:
+    """The names that ``group=NAME`` takes."""
+    return sorted(path.stem for path in (CONF / group).glob("*.yaml"))
+
+
+def deduplicated(overrides: Sequence[str]) -> list[str]:
+    """``overrides`` with the last of those that set the same key."""
+    with _hydra() as loader:
+        return [_text(override) for override in last_of_each(_parsed(overrides, loader))]
+
+
+def last_of_each(parsed: Sequence[Override]) -> list[Override]:
+    """The last override of each key, as a shell user expects; Hydra itself refuses a group given twice."""
+    last = {override.get_key_element(): override for override in parsed}
+    return [override for override in parsed if last[override.get_key_element()] is override]
+
+
+@contextmanager
+def _hydra() -> Iterator[ConfigLoader]:
+    """Hydra set up on ``conf/``; its global state is afterwards as it was, also inside a running job."""
+    from hydra import initialize_config_dir
+    from hydra.core.global_hydra import GlobalHydra
+    from hydra.core.singleton import Singleton
+
+    if not CONF.is_dir():
+        raise ConfigError(f"conf/ must lie beside the package, but {CONF} is not there; run from a checkout of the repository.")
+    state = Singleton.get_state()
+    try:
+        with initialize_config_dir(str(CONF), job_name="pipeline", version_base=VERSION_BASE):
+            yield GlobalHydra.instance().config_loader()
+    finally:
+        Singleton.set_state(state)
+
+
+def _composed(parsed: Sequence[Override], loader: ConfigLoader) -> dict[str, Any]:
+    import yaml
+    from hydra import compose
+    from hydra.errors import HydraException, MissingConfigException
+    from omegaconf import OmegaConf
+    from omegaconf.errors import OmegaConfBaseException
+
+    _check_group_values(parsed, loader)
+    try:
+        config = compose(ROOT_CONFIG, overrides=[_text(override) for override in parsed])
+        mapping = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
+    except MissingConfigException as error:
+        raise ConfigError(_missing_option(error)) from None
+    except HydraException as error:
+        raise ConfigError("\n".join(_unknown_keys(parsed, loader)) or _said(error)) from None
+    except OmegaConfBaseException as error:
+        raise ConfigError(_unresolved(error)) from None
+    except yaml.YAMLError as error:
+        raise ConfigError(f"a file in conf/ must be YAML, but {error}") from None
+    assert isinstance(mapping, dict)
+    return mapping
+
+
+def _is_group(override: Override, loader: ConfigLoader) -> bool:
+    return bool(loader.get_group_options(override.key_or_group))
+
+
+def _text(override: Override) -> str:
+    assert override.input_line is not None
+    return override.input_line
+
+
+# --- overrides ---------------------------------------------------------------------------------
+
+
+def _parsed(overrides: Sequence[str], loader: ConfigLoader) -> list[Override]:
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+    from hydra.errors import HydraException
+
+    parser = OverridesParser.create(config_loader=loader)
+    parsed = []
+    for text in overrides:
+        try:
+            parsed += parser.parse_overrides([text])
+        except HydraException:
+            raise ConfigError(_bad_syntax(text)) from None
+        if not parsed[-1].key_or_group:
+            raise ConfigError(_bad_syntax(text))
+    return parsed
+
+
+def _bad_syntax(text: str) -> str:
+    key, equals, value = text.partition("=")
+    if not equals or not key:
+        from pipeline.stages import STAGES
+
+        places = [f"'{group}={key}'" for group, names in (("stage", STAGES), ("experiment", options("experiment"))) if key in names]
+        hint = f"; did you mean {places[0]}?" if places else ", for example stage=train"
+        return f"an override must be KEY=VALUE, but got '{text}'{hint}"
+    if any(value.count(a) != value.count(b) for a, b in ("[]", "{}", "()")) or any(value.count(q) % 2 for q in "'\""):
+        return f"an override must close its brackets and quotes, but got '{text}'; close them, as in {key}=[1,2]"
+    quoted = shlex.quote(f"{key}='{value}'" if '"' in value else f'{key}="{value}"')
+    return f"an override must be KEY=VALUE without special characters, but got '{text}'; quote the value, as in {quoted}"
+
+
+def _refuse_sweeps(parsed: Sequence[Override]) -> None:
+    for override in parsed:
+        if override.is_sweep_override():
+            key, _, values = _text(override).partition("=")
+            raise ConfigError(
+                f"a single run must have one value for {key}, but got '{values}'; "
+                f"add -m to run all of them, or write {key}=[...] for a list and \"{key}='...'\" for a text with commas"
+            )
+
+
+def _choices(override: Override) -> list[str]:
+    if not override.is_sweep_override():
+        return [_text(override)]
+    if override.is_hydra_override():
+        raise ConfigError(f"a multirun must sweep over keys of the pipeline, but got '{_text(override)}'; give one value")
+    if not override.is_discrete_sweep():
+        raise ConfigError(f"a multirun must list its values, as in seed=1,2,3 or seed=range(1,4), but got '{_text(override)}'")
+    choices = [f"{override.get_key_element()}={value}" for value in override.sweep_string_iterator()]
+    if not choices:
+        raise ConfigError(f"a multirun must have a value for each key, but '{_text(override)}' stands for none")
+    return choices
+
+
+# --- Hydra's errors in our words -----------------------------------------------------------------
+
+
+def _check_group_values(parsed: Sequence[Override], loader: ConfigLoader) -> None:
+    """Refuse ``rotor=5`` and ``experiment=null``, for which Hydra raises a bare ValueError."""
+    for override in parsed:
+        value = override.value()
+        if not override.is_delete() and not isinstance(value, (str, list, dict)) and _is_group(override, loader):
+            raise ConfigError(_no_option(override.key_or_group, value, loader.get_group_options(override.key_or_group)))
+
+
+def _no_option(group: str, name: Any, known: Sequence[str]) -> str:
+    from pipeline.config.messages import shown, suggestion
+
+    place = "an installed Hydra plugin" if group.startswith("hydra/") else f"a file in conf/{group}"
+    return f"{group} must be {place}, but got {shown(name)}{suggestion(str(name), known)}"
+
+
+def _missing_option(error: Any) -> str:
+    group, _, name = (error.missing_cfg_file or "").rpartition("/")
+    place = re.match(r"In '([^']+)'", str(error))
+    inside = place is not None and place[1] not in (ROOT_CONFIG, "hydra/config")
+    return (f"in conf/{place[1]}.yaml, " if place and inside else "") + _no_option(group, name, error.options or ())
+
+
+def _said(error: Exception) -> str:
+    """Hydra's own words, for the rare cases that have no sentence of ours."""
+    words = [line.strip() for line in f"{error}\n{error.__cause__ or ''}".splitlines()]
+    return f"the overrides must fit conf/, but Hydra says: {' '.join(word for word in words if word)}"
+
+
+def _unresolved(error: Any) -> str:
+    from omegaconf.errors import MissingMandatoryValue
+
+    key = error.full_key or "a value"
+    if isinstance(error, MissingMandatoryValue):
+        return f"{key} must be given, but is ???; add {key}=VALUE"
+    return f"{key} must refer to what exists, but got: {str(error).splitlines()[0]}"
+
+
+def _unknown_keys(parsed: Sequence[Override], loader: ConfigLoader) -> list[str]:
+    """A sentence for every override of a key that the chosen groups don't have."""
+    from hydra import compose
+    from hydra.errors import HydraException
+    from omegaconf import OmegaConf
+
+    groups = [o for o in parsed if isinstance(o.value(), (str, list)) and _is_group(o, loader)]
+    plain = [_text(o) for o in groups if not o.is_add()]
+    try:
+        config = compose(ROOT_CONFIG, overrides=plain, return_hydra_config=True)
+    except HydraException:
+        return []  # the groups themselves don't compose: Hydra's words tell more
+    tree = OmegaConf.to_container(config, resolve=False)
+    sentences = [_already_there(o, tree) if o.is_add() else _unknown_key(o.key_or_group, tree)
+                 for o in parsed if o.package is None and not o.is_force_add() and (o.is_add() or o not in groups)]
+    return [sentence for sentence in sentences if sentence]
+
+
+def _already_there(override: Override, tree: Any) -> str:
+    key, text = override.key_or_group, _text(override)
+    if key not in tree["hydra"]["runtime"]["choices"] and key not in _paths(tree):
+        return ""
+    return f"only a new key must be added with +, but {key} is there and got '{text}'; write '{text.lstrip('+')}'"
+
+
+def _unknown_key(key: str, tree: Any) -> str:
+    from pipeline.config.messages import suggestion
+
+    law = "an override must name a key of the configuration, but "
+    path, node = [], tree
+    for part in re.findall(r"[^.\[\]]+", key):
+        owner = ".".join(path)
+        if isinstance(node, dict) and part in node:
+            node = node[part]
+        elif isinstance(node, list) and part.isdigit() and int(part) < len(node):
+            node = node[int(part)]
+        elif isinstance(node, dict):
+            places = [place for place in _paths(tree) if place.endswith(f".{key}")]
+            if places:
+                return f"{law}there is no '{key}'; did you mean {' or '.join(map(repr, places[:3]))}?"
+            names = (str(name) for name in node if owner or name != "hydra")
+            return f"{law}{owner or 'it'} has no '{part}'{suggestion(part, names)}"
+        elif isinstance(node, list):
+            items = f"the items 0 to {len(node) - 1}" if node else "no items"
+            return f"{law}{owner} has {items}, not '{part}'"
+        else:
+            return f"{law}{owner} is a single value; give {owner}=VALUE instead of '{key}'"
+        path.append(part)
+    return ""
+
+
+def _paths(tree: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+    """The dotted paths of all mapping keys, Hydra's own left out."""
+    for name, value in tree.items():
+        if prefix or name != "hydra":
+            yield f"{prefix}{name}"
+            if isinstance(value, Mapping):
+                yield from _paths(value, f"{prefix}{name}.")

@@ -1,0 +1,1 @@
+"""Vibration and its excitation: simulated, or read from files."""

@@ -1,0 +1,56 @@
+"""Tables of bearing coefficients: ``bearing_node, speed_rpm, kxx, kxy, kyx, kyy, cxx, cxy, cyx, cyy``.
+
+``modelled_coefficients.csv`` is the truth of modelled data, which training never reads;
+``known_coefficients.csv`` has just the columns that the experiment takes as known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.data.tables import read_table, write_table
+from pipeline.data.vibration_files import to_rpm
+from pipeline.errors import DataError
+from pipeline.rotor.bearing_table import BearingTable
+
+
+def write_coefficients(path: Path, table: BearingTable, names: Sequence[str] = COEFFICIENTS) -> Path:
+    """Write the columns ``names``. Raises StorageError."""
+    import pandas as pd
+
+    n_bearings, n_speeds = len(table.nodes), len(table.speeds)
+    columns = {
+        "bearing_node": np.repeat(table.nodes, n_speeds),
+        "speed_rpm": np.tile(to_rpm(table.speeds), n_bearings),
+    }
+    columns |= {name: table.coefficient(name).ravel() for name in names}
+    return write_table(path, pd.DataFrame(columns))
+
+
+def read_coefficients(path: Path, nodes: Sequence[int], speeds: np.ndarray, names: Sequence[str] = COEFFICIENTS) -> BearingTable:
+    """Coefficients ``names`` of the bearings at ``nodes`` and ``speeds`` (S,) rad/s; the others are zero.
+
+    Raises DataError where a bearing or a speed has no row.
+    """
+    table = read_table(path, {"bearing_node": "number", "speed_rpm": "number"} | dict.fromkeys(names, "number"))
+    wanted = to_rpm(speeds)
+    values = np.zeros((len(nodes), len(speeds), len(COEFFICIENTS)))
+    for b, node in enumerate(nodes):
+        rows = table[table["bearing_node"] == node].drop_duplicates("speed_rpm").set_index("speed_rpm")
+        if rows.empty:
+            has = sorted({int(n) for n in table["bearing_node"]})
+            raise DataError(f"'{path}' must have rows for the bearing at node {node}, but it has bearings at {has}")
+        found = rows.reindex(wanted)
+        missing = np.flatnonzero(found[names[0]].isna().to_numpy()) if names else []
+        if len(missing):
+            raise DataError(
+                f"'{path}' must have every speed of the data, but {len(missing)} are missing for the bearing at node {node} "
+                f"(the first: {wanted[missing[0]]:g} rpm)"
+            )
+        for name in names:
+            values[b, :, COEFFICIENTS.index(name)] = found[name].to_numpy()
+    return BearingTable(tuple(nodes), speeds, values)

@@ -1,0 +1,126 @@
+"""Reading tables that somebody else may have made, and refusing what isn't one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.errors import DataError, nearest
+from pipeline.files import write_beside
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+SCHEMA = "1"
+_SCHEMA_KEY = b"bearing_identification.schema"
+_ROTOR_KEY = b"bearing_identification.rotor"
+_ORIGIN_KEY = b"bearing_identification.origin"
+
+
+def read_table(path: Path, columns: dict[str, str]) -> pd.DataFrame:
+    """A CSV or Parquet file with at least ``columns`` (name -> "number" or "text").
+
+    Raises DataError: no such file, unreadable or truncated, an older schema, no rows, a missing column, a
+    column of another type, NaN or infinite values.
+    """
+    if not path.is_file():
+        raise DataError(f"'{path}' must exist, but there is no such file")
+    table = _read_parquet(path) if path.suffix == ".parquet" else _read_csv(path)
+    for name in columns:
+        if name not in table.columns:
+            raise DataError(f"'{path}' must have the column '{name}', but it has {nearest(name, map(str, table.columns))}")
+    if table.empty:
+        raise DataError(f"'{path}' must have at least one row, but it has none")
+    for name, kind in columns.items():
+        if kind == "number":
+            table[name] = _numbers(path, table, name)
+        else:
+            table[name] = table[name].astype(str)
+    return table
+
+
+def _numbers(path: Path, table: pd.DataFrame, name: str) -> np.ndarray:
+    import pandas as pd
+
+    values = pd.to_numeric(table[name], errors="coerce").to_numpy(dtype=float)
+    bad = np.flatnonzero(~np.isfinite(values))
+    if len(bad):
+        raise DataError(
+            f"'{path}' must have finite numbers in the column '{name}', but row {bad[0] + 1} has {table[name].iloc[bad[0]]!r}"
+            + (f" ({len(bad)} rows in all)" if len(bad) > 1 else "")
+        )
+    return values
+
+
+def _read_csv(path: Path) -> pd.DataFrame:
+    import pandas as pd
+
+    try:
+        # Texts are kept as they are: a run called 'NA' is a run.
+        return pd.read_csv(path, keep_default_na=False, float_precision="round_trip", dtype={"run": str})
+    except (OSError, ValueError, pd.errors.ParserError) as error:
+        raise DataError(f"'{path}' must be a CSV table, but it can't be read as one ({error})") from None
+
+
+def _read_parquet(path: Path) -> pd.DataFrame:
+    import pyarrow.lib
+    import pyarrow.parquet as parquet
+
+    try:
+        stored = parquet.read_table(path)
+    except (OSError, pyarrow.lib.ArrowException) as error:
+        raise DataError(
+            f"'{path}' must be a complete Parquet file, but it can't be read ({str(error).splitlines()[0]}): make it again with stage=generate"
+        ) from None
+    schema = (stored.schema.metadata or {}).get(_SCHEMA_KEY)
+    if schema is not None and schema.decode() != SCHEMA:
+        raise DataError(
+            f"'{path}' must have the file schema {SCHEMA}, but it was written with schema {schema.decode()}: make it again with stage=generate"
+        )
+    return stored.to_pandas()
+
+
+def rotor_of(path: Path) -> str | None:
+    """Fingerprint of the rotor that a Parquet file was made for; None where the file doesn't say (CSV, other makers)."""
+    return _stored(path, _ROTOR_KEY)
+
+
+def origin_of(path: Path) -> str | None:
+    """Identity of the configuration that a Parquet file was generated from; None where the file doesn't say."""
+    return _stored(path, _ORIGIN_KEY)
+
+
+def _stored(path: Path, key: bytes) -> str | None:
+    import pyarrow.lib
+    import pyarrow.parquet as parquet
+
+    if path.suffix != ".parquet":
+        return None
+    try:
+        stored = (parquet.read_schema(path).metadata or {}).get(key)
+    except (OSError, pyarrow.lib.ArrowException):
+        return None  # a damaged file says so when its rows are read
+    return stored.decode() if stored is not None else None
+
+
+def write_table(path: Path, table: pd.DataFrame, rotor: str | None = None, origin: str | None = None) -> Path:
+    """Write CSV or Parquet, by the file's ending. Numbers keep every digit. Raises StorageError.
+
+    ``rotor`` and ``origin`` are kept in a Parquet file, for :func:`rotor_of` and :func:`origin_of`.
+    """
+
+    def write(beside: Path) -> None:
+        if path.suffix != ".parquet":
+            table.to_csv(beside, index=False)
+            return
+        import pyarrow as pa
+        import pyarrow.parquet as parquet
+
+        stored = pa.Table.from_pandas(table, preserve_index=False)
+        marks = {_ROTOR_KEY: rotor, _ORIGIN_KEY: origin, _SCHEMA_KEY: SCHEMA}
+        metadata = dict(stored.schema.metadata or {}) | {key: mark.encode() for key, mark in marks.items() if mark is not None}
+        parquet.write_table(stored.replace_schema_metadata(metadata), beside)
+
+    return write_beside(path, write)

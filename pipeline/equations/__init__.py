@@ -1,0 +1,1 @@
+"""The small linear system at the bearings, computed once before training."""

@@ -1,0 +1,34 @@
+"""Errors that a user can cause, each a sentence: the law, what came, the next step."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class PipelineError(Exception):
+    """A mistake in what the user gave. ``str(error)`` is shown as it is; the exit code is 2."""
+
+
+class ConfigError(PipelineError):
+    """A configuration that breaks a law of :mod:`pipeline.config`."""
+
+
+class DataError(PipelineError):
+    """A data file that can't be read as what it should be."""
+
+
+class IdentifiabilityError(PipelineError):
+    """The measurement has fewer equations than the unknowns need."""
+
+
+class StorageError(PipelineError):
+    """A result that can't be written; nothing was left half-written."""
+
+
+def nearest(name: str, candidates: Iterable[str]) -> str:
+    """The words that follow an unknown name: the nearest candidate, and all of them."""
+    known = sorted(candidates)
+    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    hint = f"did you mean '{close[0]}'? " if close else ""
+    return f"{hint}(known: {', '.join(known)})"

@@ -1,0 +1,1 @@
+"""Identified against modelled coefficients, and metrics against thresholds."""

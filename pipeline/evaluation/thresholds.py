@@ -1,0 +1,78 @@
+"""Metrics against ``conf/thresholds``: what must not get worse, and why that is the limit.
+
+A threshold file (one an experiment) is a list of rules ``{file, metric, max, why}``. ``metric`` is a dotted path
+into the JSON ``file`` of the experiment's folder; ``*`` matches every key, and all matches must hold.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+
+from pipeline.errors import ConfigError, DataError
+from pipeline.files import read_json
+
+
+class Rule(BaseModel):
+    """One threshold."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    file: str = "metrics.json"
+    metric: str = Field(min_length=1)
+    max: Annotated[float, Field(allow_inf_nan=False)]
+    why: str = Field(min_length=10)
+
+
+@dataclass(frozen=True)
+class Check:
+    """One metric held against its threshold. ``value`` is None where there is no such metric."""
+
+    experiment: str
+    metric: str
+    value: float | None
+    max: float
+    why: str
+
+    @property
+    def passed(self) -> bool:
+        """False for a missing metric and for NaN, too."""
+        return self.value is not None and self.value <= self.max
+
+
+def read_rules(path: Path) -> list[Rule]:
+    """Rules of one experiment. Raises ConfigError."""
+    import yaml
+
+    try:
+        return TypeAdapter(list[Rule]).validate_python(yaml.safe_load(path.read_text(encoding="utf-8")))
+    except (OSError, yaml.YAMLError, ValidationError) as error:
+        raise ConfigError(f"'{path}' must be a list of rules with file, metric, max and why, but it is not: {error}") from None
+
+
+def check_experiment(experiment: str, rules: list[Rule], folder: Path) -> list[Check]:
+    """Every rule against the files in ``folder``. A missing file or metric fails its rule."""
+    checks = []
+    for rule in rules:
+        try:
+            values = list(_select(read_json(folder / rule.file), rule.metric.split(".")))
+        except DataError:
+            values = []
+        found: list[tuple[str, float | None]] = list(values) or [(rule.metric, None)]
+        checks += [Check(experiment, name, value, rule.max, rule.why) for name, value in found]
+    return checks
+
+
+def _select(value: Any, path: list[str], trail: tuple[str, ...] = ()) -> Iterator[tuple[str, float]]:
+    if not path:
+        if isinstance(value, (int, float)) and not isinstance(value, bool):
+            yield ".".join(trail), float(value)
+        return
+    if not isinstance(value, dict):
+        return
+    for key in value if path[0] == "*" else [path[0]] if path[0] in value else []:
+        yield from _select(value[key], path[1:], (*trail, key))

@@ -1,0 +1,63 @@
+"""Writing files so that none is ever seen half-written."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from pipeline.errors import DataError, StorageError
+
+
+def write_beside(path: Path, write: Callable[[Path], None]) -> Path:
+    """Let ``write`` make the file under a temporary name in the same folder, then rename it to ``path``.
+
+    Raises StorageError (full disk, read-only folder, a file where a folder should be); nothing is left behind.
+    """
+    beside = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write(beside)
+        with beside.open("rb+") as file:
+            os.fsync(file.fileno())
+        os.replace(beside, path)
+    except OSError as error:
+        raise StorageError(
+            f"'{path}' must be writable, but saving failed ({error.strerror or error}): "
+            "free the disk or choose another folder with output=FOLDER"
+        ) from error
+    finally:
+        try:
+            beside.unlink(missing_ok=True)
+        except OSError:
+            pass  # the folder itself is missing or no folder, and the error above says so
+    return path
+
+
+def write_text(path: Path, text: str) -> Path:
+    """Write ``text`` in UTF-8. Raises StorageError."""
+    return write_beside(path, lambda beside: _write(beside, text))
+
+
+def _write(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8")
+
+
+def write_json(path: Path, value: Mapping[str, Any]) -> Path:
+    """Write JSON, indented; NaN and infinities are refused by ValueError. Raises StorageError."""
+    return write_text(path, json.dumps(value, indent=2, allow_nan=False) + "\n")
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Read a JSON object. Raises DataError where the file is missing or no JSON object."""
+    try:
+        value = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise DataError(f"'{path}' must exist, but there is no such file") from None
+    except (OSError, ValueError) as error:
+        raise DataError(f"'{path}' must be readable as JSON, but it is not ({error}): make it again") from None
+    if not isinstance(value, dict):
+        raise DataError(f"'{path}' must hold a JSON object, but it holds a {type(value).__name__}: make it again")
+    return value

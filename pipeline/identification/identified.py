@@ -1,0 +1,63 @@
+"""What training hands on: the trained model, and the account of how it was trained."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.identification.coefficient_model import CoefficientModel
+from pipeline.identification.outcome import Outcome
+from pipeline.rotor.bearing_table import BearingTable
+
+if TYPE_CHECKING:
+    import torch
+
+
+@dataclass(frozen=True, eq=False)
+class IdentifiedModel:
+    """A coefficient model with its trained numbers."""
+
+    model: CoefficientModel
+    bearing_nodes: tuple[int, ...]
+    parameters: torch.Tensor  # (M, P); M = 1 where the bearings are tied
+
+    def values(self, speeds: np.ndarray) -> np.ndarray:
+        """(B, S, U) identified coefficients at ``speeds`` (S,) rad/s, N/m and N s/m."""
+        import torch
+
+        with torch.no_grad():
+            raw = self.model.raw(self.parameters, self.model.scaled_inputs(np.atleast_1d(speeds)))
+            values = self.model.physical(raw, self.model.scale_tensor()).numpy()
+        return np.broadcast_to(values, (len(self.bearing_nodes), *values.shape[1:])).copy()
+
+    def coefficients(self, speeds: np.ndarray) -> dict[int, dict[str, np.ndarray]]:
+        """Bearing node -> coefficient name -> values (S,) at ``speeds`` (S,) rad/s."""
+        values = self.values(speeds)
+        return {
+            node: {name: values[b, :, u] for u, name in enumerate(self.model.unknowns)}
+            for b, node in enumerate(self.bearing_nodes)
+        }
+
+    def table(self, known: BearingTable) -> BearingTable:
+        """All eight coefficients: the identified ones, and the known ones from ``known``."""
+        table = known.values.copy()
+        for u, values in enumerate(np.moveaxis(self.values(known.speeds), -1, 0)):
+            table[..., COEFFICIENTS.index(self.model.unknowns[u])] = values
+        return BearingTable(known.nodes, known.speeds, table)
+
+
+@dataclass(frozen=True, eq=False)
+class IdentificationResult:
+    """The answer of a training."""
+
+    identified: IdentifiedModel
+    outcome: Outcome
+    loss: float
+    held_out_loss: float | None
+    steps: int
+    seconds: float
+    history: tuple[Mapping[str, float | str], ...]

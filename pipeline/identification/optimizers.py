@@ -1,0 +1,113 @@
+"""Minimisers of a :class:`~pipeline.identification.problem.ResidualProblem`.
+
+Each takes parameters (G, M, P) and returns better ones; members do not influence each other, so that
+81 initial guesses trained together take the same steps as one alone. ``monitor`` sees every step and says when
+to stop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from pipeline.config.schema import AdamConfig, LBFGSConfig, LevenbergMarquardtConfig
+from pipeline.identification.problem import ResidualProblem
+
+if TYPE_CHECKING:
+    import torch
+
+Monitor = Callable[["torch.Tensor", "torch.Tensor"], bool]
+"""(parameters, losses (G, M)) after a step -> stop?"""
+
+
+def adam(problem: ResidualProblem, parameters: torch.Tensor, config: AdamConfig, monitor: Monitor) -> torch.Tensor:
+    """Adam on the Euclidean norm of the residual (paper, Algorithm 1)."""
+    import torch
+
+    trained = parameters.clone().requires_grad_()
+    optimizer = torch.optim.Adam([trained], lr=config.learning_rate)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(
+        optimizer, config.steps, eta_min=config.learning_rate * config.final_rate_fraction
+    )
+    for _ in range(config.steps):
+        optimizer.zero_grad()
+        losses = problem.loss(trained)
+        losses.sum().backward()
+        before = trained.detach().clone()
+        optimizer.step()
+        schedule.step()
+        if monitor(before, losses.detach()):
+            return before
+    return trained.detach()
+
+
+def lbfgs(problem: ResidualProblem, parameters: torch.Tensor, config: LBFGSConfig, monitor: Monitor) -> torch.Tensor:
+    """L-BFGS on the squared residual, one member after the other: a shared line search would couple them."""
+    import torch
+
+    result = parameters.clone()
+    for g in range(len(parameters)):
+        for m in range(parameters.shape[1]):
+            own = problem.member(m)
+            trained = result[g : g + 1, m : m + 1].clone().requires_grad_()
+            # The squared loss has no kink at zero, and divided by its start it has a size that the line search expects.
+            start = own.loss(trained).detach().square().clamp(min=1e-300)
+            optimizer = torch.optim.LBFGS(
+                [trained], max_iter=1, history_size=config.history, line_search_fn="strong_wolfe", tolerance_grad=0, tolerance_change=0
+            )
+
+            def closure(own=own, trained=trained, optimizer=optimizer, start=start):  # type: ignore[no-untyped-def]
+                optimizer.zero_grad()
+                value = (own.loss(trained).square() / start).sum()
+                value.backward()
+                return value
+
+            for _ in range(config.steps):
+                optimizer.step(closure)
+                result[g, m] = trained.detach()[0, 0]
+                if monitor(result.clone(), problem.loss(result)):
+                    break
+    return result
+
+
+_DAMPING_TRIES = 8
+_DAMPING_UP, _DAMPING_DOWN = 4.0, 0.2
+_DAMPING_FLOOR, _DAMPING_CEILING = 1e-16, 1e16
+
+
+def levenberg_marquardt(
+    problem: ResidualProblem, parameters: torch.Tensor, config: LevenbergMarquardtConfig, monitor: Monitor
+) -> torch.Tensor:
+    """Damped Gauss-Newton steps ``(J'J + damping s I) d = -J'r``, each member with its own damping.
+
+    s is the mean of the diagonal of J'J, which makes the damping a pure number. The systems are solved by
+    Cholesky factors: torch's threaded batched LU is wrong on some MKL builds.
+    """
+    import torch
+
+    current = parameters.clone()
+    squared = problem.rows(current).square().sum(-1)
+    damping = torch.full_like(squared, config.initial_damping)
+    identity = torch.eye(current.shape[-1], dtype=current.dtype)
+    for _ in range(config.steps):
+        jacobian = problem.jacobian(current)
+        gradient = (jacobian.mT @ problem.rows(current)[..., None])[..., 0]
+        normal = jacobian.mT @ jacobian
+        size = normal.diagonal(dim1=-2, dim2=-1).mean(-1).clamp(min=1e-300)
+        accepted = torch.zeros_like(squared, dtype=torch.bool)
+        for _ in range(_DAMPING_TRIES):
+            factor, info = torch.linalg.cholesky_ex(normal + (damping * size)[..., None, None] * identity)
+            step = -torch.cholesky_solve(gradient[..., None], factor)[..., 0]
+            tried = problem.rows(current + step).square().sum(-1)
+            # NaN compares false: an overflowing step is refused like one that climbs.
+            better = (tried < squared) & (info == 0) & ~accepted
+            current = torch.where(better[..., None], current + step, current)
+            squared = torch.where(better, tried, squared)
+            factors = torch.where(better, _DAMPING_DOWN, _DAMPING_UP)
+            damping = torch.where(accepted, damping, damping * factors).clamp(_DAMPING_FLOOR, _DAMPING_CEILING)
+            accepted |= better
+            if accepted.all():
+                break
+        if monitor(current, problem.loss(current)):
+            break
+    return current

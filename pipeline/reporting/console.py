@@ -1,0 +1,66 @@
+"""Lines, tables and progress on the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import cache
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+@cache
+def _console(stderr: bool) -> Console:
+    from rich.console import Console
+
+    return Console(stderr=stderr, highlight=False, soft_wrap=True)
+
+
+def say(text: str) -> None:
+    """A line of result on stdout."""
+    _console(False).print(text, markup=False)
+
+
+def warn(text: str) -> None:
+    """A line that needs attention, on stderr."""
+    _console(True).print(f"warning: {text}", markup=False, style="yellow")
+
+
+def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """A table on stdout; the first column is left-aligned, the others right."""
+    from rich import box
+    from rich.table import Table
+
+    drawn = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
+    for i, name in enumerate(header):
+        drawn.add_column(name, justify="left" if i == 0 else "right", no_wrap=True)
+    for row in rows:
+        drawn.add_row(*row)
+    _console(False).print(drawn, markup=False, crop=False)
+
+
+@contextmanager
+def training_progress(name: str) -> Iterator[Callable[[str, int, int, float], None]]:
+    """A bar with the loss and the rate, on a terminal; nothing elsewhere."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("loss {task.fields[loss]}"),
+        TextColumn("{task.fields[rate]}"),
+        TimeElapsedColumn(),
+    )
+    console = _console(True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(name, total=None, loss="", rate="")
+
+        def update(phase: str, step: int, total: int, loss: float) -> None:
+            speed = bar.tasks[0].speed
+            rate = f"{speed:.0f} steps/s" if speed else ""
+            bar.update(task, description=f"{name} {phase}", completed=step, total=total, loss=f"{loss:.3g}", rate=rate)
+
+        yield update

@@ -1,0 +1,1 @@
+"""Shaft and discs as matrices, bearings as tables of coefficients over speed."""

@@ -1,0 +1,39 @@
+"""Bearing coefficients over speed, and the impedance that they make.
+
+Legend: B bearings, S speeds, 8 coefficients in the order of :data:`pipeline.coefficients.COEFFICIENTS`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.coefficients import COEFFICIENTS
+
+
+@dataclass(frozen=True, eq=False)
+class BearingTable:
+    """The eight coefficients of every bearing at every speed."""
+
+    nodes: tuple[int, ...]  # B
+    speeds: np.ndarray  # (S,) rad/s
+    values: np.ndarray  # (B, S, 8) N/m and N s/m
+
+    def coefficient(self, name: str) -> np.ndarray:
+        """(B, S) values of one coefficient."""
+        return self.values[..., COEFFICIENTS.index(name)]
+
+    def impedance(self, frequencies: np.ndarray | None = None) -> np.ndarray:
+        """(B, S, 2, 2) complex ``K + j w C`` in N/m.
+
+        Coefficients belong to the rotor speed, ``w`` is the excitation frequency (rad/s); the two are
+        the same unless ``frequencies`` (S,) is given.
+        """
+        w = self.speeds if frequencies is None else frequencies
+        stiffness, damping = np.split(self.values.reshape(*self.values.shape[:2], 2, 2, 2), 2, axis=2)
+        return (stiffness + 1j * w[:, None, None, None] * damping)[:, :, 0]
+
+    def at(self, keep: np.ndarray) -> BearingTable:
+        """The same at the speeds that the mask or index ``keep`` selects."""
+        return BearingTable(self.nodes, self.speeds[keep], self.values[:, keep])

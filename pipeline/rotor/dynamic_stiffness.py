@@ -1,0 +1,133 @@
+"""The dynamic stiffness ``D(w)`` of many speeds at once, kept and solved as band matrices.
+
+    D(w) = -w^2 M + j w (C + W G) + K                                        (paper, eq. 1)
+
+with excitation frequency w and rotor speed W (equal for unbalance). Beam elements couple neighbouring nodes
+only, so all four matrices share one narrow band: storage and solution cost grow linearly with the nodes.
+
+Legend: n DOF, S speeds, R right-hand sides, u band width on either side of the diagonal.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import lapack
+
+from pipeline.errors import PipelineError
+from pipeline.rotor.model import RotorModel
+
+
+@dataclass(frozen=True, eq=False)
+class BandedStiffness:
+    """Diagonals of M, C, G, K restricted to ``dof``, each ``(m, 2 u + 1)``: row j holds column j of the matrix."""
+
+    dof: np.ndarray  # (m,) which DOF of the rotor
+    bandwidth: int  # u
+    mass: np.ndarray
+    damping: np.ndarray
+    gyroscopic: np.ndarray
+    stiffness: np.ndarray
+
+
+def banded(rotor: RotorModel, dof: np.ndarray | None = None) -> BandedStiffness:
+    """The rotor's matrices as diagonals, for all DOF or the ascending ``dof`` only."""
+    dof = np.arange(rotor.n_dof) if dof is None else dof
+    blocks = [a[np.ix_(dof, dof)] for a in (rotor.mass, rotor.damping, rotor.gyroscopic, rotor.stiffness)]
+    rows, columns = np.nonzero(np.any([block != 0 for block in blocks], axis=0))
+    bandwidth = int(np.abs(rows - columns).max(initial=0))
+    return BandedStiffness(dof, bandwidth, *(_columns(block, bandwidth) for block in blocks))
+
+
+def _columns(matrix: np.ndarray, bandwidth: int) -> np.ndarray:
+    size = len(matrix)
+    stored = np.zeros((size, 2 * bandwidth + 1))
+    for offset in range(-bandwidth, bandwidth + 1):
+        diagonal = np.diagonal(matrix, offset)
+        first = max(offset, 0)
+        stored[first : first + len(diagonal), bandwidth - offset] = diagonal
+    return stored
+
+
+def solve(
+    system: BandedStiffness,
+    frequencies: np.ndarray,
+    speeds: np.ndarray,
+    right: np.ndarray,
+    impedance: np.ndarray | None = None,
+    impedance_dof: np.ndarray | None = None,
+) -> np.ndarray:
+    """Solve ``D(w) X = right`` at every speed.
+
+    Args:
+        frequencies: (S,) excitation frequencies w, rad/s.
+        speeds: (S,) rotor speeds W, rad/s.
+        right: (S, m, R) complex.
+        impedance: (B, S, 2, 2) complex blocks added at ``impedance_dof`` (B, 2), positions within ``system.dof``.
+
+    Returns:
+        (S, m, R) complex. Raises PipelineError where D is singular or the result is not finite.
+    """
+    size, width = len(system.dof), system.bandwidth
+    result = np.empty(right.shape, dtype=complex)
+    # LAPACK's band storage in Fortran order, seen in C order as (speed, column, row), with u rows of room for pivoting.
+    # A chunk of speeds is assembled at once: small enough to stay in the processor's cache.
+    band = np.empty((min(_CHUNK, len(speeds)), size, 3 * width + 1), dtype=complex)
+    for start in range(0, len(speeds), _CHUNK):
+        chunk = slice(start, min(start + _CHUNK, len(speeds)))
+        blocks = None if impedance is None else impedance[:, chunk]
+        _assemble(system, frequencies[chunk], speeds[chunk], blocks, impedance_dof, band)
+        for s in range(chunk.start, chunk.stop):
+            _, _, result[s], info = lapack.zgbsv(width, width, band[s - start].T, right[s], overwrite_ab=True)
+            if info != 0:
+                raise _singular(speeds[s])
+    finite = np.isfinite(result).all(axis=(1, 2))
+    if not finite.all():
+        raise _singular(speeds[~finite][0])
+    return result
+
+
+_CHUNK = 16
+
+
+def _singular(speed: float) -> PipelineError:
+    return PipelineError(
+        "The dynamic stiffness must be regular to give a response, "
+        f"but it is singular at {speed:.6g} rad/s: check bearings and supports of the rotor"
+    )
+
+
+def _assemble(
+    system: BandedStiffness,
+    frequencies: np.ndarray,
+    speeds: np.ndarray,
+    impedance: np.ndarray | None,
+    impedance_dof: np.ndarray | None,
+    band: np.ndarray,
+) -> None:
+    width, count = system.bandwidth, len(speeds)
+    w, speed = frequencies[:, None, None], speeds[:, None, None]
+    band[:, :, :width] = 0.0
+    matrix = band[:count, :, width:]
+    matrix.real = system.stiffness - w**2 * system.mass
+    matrix.imag = w * (system.damping + speed * system.gyroscopic)
+    if impedance is None or impedance_dof is None:
+        return
+    for block, places in zip(impedance, impedance_dof, strict=True):
+        for i in range(2):
+            for j in range(2):
+                matrix[:, places[j], width + places[i] - places[j]] += block[:, i, j]
+
+
+def apply(rotor: RotorModel, rows: np.ndarray, columns: np.ndarray, frequencies: np.ndarray, speeds: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """The product ``D(w)[rows, columns] @ x`` at every speed: (S, rows, R) from ``x`` (S, columns, R).
+
+    Only the columns that couple to ``rows`` are multiplied, so that the cost does not grow with the nodes.
+    """
+    blocks = [a[np.ix_(rows, columns)] for a in (rotor.mass, rotor.damping, rotor.gyroscopic, rotor.stiffness)]
+    coupled = np.any([block != 0 for block in blocks], axis=(0, 1))
+    mass, damping, gyroscopic, stiffness = (block[:, coupled] for block in blocks)
+    w, speed = frequencies[:, None, None], speeds[:, None, None]
+    dynamic = stiffness - w**2 * mass + 1j * w * (damping + speed * gyroscopic)
+    return dynamic @ x[:, coupled]

@@ -1,0 +1,62 @@
+"""The known part of the machine: finite element matrices of shaft and discs, without bearings.
+
+Legend: N nodes, n = 4 N lateral DOF ordered node by node as (x, y, alpha, beta); axial and torsional
+DOF are uncoupled from these and left out. SI units.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+DOF_PER_NODE = 4
+TRANSLATIONS = 2
+"""x and y come first among the DOF of a node."""
+
+
+@dataclass(frozen=True, eq=False)
+class RotorModel:
+    """Matrices of shaft and discs and the places of bearings and discs on it."""
+
+    mass: np.ndarray  # (n, n) kg, kg m, kg m^2
+    damping: np.ndarray  # (n, n) N s/m ..., of the shaft itself
+    gyroscopic: np.ndarray  # (n, n), multiplied by the rotor speed in rad/s
+    stiffness: np.ndarray  # (n, n) N/m, N, N m
+    positions: np.ndarray  # (N,) m, along the shaft
+    bearing_nodes: tuple[int, ...]
+    disc_nodes: tuple[int, ...]
+    total_mass: float  # kg
+
+    @property
+    def n_nodes(self) -> int:
+        """N."""
+        return len(self.positions)
+
+    @property
+    def n_dof(self) -> int:
+        """4 N."""
+        return self.mass.shape[0]
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Identity of the mechanical model: equal for equal matrices, to nine digits."""
+        digest = hashlib.sha256()
+        for matrix in (self.mass, self.damping, self.gyroscopic, self.stiffness):
+            scale = np.abs(matrix).max() or 1.0
+            # + 0.0 turns a rounded -0.0 into 0.0, which has other bytes.
+            digest.update((np.round(matrix / scale, 9) + 0.0).tobytes())
+            digest.update(f"{scale:.9e}".encode())
+        return digest.hexdigest()[:16]
+
+
+def translation_dof(node: int, direction: int) -> int:
+    """Index of x (direction 0) or y (direction 1) of a node among the lateral DOF."""
+    return DOF_PER_NODE * node + direction
+
+
+def bearing_dof(rotor: RotorModel) -> np.ndarray:
+    """(B, 2) indices of x and y at each bearing."""
+    return np.array([[translation_dof(node, d) for d in range(TRANSLATIONS)] for node in rotor.bearing_nodes])

@@ -1,0 +1,176 @@
+"""The one module that imports ROSS: configuration in, matrices and bearing tables out.
+
+``import ross`` takes seconds and prints at C level, so it happens on first use, with file descriptor 1
+pointed elsewhere.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.schema import (
+    BallBearingConfig,
+    BearingConfig,
+    CylindricalBearingConfig,
+    DiscConfig,
+    RotorConfig,
+)
+from pipeline.errors import ConfigError
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.model import RotorModel
+
+GRAVITY = 9.80665  # m/s^2
+_LATERAL = (0, 1, 3, 4)
+"""x, y, alpha, beta among ROSS's six DOF of a node (x, y, z, alpha, beta, theta)."""
+
+
+@contextmanager
+def _quiet_stdout() -> Iterator[None]:
+    sys.stdout.flush()
+    saved = os.dup(1)
+    sink = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(sink, 1)
+        yield
+    finally:
+        os.dup2(saved, 1)
+        os.close(saved)
+        os.close(sink)
+
+
+@cache
+def ross() -> Any:
+    """The module ``ross``, imported in silence."""
+    with _quiet_stdout(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # ROSS and its fluid-property packages warn about optional parts
+        import ross as module
+    return module
+
+
+@cache
+def assemble(config: RotorConfig) -> RotorModel:
+    """Shaft and discs of a configuration as matrices, without bearings.
+
+    Raises ConfigError where ``config.file`` can't be read.
+    """
+    rotor = _load(config.file) if config.file is not None else _build(config)
+    lateral = np.array([rotor.number_dof * node + dof for node in range(len(rotor.nodes)) for dof in _LATERAL])
+    mass, damping, gyroscopic, stiffness = (
+        np.array(matrix[np.ix_(lateral, lateral)]) for matrix in (rotor.M0, rotor.C0, rotor.G0, rotor.K0)
+    )
+    nodes = config.bearing_nodes or tuple(sorted({int(b.n) for b in rotor.bearing_elements}))
+    return RotorModel(
+        mass=mass,
+        damping=damping,
+        gyroscopic=gyroscopic,
+        stiffness=stiffness,
+        positions=np.array(rotor.nodes_pos, dtype=float),
+        bearing_nodes=nodes,
+        disc_nodes=tuple(int(disc.n) for disc in rotor.disk_elements),
+        total_mass=float(rotor.m),
+    )
+
+
+def ross_rotor(config: RotorConfig, bearing: BearingConfig, speeds: np.ndarray) -> Any:
+    """ROSS's own rotor with bearings, for its analyses (and as an oracle in tests). ``speeds`` (S,) rad/s."""
+    rotor = _load(config.file) if config.file is not None else _build(config)
+    return ross().Rotor(
+        rotor.shaft_elements, rotor.disk_elements, bearing_elements(config, bearing, rotor, speeds)
+    )
+
+
+def bearing_table(config: RotorConfig, bearing: BearingConfig, speeds: np.ndarray) -> BearingTable:
+    """The modelled coefficients at ``speeds`` (S,) rad/s."""
+    rotor = _load(config.file) if config.file is not None else _build(config)
+    elements = bearing_elements(config, bearing, rotor, speeds)
+    values = np.array([[_eight(element, speed) for speed in speeds] for element in elements])
+    if not np.isfinite(values).all():
+        raise ConfigError("Modelled bearing coefficients must be finite, but ROSS gave some that are not: check the bearing's load and geometry")
+    return BearingTable(tuple(int(e.n) for e in elements), np.asarray(speeds, dtype=float), values)
+
+
+def _eight(element: Any, speed: float) -> list[float]:
+    stiffness, damping = element.K(speed), element.C(speed)
+    blocks = {"k": stiffness, "c": damping}
+    return [float(blocks[name[0]]["xy".index(name[1]), "xy".index(name[2])]) for name in COEFFICIENTS]
+
+
+def bearing_elements(config: RotorConfig, bearing: BearingConfig, rotor: Any, speeds: np.ndarray) -> list[Any]:
+    """ROSS bearing elements of ``bearing`` at every bearing node of the rotor."""
+    if not isinstance(bearing, (BallBearingConfig, CylindricalBearingConfig)):
+        return sorted(rotor.bearing_elements, key=lambda element: element.n)
+    rs = ross()
+    elements = []
+    for node in config.bearing_nodes:
+        if isinstance(bearing, BallBearingConfig):
+            element = rs.BallBearingElement(
+                n=node, n_balls=bearing.n_balls, d_balls=bearing.ball_diameter, fs=bearing.static_load, alpha=bearing.contact_angle
+            )
+        else:
+            load = bearing.static_load or rotor.m * GRAVITY / len(config.bearing_nodes)
+            element = rs.CylindricalBearing(
+                n=node,
+                speed=[float(speed) for speed in speeds],
+                weight=load,
+                bearing_length=bearing.length,
+                journal_diameter=bearing.journal_diameter,
+                radial_clearance=bearing.radial_clearance,
+                oil_viscosity=bearing.oil_viscosity,
+            )
+        elements.append(element)
+    return elements
+
+
+def _build(config: RotorConfig) -> Any:
+    rs = ross()
+    if config.material is None:
+        raise ConfigError("rotor.material must be given for a rotor without rotor.file")
+    material = rs.Material(
+        "rotor", rho=config.material.density, E=config.material.youngs_modulus, G_s=config.material.shear_modulus
+    )
+    shaft = [
+        rs.ShaftElement(
+            L=segment.length / segment.elements,
+            idl=segment.inner_diameter,
+            odl=segment.outer_diameter,
+            material=material,
+            shear_effects=config.shear_effects,
+        )
+        for segment in config.shaft
+        for _ in range(segment.elements)
+    ]
+    discs = [_disc(disc, material) for disc in config.discs]
+    return rs.Rotor(shaft, discs)
+
+
+def _disc(disc: DiscConfig, material: Any) -> Any:
+    rs = ross()
+    if disc.mass is not None:
+        return rs.DiskElement(n=disc.node, m=disc.mass, Id=disc.diametral_inertia, Ip=disc.polar_inertia)
+    return rs.DiskElement.from_geometry(
+        n=disc.node, material=material, width=disc.width, i_d=disc.inner_diameter, o_d=disc.outer_diameter
+    )
+
+
+def _load(path: str | None) -> Any:
+    file = Path(str(path))
+    if not file.is_file():
+        raise ConfigError(f"rotor.file must be a rotor saved by ROSS (.toml or .json), but there is no file '{file}'")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return ross().Rotor.load(file)
+    except Exception as error:  # ROSS's loader raises whatever its elements' constructors raise
+        raise ConfigError(
+            f"rotor.file must be a rotor saved by ROSS (.toml or .json), but '{file}' can't be read as one ({type(error).__name__}: {error})"
+        ) from error

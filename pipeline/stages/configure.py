@@ -1,0 +1,18 @@
+"""Write the composed configuration: what ``dvc repro`` compares to know which stages a change touches."""
+
+from __future__ import annotations
+
+from pipeline.config.schema import Config
+from pipeline.files import write_text
+from pipeline.reporting.console import say
+from pipeline.stages.run import StageOutput, workspace
+
+
+def run(config: Config) -> StageOutput:
+    """``config.yaml``, in SI units, without the keys that say how rather than what."""
+    import yaml
+
+    mapping = config.model_dump(mode="json", exclude={"stage", "tracking", "check", "threads", "output"})
+    path = write_text(workspace(config).config, yaml.safe_dump(mapping, sort_keys=False))
+    say(f"{config.name}: configuration in '{path}'")
+    return StageOutput(files=[path])

@@ -1,0 +1,54 @@
+"""Model the machine and write its vibration: what a measurement would have given."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.config.schema import Config
+from pipeline.data.coefficient_files import write_coefficients
+from pipeline.data.dataset import Excitation
+from pipeline.data.simulate import simulate
+from pipeline.data.vibration_files import write_dataset
+from pipeline.errors import DataError
+from pipeline.reporting.console import say, warn
+from pipeline.rotor.ross_adapter import assemble, bearing_table
+from pipeline.stages.run import StageOutput, flat_metrics, input_files, origin, workspace
+from pipeline.twin.modes import stability_margin, whirl_modes
+from pipeline.units import RAD_S_PER_RPM
+
+
+def run(config: Config) -> StageOutput:
+    """Vibration, excitation, and the modelled and the known coefficients."""
+    files = input_files(config)
+    if not files.own:
+        raise DataError("generate must write the experiment's own files, but data.vibration, data.excitation or data.known names others: leave them out")
+    speeds = np.array(config.excitation.speeds.rpm()) * RAD_S_PER_RPM
+    rotor = assemble(config.rotor)
+    bearings = bearing_table(config.rotor, config.bearing, speeds)
+    dataset = simulate(rotor, bearings, excitations(config))
+    modelled = workspace(config).modelled
+    write_dataset(files.vibration, files.excitation, dataset, rotor, origin(config))
+    write_coefficients(modelled, bearings)
+    write_coefficients(files.known, bearings, config.identify.known())
+    # A tenth of the speeds shows the trend; the eigenvalues of all would take longer than the vibration.
+    margin = stability_margin(whirl_modes(rotor, bearings.at(np.arange(0, len(speeds), 10))))
+    say(
+        f"{config.name}: {len(dataset.runs)} runs, {len(speeds)} speeds, {len(dataset.channels)} channels in '{files.vibration}'\n"
+        f"smallest logarithmic decrement {margin.smallest_logarithmic_decrement:.3f} at {margin.at_speed / RAD_S_PER_RPM:.0f} rpm"
+    )
+    if not margin.stable:
+        warn(f"the modelled rotor is unstable somewhere (growth {margin.largest_growth:.3g} 1/s): its steady vibration can't be measured")
+    return StageOutput(
+        metrics=flat_metrics({"stability": {"largest_growth": margin.largest_growth, "smallest_logarithmic_decrement": margin.smallest_logarithmic_decrement}}),
+        tags={"data_fingerprint": dataset.fingerprint, "rotor_fingerprint": rotor.fingerprint},
+        files=[files.excitation, files.known, modelled],
+    )
+
+
+def excitations(config: Config) -> tuple[Excitation, ...]:
+    """The configured runs."""
+    return tuple(
+        Excitation(run.name, "unbalance", force.node, force.magnitude, force.phase)
+        for run in config.excitation.runs
+        for force in run.unbalances
+    )

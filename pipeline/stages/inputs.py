@@ -1,0 +1,52 @@
+"""What several stages load: the rotor, the measurement, the known coefficients, the equations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+from pipeline.config.schema import Config
+from pipeline.data.coefficient_files import read_coefficients
+from pipeline.data.dataset import VibrationDataset
+from pipeline.data.tables import origin_of
+from pipeline.data.vibration_files import read_dataset
+from pipeline.equations.bearing_equations import BearingEquations, bearing_equations
+from pipeline.errors import DataError
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.model import RotorModel
+from pipeline.rotor.ross_adapter import assemble
+from pipeline.stages.run import input_files, make_missing, origin
+
+
+@dataclass(frozen=True, eq=False)
+class Inputs:
+    """Everything that training may see. There is no truth in it."""
+
+    rotor: RotorModel
+    dataset: VibrationDataset
+    known: BearingTable
+
+    @cached_property
+    def equations(self) -> BearingEquations:
+        """The equations at the bearings."""
+        return bearing_equations(self.rotor, self.dataset)
+
+
+def load_inputs(config: Config) -> Inputs:
+    """Read the data set of an experiment, generating it first where it is missing.
+
+    Raises DataError for files that break their laws, or that were generated from another configuration.
+    """
+    files = input_files(config)
+    if files.own:
+        make_missing(config, "generate", files.vibration, files.excitation, files.known)
+        made_from = origin_of(files.vibration)
+        if made_from not in (None, origin(config)):
+            raise DataError(
+                f"'{files.vibration}' must have been generated from the configured rotor, bearings and excitation, but they have "
+                "changed since: run stage=generate with the same overrides first, or choose another folder with output=FOLDER"
+            )
+    rotor = assemble(config.rotor)
+    dataset = read_dataset(files.vibration, files.excitation, rotor)
+    known = read_coefficients(files.known, rotor.bearing_nodes, dataset.speeds, config.identify.known())
+    return Inputs(rotor, dataset, known)

@@ -1,0 +1,76 @@
+"""Identify the unknown coefficients (paper, Algorithm 1)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pipeline.config.schema import Config
+from pipeline.data.coefficient_files import write_coefficients
+from pipeline.data.tables import write_table
+from pipeline.files import write_json
+from pipeline.identification.identified import IdentificationResult
+from pipeline.identification.outcome import Outcome
+from pipeline.identification.storage import save_model
+from pipeline.identification.training import TrainingSetup, initial_parameters, prepare, run_training
+from pipeline.reporting.console import say, training_progress, warn
+from pipeline.stages.inputs import Inputs, load_inputs
+from pipeline.stages.run import StageOutput, flat_metrics, workspace
+
+
+def setup_of(config: Config) -> TrainingSetup:
+    """The sections of the configuration that training reads."""
+    return TrainingSetup(config.identify, config.model, config.loss, config.optimizer, config.training)
+
+
+def run(config: Config) -> StageOutput:
+    """Train, keep the best state, and write model, coefficients, history and account."""
+    import torch
+
+    torch.set_num_threads(config.threads)
+    inputs, setup = load_inputs(config), setup_of(config)
+    prepared = prepare(inputs.equations, inputs.known, setup)
+    start = initial_parameters(prepared, setup, config.seed)
+    with training_progress(config.name) as progress:
+        result = run_training(prepared, start, setup, progress).result()
+    files = _save(config, inputs, result)
+    _report(config, result)
+    return StageOutput(
+        metrics=flat_metrics({"training": _account(result)}),
+        tags={"data_fingerprint": inputs.dataset.fingerprint, "outcome": result.outcome.label},
+        files=files,
+        history=[{key: value for key, value in row.items() if not isinstance(value, str)} for row in result.history],
+        model=workspace(config).folder,
+        exit_code=130 if result.outcome is Outcome.INTERRUPTED else 0,
+    )
+
+
+def _account(result: IdentificationResult) -> dict[str, object]:
+    account: dict[str, object] = {"loss": result.loss, "steps": result.steps, "seconds": result.seconds}
+    if result.held_out_loss is not None:
+        account["held_out_loss"] = result.held_out_loss
+    return account
+
+
+def _save(config: Config, inputs: Inputs, result: IdentificationResult) -> list[Path]:
+    import pandas as pd
+
+    work = workspace(config)
+    table = result.identified.table(inputs.known)
+    account = {"outcome": result.outcome.label, "data_fingerprint": inputs.dataset.fingerprint, "seed": config.seed} | _account(result)
+    save_model(work.folder, result.identified)
+    return [
+        write_coefficients(work.identified, table),
+        write_table(work.history, pd.DataFrame(list(result.history))),
+        write_json(work.training, account),
+    ]
+
+
+def _report(config: Config, result: IdentificationResult) -> None:
+    held_out = "" if result.held_out_loss is None else f", on held-out speeds {result.held_out_loss:.3g}"
+    say(
+        f"{config.name}: {result.outcome.value}\n"
+        f"residual {result.loss:.3g} of the bearing force{held_out}, {result.steps} steps in {result.seconds:.1f} s\n"
+        f"coefficients in '{workspace(config).identified}'"
+    )
+    if result.outcome in (Outcome.DIVERGED, Outcome.BUDGET_SPENT):
+        warn(f"{config.name}: training {result.outcome.label}")

@@ -1,0 +1,181 @@
+"""From one record to one MLflow run; whatever fails on the way becomes a sentence."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+from pipeline.tracking.database import DatabaseProblem
+from pipeline.tracking.entries import (
+    MetricValue,
+    final_metrics,
+    flat_parameters,
+    flat_tags,
+    history_metrics,
+    plain,
+    shortened,
+    without_password,
+)
+from pipeline.tracking.provenance import provenance_tags
+from pipeline.tracking.quiet import quiet_mlflow
+from pipeline.tracking.record import StageRecord, TrackingSettings
+
+if TYPE_CHECKING:
+    from mlflow import MlflowClient
+    from mlflow.entities import Run
+
+_T = TypeVar("_T")
+_METRICS_A_BATCH = 1000
+_PARAMETERS_A_BATCH = 100
+_FIGURES = {".png", ".svg", ".jpg", ".jpeg"}
+_REASON_LENGTH = 300
+
+
+def track(record: StageRecord, settings: TrackingSettings) -> list[str]:
+    """Log ``record`` as one finished run of the MLflow experiment ``record.experiment``.
+
+    :returns: sentences that say what was not logged and why; empty when all was, or when not enabled
+    :raises KeyboardInterrupt: the run is then marked as killed; nothing else is raised
+    """
+    if not settings.enabled:
+        return []
+    try:
+        with quiet_mlflow(settings.timeout_seconds):
+            return _log(record, settings)
+    except Exception as error:
+        place = without_password(settings.uri)
+        return [
+            f"Stage '{record.stage}' of '{record.experiment}' is not in MLflow ({place}): {_reason(error)}. "
+            "Its files are kept. Check tracking.uri, or switch tracking off with tracking.enabled=false."
+        ]
+
+
+def _log(record: StageRecord, settings: TrackingSettings) -> list[str]:
+    from pipeline.tracking.store import open_experiment
+
+    client, experiment_id = open_experiment(settings, record.experiment)
+    run = client.create_run(
+        experiment_id, start_time=round(1000 * record.started), tags=_tags(record), run_name=record.stage
+    )
+    try:
+        problems = _log_parts(client, run, record, settings.timeout_seconds)
+    except KeyboardInterrupt:
+        client.set_terminated(run.info.run_id, "KILLED")
+        raise
+    client.set_terminated(run.info.run_id, record.status, end_time=round(1000 * record.ended))
+    return problems
+
+
+def _tags(record: StageRecord) -> dict[str, str]:
+    place = {"pipeline.experiment": record.experiment, "pipeline.stage": record.stage}
+    return flat_tags(provenance_tags() | place | dict(record.tags))
+
+
+def _log_parts(client: MlflowClient, run: Run, record: StageRecord, patience_seconds: float) -> list[str]:
+    """Log each part by itself; stop once the parts that failed have taken ``patience_seconds`` together."""
+    run_id = run.info.run_id
+    parameters = flat_parameters(record.parameters)
+    problems: list[str] = []
+    not_tried: list[str] = []
+
+    def attempt(what: str, action: Callable[[], _T]) -> _T | None:
+        nonlocal patience_seconds
+        if patience_seconds <= 0:
+            not_tried.append(what)
+            return None
+        begin = time.monotonic()
+        try:
+            return action()
+        except Exception as error:
+            patience_seconds -= time.monotonic() - begin
+            problems.append(f"MLflow does not have {what} of stage '{record.stage}': {_reason(error)}.")
+            return None
+
+    attempt("the parameters", lambda: _log_parameters(client, run_id, parameters))
+    attempt("the configuration", lambda: _log_configuration(client, run_id, record))
+    model_id: str | None = None
+    if record.model is not None:
+        from pipeline.tracking.model import log_model
+
+        folder = record.model
+        model_id = attempt("the model", lambda: log_model(client, run, folder, parameters))
+    metrics, not_finite = final_metrics(record.metrics, record.ended)
+    attempt("the metrics", lambda: _log_metrics(client, run_id, metrics, model_id))
+    if record.history:
+        history = attempt("the history", lambda: _log_history(client, run_id, record))
+        not_finite += [name for name in history or () if name not in not_finite]
+    for path, folder_name in _artifact_folders(record.files):
+        attempt(f"the file {path}", lambda path=path, to=folder_name: _log_file(client, run_id, path, to))  # type: ignore[misc]
+    if not_finite:
+        problems.append(f"MLflow does not have the values of {', '.join(not_finite)} that are not finite.")
+    if not_tried:
+        problems.append(f"MLflow stopped answering in time, so these were not tried: {', '.join(not_tried)}.")
+    return problems
+
+
+def _log_parameters(client: MlflowClient, run_id: str, parameters: dict[str, str]) -> None:
+    from mlflow.entities import Param
+
+    for batch in _batches((Param(name, text) for name, text in parameters.items()), _PARAMETERS_A_BATCH):
+        client.log_batch(run_id, params=batch)
+
+
+def _log_configuration(client: MlflowClient, run_id: str, record: StageRecord) -> None:
+    import yaml
+
+    text = yaml.safe_dump(plain(record.parameters), sort_keys=False, allow_unicode=True)
+    client.log_text(run_id, text, "config.yaml")
+
+
+def _log_metrics(
+    client: MlflowClient, run_id: str, values: Iterable[MetricValue], model_id: str | None = None
+) -> None:
+    from mlflow.entities import Metric
+
+    metrics = (Metric(m.name, m.value, m.time, m.step, model_id=model_id, run_id=run_id) for m in values)
+    for batch in _batches(metrics, _METRICS_A_BATCH):
+        client.log_batch(run_id, metrics=batch)
+
+
+def _log_history(client: MlflowClient, run_id: str, record: StageRecord) -> list[str]:
+    values, not_finite = history_metrics(record.history, record.started, record.ended)
+    _log_metrics(client, run_id, values)
+    return not_finite
+
+
+def _log_file(client: MlflowClient, run_id: str, path: Path, folder: str) -> None:
+    if not path.is_file():
+        raise FileNotFoundError("there is no such file")
+    client.log_artifact(run_id, str(path), folder)
+
+
+def _artifact_folders(files: Sequence[Path]) -> Iterator[tuple[Path, str]]:
+    """Each file with its artifact folder; a second file of one name goes below its own folder's name."""
+    taken: set[tuple[str, str]] = set()
+    for path in files:
+        folder = "figures" if path.suffix.lower() in _FIGURES else "files"
+        if (folder, path.name) in taken:
+            folder = f"{folder}/{path.parent.name}"
+        taken.add((folder, path.name))
+        yield path, folder
+
+
+def _batches(items: Iterable[_T], size: int) -> Iterator[list[_T]]:
+    iterator = iter(items)
+    while batch := list(islice(iterator, size)):
+        yield batch
+
+
+def _reason(error: Exception) -> str:
+    """The heart of an error's text, on one line, without passwords."""
+    text = " ".join(str(error).split()) or type(error).__name__
+    system = re.search(r"\[Errno -?\d+\] ([\w ]+)", text)
+    if system and "Max retries exceeded" in text:
+        text = f"the server can't be reached ({system.group(1).strip().lower()})"
+    if not isinstance(error, DatabaseProblem):
+        text = shortened(text, _REASON_LENGTH)
+    return without_password(text).rstrip(".")

@@ -1,0 +1,39 @@
+"""Vibration that training never saw, from identified and from modelled coefficients (paper, Figure 6)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.data.dataset import Excitation
+from pipeline.data.simulate import unbalance_response
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.model import TRANSLATIONS, RotorModel, translation_dof
+
+
+@dataclass(frozen=True, eq=False)
+class PredictedVibration:
+    """Displacement of one node over speed, complex zero-to-peak amplitudes of q(t) = Re(Q e^{jwt})."""
+
+    node: int
+    speeds: np.ndarray  # (S,) rad/s
+    displacement: np.ndarray  # (S, 2) complex, m, of x and y
+
+    def error_percent(self, reference: PredictedVibration) -> np.ndarray:
+        """(S, 2) |Q - Q_reference| / |Q_reference| in percent: amplitude and phase together."""
+        return 100.0 * np.abs(self.displacement - reference.displacement) / np.abs(reference.displacement)
+
+
+def predict(rotor: RotorModel, bearings: BearingTable, unbalances: tuple[Excitation, ...], node: int) -> PredictedVibration:
+    """The response of ``node`` to ``unbalances`` (one run) at the speeds of ``bearings``."""
+    runs = (unbalances[0].run,)
+    response = unbalance_response(rotor, bearings, unbalances, runs)
+    places = [translation_dof(node, direction) for direction in range(TRANSLATIONS)]
+    return PredictedVibration(node, bearings.speeds, response[:, places, 0])
+
+
+def time_curve(displacement: np.ndarray, speed: float, turns: float = 2.0, points: int = 400) -> tuple[np.ndarray, np.ndarray]:
+    """Times (T,) in s and displacements (T, 2) in m of x and y at one ``speed`` (rad/s), from amplitudes (2,)."""
+    time = np.linspace(0.0, turns * 2.0 * np.pi / speed, points)
+    return time, np.real(displacement[None, :] * np.exp(1j * speed * time)[:, None])
