@@ -6,6 +6,7 @@ Every command is checked before anything runs. Exit codes: 0 done, 1 a threshold
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 import re
@@ -16,7 +17,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from pipeline import __version__
 from pipeline.errors import ConfigError, PipelineError
@@ -27,6 +28,12 @@ if TYPE_CHECKING:
     from omegaconf import DictConfig
 
 MISTAKE, BUG, INTERRUPTED, CLOSED_PIPE = 2, 70, 130, 141
+
+# What a disk, a folder's rights or a path of the user cause; other OSErrors are bugs.
+_STORAGE = {
+    *(errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.EACCES, errno.EPERM),
+    *(errno.ENOENT, errno.EEXIST, errno.EISDIR, errno.ENOTDIR, errno.ENAMETOOLONG),
+}
 
 # A job's folder says what was swept; these keys already change the folder (output: artifacts/${name}),
 # and the stages of one experiment share it.
@@ -74,11 +81,13 @@ def _exit_code(action: Callable[[], None]) -> int:
         _drop_output()
         return CLOSED_PIPE
     except Exception as error:
-        if isinstance(error, OSError) and error.errno is not None:
+        if isinstance(error, OSError) and error.errno in _STORAGE:
             _drop_output()
             return _said(_storage(error), MISTAKE)
         traceback.print_exc()
-        return _said("internal error: this is a bug of the pipeline; please report it with the lines above", BUG)
+        return _said(
+            "internal error: this is a bug of the pipeline; please report it with the lines above", BUG
+        )
 
 
 def _said(words: object, code: int) -> int:
@@ -110,14 +119,18 @@ def _parsed(arguments: list[str]) -> Namespace:
     from hydra._internal.utils import get_args_parser
 
     parser = get_args_parser()
-    parser.error = _refuse_option  # type: ignore[method-assign]
+    parser.error = _refuse_option  # type: ignore[method-assign]  # its own prints a usage of Hydra's
     options = parser.parse_intermixed_args(arguments)
     for name in ("config_path", "config_name", "config_dir", "experimental_rerun"):
         if getattr(options, name) is not None:
-            _refuse_option(f"--{name.replace('_', '-')} is not for this pipeline, whose configuration is conf/config.yaml")
+            _refuse_option(
+                f"--{name.replace('_', '-')} is not for this pipeline, configured in conf/config.yaml"
+            )
     commands = [options.multirun, options.cfg, options.info, options.shell_completion, options.hydra_help]
     if sum(map(bool, commands)) > 1:
-        _refuse_option("there is more than one of --multirun, --cfg, --info, --shell-completion and --hydra-help")
+        _refuse_option(
+            "there is more than one of --multirun, --cfg, --info, --shell-completion and --hydra-help"
+        )
     if options.resolve and not options.cfg:
         _refuse_option("--resolve goes with --cfg job")
     options.multirun = options.multirun or (not any(commands) and "hydra.mode=MULTIRUN" in options.overrides)
@@ -125,13 +138,17 @@ def _parsed(arguments: list[str]) -> Namespace:
     return options
 
 
-def _refuse_option(message: str) -> None:
-    raise ConfigError(f"the options must be Hydra's, but {message}; `python -m pipeline --help` lists the usual ones")
+def _refuse_option(message: str) -> NoReturn:
+    raise ConfigError(
+        f"the options must be Hydra's, but {message}; `python -m pipeline --help` lists the usual ones"
+    )
 
 
 def _hydra(options: Namespace) -> None:
     """Check the overrides, then hand the command to Hydra."""
     import hydra
+    from hydra.errors import HydraException
+    from omegaconf.errors import OmegaConfBaseException
 
     from pipeline.config.compose import CONF, ROOT_CONFIG, VERSION_BASE, deduplicated
 
@@ -145,6 +162,9 @@ def _hydra(options: Namespace) -> None:
         except SystemExit as stop:
             # Hydra's 1, such as for --cfg job with an unknown --package, is not that of stage=check.
             raise SystemExit(MISTAKE if options.cfg and stop.code == 1 else stop.code) from None
+        except (HydraException, OmegaConfBaseException) as error:
+            # Only what the check can't see: Hydra's own settings, such as hydra.sweep.dir.
+            raise ConfigError(f"Hydra must be able to start this, but says: {error}") from None
 
 
 def _checked(options: Namespace) -> Job:
@@ -172,8 +192,8 @@ def _refuse_shared_folders(job: Job, jobs: list[list[str]]) -> None:
         folder = job.folder(config.output, overrides)
         if config.stage in stages_of.setdefault(folder, set()):
             raise ConfigError(
-                f"the jobs of a multirun must write to folders of their own, but two would write to '{folder}'; "
-                "give 'output=FOLDER/${name}', or leave output out"
+                f"the jobs of a multirun must write to folders of their own, but two have '{folder}'; "
+                "give each value once, and leave output out or give 'output=FOLDER/${name}'"
             )
         stages_of[folder].add(config.stage)
     parallel = any(o.startswith("hydra/launcher=") and o != "hydra/launcher=basic" for o in jobs[0])
@@ -236,7 +256,11 @@ class Job:
 
     def folder(self, output: str, overrides: Sequence[str]) -> str:
         """The folder of the job with these overrides: no other job of the multirun has it."""
-        swept = [o for o in overrides if _key(o) not in self.fixed | _NOT_IN_FOLDER and not _key(o).startswith("hydra")]
+        swept = [
+            o
+            for o in overrides
+            if _key(o) not in self.fixed | _NOT_IN_FOLDER and not _key(o).startswith("hydra")
+        ]
         if not swept:
             return output
         raw = "__".join(override.lstrip("+~").replace("=", "-", 1) for override in swept)

@@ -57,7 +57,11 @@ def read_json(path: Path) -> dict[str, Any]:
     except FileNotFoundError:
         raise DataError(f"'{path}' must exist, but there is no such file") from None
     except (OSError, ValueError) as error:
-        raise DataError(f"'{path}' must be readable as JSON, but it is not ({error}): make it again") from None
+        raise DataError(
+            f"'{path}' must be readable as JSON, but it is not ({error}): make it again"
+        ) from None
     if not isinstance(value, dict):
-        raise DataError(f"'{path}' must hold a JSON object, but it holds a {type(value).__name__}: make it again")
+        raise DataError(
+            f"'{path}' must hold a JSON object, but it holds a {type(value).__name__}: make it again"
+        )
     return value

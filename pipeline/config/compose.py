@@ -8,12 +8,20 @@ from __future__ import annotations
 
 import itertools
 import re
-import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
+from pipeline.config.messages import (
+    bad_syntax,
+    no_option,
+    paths,
+    schema_errors,
+    shown,
+    suggestion,
+    unknown_key,
+)
 from pipeline.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -44,13 +52,14 @@ def validated(mapping: Mapping[str, Any]) -> Config:
     """``mapping`` as a Config."""
     from pydantic import ValidationError
 
-    from pipeline.config.messages import schema_errors, shown, suggestion
     from pipeline.config.schema import Config
     from pipeline.stages import STAGES
 
     stage = mapping.get("stage")
-    if stage not in STAGES:
-        raise ConfigError(f"stage must be one of the stages, but got {shown(stage)}{suggestion(str(stage), STAGES)}")
+    if not isinstance(stage, str) or stage not in STAGES:
+        raise ConfigError(
+            f"stage must be one of the stages, but got {shown(stage)}{suggestion(str(stage), STAGES)}"
+        )
     try:
         return Config.model_validate(mapping)
     except ValidationError as error:
@@ -91,8 +100,9 @@ def _hydra() -> Iterator[ConfigLoader]:
     from hydra.core.singleton import Singleton
 
     if not CONF.is_dir():
-        raise ConfigError(f"conf/ must lie beside the package, but {CONF} is not there; run from a checkout of the repository.")
+        raise ConfigError(f"conf/ must lie beside the package, but {CONF} is not there; run from a checkout")
     state = Singleton.get_state()
+    GlobalHydra.instance().clear()
     try:
         with initialize_config_dir(str(CONF), job_name="pipeline", version_base=VERSION_BASE):
             yield GlobalHydra.instance().config_loader()
@@ -117,10 +127,12 @@ def _composed(parsed: Sequence[Override], loader: ConfigLoader) -> dict[str, Any
         raise ConfigError("\n".join(_unknown_keys(parsed, loader)) or _said(error)) from None
     except OmegaConfBaseException as error:
         raise ConfigError(_unresolved(error)) from None
+    except (AssertionError, AttributeError, TypeError, ValueError) as error:
+        # Hydra has no error of its own for some overrides, such as ~experiment=[a].
+        raise ConfigError(_said(error)) from None
     except yaml.YAMLError as error:
         raise ConfigError(f"a file in conf/ must be YAML, but {error}") from None
-    assert isinstance(mapping, dict)
-    return mapping
+    return cast("dict[str, Any]", mapping)
 
 
 def _is_group(override: Override, loader: ConfigLoader) -> bool:
@@ -146,23 +158,15 @@ def _parsed(overrides: Sequence[str], loader: ConfigLoader) -> list[Override]:
             parsed += parser.parse_overrides([text])
         except HydraException:
             raise ConfigError(_bad_syntax(text)) from None
-        if not parsed[-1].key_or_group:
+        if not parsed[-1].key_or_group:  # "=3"
             raise ConfigError(_bad_syntax(text))
     return parsed
 
 
 def _bad_syntax(text: str) -> str:
-    key, equals, value = text.partition("=")
-    if not equals or not key:
-        from pipeline.stages import STAGES
+    from pipeline.stages import STAGES
 
-        places = [f"'{group}={key}'" for group, names in (("stage", STAGES), ("experiment", options("experiment"))) if key in names]
-        hint = f"; did you mean {places[0]}?" if places else ", for example stage=train"
-        return f"an override must be KEY=VALUE, but got '{text}'{hint}"
-    if any(value.count(a) != value.count(b) for a, b in ("[]", "{}", "()")) or any(value.count(q) % 2 for q in "'\""):
-        return f"an override must close its brackets and quotes, but got '{text}'; close them, as in {key}=[1,2]"
-    quoted = shlex.quote(f"{key}='{value}'" if '"' in value else f'{key}="{value}"')
-    return f"an override must be KEY=VALUE without special characters, but got '{text}'; quote the value, as in {quoted}"
+    return bad_syntax(text, {"stage": STAGES, "experiment": options("experiment")})
 
 
 def _refuse_sweeps(parsed: Sequence[Override]) -> None:
@@ -171,20 +175,27 @@ def _refuse_sweeps(parsed: Sequence[Override]) -> None:
             key, _, values = _text(override).partition("=")
             raise ConfigError(
                 f"a single run must have one value for {key}, but got '{values}'; "
-                f"add -m to run all of them, or write {key}=[...] for a list and \"{key}='...'\" for a text with commas"
+                f"add -m to run all of them, or write {key}=[...] for a list and \"{key}='...'\" for a text"
             )
 
 
 def _choices(override: Override) -> list[str]:
     if not override.is_sweep_override():
         return [_text(override)]
+    key = override.get_key_element()
     if override.is_hydra_override():
-        raise ConfigError(f"a multirun must sweep over keys of the pipeline, but got '{_text(override)}'; give one value")
+        raise ConfigError(
+            f"a multirun must sweep over keys of the pipeline, but got '{_text(override)}'; give one value"
+        )
     if not override.is_discrete_sweep():
-        raise ConfigError(f"a multirun must list its values, as in seed=1,2,3 or seed=range(1,4), but got '{_text(override)}'")
-    choices = [f"{override.get_key_element()}={value}" for value in override.sweep_string_iterator()]
+        raise ConfigError(
+            f"a multirun must list its values, but got '{_text(override)}'; write such as {key}=1,2,3"
+        )
+    choices = [f"{key}={value}" for value in override.sweep_string_iterator()]
     if not choices:
-        raise ConfigError(f"a multirun must have a value for each key, but '{_text(override)}' stands for none")
+        raise ConfigError(
+            f"a multirun must have a value for each key, but '{_text(override)}' stands for none"
+        )
     return choices
 
 
@@ -192,25 +203,23 @@ def _choices(override: Override) -> list[str]:
 
 
 def _check_group_values(parsed: Sequence[Override], loader: ConfigLoader) -> None:
-    """Refuse ``rotor=5`` and ``experiment=null``, for which Hydra raises a bare ValueError."""
+    """Refuse ``rotor=5`` and ``experiment=null`` by name, for which Hydra raises a bare ValueError."""
     for override in parsed:
         value = override.value()
-        if not override.is_delete() and not isinstance(value, (str, list, dict)) and _is_group(override, loader):
-            raise ConfigError(_no_option(override.key_or_group, value, loader.get_group_options(override.key_or_group)))
-
-
-def _no_option(group: str, name: Any, known: Sequence[str]) -> str:
-    from pipeline.config.messages import shown, suggestion
-
-    place = "an installed Hydra plugin" if group.startswith("hydra/") else f"a file in conf/{group}"
-    return f"{group} must be {place}, but got {shown(name)}{suggestion(str(name), known)}"
+        names = value if isinstance(value, list) else [value]
+        fits = isinstance(value, dict) or all(isinstance(name, str) for name in names)
+        if not fits and not (override.is_delete() and value is None) and _is_group(override, loader):
+            group = override.key_or_group
+            raise ConfigError(no_option(group, value, loader.get_group_options(group)))
 
 
 def _missing_option(error: Any) -> str:
     group, _, name = (error.missing_cfg_file or "").rpartition("/")
     place = re.match(r"In '([^']+)'", str(error))
     inside = place is not None and place[1] not in (ROOT_CONFIG, "hydra/config")
-    return (f"in conf/{place[1]}.yaml, " if place and inside else "") + _no_option(group, name, error.options or ())
+    return (f"in conf/{place[1]}.yaml, " if place and inside else "") + no_option(
+        group, name, error.options or options(group)
+    )
 
 
 def _said(error: Exception) -> str:
@@ -241,48 +250,19 @@ def _unknown_keys(parsed: Sequence[Override], loader: ConfigLoader) -> list[str]
     except HydraException:
         return []  # the groups themselves don't compose: Hydra's words tell more
     tree = OmegaConf.to_container(config, resolve=False)
-    sentences = [_already_there(o, tree) if o.is_add() else _unknown_key(o.key_or_group, tree)
-                 for o in parsed if o.package is None and not o.is_force_add() and (o.is_add() or o not in groups)]
-    return [sentence for sentence in sentences if sentence]
+    added = [_already_there(o, tree) for o in parsed if o.is_add()]
+    changed = [
+        unknown_key(o.key_or_group, tree) for o in parsed if not (_adds(o) or o.package or o in groups)
+    ]
+    return [sentence for sentence in [*added, *changed] if sentence]
+
+
+def _adds(override: Override) -> bool:
+    return override.is_add() or override.is_force_add()
 
 
 def _already_there(override: Override, tree: Any) -> str:
     key, text = override.key_or_group, _text(override)
-    if key not in tree["hydra"]["runtime"]["choices"] and key not in _paths(tree):
+    if key not in tree["hydra"]["runtime"]["choices"] and key not in paths(tree):
         return ""
-    return f"only a new key must be added with +, but {key} is there and got '{text}'; write '{text.lstrip('+')}'"
-
-
-def _unknown_key(key: str, tree: Any) -> str:
-    from pipeline.config.messages import suggestion
-
-    law = "an override must name a key of the configuration, but "
-    path, node = [], tree
-    for part in re.findall(r"[^.\[\]]+", key):
-        owner = ".".join(path)
-        if isinstance(node, dict) and part in node:
-            node = node[part]
-        elif isinstance(node, list) and part.isdigit() and int(part) < len(node):
-            node = node[int(part)]
-        elif isinstance(node, dict):
-            places = [place for place in _paths(tree) if place.endswith(f".{key}")]
-            if places:
-                return f"{law}there is no '{key}'; did you mean {' or '.join(map(repr, places[:3]))}?"
-            names = (str(name) for name in node if owner or name != "hydra")
-            return f"{law}{owner or 'it'} has no '{part}'{suggestion(part, names)}"
-        elif isinstance(node, list):
-            items = f"the items 0 to {len(node) - 1}" if node else "no items"
-            return f"{law}{owner} has {items}, not '{part}'"
-        else:
-            return f"{law}{owner} is a single value; give {owner}=VALUE instead of '{key}'"
-        path.append(part)
-    return ""
-
-
-def _paths(tree: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
-    """The dotted paths of all mapping keys, Hydra's own left out."""
-    for name, value in tree.items():
-        if prefix or name != "hydra":
-            yield f"{prefix}{name}"
-            if isinstance(value, Mapping):
-                yield from _paths(value, f"{prefix}{name}.")
+    return f"only a new key must have a +, but {key} is there and got '{text}'; write '{text.lstrip('+')}'"

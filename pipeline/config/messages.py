@@ -1,16 +1,23 @@
-"""Sentences for a configuration that breaks its schema: one line a value, with its path and what came."""
+"""Sentences for a configuration that breaks a law: the law, what came, the next step."""
 
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any, get_args
-
-from pydantic import BaseModel, ValidationError
+from typing import TYPE_CHECKING, Any, get_args
 
 from pipeline.errors import nearest
 
+if TYPE_CHECKING:
+    from pydantic import BaseModel, ValidationError
+
 _LONGEST_SHOWN = 80
+_LAWS = {  # where pydantic speaks of Python's types
+    "model_type": "must be a group of keys",
+    "model_attributes_type": "must be a group of keys",
+    "tuple_type": "must be a list",
+}
 _SUBJECT = re.compile(r"^[A-Z]\w*(?: \w+)? should (?=be |have |match |start |end )")
 
 
@@ -19,7 +26,9 @@ def schema_errors(error: ValidationError, mapping: Mapping[str, Any], model: typ
     lines = [_line(item, mapping, model) for item in error.errors(include_url=False)]
     lines = list(dict.fromkeys(lines))
     values = "this value" if len(lines) == 1 else f"these {len(lines)} values"
-    return "\n".join([*lines, f"Correct {values}; `python -m pipeline --cfg job` prints the whole configuration."])
+    return "\n".join(
+        [*lines, f"Correct {values}; `python -m pipeline --cfg job` prints the whole configuration."]
+    )
 
 
 def suggestion(name: str, candidates: Iterable[str]) -> str:
@@ -63,9 +72,13 @@ def _tag_key(context: Mapping[str, Any]) -> str:
 
 
 def _law(kind: str, message: str) -> str:
+    if kind in _LAWS:
+        return _LAWS[kind]
     message = _SUBJECT.sub("must ", message.removeprefix("Value error, "))
-    # Behind the comma pydantic says what came, in words that _came replaces by the value itself.
-    return message.partition(", ")[0] if kind.endswith(("_parsing", "_from_float", "_short", "_long")) else message
+    if kind.endswith(("_parsing", "_from_float", "_short", "_long")):
+        # Behind the comma pydantic says what came, in words that _came replaces by the value itself.
+        return message.partition(", ")[0]
+    return message
 
 
 def _came(kind: str, value: Any) -> str:
@@ -94,13 +107,16 @@ def _fields_beside(loc: Sequence[int | str], model: type[BaseModel]) -> set[str]
     for part in loc[:-1]:
         if isinstance(part, int):
             continue
-        inner = {m for owner in models if part in owner.model_fields for m in _models(owner.model_fields[part].annotation)}
+        fields = [owner.model_fields[part] for owner in models if part in owner.model_fields]
+        inner = {inside for field in fields for inside in _models(field.annotation)}
         models = inner or _tagged(models, part) or models
     return {name for owner in models for name in owner.model_fields}
 
 
 def _models(annotation: Any) -> Iterator[type[BaseModel]]:
     """Every model class inside an annotation such as ``tuple[A, ...] | None``."""
+    from pydantic import BaseModel
+
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     for argument in get_args(annotation):
@@ -110,3 +126,68 @@ def _models(annotation: Any) -> Iterator[type[BaseModel]]:
 def _tagged(models: set[type[BaseModel]], tag: str) -> set[type[BaseModel]]:
     """The members of a union that carry ``tag`` as a literal."""
     return {m for m in models if any(tag in get_args(field.annotation) for field in m.model_fields.values())}
+
+
+# --- overrides ---------------------------------------------------------------------------------
+
+
+def bad_syntax(text: str, names: Mapping[str, Iterable[str]]) -> str:
+    """An override that Hydra can't read; ``names`` may stand in it without their key, such as a stage."""
+    key, equals, value = text.partition("=")
+    if not equals or not key:
+        places = [f"'{group}={key}'" for group, known in names.items() if key in known]
+        hint = f"; did you mean {places[0]}?" if places else ", for example stage=train"
+        return f"an override must be KEY=VALUE, but got '{text}'{hint}"
+    brackets = any(value.count(a) != value.count(b) for a, b in ("[]", "{}", "()"))
+    if brackets or any(value.count(quote) % 2 for quote in "'\""):
+        return (
+            f"an override must close its brackets and quotes, but got '{text}'; write {key}=[1,2] for a list"
+        )
+    quoted = shlex.quote(f"{key}='{value}'" if '"' in value else f'{key}="{value}"')
+    return f"an override must quote a value with special characters, but got '{text}'; write {quoted}"
+
+
+def no_option(group: str, name: Any, known: Sequence[str]) -> str:
+    """A name that the config group doesn't have."""
+    place = "an installed Hydra plugin" if group.startswith("hydra/") else f"a file in conf/{group}"
+    if not known:
+        absolute = f"/{group.rpartition('/')[2]}"
+        return (
+            f"{group} must be {place}, but there is none; a defaults list names conf's groups as '{absolute}'"
+        )
+    return f"{group} must be {place}, but got {shown(name)}{suggestion(str(name), known)}"
+
+
+def unknown_key(key: str, tree: Any) -> str:
+    """A sentence if ``key`` is not in ``tree``, the composed configuration; otherwise nothing."""
+    law = "an override must name a key of the configuration, but "
+    path: list[str] = []
+    node = tree
+    for part in re.findall(r"[^.\[\]]+", key):
+        owner = ".".join(path)
+        if isinstance(node, dict) and part in node:
+            node = node[part]
+        elif isinstance(node, list) and part.isdigit() and int(part) < len(node):
+            node = node[int(part)]
+        elif isinstance(node, dict):
+            places = [place for place in paths(tree) if place.endswith(f".{key}")]
+            if places:
+                return f"{law}there is no '{key}'; did you mean {' or '.join(map(repr, places[:3]))}?"
+            names = (str(name) for name in node if owner or name != "hydra")
+            return f"{law}{owner or 'it'} has no '{part}'{suggestion(part, names)}"
+        elif isinstance(node, list):
+            items = f"the items 0 to {len(node) - 1}" if node else "no items"
+            return f"{law}{owner} has {items}, not '{part}'"
+        else:
+            return f"{law}{owner} is a single value; give {owner}=VALUE instead of '{key}'"
+        path.append(part)
+    return ""
+
+
+def paths(tree: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+    """The dotted paths of all mapping keys, Hydra's own left out."""
+    for name, value in tree.items():
+        if prefix or name != "hydra":
+            yield f"{prefix}{name}"
+            if isinstance(value, Mapping):
+                yield from paths(value, f"{prefix}{name}.")

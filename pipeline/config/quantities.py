@@ -45,8 +45,12 @@ def _parse(text: str, unit: str, example: str) -> float:
         quantity = _registry().Quantity(text)
     except pint.UndefinedUnitError as error:
         unknown = error.unit_names if isinstance(error.unit_names, str) else ", ".join(error.unit_names)
-        raise ValueError(f"must have a known unit (such as {example}), but got {text!r}: unknown unit {unknown!r}") from None
-    except Exception:  # pint's parser raises many kinds (tokenize, syntax, assertion errors) for text that is no quantity
+        raise ValueError(
+            f"must have a known unit (such as {example}), but got {text!r}: unknown unit {unknown!r}"
+        ) from None
+    except (
+        Exception
+    ):  # pint's parser raises many kinds (tokenize, syntax, assertion errors) for text that is no quantity
         raise ValueError(f"must be a quantity (such as {example}), but got {text!r}") from None
     try:
         return float(quantity.to(unit).magnitude)

@@ -108,11 +108,18 @@ class RotorConfig(_Section):
             raise ValueError("must give shaft, material and bearing_nodes (or file, a rotor saved by ROSS)")
         last = sum(segment.elements for segment in self.shaft)
         if len(set(self.bearing_nodes)) != len(self.bearing_nodes):
-            raise ValueError(f"must name each bearing node once, but got bearing_nodes {list(self.bearing_nodes)}")
-        for what, nodes in (("bearing_nodes", self.bearing_nodes), ("discs", [disc.node for disc in self.discs])):
+            raise ValueError(
+                f"must name each bearing node once, but got bearing_nodes {list(self.bearing_nodes)}"
+            )
+        for what, nodes in (
+            ("bearing_nodes", self.bearing_nodes),
+            ("discs", [disc.node for disc in self.discs]),
+        ):
             for node in nodes:
                 if node > last:
-                    raise ValueError(f"must use nodes 0 to {last} (the shaft has {last} elements), but {what} got node {node}")
+                    raise ValueError(
+                        f"must use nodes 0 to {last} (the shaft has {last} elements), but {what} got node {node}"
+                    )
         return self
 
 
@@ -167,7 +174,9 @@ class SpeedsConfig(_Section):
     @model_validator(mode="after")
     def _ascending(self) -> SpeedsConfig:
         if self.start_rpm > self.stop_rpm:
-            raise ValueError(f"must have start_rpm <= stop_rpm, but got {self.start_rpm:g} and {self.stop_rpm:g}")
+            raise ValueError(
+                f"must have start_rpm <= stop_rpm, but got {self.start_rpm:g} and {self.stop_rpm:g}"
+            )
         return self
 
     def rpm(self) -> list[float]:
@@ -265,25 +274,29 @@ class LossConfig(_Section):
     scaling: Literal["per_speed", "none"]
 
 
-class AdamConfig(_Section):
-    """Adam with the learning rate falling to ``final_rate_fraction`` of itself along a cosine."""
+class _PhaseConfig(_Section):
+    """A phase ends after ``steps``, or when the loss fell by less than ``training.tolerance`` in ``patience`` steps."""
 
     steps: NonNegativeInt
+    patience: PositiveInt
+
+
+class AdamConfig(_PhaseConfig):
+    """Adam with the learning rate falling to ``final_rate_fraction`` of itself along a cosine."""
+
     learning_rate: PositiveFloat
     final_rate_fraction: Annotated[float, Field(gt=0, le=1)]
 
 
-class LBFGSConfig(_Section):
+class LBFGSConfig(_PhaseConfig):
     """L-BFGS with a strong Wolfe line search."""
 
-    steps: NonNegativeInt
     history: PositiveInt
 
 
-class LevenbergMarquardtConfig(_Section):
+class LevenbergMarquardtConfig(_PhaseConfig):
     """Damped Gauss-Newton steps, each member of a batch with its own damping."""
 
-    steps: NonNegativeInt
     initial_damping: PositiveFloat
 
 
@@ -297,7 +310,9 @@ class OptimizerConfig(_Section):
     @model_validator(mode="after")
     def _some_steps(self) -> OptimizerConfig:
         if self.adam.steps + self.lbfgs.steps + self.levenberg_marquardt.steps == 0:
-            raise ValueError("must have a phase with steps > 0, but adam, lbfgs and levenberg_marquardt all have 0")
+            raise ValueError(
+                "must have a phase with steps > 0, but adam, lbfgs and levenberg_marquardt all have 0"
+            )
         return self
 
 
@@ -306,12 +321,13 @@ class TrainingConfig(_Section):
 
     holdout_every: NonNegativeInt
     tolerance: Annotated[float, Field(ge=0, lt=1)]
-    patience: PositiveInt
 
     @model_validator(mode="after")
     def _leaves_training_speeds(self) -> TrainingConfig:
         if self.holdout_every == 1:
-            raise ValueError("must have holdout_every = 0 (none) or at least 2, but got 1, which leaves no speed to train on")
+            raise ValueError(
+                "must have holdout_every = 0 (none) or at least 2, but got 1, which leaves no speed to train on"
+            )
         return self
 
 
@@ -389,7 +405,9 @@ class Config(_Section):
         if self.bearing.kind == "rotor_file":
             raise ValueError("must give rotor.file where bearing.kind is rotor_file, but rotor.file is null")
         last = sum(segment.elements for segment in self.rotor.shaft)
-        used = [(f"excitation run '{run.name}'", u.node) for run in self.excitation.runs for u in run.unbalances]
+        used = [
+            (f"excitation run '{run.name}'", u.node) for run in self.excitation.runs for u in run.unbalances
+        ]
         used += [("prediction.unbalances", u.node) for u in self.prediction.unbalances]
         for what, node in [*used, ("prediction.node", self.prediction.node)]:
             if node > last:

@@ -31,19 +31,25 @@ def write_coefficients(path: Path, table: BearingTable, names: Sequence[str] = C
     return write_table(path, pd.DataFrame(columns))
 
 
-def read_coefficients(path: Path, nodes: Sequence[int], speeds: np.ndarray, names: Sequence[str] = COEFFICIENTS) -> BearingTable:
+def read_coefficients(
+    path: Path, nodes: Sequence[int], speeds: np.ndarray, names: Sequence[str] = COEFFICIENTS
+) -> BearingTable:
     """Coefficients ``names`` of the bearings at ``nodes`` and ``speeds`` (S,) rad/s; the others are zero.
 
     Raises DataError where a bearing or a speed has no row.
     """
-    table = read_table(path, {"bearing_node": "number", "speed_rpm": "number"} | dict.fromkeys(names, "number"))
+    table = read_table(
+        path, {"bearing_node": "number", "speed_rpm": "number"} | dict.fromkeys(names, "number")
+    )
     wanted = to_rpm(speeds)
     values = np.zeros((len(nodes), len(speeds), len(COEFFICIENTS)))
     for b, node in enumerate(nodes):
         rows = table[table["bearing_node"] == node].drop_duplicates("speed_rpm").set_index("speed_rpm")
         if rows.empty:
             has = sorted({int(n) for n in table["bearing_node"]})
-            raise DataError(f"'{path}' must have rows for the bearing at node {node}, but it has bearings at {has}")
+            raise DataError(
+                f"'{path}' must have rows for the bearing at node {node}, but it has bearings at {has}"
+            )
         found = rows.reindex(wanted)
         missing = np.flatnonzero(found[names[0]].isna().to_numpy()) if names else []
         if len(missing):

@@ -54,7 +54,9 @@ class VibrationDataset:
         return np.array([translation_dof(node, direction) for node, direction in self.channels])
 
 
-def force_vectors(rotor: RotorModel, excitations: tuple[Excitation, ...], runs: tuple[str, ...], frequencies: np.ndarray) -> np.ndarray:
+def force_vectors(
+    rotor: RotorModel, excitations: tuple[Excitation, ...], runs: tuple[str, ...], frequencies: np.ndarray
+) -> np.ndarray:
     """(S, n, R) complex forces in N.
 
     An unbalance m e at phase p: F = w^2 m e e^{jp} [1, -j] on (x, y) of its node, the sign that ROSS uses

@@ -10,7 +10,9 @@ from pipeline.rotor.dynamic_stiffness import banded, solve
 from pipeline.rotor.model import TRANSLATIONS, RotorModel, bearing_dof, translation_dof
 
 
-def unbalance_response(rotor: RotorModel, bearings: BearingTable, excitations: tuple[Excitation, ...], runs: tuple[str, ...]) -> np.ndarray:
+def unbalance_response(
+    rotor: RotorModel, bearings: BearingTable, excitations: tuple[Excitation, ...], runs: tuple[str, ...]
+) -> np.ndarray:
     """(S, n, R) complex displacements (m) and rotations (rad) at the speeds of ``bearings``.
 
     Solves ``(D_rotor(w) + H(w)) Q = F`` (paper, eqs. 1 and 4) with synchronous excitation.
@@ -21,7 +23,9 @@ def unbalance_response(rotor: RotorModel, bearings: BearingTable, excitations: t
     return solve(banded(rotor), speeds, speeds, forces, bearings.impedance(), bearing_dof(rotor))
 
 
-def simulate(rotor: RotorModel, bearings: BearingTable, excitations: tuple[Excitation, ...]) -> VibrationDataset:
+def simulate(
+    rotor: RotorModel, bearings: BearingTable, excitations: tuple[Excitation, ...]
+) -> VibrationDataset:
     """The data set of a machine whose x and y are measured at every node, without noise."""
     runs = tuple(dict.fromkeys(excitation.run for excitation in excitations))
     response = unbalance_response(rotor, bearings, excitations, runs)

@@ -30,7 +30,9 @@ def read_table(path: Path, columns: dict[str, str]) -> pd.DataFrame:
     table = _read_parquet(path) if path.suffix == ".parquet" else _read_csv(path)
     for name in columns:
         if name not in table.columns:
-            raise DataError(f"'{path}' must have the column '{name}', but it has {nearest(name, map(str, table.columns))}")
+            raise DataError(
+                f"'{path}' must have the column '{name}', but it has {nearest(name, map(str, table.columns))}"
+            )
     if table.empty:
         raise DataError(f"'{path}' must have at least one row, but it has none")
     for name, kind in columns.items():
@@ -120,7 +122,9 @@ def write_table(path: Path, table: pd.DataFrame, rotor: str | None = None, origi
 
         stored = pa.Table.from_pandas(table, preserve_index=False)
         marks = {_ROTOR_KEY: rotor, _ORIGIN_KEY: origin, _SCHEMA_KEY: SCHEMA}
-        metadata = dict(stored.schema.metadata or {}) | {key: mark.encode() for key, mark in marks.items() if mark is not None}
+        metadata = dict(stored.schema.metadata or {}) | {
+            key: mark.encode() for key, mark in marks.items() if mark is not None
+        }
         parquet.write_table(stored.replace_schema_metadata(metadata), beside)
 
     return write_beside(path, write)

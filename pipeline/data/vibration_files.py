@@ -29,7 +29,14 @@ _VIBRATION = {
     "amplitude_m": "number",
     "phase_deg": "number",
 }
-_EXCITATION = {"run": "text", "kind": "text", "node": "number", "magnitude": "number", "phase_deg": "number", "whirl": "text"}
+_EXCITATION = {
+    "run": "text",
+    "kind": "text",
+    "node": "number",
+    "magnitude": "number",
+    "phase_deg": "number",
+    "whirl": "text",
+}
 
 
 def to_rpm(speeds: np.ndarray) -> np.ndarray:
@@ -37,7 +44,9 @@ def to_rpm(speeds: np.ndarray) -> np.ndarray:
     return np.round(speeds / RAD_S_PER_RPM, 9)
 
 
-def write_dataset(vibration: Path, excitation: Path, dataset: VibrationDataset, rotor: RotorModel, origin: str | None = None) -> None:
+def write_dataset(
+    vibration: Path, excitation: Path, dataset: VibrationDataset, rotor: RotorModel, origin: str | None = None
+) -> None:
     """Write both files, with the rotor's fingerprint and the ``origin`` of generated data. Raises StorageError."""
     import pandas as pd
 
@@ -86,27 +95,43 @@ def read_dataset(vibration: Path, excitation: Path, rotor: RotorModel) -> Vibrat
     nodes = _nodes(table, vibration, rotor)
     _check_words(table["direction"], DIRECTIONS, vibration, "direction")
     if (table["speed_rpm"] <= 0).any():
-        raise DataError(f"'{vibration}' must have speeds above zero, but got {table['speed_rpm'].min():g} rpm")
+        raise DataError(
+            f"'{vibration}' must have speeds above zero, but got {table['speed_rpm'].min():g} rpm"
+        )
     if (table["amplitude_m"] < 0).any():
-        raise DataError(f"'{vibration}' must have amplitudes of zero or more, but got {table['amplitude_m'].min():g} m")
+        raise DataError(
+            f"'{vibration}' must have amplitudes of zero or more, but got {table['amplitude_m'].min():g} m"
+        )
     for run, rpm in table.groupby("run", sort=False)["speed_rpm"]:
         if (np.diff(rpm.to_numpy()) < 0).any():
-            raise DataError(f"'{vibration}' must have ascending speeds in every run, but run '{run}' is not sorted by speed_rpm")
+            raise DataError(
+                f"'{vibration}' must have ascending speeds in every run, but run '{run}' is not sorted by speed_rpm"
+            )
     runs = tuple(dict.fromkeys(table["run"]))
     acting = {e.run for e in excitations}
     for run in runs:
         if run not in acting:
-            raise DataError(f"'{excitation}' must have a row for every run, but run '{run}' of '{vibration}' has none")
+            raise DataError(
+                f"'{excitation}' must have a row for every run, but run '{run}' of '{vibration}' has none"
+            )
     for run in sorted(acting - set(runs)):
-        raise DataError(f"'{vibration}' must have data of every run, but run '{run}' of '{excitation}' has none")
+        raise DataError(
+            f"'{vibration}' must have data of every run, but run '{run}' of '{excitation}' has none"
+        )
     return _assemble(table.assign(node=nodes), vibration, runs, excitations)
 
 
-def _assemble(table: pd.DataFrame, path: Path, runs: tuple[str, ...], excitations: tuple[Excitation, ...]) -> VibrationDataset:
+def _assemble(
+    table: pd.DataFrame, path: Path, runs: tuple[str, ...], excitations: tuple[Excitation, ...]
+) -> VibrationDataset:
     rpm = np.unique(table["speed_rpm"])
-    pairs = sorted({(int(n), DIRECTIONS.index(d)) for n, d in zip(table["node"], table["direction"], strict=True)})
+    pairs = sorted(
+        {(int(n), DIRECTIONS.index(d)) for n, d in zip(table["node"], table["direction"], strict=True)}
+    )
     place = {pair: i for i, pair in enumerate(pairs)}
-    at_channel = [place[int(n), DIRECTIONS.index(d)] for n, d in zip(table["node"], table["direction"], strict=True)]
+    at_channel = [
+        place[int(n), DIRECTIONS.index(d)] for n, d in zip(table["node"], table["direction"], strict=True)
+    ]
     at_run = table["run"].map({run: i for i, run in enumerate(runs)}).to_numpy()
     at_speed = np.searchsorted(rpm, table["speed_rpm"])
     displacement = np.full((len(rpm), len(pairs), len(runs)), np.nan, dtype=complex)
@@ -114,7 +139,9 @@ def _assemble(table: pd.DataFrame, path: Path, runs: tuple[str, ...], excitation
     displacement[at_speed, at_channel, at_run] = values
     expected = displacement.size
     if len(table) > expected or table.duplicated(["run", "speed_rpm", "node", "direction"]).any():
-        raise DataError(f"'{path}' must have one row a run, speed, node and direction, but some are there twice")
+        raise DataError(
+            f"'{path}' must have one row a run, speed, node and direction, but some are there twice"
+        )
     missing = np.argwhere(np.isnan(displacement))
     if len(missing):
         s, p, r = missing[0]
@@ -132,7 +159,14 @@ def _excitations(table: pd.DataFrame, path: Path, rotor: RotorModel) -> tuple[Ex
     if (table["magnitude"] <= 0).any():
         raise DataError(f"'{path}' must have magnitudes above zero, but got {table['magnitude'].min():g}")
     return tuple(
-        Excitation(str(row.run), row.kind, int(node), float(row.magnitude), float(np.radians(row.phase_deg)), row.whirl)
+        Excitation(
+            str(row.run),
+            row.kind,
+            int(node),
+            float(row.magnitude),
+            float(np.radians(row.phase_deg)),
+            row.whirl,
+        )
         for row, node in zip(table.itertuples(), nodes, strict=True)
     )
 
@@ -141,11 +175,15 @@ def _nodes(table: pd.DataFrame, path: Path, rotor: RotorModel) -> np.ndarray:
     values = table["node"].to_numpy()
     bad = values[(values != np.round(values)) | (values < 0) | (values >= rotor.n_nodes)]
     if len(bad):
-        raise DataError(f"'{path}' must use the rotor's nodes 0 to {rotor.n_nodes - 1}, but got node {bad[0]:g}")
+        raise DataError(
+            f"'{path}' must use the rotor's nodes 0 to {rotor.n_nodes - 1}, but got node {bad[0]:g}"
+        )
     return values.astype(int)
 
 
 def _check_words(values: pd.Series, allowed: tuple[str, ...], path: Path, column: str) -> None:
     for value in values.unique():
         if value not in allowed:
-            raise DataError(f"'{path}' must have {' or '.join(map(repr, allowed))} in the column '{column}', but got {value!r}")
+            raise DataError(
+                f"'{path}' must have {' or '.join(map(repr, allowed))} in the column '{column}', but got {value!r}"
+            )

@@ -94,7 +94,9 @@ def bearing_equations(rotor: RotorModel, dataset: VibrationDataset) -> BearingEq
     )
 
 
-def unknown_system(equations: BearingEquations, unknowns: Sequence[str], known: BearingTable) -> UnknownSystem:
+def unknown_system(
+    equations: BearingEquations, unknowns: Sequence[str], known: BearingTable
+) -> UnknownSystem:
     """Write the residual in the ``unknowns``; the other coefficients come from ``known``.
 
     Raises IdentifiabilityError where there are fewer equations than unknowns.

@@ -34,7 +34,9 @@ def relative_errors(identified: BearingTable, modelled: BearingTable, name: str)
         return np.nan_to_num(100.0 * np.abs(found - true) / np.abs(true), nan=0.0, posinf=np.inf)
 
 
-def coefficient_errors(identified: BearingTable, modelled: BearingTable, names: Sequence[str]) -> CoefficientErrors:
+def coefficient_errors(
+    identified: BearingTable, modelled: BearingTable, names: Sequence[str]
+) -> CoefficientErrors:
     """Errors of the coefficients ``names`` at every bearing."""
     result: CoefficientErrors = {node: {} for node in identified.nodes}
     for name in names:
@@ -43,7 +45,10 @@ def coefficient_errors(identified: BearingTable, modelled: BearingTable, names: 
         l2 = 100.0 * np.linalg.norm(found - true, axis=1) / np.linalg.norm(true, axis=1)
         for b, node in enumerate(identified.nodes):
             result[node][name] = CoefficientError(
-                float(relative[b].mean()), float(np.median(relative[b])), float(relative[b].max()), float(l2[b])
+                float(relative[b].mean()),
+                float(np.median(relative[b])),
+                float(relative[b].max()),
+                float(l2[b]),
             )
     return result
 

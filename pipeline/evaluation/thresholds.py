@@ -51,7 +51,9 @@ def read_rules(path: Path) -> list[Rule]:
     try:
         return TypeAdapter(list[Rule]).validate_python(yaml.safe_load(path.read_text(encoding="utf-8")))
     except (OSError, yaml.YAMLError, ValidationError) as error:
-        raise ConfigError(f"'{path}' must be a list of rules with file, metric, max and why, but it is not: {error}") from None
+        raise ConfigError(
+            f"'{path}' must be a list of rules with file, metric, max and why, but it is not: {error}"
+        ) from None
 
 
 def check_experiment(experiment: str, rules: list[Rule], folder: Path) -> list[Check]:

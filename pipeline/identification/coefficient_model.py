@@ -56,27 +56,71 @@ class CoefficientModel:
         transform = np.log if self.input_scaling == "log_rpm" else np.asarray
         low, high = (float(transform(edge)) for edge in self.input_range)
         half = (high - low) / 2 or 1.0
-        return torch.as_tensor((transform(np.asarray(speeds, dtype=float)) - low) / half - 1.0, dtype=torch.float64)[:, None]
+        return torch.as_tensor(
+            (transform(np.asarray(speeds, dtype=float)) - low) / half - 1.0, dtype=torch.float64
+        )[:, None]
 
     def raw(self, parameters: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:
         """Network output (..., N, U) from parameters (..., P) and scaled inputs (N, 1)."""
         if self.hidden is None:
             return parameters[..., None, :].expand(*parameters.shape[:-1], len(inputs), len(self.unknowns))
-        activation = _activation(self.activation)
-        value, start = inputs, 0
-        for layer, (n_in, n_out) in enumerate(self.sizes):
-            weight = parameters[..., start : start + n_in * n_out].unflatten(-1, (n_in, n_out))
-            start += n_in * n_out
-            bias = parameters[..., None, start : start + n_out]
-            start += n_out
+        value = inputs
+        for layer, (weight, bias) in enumerate(self._layers(parameters)):
             value = value @ weight + bias
             if layer < len(self.sizes) - 1:
-                value = activation(value)
+                value = _activation(self.activation, value)[0]
         return value
+
+    def raw_jacobian(self, parameters: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:
+        """(..., N, U, P) derivative of :meth:`raw` with respect to the parameters, by back-propagation layer by layer.
+
+        Ten times faster than nested vmap and jacrev, which a test compares it with.
+        """
+        import torch
+
+        n_unknowns = len(self.unknowns)
+        identity = torch.eye(n_unknowns, dtype=parameters.dtype)
+        if self.hidden is None:
+            return identity.expand(*parameters.shape[:-1], len(inputs), n_unknowns, n_unknowns)
+        layers = self._layers(parameters)
+        fed, slopes = (
+            [inputs.expand(*parameters.shape[:-1], *inputs.shape)],
+            [],
+        )  # (..., N, n_in) into each layer
+        for weight, bias in layers[:-1]:
+            value, slope = _activation(self.activation, fed[-1] @ weight + bias)
+            fed.append(value)
+            slopes.append(slope)
+        blocks: list[torch.Tensor] = []
+        sensitivity = identity.expand(
+            *fed[-1].shape[:-1], n_unknowns, n_unknowns
+        )  # of U outputs to a layer's sums
+        for layer in range(len(layers) - 1, -1, -1):
+            weights = (fed[layer][..., None, :, None] * sensitivity[..., None, :]).flatten(-2)
+            blocks = [weights, sensitivity, *blocks]
+            if layer:
+                sensitivity = (sensitivity @ layers[layer][0].mT[..., None, :, :]) * slopes[layer - 1][
+                    ..., None, :
+                ]
+        return torch.cat(blocks, dim=-1)
+
+    def _layers(self, parameters: torch.Tensor) -> list[tuple[torch.Tensor, torch.Tensor]]:
+        """Weights (..., n_in, n_out) and biases (..., 1, n_out) of every layer, as views of the flat vector."""
+        layers, start = [], 0
+        for n_in, n_out in self.sizes:
+            weight = parameters[..., start : start + n_in * n_out].unflatten(-1, (n_in, n_out))
+            bias = parameters[..., None, start + n_in * n_out : start + (n_in + 1) * n_out]
+            layers.append((weight, bias))
+            start += (n_in + 1) * n_out
+        return layers
 
     def physical(self, raw: torch.Tensor, scale: torch.Tensor) -> torch.Tensor:
         """Coefficients in N/m and N s/m from network output; ``scale`` broadcasts over (..., N, U)."""
         return scale * (raw.exp() if self.parametrisation == "log" else raw)
+
+    def physical_slope(self, raw: torch.Tensor, scale: torch.Tensor) -> torch.Tensor:
+        """Derivative of :meth:`physical` with respect to ``raw``."""
+        return self.physical(raw, scale) if self.parametrisation == "log" else scale.expand_as(raw)
 
     def scale_tensor(self) -> torch.Tensor:
         """(bearings or 1, 1, U)."""
@@ -95,7 +139,9 @@ class CoefficientModel:
         members = len(start)
         pieces = []
         for layer, (n_in, n_out) in enumerate(self.sizes):
-            weight = torch.randn(members, n_in * n_out, generator=generator, dtype=torch.float64) / math.sqrt(n_in)
+            weight = torch.randn(members, n_in * n_out, generator=generator, dtype=torch.float64) / math.sqrt(
+                n_in
+            )
             bias = torch.randn(members, n_out, generator=generator, dtype=torch.float64)
             if layer == len(self.sizes) - 1:
                 pieces += [_OUTPUT_GAIN * weight, start]
@@ -106,19 +152,33 @@ class CoefficientModel:
         return torch.cat(pieces, dim=1)
 
 
-def _activation(name: str):  # type: ignore[no-untyped-def]
+def _activation(name: str, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Value and slope of an activation."""
     import torch
 
-    return {"tanh": torch.tanh, "silu": torch.nn.functional.silu, "sine": torch.sin}[name]
+    if name == "tanh":
+        value = torch.tanh(x)
+        return value, 1.0 - value.square()
+    if name == "silu":
+        gate = torch.sigmoid(x)
+        return x * gate, gate * (1.0 + x * (1.0 - gate))
+    return torch.sin(x), torch.cos(x)
 
 
-def coefficient_model(config: ModelConfig, unknowns: tuple[str, ...], speeds: np.ndarray, scale: np.ndarray) -> CoefficientModel:
+def coefficient_model(
+    config: ModelConfig, unknowns: tuple[str, ...], speeds: np.ndarray, scale: np.ndarray
+) -> CoefficientModel:
     """The model that a configuration describes, for data at ``speeds`` (S,) rad/s.
 
     ``scale`` (M, U) is a size of each coefficient taken from the data, see :func:`pipeline.identification.problem.data_scale`.
     """
     rows = tuple(tuple(float(v) for v in row) for row in scale)
-    common = {"unknowns": unknowns, "inputs": ("speed",), "parametrisation": config.parametrisation, "scale": rows}
+    common = {
+        "unknowns": unknowns,
+        "inputs": ("speed",),
+        "parametrisation": config.parametrisation,
+        "scale": rows,
+    }
     if not isinstance(config, NetworkModelConfig):
         return CoefficientModel(hidden=None, **common)  # type: ignore[arg-type]
     return CoefficientModel(

@@ -20,7 +20,9 @@ Monitor = Callable[["torch.Tensor", "torch.Tensor"], bool]
 """(parameters, losses (G, M)) after a step -> stop?"""
 
 
-def adam(problem: ResidualProblem, parameters: torch.Tensor, config: AdamConfig, monitor: Monitor) -> torch.Tensor:
+def adam(
+    problem: ResidualProblem, parameters: torch.Tensor, config: AdamConfig, monitor: Monitor
+) -> torch.Tensor:
     """Adam on the Euclidean norm of the residual (paper, Algorithm 1)."""
     import torch
 
@@ -41,7 +43,9 @@ def adam(problem: ResidualProblem, parameters: torch.Tensor, config: AdamConfig,
     return trained.detach()
 
 
-def lbfgs(problem: ResidualProblem, parameters: torch.Tensor, config: LBFGSConfig, monitor: Monitor) -> torch.Tensor:
+def lbfgs(
+    problem: ResidualProblem, parameters: torch.Tensor, config: LBFGSConfig, monitor: Monitor
+) -> torch.Tensor:
     """L-BFGS on the squared residual, one member after the other: a shared line search would couple them."""
     import torch
 
@@ -53,7 +57,12 @@ def lbfgs(problem: ResidualProblem, parameters: torch.Tensor, config: LBFGSConfi
             # The squared loss has no kink at zero, and divided by its start it has a size that the line search expects.
             start = own.loss(trained).detach().square().clamp(min=1e-300)
             optimizer = torch.optim.LBFGS(
-                [trained], max_iter=1, history_size=config.history, line_search_fn="strong_wolfe", tolerance_grad=0, tolerance_change=0
+                [trained],
+                max_iter=1,
+                history_size=config.history,
+                line_search_fn="strong_wolfe",
+                tolerance_grad=0,
+                tolerance_change=0,
             )
 
             def closure(own=own, trained=trained, optimizer=optimizer, start=start):  # type: ignore[no-untyped-def]
@@ -104,7 +113,9 @@ def levenberg_marquardt(
             current = torch.where(better[..., None], current + step, current)
             squared = torch.where(better, tried, squared)
             factors = torch.where(better, _DAMPING_DOWN, _DAMPING_UP)
-            damping = torch.where(accepted, damping, damping * factors).clamp(_DAMPING_FLOOR, _DAMPING_CEILING)
+            damping = torch.where(accepted, damping, damping * factors).clamp(
+                _DAMPING_FLOOR, _DAMPING_CEILING
+            )
             accepted |= better
             if accepted.all():
                 break

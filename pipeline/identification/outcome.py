@@ -8,10 +8,12 @@ from enum import StrEnum
 class Outcome(StrEnum):
     """The end of a training, and what to try next where it fell short."""
 
-    CONVERGED = "converged: the loss no longer falls"
+    CONVERGED = (
+        "converged: the loss hardly falls any more (by less than training.tolerance in the phase's patience)"
+    )
     BUDGET_SPENT = (
         "budget spent: the loss still fell at the last step; give the last phase more steps "
-        "(such as optimizer.levenberg_marquardt.steps=400)"
+        "(such as optimizer.levenberg_marquardt.steps=1000)"
     )
     DIVERGED = (
         "diverged: the loss is not finite or ended above its start; try a smaller optimizer.adam.learning_rate, "

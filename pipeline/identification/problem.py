@@ -38,19 +38,16 @@ class ResidualProblem:
     def rows(self, parameters: torch.Tensor) -> torch.Tensor:
         """(G, M, rows) from parameters (G, M, P)."""
         coefficients = self.model.physical(self.model.raw(parameters, self.inputs), self.scale)
-        residual = (self.matrix @ coefficients[..., None])[..., 0] + self.offset  # (G, B, N, U); tied members broadcast
+        residual = (self.matrix @ coefficients[..., None])[
+            ..., 0
+        ] + self.offset  # (G, B, N, U); tied members broadcast
         return residual.reshape(len(parameters), len(self.scale), -1)
 
     def jacobian(self, parameters: torch.Tensor) -> torch.Tensor:
         """(G, M, rows, P) derivative of :meth:`rows`."""
-        from torch.func import jacrev, vmap
-
-        def coefficients(p, x, scale):  # type: ignore[no-untyped-def]
-            return self.model.physical(self.model.raw(p, x[None]), scale)[0]
-
-        over_speeds = vmap(jacrev(coefficients), in_dims=(None, 0, None))
-        over_members = vmap(over_speeds, in_dims=(0, None, 0))
-        derivative = vmap(over_members, in_dims=(0, None, None))(parameters, self.inputs, self.scale)  # (G, M, N, U, P)
+        raw = self.model.raw(parameters, self.inputs)
+        slope = self.model.physical_slope(raw, self.scale)[..., None]  # (G, M, N, U, 1)
+        derivative = self.model.raw_jacobian(parameters, self.inputs) * slope
         return (self.matrix @ derivative).reshape(len(parameters), len(self.scale), -1, parameters.shape[-1])
 
     def loss(self, parameters: torch.Tensor) -> torch.Tensor:
@@ -69,7 +66,11 @@ class ResidualProblem:
 
 
 def residual_problem(
-    model: CoefficientModel, equations: BearingEquations, system: UnknownSystem, keep: np.ndarray, scaling: np.ndarray
+    model: CoefficientModel,
+    equations: BearingEquations,
+    system: UnknownSystem,
+    keep: np.ndarray,
+    scaling: np.ndarray,
 ) -> ResidualProblem:
     """The problem at the speeds ``keep`` (mask), each speed's rows multiplied by ``scaling`` (B, S)."""
     import torch

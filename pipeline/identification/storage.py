@@ -19,7 +19,11 @@ def save_model(folder: Path, identified: IdentifiedModel) -> list[Path]:
     from safetensors.torch import save_file
 
     weights = {"parameters": identified.parameters.contiguous()}
-    description = {"schema": SCHEMA, "bearing_nodes": list(identified.bearing_nodes), "model": asdict(identified.model)}
+    description = {
+        "schema": SCHEMA,
+        "bearing_nodes": list(identified.bearing_nodes),
+        "model": asdict(identified.model),
+    }
     return [
         write_beside(folder / WEIGHTS, lambda beside: save_file(weights, beside)),
         write_json(folder / ARCHITECTURE, description),
@@ -37,13 +41,17 @@ def load_model(folder: Path) -> IdentifiedModel:
             f"'{folder / ARCHITECTURE}' must have schema {SCHEMA}, but it has {description.get('schema')}: train again with stage=train"
         )
     try:
-        model = CoefficientModel(**{field.name: _tuples(description["model"][field.name]) for field in fields(CoefficientModel)})
+        model = CoefficientModel(
+            **{field.name: _tuples(description["model"][field.name]) for field in fields(CoefficientModel)}
+        )
         parameters = load_file(folder / WEIGHTS)["parameters"]
         identified = IdentifiedModel(model, tuple(description["bearing_nodes"]), parameters)
         if parameters.shape != (len(model.scale), model.n_parameters):
             raise ValueError(f"{tuple(parameters.shape)} numbers do not fit the architecture")
     except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
-        raise DataError(f"'{folder}' must hold a complete trained model, but it does not ({error}): train again with stage=train") from None
+        raise DataError(
+            f"'{folder}' must hold a complete trained model, but it does not ({error}): train again with stage=train"
+        ) from None
     return identified
 
 

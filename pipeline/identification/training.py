@@ -75,7 +75,13 @@ class TrainedBatch:
         """The only training of a batch of one."""
         held_out = None if self.held_out_loss is None else float(self.held_out_loss[0])
         return IdentificationResult(
-            self.identified(), self.outcomes[0], float(self.loss[0]), held_out, self.steps, self.seconds, self.history
+            self.identified(),
+            self.outcomes[0],
+            float(self.loss[0]),
+            held_out,
+            self.steps,
+            self.seconds,
+            self.history,
         )
 
 
@@ -83,7 +89,9 @@ def prepare(equations: BearingEquations, known: BearingTable, setup: TrainingSet
     """Everything before the first step. Raises IdentifiabilityError where the runs are too few."""
     system = unknown_system(equations, setup.identify.unknowns, known)
     members = 1 if setup.identify.tie_bearings else len(equations.bearing_nodes)
-    model = coefficient_model(setup.model, setup.identify.unknowns, equations.speeds, data_scale(system, members))
+    model = coefficient_model(
+        setup.model, setup.identify.unknowns, equations.speeds, data_scale(system, members)
+    )
     scaling = speed_scaling(setup.loss, equations)
     held_out = held_out_speeds(len(equations.speeds), setup.training.holdout_every)
     return PreparedTraining(
@@ -107,17 +115,22 @@ def initial_guess(setup: TrainingSetup, members: int, stiffness: float | None = 
     """(M, U) starting values, N/m and N s/m: the configured ones, or ``stiffness`` for every unknown stiffness."""
     model = setup.model
     values = [
-        (stiffness or model.initial_stiffness) if is_stiffness(name) else model.initial_damping for name in setup.identify.unknowns
+        (stiffness or model.initial_stiffness) if is_stiffness(name) else model.initial_damping
+        for name in setup.identify.unknowns
     ]
     return np.tile(values, (members, 1))
 
 
-def initial_parameters(prepared: PreparedTraining, setup: TrainingSetup, seed: int, stiffness: float | None = None) -> torch.Tensor:
+def initial_parameters(
+    prepared: PreparedTraining, setup: TrainingSetup, seed: int, stiffness: float | None = None
+) -> torch.Tensor:
     """(1, M, P) starting parameters from a seed and, if given, a guess of the stiffness."""
     import torch
 
     generator = torch.Generator().manual_seed(seed)
-    return prepared.model.initial_parameters(initial_guess(setup, len(prepared.model.scale), stiffness), generator)[None]
+    return prepared.model.initial_parameters(
+        initial_guess(setup, len(prepared.model.scale), stiffness), generator
+    )[None]
 
 
 @dataclass
@@ -131,6 +144,7 @@ class _Monitor:
     record_trajectory: bool
     phase: str = ""
     total: int = 0
+    patience: int = 1
     step: int = 0
     phase_start: int = 0
     started: float = field(default_factory=time.perf_counter)
@@ -143,8 +157,8 @@ class _Monitor:
     reference: Any = None  # (G, M) loss that the next improvement is measured from
     stale: Any = None  # (G, M) steps since the last improvement of more than the tolerance
 
-    def begin(self, phase: str, total: int) -> None:
-        self.phase, self.total, self.phase_start = phase, total, self.step
+    def begin(self, phase: str, total: int, patience: int) -> None:
+        self.phase, self.total, self.patience, self.phase_start = phase, total, patience, self.step
         self.reference = self.stale = None
 
     def __call__(self, parameters: torch.Tensor, losses: torch.Tensor) -> bool:
@@ -164,7 +178,7 @@ class _Monitor:
         self.stale = torch.where(improved, torch.zeros_like(self.stale), self.stale + 1)
         self._record(parameters, losses, score)
         self.step += 1
-        return bool((self.stale >= self.config.patience).all()) or not bool(losses.isfinite().any())
+        return bool((self.stale >= self.patience).all()) or not bool(losses.isfinite().any())
 
     def _record(self, parameters: torch.Tensor, losses: torch.Tensor, score: torch.Tensor) -> None:
         loss = float(losses.square().mean().sqrt())
@@ -180,7 +194,7 @@ class _Monitor:
 
     def converged(self) -> np.ndarray:
         """(G,) all members of a training without improvement for ``patience`` steps."""
-        return (self.stale >= self.config.patience).all(dim=1).numpy()
+        return (self.stale >= self.patience).all(dim=1).numpy()
 
 
 def run_training(
@@ -193,18 +207,18 @@ def run_training(
     """Train G starting points (G, M, P) at once. Ctrl-C ends it with the best state so far."""
     monitor = _Monitor(prepared.train, prepared.held_out, setup.training, progress, record_trajectory)
     config = setup.optimizer
-    phases: list[tuple[str, int, Callable[..., torch.Tensor], Any]] = [
-        ("adam", config.adam.steps, optimizers.adam, config.adam),
-        ("lbfgs", config.lbfgs.steps, optimizers.lbfgs, config.lbfgs),
-        ("levenberg_marquardt", config.levenberg_marquardt.steps, optimizers.levenberg_marquardt, config.levenberg_marquardt),
+    phases: list[tuple[str, Callable[..., torch.Tensor], Any]] = [
+        ("adam", optimizers.adam, config.adam),
+        ("lbfgs", optimizers.lbfgs, config.lbfgs),
+        ("levenberg_marquardt", optimizers.levenberg_marquardt, config.levenberg_marquardt),
     ]
     interrupted = False
-    monitor.begin("start", 1)
+    monitor.begin("start", 1, 1)
     monitor(parameters, prepared.train.loss(parameters))
     try:
-        for name, steps, minimise, section in phases:
-            if steps:
-                monitor.begin(name, steps)
+        for name, minimise, section in phases:
+            if section.steps:
+                monitor.begin(name, section.steps, section.patience)
                 parameters = minimise(prepared.train, parameters, section, monitor)
     except KeyboardInterrupt:
         interrupted = True
@@ -238,5 +252,6 @@ def _outcomes(monitor: _Monitor, interrupted: bool) -> tuple[Outcome, ...]:
     diverged = (~losses.isfinite() | (losses > _DIVERGED_FACTOR * monitor.first_loss)).any(dim=1).numpy()
     converged = monitor.converged()
     return tuple(
-        Outcome.DIVERGED if d else Outcome.CONVERGED if c else Outcome.BUDGET_SPENT for d, c in zip(diverged, converged, strict=True)
+        Outcome.DIVERGED if d else Outcome.CONVERGED if c else Outcome.BUDGET_SPENT
+        for d, c in zip(diverged, converged, strict=True)
     )

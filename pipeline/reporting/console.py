@@ -15,7 +15,10 @@ if TYPE_CHECKING:
 def _console(stderr: bool) -> Console:
     from rich.console import Console
 
-    return Console(stderr=stderr, highlight=False, soft_wrap=True)
+    console = Console(stderr=stderr, highlight=False, soft_wrap=True)
+    if not console.is_terminal:
+        console.width = 200  # a pipe or a log has no width to fit tables to
+    return console
 
 
 def say(text: str) -> None:
@@ -61,6 +64,13 @@ def training_progress(name: str) -> Iterator[Callable[[str, int, int, float], No
         def update(phase: str, step: int, total: int, loss: float) -> None:
             speed = bar.tasks[0].speed
             rate = f"{speed:.0f} steps/s" if speed else ""
-            bar.update(task, description=f"{name} {phase}", completed=step, total=total, loss=f"{loss:.3g}", rate=rate)
+            bar.update(
+                task,
+                description=f"{name} {phase}",
+                completed=step,
+                total=total,
+                loss=f"{loss:.3g}",
+                rate=rate,
+            )
 
         yield update

@@ -120,12 +120,21 @@ def _assemble(
                 matrix[:, places[j], width + places[i] - places[j]] += block[:, i, j]
 
 
-def apply(rotor: RotorModel, rows: np.ndarray, columns: np.ndarray, frequencies: np.ndarray, speeds: np.ndarray, x: np.ndarray) -> np.ndarray:
+def apply(
+    rotor: RotorModel,
+    rows: np.ndarray,
+    columns: np.ndarray,
+    frequencies: np.ndarray,
+    speeds: np.ndarray,
+    x: np.ndarray,
+) -> np.ndarray:
     """The product ``D(w)[rows, columns] @ x`` at every speed: (S, rows, R) from ``x`` (S, columns, R).
 
     Only the columns that couple to ``rows`` are multiplied, so that the cost does not grow with the nodes.
     """
-    blocks = [a[np.ix_(rows, columns)] for a in (rotor.mass, rotor.damping, rotor.gyroscopic, rotor.stiffness)]
+    blocks = [
+        a[np.ix_(rows, columns)] for a in (rotor.mass, rotor.damping, rotor.gyroscopic, rotor.stiffness)
+    ]
     coupled = np.any([block != 0 for block in blocks], axis=(0, 1))
     mass, damping, gyroscopic, stiffness = (block[:, coupled] for block in blocks)
     w, speed = frequencies[:, None, None], speeds[:, None, None]

@@ -64,7 +64,9 @@ def assemble(config: RotorConfig) -> RotorModel:
     Raises ConfigError where ``config.file`` can't be read.
     """
     rotor = _load(config.file) if config.file is not None else _build(config)
-    lateral = np.array([rotor.number_dof * node + dof for node in range(len(rotor.nodes)) for dof in _LATERAL])
+    lateral = np.array(
+        [rotor.number_dof * node + dof for node in range(len(rotor.nodes)) for dof in _LATERAL]
+    )
     mass, damping, gyroscopic, stiffness = (
         np.array(matrix[np.ix_(lateral, lateral)]) for matrix in (rotor.M0, rotor.C0, rotor.G0, rotor.K0)
     )
@@ -95,7 +97,9 @@ def bearing_table(config: RotorConfig, bearing: BearingConfig, speeds: np.ndarra
     elements = bearing_elements(config, bearing, rotor, speeds)
     values = np.array([[_eight(element, speed) for speed in speeds] for element in elements])
     if not np.isfinite(values).all():
-        raise ConfigError("Modelled bearing coefficients must be finite, but ROSS gave some that are not: check the bearing's load and geometry")
+        raise ConfigError(
+            "Modelled bearing coefficients must be finite, but ROSS gave some that are not: check the bearing's load and geometry"
+        )
     return BearingTable(tuple(int(e.n) for e in elements), np.asarray(speeds, dtype=float), values)
 
 
@@ -105,7 +109,9 @@ def _eight(element: Any, speed: float) -> list[float]:
     return [float(blocks[name[0]]["xy".index(name[1]), "xy".index(name[2])]) for name in COEFFICIENTS]
 
 
-def bearing_elements(config: RotorConfig, bearing: BearingConfig, rotor: Any, speeds: np.ndarray) -> list[Any]:
+def bearing_elements(
+    config: RotorConfig, bearing: BearingConfig, rotor: Any, speeds: np.ndarray
+) -> list[Any]:
     """ROSS bearing elements of ``bearing`` at every bearing node of the rotor."""
     if not isinstance(bearing, (BallBearingConfig, CylindricalBearingConfig)):
         return sorted(rotor.bearing_elements, key=lambda element: element.n)
@@ -114,7 +120,11 @@ def bearing_elements(config: RotorConfig, bearing: BearingConfig, rotor: Any, sp
     for node in config.bearing_nodes:
         if isinstance(bearing, BallBearingConfig):
             element = rs.BallBearingElement(
-                n=node, n_balls=bearing.n_balls, d_balls=bearing.ball_diameter, fs=bearing.static_load, alpha=bearing.contact_angle
+                n=node,
+                n_balls=bearing.n_balls,
+                d_balls=bearing.ball_diameter,
+                fs=bearing.static_load,
+                alpha=bearing.contact_angle,
             )
         else:
             load = bearing.static_load or rotor.m * GRAVITY / len(config.bearing_nodes)
@@ -136,7 +146,10 @@ def _build(config: RotorConfig) -> Any:
     if config.material is None:
         raise ConfigError("rotor.material must be given for a rotor without rotor.file")
     material = rs.Material(
-        "rotor", rho=config.material.density, E=config.material.youngs_modulus, G_s=config.material.shear_modulus
+        "rotor",
+        rho=config.material.density,
+        E=config.material.youngs_modulus,
+        G_s=config.material.shear_modulus,
     )
     shaft = [
         rs.ShaftElement(
@@ -165,7 +178,9 @@ def _disc(disc: DiscConfig, material: Any) -> Any:
 def _load(path: str | None) -> Any:
     file = Path(str(path))
     if not file.is_file():
-        raise ConfigError(f"rotor.file must be a rotor saved by ROSS (.toml or .json), but there is no file '{file}'")
+        raise ConfigError(
+            f"rotor.file must be a rotor saved by ROSS (.toml or .json), but there is no file '{file}'"
+        )
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

@@ -21,7 +21,9 @@ def run(config: Config) -> StageOutput:
     """Vibration, excitation, and the modelled and the known coefficients."""
     files = input_files(config)
     if not files.own:
-        raise DataError("generate must write the experiment's own files, but data.vibration, data.excitation or data.known names others: leave them out")
+        raise DataError(
+            "generate must write the experiment's own files, but data.vibration, data.excitation or data.known names others: leave them out"
+        )
     speeds = np.array(config.excitation.speeds.rpm()) * RAD_S_PER_RPM
     rotor = assemble(config.rotor)
     bearings = bearing_table(config.rotor, config.bearing, speeds)
@@ -37,9 +39,18 @@ def run(config: Config) -> StageOutput:
         f"smallest logarithmic decrement {margin.smallest_logarithmic_decrement:.3f} at {margin.at_speed / RAD_S_PER_RPM:.0f} rpm"
     )
     if not margin.stable:
-        warn(f"the modelled rotor is unstable somewhere (growth {margin.largest_growth:.3g} 1/s): its steady vibration can't be measured")
+        warn(
+            f"the modelled rotor is unstable somewhere (growth {margin.largest_growth:.3g} 1/s): its steady vibration can't be measured"
+        )
     return StageOutput(
-        metrics=flat_metrics({"stability": {"largest_growth": margin.largest_growth, "smallest_logarithmic_decrement": margin.smallest_logarithmic_decrement}}),
+        metrics=flat_metrics(
+            {
+                "stability": {
+                    "largest_growth": margin.largest_growth,
+                    "smallest_logarithmic_decrement": margin.smallest_logarithmic_decrement,
+                }
+            }
+        ),
         tags={"data_fingerprint": dataset.fingerprint, "rotor_fingerprint": rotor.fingerprint},
         files=[files.excitation, files.known, modelled],
     )

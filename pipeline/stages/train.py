@@ -38,7 +38,9 @@ def run(config: Config) -> StageOutput:
         metrics=flat_metrics({"training": _account(result)}),
         tags={"data_fingerprint": inputs.dataset.fingerprint, "outcome": result.outcome.label},
         files=files,
-        history=[{key: value for key, value in row.items() if not isinstance(value, str)} for row in result.history],
+        history=[
+            {key: value for key, value in row.items() if not isinstance(value, str)} for row in result.history
+        ],
         model=workspace(config).folder,
         exit_code=130 if result.outcome is Outcome.INTERRUPTED else 0,
     )
@@ -56,7 +58,11 @@ def _save(config: Config, inputs: Inputs, result: IdentificationResult) -> list[
 
     work = workspace(config)
     table = result.identified.table(inputs.known)
-    account = {"outcome": result.outcome.label, "data_fingerprint": inputs.dataset.fingerprint, "seed": config.seed} | _account(result)
+    account = {
+        "outcome": result.outcome.label,
+        "data_fingerprint": inputs.dataset.fingerprint,
+        "seed": config.seed,
+    } | _account(result)
     save_model(work.folder, result.identified)
     return [
         write_coefficients(work.identified, table),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sqlite3
 from contextlib import closing
@@ -61,6 +62,8 @@ def sqlite_uri(path: Path) -> str:
 
 
 def _is_filled(path: Path) -> bool:
+    if path.is_dir():
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
     return path.is_file() and path.stat().st_size > 0
 
 

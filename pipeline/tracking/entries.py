@@ -1,4 +1,4 @@
-"""From a record's nested values to the flat names and texts that MLflow accepts. MLflow is not needed here."""
+"""From a record's nested values to the flat names and texts that MLflow accepts; MLflow is not needed."""
 
 from __future__ import annotations
 

@@ -36,8 +36,8 @@ def quiet_mlflow(timeout_seconds: float) -> Iterator[None]:
     os.environ.update(environment)
     levels: dict[str, int] = {}
     try:
-        # What MLflow uses of SQLAlchemy's deprecated side is nothing a user can mend; raised as an error half-way
-        # through SQLAlchemy's set-up of its classes it would spoil them for the whole process.
+        # What MLflow uses of SQLAlchemy's deprecated side is nothing a user can mend; raised as an error
+        # half-way through SQLAlchemy's set-up of its classes it would spoil them for the whole process.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             # MLflow sets the levels of these loggers when it is imported.

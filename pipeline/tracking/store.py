@@ -26,7 +26,8 @@ def open_experiment(settings: TrackingSettings, name: str) -> tuple[MlflowClient
     :raises TimeoutError: if a server or another database gives no answer within the settings' time
     :raises mlflow.exceptions.MlflowException: if the store refuses
     """
-    if settings.uri.startswith("sqlite:"):
+    # MLflow takes an empty URI for a database in the working directory.
+    if settings.uri.startswith("sqlite:") or not settings.uri:
         path = _database_path(settings.uri)
         prepare_database(path, settings.timeout_seconds)
         location = f"{artifact_root(path)}/{name_of(name).replace('/', '_')}"

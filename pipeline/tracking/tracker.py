@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
@@ -61,12 +63,17 @@ def _log(record: StageRecord, settings: TrackingSettings) -> list[str]:
     run = client.create_run(
         experiment_id, start_time=round(1000 * record.started), tags=_tags(record), run_name=record.stage
     )
+    run_id = run.info.run_id
     try:
         problems = _log_parts(client, run, record, settings.timeout_seconds)
-    except KeyboardInterrupt:
-        client.set_terminated(run.info.run_id, "KILLED")
+    except BaseException as error:
+        with suppress(Exception):
+            client.set_terminated(run_id, "KILLED" if isinstance(error, KeyboardInterrupt) else "FAILED")
         raise
-    client.set_terminated(run.info.run_id, record.status, end_time=round(1000 * record.ended))
+    try:
+        client.set_terminated(run_id, record.status, end_time=round(1000 * record.ended))
+    except Exception as error:
+        problems.append(f"MLflow does not know that stage '{record.stage}' has ended: {_reason(error)}.")
     return problems
 
 
@@ -76,51 +83,57 @@ def _tags(record: StageRecord) -> dict[str, str]:
 
 
 def _log_parts(client: MlflowClient, run: Run, record: StageRecord, patience_seconds: float) -> list[str]:
-    """Log each part by itself; stop once the parts that failed have taken ``patience_seconds`` together."""
     run_id = run.info.run_id
-    parameters = flat_parameters(record.parameters)
-    problems: list[str] = []
-    not_tried: list[str] = []
+    parts = _Parts(record.stage, patience_seconds)
+    not_finite: list[str] = []
 
-    def attempt(what: str, action: Callable[[], _T]) -> _T | None:
-        nonlocal patience_seconds
-        if patience_seconds <= 0:
-            not_tried.append(what)
+    parts.log("the parameters", lambda: _log_parameters(client, run_id, record))
+    parts.log("the configuration", lambda: _log_configuration(client, run_id, record))
+    # The model comes before the metrics, which belong to it too.
+    model_id: str | None = None
+    if (folder := record.model) is not None:
+        model_id = parts.log("the model", lambda: _log_model(client, run, folder, record))
+    not_finite += parts.log("the metrics", lambda: _log_final(client, run_id, record, model_id)) or []
+    not_finite += parts.log("the history", lambda: _log_history(client, run_id, record)) or []
+    for path, artifact_folder in _artifact_folders(record.files):
+        parts.log(f"the file {path}", partial(_log_file, client, run_id, path, artifact_folder))
+    if not_finite:
+        names = ", ".join(dict.fromkeys(not_finite))
+        parts.problems.append(f"MLflow does not have the values of {names} that are not finite.")
+    if parts.not_tried:
+        names = ", ".join(parts.not_tried)
+        parts.problems.append(f"MLflow took too long to answer, so these were not tried: {names}.")
+    return parts.problems
+
+
+class _Parts:
+    """Logs each part by itself, until the parts that failed have taken ``patience_seconds`` together."""
+
+    def __init__(self, stage: str, patience_seconds: float) -> None:
+        self.problems: list[str] = []
+        self.not_tried: list[str] = []
+        self._stage = stage
+        self._patience_seconds = patience_seconds
+
+    def log(self, what: str, action: Callable[[], _T]) -> _T | None:
+        """What ``action`` returns; None where it failed or was not tried, and that is noted."""
+        if self._patience_seconds <= 0:
+            self.not_tried.append(what)
             return None
         begin = time.monotonic()
         try:
             return action()
         except Exception as error:
-            patience_seconds -= time.monotonic() - begin
-            problems.append(f"MLflow does not have {what} of stage '{record.stage}': {_reason(error)}.")
+            self._patience_seconds -= time.monotonic() - begin
+            self.problems.append(f"MLflow does not have {what} of stage '{self._stage}': {_reason(error)}.")
             return None
 
-    attempt("the parameters", lambda: _log_parameters(client, run_id, parameters))
-    attempt("the configuration", lambda: _log_configuration(client, run_id, record))
-    model_id: str | None = None
-    if record.model is not None:
-        from pipeline.tracking.model import log_model
 
-        folder = record.model
-        model_id = attempt("the model", lambda: log_model(client, run, folder, parameters))
-    metrics, not_finite = final_metrics(record.metrics, record.ended)
-    attempt("the metrics", lambda: _log_metrics(client, run_id, metrics, model_id))
-    if record.history:
-        history = attempt("the history", lambda: _log_history(client, run_id, record))
-        not_finite += [name for name in history or () if name not in not_finite]
-    for path, folder_name in _artifact_folders(record.files):
-        attempt(f"the file {path}", lambda path=path, to=folder_name: _log_file(client, run_id, path, to))  # type: ignore[misc]
-    if not_finite:
-        problems.append(f"MLflow does not have the values of {', '.join(not_finite)} that are not finite.")
-    if not_tried:
-        problems.append(f"MLflow stopped answering in time, so these were not tried: {', '.join(not_tried)}.")
-    return problems
-
-
-def _log_parameters(client: MlflowClient, run_id: str, parameters: dict[str, str]) -> None:
+def _log_parameters(client: MlflowClient, run_id: str, record: StageRecord) -> None:
     from mlflow.entities import Param
 
-    for batch in _batches((Param(name, text) for name, text in parameters.items()), _PARAMETERS_A_BATCH):
+    parameters = (Param(name, text) for name, text in flat_parameters(record.parameters).items())
+    for batch in _batches(parameters, _PARAMETERS_A_BATCH):
         client.log_batch(run_id, params=batch)
 
 
@@ -129,6 +142,18 @@ def _log_configuration(client: MlflowClient, run_id: str, record: StageRecord) -
 
     text = yaml.safe_dump(plain(record.parameters), sort_keys=False, allow_unicode=True)
     client.log_text(run_id, text, "config.yaml")
+
+
+def _log_model(client: MlflowClient, run: Run, folder: Path, record: StageRecord) -> str:
+    from pipeline.tracking.model import log_model
+
+    return log_model(client, run, folder, flat_parameters(record.parameters))
+
+
+def _log_final(client: MlflowClient, run_id: str, record: StageRecord, model_id: str | None) -> list[str]:
+    values, not_finite = final_metrics(record.metrics, record.ended)
+    _log_metrics(client, run_id, values, model_id)
+    return not_finite
 
 
 def _log_metrics(

@@ -95,4 +95,6 @@ def stability_margin(modes: WhirlModes) -> StabilityMargin:
     decrement near zero in any finite element model without material damping, and no unbalance reaches them."""
     within = np.where(modes.frequency <= 2.0 * modes.speeds.max(), modes.logarithmic_decrement, np.inf)
     s, k = np.unravel_index(np.nanargmin(np.where(np.isnan(within), np.inf, within)), within.shape)
-    return StabilityMargin(bool((modes.growth < 0).all()), float(modes.growth.max()), float(within[s, k]), float(modes.speeds[s]))
+    return StabilityMargin(
+        bool((modes.growth < 0).all()), float(modes.growth.max()), float(within[s, k]), float(modes.speeds[s])
+    )

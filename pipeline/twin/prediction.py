@@ -25,7 +25,9 @@ class PredictedVibration:
         return 100.0 * np.abs(self.displacement - reference.displacement) / np.abs(reference.displacement)
 
 
-def predict(rotor: RotorModel, bearings: BearingTable, unbalances: tuple[Excitation, ...], node: int) -> PredictedVibration:
+def predict(
+    rotor: RotorModel, bearings: BearingTable, unbalances: tuple[Excitation, ...], node: int
+) -> PredictedVibration:
     """The response of ``node`` to ``unbalances`` (one run) at the speeds of ``bearings``."""
     runs = (unbalances[0].run,)
     response = unbalance_response(rotor, bearings, unbalances, runs)
@@ -33,7 +35,9 @@ def predict(rotor: RotorModel, bearings: BearingTable, unbalances: tuple[Excitat
     return PredictedVibration(node, bearings.speeds, response[:, places, 0])
 
 
-def time_curve(displacement: np.ndarray, speed: float, turns: float = 2.0, points: int = 400) -> tuple[np.ndarray, np.ndarray]:
+def time_curve(
+    displacement: np.ndarray, speed: float, turns: float = 2.0, points: int = 400
+) -> tuple[np.ndarray, np.ndarray]:
     """Times (T,) in s and displacements (T, 2) in m of x and y at one ``speed`` (rad/s), from amplitudes (2,)."""
     time = np.linspace(0.0, turns * 2.0 * np.pi / speed, points)
     return time, np.real(displacement[None, :] * np.exp(1j * speed * time)[:, None])

@@ -1,0 +1,222 @@
+"""Figures of identification: modelled as a line, identified as markers; colours that the colour-blind can tell apart."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.coefficients import COEFFICIENTS, column, row, unit
+from pipeline.data.vibration_files import to_rpm
+from pipeline.evaluation.errors import relative_errors
+from pipeline.files import write_beside
+from pipeline.rotor.bearing_table import BearingTable
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from pipeline.identification.training import TrainedBatch
+
+# Okabe and Ito's palette.
+BLUE, ORANGE, GREEN, PURPLE, SKY, GREY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#555555"
+_STYLE = {
+    "figure.dpi": 110,
+    "savefig.dpi": 110,
+    "font.size": 10,
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "legend.frameon": False,
+}
+MARKERS = 30
+"""About as many identified points a curve as can be told apart."""
+
+
+@contextmanager
+def figure(
+    path: Path, rows: int, columns: int, width: float, height: float, **options: Any
+) -> Iterator[np.ndarray]:
+    """Axes (rows, columns) of a figure that is written to ``path`` when the block ends well. Raises StorageError."""
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with rc_context(_STYLE):
+        drawn = Figure(figsize=(width, height), layout="constrained")
+        FigureCanvasAgg(drawn)
+        yield drawn.subplots(rows, columns, squeeze=False, **options)
+        write_beside(path, lambda beside: drawn.savefig(beside))
+
+
+def coefficient_figure(
+    path: Path, letter: str, identified: BearingTable, modelled: BearingTable | None, unknowns: Sequence[str]
+) -> Path:
+    """Paper, Figures 3 (``letter`` k) and 4 (c): direct coefficients over speed, and the error below.
+
+    What was not identified is drawn as the known line that it is.
+    """
+    names = [
+        name for name in COEFFICIENTS if name[0] == letter and (row(name) == column(name) or name in unknowns)
+    ]
+    rpm = to_rpm(identified.speeds)
+    kind = "stiffness" if letter == "k" else "damping"
+    some = any(name in unknowns for name in names) and modelled is not None
+    ratios = {"height_ratios": [2.2, 1]} if some else {}
+    with figure(
+        path,
+        2 if some else 1,
+        len(identified.nodes),
+        10.5,
+        6.2 if some else 4.0,
+        sharex=True,
+        gridspec_kw=ratios,
+    ) as axes:
+        for b, node in enumerate(identified.nodes):
+            _coefficients(axes[0, b], b, rpm, names, identified, modelled, unknowns)
+            axes[0, b].set_title(f"bearing at node {node}")
+            if some and modelled is not None:
+                for name, (colour, marker) in zip(names, _looks(), strict=False):
+                    if name in unknowns:
+                        error = np.maximum(relative_errors(identified, modelled, name)[b], 1e-14)
+                        axes[1, b].semilogy(rpm, error, color=colour, lw=1.2, label=name)
+                axes[1, b].set_ylabel("error (%)")
+            axes[-1, b].set_xlabel("rotor speed (rpm)")
+        axes[0, 0].set_ylabel(f"{kind} ({unit(names[0])})")
+        axes[0, 0].legend()
+    return path
+
+
+def _looks() -> list[tuple[str, str]]:
+    return [(BLUE, "o"), (ORANGE, "s"), (GREEN, "^"), (PURPLE, "D")]
+
+
+def _coefficients(
+    ax: Any,
+    b: int,
+    rpm: np.ndarray,
+    names: Sequence[str],
+    identified: BearingTable,
+    modelled: BearingTable | None,
+    unknowns: Sequence[str],
+) -> None:
+    for name, (colour, marker) in zip(names, _looks(), strict=False):
+        if name not in unknowns:
+            ax.plot(
+                rpm,
+                identified.coefficient(name)[b],
+                color=colour,
+                ls="--",
+                lw=1.5,
+                label=f"{name} known, not identified",
+            )
+            continue
+        if modelled is not None:
+            ax.plot(rpm, modelled.coefficient(name)[b], color=colour, lw=1.5, label=f"{name} modelled")
+        every = max(1, len(rpm) // MARKERS)
+        ax.plot(
+            rpm[::every],
+            identified.coefficient(name)[b, ::every],
+            ls="",
+            marker=marker,
+            ms=5,
+            mfc="none",
+            mec=colour,
+            label=f"{name} identified",
+        )
+    values = np.concatenate([identified.coefficient(name)[b] for name in names])
+    if values.min() > 0:
+        ax.set_yscale("log")
+
+
+def history_figure(path: Path, history: Path) -> Path:
+    """Loss over the steps of training, on training and held-out speeds."""
+    import pandas as pd
+
+    table = pd.read_csv(history)
+    with figure(path, 1, 1, 7.5, 4.2) as axes:
+        ax = axes[0, 0]
+        ax.semilogy(table["step"], table["loss"], color=BLUE, label="training speeds")
+        if "held_out_loss" in table:
+            ax.semilogy(table["step"], table["held_out_loss"], color=ORANGE, ls="--", label="held-out speeds")
+        for phase, steps in table.groupby("phase", sort=False)["step"]:
+            if phase != "start":
+                ax.axvline(steps.iloc[0], color=GREY, lw=0.8, ls=":")
+                ax.annotate(
+                    str(phase).replace("_", "-"),
+                    (steps.iloc[0], 1),
+                    xycoords=("data", "axes fraction"),
+                    xytext=(4, -12),
+                    textcoords="offset points",
+                    color=GREY,
+                )
+        ax.set_xlabel("training step")
+        ax.set_ylabel("root mean square residual\nover bearing force (-)")
+        ax.legend(loc="center right")
+    return path
+
+
+def robustness_figure(
+    path: Path,
+    batch: TrainedBatch,
+    starts: np.ndarray,
+    over: str,
+    rows: pd.DataFrame,
+    modelled: BearingTable | None,
+) -> Path:
+    """Paper, Figure 2: the stiffnesses on their way from every initial guess; final errors over guesses or seeds."""
+    unknowns = batch.prepared.model.unknowns
+    if not batch.trajectory:
+        return _final_errors(path, rows, over)
+    steps = np.array([step for step, _ in batch.trajectory])
+    paths = np.stack([_values(batch, parameters) for _, parameters in batch.trajectory])  # (T, G, M, U)
+    nodes = batch.prepared.bearing_nodes
+    members = paths.shape[2]
+    with figure(path, members, len(unknowns), 5.2 * len(unknowns), 3.4 * members, sharex=True) as axes:
+        for m in range(members):
+            for u, name in enumerate(unknowns):
+                ax = axes[m, u]
+                ax.semilogy(steps, paths[:, :, m, u], color=BLUE, lw=0.7, alpha=0.6)
+                where = f"bearing at node {nodes[m]}" if members == len(nodes) else "all bearings"
+                ax.set_title(f"({'abcdefgh'[m * len(unknowns) + u]}) {name}, {where}")
+                if modelled is not None:
+                    ax.axhline(
+                        modelled.coefficient(name)[m, 0], color=ORANGE, lw=1.5, ls="--", label="modelled"
+                    )
+                ax.plot([], [], color=BLUE, lw=0.7, label=f"{len(starts)} initial guesses")
+                ax.set_ylabel(f"{name} ({unit(name)})")
+                ax.set_xlabel("training step" if m == members - 1 else "")
+        axes[0, 0].legend(loc="lower right")
+    return path
+
+
+def _values(batch: TrainedBatch, parameters: Any) -> np.ndarray:
+    model = batch.prepared.model
+    return model.physical(parameters, model.scale_tensor()[:, 0]).detach().numpy()
+
+
+def _final_errors(path: Path, rows: pd.DataFrame, over: str) -> Path:
+    with figure(path, 1, 1, 8.0, 4.2) as axes:
+        ax = axes[0, 0]
+        has_truth = rows["mean_error_percent"].notna().all()
+        quantity = "mean_error_percent" if has_truth else "loss"
+        for i, ((node, name), group) in enumerate(rows.groupby(["bearing_node", "coefficient"], sort=False)):
+            colour, marker = (_looks() + [(SKY, "v"), (GREY, "x"), ("#E69F00", "P"), ("#000000", "*")])[i % 8]
+            ax.semilogy(
+                group[over],
+                group[quantity],
+                ls="",
+                marker=marker,
+                ms=7,
+                color=colour,
+                label=f"node {node} {name}",
+            )
+        if over == "initial_guess":
+            ax.set_xscale("log")
+        ax.set_xlabel("seed" if over == "seed" else "initial guess of the stiffness (N/m)")
+        ax.set_ylabel("mean error over speeds (%)" if has_truth else "loss (-)")
+        ax.legend(ncols=2)
+    return path

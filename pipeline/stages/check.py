@@ -1,0 +1,49 @@
+"""Metrics against thresholds: the accuracy regression that CI runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pipeline.config.schema import Config
+from pipeline.errors import ConfigError, nearest
+from pipeline.evaluation.thresholds import Check, check_experiment, read_rules
+from pipeline.reporting.console import say, table, warn
+from pipeline.stages.run import StageOutput
+
+THRESHOLDS = Path(__file__).parents[2] / "conf" / "thresholds"
+
+
+def run(config: Config) -> StageOutput:
+    """Print every metric beside its threshold; exit code 1 where one is passed or missing."""
+    known = sorted(path.stem for path in THRESHOLDS.glob("*.yaml"))
+    chosen = config.check.experiments or known
+    for name in chosen:
+        if name not in known:
+            raise ConfigError(
+                f"check.experiments must name experiments with thresholds, but got '{name}': {nearest(name, known)}"
+            )
+    checks: list[Check] = []
+    for name in chosen:
+        # The folders of all experiments lie beside each other.
+        folder = Path(config.output).parent / name
+        checks += check_experiment(name, read_rules(THRESHOLDS / f"{name}.yaml"), folder)
+    rows = [
+        [
+            c.experiment,
+            c.metric,
+            "missing" if c.value is None else f"{c.value:.3g}",
+            f"{c.max:.3g}",
+            "ok" if c.passed else "FAILED",
+        ]
+        for c in checks
+    ]
+    table("metrics against thresholds", ["experiment", "metric", "value", "at most", ""], rows)
+    failed = [c for c in checks if not c.passed]
+    for c in failed:
+        came = (
+            f"is missing (run the stages of {c.experiment} first)" if c.value is None else f"is {c.value:.3g}"
+        )
+        warn(f"{c.experiment}: {c.metric} must be at most {c.max:g}, but {came}. The limit: {c.why}")
+    if not failed:
+        say(f"all {len(checks)} metrics hold")
+    return StageOutput(metrics={"checked": len(checks), "failed": len(failed)}, exit_code=1 if failed else 0)

@@ -1,0 +1,126 @@
+"""Identified against modelled coefficients; per-speed least squares and the residual beside them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.schema import Config
+from pipeline.data.coefficient_files import read_coefficients, write_coefficients
+from pipeline.equations.bearing_equations import unknown_system
+from pipeline.equations.least_squares import per_speed_least_squares
+from pipeline.errors import DataError
+from pipeline.evaluation.errors import CoefficientErrors, as_metrics, coefficient_errors
+from pipeline.files import read_json, write_json
+from pipeline.identification.identified import IdentifiedModel
+from pipeline.identification.storage import ARCHITECTURE, WEIGHTS, load_model
+from pipeline.reporting.console import say, table
+from pipeline.reporting.figures import coefficient_figure, history_figure
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.stages.inputs import Inputs, load_inputs
+from pipeline.stages.run import StageOutput, flat_metrics, make_missing, workspace
+
+
+def load_identified(config: Config, inputs: Inputs) -> IdentifiedModel:
+    """The trained model, training first where it is missing. Raises DataError where it was trained on other data."""
+    work = workspace(config)
+    make_missing(config, "train", work.folder / WEIGHTS, work.folder / ARCHITECTURE, work.training)
+    trained_on = read_json(work.training).get("data_fingerprint")
+    if trained_on != inputs.dataset.fingerprint:
+        raise DataError(
+            f"'{work.training}' must belong to the data at hand ({inputs.dataset.fingerprint}), but the model was trained on other data "
+            f"({trained_on}): run stage=train"
+        )
+    return load_model(work.folder)
+
+
+def load_modelled(config: Config, inputs: Inputs) -> BearingTable | None:
+    """The truth of modelled data; None where there is none, as with measured data."""
+    path = workspace(config).modelled
+    if not path.exists():
+        return None
+    return read_coefficients(path, inputs.rotor.bearing_nodes, inputs.dataset.speeds)
+
+
+def run(config: Config) -> StageOutput:
+    """``metrics.json``, the least-squares coefficients and Figures 3 and 4."""
+    work, inputs = workspace(config), load_inputs(config)
+    identified = load_identified(config, inputs)
+    unknowns = identified.model.unknowns
+    answer = identified.table(inputs.known)
+    system = unknown_system(inputs.equations, unknowns, inputs.known)
+    values, condition = per_speed_least_squares(system)
+    conventional = _with(inputs.known, unknowns, values)
+    modelled = load_modelled(config, inputs)
+    residual = (
+        np.abs(inputs.equations.residual(answer.impedance())).mean()
+        / np.abs(inputs.equations.free_residual).mean()
+    )
+    metrics: dict[str, object] = {
+        "coefficients": {},
+        "residual": {"mean_over_bearing_force": float(residual)},
+    }
+    metrics["condition_number"] = {
+        str(node): {"median": float(np.median(c)), "max": float(c.max())}
+        for node, c in zip(answer.nodes, condition, strict=True)
+    }
+    if modelled is not None:
+        errors = coefficient_errors(answer, modelled, unknowns)
+        beside = coefficient_errors(conventional, modelled, unknowns)
+        metrics |= {"coefficients": as_metrics(errors), "least_squares": as_metrics(beside)}
+        _print_table(config.name, answer, modelled, errors, beside, constant=identified.model.hidden is None)
+    else:
+        say(
+            f"{config.name}: no modelled coefficients in '{work.modelled}', so no errors; residual {residual:.3g} of the bearing force"
+        )
+    written = [
+        write_json(work.metrics, metrics),
+        write_coefficients(work.folder / "least_squares_coefficients.csv", conventional),
+        coefficient_figure(work.figure("stiffness"), "k", answer, modelled, unknowns),
+        coefficient_figure(work.figure("damping"), "c", answer, modelled, unknowns),
+        history_figure(work.figure("training"), work.history),
+    ]
+    return StageOutput(
+        flat_metrics(metrics), {"data_fingerprint": inputs.dataset.fingerprint}, [*written, work.identified]
+    )
+
+
+def _with(known: BearingTable, unknowns: tuple[str, ...], values: np.ndarray) -> BearingTable:
+    merged = known.values.copy()
+    for u, name in enumerate(unknowns):
+        merged[..., COEFFICIENTS.index(name)] = values[..., u]
+    return BearingTable(known.nodes, known.speeds, merged)
+
+
+def _print_table(
+    name: str,
+    answer: BearingTable,
+    modelled: BearingTable,
+    errors: CoefficientErrors,
+    beside: CoefficientErrors,
+    constant: bool,
+) -> None:
+    """Paper, Table 1: values where they are constants, and errors in percent."""
+    header = ["bearing and coefficient", *(["modelled", "identified"] if constant else [])]
+    header += ["mean error %", "median", "max", "L2", "least squares mean error %"]
+    rows = []
+    for b, node in enumerate(answer.nodes):
+        for coefficient, error in errors[node].items():
+            values = []
+            if constant:
+                values = [f"{t.coefficient(coefficient)[b, 0] / 1e5:.5f}e5" for t in (modelled, answer)]
+            numbers = (
+                error.mean_error_percent,
+                error.median_error_percent,
+                error.max_error_percent,
+                error.l2_error_percent,
+            )
+            rows.append(
+                [
+                    f"node {node} {coefficient}",
+                    *values,
+                    *(f"{v:.2g}" for v in numbers),
+                    f"{beside[node][coefficient].mean_error_percent:.2g}",
+                ]
+            )
+    table(f"{name}: identified against modelled", header, rows)

@@ -1,0 +1,147 @@
+"""The digital twin (paper, Figure 5): vibration never seen, critical speeds, stability."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.config.schema import Config
+from pipeline.data.dataset import Excitation
+from pipeline.data.tables import write_table
+from pipeline.data.vibration_files import to_rpm
+from pipeline.errors import ConfigError
+from pipeline.files import write_json
+from pipeline.reporting.console import say, table
+from pipeline.reporting.twin_figures import orbit_figure, response_figure, time_figure
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.model import RotorModel
+from pipeline.stages.evaluate import load_identified, load_modelled
+from pipeline.stages.inputs import load_inputs
+from pipeline.stages.run import StageOutput, flat_metrics, workspace
+from pipeline.twin.modes import critical_speeds, stability_margin, whirl_modes
+from pipeline.twin.prediction import PredictedVibration, predict
+from pipeline.units import RAD_S_PER_RPM
+
+
+def run(config: Config) -> StageOutput:
+    """``prediction.json``, ``prediction.csv`` and Figure 6."""
+    inputs = load_inputs(config)
+    identified = load_identified(config, inputs).table(inputs.known)
+    systems = {"identified": identified}
+    modelled = load_modelled(config, inputs)
+    if modelled is not None:
+        systems = {"modelled": modelled, "identified": identified}
+    at = _speed_index(config, inputs.dataset.speeds)
+    unseen = tuple(
+        Excitation("prediction", "unbalance", u.node, u.magnitude, u.phase)
+        for u in config.prediction.unbalances
+    )
+    _refuse_seen(unseen, inputs.dataset.excitations)
+    vibration = {
+        name: predict(inputs.rotor, system, unseen, config.prediction.node)
+        for name, system in systems.items()
+    }
+    summary: dict[str, object] = {
+        name: _modal_summary(inputs.rotor, system) for name, system in systems.items()
+    }
+    if modelled is not None:
+        error = vibration["identified"].error_percent(vibration["modelled"])
+        summary["displacement"] = {
+            direction: {"mean_error_percent": float(e.mean()), "max_error_percent": float(e.max())}
+            for direction, e in zip("xy", error.T, strict=True)
+        }
+    _print(config, summary, vibration, at)
+    work = workspace(config)
+    written = [
+        write_json(work.folder / "prediction.json", summary),
+        _write_table(work.folder / "prediction.csv", vibration),
+        time_figure(work.figure("prediction_time"), vibration, at),
+        orbit_figure(work.figure("prediction_orbit"), vibration, at),
+        response_figure(work.figure("prediction_response"), vibration),
+    ]
+    return StageOutput(flat_metrics(summary), {"data_fingerprint": inputs.dataset.fingerprint}, written)
+
+
+def _speed_index(config: Config, speeds: np.ndarray) -> int:
+    rpm, wanted = to_rpm(speeds), config.prediction.speed_rpm
+    nearest = int(np.abs(rpm - wanted).argmin())
+    if abs(rpm[nearest] - wanted) > 1e-6 * wanted:
+        raise ConfigError(
+            f"prediction.speed_rpm must be one of the data's speeds (known coefficients are given there), but got {wanted:g}: the nearest is {rpm[nearest]:g}"
+        )
+    return nearest
+
+
+def _refuse_seen(unseen: tuple[Excitation, ...], seen: tuple[Excitation, ...]) -> None:
+    def shape(forces: list[Excitation]) -> set[tuple[object, ...]]:
+        return {(e.kind, e.node, e.magnitude, e.phase, e.whirl) for e in forces}
+
+    for run in dict.fromkeys(e.run for e in seen):
+        if shape([e for e in seen if e.run == run]) == shape(list(unseen)):
+            raise ConfigError(
+                f"prediction.unbalances must be an unbalance that training never saw, but run '{run}' is the same"
+            )
+
+
+def _modal_summary(rotor: RotorModel, bearings: BearingTable) -> dict[str, object]:
+    modes = whirl_modes(rotor, bearings)
+    margin = stability_margin(modes)
+    return {
+        "critical_speeds": {
+            f"{i + 1}": {
+                "rpm": critical.speed / RAD_S_PER_RPM,
+                "logarithmic_decrement": critical.logarithmic_decrement,
+            }
+            for i, critical in enumerate(critical_speeds(modes))
+        },
+        "stability": {
+            "stable": margin.stable,
+            "largest_growth": margin.largest_growth,
+            "smallest_logarithmic_decrement": margin.smallest_logarithmic_decrement,
+            "at_rpm": margin.at_speed / RAD_S_PER_RPM,
+        },
+    }
+
+
+def _write_table(path, vibration: dict[str, PredictedVibration]):  # type: ignore[no-untyped-def]
+    import pandas as pd
+
+    columns = {"speed_rpm": to_rpm(next(iter(vibration.values())).speeds)}
+    for name, predicted in vibration.items():
+        for d, direction in enumerate("xy"):
+            columns[f"{direction}_{name}_amplitude_m"] = np.abs(predicted.displacement[:, d])
+            columns[f"{direction}_{name}_phase_deg"] = np.degrees(np.angle(predicted.displacement[:, d]))
+    return write_table(path, pd.DataFrame(columns))
+
+
+def _print(config: Config, summary: dict, vibration: dict[str, PredictedVibration], at: int) -> None:  # type: ignore[type-arg]
+    rows = []
+    for name in vibration:
+        of = summary[name]
+        criticals = ", ".join(
+            f"{c['rpm']:.1f} ({c['logarithmic_decrement']:.3f})" for c in of["critical_speeds"].values()
+        )
+        amplitude = 1e6 * np.abs(vibration[name].displacement[at])
+        rows.append(
+            [
+                name,
+                f"{amplitude[0]:.5f}",
+                f"{amplitude[1]:.5f}",
+                criticals or "none",
+                f"{of['stability']['smallest_logarithmic_decrement']:.4f}",
+            ]
+        )
+    rpm = config.prediction.speed_rpm
+    header = [
+        "system",
+        f"x at {rpm:g} rpm, um",
+        f"y at {rpm:g} rpm, um",
+        "critical speeds, rpm (log decrement)",
+        "smallest log decrement",
+    ]
+    table(f"{config.name}: node {config.prediction.node} under an unbalance never seen", header, rows)
+    if "displacement" in summary:
+        errors = (
+            f"{direction} {e['mean_error_percent']:.2g} % mean, {e['max_error_percent']:.2g} % max"
+            for direction, e in summary["displacement"].items()
+        )
+        say(f"error of the displacement over all speeds: {'; '.join(errors)}")

@@ -1,0 +1,152 @@
+"""Many trainings at once, from initial guesses (paper, Figure 2) or from seeds."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.config.schema import Config
+from pipeline.data.tables import write_table
+from pipeline.errors import ConfigError
+from pipeline.evaluation.errors import coefficient_errors
+from pipeline.files import write_json
+from pipeline.identification.outcome import Outcome
+from pipeline.identification.training import (
+    TrainedBatch,
+    TrainingSetup,
+    initial_parameters,
+    prepare,
+    run_training,
+)
+from pipeline.reporting.console import say, table, training_progress
+from pipeline.reporting.figures import robustness_figure
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.stages.evaluate import load_modelled
+from pipeline.stages.inputs import load_inputs
+from pipeline.stages.run import StageOutput, flat_metrics, workspace
+from pipeline.stages.train import setup_of
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def starting_points(config: Config) -> np.ndarray:
+    """(G,) initial stiffnesses in N/m, log-spaced, or seeds."""
+    spec = config.robustness
+    if spec.over == "seed":
+        return np.array(spec.seeds)
+    return np.geomspace(spec.lowest_stiffness, spec.highest_stiffness, spec.count)
+
+
+def run(config: Config) -> StageOutput:
+    """``robustness.json``, a table with the final error of every start, and Figure 2."""
+    import torch
+
+    torch.set_num_threads(config.threads)
+    inputs, setup = load_inputs(config), setup_of(config)
+    if config.robustness.over == "initial_guess" and not any(
+        name.startswith("k") for name in setup.identify.unknowns
+    ):
+        raise ConfigError(
+            "robustness over initial guesses must have an unknown stiffness, but identify.unknowns has none: use robustness=seeds"
+        )
+    prepared = prepare(inputs.equations, inputs.known, setup)
+    starts = starting_points(config)
+    parameters = torch.cat([_start(config, setup, prepared, value) for value in starts])
+    with training_progress(f"{config.name}: {len(starts)} at once") as progress:
+        batch = run_training(
+            prepared, parameters, setup, progress, record_trajectory=prepared.model.hidden is None
+        )
+    modelled = load_modelled(config, inputs)  # read when training is over
+    work = workspace(config)
+    rows = _rows(batch, starts, inputs.known, modelled, config.robustness.over)
+    summary = _summary(batch, rows)
+    _print(config, summary, batch)
+    written = [
+        write_json(work.folder / "robustness.json", summary),
+        write_table(work.folder / "robustness.csv", rows),
+        robustness_figure(work.figure("robustness"), batch, starts, config.robustness.over, rows, modelled),
+    ]
+    exit_code = 130 if Outcome.INTERRUPTED in batch.outcomes else 0
+    return StageOutput(
+        flat_metrics(summary), {"data_fingerprint": inputs.dataset.fingerprint}, written, exit_code=exit_code
+    )
+
+
+def _start(config: Config, setup: TrainingSetup, prepared, value: float):  # type: ignore[no-untyped-def]
+    if config.robustness.over == "seed":
+        return initial_parameters(prepared, setup, int(value))
+    return initial_parameters(prepared, setup, config.seed, float(value))
+
+
+def _rows(
+    batch: TrainedBatch, starts: np.ndarray, known: BearingTable, modelled: BearingTable | None, over: str
+) -> pd.DataFrame:
+    """One row a start, bearing and coefficient; the error is NaN where there is no truth."""
+    import pandas as pd
+
+    rows = []
+    for g, start in enumerate(starts):
+        answer = batch.identified(g).table(known)
+        errors = (
+            None if modelled is None else coefficient_errors(answer, modelled, batch.prepared.model.unknowns)
+        )
+        for b, node in enumerate(answer.nodes):
+            for name in batch.prepared.model.unknowns:
+                rows.append(
+                    {
+                        over: start,
+                        "bearing_node": node,
+                        "coefficient": name,
+                        "mean_value": float(answer.coefficient(name)[b].mean()),
+                        "mean_error_percent": float("nan")
+                        if errors is None
+                        else errors[node][name].mean_error_percent,
+                        "loss": float(batch.loss[g]),
+                        "outcome": batch.outcomes[g].label,
+                    }
+                )
+    return pd.DataFrame(rows)
+
+
+def _summary(batch: TrainedBatch, rows: pd.DataFrame) -> dict[str, object]:
+    labels = [outcome.label for outcome in batch.outcomes]
+    coefficients: dict[str, dict[str, dict[str, float]]] = {}
+    for (node, name), errors in rows.groupby(["bearing_node", "coefficient"], sort=False)[
+        "mean_error_percent"
+    ]:
+        if errors.notna().all():
+            values = {
+                "worst_mean_error_percent": float(errors.max()),
+                "median_mean_error_percent": float(errors.median()),
+            }
+            coefficients.setdefault(str(node), {})[str(name)] = values
+    return {
+        "starts": len(labels),
+        "outcomes": {label: labels.count(label) for label in sorted(set(labels))},
+        "worst_loss": float(batch.loss.max()),
+        "seconds": batch.seconds,
+        "coefficients": coefficients,
+    }
+
+
+def _print(config: Config, summary: dict, batch: TrainedBatch) -> None:  # type: ignore[type-arg]
+    outcomes = ", ".join(f"{count} {label.replace('_', ' ')}" for label, count in summary["outcomes"].items())
+    varied = {"seed": "seeds", "initial_guess": "initial guesses"}[config.robustness.over]
+    say(f"{config.name}: {summary['starts']} {varied} trained at once in {batch.seconds:.1f} s ({outcomes})")
+    rows = [
+        [
+            f"node {node} {name}",
+            f"{values['worst_mean_error_percent']:.2g}",
+            f"{values['median_mean_error_percent']:.2g}",
+        ]
+        for node, of in summary["coefficients"].items()
+        for name, values in of.items()
+    ]
+    if rows:
+        table(
+            f"{config.name}: mean error % over all {varied}",
+            ["bearing and coefficient", "worst", "median"],
+            rows,
+        )

@@ -1,0 +1,527 @@
+"""The command line: help, sentences, exit codes, multiruns. No stage runs here; fakes stand in for them."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from copy import deepcopy
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pipeline.__main__ import Job, main
+from pipeline.config.compose import CONF, compose_config, composed_mapping, expanded, options, validated
+from pipeline.config.schema import Config
+from pipeline.errors import ConfigError, DataError
+from pipeline.stages import STAGES
+
+ROOT = CONF.parent
+COMMAND = [sys.executable, "-W", "error", "-m", "pipeline"]
+HEAVY = {"torch", "ross", "pandas", "numpy", "mlflow", "pint", "pydantic", "hydra", "optuna"}
+ENVIRONMENT = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+
+Run = Callable[[Config], None]
+
+
+@pytest.fixture
+def runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[Config]:
+    """The configurations that a fake ``run_stage`` was called with, in a folder of its own."""
+    seen: list[Config] = []
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("pipeline.stages.run_stage", seen.append)
+    return seen
+
+
+def _failing(monkeypatch: pytest.MonkeyPatch, error: BaseException, where: Run = lambda config: None) -> None:
+    def run_stage(config: Config) -> None:
+        where(config)
+        raise error
+
+    monkeypatch.setattr("pipeline.stages.run_stage", run_stage)
+
+
+def _process(*arguments: str, cwd: Path, **others: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*COMMAND, *arguments], cwd=cwd, env=ENVIRONMENT, text=True, capture_output=True, **others
+    )
+
+
+# --- help ----------------------------------------------------------------------------------------
+
+
+def test_help_answers_at_once(tmp_path: Path) -> None:
+    seconds = []
+    for _ in range(3):
+        start = time.perf_counter()
+        answer = _process("--help", cwd=tmp_path)
+        seconds.append(time.perf_counter() - start)
+        assert (answer.returncode, answer.stderr) == (0, "")
+    assert min(seconds) < 1.5
+
+
+@pytest.mark.parametrize("option", ["--help", "-h"])
+def test_help_names_every_stage_and_experiment(option: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([option]) == 0
+    words = capsys.readouterr().out
+    for name in [*STAGES, *options("experiment"), "--cfg job", "artifacts/NAME", "-m"]:
+        assert name in words
+    assert all(len(line) <= 110 for line in words.splitlines())
+
+
+def test_help_imports_nothing_heavy(tmp_path: Path) -> None:
+    code = f"import sys, pipeline.__main__ as m; m.main(['-h']); sys.exit(str({HEAVY} & set(sys.modules)))"
+    answer = subprocess.run([sys.executable, "-c", code], cwd=ROOT, text=True, capture_output=True)
+    assert answer.stderr.strip() == "set()"
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    from pipeline import __version__
+
+    assert main(["--version"]) == 0
+    assert __version__ in capsys.readouterr().out
+
+
+# --- composing -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("experiment", options("experiment"))
+def test_every_experiment_composes_under_its_own_name(experiment: str) -> None:
+    config = compose_config([f"experiment={experiment}"])
+    assert config.name == experiment
+    assert config.output == f"artifacts/{experiment}"
+
+
+def test_overrides_win_over_the_experiment_and_the_last_of_two_wins() -> None:
+    config = compose_config(["seed=1", "experiment=nothing", "experiment=ball_bearing", "seed=2"])
+    assert (config.seed, config.name) == (2, "ball_bearing")
+
+
+@pytest.mark.parametrize(
+    ("override", "folder"),
+    [
+        ("output=my folder/x", "my folder/x"),
+        ("output='my (folder), x'", "my (folder), x"),
+        ('output="a/${name}"', "a/hydrostatic_stiffness"),
+        ('output="/tmp/ü/x"', "/tmp/ü/x"),
+    ],
+)
+def test_paths_with_spaces_and_quotes(override: str, folder: str) -> None:
+    assert compose_config([override]).output == folder
+
+
+def test_composing_leaves_hydra_as_it_was() -> None:
+    from hydra.core.global_hydra import GlobalHydra
+    from hydra.core.hydra_config import HydraConfig
+    from hydra.version import VersionBase
+    from packaging.version import Version
+
+    before = VersionBase.instance().getbase()
+    VersionBase.instance().setbase(Version("1.2"))
+    try:
+        with pytest.raises(ConfigError):
+            composed_mapping(["nothing=3"])
+        assert not GlobalHydra.instance().is_initialized()
+        assert not HydraConfig.initialized()
+        assert VersionBase.instance().getbase() == Version("1.2")
+    finally:
+        VersionBase.instance().version_base = before
+
+
+def test_a_stage_may_compose_while_it_runs(
+    runs: list[Config], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(
+        "pipeline.stages.run_stage", lambda config: print(config.seed, compose_config(["seed=9"]).seed)
+    )
+    assert main(["seed=1"]) == 0
+    assert capsys.readouterr().out == "1 9\n"
+
+
+def test_validated_takes_a_plain_mapping() -> None:
+    assert validated(_default() | {"seed": 4}).seed == 4
+
+
+# --- sentences -----------------------------------------------------------------------------------
+
+FOREIGN = ("Traceback", "struct", "hydra.cc", "HYDRA_FULL_ERROR", "pydantic", "Input should")
+
+
+@cache
+def _default() -> dict[str, Any]:
+    return composed_mapping()
+
+
+MISTAKES = [
+    (["stage=trian"], ["stage must be one of the stages", "'trian'", "did you mean 'train'?"]),
+    (["-m", "seed=1,x"], ["seed: must be a valid integer, but got 'x'", "--cfg job"]),
+    (["-m", "seed=1,1"], ["folders of their own", "'artifacts/hydrostatic_stiffness/seed-1'"]),
+    (["-m", "experiment=glob(*)", "output=same"], ["folders of their own", "'same'", "${name}"]),
+    (["--nothing"], ["the options must be Hydra's", "--nothing", "--help"]),
+    (["--config-name=other"], ["conf/config.yaml"]),
+    (["-m", "--cfg", "job"], ["more than one of"]),
+    (["--resolve"], ["--cfg job"]),
+]
+
+
+@pytest.mark.parametrize(("arguments", "fragments"), MISTAKES)
+def test_a_mistake_is_answered_before_anything_runs(
+    arguments: list[str], fragments: list[str], runs: list[Config], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 2
+    out, err = capsys.readouterr()
+    assert (out, runs, list(Path().iterdir())) == ("", [], [])
+    assert [fragment for fragment in fragments if fragment not in err] == []
+    assert [word for word in FOREIGN if word in err] == []
+
+
+OVERRIDES = [
+    (
+        ["experiment=ball_baering"],
+        ["a file in conf/experiment", "'ball_baering'", "did you mean 'ball_bearing'?"],
+    ),
+    (["experiment="], ["a file in conf/experiment", "known: ball_bearing"]),
+    (["experiment=null"], ["a file in conf/experiment", "but got null"]),
+    (["+experiment=ball_bearing"], ["write 'experiment=ball_bearing'"]),
+    (["model=konstant"], ["a file in conf/model", "did you mean 'constant'?"]),
+    (["rotor=5"], ["a file in conf/rotor", "but got 5"]),
+    (["hydra/launcher=nothing"], ["an installed Hydra plugin", "'nothing'"]),
+    (["optimizer.adam.stepz=3"], ["optimizer.adam has no 'stepz'", "did you mean 'steps'?"]),
+    (["optimzer=adam"], ["has no 'optimzer'", "did you mean 'optimizer'?"]),
+    (["adam.steps=3"], ["there is no 'adam.steps'", "did you mean 'optimizer.adam.steps'?"]),
+    (["seed.x=1"], ["seed is a single value", "give seed=VALUE"]),
+    (["rotor.shaft.99.length=1"], ["rotor.shaft has the items 0 to", "not '99'"]),
+    (["aa=1", "~optimizer.sgd"], ["has no 'aa'", "optimizer has no 'sgd'"]),
+    (["foo"], ["KEY=VALUE", "'foo'", "stage=train"]),
+    (["train"], ["KEY=VALUE", "did you mean 'stage=train'?"]),
+    (["=3"], ["KEY=VALUE", "'=3'"]),
+    (["seed=[1,2"], ["close its brackets", "'seed=[1,2'"]),
+    (["output=/tmp/a(b)"], ["""write 'output="/tmp/a(b)"'"""]),
+    (["seed=1,2"], ["one value for seed", "'1,2'", "add -m"]),
+    (["output=${nothing}"], ["output must refer to what exists", "'nothing'"]),
+    (["seed=???"], ["add seed=VALUE"]),
+]
+
+
+@pytest.mark.parametrize(("overrides", "fragments"), OVERRIDES)
+def test_sentences_for_overrides(overrides: list[str], fragments: list[str]) -> None:
+    with pytest.raises(ConfigError) as caught:
+        composed_mapping(overrides)
+    assert [fragment for fragment in fragments if fragment not in str(caught.value)] == []
+    assert [word for word in FOREIGN if word in str(caught.value)] == []
+
+
+VALUES = [
+    ({"stage": ""}, "stage must be one of the stages, but got ''"),
+    ({"stage": ["a"]}, "stage must be one of the stages, but got ['a']"),
+    ({"unknown": 1}, "unknown: must be a key that the schema knows"),
+    (
+        {"optimizer.adam.stepz": 1},
+        "optimizer.adam.stepz: must be a key that the schema knows, but 'stepz' is not; did",
+    ),
+    (
+        {"model.widht": 1},
+        "model.widht: must be a key that the schema knows, but 'widht' is not; did you mean 'width'?",
+    ),
+    ({"rotor.shaft.0.lenght": 1}, "rotor.shaft.0.lenght: must be a key"),
+    ({"rotor.shaft.0.length": "-3 mm"}, "rotor.shaft.0.length: must be greater than 0, but got '-3 mm'"),
+    (
+        {"rotor.shaft.0.length": "3 kg"},
+        "rotor.shaft.0.length: must convert to m (such as 150 mm), but got '3 kg'",
+    ),
+    ({"seed": "x"}, "seed: must be a valid integer, but got 'x'"),
+    ({"seed": 1.5}, "seed: must be a valid integer, but got 1.5"),
+    ({"seed": None}, "seed: must be a valid integer, but got null"),
+    ({"identify.unknowns": []}, "identify.unknowns: must have at least 1 item"),
+    (
+        {"identify.unknowns": ["kxz"]},
+        "identify.unknowns.0: must be one of these, but got 'kxz'; did you mean",
+    ),
+    (
+        {"model.activation": "tnh"},
+        "model.activation: must be one of these, but got 'tnh'; did you mean 'tanh'?",
+    ),
+    ({"bearing.kind": "bal"}, "bearing.kind: must be one of these, but got 'bal'; did you mean 'ball'?"),
+    ({"bearing": {}}, "bearing.kind: must be given, but is missing"),
+    ({"optimizer": {}}, "optimizer.adam: must be given, but is missing"),
+    ({"optimizer": "x" * 500}, "optimizer: must be a group of keys, but got 'xxxxx"),
+    ({"bearing": 5}, "bearing: must be a group of keys, but got 5"),
+    ({"identify.unknowns": "kxx"}, "identify.unknowns: must be a list, but got 'kxx'"),
+]
+
+
+def _changed(changes: dict[str, Any]) -> dict[str, Any]:
+    mapping = deepcopy(_default())
+    for path, value in changes.items():
+        *parents, last = path.split(".")
+        node: Any = mapping
+        for part in parents:
+            node = node[int(part)] if part.isdigit() else node[part]
+        node[last] = value
+    return mapping
+
+
+@pytest.mark.parametrize(("changes", "sentence"), VALUES)
+def test_sentences_for_values(changes: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        validated(_changed(changes))
+    assert sentence in str(caught.value)
+    assert [word for word in FOREIGN if word in str(caught.value)] == []
+    assert all(len(line) < 300 for line in str(caught.value).splitlines())
+
+
+def test_every_error_of_the_schema_has_a_line_of_its_own() -> None:
+    with pytest.raises(ConfigError) as caught:
+        validated(_changed({"seed": "x", "threads": 0, "loss.scaling": 5}))
+    *lines, last = str(caught.value).splitlines()
+    assert sorted(line.split(":")[0] for line in lines) == ["loss.scaling", "seed", "threads"]
+    assert "these 3 values" in last
+
+
+def test_a_broken_file_in_conf_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "config.yaml").write_text("defaults: [_self_]\nseed: [1\n")
+    monkeypatch.setattr("pipeline.config.compose.CONF", tmp_path)
+    with pytest.raises(ConfigError, match=r"config\.yaml"):
+        compose_config([])
+    monkeypatch.setattr("pipeline.config.compose.CONF", tmp_path / "nothing")
+    with pytest.raises(ConfigError, match="conf/ must lie beside the package"):
+        compose_config([])
+
+
+@settings(max_examples=12, deadline=None, derandomize=True)
+@given(
+    key=st.sampled_from(
+        ["seed", "+seed", "~seed", "rotor", "model.kind", "stage", "experiment", "rotor.shaft.0", ""]
+    ),
+    value=st.sampled_from(["", "null", "[]", "[1]", "{a: 1}", "${rotor}", "${"]) | st.text(max_size=8),
+)
+def test_any_override_composes_or_is_refused_with_a_sentence(key: str, value: str) -> None:
+    with contextlib.suppress(ConfigError):
+        compose_config([f"{key}={value}"])
+
+
+def test_what_only_hydra_can_see_is_a_sentence_too(
+    runs: list[Config], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["hydra.run.dir=${nothing}"]) == 2
+    assert "nothing" in capsys.readouterr().err
+    assert runs == []
+
+
+# --- exit codes ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "fragment"),
+    [
+        (DataError("a column must be there, but is not; add it"), 2, "a column must be there"),
+        (
+            OSError(28, "No space left on device", "artifacts/x"),
+            2,
+            "'artifacts/x' must be readable or writable",
+        ),
+        (SystemExit(1), 1, ""),
+        (KeyboardInterrupt(), 130, "interrupted"),
+    ],
+    ids=lambda value: type(value).__name__ if isinstance(value, BaseException) else None,
+)
+def test_exit_code_of_what_a_stage_raises(
+    error: BaseException,
+    code: int,
+    fragment: str,
+    runs: list[Config],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    _failing(monkeypatch, error)
+    assert main([]) == code
+    out, err = capsys.readouterr()
+    assert fragment in err
+    assert bool(fragment) == bool(err)
+    assert out == ""
+    assert "Traceback" not in err
+
+
+def test_a_bug_keeps_its_traceback(
+    runs: list[Config], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _failing(monkeypatch, ZeroDivisionError("boom"))
+    assert main([]) == 70
+    err = capsys.readouterr().err
+    assert "Traceback" in err
+    assert "ZeroDivisionError: boom" in err
+    assert "please report" in err
+
+
+def test_a_mistake_in_a_real_process(tmp_path: Path) -> None:
+    answer = _process("experiment=ball_bearing", "stage=trian", cwd=tmp_path)
+    assert (answer.returncode, answer.stdout) == (2, "")
+    assert answer.stderr.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_interrupt_in_a_real_process(tmp_path: Path) -> None:
+    code = (
+        "import sys, time, pipeline.stages, pipeline.__main__ as command\n"
+        "pipeline.stages.run_stage = lambda config: (print('ready', flush=True), time.sleep(60))\n"
+        "sys.exit(command.main([]))"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        env=ENVIRONMENT,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=20)
+    assert process.returncode == 130
+    assert err.startswith("interrupted")
+    assert "Traceback" not in err
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_an_output_that_is_full(tmp_path: Path) -> None:
+    with open("/dev/full", "w") as full:
+        answer = subprocess.run(
+            [*COMMAND, "-h"], cwd=tmp_path, env=ENVIRONMENT, text=True, stdout=full, stderr=subprocess.PIPE
+        )
+    assert answer.returncode == 2
+    assert "No space left on device" in answer.stderr
+    assert "Traceback" not in answer.stderr
+
+
+def test_an_output_that_is_closed(tmp_path: Path) -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    answer = subprocess.run(
+        [*COMMAND, "-h"], cwd=tmp_path, env=ENVIRONMENT, text=True, stdout=writer, stderr=subprocess.PIPE
+    )
+    os.close(writer)
+    assert (answer.returncode, answer.stderr) == (141, "")
+
+
+# --- single runs -----------------------------------------------------------------------------------
+
+
+def test_a_run_stays_in_its_folder_and_writes_nothing_of_its_own(runs: list[Config], tmp_path: Path) -> None:
+    before = list(sys.argv), dict(os.environ), Path.cwd()
+    assert main(["seed=5", "output=my folder/x"]) == 0
+    assert [(config.seed, config.output) for config in runs] == [(5, "my folder/x")]
+    assert (list(sys.argv), dict(os.environ), Path.cwd()) == before
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_configuration_is_printed(runs: list[Config], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["seed=77", "--cfg", "job"]) == 0
+    assert "seed: 77" in capsys.readouterr().out
+    assert runs == []
+
+
+def test_how_the_configuration_was_composed_is_printed(tmp_path: Path) -> None:
+    answer = _process(
+        "seed=77", "--info", "config", cwd=tmp_path
+    )  # it prints through a logger that would stay
+    assert (answer.returncode, answer.stderr, list(tmp_path.iterdir())) == (0, "", [])
+    assert "seed: 77" in answer.stdout
+
+
+def test_an_unknown_package_is_a_mistake(runs: list[Config]) -> None:
+    assert main(["--cfg", "job", "--package", "nothing"]) == 2
+
+
+# --- multiruns ---------------------------------------------------------------------------------------
+
+
+def test_each_job_has_a_folder_named_by_what_was_swept(
+    runs: list[Config], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["threads=1", "-m", "seed=1,2", "optimizer.adam.steps=5", "experiment=ball_bearing"]) == 0
+    assert [config.output for config in runs] == [f"artifacts/ball_bearing/seed-{seed}" for seed in (1, 2)]
+    assert "-> artifacts/ball_bearing/seed-2\n" in capsys.readouterr().out
+    assert [path.name for path in tmp_path.iterdir()] == ["artifacts"]
+    assert [path.name for path in (tmp_path / "artifacts").iterdir()] == [".multirun"]
+
+
+@pytest.mark.parametrize(
+    ("overrides", "names"),
+    [
+        (["experiment=ball_bearing,hydrostatic_stiffness", "stage=train,evaluate"], ["out"] * 4),
+        (["name=a,b"], ["out", "out"]),
+        (["output=a b,c"], ["out", "out"]),
+        (["seed=3", "+threads=2"], ["out"]),
+        (["seed=1,2", "hydra.sweep.dir=x"], ["out/seed-1", "out/seed-2"]),
+        (["name=a,b", "seed=range(1,3)"], ["out/seed-1", "out/seed-2"] * 2),
+        (["rotor=one_disc,two_discs", "seed=7"], ["out/rotor-one_disc", "out/rotor-two_discs"]),
+        (["experiment=glob(ball*)"], ["out"]),
+    ],
+)
+def test_folders_say_what_was_swept(overrides: list[str], names: list[str]) -> None:
+    jobs, fixed = expanded(overrides)
+    assert [Job(True, fixed).folder("out", job) for job in jobs] == names
+
+
+def test_the_stages_of_an_experiment_share_its_folder(runs: list[Config]) -> None:
+    assert main(["hydra.mode=MULTIRUN", "stage=train,evaluate", "name=a"]) == 0
+    assert [(config.stage, config.output) for config in runs] == [
+        ("train", "artifacts/a"),
+        ("evaluate", "artifacts/a"),
+    ]
+
+
+def test_values_that_are_no_file_names_get_folders_of_their_own(runs: list[Config]) -> None:
+    lengths = "rotor.shaft.0.length=150 mm,150/mm,'150:mm'"
+    jobs, fixed = expanded([lengths, "seed=3"])
+    folders = [Job(True, fixed, len(jobs)).folder("out", job) for job in jobs]
+    assert len(set(folders)) == len(jobs) == 3
+    assert all(Path(folder).parent == Path("out") and " " not in folder for folder in folders)
+    long = Job(True).folder("out", ["data.vibration=" + "x" * 300])
+    assert len(Path(long).name) < 255
+
+
+def test_a_failing_job_lets_the_others_run_and_fails_the_command(
+    runs: list[Config], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def run_stage(config: Config) -> None:
+        runs.append(config)
+        if config.seed == 2:
+            raise DataError("the data must be there, but are not; make them")
+
+    monkeypatch.setattr("pipeline.stages.run_stage", run_stage)
+    assert main(["-m", "seed=2,3"]) == 2
+    assert [config.seed for config in runs] == [2, 3]
+    err = capsys.readouterr().err
+    assert "the data must be there" in err
+    assert "[1/2] seed=2 failed" in err
+    assert "Traceback" not in err
+
+
+def test_an_interrupt_ends_a_multirun(runs: list[Config], monkeypatch: pytest.MonkeyPatch) -> None:
+    _failing(monkeypatch, KeyboardInterrupt(), runs.append)
+    assert main(["-m", "seed=1,2"]) == 130
+    assert len(runs) == 1
+
+
+def test_workers_find_the_job_by_name() -> None:
+    job = Job(multirun=True, fixed=frozenset({"seed"}), count=2)
+    assert Job.__module__ == "pipeline.__main__"
+    assert pickle.loads(pickle.dumps(job)) == job
+
+
+def test_a_parallel_multirun(tmp_path: Path) -> None:
+    pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
+    answer = _process("-m", "hydra/launcher=joblib", "stage=train,evaluate", cwd=tmp_path)
+    assert answer.returncode == 2
+    assert "one after the other" in answer.stderr

@@ -1,0 +1,637 @@
+"""What a stage hands to the tracker is in MLflow afterwards, or a sentence says why it is not."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import shutil
+import socket
+import sqlite3
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pipeline
+from pipeline.tracking import StageRecord, TrackingSettings, track, tracker
+from pipeline.tracking.database import DatabaseProblem, prepare_database
+from pipeline.tracking.entries import (
+    NAME_LENGTH,
+    PARAMETER_LENGTH,
+    TAG_LENGTH,
+    flat_parameters,
+    history_metrics,
+    name_of,
+    without_password,
+)
+from pipeline.tracking.provenance import provenance_tags
+from pipeline.tracking.quiet import quiet_mlflow
+from pipeline.tracking.table import coefficient_table
+
+CHECKOUT = Path(pipeline.__file__).resolve().parents[1]
+STARTED, ENDED = 1_700_000_000.0, 1_700_000_060.0
+
+
+def record(**changes: object) -> StageRecord:
+    """A small stage's record, with ``changes``."""
+    parts: dict[str, object] = {
+        "experiment": "rotor rig",
+        "stage": "train",
+        "started": STARTED,
+        "ended": ENDED,
+        "parameters": {"seed": 3},
+        "tags": {},
+        "metrics": {},
+    }
+    return StageRecord(**(parts | changes))  # type: ignore[arg-type]
+
+
+def python(code: str, *arguments: object, folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run ``code`` in a new interpreter in ``folder``, with warnings as errors."""
+    command = [sys.executable, "-W", "error", "-c", code, *map(str, arguments)]
+    return subprocess.run(
+        command, cwd=folder, capture_output=True, text=True, timeout=120, env=clean_environment()
+    )
+
+
+def clean_environment() -> dict[str, str]:
+    """The environment without what would let a new process find this checkout or a tracking store."""
+    return {
+        name: value
+        for name, value in os.environ.items()
+        if name != "PYTHONPATH" and "MLFLOW_TRACKING" not in name
+    }
+
+
+@pytest.fixture(scope="session")
+def fresh_database(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A database just made: making one takes two seconds, copying it none."""
+    path = tmp_path_factory.mktemp("fresh") / "mlflow.db"
+    with quiet_mlflow(10.0):
+        prepare_database(path, 10.0)
+    return path
+
+
+@pytest.fixture
+def settings(fresh_database: Path, tmp_path: Path) -> TrackingSettings:
+    """A database of the test's own, in a folder with spaces."""
+    folder = tmp_path / "my project"
+    folder.mkdir()
+    shutil.copy(fresh_database, folder / "mlflow.db")
+    return TrackingSettings(enabled=True, uri=f"sqlite:///{folder}/mlflow.db")
+
+
+@pytest.fixture
+def quiet() -> Iterator[None]:
+    """For tests that use MLflow themselves."""
+    with quiet_mlflow(10.0):
+        yield
+
+
+class Logged:
+    """The runs in a store, as MLflow's own client reads them."""
+
+    def __init__(self, settings: TrackingSettings) -> None:
+        with quiet_mlflow(10.0):
+            from mlflow import MlflowClient
+
+            self.client = MlflowClient(settings.uri)
+            self.runs = self.client.search_runs([e.experiment_id for e in self.client.search_experiments()])
+
+    @property
+    def run(self):  # type: ignore[no-untyped-def]
+        (run,) = self.runs
+        return run
+
+    def files(self) -> dict[str, Path]:
+        """Every artifact of the one run by its name in MLflow."""
+        root = Path(self.client.download_artifacts(self.run.info.run_id, ""))
+        return {path.relative_to(root).as_posix(): path for path in root.rglob("*") if path.is_file()}
+
+
+# A complete record
+
+
+def test_everything_in_a_record_is_read_back(
+    settings: TrackingSettings,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.chdir(elsewhere)
+    table, figure = tmp_path / "identified_coefficients.csv", tmp_path / "loss.png"
+    table.write_text("bearing_node,kxx\n3,1e7\n")
+    figure.write_bytes(b"\x89PNG")
+    history = [
+        {"step": step, "loss": 1 / step, "held_out_loss": 2 / step, "phase": "adam"} for step in range(1, 601)
+    ]
+
+    problems = track(
+        record(
+            parameters={"model": {"hidden": [8, 8], "activation": "tanh"}, "data": {"file": None}, "seed": 3},
+            tags={"data.fingerprint": "abc", "pipeline.group": "g1"},
+            metrics={"coefficients/kxx/mean_error_percent": 1.5},
+            history=history,
+            files=[table, figure],
+        ),
+        settings,
+    )
+
+    assert problems == []
+    assert capfd.readouterr() == ("", "")
+    logged = Logged(settings)
+    run = logged.run
+    assert logged.client.get_experiment(run.info.experiment_id).name == "rotor rig"
+    assert (run.info.run_name, run.info.status) == ("train", "FINISHED")
+    assert (run.info.start_time, run.info.end_time) == (1000 * STARTED, 1000 * ENDED)
+    assert run.data.params == {
+        "model.hidden": "[8, 8]",
+        "model.activation": "tanh",
+        "data.file": "null",
+        "seed": "3",
+    }
+    expected_tags = {"data.fingerprint": "abc", "pipeline.experiment": "rotor rig", "pipeline.stage": "train"}
+    assert run.data.tags.items() >= expected_tags.items()
+    assert run.data.tags["version.torch"].startswith("2.")
+    assert run.data.tags["version.python"].startswith("3.")
+    assert run.data.metrics["coefficients/kxx/mean_error_percent"] == 1.5
+    losses = logged.client.get_metric_history(run.info.run_id, "loss")
+    assert [(loss.step, loss.value) for loss in losses] == [(row["step"], row["loss"]) for row in history]
+    assert STARTED < losses[0].timestamp / 1000 < losses[-1].timestamp / 1000 <= ENDED
+    assert run.data.metrics.keys() == {"coefficients/kxx/mean_error_percent", "loss", "held_out_loss"}
+    files = logged.files()
+    assert files.keys() == {"config.yaml", "files/identified_coefficients.csv", "figures/loss.png"}
+    assert files["files/identified_coefficients.csv"].read_text() == table.read_text()
+    assert "activation: tanh" in files["config.yaml"].read_text()
+    assert list(elsewhere.iterdir()) == [], "artifacts belong beside the database"
+    assert (tmp_path / "my project" / "mlruns" / "rotor rig" / run.info.run_id).is_dir()
+
+
+def test_stages_of_one_experiment_are_found_together(settings: TrackingSettings) -> None:
+    for stage in ("generate", "train"):
+        assert track(record(stage=stage, tags={"pipeline.group": "g1"}), settings) == []
+    assert track(record(experiment="other", tags={"pipeline.group": "g2"}), settings) == []
+    client = Logged(settings).client
+    experiments = [experiment.experiment_id for experiment in client.search_experiments()]
+    found = client.search_runs(experiments, "tags.`pipeline.group` = 'g1'")
+    assert {run.info.run_name for run in found} == {"generate", "train"}
+    assert len({run.info.experiment_id for run in found}) == 1
+
+
+def test_long_values_and_many_parameters(settings: TrackingSettings) -> None:
+    parameters = {"long": "x" * 20_000, "many": {f"p{i}": i for i in range(250)}}
+    assert track(record(parameters=parameters, tags={"long": "y" * 20_000}), settings) == []
+    logged = Logged(settings)
+    assert len(logged.run.data.params) == 251
+    assert logged.run.data.params["long"].endswith("xxx...")
+    assert logged.run.data.tags["long"].endswith("yyy...")
+    assert "x" * 20_000 in logged.files()["config.yaml"].read_text()
+
+
+def test_interrupted_stage_is_marked_as_such(settings: TrackingSettings) -> None:
+    assert track(record(status="KILLED"), settings) == []
+    assert Logged(settings).run.info.status == "KILLED"
+
+
+def test_files_of_one_name_do_not_replace_each_other(settings: TrackingSettings, tmp_path: Path) -> None:
+    files = [tmp_path / folder / "metrics.json" for folder in ("a", "b")]
+    for file in files:
+        file.parent.mkdir()
+        file.write_text(str(file))
+    assert track(record(files=files), settings) == []
+    assert {"files/metrics.json", "files/b/metrics.json"} <= Logged(settings).files().keys()
+
+
+# Nothing asked for, nothing done
+
+
+def test_disabled_tracking_does_nothing(tmp_path: Path) -> None:
+    code = (
+        "import sys\n"
+        "from pipeline.tracking import *\n"
+        "problems = track(StageRecord('e', 's', 0, 1, {}, {}, {}), TrackingSettings(False, 'sqlite:///x.db'))\n"
+        "assert problems == []\n"
+        "heavy = {'mlflow', 'pandas', 'torch', 'filelock', 'yaml'} & sys.modules.keys()\n"
+        "assert not heavy, heavy\n"
+    )
+    done = python(f"import sys; sys.path.insert(0, {str(CHECKOUT)!r})\n{code}", folder=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+# What can't be logged
+
+
+def test_values_that_are_not_finite_are_named(settings: TrackingSettings) -> None:
+    history = [{"step": 0, "loss": 1.0}, {"step": 1, "loss": float("nan")}]
+    (problem,) = track(record(metrics={"good": 1.0, "bad": float("inf")}, history=history), settings)
+    assert "the values of bad, loss that are not finite" in problem
+    assert Logged(settings).run.data.metrics == {"good": 1.0, "loss": 1.0}
+
+
+def test_a_part_that_fails_does_not_take_the_others_with_it(
+    settings: TrackingSettings, tmp_path: Path
+) -> None:
+    problems = track(
+        record(files=[tmp_path / "gone.csv"], model=tmp_path / "no model", metrics={"good": 1.0}), settings
+    )
+    assert [problem.partition(" of stage")[0] for problem in problems] == [
+        "MLflow does not have the model",
+        f"MLflow does not have the file {tmp_path / 'gone.csv'}",
+    ]
+    run = Logged(settings).run
+    assert run.data.metrics == {"good": 1.0}
+    assert run.info.status == "FINISHED"
+
+
+def test_values_of_a_wrong_kind_do_not_raise(settings: TrackingSettings) -> None:
+    (problem,) = track(record(metrics={"bad": "three"}), settings)
+    assert problem.startswith("MLflow does not have the metrics of stage 'train'")
+    assert Logged(settings).run.info.status == "FINISHED"
+
+
+def test_parts_are_given_up_once_failures_have_taken_the_time() -> None:
+    def slow_failure() -> None:
+        time.sleep(0.02)
+        raise OSError("no answer")
+
+    parts = tracker._Parts("train", patience_seconds=0.01)
+    parts.log("the metrics", slow_failure)
+    parts.log("the history", lambda: pytest.fail("tried"))
+    assert parts.problems == ["MLflow does not have the metrics of stage 'train': no answer."]
+    assert parts.not_tried == ["the history"]
+
+
+def test_interrupt_passes_through_and_marks_the_run(
+    settings: TrackingSettings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(tracker, "_log_history", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        track(record(), settings)
+    assert Logged(settings).run.info.status == "KILLED"
+
+
+def test_deleted_experiment(settings: TrackingSettings) -> None:
+    assert track(record(), settings) == []
+    logged = Logged(settings)
+    logged.client.delete_experiment(logged.run.info.experiment_id)
+    (problem,) = track(record(), settings)
+    assert "'rotor rig' was deleted" in problem
+    assert "mlflow experiments restore" in problem
+
+
+@pytest.mark.parametrize("uri", ["http://127.0.0.1:9", "http://anna:secret@127.0.0.1:9"])
+def test_unreachable_server(uri: str) -> None:
+    begin = time.monotonic()
+    (problem,) = track(record(), TrackingSettings(True, uri, timeout_seconds=2.0))
+    assert time.monotonic() - begin < 6.0
+    assert problem.startswith("Stage 'train' of 'rotor rig' is not in MLflow (http://")
+    assert "can't be reached (connection refused)" in problem
+    assert "tracking.enabled=false" in problem
+    assert "secret" not in problem
+
+
+@pytest.mark.usefixtures("quiet")
+def test_server_that_never_answers() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        begin = time.monotonic()
+        uri = f"http://127.0.0.1:{server.getsockname()[1]}"
+        (problem,) = track(record(), TrackingSettings(True, uri, timeout_seconds=1.0))
+        assert time.monotonic() - begin < 2.0
+    assert "no answer within 1 s" in problem
+
+
+def _corrupt(path: Path) -> None:
+    path.write_bytes(bytes(range(256)) * 100)
+
+
+def _foreign(path: Path) -> None:
+    with closing(sqlite3.connect(path)) as connection:
+        connection.execute("CREATE TABLE trials (number)")
+
+
+def _below_a_file(path: Path) -> None:
+    path.parent.rmdir()
+    path.parent.write_text("a file")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (_corrupt, "is not a sound SQLite database (file is not a database); move it away"),
+        (_foreign, "is a database, but not MLflow's"),
+        (_below_a_file, "can't be made there"),
+        (Path.mkdir, "can't be made there"),
+    ],
+)
+def test_unusable_database(spoil, reason: str, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    path = tmp_path / "folder" / "mlflow.db"
+    path.parent.mkdir()
+    spoil(path)
+    (problem,) = track(record(), TrackingSettings(True, f"sqlite:///{path}"))
+    assert reason in problem
+    assert str(path) in problem
+
+
+def test_locked_database(settings: TrackingSettings) -> None:
+    with closing(sqlite3.connect(settings.uri.removeprefix("sqlite:///"), isolation_level=None)) as other:
+        other.execute("BEGIN IMMEDIATE")
+        begin = time.monotonic()
+        (problem,) = track(record(), TrackingSettings(True, settings.uri, timeout_seconds=0.2))
+        assert time.monotonic() - begin < 2.0
+    assert "database is locked" in problem
+
+
+@pytest.mark.parametrize(
+    "uri", ["sqlite://", "sqlite:///:memory:", "sqlite:///a.db?mode=ro", "nonsense://x", ""]
+)
+def test_uri_that_names_no_store(uri: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (problem,) = track(record(), TrackingSettings(True, uri))
+    assert "is not in MLflow" in problem
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_failed_creation_leaves_no_database(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quiet: None
+) -> None:
+    from mlflow.store.tracking import sqlalchemy_store
+
+    def half_made(uri: str, root: str) -> None:
+        Path(uri.removeprefix("sqlite:///")).write_text("half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(sqlalchemy_store, "SqlAlchemyStore", half_made)
+    with pytest.raises(DatabaseProblem, match="No space left on device"):
+        prepare_database(tmp_path / "mlflow.db", 1.0)
+    assert [path.name for path in tmp_path.iterdir()] == ["mlflow.db-lock"]
+
+
+@pytest.mark.slow
+def test_two_processes_make_a_fresh_database_together(tmp_path: Path) -> None:
+    code = """if True:
+        import sys, time
+        from pathlib import Path
+        sys.path.insert(0, sys.argv[1])
+        from pipeline.tracking import StageRecord, TrackingSettings, track
+        from pipeline.tracking.quiet import quiet_mlflow
+        with quiet_mlflow(10.0):
+            from mlflow.store.tracking import sqlalchemy_store
+        Path(f"ready-{sys.argv[2]}").touch()
+        while not Path("go").exists():
+            time.sleep(0.001)
+        print(track(StageRecord("e", sys.argv[2], 1, 2, {"a": 1}, {}, {"m": 1.0}), TrackingSettings(True)))
+    """
+    command = [sys.executable, "-W", "error", "-c", code, str(CHECKOUT)]
+    processes = [
+        subprocess.Popen(
+            [*command, name],
+            cwd=tmp_path,
+            text=True,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            env=clean_environment(),
+        )
+        for name in ("a", "b")
+    ]
+    try:
+        deadline = time.monotonic() + 60
+        while not all((tmp_path / f"ready-{name}").exists() for name in ("a", "b")):
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        (tmp_path / "go").touch()
+        outputs = [process.communicate(timeout=60) for process in processes]
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+    assert outputs == [("[]\n", "")] * 2
+    logged = Logged(TrackingSettings(True, f"sqlite:///{tmp_path}/mlflow.db"))
+    assert {run.info.run_name for run in logged.runs} == {"a", "b"}
+    assert not list(tmp_path.glob("mlflow.db-new*"))
+
+
+# The model
+
+
+@pytest.fixture(scope="session")
+def model_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A network with two bearings of its own, saved as the train stage saves it."""
+    import torch
+
+    from pipeline.identification.coefficient_model import CoefficientModel
+    from pipeline.identification.identified import IdentifiedModel
+    from pipeline.identification.storage import save_model
+
+    model = CoefficientModel(
+        unknowns=("kxx", "cyy"),
+        inputs=("speed_rpm",),
+        parametrisation="scaled",
+        scale=((2e7, 3e4), (5e7, 6e4)),
+        hidden=(3,),
+        input_range=(100.0, 500.0),
+    )
+    numbers = torch.linspace(-1.0, 1.0, 2 * model.n_parameters, dtype=torch.float64)
+    folder = tmp_path_factory.mktemp("a model")
+    save_model(folder, IdentifiedModel(model, (3, 7), numbers.reshape(2, -1)))
+    return folder
+
+
+@pytest.mark.slow
+def test_logged_model_predicts_in_a_new_process(
+    settings: TrackingSettings, model_folder: Path, tmp_path: Path
+) -> None:
+    """It needs neither this checkout nor the folder it was logged from."""
+    from pipeline.identification.storage import load_model
+
+    folder = shutil.copytree(model_folder, tmp_path / "model")
+    assert track(record(model=folder), settings) == []
+    shutil.rmtree(folder)
+    run = Logged(settings).run
+    (output,) = run.outputs.model_outputs
+    code = """if True:
+        import sys, warnings
+        with warnings.catch_warnings():
+            # MLflow's own: at the import of its models, and at the first use of its database.
+            warnings.filterwarnings("ignore", ".*Any type hint is inferred as AnyType", UserWarning)
+            warnings.filterwarnings("ignore", "The ``noload`` loader strategy", DeprecationWarning)
+            import mlflow, pandas
+            mlflow.set_tracking_uri(sys.argv[1])
+            models = [mlflow.pyfunc.load_model(uri) for uri in sys.argv[2:]]
+        speeds = pandas.DataFrame({"speed_rpm": [1500.0, 3000.0]})
+        for model in models:
+            print(model.predict(speeds).to_json(double_precision=15))
+        import pipeline
+        print(pipeline.__file__)
+        assert not {"ross", "hydra", "omegaconf", "optuna"} & sys.modules.keys(), "not among the requirements"
+    """
+    uris = f"models:/{output.model_id}", f"runs:/{run.info.run_id}/model"
+    done = python(code, settings.uri, *uris, folder=tmp_path)
+    assert done.returncode == 0, done.stderr
+    *tables, package = done.stdout.splitlines()
+    assert not Path(package).is_relative_to(CHECKOUT), "the model brings its own code"
+    expected = coefficient_table(load_model(model_folder), np.array([1500.0, 3000.0]))
+    assert len(tables) == 2
+    for text in tables:
+        table = json.loads(text)
+        assert list(table) == ["bearing_node", "speed_rpm", "kxx", "cyy"]
+        assert list(table["bearing_node"].values()) == [3, 3, 7, 7]
+        for name in ("speed_rpm", "kxx", "cyy"):
+            np.testing.assert_allclose(list(table[name].values()), expected[name], rtol=1e-12)
+
+
+def test_logged_model_says_what_it_is(settings: TrackingSettings, model_folder: Path, quiet: None) -> None:
+    assert track(record(model=model_folder, metrics={"loss": 0.5}), settings) == []
+    from mlflow.models import Model
+
+    logged = Logged(settings)
+    (output,) = logged.run.outputs.model_outputs
+    model = logged.client.get_logged_model(output.model_id)
+    assert model.status == "READY"
+    assert model.params == {"seed": "3"}
+    assert [(metric.key, metric.value) for metric in model.metrics] == [("loss", 0.5)]
+    artifacts = Path(model.artifact_location.removeprefix("file://").replace("%20", " "))
+    description = Model.load(str(artifacts))
+    assert description.signature.inputs.input_names() == ["speed_rpm"]
+    assert description.signature.outputs.input_names() == ["bearing_node", "speed_rpm", "kxx", "cyy"]
+    names = {path.name for path in artifacts.rglob("*")}
+    assert {"model.safetensors", "model.json", "predictor.py", "input_example.json"} <= names
+    assert not [name for name in names if name.endswith((".pkl", ".pyc"))]
+    requirements = (artifacts / "requirements.txt").read_text().split()
+    assert {requirement.partition("==")[0] for requirement in requirements} >= {
+        "torch",
+        "safetensors",
+        "numpy",
+        "pandas",
+    }
+    assert not [requirement for requirement in requirements if "+" in requirement]
+
+
+def test_model_is_logged_without_a_look_through_all_packages(
+    settings: TrackingSettings, model_folder: Path, quiet: None
+) -> None:
+    from mlflow.utils import environment, requirements_utils
+
+    check = environment.warn_dependency_requirement_mismatches
+    assert track(record(model=model_folder), settings) == []
+    assert requirements_utils._PACKAGES_TO_MODULES is None
+    assert environment.warn_dependency_requirement_mismatches is check
+
+
+def test_table_of_bearings_with_different_coefficients() -> None:
+    class Stub:
+        def coefficients(self, speeds: np.ndarray) -> dict[int, dict[str, np.ndarray]]:
+            return {3: {"cxx": speeds, "kxx": 2 * speeds}, 7: {"kxx": 5 * speeds}}
+
+    table = coefficient_table(Stub(), np.array([30.0, 60.0]))
+    assert list(table.columns) == ["bearing_node", "speed_rpm", "kxx", "cxx"]
+    assert list(table["bearing_node"]) == [3, 3, 7, 7]
+    assert list(table["speed_rpm"]) == [30.0, 60.0, 30.0, 60.0]
+    np.testing.assert_allclose(table["kxx"] / np.pi, [2, 4, 5, 10])
+    np.testing.assert_allclose(table["cxx"] / np.pi, [1, 2, np.nan, np.nan])
+
+
+# Names, numbers, provenance, silence
+
+
+def test_parameters_read_like_overrides() -> None:
+    parameters = {
+        "a": {"b": {"c": 1.5, "d": True}, "empty": {}},
+        "path": Path("x/y"),
+        "array": np.array([1, 2]),
+        "uri": "postgresql://anna:secret@host/db",
+        "odd key!": (1, None),
+    }
+    assert flat_parameters(parameters) == {
+        "a.b.c": "1.5",
+        "a.b.d": "true",
+        "a.empty": "{}",
+        "path": "x/y",
+        "array": "[1, 2]",
+        "uri": "postgresql://anna:***@host/db",
+        "odd key_": "[1, null]",
+    }
+    assert flat_parameters({}) == {}
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("kxx/mean [%]", "kxx/mean ___"),
+        ("/root", "root"),
+        ("a//b/../c", "a/b/c"),
+        ("", "_"),
+        ("ω", "ω"),
+        ("n" * 300, "n" * 250),
+    ],
+)
+def test_names(name: str, expected: str, quiet: None) -> None:
+    from mlflow.utils.validation import _validate_metric_name
+
+    assert name_of(name) == expected
+    _validate_metric_name(expected)
+
+
+def test_limits_are_those_of_mlflow(quiet: None) -> None:
+    from mlflow.utils import validation
+
+    assert NAME_LENGTH == validation.MAX_ENTITY_KEY_LENGTH
+    assert PARAMETER_LENGTH == validation.MAX_PARAM_VAL_LENGTH
+    assert TAG_LENGTH == validation.MAX_TAG_VAL_LENGTH
+    assert tracker._METRICS_A_BATCH == validation.MAX_METRICS_PER_BATCH
+    assert tracker._PARAMETERS_A_BATCH == validation.MAX_PARAMS_TAGS_PER_BATCH
+
+
+def test_history_row_without_step_is_an_error() -> None:
+    with pytest.raises(KeyError):
+        history_metrics([{"loss": 1.0}], STARTED, ENDED)
+
+
+def test_passwords_are_masked() -> None:
+    assert without_password("at http://a:b@h:1 and x://c:d@e") == "at http://a:***@h:1 and x://c:***@e"
+    assert without_password("http://host:5000/a@b") == "http://host:5000/a@b"
+
+
+@pytest.mark.skipif(shutil.which("git") is None, reason="needs git")
+def test_provenance_of_a_repository(tmp_path: Path) -> None:
+    def git(*arguments: str) -> None:
+        identity = ["-c", "user.name=n", "-c", "user.email=e", "-c", "commit.gpgsign=false"]
+        subprocess.run(["git", *identity, "-C", str(tmp_path), *arguments], check=True, capture_output=True)
+
+    git("init", "-q")
+    assert "git.revision" not in provenance_tags(tmp_path), "no commit yet"
+    git("commit", "-q", "--allow-empty", "-m", "first")
+    tags = provenance_tags(tmp_path)
+    assert len(tags["git.revision"]) == 40
+    assert tags["git.dirty"] == "false"
+    (tmp_path / "new.py").touch()
+    assert provenance_tags(tmp_path)["git.dirty"] == "true"
+
+
+def test_provenance_without_git(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert not [name for name in provenance_tags(tmp_path / "gone") if name.startswith("git.")]
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert not [name for name in provenance_tags(CHECKOUT) if name.startswith("git.")]
+
+
+def test_surroundings_are_put_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MLFLOW_HTTP_REQUEST_TIMEOUT", "77")
+    monkeypatch.delenv("MLFLOW_HTTP_REQUEST_MAX_RETRIES", raising=False)
+    with quiet_mlflow(4.0):
+        level = logging.getLogger("mlflow").level
+        assert os.environ["MLFLOW_HTTP_REQUEST_TIMEOUT"] == "2"
+    assert os.environ["MLFLOW_HTTP_REQUEST_TIMEOUT"] == "77"
+    assert "MLFLOW_HTTP_REQUEST_MAX_RETRIES" not in os.environ
+    assert logging.getLogger("mlflow").level < level
+    assert os.environ["MLFLOW_DISABLE_TELEMETRY"] == "true"
