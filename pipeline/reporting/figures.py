@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from string import ascii_lowercase
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,6 +35,11 @@ _STYLE = {
 }
 MARKERS = 30
 """About as many identified points a curve as can be told apart."""
+
+
+def legend_above(ax: Any) -> None:
+    """A legend in one line above the axes, where no curve can pass."""
+    ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderaxespad=0.2)
 
 
 @contextmanager
@@ -181,7 +187,7 @@ def robustness_figure(
                 ax = axes[m, u]
                 ax.semilogy(steps, paths[:, :, m, u], color=BLUE, lw=0.7, alpha=0.6)
                 where = f"bearing at node {nodes[m]}" if members == len(nodes) else "all bearings"
-                ax.set_title(f"({'abcdefgh'[m * len(unknowns) + u]}) {name}, {where}")
+                ax.set_title(f"({ascii_lowercase[m * len(unknowns) + u]}) {name}, {where}")
                 if modelled is not None:
                     ax.axhline(
                         modelled.coefficient(name)[m, 0], color=ORANGE, lw=1.5, ls="--", label="modelled"
@@ -218,5 +224,5 @@ def _final_errors(path: Path, rows: pd.DataFrame, over: str) -> Path:
             ax.set_xscale("log")
         ax.set_xlabel("seed" if over == "seed" else "initial guess of the stiffness (N/m)")
         ax.set_ylabel("mean error over speeds (%)" if has_truth else "loss (-)")
-        ax.legend(ncols=2)
+        ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return path

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.data.vibration_files import to_rpm
-from pipeline.reporting.figures import BLUE, GREY, MARKERS, ORANGE, figure
+from pipeline.reporting.figures import BLUE, GREY, MARKERS, ORANGE, figure, legend_above
 from pipeline.twin.prediction import PredictedVibration, time_curve
 
 MICROMETRES = 1e6
@@ -40,12 +40,11 @@ def time_figure(path: Path, vibration: dict[str, PredictedVibration], at: int) -
                 _draw(axes[d, 0], name, 1e3 * time, MICROMETRES * curve[:, d], colour)
                 axes[d, 0].set_ylabel(f"{'xy'[d]}-displacement (µm)")
         some = next(iter(vibration.values()))
-        axes[0, 0].set_title(
+        axes[0, 0].figure.suptitle(
             f"node {some.node} at {to_rpm(some.speeds)[at]:g} rpm, unbalance never seen in training"
         )
         axes[1, 0].set_xlabel("time (ms)")
-        for ax in axes[:, 0]:
-            ax.legend(loc="upper right")
+        legend_above(axes[0, 0])
     return path
 
 
@@ -57,11 +56,11 @@ def orbit_figure(path: Path, vibration: dict[str, PredictedVibration], at: int) 
             _, curve = time_curve(predicted.displacement[at], predicted.speeds[at], turns=1.0)
             _draw(ax, name, MICROMETRES * curve[:, 0], MICROMETRES * curve[:, 1], BLUE)
         some = next(iter(vibration.values()))
-        ax.set_title(f"orbit of node {some.node} at {to_rpm(some.speeds)[at]:g} rpm")
+        ax.figure.suptitle(f"orbit of node {some.node} at {to_rpm(some.speeds)[at]:g} rpm")
         ax.set_xlabel("x-displacement (µm)")
         ax.set_ylabel("y-displacement (µm)")
         ax.set_aspect("equal", adjustable="datalim")
-        ax.legend(loc="upper right")
+        legend_above(ax)
     return path
 
 
@@ -89,5 +88,7 @@ def response_figure(path: Path, vibration: dict[str, PredictedVibration]) -> Pat
             row[0].set_ylabel(label)
         for ax in axes[-1]:
             ax.set_xlabel("rotor speed (rpm)")
+        for ax in axes[0]:
+            ax.set_yscale("log")
         axes[0, 0].legend()
     return path

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 from pipeline.config.schema import Config
 from pipeline.errors import ConfigError, nearest
 from pipeline.evaluation.thresholds import Check, check_experiment, read_rules
+from pipeline.files import write_json
 from pipeline.reporting.console import say, table, warn
-from pipeline.stages.run import StageOutput
+from pipeline.stages.run import StageOutput, flat_metrics
 
 THRESHOLDS = Path(__file__).parents[2] / "conf" / "thresholds"
 
 
 def run(config: Config) -> StageOutput:
-    """Print every metric beside its threshold; exit code 1 where one is passed or missing."""
+    """Print every metric beside its threshold and write ``check.json``; exit code 1 where one is passed or missing."""
     known = sorted(path.stem for path in THRESHOLDS.glob("*.yaml"))
     chosen = config.check.experiments or known
     for name in chosen:
@@ -46,4 +48,15 @@ def run(config: Config) -> StageOutput:
         warn(f"{c.experiment}: {c.metric} must be at most {c.max:g}, but {came}. The limit: {c.why}")
     if not failed:
         say(f"all {len(checks)} metrics hold")
-    return StageOutput(metrics={"checked": len(checks), "failed": len(failed)}, exit_code=1 if failed else 0)
+    summary = {"checked": len(checks), "failed": len(failed), "share_of_threshold": _shares(checks)}
+    path = write_json(Path(config.output).parent / "check.json", summary)
+    return StageOutput(flat_metrics(summary), files=[path], exit_code=1 if failed else 0)
+
+
+def _shares(checks: list[Check]) -> dict[str, float]:
+    """The metric nearest to its threshold in each experiment, as a share of it; 1 and more fails."""
+    shares: dict[str, float] = {}
+    for c in checks:
+        if c.value is not None and math.isfinite(c.value) and c.max > 0:
+            shares[c.experiment] = max(shares.get(c.experiment, 0.0), c.value / c.max)
+    return shares

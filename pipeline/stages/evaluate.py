@@ -75,6 +75,7 @@ def run(config: Config) -> StageOutput:
         )
     written = [
         write_json(work.metrics, metrics),
+        write_json(work.folder / "summary.json", summary),
         write_coefficients(work.folder / "least_squares_coefficients.csv", conventional),
         coefficient_figure(work.figure("stiffness"), "k", answer, modelled, unknowns),
         coefficient_figure(work.figure("damping"), "c", answer, modelled, unknowns),
