@@ -10,7 +10,7 @@ from pipeline.data.coefficient_files import read_coefficients, write_coefficient
 from pipeline.equations.bearing_equations import unknown_system
 from pipeline.equations.least_squares import per_speed_least_squares
 from pipeline.errors import DataError
-from pipeline.evaluation.errors import CoefficientErrors, as_metrics, coefficient_errors
+from pipeline.evaluation.errors import CoefficientErrors, as_metrics, coefficient_errors, worst_mean_error
 from pipeline.files import read_json, write_json
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.storage import ARCHITECTURE, WEIGHTS, load_model
@@ -43,7 +43,7 @@ def load_modelled(config: Config, inputs: Inputs) -> BearingTable | None:
 
 
 def run(config: Config) -> StageOutput:
-    """``metrics.json``, the least-squares coefficients and Figures 3 and 4."""
+    """``metrics.json``, its ``summary.json`` (worst bearing, parts per million), the least-squares coefficients and Figures 3 and 4."""
     work, inputs = workspace(config), load_inputs(config)
     identified = load_identified(config, inputs)
     unknowns = identified.model.unknowns
@@ -52,13 +52,12 @@ def run(config: Config) -> StageOutput:
     values, condition = per_speed_least_squares(system)
     conventional = _with(inputs.known, unknowns, values)
     modelled = load_modelled(config, inputs)
-    residual = (
-        np.abs(inputs.equations.residual(answer.impedance())).mean()
-        / np.abs(inputs.equations.free_residual).mean()
-    )
+    size = np.abs(inputs.equations.free_residual).mean()
+    residual = float(np.abs(inputs.equations.residual(answer.impedance())).mean() / size)
+    summary: dict[str, object] = {"residual_ppm": 1e6 * residual}
     metrics: dict[str, object] = {
         "coefficients": {},
-        "residual": {"mean_over_bearing_force": float(residual)},
+        "residual": {"mean_over_bearing_force": residual},
     }
     metrics["condition_number"] = {
         str(node): {"median": float(np.median(c)), "max": float(c.max())}
@@ -67,6 +66,7 @@ def run(config: Config) -> StageOutput:
     if modelled is not None:
         errors = coefficient_errors(answer, modelled, unknowns)
         beside = coefficient_errors(conventional, modelled, unknowns)
+        summary["mean_error_ppm"] = {name: 1e4 * worst_mean_error(errors, name) for name in unknowns}
         metrics |= {"coefficients": as_metrics(errors), "least_squares": as_metrics(beside)}
         _print_table(config.name, answer, modelled, errors, beside, constant=identified.model.hidden is None)
     else:

@@ -35,7 +35,7 @@ def run(config: Config) -> StageOutput:
     files = _save(config, inputs, result)
     _report(config, result)
     return StageOutput(
-        metrics=flat_metrics({"training": _account(result)}),
+        metrics=flat_metrics({"training": _account(result) | {"seconds": result.seconds}}),
         tags={"data_fingerprint": inputs.dataset.fingerprint, "outcome": result.outcome.label},
         files=files,
         history=[
@@ -47,7 +47,7 @@ def run(config: Config) -> StageOutput:
 
 
 def _account(result: IdentificationResult) -> dict[str, object]:
-    account: dict[str, object] = {"loss": result.loss, "steps": result.steps, "seconds": result.seconds}
+    account: dict[str, object] = {"loss": result.loss, "steps": result.steps}
     if result.held_out_loss is not None:
         account["held_out_loss"] = result.held_out_loss
     return account
@@ -66,7 +66,7 @@ def _save(config: Config, inputs: Inputs, result: IdentificationResult) -> list[
     save_model(work.folder, result.identified)
     return [
         write_coefficients(work.identified, table),
-        write_table(work.history, pd.DataFrame(list(result.history))),
+        write_table(work.history, pd.DataFrame(list(result.history)).drop(columns="seconds")),
         write_json(work.training, account),
     ]
 
