@@ -70,7 +70,7 @@ def run(config: Config) -> StageOutput:
     ]
     exit_code = 130 if Outcome.INTERRUPTED in batch.outcomes else 0
     return StageOutput(
-        flat_metrics(summary), {"data_fingerprint": inputs.dataset.fingerprint}, written, exit_code=exit_code
+        flat_metrics(summary | {"seconds": batch.seconds}), {"data_fingerprint": inputs.dataset.fingerprint}, written, exit_code=exit_code
     )
 
 
@@ -126,7 +126,6 @@ def _summary(batch: TrainedBatch, rows: pd.DataFrame) -> dict[str, object]:
         "starts": len(labels),
         "outcomes": {label: labels.count(label) for label in sorted(set(labels))},
         "worst_loss": float(batch.loss.max()),
-        "seconds": batch.seconds,
         "coefficients": coefficients,
     }
 
