@@ -67,9 +67,7 @@ def assemble(config: RotorConfig) -> RotorModel:
     lateral = np.array(
         [rotor.number_dof * node + dof for node in range(len(rotor.nodes)) for dof in _LATERAL]
     )
-    mass, damping, gyroscopic, stiffness = (
-        np.array(matrix[np.ix_(lateral, lateral)]) for matrix in (rotor.M0, rotor.C0, rotor.G0, rotor.K0)
-    )
+    mass, damping, gyroscopic, stiffness = (matrix[np.ix_(lateral, lateral)] for matrix in _matrices(rotor))
     nodes = config.bearing_nodes or tuple(sorted({int(b.n) for b in rotor.bearing_elements}))
     return RotorModel(
         mass=mass,
@@ -81,6 +79,21 @@ def assemble(config: RotorConfig) -> RotorModel:
         disc_nodes=tuple(int(disc.n) for disc in rotor.disk_elements),
         total_mass=float(rotor.m),
     )
+
+
+def _matrices(rotor: Any) -> list[np.ndarray]:
+    """M, C, G, K without bearings, the elements summed in the rotor's own order.
+
+    ROSS sums them in the order of a set, which changes from process to process, and with it their last bits.
+    """
+    sums = [np.zeros((rotor.ndof, rotor.ndof)) for _ in range(4)]
+    for element in rotor.elements:
+        if element in rotor.bearing_elements:
+            continue
+        where = np.ix_(*[list(element.dof_global_index.values())] * 2)
+        for total, matrix in zip(sums, (element.M(), element.C(), element.G(), element.K()), strict=True):
+            total[where] += matrix
+    return sums
 
 
 def ross_rotor(config: RotorConfig, bearing: BearingConfig, speeds: np.ndarray) -> Any:

@@ -1,0 +1,211 @@
+"""What the tests share: modelled machines, seeded generators, and the guard of the process's global state.
+
+Nothing heavy is imported here: most tests of the command line run without numpy, torch or ROSS.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cache, cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from hypothesis import settings
+
+if TYPE_CHECKING:
+    import numpy as np
+    import torch
+
+    from pipeline.config.schema import Config
+    from pipeline.data.dataset import Excitation, VibrationDataset
+    from pipeline.equations.bearing_equations import BearingEquations
+    from pipeline.rotor.bearing_table import BearingTable
+    from pipeline.rotor.model import RotorModel
+
+# The tests judge the checkout that they lie in, from whatever folder they are started and whatever is installed.
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+# The same examples each time: a random failure helps nobody who did not change anything.
+settings.register_profile("repeatable", derandomize=True, deadline=None, database=None)
+settings.load_profile("repeatable")
+
+
+@dataclass(frozen=True, eq=False)
+class Machine:
+    """A modelled machine: its configuration, and what the straight line of data makes of it."""
+
+    config: Config
+    rotor: RotorModel
+    bearings: BearingTable
+    excitations: tuple[Excitation, ...]
+
+    @property
+    def speeds(self) -> np.ndarray:
+        """(S,) rad/s."""
+        return self.bearings.speeds
+
+    @property
+    def runs(self) -> tuple[str, ...]:
+        """Names of the R runs."""
+        return tuple(dict.fromkeys(excitation.run for excitation in self.excitations))
+
+    @cached_property
+    def response(self) -> np.ndarray:
+        """(S, n, R) complex response of every lateral DOF."""
+        from pipeline.data.simulate import unbalance_response
+
+        return unbalance_response(self.rotor, self.bearings, self.excitations, self.runs)
+
+    @cached_property
+    def dataset(self) -> VibrationDataset:
+        """x and y of every node, without noise."""
+        from pipeline.data.simulate import simulate
+
+        return simulate(self.rotor, self.bearings, self.excitations)
+
+    @cached_property
+    def equations(self) -> BearingEquations:
+        """The small system at the bearings."""
+        from pipeline.equations.bearing_equations import bearing_equations
+
+        return bearing_equations(self.rotor, self.dataset)
+
+
+MachineFactory = Callable[..., Machine]
+
+
+@cache
+def _machine(*overrides: str) -> Machine:
+    import numpy as np
+
+    from pipeline.config.compose import compose_config
+    from pipeline.rotor.ross_adapter import assemble, bearing_table
+    from pipeline.stages.generate import excitations
+    from pipeline.units import RAD_S_PER_RPM
+
+    config = compose_config(overrides)
+    speeds = np.array(config.excitation.speeds.rpm()) * RAD_S_PER_RPM
+    return Machine(
+        config,
+        assemble(config.rotor),
+        bearing_table(config.rotor, config.bearing, speeds),
+        excitations(config),
+    )
+
+
+@pytest.fixture(scope="session")
+def machine() -> MachineFactory:
+    """``machine("experiment=NAME", ...)``: the machine of these overrides, made once a session."""
+    return _machine
+
+
+@pytest.fixture(scope="session")
+def refined() -> Callable[[str, int], list[str]]:
+    """``refined(experiment, factor)``: overrides for the same rotor with ``factor`` times as many elements."""
+
+    def overrides(experiment: str, factor: int) -> list[str]:
+        from pipeline.config.compose import compose_config
+
+        config = compose_config([f"experiment={experiment}"])
+        made = [
+            f"experiment={experiment}",
+            f"rotor.bearing_nodes={[factor * node for node in config.rotor.bearing_nodes]}",
+        ]
+        for i, segment in enumerate(config.rotor.shaft):
+            made.append(f"rotor.shaft.{i}.elements={factor * segment.elements}")
+        for i, disc in enumerate(config.rotor.discs):
+            made.append(f"rotor.discs.{i}.node={factor * disc.node}")
+        for i, run in enumerate(config.excitation.runs):
+            for j, force in enumerate(run.unbalances):
+                made.append(f"excitation.runs.{i}.unbalances.{j}.node={factor * force.node}")
+        return made
+
+    return overrides
+
+
+@pytest.fixture(scope="session")
+def hydrostatic(machine: MachineFactory) -> Machine:
+    """The two discs on fluid-film bearings, 60 speeds from 100 to 6000 rpm, three runs."""
+    return machine("experiment=hydrostatic_stiffness", "excitation.speeds.step_rpm=100")
+
+
+@pytest.fixture(scope="session")
+def ball(machine: MachineFactory) -> Machine:
+    """The disc on two ball bearings, 25 speeds from 100 to 6000 rpm, one run."""
+    return machine("experiment=ball_bearing", "excitation.speeds.step_rpm=245")
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """A numpy generator of its own for each test, always the same."""
+    import numpy as np
+
+    return np.random.default_rng(20221115)
+
+
+@pytest.fixture
+def generator() -> torch.Generator:
+    """A torch generator of its own for each test, always the same."""
+    import torch
+
+    return torch.Generator().manual_seed(20221115)
+
+
+# --- global state --------------------------------------------------------------------------------
+
+
+@pytest.fixture(autouse=True)
+def _global_state_is_left_alone() -> Iterator[None]:
+    """No test, and nothing that it calls, leaves another folder, torch, matplotlib or Hydra state behind.
+
+    torch's number of threads is the one thing that a stage sets (``threads`` of the configuration): put back.
+    """
+    before = _global_state()
+    threads = _threads()
+    yield
+    if threads is not None:
+        sys.modules["torch"].set_num_threads(threads)
+    after = _global_state()
+    changed = [name for name, value in before.items() if after[name] != value]
+    assert not changed, f"the test changed global state: {changed}"
+    for name, quiet in _QUIET.items():
+        assert after.get(name, quiet) == quiet, f"the test left {name} = {after[name]!r}"
+
+
+_QUIET = {"open figures": [], "Hydra is set up": False}
+"""What holds also for a package that the test was the first to import."""
+
+
+def _threads() -> int | None:
+    return sys.modules["torch"].get_num_threads() if _imported("torch") else None
+
+
+def _imported(name: str) -> bool:
+    module = sys.modules.get(name)
+    return module is not None and not getattr(module.__spec__, "_initializing", False)
+
+
+def _global_state() -> dict[str, Any]:
+    """Only what is imported already: looking must import nothing."""
+    state: dict[str, Any] = {"working folder": os.getcwd()}
+    if _imported("torch"):
+        torch = sys.modules["torch"]
+        state["torch's default type"] = torch.get_default_dtype()
+        state["torch's gradient mode"] = torch.is_grad_enabled()
+        state["torch's determinism"] = torch.are_deterministic_algorithms_enabled()
+        state["torch's generator"] = torch.get_rng_state().numpy().tobytes()
+    if _imported("numpy"):
+        kind, keys, *rest = sys.modules["numpy"].random.get_state()  # noqa: NPY002  # watched, not used
+        state["numpy's generator"] = (kind, keys.tobytes(), *rest)
+    if _imported("matplotlib"):
+        state["matplotlib's settings"] = dict(sys.modules["matplotlib"].rcParams)
+    if _imported("matplotlib.pyplot"):
+        state["open figures"] = sys.modules["matplotlib.pyplot"].get_fignums()
+    if _imported("hydra.core.global_hydra"):
+        hydra = sys.modules["hydra.core.global_hydra"]
+        state["Hydra is set up"] = hydra.GlobalHydra.instance().is_initialized()
+    return state
