@@ -202,7 +202,8 @@ def _global_state() -> dict[str, Any]:
         kind, keys, *rest = sys.modules["numpy"].random.get_state()  # noqa: NPY002  # watched, not used
         state["numpy's generator"] = (kind, keys.tobytes(), *rest)
     if _imported("matplotlib"):
-        state["matplotlib's settings"] = dict(sys.modules["matplotlib"].rcParams)
+        # As a plain dict: reading the backend by its key would choose one and import pyplot.
+        state["matplotlib's settings"] = dict.copy(sys.modules["matplotlib"].rcParams)
     if _imported("matplotlib.pyplot"):
         state["open figures"] = sys.modules["matplotlib.pyplot"].get_fignums()
     if _imported("hydra.core.global_hydra"):

@@ -16,8 +16,8 @@ from pipeline.identification.problem import ResidualProblem
 if TYPE_CHECKING:
     import torch
 
-Monitor = Callable[["torch.Tensor", "torch.Tensor"], bool]
-"""(parameters, losses (G, M)) after a step -> stop?"""
+Monitor = Callable[["torch.Tensor", "torch.Tensor"], "torch.Tensor"]
+"""(parameters, losses (G, M)) after a step -> which members (G, M) need no further step."""
 
 
 def adam(
@@ -38,7 +38,7 @@ def adam(
         before = trained.detach().clone()
         optimizer.step()
         schedule.step()
-        if monitor(before, losses.detach()):
+        if monitor(before, losses.detach()).all():
             return before
     return trained.detach()
 
@@ -46,37 +46,51 @@ def adam(
 def lbfgs(
     problem: ResidualProblem, parameters: torch.Tensor, config: LBFGSConfig, monitor: Monitor
 ) -> torch.Tensor:
-    """L-BFGS on the squared residual, one member after the other: a shared line search would couple them."""
+    """L-BFGS on the squared residual, each member by itself: a shared line search would couple them."""
     import torch
 
     result = parameters.clone()
-    for g in range(len(parameters)):
-        for m in range(parameters.shape[1]):
-            own = problem.member(m)
-            trained = result[g : g + 1, m : m + 1].clone().requires_grad_()
-            # The squared loss has no kink at zero, and divided by its start it has a size that the line search expects.
-            start = own.loss(trained).detach().square().clamp(min=1e-300)
-            optimizer = torch.optim.LBFGS(
-                [trained],
-                max_iter=1,
-                history_size=config.history,
-                line_search_fn="strong_wolfe",
-                tolerance_grad=0,
-                tolerance_change=0,
-            )
-
-            def closure(own=own, trained=trained, optimizer=optimizer, start=start):  # type: ignore[no-untyped-def]
-                optimizer.zero_grad()
-                value = (own.loss(trained).square() / start).sum()
-                value.backward()
-                return value
-
-            for _ in range(config.steps):
-                optimizer.step(closure)
-                result[g, m] = trained.detach()[0, 0]
-                if monitor(result.clone(), problem.loss(result)):
-                    break
+    members = [(g, m) for g in range(parameters.shape[0]) for m in range(parameters.shape[1])]
+    steppers = {(g, m): _lbfgs_stepper(problem.member(m), parameters[g, m], config.history) for g, m in members}
+    done = torch.zeros(parameters.shape[:2], dtype=torch.bool)
+    for _ in range(config.steps):
+        for g, m in members:
+            if not done[g, m]:
+                result[g, m] = steppers[g, m]()
+        done = monitor(result.clone(), problem.loss(result))
+        if done.all():
+            break
     return result
+
+
+def _lbfgs_stepper(problem: ResidualProblem, start: torch.Tensor, history: int) -> Callable[[], torch.Tensor]:
+    """A function that takes one step for one member and returns its parameters (P,)."""
+    import torch
+
+    trained = start[None, None].clone().requires_grad_()
+    # The squared loss has no kink at zero, and divided by its start it has a size that the line search expects.
+    size = problem.loss(trained).detach().square().clamp(min=1e-300)
+    optimizer = torch.optim.LBFGS(
+        [trained],
+        max_iter=1,
+        max_eval=25,
+        history_size=history,
+        line_search_fn="strong_wolfe",
+        tolerance_grad=0,
+        tolerance_change=0,
+    )
+
+    def closure() -> torch.Tensor:
+        optimizer.zero_grad()
+        value = (problem.loss(trained).square() / size).sum()
+        value.backward()
+        return value
+
+    def step() -> torch.Tensor:
+        optimizer.step(closure)
+        return trained.detach()[0, 0]
+
+    return step
 
 
 _DAMPING_TRIES = 8
@@ -119,6 +133,6 @@ def levenberg_marquardt(
             accepted |= better
             if accepted.all():
                 break
-        if monitor(current, problem.loss(current)):
+        if monitor(current, problem.loss(current)).all():
             break
     return current

@@ -161,7 +161,7 @@ class _Monitor:
         self.phase, self.total, self.patience, self.phase_start = phase, total, patience, self.step
         self.reference = self.stale = None
 
-    def __call__(self, parameters: torch.Tensor, losses: torch.Tensor) -> bool:
+    def __call__(self, parameters: torch.Tensor, losses: torch.Tensor) -> torch.Tensor:
         import torch
 
         self.last_loss = losses
@@ -178,7 +178,7 @@ class _Monitor:
         self.stale = torch.where(improved, torch.zeros_like(self.stale), self.stale + 1)
         self._record(parameters, losses, score)
         self.step += 1
-        return bool((self.stale >= self.patience).all()) or not bool(losses.isfinite().any())
+        return (self.stale >= self.patience) | ~losses.isfinite()
 
     def _record(self, parameters: torch.Tensor, losses: torch.Tensor, score: torch.Tensor) -> None:
         loss = float(losses.square().mean().sqrt())

@@ -68,14 +68,13 @@ def assemble(config: RotorConfig) -> RotorModel:
         [rotor.number_dof * node + dof for node in range(len(rotor.nodes)) for dof in _LATERAL]
     )
     mass, damping, gyroscopic, stiffness = (matrix[np.ix_(lateral, lateral)] for matrix in _matrices(rotor))
-    nodes = config.bearing_nodes or tuple(sorted({int(b.n) for b in rotor.bearing_elements}))
     return RotorModel(
         mass=mass,
         damping=damping,
         gyroscopic=gyroscopic,
         stiffness=stiffness,
         positions=np.array(rotor.nodes_pos, dtype=float),
-        bearing_nodes=nodes,
+        bearing_nodes=_bearing_nodes(config, rotor),
         disc_nodes=tuple(int(disc.n) for disc in rotor.disk_elements),
         total_mass=float(rotor.m),
     )
@@ -130,7 +129,8 @@ def bearing_elements(
         return sorted(rotor.bearing_elements, key=lambda element: element.n)
     rs = ross()
     elements = []
-    for node in config.bearing_nodes:
+    nodes = _bearing_nodes(config, rotor)
+    for node in nodes:
         if isinstance(bearing, BallBearingConfig):
             element = rs.BallBearingElement(
                 n=node,
@@ -140,7 +140,7 @@ def bearing_elements(
                 alpha=bearing.contact_angle,
             )
         else:
-            load = bearing.static_load or rotor.m * GRAVITY / len(config.bearing_nodes)
+            load = bearing.static_load or rotor.m * GRAVITY / len(nodes)
             element = rs.CylindricalBearing(
                 n=node,
                 speed=[float(speed) for speed in speeds],
@@ -177,6 +177,13 @@ def _build(config: RotorConfig) -> Any:
     ]
     discs = [_disc(disc, material) for disc in config.discs]
     return rs.Rotor(shaft, discs)
+
+
+def _bearing_nodes(config: RotorConfig, rotor: Any) -> tuple[int, ...]:
+    """Where the bearings stand: in a rotor file that has bearings, the file says so."""
+    if config.file is not None and rotor.bearing_elements:
+        return tuple(sorted({int(bearing.n) for bearing in rotor.bearing_elements}))
+    return config.bearing_nodes
 
 
 def _disc(disc: DiscConfig, material: Any) -> Any:

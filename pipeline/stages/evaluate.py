@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import read_coefficients, write_coefficients
+from pipeline.data.tables import write_table
 from pipeline.equations.bearing_equations import unknown_system
 from pipeline.equations.least_squares import per_speed_least_squares
 from pipeline.errors import DataError
@@ -18,7 +23,10 @@ from pipeline.reporting.console import say, table
 from pipeline.reporting.figures import coefficient_figure, history_figure
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.inputs import Inputs, load_inputs
-from pipeline.stages.run import StageOutput, flat_metrics, make_missing, workspace
+from pipeline.stages.run import StageOutput, flat_metrics, input_files, make_missing, workspace
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 def load_identified(config: Config, inputs: Inputs) -> IdentifiedModel:
@@ -37,7 +45,7 @@ def load_identified(config: Config, inputs: Inputs) -> IdentifiedModel:
 def load_modelled(config: Config, inputs: Inputs) -> BearingTable | None:
     """The truth of modelled data; None where there is none, as with measured data."""
     path = workspace(config).modelled
-    if not path.exists():
+    if not input_files(config).own or not path.exists():
         return None
     return read_coefficients(path, inputs.rotor.bearing_nodes, inputs.dataset.speeds)
 
@@ -63,17 +71,20 @@ def run(config: Config) -> StageOutput:
         str(node): {"median": float(np.median(c)), "max": float(c.max())}
         for node, c in zip(answer.nodes, condition, strict=True)
     }
+    written: list[Path] = []
     if modelled is not None:
         errors = coefficient_errors(answer, modelled, unknowns)
         beside = coefficient_errors(conventional, modelled, unknowns)
         summary["mean_error_ppm"] = {name: 1e4 * worst_mean_error(errors, name) for name in unknowns}
         metrics |= {"coefficients": as_metrics(errors), "least_squares": as_metrics(beside)}
-        _print_table(config.name, answer, modelled, errors, beside, constant=identified.model.hidden is None)
+        error_table = _error_table(answer, modelled, errors, beside)
+        written.append(write_table(work.folder / "coefficient_errors.csv", error_table))
+        _print_table(config.name, error_table)
     else:
         say(
-            f"{config.name}: no modelled coefficients in '{work.modelled}', so no errors; residual {residual:.3g} of the bearing force"
+            f"{config.name}: no modelled coefficients, so no errors; residual {residual:.3g} of the bearing force"
         )
-    written = [
+    written += [
         write_json(work.metrics, metrics),
         write_json(work.folder / "summary.json", summary),
         write_coefficients(work.folder / "least_squares_coefficients.csv", conventional),
@@ -93,35 +104,27 @@ def _with(known: BearingTable, unknowns: tuple[str, ...], values: np.ndarray) ->
     return BearingTable(known.nodes, known.speeds, merged)
 
 
-def _print_table(
-    name: str,
-    answer: BearingTable,
-    modelled: BearingTable,
-    errors: CoefficientErrors,
-    beside: CoefficientErrors,
-    constant: bool,
-) -> None:
-    """Paper, Table 1: values where they are constants, and errors in percent."""
-    header = ["bearing and coefficient", *(["modelled", "identified"] if constant else [])]
-    header += ["mean error %", "median", "max", "L2", "least squares mean error %"]
+def _error_table(
+    answer: BearingTable, modelled: BearingTable, errors: CoefficientErrors, beside: CoefficientErrors
+) -> pd.DataFrame:
+    """Paper, Table 1: one row a bearing and coefficient, values as means over the speeds, errors in percent."""
+    import pandas as pd
+
     rows = []
     for b, node in enumerate(answer.nodes):
-        for coefficient, error in errors[node].items():
-            values = []
-            if constant:
-                values = [f"{t.coefficient(coefficient)[b, 0] / 1e5:.5f}e5" for t in (modelled, answer)]
-            numbers = (
-                error.mean_error_percent,
-                error.median_error_percent,
-                error.max_error_percent,
-                error.l2_error_percent,
-            )
-            rows.append(
-                [
-                    f"node {node} {coefficient}",
-                    *values,
-                    *(f"{v:.2g}" for v in numbers),
-                    f"{beside[node][coefficient].mean_error_percent:.2g}",
-                ]
-            )
+        for name, error in errors[node].items():
+            row: dict[str, object] = {"bearing_node": node, "coefficient": name}
+            row |= {"modelled": modelled.coefficient(name)[b].mean(), "identified": answer.coefficient(name)[b].mean()}
+            row |= asdict(error) | {"least_squares_mean_error_percent": beside[node][name].mean_error_percent}
+            rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def _print_table(name: str, errors: pd.DataFrame) -> None:
+    header = ["bearing and coefficient", "modelled (mean)", "identified (mean)"]
+    header += ["mean error %", "median", "max", "L2", "least squares mean error %"]
+    rows = [
+        [f"node {node} {coefficient}", *(f"{v / 1e5:.5f}e5" for v in values[:2]), *(f"{v:.2g}" for v in values[2:])]
+        for node, coefficient, *values in errors.itertuples(index=False)
+    ]
     table(f"{name}: identified against modelled", header, rows)

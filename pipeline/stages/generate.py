@@ -12,6 +12,7 @@ from pipeline.data.vibration_files import write_dataset
 from pipeline.errors import DataError
 from pipeline.reporting.console import say, warn
 from pipeline.rotor.ross_adapter import assemble, bearing_table
+from pipeline.stages.inputs import require_nodes
 from pipeline.stages.run import StageOutput, flat_metrics, input_files, origin, workspace
 from pipeline.twin.modes import stability_margin, whirl_modes
 from pipeline.units import RAD_S_PER_RPM
@@ -27,7 +28,9 @@ def run(config: Config) -> StageOutput:
     speeds = np.array(config.excitation.speeds.rpm()) * RAD_S_PER_RPM
     rotor = assemble(config.rotor)
     bearings = bearing_table(config.rotor, config.bearing, speeds)
-    dataset = simulate(rotor, bearings, excitations(config))
+    runs = excitations(config)
+    require_nodes(rotor, "excitation.runs", [excitation.node for excitation in runs])
+    dataset = simulate(rotor, bearings, runs)
     modelled = workspace(config).modelled
     write_dataset(files.vibration, files.excitation, dataset, rotor, origin(config))
     write_coefficients(modelled, bearings)

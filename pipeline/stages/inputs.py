@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,7 +12,7 @@ from pipeline.data.dataset import VibrationDataset
 from pipeline.data.tables import origin_of
 from pipeline.data.vibration_files import read_dataset
 from pipeline.equations.bearing_equations import BearingEquations, bearing_equations
-from pipeline.errors import DataError
+from pipeline.errors import ConfigError, DataError
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.ross_adapter import assemble
@@ -30,6 +31,13 @@ class Inputs:
     def equations(self) -> BearingEquations:
         """The equations at the bearings."""
         return bearing_equations(self.rotor, self.dataset)
+
+
+def require_nodes(rotor: RotorModel, key: str, nodes: Sequence[int]) -> None:
+    """Raise ConfigError for a node that a rotor from a file lacks; other rotors are checked with the configuration."""
+    for node in nodes:
+        if node >= rotor.n_nodes:
+            raise ConfigError(f"{key} must use nodes 0 to {rotor.n_nodes - 1} of the rotor, but got node {node}")
 
 
 def load_inputs(config: Config) -> Inputs:

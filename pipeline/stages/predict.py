@@ -15,7 +15,7 @@ from pipeline.reporting.twin_figures import orbit_figure, response_figure, time_
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.stages.evaluate import load_identified, load_modelled
-from pipeline.stages.inputs import load_inputs
+from pipeline.stages.inputs import load_inputs, require_nodes
 from pipeline.stages.run import StageOutput, flat_metrics, workspace
 from pipeline.twin.modes import critical_speeds, stability_margin, whirl_modes
 from pipeline.twin.prediction import PredictedVibration, predict
@@ -30,6 +30,8 @@ def run(config: Config) -> StageOutput:
     modelled = load_modelled(config, inputs)
     if modelled is not None:
         systems = {"modelled": modelled, "identified": identified}
+    nodes = [config.prediction.node, *(unbalance.node for unbalance in config.prediction.unbalances)]
+    require_nodes(inputs.rotor, "prediction", nodes)
     at = _speed_index(config, inputs.dataset.speeds)
     unseen = tuple(
         Excitation("prediction", "unbalance", u.node, u.magnitude, u.phase)

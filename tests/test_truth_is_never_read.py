@@ -1,0 +1,209 @@
+"""Training, and the choice of a model, never see the modelled coefficients: the truth of modelled data."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from pipeline.config.compose import compose_config
+from pipeline.config.schema import Config
+from pipeline.data.coefficient_files import read_coefficients
+from pipeline.errors import DataError
+from pipeline.stages import robustness, run_stage
+from pipeline.stages.inputs import Inputs
+
+COARSE = [
+    "tracking=none",
+    *(f"excitation.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=250")),
+    "optimizer.adam.steps=5",
+    "optimizer.levenberg_marquardt.steps=8",
+    "robustness.count=4",
+    "robustness.seeds=[0,1,2]",
+]
+EXPERIMENTS = ["ball_bearing", "hydrostatic_damping"]
+ANSWER = ["identified_coefficients.csv", "model.safetensors", "model.json", "training.json", "history.csv"]
+
+
+def run(config: Config, stage: str, folder: Path) -> None:
+    """One stage in ``folder``."""
+    run_stage(config.model_copy(update={"stage": stage, "output": str(folder)}))
+
+
+@pytest.fixture(scope="module", params=EXPERIMENTS)
+def config(request: pytest.FixtureRequest) -> Config:
+    """An experiment with constants, and one with a network that held-out speeds choose."""
+    return compose_config([f"experiment={request.param}", *COARSE])
+
+
+@pytest.fixture(scope="module")
+def trained(config: Config, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The experiment trained as usual, the truth in its folder."""
+    folder = tmp_path_factory.mktemp("trained") / config.name
+    for stage in ("generate", "train", "robustness"):
+        run(config, stage, folder)
+    return folder
+
+
+def _other_numbers(path: Path) -> None:
+    table = pd.read_csv(path)
+    table.iloc[:, 2:] = -7.0 * table.iloc[:, 2:] + 1.0
+    table.to_csv(path, index=False)
+
+
+def _folder(path: Path) -> None:
+    path.unlink()
+    path.mkdir()
+
+
+LIES: dict[str, Callable[[Path], object]] = {
+    "removed": Path.unlink,
+    "garbage": lambda path: path.write_bytes(b"\x00\xff not a table"),
+    "empty": lambda path: path.write_bytes(b""),
+    "other numbers": _other_numbers,
+    "a folder": _folder,
+}
+
+
+@pytest.fixture(params=LIES)
+def lied(request: pytest.FixtureRequest, trained: Path, tmp_path: Path) -> Path:
+    """The data of ``trained`` with another truth, or none, and no answer yet."""
+    folder = tmp_path / "lied"
+    folder.mkdir()
+    for name in (
+        "vibration.parquet",
+        "excitation.csv",
+        "known_coefficients.csv",
+        "modelled_coefficients.csv",
+    ):
+        shutil.copy(trained / name, folder / name)
+    LIES[request.param](folder / "modelled_coefficients.csv")
+    return folder
+
+
+def test_training_gives_the_same_bits_with_any_truth(config: Config, trained: Path, lied: Path) -> None:
+    """Coefficients, model, account and history are the same whatever the truth says, or without it."""
+    run(config, "train", lied)
+    assert [name for name in ANSWER if (lied / name).read_bytes() != (trained / name).read_bytes()] == []
+
+
+@pytest.fixture
+def batches(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """What robustness has trained, in the order of the calls."""
+    made: list[Any] = []
+    real = robustness.run_training
+
+    def spy(*arguments: Any, **options: Any) -> Any:
+        made.append(real(*arguments, **options))
+        return made[-1]
+
+    monkeypatch.setattr(robustness, "run_training", spy)
+    return made
+
+
+def test_robustness_ends_at_the_same_bits_with_any_truth(
+    config: Config, trained: Path, lied: Path, batches: list[Any]
+) -> None:
+    """Parameters, losses and outcomes of all starts are the same; the truth only makes the errors."""
+    for folder in (trained, lied):
+        try:
+            run(config, "robustness", folder)
+        except DataError as refusal:  # a damaged truth is refused, when training is over
+            assert folder is lied, refusal  # noqa: PT017
+    assert len(batches) == 2
+    first, second = batches
+    assert first.parameters.numpy().tobytes() == second.parameters.numpy().tobytes()
+    assert first.loss.tobytes() == second.loss.tobytes()
+    assert first.outcomes == second.outcomes
+    if (lied / "robustness.csv").exists():
+        told, lie = (pd.read_csv(folder / "robustness.csv") for folder in (trained, lied))
+        same = [name for name in told if name != "mean_error_percent"]
+        pd.testing.assert_frame_equal(told[same], lie[same])
+        assert not np.array_equal(told["mean_error_percent"], lie["mean_error_percent"])
+
+
+def test_known_coefficients_hold_no_unknown(config: Config, trained: Path) -> None:
+    """The file that training reads has no column of a coefficient that it identifies."""
+    columns = list(pd.read_csv(trained / "known_coefficients.csv"))
+    assert columns == ["bearing_node", "speed_rpm", *config.identify.known()]
+    assert not set(columns) & set(config.identify.unknowns)
+
+
+def test_what_training_is_given_holds_no_unknown(
+    config: Config, trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The known table that reaches the equations is zero where a coefficient is unknown."""
+    from pipeline.stages import train
+
+    seen: list[Inputs] = []
+    real = train.load_inputs
+    monkeypatch.setattr(train, "load_inputs", lambda given: seen.append(real(given)) or seen[-1])
+    run(config, "train", Path(shutil.copytree(trained, tmp_path / "x")))
+    (inputs,) = seen
+    for name in config.identify.unknowns:
+        assert not inputs.known.coefficient(name).any()
+    truth = read_coefficients(
+        trained / "modelled_coefficients.csv", inputs.rotor.bearing_nodes, inputs.dataset.speeds
+    )
+    for name in config.identify.known():
+        np.testing.assert_array_equal(inputs.known.coefficient(name), truth.coefficient(name))
+
+
+class Opened:
+    """Files that the process opens, as Python's audit events tell; a hook can't be taken away, so one serves all."""
+
+    paths: list[str] | None = None
+
+    @classmethod
+    def hook(cls, event: str, arguments: tuple[Any, ...]) -> None:
+        if cls.paths is not None and event == "open" and isinstance(arguments[0], (str, bytes)):
+            cls.paths.append(arguments[0] if isinstance(arguments[0], str) else arguments[0].decode())
+
+
+@pytest.fixture
+def opened() -> Iterator[list[str]]:
+    """Paths opened during the test."""
+    if Opened.paths is None and not getattr(Opened, "installed", False):
+        sys.addaudithook(Opened.hook)
+        Opened.installed = True  # type: ignore[attr-defined]
+    Opened.paths = []
+    yield Opened.paths
+    Opened.paths = None
+
+
+def _names(paths: list[str]) -> set[str]:
+    return {Path(path).name for path in paths}
+
+
+def test_training_opens_no_file_of_the_truth(
+    config: Config, trained: Path, tmp_path: Path, opened: list[str]
+) -> None:
+    """While stage=train runs, no file named like the truth is opened; the files that it should read are."""
+    folder = Path(shutil.copytree(trained, tmp_path / "x"))
+    run(config, "train", folder)
+    assert [path for path in opened if "modelled_coefficients" in path] == []
+    assert {"excitation.csv", "known_coefficients.csv"} <= _names(opened)
+
+
+def test_robustness_opens_the_truth_after_training(
+    config: Config, trained: Path, tmp_path: Path, opened: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The errors of robustness need the truth: it is opened when the last step is done, not before."""
+    at_the_end: list[bool] = []
+    real = robustness.run_training
+
+    def spy(*arguments: Any, **options: Any) -> Any:
+        batch = real(*arguments, **options)
+        at_the_end.append(any("modelled_coefficients" in path for path in opened))
+        return batch
+
+    monkeypatch.setattr(robustness, "run_training", spy)
+    run(config, "robustness", Path(shutil.copytree(trained, tmp_path / "x")))
+    assert at_the_end == [False]
+    assert "modelled_coefficients.csv" in _names(opened)  # and the hook does see it
