@@ -85,9 +85,7 @@ def _exit_code(action: Callable[[], None]) -> int:
             _drop_output()
             return _said(_storage(error), MISTAKE)
         traceback.print_exc()
-        return _said(
-            "internal error: this is a bug of the pipeline; please report it with the lines above", BUG
-        )
+        return _said("internal error: this is a bug of the pipeline; please report it with the lines above", BUG)
 
 
 def _said(words: object, code: int) -> int:
@@ -123,14 +121,10 @@ def _parsed(arguments: list[str]) -> Namespace:
     options = parser.parse_intermixed_args(arguments)
     for name in ("config_path", "config_name", "config_dir", "experimental_rerun"):
         if getattr(options, name) is not None:
-            _refuse_option(
-                f"--{name.replace('_', '-')} is not for this pipeline, configured in conf/config.yaml"
-            )
+            _refuse_option(f"--{name.replace('_', '-')} is not for this pipeline, configured in conf/config.yaml")
     commands = [options.multirun, options.cfg, options.info, options.shell_completion, options.hydra_help]
     if sum(map(bool, commands)) > 1:
-        _refuse_option(
-            "there is more than one of --multirun, --cfg, --info, --shell-completion and --hydra-help"
-        )
+        _refuse_option("there is more than one of --multirun, --cfg, --info, --shell-completion and --hydra-help")
     if options.resolve and not options.cfg:
         _refuse_option("--resolve goes with --cfg job")
     options.multirun = options.multirun or (not any(commands) and "hydra.mode=MULTIRUN" in options.overrides)
@@ -139,9 +133,7 @@ def _parsed(arguments: list[str]) -> Namespace:
 
 
 def _refuse_option(message: str) -> NoReturn:
-    raise ConfigError(
-        f"the options must be Hydra's, but {message}; `python -m pipeline --help` lists the usual ones"
-    )
+    raise ConfigError(f"the options must be Hydra's, but {message}; `python -m pipeline --help` lists the usual ones")
 
 
 def _hydra(options: Namespace) -> None:
@@ -256,11 +248,7 @@ class Job:
 
     def folder(self, output: str, overrides: Sequence[str]) -> str:
         """The folder of the job with these overrides: no other job of the multirun has it."""
-        swept = [
-            o
-            for o in overrides
-            if _key(o) not in self.fixed | _NOT_IN_FOLDER and not _key(o).startswith("hydra")
-        ]
+        swept = [o for o in overrides if _key(o) not in self.fixed | _NOT_IN_FOLDER and not _key(o).startswith("hydra")]
         if not swept:
             return output
         raw = "__".join(override.lstrip("+~").replace("=", "-", 1) for override in swept)

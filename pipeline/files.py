@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import contextlib
 import json
 import os
 from collections.abc import Callable, Mapping
@@ -14,7 +16,8 @@ from pipeline.errors import DataError, StorageError
 def write_beside(path: Path, write: Callable[[Path], None]) -> Path:
     """Let ``write`` make the file under a temporary name in the same folder, then rename it to ``path``.
 
-    Raises StorageError (full disk, read-only folder, a file where a folder should be); nothing is left behind.
+    Raises StorageError (full disk, read-only folder, a file where a folder should be); nothing is left
+    behind.
     """
     beside = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
@@ -29,10 +32,9 @@ def write_beside(path: Path, write: Callable[[Path], None]) -> Path:
             "free the disk or choose another folder with output=FOLDER"
         ) from error
     finally:
-        try:
+        # A folder that is missing, or is no folder, has been reported by the error above.
+        with contextlib.suppress(OSError):
             beside.unlink(missing_ok=True)
-        except OSError:
-            pass  # the folder itself is missing or no folder, and the error above says so
     return path
 
 
@@ -57,11 +59,7 @@ def read_json(path: Path) -> dict[str, Any]:
     except FileNotFoundError:
         raise DataError(f"'{path}' must exist, but there is no such file") from None
     except (OSError, ValueError) as error:
-        raise DataError(
-            f"'{path}' must be readable as JSON, but it is not ({error}): make it again"
-        ) from None
+        raise DataError(f"'{path}' must be readable as JSON, but it is not ({error}): make it again") from None
     if not isinstance(value, dict):
-        raise DataError(
-            f"'{path}' must hold a JSON object, but it holds a {type(value).__name__}: make it again"
-        )
+        raise DataError(f"'{path}' must hold a JSON object, but it holds a {type(value).__name__}: make it again")
     return value

@@ -202,8 +202,9 @@ def _global_state() -> dict[str, Any]:
         kind, keys, *rest = sys.modules["numpy"].random.get_state()  # noqa: NPY002  # watched, not used
         state["numpy's generator"] = (kind, keys.tobytes(), *rest)
     if _imported("matplotlib"):
-        # As a plain dict: reading the backend by its key would choose one and import pyplot.
-        state["matplotlib's settings"] = dict.copy(sys.modules["matplotlib"].rcParams)
+        # Reading the backend would choose one and import pyplot.
+        settings_of = sys.modules["matplotlib"].rcParams
+        state["matplotlib's settings"] = {key: settings_of[key] for key in settings_of if key != "backend"}
     if _imported("matplotlib.pyplot"):
         state["open figures"] = sys.modules["matplotlib.pyplot"].get_fignums()
     if _imported("hydra.core.global_hydra"):

@@ -5,6 +5,8 @@ from __future__ import annotations
 import shutil
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -42,13 +44,44 @@ def config(request: pytest.FixtureRequest) -> Config:
     return compose_config([f"experiment={request.param}", *COARSE])
 
 
+@contextmanager
+def watched() -> Iterator[list[Any]]:
+    """What robustness trains in the block, in the order of the calls."""
+    made: list[Any] = []
+    real = robustness.run_training
+
+    def spy(*arguments: Any, **options: Any) -> Any:
+        made.append(real(*arguments, **options))
+        return made[-1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(robustness, "run_training", spy)
+        yield made
+
+
+@dataclass(frozen=True)
+class Trained:
+    """An experiment trained as usual, the truth in its folder, and what robustness trained."""
+
+    folder: Path
+    batch: Any
+
+
 @pytest.fixture(scope="module")
-def trained(config: Config, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The experiment trained as usual, the truth in its folder."""
+def honest(config: Config, tmp_path_factory: pytest.TempPathFactory) -> Trained:
+    """The experiment trained as usual."""
     folder = tmp_path_factory.mktemp("trained") / config.name
-    for stage in ("generate", "train", "robustness"):
-        run(config, stage, folder)
-    return folder
+    with watched() as batches:
+        for stage in ("generate", "train", "robustness"):
+            run(config, stage, folder)
+    (batch,) = batches
+    return Trained(folder, batch)
+
+
+@pytest.fixture
+def trained(honest: Trained) -> Path:
+    """The folder of the experiment trained as usual; not to be written to."""
+    return honest.folder
 
 
 def _other_numbers(path: Path) -> None:
@@ -93,36 +126,16 @@ def test_training_gives_the_same_bits_with_any_truth(config: Config, trained: Pa
     assert [name for name in ANSWER if (lied / name).read_bytes() != (trained / name).read_bytes()] == []
 
 
-@pytest.fixture
-def batches(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """What robustness has trained, in the order of the calls."""
-    made: list[Any] = []
-    real = robustness.run_training
-
-    def spy(*arguments: Any, **options: Any) -> Any:
-        made.append(real(*arguments, **options))
-        return made[-1]
-
-    monkeypatch.setattr(robustness, "run_training", spy)
-    return made
-
-
-def test_robustness_ends_at_the_same_bits_with_any_truth(
-    config: Config, trained: Path, lied: Path, batches: list[Any]
-) -> None:
+def test_robustness_ends_at_the_same_bits_with_any_truth(config: Config, honest: Trained, lied: Path) -> None:
     """Parameters, losses and outcomes of all starts are the same; the truth only makes the errors."""
-    for folder in (trained, lied):
-        try:
-            run(config, "robustness", folder)
-        except DataError as refusal:  # a damaged truth is refused, when training is over
-            assert folder is lied, refusal  # noqa: PT017
-    assert len(batches) == 2
-    first, second = batches
-    assert first.parameters.numpy().tobytes() == second.parameters.numpy().tobytes()
-    assert first.loss.tobytes() == second.loss.tobytes()
-    assert first.outcomes == second.outcomes
+    with watched() as batches, suppress(DataError):  # a damaged truth is refused, when training is over
+        run(config, "robustness", lied)
+    (batch,) = batches
+    assert batch.parameters.numpy().tobytes() == honest.batch.parameters.numpy().tobytes()
+    assert batch.loss.tobytes() == honest.batch.loss.tobytes()
+    assert batch.outcomes == honest.batch.outcomes
     if (lied / "robustness.csv").exists():
-        told, lie = (pd.read_csv(folder / "robustness.csv") for folder in (trained, lied))
+        told, lie = (pd.read_csv(folder / "robustness.csv") for folder in (honest.folder, lied))
         same = [name for name in told if name != "mean_error_percent"]
         pd.testing.assert_frame_equal(told[same], lie[same])
         assert not np.array_equal(told["mean_error_percent"], lie["mean_error_percent"])
@@ -156,7 +169,7 @@ def test_what_training_is_given_holds_no_unknown(
 
 
 class Opened:
-    """Files that the process opens, as Python's audit events tell; a hook can't be taken away, so one serves all."""
+    """Files that the process opens, by Python's audit events; one hook serves all: it can't be taken away."""
 
     paths: list[str] | None = None
 
@@ -186,6 +199,7 @@ def test_training_opens_no_file_of_the_truth(
 ) -> None:
     """While stage=train runs, no file named like the truth is opened; the files that it should read are."""
     folder = Path(shutil.copytree(trained, tmp_path / "x"))
+    opened.clear()
     run(config, "train", folder)
     assert [path for path in opened if "modelled_coefficients" in path] == []
     assert {"excitation.csv", "known_coefficients.csv"} <= _names(opened)
@@ -204,6 +218,8 @@ def test_robustness_opens_the_truth_after_training(
         return batch
 
     monkeypatch.setattr(robustness, "run_training", spy)
-    run(config, "robustness", Path(shutil.copytree(trained, tmp_path / "x")))
+    folder = Path(shutil.copytree(trained, tmp_path / "x"))
+    opened.clear()
+    run(config, "robustness", folder)
     assert at_the_end == [False]
     assert "modelled_coefficients.csv" in _names(opened)  # and the hook does see it

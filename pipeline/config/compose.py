@@ -57,9 +57,7 @@ def validated(mapping: Mapping[str, Any]) -> Config:
 
     stage = mapping.get("stage")
     if not isinstance(stage, str) or stage not in STAGES:
-        raise ConfigError(
-            f"stage must be one of the stages, but got {shown(stage)}{suggestion(str(stage), STAGES)}"
-        )
+        raise ConfigError(f"stage must be one of the stages, but got {shown(stage)}{suggestion(str(stage), STAGES)}")
     try:
         return Config.model_validate(mapping)
     except ValidationError as error:
@@ -188,14 +186,10 @@ def _choices(override: Override) -> list[str]:
             f"a multirun must sweep over keys of the pipeline, but got '{_text(override)}'; give one value"
         )
     if not override.is_discrete_sweep():
-        raise ConfigError(
-            f"a multirun must list its values, but got '{_text(override)}'; write such as {key}=1,2,3"
-        )
+        raise ConfigError(f"a multirun must list its values, but got '{_text(override)}'; write such as {key}=1,2,3")
     choices = [f"{key}={value}" for value in override.sweep_string_iterator()]
     if not choices:
-        raise ConfigError(
-            f"a multirun must have a value for each key, but '{_text(override)}' stands for none"
-        )
+        raise ConfigError(f"a multirun must have a value for each key, but '{_text(override)}' stands for none")
     return choices
 
 
@@ -251,9 +245,7 @@ def _unknown_keys(parsed: Sequence[Override], loader: ConfigLoader) -> list[str]
         return []  # the groups themselves don't compose: Hydra's words tell more
     tree = OmegaConf.to_container(config, resolve=False)
     added = [_already_there(o, tree) for o in parsed if o.is_add()]
-    changed = [
-        unknown_key(o.key_or_group, tree) for o in parsed if not (_adds(o) or o.package or o in groups)
-    ]
+    changed = [unknown_key(o.key_or_group, tree) for o in parsed if not (_adds(o) or o.package or o in groups)]
     return [sentence for sentence in [*added, *changed] if sentence]
 
 

@@ -26,9 +26,7 @@ def schema_errors(error: ValidationError, mapping: Mapping[str, Any], model: typ
     lines = [_line(item, mapping, model) for item in error.errors(include_url=False)]
     lines = list(dict.fromkeys(lines))
     values = "this value" if len(lines) == 1 else f"these {len(lines)} values"
-    return "\n".join(
-        [*lines, f"Correct {values}; `python -m pipeline --cfg job` prints the whole configuration."]
-    )
+    return "\n".join([*lines, f"Correct {values}; `python -m pipeline --cfg job` prints the whole configuration."])
 
 
 def suggestion(name: str, candidates: Iterable[str]) -> str:
@@ -140,9 +138,7 @@ def bad_syntax(text: str, names: Mapping[str, Iterable[str]]) -> str:
         return f"an override must be KEY=VALUE, but got '{text}'{hint}"
     brackets = any(value.count(a) != value.count(b) for a, b in ("[]", "{}", "()"))
     if brackets or any(value.count(quote) % 2 for quote in "'\""):
-        return (
-            f"an override must close its brackets and quotes, but got '{text}'; write {key}=[1,2] for a list"
-        )
+        return f"an override must close its brackets and quotes, but got '{text}'; write {key}=[1,2] for a list"
     quoted = shlex.quote(f"{key}='{value}'" if '"' in value else f'{key}="{value}"')
     return f"an override must quote a value with special characters, but got '{text}'; write {quoted}"
 
@@ -152,9 +148,7 @@ def no_option(group: str, name: Any, known: Sequence[str]) -> str:
     place = "an installed Hydra plugin" if group.startswith("hydra/") else f"a file in conf/{group}"
     if not known:
         absolute = f"/{group.rpartition('/')[2]}"
-        return (
-            f"{group} must be {place}, but there is none; a defaults list names conf's groups as '{absolute}'"
-        )
+        return f"{group} must be {place}, but there is none; a defaults list names conf's groups as '{absolute}'"
     return f"{group} must be {place}, but got {shown(name)}{suggestion(str(name), known)}"
 
 

@@ -44,13 +44,12 @@ def _parse(text: str, unit: str, example: str) -> float:
     try:
         quantity = _registry().Quantity(text)
     except pint.UndefinedUnitError as error:
-        unknown = error.unit_names if isinstance(error.unit_names, str) else ", ".join(error.unit_names)
+        names = error.unit_names
+        unknown = ", ".join([names] if isinstance(names, str) else list(names))
         raise ValueError(
             f"must have a known unit (such as {example}), but got {text!r}: unknown unit {unknown!r}"
         ) from None
-    except (
-        Exception
-    ):  # pint's parser raises many kinds (tokenize, syntax, assertion errors) for text that is no quantity
+    except Exception:  # pint's parser raises many kinds (tokenize, syntax, assertion errors) for other text
         raise ValueError(f"must be a quantity (such as {example}), but got {text!r}") from None
     try:
         return float(quantity.to(unit).magnitude)
@@ -58,7 +57,7 @@ def _parse(text: str, unit: str, example: str) -> float:
         raise ValueError(f"must convert to {unit} (such as {example}), but got {text!r}") from None
 
 
-def _quantity(unit: str, example: str, **bounds: float) -> Any:
+def _quantity(unit: str, example: str, **bounds: Any) -> Any:
     return Annotated[float, BeforeValidator(lambda value: to_si(value, unit, example)), Field(**bounds)]
 
 

@@ -56,7 +56,8 @@ class ShaftSegmentConfig(_Section):
     def _hollow(self) -> ShaftSegmentConfig:
         if self.inner_diameter >= self.outer_diameter:
             raise ValueError(
-                f"must have inner_diameter < outer_diameter, but got {self.inner_diameter:g} m and {self.outer_diameter:g} m"
+                f"must have inner_diameter < outer_diameter, but got {self.inner_diameter:g} m and "
+                f"{self.outer_diameter:g} m"
             )
         return self
 
@@ -85,7 +86,8 @@ class DiscConfig(_Section):
             )
         if complete[0] and self.inner_diameter >= self.outer_diameter:  # type: ignore[operator]
             raise ValueError(
-                f"must have inner_diameter < outer_diameter, but got {self.inner_diameter:g} m and {self.outer_diameter:g} m"
+                f"must have inner_diameter < outer_diameter, but got {self.inner_diameter:g} m and "
+                f"{self.outer_diameter:g} m"
             )
         return self
 
@@ -108,9 +110,7 @@ class RotorConfig(_Section):
             raise ValueError("must give shaft, material and bearing_nodes (or file, a rotor saved by ROSS)")
         last = sum(segment.elements for segment in self.shaft)
         if len(set(self.bearing_nodes)) != len(self.bearing_nodes):
-            raise ValueError(
-                f"must name each bearing node once, but got bearing_nodes {list(self.bearing_nodes)}"
-            )
+            raise ValueError(f"must name each bearing node once, but got bearing_nodes {list(self.bearing_nodes)}")
         for what, nodes in (
             ("bearing_nodes", self.bearing_nodes),
             ("discs", [disc.node for disc in self.discs]),
@@ -174,9 +174,7 @@ class SpeedsConfig(_Section):
     @model_validator(mode="after")
     def _ascending(self) -> SpeedsConfig:
         if self.start_rpm > self.stop_rpm:
-            raise ValueError(
-                f"must have start_rpm <= stop_rpm, but got {self.start_rpm:g} and {self.stop_rpm:g}"
-            )
+            raise ValueError(f"must have start_rpm <= stop_rpm, but got {self.start_rpm:g} and {self.stop_rpm:g}")
         return self
 
     def rpm(self) -> list[float]:
@@ -275,7 +273,7 @@ class LossConfig(_Section):
 
 
 class _PhaseConfig(_Section):
-    """A phase ends after ``steps``, or when the loss fell by less than ``training.tolerance`` in ``patience`` steps."""
+    """Ends after ``steps``, or when the loss fell by less than ``training.tolerance`` in ``patience`` steps."""
 
     steps: NonNegativeInt
     patience: PositiveInt
@@ -310,9 +308,7 @@ class OptimizerConfig(_Section):
     @model_validator(mode="after")
     def _some_steps(self) -> OptimizerConfig:
         if self.adam.steps + self.lbfgs.steps + self.levenberg_marquardt.steps == 0:
-            raise ValueError(
-                "must have a phase with steps > 0, but adam, lbfgs and levenberg_marquardt all have 0"
-            )
+            raise ValueError("must have a phase with steps > 0, but adam, lbfgs and levenberg_marquardt all have 0")
         return self
 
 
@@ -405,9 +401,7 @@ class Config(_Section):
         if self.bearing.kind == "rotor_file":
             raise ValueError("must give rotor.file where bearing.kind is rotor_file, but rotor.file is null")
         last = sum(segment.elements for segment in self.rotor.shaft)
-        used = [
-            (f"excitation run '{run.name}'", u.node) for run in self.excitation.runs for u in run.unbalances
-        ]
+        used = [(f"excitation run '{run.name}'", u.node) for run in self.excitation.runs for u in run.unbalances]
         used += [("prediction.unbalances", u.node) for u in self.prediction.unbalances]
         for what, node in [*used, ("prediction.node", self.prediction.node)]:
             if node > last:

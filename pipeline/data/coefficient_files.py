@@ -38,23 +38,20 @@ def read_coefficients(
 
     Raises DataError where a bearing or a speed has no row.
     """
-    table = read_table(
-        path, {"bearing_node": "number", "speed_rpm": "number"} | dict.fromkeys(names, "number")
-    )
+    table = read_table(path, {"bearing_node": "number", "speed_rpm": "number"} | dict.fromkeys(names, "number"))
     wanted = to_rpm(speeds)
     values = np.zeros((len(nodes), len(speeds), len(COEFFICIENTS)))
     for b, node in enumerate(nodes):
         rows = table[table["bearing_node"] == node].drop_duplicates("speed_rpm").set_index("speed_rpm")
         if rows.empty:
             has = sorted({int(n) for n in table["bearing_node"]})
-            raise DataError(
-                f"'{path}' must have rows for the bearing at node {node}, but it has bearings at {has}"
-            )
+            raise DataError(f"'{path}' must have rows for the bearing at node {node}, but it has bearings at {has}")
         found = rows.reindex(wanted)
-        missing = np.flatnonzero(found[names[0]].isna().to_numpy()) if names else []
+        missing: np.ndarray = np.flatnonzero(found[list(names)].isna().any(axis=1).to_numpy())
         if len(missing):
             raise DataError(
-                f"'{path}' must have every speed of the data, but {len(missing)} are missing for the bearing at node {node} "
+                f"'{path}' must have every speed of the data, but {len(missing)} are missing for the bearing at node "
+                f"{node} "
                 f"(the first: {wanted[missing[0]]:g} rpm)"
             )
         for name in names:

@@ -23,9 +23,7 @@ def unbalance_response(
     return solve(banded(rotor), speeds, speeds, forces, bearings.impedance(), bearing_dof(rotor))
 
 
-def simulate(
-    rotor: RotorModel, bearings: BearingTable, excitations: tuple[Excitation, ...]
-) -> VibrationDataset:
+def simulate(rotor: RotorModel, bearings: BearingTable, excitations: tuple[Excitation, ...]) -> VibrationDataset:
     """The data set of a machine whose x and y are measured at every node, without noise."""
     runs = tuple(dict.fromkeys(excitation.run for excitation in excitations))
     response = unbalance_response(rotor, bearings, excitations, runs)

@@ -50,8 +50,8 @@ def _numbers(path: Path, table: pd.DataFrame, name: str) -> np.ndarray:
     bad = np.flatnonzero(~np.isfinite(values))
     if len(bad):
         raise DataError(
-            f"'{path}' must have finite numbers in the column '{name}', but row {bad[0] + 1} has {table[name].iloc[bad[0]]!r}"
-            + (f" ({len(bad)} rows in all)" if len(bad) > 1 else "")
+            f"'{path}' must have finite numbers in the column '{name}', but row {bad[0] + 1} has "
+            f"{table[name].iloc[bad[0]]!r}" + (f" ({len(bad)} rows in all)" if len(bad) > 1 else "")
         )
     return values
 
@@ -74,23 +74,25 @@ def _read_parquet(path: Path) -> pd.DataFrame:
         stored = parquet.read_table(path)
     except (OSError, pyarrow.lib.ArrowException) as error:
         raise DataError(
-            f"'{path}' must be a complete Parquet file, but it can't be read ({str(error).splitlines()[0]}): make it again with stage=generate"
+            f"'{path}' must be a complete Parquet file, but it can't be read ({str(error).splitlines()[0]}): make "
+            "it again with stage=generate"
         ) from None
     schema = (stored.schema.metadata or {}).get(_SCHEMA_KEY)
     if schema is not None and schema.decode() != SCHEMA:
         raise DataError(
-            f"'{path}' must have the file schema {SCHEMA}, but it was written with schema {schema.decode()}: make it again with stage=generate"
+            f"'{path}' must have the file schema {SCHEMA}, but it was written with schema {schema.decode()}: make "
+            "it again with stage=generate"
         )
     return stored.to_pandas()
 
 
 def rotor_of(path: Path) -> str | None:
-    """Fingerprint of the rotor that a Parquet file was made for; None where the file doesn't say (CSV, other makers)."""
+    """Fingerprint of the rotor that a Parquet file was made for; None where it doesn't say (CSV, other makers)."""
     return _stored(path, _ROTOR_KEY)
 
 
 def origin_of(path: Path) -> str | None:
-    """Identity of the configuration that a Parquet file was generated from; None where the file doesn't say."""
+    """Identity of the configuration that a Parquet file was generated from; None where it doesn't say."""
     return _stored(path, _ORIGIN_KEY)
 
 

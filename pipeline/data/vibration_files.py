@@ -47,7 +47,7 @@ def to_rpm(speeds: np.ndarray) -> np.ndarray:
 def write_dataset(
     vibration: Path, excitation: Path, dataset: VibrationDataset, rotor: RotorModel, origin: str | None = None
 ) -> None:
-    """Write both files, with the rotor's fingerprint and the ``origin`` of generated data. Raises StorageError."""
+    """Write both files, with the rotor's fingerprint and generated data's ``origin``. Raises StorageError."""
     import pandas as pd
 
     n_speeds, n_channels, n_runs = dataset.displacement.shape
@@ -88,20 +88,17 @@ def read_dataset(vibration: Path, excitation: Path, rotor: RotorModel) -> Vibrat
     made_for = rotor_of(vibration)
     if made_for is not None and made_for != rotor.fingerprint:
         raise DataError(
-            f"'{vibration}' must have been made for this rotor ({rotor.fingerprint}), but it was made for another ({made_for}): "
+            f"'{vibration}' must have been made for this rotor ({rotor.fingerprint}), but it was made for another "
+            f"({made_for}): "
             "make it again with stage=generate, or give the rotor that belongs to it"
         )
     excitations = _excitations(read_table(excitation, _EXCITATION), excitation, rotor)
     nodes = _nodes(table, vibration, rotor)
     _check_words(table["direction"], DIRECTIONS, vibration, "direction")
     if (table["speed_rpm"] <= 0).any():
-        raise DataError(
-            f"'{vibration}' must have speeds above zero, but got {table['speed_rpm'].min():g} rpm"
-        )
+        raise DataError(f"'{vibration}' must have speeds above zero, but got {table['speed_rpm'].min():g} rpm")
     if (table["amplitude_m"] < 0).any():
-        raise DataError(
-            f"'{vibration}' must have amplitudes of zero or more, but got {table['amplitude_m'].min():g} m"
-        )
+        raise DataError(f"'{vibration}' must have amplitudes of zero or more, but got {table['amplitude_m'].min():g} m")
     for run, rpm in table.groupby("run", sort=False)["speed_rpm"]:
         if (np.diff(rpm.to_numpy()) < 0).any():
             raise DataError(
@@ -111,13 +108,9 @@ def read_dataset(vibration: Path, excitation: Path, rotor: RotorModel) -> Vibrat
     acting = {e.run for e in excitations}
     for run in runs:
         if run not in acting:
-            raise DataError(
-                f"'{excitation}' must have a row for every run, but run '{run}' of '{vibration}' has none"
-            )
+            raise DataError(f"'{excitation}' must have a row for every run, but run '{run}' of '{vibration}' has none")
     for run in sorted(acting - set(runs)):
-        raise DataError(
-            f"'{vibration}' must have data of every run, but run '{run}' of '{excitation}' has none"
-        )
+        raise DataError(f"'{vibration}' must have data of every run, but run '{run}' of '{excitation}' has none")
     return _assemble(table.assign(node=nodes), vibration, runs, excitations)
 
 
@@ -125,13 +118,9 @@ def _assemble(
     table: pd.DataFrame, path: Path, runs: tuple[str, ...], excitations: tuple[Excitation, ...]
 ) -> VibrationDataset:
     rpm = np.unique(table["speed_rpm"])
-    pairs = sorted(
-        {(int(n), DIRECTIONS.index(d)) for n, d in zip(table["node"], table["direction"], strict=True)}
-    )
+    pairs = sorted({(int(n), DIRECTIONS.index(d)) for n, d in zip(table["node"], table["direction"], strict=True)})
     place = {pair: i for i, pair in enumerate(pairs)}
-    at_channel = [
-        place[int(n), DIRECTIONS.index(d)] for n, d in zip(table["node"], table["direction"], strict=True)
-    ]
+    at_channel = [place[int(n), DIRECTIONS.index(d)] for n, d in zip(table["node"], table["direction"], strict=True)]
     at_run = table["run"].map({run: i for i, run in enumerate(runs)}).to_numpy()
     at_speed = np.searchsorted(rpm, table["speed_rpm"])
     displacement = np.full((len(rpm), len(pairs), len(runs)), np.nan, dtype=complex)
@@ -139,14 +128,13 @@ def _assemble(
     displacement[at_speed, at_channel, at_run] = values
     expected = displacement.size
     if len(table) > expected or table.duplicated(["run", "speed_rpm", "node", "direction"]).any():
-        raise DataError(
-            f"'{path}' must have one row a run, speed, node and direction, but some are there twice"
-        )
+        raise DataError(f"'{path}' must have one row a run, speed, node and direction, but some are there twice")
     missing = np.argwhere(np.isnan(displacement))
     if len(missing):
         s, p, r = missing[0]
         raise DataError(
-            f"'{path}' must have every channel at every speed of every run, but {len(missing)} of {expected} are missing "
+            f"'{path}' must have every channel at every speed of every run, but {len(missing)} of {expected} are "
+            "missing "
             f"(the first: run '{runs[r]}', {rpm[s]:g} rpm, node {pairs[p][0]} {DIRECTIONS[pairs[p][1]]})"
         )
     return VibrationDataset(rpm * RAD_S_PER_RPM, runs, tuple(pairs), displacement, excitations)
@@ -175,9 +163,7 @@ def _nodes(table: pd.DataFrame, path: Path, rotor: RotorModel) -> np.ndarray:
     values = table["node"].to_numpy()
     bad = values[(values != np.round(values)) | (values < 0) | (values >= rotor.n_nodes)]
     if len(bad):
-        raise DataError(
-            f"'{path}' must use the rotor's nodes 0 to {rotor.n_nodes - 1}, but got node {bad[0]:g}"
-        )
+        raise DataError(f"'{path}' must use the rotor's nodes 0 to {rotor.n_nodes - 1}, but got node {bad[0]:g}")
     return values.astype(int)
 
 

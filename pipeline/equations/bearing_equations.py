@@ -71,7 +71,8 @@ def bearing_equations(rotor: RotorModel, dataset: VibrationDataset) -> BearingEq
         for direction, dof in enumerate(pair):
             if dof not in measured:
                 raise DataError(
-                    f"The residual needs x and y measured at every bearing, but {DIRECTIONS[direction]} of node {node} is missing in the vibration data"
+                    "The residual needs x and y measured at every bearing, but the vibration data have no "
+                    f"{DIRECTIONS[direction]} of node {node}"
                 )
     w = dataset.speeds
     forces = force_vectors(rotor, dataset.excitations, dataset.runs, w)
@@ -94,9 +95,7 @@ def bearing_equations(rotor: RotorModel, dataset: VibrationDataset) -> BearingEq
     )
 
 
-def unknown_system(
-    equations: BearingEquations, unknowns: Sequence[str], known: BearingTable
-) -> UnknownSystem:
+def unknown_system(equations: BearingEquations, unknowns: Sequence[str], known: BearingTable) -> UnknownSystem:
     """Write the residual in the ``unknowns``; the other coefficients come from ``known``.
 
     Raises IdentifiabilityError where there are fewer equations than unknowns.
@@ -130,6 +129,8 @@ def _check_enough_runs(unknowns: Sequence[str], n_runs: int) -> None:
         wanted = [name for name in unknowns if row(name) == direction]
         if len(wanted) > 2 * n_runs:
             raise IdentifiabilityError(
-                f"Each run gives 2 real equations for the force in {letter}, so {len(wanted)} unknowns ({', '.join(wanted)}) need "
-                f"{-(-len(wanted) // 2)} runs with independent orbits, but got {n_runs}: add a run or name fewer unknowns"
+                f"Each run gives 2 real equations for the force in {letter}, so {len(wanted)} unknowns "
+                f"({', '.join(wanted)}) need "
+                f"{-(-len(wanted) // 2)} runs with independent orbits, but got {n_runs}: add a run or name fewer "
+                "unknowns"
             )

@@ -1,4 +1,4 @@
-"""The conventional answer beside the network: least squares at each speed by itself (Tiwari, Lees, Friswell 2002)."""
+"""The conventional answer: least squares at each speed by itself (Tiwari, Lees, Friswell 2002)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pipeline.equations.bearing_equations import UnknownSystem
 
 
 def per_speed_least_squares(system: UnknownSystem) -> tuple[np.ndarray, np.ndarray]:
-    """Coefficients (B, S, U) that minimise ``|A p + y|`` at each speed, and the condition numbers (B, S) of A.
+    """Coefficients (B, S, U) that minimise ``|A p + y|`` at each speed, and condition numbers (B, S) of A.
 
     Columns are scaled to unit length first: stiffness and damping differ by orders of magnitude, and the
     condition number should speak of the orbits rather than of the units.

@@ -28,15 +28,13 @@ CoefficientErrors = dict[int, dict[str, CoefficientError]]
 
 
 def relative_errors(identified: BearingTable, modelled: BearingTable, name: str) -> np.ndarray:
-    """(B, S) |identified - modelled| / |modelled| in percent. Where the modelled value is zero, the error is infinite or 0."""
+    """(B, S) |identified - modelled| / |modelled| in percent; infinite or 0 where modelled is zero."""
     found, true = identified.coefficient(name), modelled.coefficient(name)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.nan_to_num(100.0 * np.abs(found - true) / np.abs(true), nan=0.0, posinf=np.inf)
 
 
-def coefficient_errors(
-    identified: BearingTable, modelled: BearingTable, names: Sequence[str]
-) -> CoefficientErrors:
+def coefficient_errors(identified: BearingTable, modelled: BearingTable, names: Sequence[str]) -> CoefficientErrors:
     """Errors of the coefficients ``names`` at every bearing."""
     result: CoefficientErrors = {node: {} for node in identified.nodes}
     for name in names:

@@ -1,8 +1,8 @@
 """Minimisers of a :class:`~pipeline.identification.problem.ResidualProblem`.
 
 Each takes parameters (G, M, P) and returns better ones; members do not influence each other, so that
-81 initial guesses trained together take the same steps as one alone. ``monitor`` sees every step and says when
-to stop.
+81 initial guesses trained together take the same steps as one alone. ``monitor`` sees every step and says
+when to stop.
 """
 
 from __future__ import annotations
@@ -20,9 +20,7 @@ Monitor = Callable[["torch.Tensor", "torch.Tensor"], "torch.Tensor"]
 """(parameters, losses (G, M)) after a step -> which members (G, M) need no further step."""
 
 
-def adam(
-    problem: ResidualProblem, parameters: torch.Tensor, config: AdamConfig, monitor: Monitor
-) -> torch.Tensor:
+def adam(problem: ResidualProblem, parameters: torch.Tensor, config: AdamConfig, monitor: Monitor) -> torch.Tensor:
     """Adam on the Euclidean norm of the residual (paper, Algorithm 1)."""
     import torch
 
@@ -43,9 +41,7 @@ def adam(
     return trained.detach()
 
 
-def lbfgs(
-    problem: ResidualProblem, parameters: torch.Tensor, config: LBFGSConfig, monitor: Monitor
-) -> torch.Tensor:
+def lbfgs(problem: ResidualProblem, parameters: torch.Tensor, config: LBFGSConfig, monitor: Monitor) -> torch.Tensor:
     """L-BFGS on the squared residual, each member by itself: a shared line search would couple them."""
     import torch
 
@@ -127,9 +123,7 @@ def levenberg_marquardt(
             current = torch.where(better[..., None], current + step, current)
             squared = torch.where(better, tried, squared)
             factors = torch.where(better, _DAMPING_DOWN, _DAMPING_UP)
-            damping = torch.where(accepted, damping, damping * factors).clamp(
-                _DAMPING_FLOOR, _DAMPING_CEILING
-            )
+            damping = torch.where(accepted, damping, damping * factors).clamp(_DAMPING_FLOOR, _DAMPING_CEILING)
             accepted |= better
             if accepted.all():
                 break

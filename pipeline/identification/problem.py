@@ -38,9 +38,7 @@ class ResidualProblem:
     def rows(self, parameters: torch.Tensor) -> torch.Tensor:
         """(G, M, rows) from parameters (G, M, P)."""
         coefficients = self.model.physical(self.model.raw(parameters, self.inputs), self.scale)
-        residual = (self.matrix @ coefficients[..., None])[
-            ..., 0
-        ] + self.offset  # (G, B, N, U); tied members broadcast
+        residual = (self.matrix @ coefficients[..., None])[..., 0] + self.offset  # (G, B, N, U); tied members broadcast
         return residual.reshape(len(parameters), len(self.scale), -1)
 
     def jacobian(self, parameters: torch.Tensor) -> torch.Tensor:
@@ -51,7 +49,10 @@ class ResidualProblem:
         return (self.matrix @ derivative).reshape(len(parameters), len(self.scale), -1, parameters.shape[-1])
 
     def loss(self, parameters: torch.Tensor) -> torch.Tensor:
-        """(G, M) root of the mean squared residual over speeds, runs and directions: the paper's ``|r|_2`` over the root of their number."""
+        """(G, M) root mean square of the residual over speeds, runs and directions.
+
+        The paper's ``|r|_2`` divided by the root of the number of its elements.
+        """
         return (self.rows(parameters).square().sum(-1) + self._member_rest()).sqrt()
 
     def _member_rest(self) -> torch.Tensor:
@@ -109,7 +110,7 @@ def speed_scaling(config: LossConfig, equations: BearingEquations) -> np.ndarray
 
 
 def data_scale(system: UnknownSystem, members: int) -> np.ndarray:
-    """(M, U) a size for every coefficient, read off the data: bearing force over what a unit coefficient gives."""
+    """(M, U) a size for every coefficient, from the data: bearing force over what a unit coefficient gives."""
     force = np.linalg.norm(system.offset, axis=2)[..., None]  # (B, S, 1)
     unit = np.linalg.norm(system.matrix, axis=2)  # (B, S, U)
     size = np.median(force / unit, axis=1)

@@ -1,9 +1,11 @@
-"""Trained models as files: numbers in ``model.safetensors``, architecture in ``model.json``. No code, no pickles."""
+"""Trained models as files: numbers in ``model.safetensors``, architecture in ``model.json``; no pickles."""
 
 from __future__ import annotations
 
 from dataclasses import asdict, fields
 from pathlib import Path
+from typing import Any
+from typing import Any
 
 from pipeline.errors import DataError
 from pipeline.files import read_json, write_beside, write_json
@@ -38,7 +40,8 @@ def load_model(folder: Path) -> IdentifiedModel:
     description = read_json(folder / ARCHITECTURE)
     if description.get("schema") != SCHEMA:
         raise DataError(
-            f"'{folder / ARCHITECTURE}' must have schema {SCHEMA}, but it has {description.get('schema')}: train again with stage=train"
+            f"'{folder / ARCHITECTURE}' must have schema {SCHEMA}, but it has {description.get('schema')}: train "
+            "again with stage=train"
         )
     try:
         model = CoefficientModel(
@@ -55,6 +58,6 @@ def load_model(folder: Path) -> IdentifiedModel:
     return identified
 
 
-def _tuples(value):  # type: ignore[no-untyped-def]
+def _tuples(value: Any) -> Any:
     """JSON knows lists only; the model is hashable and has tuples."""
     return tuple(_tuples(item) for item in value) if isinstance(value, list) else value

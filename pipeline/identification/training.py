@@ -29,7 +29,7 @@ _DIVERGED_FACTOR = 10.0
 class Progress(Protocol):
     """Something that shows a training while it runs, such as a progress bar."""
 
-    def __call__(self, phase: str, step: int, total: int, loss: float) -> None: ...
+    def __call__(self, phase: str, step: int, total: int, loss: float, /) -> None: ...
 
 
 @dataclass(frozen=True)
@@ -89,9 +89,7 @@ def prepare(equations: BearingEquations, known: BearingTable, setup: TrainingSet
     """Everything before the first step. Raises IdentifiabilityError where the runs are too few."""
     system = unknown_system(equations, setup.identify.unknowns, known)
     members = 1 if setup.identify.tie_bearings else len(equations.bearing_nodes)
-    model = coefficient_model(
-        setup.model, setup.identify.unknowns, equations.speeds, data_scale(system, members)
-    )
+    model = coefficient_model(setup.model, setup.identify.unknowns, equations.speeds, data_scale(system, members))
     scaling = speed_scaling(setup.loss, equations)
     held_out = held_out_speeds(len(equations.speeds), setup.training.holdout_every)
     return PreparedTraining(
@@ -103,7 +101,7 @@ def prepare(equations: BearingEquations, known: BearingTable, setup: TrainingSet
 
 
 def held_out_speeds(count: int, every: int) -> np.ndarray:
-    """(S,) mask of every ``every``-th speed, the first and last never: holding them out would test extrapolation."""
+    """(S,) mask of every ``every``-th speed; never the first and last, which would test extrapolation."""
     mask = np.zeros(count, dtype=bool)
     if every:
         mask[every // 2 : -1 : every] = True
@@ -112,7 +110,7 @@ def held_out_speeds(count: int, every: int) -> np.ndarray:
 
 
 def initial_guess(setup: TrainingSetup, members: int, stiffness: float | None = None) -> np.ndarray:
-    """(M, U) starting values, N/m and N s/m: the configured ones, or ``stiffness`` for every unknown stiffness."""
+    """(M, U) starting values, N/m and N s/m: as configured, or ``stiffness`` for every unknown stiffness."""
     model = setup.model
     values = [
         (stiffness or model.initial_stiffness) if is_stiffness(name) else model.initial_damping
@@ -128,9 +126,9 @@ def initial_parameters(
     import torch
 
     generator = torch.Generator().manual_seed(seed)
-    return prepared.model.initial_parameters(
-        initial_guess(setup, len(prepared.model.scale), stiffness), generator
-    )[None]
+    return prepared.model.initial_parameters(initial_guess(setup, len(prepared.model.scale), stiffness), generator)[
+        None
+    ]
 
 
 @dataclass

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+    from pipeline.identification.training import Progress
 
 
 @cache
@@ -45,9 +47,10 @@ def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> N
 
 
 @contextmanager
-def training_progress(name: str) -> Iterator[Callable[[str, int, int, float], None]]:
+def training_progress(name: str) -> Iterator[Progress]:
     """A bar with the loss and the rate, on a terminal; nothing elsewhere."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as ProgressBar
 
     columns = (
         TextColumn("{task.description}"),
@@ -58,7 +61,7 @@ def training_progress(name: str) -> Iterator[Callable[[str, int, int, float], No
         TimeElapsedColumn(),
     )
     console = _console(True)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+    with ProgressBar(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(name, total=None, loss="", rate="")
 
         def update(phase: str, step: int, total: int, loss: float) -> None:

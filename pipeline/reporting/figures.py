@@ -1,4 +1,4 @@
-"""Figures of identification: modelled as a line, identified as markers; colours that the colour-blind can tell apart."""
+"""Figures of identification: modelled as a line, identified as markers, in colour-blind safe colours."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 # Okabe and Ito's palette.
 BLUE, ORANGE, GREEN, PURPLE, SKY, GREY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#555555"
-_STYLE = {
+_STYLE: dict[Any, Any] = {
     "figure.dpi": 110,
     "savefig.dpi": 110,
     "font.size": 10,
@@ -43,10 +43,8 @@ def legend_above(ax: Any) -> None:
 
 
 @contextmanager
-def figure(
-    path: Path, rows: int, columns: int, width: float, height: float, **options: Any
-) -> Iterator[np.ndarray]:
-    """Axes (rows, columns) of a figure that is written to ``path`` when the block ends well. Raises StorageError."""
+def figure(path: Path, rows: int, columns: int, width: float, height: float, **options: Any) -> Iterator[np.ndarray]:
+    """Axes (rows, columns) of a figure, written to ``path`` when the block ends well. Raises StorageError."""
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -65,9 +63,7 @@ def coefficient_figure(
 
     What was not identified is drawn as the known line that it is.
     """
-    names = [
-        name for name in COEFFICIENTS if name[0] == letter and (row(name) == column(name) or name in unknowns)
-    ]
+    names = [name for name in COEFFICIENTS if name[0] == letter and (row(name) == column(name) or name in unknowns)]
     rpm = to_rpm(identified.speeds)
     kind = "stiffness" if letter == "k" else "damping"
     some = any(name in unknowns for name in names) and modelled is not None
@@ -85,7 +81,7 @@ def coefficient_figure(
             _coefficients(axes[0, b], b, rpm, names, identified, modelled, unknowns)
             axes[0, b].set_title(f"bearing at node {node}")
             if some and modelled is not None:
-                for name, (colour, marker) in zip(names, _looks(), strict=False):
+                for name, (colour, _) in zip(names, _looks(), strict=False):
                     if name in unknowns:
                         error = np.maximum(relative_errors(identified, modelled, name)[b], 1e-14)
                         axes[1, b].semilogy(rpm, error, color=colour, lw=1.2, label=name)
@@ -173,7 +169,7 @@ def robustness_figure(
     rows: pd.DataFrame,
     modelled: BearingTable | None,
 ) -> Path:
-    """Paper, Figure 2: the stiffnesses on their way from every initial guess; final errors over guesses or seeds."""
+    """Paper, Figure 2: the stiffnesses on their way from every guess; final errors over guesses or seeds."""
     unknowns = batch.prepared.model.unknowns
     if not batch.trajectory:
         return _final_errors(path, rows, over)
@@ -189,9 +185,7 @@ def robustness_figure(
                 where = f"bearing at node {nodes[m]}" if members == len(nodes) else "all bearings"
                 ax.set_title(f"({ascii_lowercase[m * len(unknowns) + u]}) {name}, {where}")
                 if modelled is not None:
-                    ax.axhline(
-                        modelled.coefficient(name)[m, 0], color=ORANGE, lw=1.5, ls="--", label="modelled"
-                    )
+                    ax.axhline(modelled.coefficient(name)[m, 0], color=ORANGE, lw=1.5, ls="--", label="modelled")
                 ax.plot([], [], color=BLUE, lw=0.7, label=f"{len(starts)} initial guesses")
                 ax.set_ylabel(f"{name} ({unit(name)})")
                 ax.set_xlabel("training step" if m == members - 1 else "")
@@ -210,7 +204,7 @@ def _final_errors(path: Path, rows: pd.DataFrame, over: str) -> Path:
         has_truth = rows["mean_error_percent"].notna().all()
         quantity = "mean_error_percent" if has_truth else "loss"
         for i, ((node, name), group) in enumerate(rows.groupby(["bearing_node", "coefficient"], sort=False)):
-            colour, marker = (_looks() + [(SKY, "v"), (GREY, "x"), ("#E69F00", "P"), ("#000000", "*")])[i % 8]
+            colour, marker = [*_looks(), (SKY, "v"), (GREY, "x"), ("#E69F00", "P"), ("#000000", "*")][i % 8]
             ax.semilogy(
                 group[over],
                 group[quantity],

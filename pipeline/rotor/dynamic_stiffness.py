@@ -21,7 +21,7 @@ from pipeline.rotor.model import RotorModel
 
 @dataclass(frozen=True, eq=False)
 class BandedStiffness:
-    """Diagonals of M, C, G, K restricted to ``dof``, each ``(m, 2 u + 1)``: row j holds column j of the matrix."""
+    """Diagonals of M, C, G, K restricted to ``dof``, each ``(m, 2 u + 1)``: row j holds the column j."""
 
     dof: np.ndarray  # (m,) which DOF of the rotor
     bandwidth: int  # u
@@ -64,15 +64,16 @@ def solve(
         frequencies: (S,) excitation frequencies w, rad/s.
         speeds: (S,) rotor speeds W, rad/s.
         right: (S, m, R) complex.
-        impedance: (B, S, 2, 2) complex blocks added at ``impedance_dof`` (B, 2), positions within ``system.dof``.
+        impedance: (B, S, 2, 2) complex blocks added at ``impedance_dof`` (B, 2), positions within
+            ``system.dof``.
 
     Returns:
         (S, m, R) complex. Raises PipelineError where D is singular or the result is not finite.
     """
     size, width = len(system.dof), system.bandwidth
     result = np.empty(right.shape, dtype=complex)
-    # LAPACK's band storage in Fortran order, seen in C order as (speed, column, row), with u rows of room for pivoting.
-    # A chunk of speeds is assembled at once: small enough to stay in the processor's cache.
+    # LAPACK's band storage in Fortran order, seen in C order as (speed, column, row), with u rows of room for
+    # pivoting. A chunk of speeds is assembled at once: small enough to stay in the processor's cache.
     band = np.empty((min(_CHUNK, len(speeds)), size, 3 * width + 1), dtype=complex)
     for start in range(0, len(speeds), _CHUNK):
         chunk = slice(start, min(start + _CHUNK, len(speeds)))
@@ -132,9 +133,7 @@ def apply(
 
     Only the columns that couple to ``rows`` are multiplied, so that the cost does not grow with the nodes.
     """
-    blocks = [
-        a[np.ix_(rows, columns)] for a in (rotor.mass, rotor.damping, rotor.gyroscopic, rotor.stiffness)
-    ]
+    blocks = [a[np.ix_(rows, columns)] for a in (rotor.mass, rotor.damping, rotor.gyroscopic, rotor.stiffness)]
     coupled = np.any([block != 0 for block in blocks], axis=(0, 1))
     mass, damping, gyroscopic, stiffness = (block[:, coupled] for block in blocks)
     w, speed = frequencies[:, None, None], speeds[:, None, None]

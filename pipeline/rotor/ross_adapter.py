@@ -64,9 +64,7 @@ def assemble(config: RotorConfig) -> RotorModel:
     Raises ConfigError where ``config.file`` can't be read.
     """
     rotor = _load(config.file) if config.file is not None else _build(config)
-    lateral = np.array(
-        [rotor.number_dof * node + dof for node in range(len(rotor.nodes)) for dof in _LATERAL]
-    )
+    lateral = np.array([rotor.number_dof * node + dof for node in range(len(rotor.nodes)) for dof in _LATERAL])
     mass, damping, gyroscopic, stiffness = (matrix[np.ix_(lateral, lateral)] for matrix in _matrices(rotor))
     return RotorModel(
         mass=mass,
@@ -98,9 +96,7 @@ def _matrices(rotor: Any) -> list[np.ndarray]:
 def ross_rotor(config: RotorConfig, bearing: BearingConfig, speeds: np.ndarray) -> Any:
     """ROSS's own rotor with bearings, for its analyses (and as an oracle in tests). ``speeds`` (S,) rad/s."""
     rotor = _load(config.file) if config.file is not None else _build(config)
-    return ross().Rotor(
-        rotor.shaft_elements, rotor.disk_elements, bearing_elements(config, bearing, rotor, speeds)
-    )
+    return ross().Rotor(rotor.shaft_elements, rotor.disk_elements, bearing_elements(config, bearing, rotor, speeds))
 
 
 def bearing_table(config: RotorConfig, bearing: BearingConfig, speeds: np.ndarray) -> BearingTable:
@@ -110,7 +106,8 @@ def bearing_table(config: RotorConfig, bearing: BearingConfig, speeds: np.ndarra
     values = np.array([[_eight(element, speed) for speed in speeds] for element in elements])
     if not np.isfinite(values).all():
         raise ConfigError(
-            "Modelled bearing coefficients must be finite, but ROSS gave some that are not: check the bearing's load and geometry"
+            "Modelled bearing coefficients must be finite, but ROSS gave some that are not: check the bearing's "
+            "load and geometry"
         )
     return BearingTable(tuple(int(e.n) for e in elements), np.asarray(speeds, dtype=float), values)
 
@@ -121,9 +118,7 @@ def _eight(element: Any, speed: float) -> list[float]:
     return [float(blocks[name[0]]["xy".index(name[1]), "xy".index(name[2])]) for name in COEFFICIENTS]
 
 
-def bearing_elements(
-    config: RotorConfig, bearing: BearingConfig, rotor: Any, speeds: np.ndarray
-) -> list[Any]:
+def bearing_elements(config: RotorConfig, bearing: BearingConfig, rotor: Any, speeds: np.ndarray) -> list[Any]:
     """ROSS bearing elements of ``bearing`` at every bearing node of the rotor."""
     if not isinstance(bearing, (BallBearingConfig, CylindricalBearingConfig)):
         return sorted(rotor.bearing_elements, key=lambda element: element.n)
@@ -198,14 +193,13 @@ def _disc(disc: DiscConfig, material: Any) -> Any:
 def _load(path: str | None) -> Any:
     file = Path(str(path))
     if not file.is_file():
-        raise ConfigError(
-            f"rotor.file must be a rotor saved by ROSS (.toml or .json), but there is no file '{file}'"
-        )
+        raise ConfigError(f"rotor.file must be a rotor saved by ROSS (.toml or .json), but there is no file '{file}'")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             return ross().Rotor.load(file)
     except Exception as error:  # ROSS's loader raises whatever its elements' constructors raise
         raise ConfigError(
-            f"rotor.file must be a rotor saved by ROSS (.toml or .json), but '{file}' can't be read as one ({type(error).__name__}: {error})"
+            f"rotor.file must be a rotor saved by ROSS (.toml or .json), but '{file}' can't be read as one "
+            f"({type(error).__name__}: {error})"
         ) from error

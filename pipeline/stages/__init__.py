@@ -23,7 +23,7 @@ STAGES: dict[str, str] = {
 
 
 def run_stage(config: Config) -> None:
-    """Run ``config.stage``. Raises PipelineError for a user's mistake, SystemExit where a stage ends with an exit code."""
+    """Run ``config.stage``. Raises PipelineError for a user's mistake, SystemExit for an exit code."""
     from pipeline.stages.run import execute
 
     execute(config, importlib.import_module(f"pipeline.stages.{config.stage}").run)

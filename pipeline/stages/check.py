@@ -42,9 +42,7 @@ def run(config: Config) -> StageOutput:
     table("metrics against thresholds", ["experiment", "metric", "value", "at most", ""], rows)
     failed = [c for c in checks if not c.passed]
     for c in failed:
-        came = (
-            f"is missing (run the stages of {c.experiment} first)" if c.value is None else f"is {c.value:.3g}"
-        )
+        came = f"is missing (run the stages of {c.experiment} first)" if c.value is None else f"is {c.value:.3g}"
         warn(f"{c.experiment}: {c.metric} must be at most {c.max:g}, but {came}. The limit: {c.why}")
     if not failed:
         say(f"all {len(checks)} metrics hold")

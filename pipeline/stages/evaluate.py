@@ -30,13 +30,14 @@ if TYPE_CHECKING:
 
 
 def load_identified(config: Config, inputs: Inputs) -> IdentifiedModel:
-    """The trained model, training first where it is missing. Raises DataError where it was trained on other data."""
+    """The trained model, training first where it is missing. Raises DataError where other data trained it."""
     work = workspace(config)
     make_missing(config, "train", work.folder / WEIGHTS, work.folder / ARCHITECTURE, work.training)
     trained_on = read_json(work.training).get("data_fingerprint")
     if trained_on != inputs.dataset.fingerprint:
         raise DataError(
-            f"'{work.training}' must belong to the data at hand ({inputs.dataset.fingerprint}), but the model was trained on other data "
+            f"'{work.training}' must belong to the data at hand ({inputs.dataset.fingerprint}), but the model was "
+            "trained on other data "
             f"({trained_on}): run stage=train"
         )
     return load_model(work.folder)
@@ -51,7 +52,7 @@ def load_modelled(config: Config, inputs: Inputs) -> BearingTable | None:
 
 
 def run(config: Config) -> StageOutput:
-    """``metrics.json``, its ``summary.json`` (worst bearing, parts per million), the least-squares coefficients and Figures 3 and 4."""
+    """Errors, their summary (worst bearing, parts per million), least-squares coefficients, Figures 3 and 4."""
     work, inputs = workspace(config), load_inputs(config)
     identified = load_identified(config, inputs)
     unknowns = identified.model.unknowns
@@ -81,9 +82,7 @@ def run(config: Config) -> StageOutput:
         written.append(write_table(work.folder / "coefficient_errors.csv", error_table))
         _print_table(config.name, error_table)
     else:
-        say(
-            f"{config.name}: no modelled coefficients, so no errors; residual {residual:.3g} of the bearing force"
-        )
+        say(f"{config.name}: no modelled coefficients, so no errors; residual {residual:.3g} of the bearing force")
     written += [
         write_json(work.metrics, metrics),
         write_json(work.folder / "summary.json", summary),
@@ -114,7 +113,10 @@ def _error_table(
     for b, node in enumerate(answer.nodes):
         for name, error in errors[node].items():
             row: dict[str, object] = {"bearing_node": node, "coefficient": name}
-            row |= {"modelled": modelled.coefficient(name)[b].mean(), "identified": answer.coefficient(name)[b].mean()}
+            row |= {
+                "modelled": modelled.coefficient(name)[b].mean(),
+                "identified": answer.coefficient(name)[b].mean(),
+            }
             row |= asdict(error) | {"least_squares_mean_error_percent": beside[node][name].mean_error_percent}
             rows.append(row)
     return pd.DataFrame(rows)
@@ -124,7 +126,11 @@ def _print_table(name: str, errors: pd.DataFrame) -> None:
     header = ["bearing and coefficient", "modelled (mean)", "identified (mean)"]
     header += ["mean error %", "median", "max", "L2", "least squares mean error %"]
     rows = [
-        [f"node {node} {coefficient}", *(f"{v / 1e5:.5f}e5" for v in values[:2]), *(f"{v:.2g}" for v in values[2:])]
+        [
+            f"node {node} {coefficient}",
+            *(f"{v / 1e5:.5f}e5" for v in values[:2]),
+            *(f"{v:.2g}" for v in values[2:]),
+        ]
         for node, coefficient, *values in errors.itertuples(index=False)
     ]
     table(f"{name}: identified against modelled", header, rows)

@@ -23,7 +23,8 @@ def run(config: Config) -> StageOutput:
     files = input_files(config)
     if not files.own:
         raise DataError(
-            "generate must write the experiment's own files, but data.vibration, data.excitation or data.known names others: leave them out"
+            "generate must write the experiment's own files, but data.vibration, data.excitation or data.known "
+            "names others: leave them out"
         )
     speeds = np.array(config.excitation.speeds.rpm()) * RAD_S_PER_RPM
     rotor = assemble(config.rotor)
@@ -38,12 +39,15 @@ def run(config: Config) -> StageOutput:
     # A tenth of the speeds shows the trend; the eigenvalues of all would take longer than the vibration.
     margin = stability_margin(whirl_modes(rotor, bearings.at(np.arange(0, len(speeds), 10))))
     say(
-        f"{config.name}: {len(dataset.runs)} runs, {len(speeds)} speeds, {len(dataset.channels)} channels in '{files.vibration}'\n"
-        f"smallest logarithmic decrement {margin.smallest_logarithmic_decrement:.3f} at {margin.at_speed / RAD_S_PER_RPM:.0f} rpm"
+        f"{config.name}: {len(dataset.runs)} runs, {len(speeds)} speeds, {len(dataset.channels)} channels in "
+        f"'{files.vibration}'\n"
+        f"smallest logarithmic decrement {margin.smallest_logarithmic_decrement:.3f} at "
+        f"{margin.at_speed / RAD_S_PER_RPM:.0f} rpm"
     )
     if not margin.stable:
         warn(
-            f"the modelled rotor is unstable somewhere (growth {margin.largest_growth:.3g} 1/s): its steady vibration can't be measured"
+            f"the modelled rotor is unstable somewhere (growth {margin.largest_growth:.3g} 1/s): its steady "
+            "vibration can't be measured"
         )
     return StageOutput(
         metrics=flat_metrics(

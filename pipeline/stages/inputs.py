@@ -51,8 +51,10 @@ def load_inputs(config: Config) -> Inputs:
         made_from = origin_of(files.vibration)
         if made_from not in (None, origin(config)):
             raise DataError(
-                f"'{files.vibration}' must have been generated from the configured rotor, bearings and excitation, but they have "
-                "changed since: run stage=generate with the same overrides first, or choose another folder with output=FOLDER"
+                f"'{files.vibration}' must have been generated from the configured rotor, bearings and excitation, but "
+                "they have "
+                "changed since: run stage=generate with the same overrides first, or choose another folder with "
+                "output=FOLDER"
             )
     rotor = assemble(config.rotor)
     dataset = read_dataset(files.vibration, files.excitation, rotor)

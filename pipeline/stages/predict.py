@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 
 from pipeline.config.schema import Config
@@ -34,17 +38,13 @@ def run(config: Config) -> StageOutput:
     require_nodes(inputs.rotor, "prediction", nodes)
     at = _speed_index(config, inputs.dataset.speeds)
     unseen = tuple(
-        Excitation("prediction", "unbalance", u.node, u.magnitude, u.phase)
-        for u in config.prediction.unbalances
+        Excitation("prediction", "unbalance", u.node, u.magnitude, u.phase) for u in config.prediction.unbalances
     )
     _refuse_seen(unseen, inputs.dataset.excitations)
     vibration = {
-        name: predict(inputs.rotor, system, unseen, config.prediction.node)
-        for name, system in systems.items()
+        name: predict(inputs.rotor, system, unseen, config.prediction.node) for name, system in systems.items()
     }
-    summary: dict[str, object] = {
-        name: _modal_summary(inputs.rotor, system) for name, system in systems.items()
-    }
+    summary: dict[str, Any] = {name: _modal_summary(inputs.rotor, system) for name, system in systems.items()}
     if modelled is not None:
         error = vibration["identified"].error_percent(vibration["modelled"])
         summary["displacement"] = {
@@ -68,7 +68,8 @@ def _speed_index(config: Config, speeds: np.ndarray) -> int:
     nearest = int(np.abs(rpm - wanted).argmin())
     if abs(rpm[nearest] - wanted) > 1e-6 * wanted:
         raise ConfigError(
-            f"prediction.speed_rpm must be one of the data's speeds (known coefficients are given there), but got {wanted:g}: the nearest is {rpm[nearest]:g}"
+            "prediction.speed_rpm must be one of the data's speeds (known coefficients are given there), but got "
+            f"{wanted:g}: the nearest is {rpm[nearest]:g}"
         )
     return nearest
 
@@ -104,7 +105,7 @@ def _modal_summary(rotor: RotorModel, bearings: BearingTable) -> dict[str, objec
     }
 
 
-def _write_table(path, vibration: dict[str, PredictedVibration]):  # type: ignore[no-untyped-def]
+def _write_table(path: Path, vibration: dict[str, PredictedVibration]) -> Path:
     import pandas as pd
 
     columns = {"speed_rpm": to_rpm(next(iter(vibration.values())).speeds)}
@@ -115,7 +116,7 @@ def _write_table(path, vibration: dict[str, PredictedVibration]):  # type: ignor
     return write_table(path, pd.DataFrame(columns))
 
 
-def _print(config: Config, summary: dict, vibration: dict[str, PredictedVibration], at: int) -> None:  # type: ignore[type-arg]
+def _print(config: Config, summary: Mapping[str, Any], vibration: dict[str, PredictedVibration], at: int) -> None:
     rows = []
     for name in vibration:
         of = summary[name]

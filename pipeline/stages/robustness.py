@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,6 +14,8 @@ from pipeline.evaluation.errors import coefficient_errors
 from pipeline.files import write_json
 from pipeline.identification.outcome import Outcome
 from pipeline.identification.training import (
+    PreparedTraining,
+    PreparedTraining,
     TrainedBatch,
     TrainingSetup,
     initial_parameters,
@@ -29,6 +32,7 @@ from pipeline.stages.train import setup_of
 
 if TYPE_CHECKING:
     import pandas as pd
+    import torch
 
 
 def starting_points(config: Config) -> np.ndarray:
@@ -45,19 +49,16 @@ def run(config: Config) -> StageOutput:
 
     torch.set_num_threads(config.threads)
     inputs, setup = load_inputs(config), setup_of(config)
-    if config.robustness.over == "initial_guess" and not any(
-        name.startswith("k") for name in setup.identify.unknowns
-    ):
+    if config.robustness.over == "initial_guess" and not any(name.startswith("k") for name in setup.identify.unknowns):
         raise ConfigError(
-            "robustness over initial guesses must have an unknown stiffness, but identify.unknowns has none: use robustness=seeds"
+            "robustness over initial guesses must have an unknown stiffness, but identify.unknowns has none: use "
+            "robustness=seeds"
         )
     prepared = prepare(inputs.equations, inputs.known, setup)
     starts = starting_points(config)
     parameters = torch.cat([_start(config, setup, prepared, value) for value in starts])
     with training_progress(f"{config.name}: {len(starts)} at once") as progress:
-        batch = run_training(
-            prepared, parameters, setup, progress, record_trajectory=prepared.model.hidden is None
-        )
+        batch = run_training(prepared, parameters, setup, progress, record_trajectory=prepared.model.hidden is None)
     modelled = load_modelled(config, inputs)  # read when training is over
     work = workspace(config)
     rows = _rows(batch, starts, inputs.known, modelled, config.robustness.over)
@@ -70,11 +71,14 @@ def run(config: Config) -> StageOutput:
     ]
     exit_code = 130 if Outcome.INTERRUPTED in batch.outcomes else 0
     return StageOutput(
-        flat_metrics(summary | {"seconds": batch.seconds}), {"data_fingerprint": inputs.dataset.fingerprint}, written, exit_code=exit_code
+        flat_metrics(summary | {"seconds": batch.seconds}),
+        {"data_fingerprint": inputs.dataset.fingerprint},
+        written,
+        exit_code=exit_code,
     )
 
 
-def _start(config: Config, setup: TrainingSetup, prepared, value: float):  # type: ignore[no-untyped-def]
+def _start(config: Config, setup: TrainingSetup, prepared: PreparedTraining, value: float) -> torch.Tensor:
     if config.robustness.over == "seed":
         return initial_parameters(prepared, setup, int(value))
     return initial_parameters(prepared, setup, config.seed, float(value))
@@ -89,9 +93,7 @@ def _rows(
     rows = []
     for g, start in enumerate(starts):
         answer = batch.identified(g).table(known)
-        errors = (
-            None if modelled is None else coefficient_errors(answer, modelled, batch.prepared.model.unknowns)
-        )
+        errors = None if modelled is None else coefficient_errors(answer, modelled, batch.prepared.model.unknowns)
         for b, node in enumerate(answer.nodes):
             for name in batch.prepared.model.unknowns:
                 rows.append(
@@ -100,9 +102,7 @@ def _rows(
                         "bearing_node": node,
                         "coefficient": name,
                         "mean_value": float(answer.coefficient(name)[b].mean()),
-                        "mean_error_percent": float("nan")
-                        if errors is None
-                        else errors[node][name].mean_error_percent,
+                        "mean_error_percent": float("nan") if errors is None else errors[node][name].mean_error_percent,
                         "loss": float(batch.loss[g]),
                         "outcome": batch.outcomes[g].label,
                     }
@@ -113,9 +113,7 @@ def _rows(
 def _summary(batch: TrainedBatch, rows: pd.DataFrame) -> dict[str, object]:
     labels = [outcome.label for outcome in batch.outcomes]
     coefficients: dict[str, dict[str, dict[str, float]]] = {}
-    for (node, name), errors in rows.groupby(["bearing_node", "coefficient"], sort=False)[
-        "mean_error_percent"
-    ]:
+    for (node, name), errors in rows.groupby(["bearing_node", "coefficient"], sort=False)["mean_error_percent"]:
         if errors.notna().all():
             values = {
                 "worst_mean_error_percent": float(errors.max()),
@@ -130,7 +128,7 @@ def _summary(batch: TrainedBatch, rows: pd.DataFrame) -> dict[str, object]:
     }
 
 
-def _print(config: Config, summary: dict, batch: TrainedBatch) -> None:  # type: ignore[type-arg]
+def _print(config: Config, summary: Mapping[str, Any], batch: TrainedBatch) -> None:
     outcomes = ", ".join(f"{count} {label.replace('_', ' ')}" for label, count in summary["outcomes"].items())
     varied = {"seed": "seeds", "initial_guess": "initial guesses"}[config.robustness.over]
     say(f"{config.name}: {summary['starts']} {varied} trained at once in {batch.seconds:.1f} s ({outcomes})")

@@ -38,9 +38,7 @@ def run(config: Config) -> StageOutput:
         metrics=flat_metrics({"training": _account(result) | {"seconds": result.seconds}}),
         tags={"data_fingerprint": inputs.dataset.fingerprint, "outcome": result.outcome.label},
         files=files,
-        history=[
-            {key: value for key, value in row.items() if not isinstance(value, str)} for row in result.history
-        ],
+        history=[{key: value for key, value in row.items() if not isinstance(value, str)} for row in result.history],
         model=workspace(config).folder,
         exit_code=130 if result.outcome is Outcome.INTERRUPTED else 0,
     )
@@ -75,7 +73,8 @@ def _report(config: Config, result: IdentificationResult) -> None:
     held_out = "" if result.held_out_loss is None else f", on held-out speeds {result.held_out_loss:.3g}"
     say(
         f"{config.name}: {result.outcome.value}\n"
-        f"residual {result.loss:.3g} of the bearing force{held_out}, {result.steps} steps in {result.seconds:.1f} s\n"
+        f"residual {result.loss:.3g} of the bearing force{held_out}, "
+        f"{result.steps} steps in {result.seconds:.1f} s\n"
         f"coefficients in '{workspace(config).identified}'"
     )
     if result.outcome in (Outcome.DIVERGED, Outcome.BUDGET_SPENT):

@@ -35,13 +35,9 @@ def prepare_database(path: Path, timeout_seconds: float) -> None:
                     _create(path)
         _probe(path, timeout_seconds)
     except filelock.Timeout:
-        raise DatabaseProblem(
-            f"another process has held {path}-lock for too long; end it and run again"
-        ) from None
+        raise DatabaseProblem(f"another process has held {path}-lock for too long; end it and run again") from None
     except sqlite3.OperationalError as error:
-        raise DatabaseProblem(
-            f"the database {path} can't be written ({error}); is it in use, or read-only?"
-        ) from error
+        raise DatabaseProblem(f"the database {path} can't be written ({error}); is it in use, or read-only?") from error
     except sqlite3.DatabaseError as error:
         raise DatabaseProblem(
             f"{path} is not a sound SQLite database ({error}); move it away, the next run makes a new one"
@@ -83,11 +79,7 @@ def _probe(path: Path, timeout_seconds: float) -> None:
     """Lock the database for writing once: MLflow itself would retry for minutes where that can't be done."""
     with closing(sqlite3.connect(path, timeout=timeout_seconds, isolation_level=None)) as connection:
         connection.execute("BEGIN IMMEDIATE")
-        found = {
-            name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")
-        }
+        found = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
         connection.execute("ROLLBACK")
     if not {"alembic_version", "experiments", "runs"} <= found:
-        raise DatabaseProblem(
-            f"{path} is a database, but not MLflow's; move it away or give another tracking.uri"
-        )
+        raise DatabaseProblem(f"{path} is a database, but not MLflow's; move it away or give another tracking.uri")

@@ -49,9 +49,7 @@ def log_model(client: MlflowClient, run: Run, folder: Path, parameters: Mapping[
     return logged.model_id
 
 
-def _save(
-    path: Path, logged: LoggedModel, signature: ModelSignature, weights: Path, description: Path
-) -> None:
+def _save(path: Path, logged: LoggedModel, signature: ModelSignature, weights: Path, description: Path) -> None:
     import pandas as pd
     from mlflow import pyfunc
     from mlflow.models import Model

@@ -156,9 +156,7 @@ def _log_final(client: MlflowClient, run_id: str, record: StageRecord, model_id:
     return not_finite
 
 
-def _log_metrics(
-    client: MlflowClient, run_id: str, values: Iterable[MetricValue], model_id: str | None = None
-) -> None:
+def _log_metrics(client: MlflowClient, run_id: str, values: Iterable[MetricValue], model_id: str | None = None) -> None:
     from mlflow.entities import Metric
 
     metrics = (Metric(m.name, m.value, m.time, m.step, model_id=model_id, run_id=run_id) for m in values)

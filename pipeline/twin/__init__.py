@@ -1,1 +1,1 @@
-"""The executable digital twin (paper, Figure 5): vibration, critical speeds and stability from coefficients."""
+"""The executable digital twin (paper, Figure 5): vibration, critical speeds, stability from coefficients."""

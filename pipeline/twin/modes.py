@@ -63,8 +63,8 @@ class CriticalSpeed:
 def critical_speeds(modes: WhirlModes) -> list[CriticalSpeed]:
     """Crossings of the mode frequencies with the rotor speed, by linear interpolation between speeds.
 
-    Modes are followed by their order in frequency. A line that jumps because a mode became overdamped makes a crossing
-    only where it passes the synchronous line between two neighbouring speeds on a continuous branch.
+    Modes are followed by their order in frequency. A line that jumps because a mode became overdamped makes
+    a crossing only where it passes the synchronous line between two neighbouring speeds on a continuous branch.
     """
     found = []
     gap = modes.frequency - modes.speeds[:, None]  # (S, K)
@@ -91,8 +91,11 @@ class StabilityMargin:
 
 
 def stability_margin(modes: WhirlModes) -> StabilityMargin:
-    """The margin over all speeds. The decrement looks at modes up to twice the top speed: those far above have a
-    decrement near zero in any finite element model without material damping, and no unbalance reaches them."""
+    """The margin over all speeds.
+
+    The decrement looks at modes up to twice the top speed: those far above have a decrement near zero in any
+    finite element model without material damping, and no unbalance reaches them.
+    """
     within = np.where(modes.frequency <= 2.0 * modes.speeds.max(), modes.logarithmic_decrement, np.inf)
     s, k = np.unravel_index(np.nanargmin(np.where(np.isnan(within), np.inf, within)), within.shape)
     return StabilityMargin(

@@ -38,6 +38,6 @@ def predict(
 def time_curve(
     displacement: np.ndarray, speed: float, turns: float = 2.0, points: int = 400
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Times (T,) in s and displacements (T, 2) in m of x and y at one ``speed`` (rad/s), from amplitudes (2,)."""
+    """Times (T,) in s and displacements (T, 2) in m of x and y at ``speed`` (rad/s), from amplitudes (2,)."""
     time = np.linspace(0.0, turns * 2.0 * np.pi / speed, points)
     return time, np.real(displacement[None, :] * np.exp(1j * speed * time)[:, None])

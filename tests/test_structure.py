@@ -1,0 +1,349 @@
+"""The walls of the design, read from the source: who imports what, and what never appears."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import os
+import pkgutil
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = ROOT / "pipeline"
+CONF = ROOT / "conf"
+
+STEPS = [
+    {"errors", "units", "files", "coefficients"},
+    {"config"},
+    {"rotor"},
+    {"data"},
+    {"equations"},
+    {"identification"},
+    {"evaluation"},
+    {"twin"},
+    {"reporting"},
+    {"tracking"},
+    {"stages"},
+    {"__main__"},
+]
+"""The straight line: a module may import its own step and earlier ones."""
+
+HOMES = {
+    "ross": ["rotor/ross_adapter.py"],
+    "mlflow": ["tracking/"],
+    "optuna": ["tuning/"],
+    "hydra": ["__main__.py", "config/"],
+    "omegaconf": ["__main__.py", "config/"],
+}
+"""Where alone a package may be imported."""
+
+AT_ONCE = {"numpy", "scipy.linalg", "pydantic"}
+"""What a module may import when it is imported itself; everything else waits until it is used."""
+
+ALL_HEAVY = {"tracking/predictor.py": "subclasses MLflow's PythonModel, and is itself imported by functions only"}
+"""Modules that import heavy packages at once, and why that costs nobody."""
+
+
+@dataclass(frozen=True)
+class Import:
+    """One imported module."""
+
+    file: str  # below pipeline/
+    line: int
+    name: str
+    inside_function: bool
+    for_types_only: bool
+
+    def __str__(self) -> str:
+        return f"pipeline/{self.file}:{self.line} imports {self.name}"
+
+    @property
+    def root(self) -> str:
+        return self.name.partition(".")[0]
+
+
+@cache
+def sources() -> dict[str, ast.Module]:
+    """Every module of the package, parsed."""
+    return {
+        path.relative_to(PACKAGE).as_posix(): ast.parse(path.read_text(encoding="utf-8"), str(path))
+        for path in sorted(PACKAGE.rglob("*.py"))
+    }
+
+
+@cache
+def imports() -> tuple[Import, ...]:
+    """Every import of every module."""
+    return tuple(found for file, tree in sources().items() for found in _imports(file, tree, inside=False, types=False))
+
+
+def _imports(file: str, node: ast.AST, inside: bool, types: bool) -> Iterator[Import]:
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.If) and ast.unparse(child.test) in ("TYPE_CHECKING", "typing.TYPE_CHECKING"):
+            for part in child.body:
+                yield from _imports(file, ast.Module([part], []), inside, True)
+            for part in child.orelse:
+                yield from _imports(file, ast.Module([part], []), inside, types)
+            continue
+        function = isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda))
+        if isinstance(child, ast.Import):
+            names = [alias.name for alias in child.names]
+        elif isinstance(child, ast.ImportFrom):
+            names = _from(file, child)
+        else:
+            yield from _imports(file, child, inside or function, types)
+            continue
+        for name in names:
+            yield Import(file, child.lineno, name, inside, types)
+
+
+def _from(file: str, node: ast.ImportFrom) -> list[str]:
+    module = node.module or ""
+    if node.level:
+        above = ["pipeline", *Path(file).parts[:-1]]
+        module = ".".join([*above[: len(above) - node.level + 1], *([module] if module else [])])
+    # `from package import module` imports the module; `from module import name` doesn't say which it is.
+    inner = [f"{module}.{alias.name}" for alias in node.names]
+    return inner if module == "pipeline" or module == "scipy" else [module]
+
+
+def step_of(name: str) -> int:
+    """The place on the straight line of a module, named as in an import."""
+    part = name.split(".")[1]
+    return next((i for i, step in enumerate(STEPS) if part in step), -1)
+
+
+# --- one straight line -----------------------------------------------------------------------------
+
+
+def test_every_module_has_a_place_on_the_line() -> None:
+    """A new package of the pipeline must be put on the straight line, or this test would not watch it."""
+    parts = {Path(file).parts[0].removesuffix(".py") for file in sources()} - {"__init__", "tuning"}
+    assert parts == set().union(*STEPS)
+
+
+def test_no_module_imports_a_later_step() -> None:
+    """Each step of the line knows earlier ones only, inside functions too; types may come from anywhere."""
+    inside = [i for i in imports() if i.name.startswith("pipeline.") and not i.for_types_only]
+    assert len(inside) > 50
+    later = [
+        str(i)
+        for i in inside
+        if step_of(i.name) > step_of(f"pipeline.{Path(i.file).with_suffix('').parts[0]}.x") and i.file != "__init__.py"
+    ]
+    assert later == []
+
+
+def test_no_circle_of_imports() -> None:
+    """Modules of one step may know each other, but not in a circle."""
+    graph: dict[str, set[str]] = {}
+    for i in imports():
+        if i.root == "pipeline" and not i.for_types_only and not i.inside_function:
+            own = ("pipeline." + i.file.removesuffix(".py").replace("/", ".")).removesuffix(".__init__")
+            graph.setdefault(own, set()).add(i.name)
+    done: set[str] = set()
+
+    def visit(module: str, trail: tuple[str, ...]) -> None:
+        assert module not in trail, " -> ".join([*trail, module])
+        if module not in done:
+            for other in graph.get(module, ()):
+                visit(other, (*trail, module))
+            done.add(module)
+
+    for module in list(graph):
+        visit(module, ())
+
+
+# --- walls -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("package", HOMES)
+def test_a_package_is_imported_in_its_home_only(package: str) -> None:
+    """ROSS behind one module, MLflow behind one package, Optuna in tuning, Hydra at the front door."""
+    users = [i for i in imports() if i.root == package]
+    strangers = [str(i) for i in users if not any(i.file.startswith(home) for home in HOMES[package])]
+    assert strangers == []
+    homes = [home for home in HOMES[package] if (PACKAGE / home).exists()]
+    assert [home for home in homes if not any(i.file.startswith(home) for i in users)] == []
+
+
+@pytest.mark.parametrize("package", HOMES)
+def test_a_package_is_not_imported_by_its_name_as_a_text(package: str) -> None:
+    """No way round the wall by importlib or __import__ with a constant."""
+    for file, tree in sources().items():
+        for call in ast.walk(tree):
+            if isinstance(call, ast.Call) and ast.unparse(call.func).split(".")[-1] in (
+                "import_module",
+                "__import__",
+            ):
+                words = [a.value for a in call.args if isinstance(a, ast.Constant)]
+                assert not any(str(word).partition(".")[0] == package for word in words), file
+
+
+def test_heavy_packages_wait_until_they_are_used() -> None:
+    """At import time only numpy, scipy.linalg and pydantic come along: help and errors answer at once."""
+    others = [
+        str(i)
+        for i in imports()
+        if not (i.inside_function or i.for_types_only)
+        and i.root not in sys.stdlib_module_names | {"pipeline"}
+        and i.name not in AT_ONCE
+        and i.file not in ALL_HEAVY
+    ]
+    assert others == []
+
+
+@pytest.mark.parametrize("file", ALL_HEAVY)
+def test_a_heavy_module_is_imported_inside_functions_only(file: str) -> None:
+    """What is excused from the rule above must itself wait until it is used."""
+    module = "pipeline." + file.removesuffix(".py").replace("/", ".")
+    users = [i for i in imports() if i.name == module or i.name.startswith(f"{module}.")]
+    assert [str(i) for i in users if not (i.inside_function or i.for_types_only)] == []
+
+
+HEAVY = ["torch", "ross", "mlflow", "pandas", "matplotlib", "scipy.optimize", "pyarrow", "optuna", "plotly"]
+
+
+@pytest.mark.parametrize(
+    ("modules", "absent"),
+    [
+        (["pipeline.config.schema"], [*HEAVY, "hydra", "pint", "numpy"]),
+        (["pipeline.stages"], [*HEAVY, "hydra", "pydantic", "numpy"]),
+        (["pipeline.config.compose", "pipeline.stages.run", "pipeline.stages.inputs"], HEAVY),
+        (["pipeline.stages.train", "pipeline.stages.evaluate", "pipeline.stages.check"], HEAVY),
+        (["pipeline.tracking", "pipeline.reporting.figures", "pipeline.twin.modes"], HEAVY),
+    ],
+    ids=lambda value: value[0].removeprefix("pipeline.") if value[0].startswith("pipeline") else None,
+)
+def test_importing_is_light(modules: list[str], absent: list[str]) -> None:
+    """In a fresh interpreter, importing these modules loads none of the heavy packages."""
+    code = (
+        f"import importlib, sys\nfor name in {modules}: importlib.import_module(name)\n"
+        f"print([name for name in {absent} if name in sys.modules])"
+    )
+    answer = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code],
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert answer.stdout.strip() == "[]"
+
+
+def test_every_module_can_be_imported_by_itself() -> None:
+    """No module needs another one to have been imported before."""
+    for module in pkgutil.walk_packages([str(PACKAGE)], "pipeline."):
+        if module.name not in {"pipeline.__main__", "pipeline.tracking.predictor"}:
+            importlib.import_module(module.name)
+
+
+# --- files are data, never code ----------------------------------------------------------------------
+
+CODE_FROM_DATA = {
+    *("pickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"),
+    *("torch.load", "torch.save", "np.load", "numpy.load", "pd.read_pickle", "pandas.read_pickle"),
+    *("yaml.load", "yaml.unsafe_load", "yaml.full_load"),
+}
+BUILT_IN = {"eval", "exec", "compile", "__import__"}
+
+
+@pytest.mark.parametrize("file", sources())
+def test_no_data_become_code(file: str) -> None:
+    """No pickle, no torch.load, no eval: whatever a file holds, it can't run."""
+    for node in ast.walk(sources()[file]):
+        if isinstance(node, (ast.Attribute, ast.Name)):
+            assert ast.unparse(node) not in CODE_FROM_DATA, f"line {node.lineno}"
+        if isinstance(node, ast.Call):
+            assert not (isinstance(node.func, ast.Name) and node.func.id in BUILT_IN), f"line {node.lineno}"
+            said = ast.unparse(node.func)
+            assert not said.endswith(".read_pickle"), f"line {node.lineno}"
+            assert not any(k.arg == "allow_pickle" for k in node.keywords), f"line {node.lineno}"
+            if said in ("os.system", "os.popen"):
+                raise AssertionError(f"{said} in line {node.lineno}")
+            shell = [k for k in node.keywords if k.arg == "shell"]
+            assert not any(getattr(k.value, "value", True) for k in shell), f"line {node.lineno}"
+    named = {i.root for i in imports() if i.file == file}
+    assert not named & CODE_FROM_DATA
+
+
+@pytest.mark.parametrize("file", sources())
+def test_every_module_says_what_it_is_for(file: str) -> None:
+    """Each module starts with a sentence, and each public class and function of a module has one."""
+    tree = sources()[file]
+    assert ast.get_docstring(tree)
+    for node in tree.body:
+        public = isinstance(node, (ast.FunctionDef, ast.ClassDef)) and not node.name.startswith("_")
+        assert not public or ast.get_docstring(node), node.name
+
+
+def test_rpm_and_degrees_are_converted_at_the_edge() -> None:
+    """SI inside: the factors of rpm and degrees appear at the config, the files and what a person sees."""
+    inner = {"equations", "identification", "rotor", "twin"}
+    strangers = []
+    for file, tree in sources().items():
+        if Path(file).parts[0] in inner:
+            words = {ast.unparse(node) for node in ast.walk(tree) if isinstance(node, (ast.Name, ast.Attribute))}
+            found = {"RAD_S_PER_RPM", "to_rpm", "np.degrees", "np.radians", "np.deg2rad", "np.rad2deg"}
+            strangers += [f"{file}: {word}" for word in sorted(words & (found | {"math.degrees", "math.radians"}))]
+    assert strangers == []
+
+
+# --- experiments -------------------------------------------------------------------------------------
+
+EXPERIMENTS = sorted(path.stem for path in (CONF / "experiment").glob("*.yaml"))
+
+
+@pytest.mark.parametrize("name", EXPERIMENTS)
+def test_the_head_of_an_experiment_says_its_command_and_cost(name: str) -> None:
+    """A person who opens the file sees at once how to run it, and how long that takes."""
+    lines = (CONF / "experiment" / f"{name}.yaml").read_text(encoding="utf-8").splitlines()
+    head = [line for line in lines[:6] if line.startswith("#")]
+    command = [line for line in head if "python -m pipeline" in line]
+    assert command, head
+    assert re.search(rf"experiment={name}(?![\w-])", command[0])
+    assert re.search(r"\b\d+ (?:s|min)\b", command[0]), "the cost"
+
+
+@pytest.mark.parametrize("name", EXPERIMENTS)
+def test_an_experiment_has_a_name_a_description_and_thresholds(name: str) -> None:
+    """It is called like its file, says what it is, and can't get worse unnoticed."""
+    config = yaml.safe_load((CONF / "experiment" / f"{name}.yaml").read_text(encoding="utf-8"))
+    assert config["name"] == name
+    assert len(config["description"]) > 20
+    rules = yaml.safe_load((CONF / "thresholds" / f"{name}.yaml").read_text(encoding="utf-8"))
+    assert len(rules) >= 3
+    assert {rule.get("file", "metrics.json") for rule in rules} >= {
+        "metrics.json",
+        "robustness.json",
+        "prediction.json",
+    }
+    assert all(len(rule["why"].split()) >= 5 for rule in rules)
+
+
+def test_every_threshold_file_is_of_an_experiment() -> None:
+    """No threshold is left of an experiment that is gone."""
+    assert sorted(path.stem for path in (CONF / "thresholds").glob("*.yaml")) == EXPERIMENTS
+
+
+def test_dvc_runs_every_experiment() -> None:
+    """`dvc repro` makes them all."""
+    text = (ROOT / "dvc.yaml").read_text(encoding="utf-8")
+    assert sorted(yaml.safe_load(text)["vars"][0]["experiments"]) == EXPERIMENTS
+
+
+@pytest.mark.parametrize("path", sorted(CONF.rglob("*.yaml")), ids=lambda p: p.relative_to(CONF).as_posix())
+def test_every_config_says_what_it_is(path: Path) -> None:
+    """Each file of conf/ starts with a sentence."""
+    first = path.read_text(encoding="utf-8").splitlines()[0]
+    assert re.match(r"# \S.{10,}", first)
