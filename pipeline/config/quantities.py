@@ -44,11 +44,7 @@ def _parse(text: str, unit: str, example: str) -> float:
     try:
         quantity = _registry().Quantity(text)
     except pint.UndefinedUnitError as error:
-        names = error.unit_names
-        unknown = ", ".join([names] if isinstance(names, str) else list(names))
-        raise ValueError(
-            f"must have a known unit (such as {example}), but got {text!r}: unknown unit {unknown!r}"
-        ) from None
+        raise ValueError(f"must have a known unit (such as {example}), but got {text!r}: {error}") from None
     except Exception:  # pint's parser raises many kinds (tokenize, syntax, assertion errors) for other text
         raise ValueError(f"must be a quantity (such as {example}), but got {text!r}") from None
     try:

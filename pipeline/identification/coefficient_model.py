@@ -7,7 +7,6 @@ as leading dimensions of one tensor. Legend: ``...`` batch, P parameters, N spee
 from __future__ import annotations
 
 import itertools
-import itertools
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal

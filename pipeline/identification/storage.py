@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
-from typing import Any
 
 from pipeline.errors import DataError
 from pipeline.files import read_json, write_beside, write_json

@@ -15,7 +15,6 @@ from pipeline.files import write_json
 from pipeline.identification.outcome import Outcome
 from pipeline.identification.training import (
     PreparedTraining,
-    PreparedTraining,
     TrainedBatch,
     TrainingSetup,
     initial_parameters,

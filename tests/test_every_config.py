@@ -1,0 +1,544 @@
+"""Every experiment and option runs, stage by stage, on few speeds and with few steps; and what a run leaves behind."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from pipeline.config.compose import CONF, compose_config, options
+from pipeline.errors import ConfigError, DataError
+from pipeline.stages import STAGES, check, run_stage
+
+EXPERIMENTS = options("experiment")
+LINE = ["generate", "train", "evaluate", "robustness", "predict"]
+FEW = [
+    "tracking=none",
+    *(f"excitation.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=250")),
+    "optimizer.adam.steps=4",
+    "optimizer.levenberg_marquardt.steps=4",
+    "robustness.count=3",
+    "robustness.seeds=[0,1]",
+]
+GROUPS = sorted(p.name for p in CONF.iterdir() if p.is_dir() and p.name not in {"experiment", "thresholds"})
+COEFFICIENTS = ["kxx", "kxy", "kyx", "kyy", "cxx", "cxy", "cyx", "cyy"]
+FIGURES = [
+    *("stiffness", "damping", "training", "robustness"),
+    *("prediction_time", "prediction_orbit", "prediction_response"),
+]
+
+
+def run(stage: str, experiment: str, folder: Path, *overrides: str) -> None:
+    """One stage of an experiment in ``folder``."""
+    run_stage(compose_config([f"experiment={experiment}", *FEW, f"stage={stage}", f"output='{folder}'", *overrides]))
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Every file below ``folder``."""
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def read(path: Path) -> Any:
+    """JSON as the standard has it: NaN is none."""
+
+    def refuse(word: str) -> None:
+        raise AssertionError(f"{path} holds {word}")
+
+    return json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
+
+
+class Made:
+    """The experiments run so far, each once."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.folders: dict[str, Path] = {}
+
+    def __call__(self, experiment: str) -> Path:
+        """The folder of an experiment of which every stage has run."""
+        if experiment not in self.folders:
+            self.folders[experiment] = self.root / experiment
+            for stage in LINE:
+                run(stage, experiment, self.folders[experiment])
+        return self.folders[experiment]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
+    """``made(experiment)``: its folder, all stages run; not to be written to."""
+    return Made(tmp_path_factory.mktemp("made"))
+
+
+# --- every configuration runs ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
+def test_every_stage_of_an_experiment_again_gives_the_same_bits(experiment: str, made: Made, tmp_path: Path) -> None:
+    """All stages run, and a second time they write every file with the same bytes, figures too."""
+    first = contents(made(experiment))
+    folder = tmp_path / "again"
+    for stage in LINE:
+        run(stage, experiment, folder)
+    again = contents(folder)
+    assert again.keys() == first.keys()
+    assert [name for name in first if again[name] != first[name]] == []
+    for stage in LINE:  # and over its own files
+        run(stage, experiment, folder)
+    assert [name for name in first if (folder / name).read_bytes() != first[name]] == []
+
+
+CHOICES = [(group, option) for group in GROUPS for option in options(group)]
+MORE = [
+    "loss.scaling=none",
+    "identify.tie_bearings=true",
+    "training.holdout_every=0",
+    "training.holdout_every=2",
+    "model.parametrisation=scaled",
+    "model.initial_stiffness=1",
+    "model.initial_stiffness=1e8",
+    "seed=7",
+    "threads=2",
+    "identify.unknowns=[kxx]",
+    "identify.unknowns=[cyy,kxx]",
+]
+NETWORK = [
+    *(f"model.activation={name}" for name in ("tanh", "silu", "sine")),
+    *(f"model.input_scaling={name}" for name in ("rpm", "log_rpm")),
+    *("model.depth=3", "model.width=1"),
+]
+
+
+def _runs_or_says_why_not(experiment: str, folder: Path, *overrides: str) -> None:
+    """Training and robustness leave finite answers; what can't be combined is a ConfigError that names nodes."""
+    try:
+        compose_config([f"experiment={experiment}", *FEW, *overrides])
+    except ConfigError as refusal:
+        assert "must use nodes" in str(refusal)
+        return
+    run("train", experiment, folder, *overrides)
+    identified = pd.read_csv(folder / "identified_coefficients.csv")
+    assert list(identified) == ["bearing_node", "speed_rpm", *COEFFICIENTS]
+    assert np.isfinite(identified.to_numpy()).all()
+    assert read(folder / "training.json")["outcome"] in {"converged", "budget_spent", "diverged"}
+
+
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
+@pytest.mark.parametrize(("group", "option"), CHOICES)
+def test_every_option_of_every_group(group: str, option: str, experiment: str, tmp_path: Path) -> None:
+    """Any option with any experiment composes and trains, or is refused for the nodes it names."""
+    few = ["tracking=none"] if group == "tracking" else [f"{group}={option}"]
+    compose_config([f"experiment={experiment}", f"{group}={option}"]) if group == "tracking" else None
+    if group == "optimizer":
+        few += [f"optimizer.{phase}.steps=3" for phase in ("adam", "lbfgs") if phase in option]
+    _runs_or_says_why_not(experiment, tmp_path / "x", *few)
+
+
+@pytest.mark.parametrize("change", MORE)
+def test_other_values(change: str, tmp_path: Path) -> None:
+    """What the configuration offers beside its options trains as well."""
+    experiment = "ball_bearing" if "holdout" in change else "hydrostatic_stiffness"
+    _runs_or_says_why_not(experiment, tmp_path / "x", change)
+
+
+@pytest.mark.parametrize("change", NETWORK)
+def test_every_network(change: str, tmp_path: Path) -> None:
+    """Widths, depths, activations and input scalings train."""
+    _runs_or_says_why_not("hydrostatic_stiffness", tmp_path / "x", change)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
+@pytest.mark.parametrize("model", options("model"))
+@pytest.mark.parametrize("optimizer", options("optimizer"))
+@pytest.mark.parametrize("robustness", options("robustness"))
+def test_all_stages_of_all_combinations(
+    experiment: str, model: str, optimizer: str, robustness: str, tmp_path: Path
+) -> None:
+    """Model, optimiser and robustness in every combination go through all stages."""
+    chosen = [f"model={model}", f"optimizer={optimizer}", f"robustness={robustness}", "optimizer.lbfgs.steps=2"]
+    for stage in LINE:
+        run(stage, experiment, tmp_path / "x", *chosen)
+    assert {f"figures/{name}.png" for name in FIGURES} <= contents(tmp_path / "x").keys()
+
+
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
+def test_configure_writes_what_the_other_stages_read(experiment: str, tmp_path: Path) -> None:
+    """config.yaml holds the configuration in SI, without what says how rather than what."""
+    import yaml
+
+    run("configure", experiment, tmp_path / "x")
+    assert contents(tmp_path / "x").keys() == {"config.yaml"}
+    mapping = yaml.safe_load((tmp_path / "x" / "config.yaml").read_text())
+    assert mapping["name"] == experiment
+    assert not {"stage", "tracking", "check", "threads", "output"} & mapping.keys()
+    assert mapping["rotor"]["shaft"][0]["length"] < 10  # m
+
+
+@pytest.mark.parametrize("speed", ["500", "1500"])
+def test_a_single_speed(speed: str, tmp_path: Path) -> None:
+    """One measured speed is a measurement: every stage answers, in JSON."""
+    one = [f"excitation.speeds.start_rpm={speed}", f"excitation.speeds.stop_rpm={speed}"]
+    for stage in LINE:
+        run(stage, "hydrostatic_stiffness", tmp_path / "x", *one, f"prediction.speed_rpm={speed}")
+    for name in ("metrics.json", "robustness.json", "prediction.json", "training.json"):
+        read(tmp_path / "x" / name)
+
+
+OUTCOMES = {
+    "optimizer.adam.learning_rate=1e300": "diverged",
+    "model.initial_stiffness=1e300": "diverged",
+    "optimizer.adam.patience=1": None,
+}
+
+
+@pytest.mark.parametrize("change", OUTCOMES)
+def test_a_training_that_fails_has_a_named_outcome(
+    change: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A training that can't succeed ends with its outcome and what to try next, and complete files."""
+    run("train", "ball_bearing", tmp_path / "x", "optimizer=adam", "optimizer.adam.steps=6", change)
+    outcome = read(tmp_path / "x" / "training.json")["outcome"]
+    assert outcome in ({OUTCOMES[change]} if OUTCOMES[change] else {"converged", "budget_spent"})
+    said = capsys.readouterr()
+    if outcome == "diverged":
+        assert "try a smaller optimizer.adam.learning_rate" in said.out
+        assert "diverged" in said.err
+
+
+# --- missing inputs, other data --------------------------------------------------------------------
+
+
+def test_a_stage_makes_what_it_needs_and_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Predict in an empty folder generates and trains first, in this order, each announced once."""
+    run("predict", "ball_bearing", tmp_path / "new folder")
+    announced = re.findall(r"'([^']+)' is missing: running stage=(\w+) first", capsys.readouterr().out)
+    assert [stage for _, stage in announced] == ["generate", "train"]
+    assert {Path(path).parent for path, _ in announced} == {tmp_path / "new folder"}
+    assert (tmp_path / "new folder" / "prediction.json").exists()
+
+
+NEEDED = {
+    "vibration.parquet": "generate",
+    "excitation.csv": "generate",
+    "known_coefficients.csv": "generate",
+    "model.safetensors": "train",
+    "model.json": "train",
+    "training.json": "train",
+    "history.csv": "train",
+}
+
+
+@pytest.mark.parametrize("name", NEEDED)
+def test_a_missing_file_is_made_again(
+    name: str, made: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Whichever input of evaluate is gone, its stage runs first and says so; the result is the same."""
+    folder = Path(shutil.copytree(made("ball_bearing"), tmp_path / "x"))
+    before = contents(folder)
+    (folder / name).unlink()
+    run("evaluate", "ball_bearing", folder)
+    assert f"'{folder / name}' is missing: running stage={NEEDED[name]} first" in capsys.readouterr().out
+    assert contents(folder) == before
+
+
+def test_nothing_is_made_that_is_there(made: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """With its inputs in place, a stage neither generates nor trains, and writes only its own files."""
+    folder = Path(shutil.copytree(made("ball_bearing"), tmp_path / "x"))
+    times = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+    run("evaluate", "ball_bearing", folder)
+    assert "is missing" not in capsys.readouterr().out
+    changed = {path.name for path, time in times.items() if path.is_file() and path.stat().st_mtime_ns != time}
+    assert changed == {
+        *("metrics.json", "summary.json", "least_squares_coefficients.csv"),
+        *("stiffness.png", "damping.png", "training.png"),
+    }
+
+
+@pytest.mark.parametrize("stage", ["evaluate", "predict"])
+def test_a_model_trained_on_other_data_is_refused(stage: str, made: Made, tmp_path: Path) -> None:
+    """After another generate, the old model does not belong to the data any more."""
+    other = "excitation.runs.0.unbalances.0.magnitude=2e-4"
+    folder = Path(shutil.copytree(made("ball_bearing"), tmp_path / "x"))
+    run("generate", "ball_bearing", folder, other)
+    before = contents(folder)
+    with pytest.raises(DataError, match=r"trained on other data .*: run stage=train"):
+        run(stage, "ball_bearing", folder, other)
+    assert contents(folder) == before
+    run("train", "ball_bearing", folder, other)
+    run(stage, "ball_bearing", folder, other)
+
+
+def test_a_prediction_of_what_training_saw_is_refused(made: Made, tmp_path: Path) -> None:
+    """The twin is judged on an unbalance that no training run has."""
+    seen = "prediction.unbalances=[{node: 1, magnitude: 100 g mm}]"
+    with pytest.raises(ConfigError, match="that training never saw, but run 'disc' is the same"):
+        run("predict", "ball_bearing", Path(shutil.copytree(made("ball_bearing"), tmp_path / "x")), seen)
+
+
+def test_a_prediction_between_the_speeds_is_refused(made: Made, tmp_path: Path) -> None:
+    """Known coefficients are given at the data's speeds: the nearest of them is named."""
+    with pytest.raises(ConfigError, match=r"one of the data's speeds .* got 1510: the nearest is 1500"):
+        run(
+            "predict",
+            "ball_bearing",
+            Path(shutil.copytree(made("ball_bearing"), tmp_path / "x")),
+            "prediction.speed_rpm=1510",
+        )
+
+
+def test_initial_guesses_need_an_unknown_stiffness(tmp_path: Path) -> None:
+    """Robustness over initial stiffnesses has nothing to vary where only damping is unknown."""
+    with pytest.raises(ConfigError, match="must have an unknown stiffness"):
+        run("robustness", "ball_bearing", tmp_path / "x", "identify.unknowns=[cxx]")
+
+
+# --- what a run leaves ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("figure", FIGURES)
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
+def test_figures_show_something(experiment: str, figure: str, made: Made) -> None:
+    """Each figure is a picture of some size with curves in it: neither blank nor a few pixels."""
+    from matplotlib import image
+
+    pixels = image.imread(made(experiment) / "figures" / f"{figure}.png")
+    height, width = pixels.shape[:2]
+    assert height > 300
+    assert width > 500
+    inked = (pixels[..., :3] < 0.95).any(axis=-1)
+    assert 0.005 < inked.mean() < 0.5
+    coloured = np.ptp(pixels[..., :3], axis=-1) > 0.2
+    assert coloured.sum() > 200
+    rows, columns = np.flatnonzero(inked.any(axis=1)), np.flatnonzero(inked.any(axis=0))
+    assert np.ptp(rows) > 0.8 * height  # it fills its frame, and touches no edge
+    assert np.ptp(columns) > 0.8 * width
+    assert 0 < rows[0]
+    assert rows[-1] < height - 1
+    assert 0 < columns[0]
+    assert columns[-1] < width - 1
+
+
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
+def test_files_of_an_experiment(experiment: str, made: Made) -> None:
+    """Exactly the files of the design, and no temporary one."""
+    assert {name for name in contents(made(experiment)) if not name.startswith("figures/")} == {
+        *("vibration.parquet", "excitation.csv", "modelled_coefficients.csv", "known_coefficients.csv"),
+        *("identified_coefficients.csv", "model.safetensors", "model.json", "training.json", "history.csv"),
+        *("metrics.json", "summary.json", "least_squares_coefficients.csv"),
+        *("robustness.json", "robustness.csv", "prediction.json", "prediction.csv"),
+    }
+    assert {path.stem for path in (made(experiment) / "figures").iterdir()} == set(FIGURES)
+
+
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
+def test_tables_have_the_columns_that_others_rely_on(experiment: str, made: Made) -> None:
+    """The doors of the design: names and order of columns, one row a speed and bearing, rpm as written."""
+    folder, config = made(experiment), compose_config([f"experiment={experiment}", *FEW])
+    speeds, nodes = config.excitation.speeds.rpm(), list(config.rotor.bearing_nodes)
+    vibration = pd.read_parquet(folder / "vibration.parquet")
+    assert list(vibration) == ["run", "speed_rpm", "node", "direction", "amplitude_m", "phase_deg"]
+    assert sorted(set(vibration["speed_rpm"])) == speeds
+    assert set(vibration["direction"]) == {"x", "y"}
+    assert list(dict.fromkeys(vibration["run"])) == [r.name for r in config.excitation.runs]
+    n_nodes = 1 + sum(segment.elements for segment in config.rotor.shaft)
+    assert len(vibration) == len(config.excitation.runs) * len(speeds) * n_nodes * 2
+    excitation = pd.read_csv(folder / "excitation.csv")
+    assert list(excitation) == ["run", "kind", "node", "magnitude", "phase_deg", "whirl"]
+    known = ["bearing_node", "speed_rpm", *config.identify.known()]
+    for name, columns in {
+        "modelled_coefficients": ["bearing_node", "speed_rpm", *COEFFICIENTS],
+        "identified_coefficients": ["bearing_node", "speed_rpm", *COEFFICIENTS],
+        "least_squares_coefficients": ["bearing_node", "speed_rpm", *COEFFICIENTS],
+        "known_coefficients": known,
+    }.items():
+        table = pd.read_csv(folder / f"{name}.csv")
+        assert list(table) == columns
+        assert table["bearing_node"].tolist() == [node for node in nodes for _ in speeds]
+        assert table["speed_rpm"].tolist() == speeds * len(nodes)
+    history = pd.read_csv(folder / "history.csv")
+    assert list(history) == ["step", "phase", "loss", "held_out_loss"]
+    assert history["step"].tolist() == list(range(len(history)))
+    prediction = pd.read_csv(folder / "prediction.csv")
+    assert prediction["speed_rpm"].tolist() == speeds
+    for system in ("modelled", "identified"):
+        for direction in "xy":
+            assert {f"{direction}_{system}_amplitude_m", f"{direction}_{system}_phase_deg"} <= set(prediction)
+
+
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
+def test_known_columns_of_the_identified_table_are_the_known_ones(experiment: str, made: Made) -> None:
+    """identified_coefficients.csv has all eight; those that were not identified are copied, to the last digit."""
+    folder = made(experiment)
+    identified, known = (pd.read_csv(folder / f"{n}_coefficients.csv") for n in ("identified", "known"))
+    pd.testing.assert_frame_equal(identified[list(known)], known, check_exact=True)
+
+
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
+def test_metrics_have_the_shape_that_others_rely_on(experiment: str, made: Made) -> None:
+    """metrics.json: bearing, coefficient, error; only what was identified; finite numbers."""
+    config = compose_config([f"experiment={experiment}", *FEW])
+    metrics = read(made(experiment) / "metrics.json")
+    assert set(metrics) >= {"coefficients", "least_squares", "residual", "condition_number"}
+    for part in ("coefficients", "least_squares"):
+        assert list(metrics[part]) == [str(node) for node in config.rotor.bearing_nodes]
+        for of in metrics[part].values():
+            assert list(of) == list(config.identify.unknowns)
+            for error in of.values():
+                assert set(error) == {f"{k}_error_percent" for k in ("mean", "median", "max", "l2")}
+                assert 0 <= error["median_error_percent"] <= error["max_error_percent"]
+                assert 0 <= error["mean_error_percent"] <= error["max_error_percent"]
+    robustness = read(made(experiment) / "robustness.json")
+    assert sum(robustness["outcomes"].values()) == robustness["starts"]
+    assert list(robustness["coefficients"]) == [str(node) for node in config.rotor.bearing_nodes]
+    prediction = read(made(experiment) / "prediction.json")
+    assert set(prediction) == {"modelled", "identified", "displacement"}
+    assert set(prediction["displacement"]) == {"x", "y"}
+    for system in ("modelled", "identified"):
+        assert isinstance(prediction[system]["stability"]["stable"], bool)
+    assert read(made(experiment) / "training.json").keys() >= {"outcome", "data_fingerprint", "seed", "loss"}
+
+
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
+def test_metrics_are_the_errors_of_the_tables(experiment: str, made: Made) -> None:
+    """The mean error of metrics.json is that of identified against modelled table, computed here by hand."""
+    folder = made(experiment)
+    identified, modelled = (
+        pd.read_csv(folder / f"{n}_coefficients.csv").set_index(["bearing_node", "speed_rpm"])
+        for n in ("identified", "modelled")
+    )
+    for node, of in read(folder / "metrics.json")["coefficients"].items():
+        for name, error in of.items():
+            found, true = identified.loc[int(node), name], modelled.loc[int(node), name]
+            relative = 100 * (found - true).abs() / true.abs()
+            mean, top = error["mean_error_percent"], error["max_error_percent"]
+            assert mean == pytest.approx(relative.mean(), rel=1e-6, abs=1e-12)
+            assert top == pytest.approx(relative.max(), rel=1e-6, abs=1e-12)
+
+
+# --- check -----------------------------------------------------------------------------------------------
+
+Checking = Callable[..., int]
+
+
+@pytest.fixture
+def checking(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Checking:
+    """``checking(rules, metrics, overrides)``: the exit code of stage=check on one experiment, and what it wrote."""
+    thresholds = tmp_path / "thresholds"
+    thresholds.mkdir()
+    monkeypatch.setattr(check, "THRESHOLDS", thresholds)
+
+    def act(rules: str | bytes, metrics: str | None, *overrides: str, name: str = "rig") -> int:
+        raw = rules if isinstance(rules, bytes) else rules.encode()
+        (thresholds / f"{name}.yaml").write_bytes(raw)
+        folder = tmp_path / "artifacts" / name
+        folder.mkdir(parents=True, exist_ok=True)
+        if metrics is not None:
+            (folder / "metrics.json").write_text(metrics)
+        try:
+            run("check", "ball_bearing", tmp_path / "artifacts" / "ball_bearing", *overrides)
+        except SystemExit as stop:
+            assert isinstance(stop.code, int)
+            return stop.code
+        return 0
+
+    return act
+
+
+RULE = "- {metric: coefficients.*.kxx.mean_error_percent, max: 1.0, why: because the bar says so}\n"
+GOOD = '{"coefficients": {"0": {"kxx": {"mean_error_percent": 0.5}}, "2": {"kxx": {"mean_error_percent": 1.0}}}}'
+
+
+def test_check_passes_what_holds(checking: Checking, capsys: pytest.CaptureFixture[str]) -> None:
+    """At its threshold a metric still holds; exit code 0, and a table of all."""
+    assert checking(RULE, GOOD) == 0
+    said = capsys.readouterr().out
+    assert "coefficients.0.kxx.mean_error_percent" in said
+    assert "coefficients.2.kxx.mean_error_percent" in said
+    assert "all 2 metrics hold" in said
+
+
+BROKEN = {
+    "too large": GOOD.replace("0.5", "1.0000001"),
+    "NaN": GOOD.replace("0.5", "NaN"),
+    "infinite": GOOD.replace("0.5", "Infinity"),
+    "a text": GOOD.replace("0.5", '"0.5"').replace("1.0", '"1.0"'),
+    "true": GOOD.replace("0.5", "true").replace("1.0", "false"),
+    "no such metric": '{"coefficients": {"0": {"kyy": {"mean_error_percent": 0.5}}}}',
+    "no coefficients": '{"coefficients": {}}',
+    "no object": "[1, 2]",
+    "no JSON": "{",
+    "no file": None,
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_check_fails_what_is_passed_or_missing(
+    case: str, checking: Checking, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A passed threshold, and a metric that is missing or no number, are exit code 1 with the reason."""
+    assert checking(RULE, BROKEN[case]) == 1
+    said = capsys.readouterr()
+    assert "FAILED" in said.out
+    assert "must be at most 1" in said.err
+    assert "because the bar says so" in said.err
+
+
+RULES = {
+    "empty": "",
+    "no list": "metric: x\nmax: 1\n",
+    "no reason": "- {metric: x, max: 1}\n",
+    "a short reason": "- {metric: x, max: 1, why: so}\n",
+    "unknown key": RULE.replace("max", "least"),
+    "no number": RULE.replace("1.0", "much"),
+    "infinite": RULE.replace("1.0", ".inf"),
+    "no YAML": "- {metric: [",
+    "no UTF-8": b"\xff\xfe- x",
+    "an object": "!!python/object/apply:os.system ['echo ran']",
+    "no rule": "[]",
+}
+
+
+@pytest.mark.parametrize("case", RULES)
+def test_thresholds_that_are_no_thresholds(case: str, checking: Checking) -> None:
+    """A damaged threshold file is a mistake (exit code 2), never a passed check."""
+    with pytest.raises(ConfigError, match=r"rig\.yaml"):
+        checking(RULES[case], GOOD)
+
+
+def test_check_of_an_unknown_experiment(checking: Checking) -> None:
+    """The nearest name is offered."""
+    with pytest.raises(ConfigError, match="did you mean 'rig'"):
+        checking(RULE, GOOD, "check.experiments=[rigg]")
+
+
+def test_check_of_some_experiments(checking: Checking) -> None:
+    """Only the experiments that are named are held against their thresholds."""
+    assert checking(RULE, None, name="other") == 1
+    assert checking(RULE, GOOD) == 1
+    assert checking(RULE, GOOD, "check.experiments=[rig]") == 0
+    assert checking(RULE, GOOD, "check.experiments=[rig,other]") == 1
+
+
+def test_check_of_freshly_made_experiments(made: Made, capsys: pytest.CaptureFixture[str]) -> None:
+    """The committed thresholds find their metrics in the files that the stages write."""
+    for experiment in EXPERIMENTS:
+        made(experiment)
+    capsys.readouterr()
+    with pytest.raises(SystemExit) as stop:  # few steps pass no accuracy bar
+        run("check", "ball_bearing", made("ball_bearing"))
+    assert stop.value.code == 1
+    said = capsys.readouterr()
+    assert "missing" not in said.out + said.err
+    assert all(name in said.out for name in EXPERIMENTS)
+
+
+def test_all_stages_are_tried_here() -> None:
+    """A new stage must be added to these tests."""
+    assert set(LINE) | {"configure", "check"} == set(STAGES)

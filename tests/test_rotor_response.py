@@ -1,0 +1,374 @@
+"""The unbalance response: against ROSS's own, against closed forms, and by the laws that it obeys."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.linalg
+from conftest import Machine, MachineFactory
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.compose import options
+from pipeline.config.schema import RotorConfig
+from pipeline.data.dataset import Excitation, force_vectors
+from pipeline.data.simulate import unbalance_response
+from pipeline.errors import PipelineError
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.dynamic_stiffness import apply, banded, solve
+from pipeline.rotor.model import RotorModel, bearing_dof, translation_dof
+from pipeline.rotor.ross_adapter import assemble, ross_rotor
+from pipeline.twin.modes import critical_speeds, whirl_modes
+from pipeline.units import RAD_S_PER_RPM
+
+STEEL = {"density": 7810.0, "youngs_modulus": 211e9, "shear_modulus": 81.2e9}
+
+
+def bearings_of(nodes: tuple[int, ...], speeds: np.ndarray, **coefficients: float | np.ndarray) -> BearingTable:
+    """The same coefficients at every node and speed; those not named are zero."""
+    values = np.zeros((len(nodes), len(speeds), 8))
+    for name, value in coefficients.items():
+        values[..., COEFFICIENTS.index(name)] = value
+    return BearingTable(nodes, np.asarray(speeds, dtype=float), values)
+
+
+def dense(
+    rotor: RotorModel, impedance: np.ndarray | None, frequencies: np.ndarray, speeds: np.ndarray
+) -> np.ndarray:
+    """(S, n, n) eq. 1 written down term by term."""
+    matrices = []
+    for s, (w, speed) in enumerate(zip(frequencies, speeds, strict=True)):
+        d = -(w**2) * rotor.mass + 1j * w * (rotor.damping + speed * rotor.gyroscopic) + rotor.stiffness
+        if impedance is not None:
+            for b, pair in enumerate(bearing_dof(rotor)):
+                d[np.ix_(pair, pair)] += impedance[b, s]
+        matrices.append(d)
+    return np.array(matrices)
+
+
+# --- ROSS ----------------------------------------------------------------------------------------
+
+
+def ross_response(machine: Machine, run: str) -> np.ndarray:
+    """(S, n) response that ROSS computes: six DOF a node, of which 0, 1, 3, 4 are x, y, alpha, beta."""
+    rotor = ross_rotor(machine.config.rotor, machine.config.bearing, machine.speeds)
+    own = [e for e in machine.excitations if e.run == run]
+    answer = rotor.run_unbalance_response(
+        [e.node for e in own], [e.magnitude for e in own], [e.phase for e in own], frequency=machine.speeds
+    )
+    lateral = [6 * node + dof for node in range(machine.rotor.n_nodes) for dof in (0, 1, 3, 4)]
+    return np.asarray(answer.forced_resp)[lateral].T
+
+
+def assert_equals_ross(machine: Machine) -> None:
+    """Every node and DOF, within 1e-9 of the largest translation or rotation of that speed and run."""
+    for r, run in enumerate(machine.runs):
+        ours, theirs = (
+            q.reshape(len(machine.speeds), -1, 2, 2) for q in (machine.response[..., r], ross_response(machine, run))
+        )
+        size = np.abs(theirs).max(axis=(1, 3), keepdims=True)
+        assert np.abs(theirs).max() > 0  # ROSS turns NaN into zeros
+        assert (np.abs(ours - theirs) / size).max() < 1e-9, run
+
+
+@pytest.mark.parametrize("experiment", options("experiment"))
+def test_response_equals_ross(experiment: str, machine: MachineFactory) -> None:
+    """Oracle: ROSS ``run_unbalance_response`` on the rotor and runs of every experiment (60 speeds)."""
+    assert_equals_ross(machine(f"experiment={experiment}", "excitation.speeds.step_rpm=100"))
+
+
+def test_response_equals_ross_at_all_speeds(machine: MachineFactory) -> None:
+    """Oracle: ROSS, at the 591 speeds of the default experiment."""
+    made = machine("experiment=hydrostatic_stiffness")
+    assert len(made.speeds) == 591
+    assert_equals_ross(made)
+
+
+@pytest.mark.parametrize("experiment", ["ball_bearing", "hydrostatic_stiffness"])
+def test_response_equals_ross_on_finer_meshes(
+    experiment: str, machine: MachineFactory, refined: Callable[[str, int], list[str]]
+) -> None:
+    """Oracle: ROSS, at 25 nodes: the band solve pivots far more often than at seven."""
+    factor = {"ball_bearing": 12, "hydrostatic_stiffness": 4}[experiment]
+    made = machine(*refined(experiment, factor), "excitation.speeds.step_rpm=590")
+    assert made.rotor.n_nodes == 25
+    assert_equals_ross(made)
+
+
+# --- closed forms --------------------------------------------------------------------------------
+
+JEFFCOTT = {"length": 1.0, "diameter": 0.02, "mass": 10.0}
+SHAFT_STIFFNESS = 48 * STEEL["youngs_modulus"] * (math.pi * 0.02**4 / 64) / 1.0**3  # 48 E I / L^3, N/m
+
+
+def jeffcott(density: float) -> RotorModel:
+    """A disc (a point mass but for 1e-9 kg m^2) in the middle of a shaft of hardly any mass, without shear."""
+    disc = {"node": 2, "mass": JEFFCOTT["mass"], "diametral_inertia": 1e-9, "polar_inertia": 1e-9}
+    return assemble(
+        RotorConfig.model_validate(
+            {
+                "shaft": [{"length": 1.0, "outer_diameter": 0.02, "elements": 4}],
+                "material": STEEL | {"density": density},
+                "discs": [disc],
+                "bearing_nodes": [0, 4],
+                "shear_effects": False,
+            }
+        )
+    )
+
+
+@pytest.mark.parametrize(("stiffness", "damping"), [(1e12, 0.0), (2e5, 40.0), (2e4, 300.0)])
+def test_jeffcott_rotor(stiffness: float, damping: float) -> None:
+    """Jeffcott (1919): Q = U w^2 / (k - w^2 m), where k is the shaft 48 E I / L^3 in series with the bearings.
+
+    A shaft of 1e-6 kg/m^3 is massless to 1e-8 here, below, at (with damping) and above the critical speed.
+    """
+    critical = math.sqrt(SHAFT_STIFFNESS / JEFFCOTT["mass"])
+    speeds = critical * np.array([0.1, 0.5, 0.9, 0.99, 1.01, 1.3, 3.0])
+    table = bearings_of((0, 4), speeds, kxx=stiffness, kyy=stiffness, cxx=damping, cyy=damping)
+    unbalance = Excitation("a", "unbalance", 2, 2e-4, 0.7)
+    response = unbalance_response(jeffcott(1e-6), table, (unbalance,), ("a",))[:, translation_dof(2, 0), 0]
+    series = 1 / (1 / SHAFT_STIFFNESS + 1 / (2 * (stiffness + 1j * speeds * damping)))
+    expected = 2e-4 * np.exp(0.7j) * speeds**2 / (series - speeds**2 * JEFFCOTT["mass"])
+    assert np.abs(response / expected - 1).max() < 1e-6
+
+
+def test_jeffcott_critical_speed() -> None:
+    """Jeffcott (1919): the critical speed is sqrt(k / m). The shaft's own mass (0.003 %) may lower it by 1e-5."""
+    expected = math.sqrt(SHAFT_STIFFNESS / JEFFCOTT["mass"])
+    speeds = expected * np.linspace(0.8, 1.2, 8)
+    rotor = jeffcott(1.0)
+    table = bearings_of((0, 4), speeds, kxx=1e10, kyy=1e10)
+    found = critical_speeds(whirl_modes(rotor, table))
+    assert len(found) == 2  # forward and backward, the same without gyroscopic effect
+    assert [critical.speed for critical in found] == pytest.approx([expected, expected], rel=2e-5)
+
+
+def test_beam_frequencies_converge_with_the_fourth_power_of_the_element_length() -> None:
+    """Closed form of a simply supported Rayleigh beam: w_n^2 = (E I / rho A) k^4 / (1 + (k r)^2), k = n pi / L.
+
+    Cubic elements have a frequency error of order h^4 (Strang and Fix 1973): halving h divides it by 16.
+    The supports are rigid: their rows and columns are struck out.
+    """
+    length, diameter = 1.0, 0.01
+    k = np.array([1, 2]) * math.pi / length
+    radius = diameter / 4  # of gyration
+    exact = np.sqrt(STEEL["youngs_modulus"] / STEEL["density"] * radius**2 * k**4 / (1 + (k * radius) ** 2))
+    errors = []
+    for elements in (4, 8, 16):
+        config = {
+            "shaft": [{"length": length, "outer_diameter": diameter, "elements": elements}],
+            "material": STEEL,
+            "bearing_nodes": [0, elements],
+            "shear_effects": False,
+        }
+        rotor = assemble(RotorConfig.model_validate(config))
+        free = np.setdiff1d(np.arange(rotor.n_dof), bearing_dof(rotor))
+        pinned = [matrix[np.ix_(free, free)] for matrix in (rotor.stiffness, rotor.mass)]
+        # Each frequency is there twice: in the planes of x and of y.
+        found = np.sqrt(scipy.linalg.eigh(*pinned, eigvals_only=True, subset_by_index=[0, 3]))
+        assert found[::2] == pytest.approx(found[1::2], rel=1e-7)
+        errors.append(found[::2] / exact - 1)
+    assert (np.array(errors) > 0).all()  # a conforming element is too stiff
+    rates = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
+    assert rates == pytest.approx(np.full((2, 2), 4.0), abs=0.1)
+
+
+# --- laws ----------------------------------------------------------------------------------------
+
+AMPLITUDES = st.floats(1e-6, 1e-2)
+PHASES = st.floats(-math.pi, math.pi)
+
+
+@settings(max_examples=25)
+@given(first=AMPLITUDES, second=AMPLITUDES, phase=PHASES, other=PHASES)
+def test_linear_in_the_unbalance(
+    hydrostatic: Machine, first: float, second: float, phase: float, other: float
+) -> None:
+    """Superposition (paper, eq. 1 is linear in F): two unbalances together give the sum of their responses."""
+    few = hydrostatic.bearings.at(np.arange(0, 60, 12))
+    a, b = Excitation("a", "unbalance", 2, first, phase), Excitation("b", "unbalance", 6, second, other)
+    both = (replace(a, run="both"), replace(b, run="both"))
+    q = unbalance_response(hydrostatic.rotor, few, (a, b, *both), ("a", "b", "both"))
+    assert np.abs(q[..., 2] - q[..., 0] - q[..., 1]).max() <= 1e-10 * np.abs(q[..., :2]).max()
+
+
+@settings(max_examples=25)
+@given(turn=PHASES, phase=PHASES, scale=st.floats(1e-3, 1e3))
+def test_turning_the_unbalance_turns_the_response(
+    hydrostatic: Machine, turn: float, phase: float, scale: float
+) -> None:
+    """An unbalance that is turned by phi and multiplied by s gives s e^{j phi} Q: a turn is a shift in time."""
+    few = hydrostatic.bearings.at(np.arange(0, 60, 12))
+    before = Excitation("a", "unbalance", 4, 1e-4, phase)
+    after = replace(before, run="b", phase=phase + turn, magnitude=1e-4 * scale)
+    q = unbalance_response(hydrostatic.rotor, few, (before, after), ("a", "b"))
+    wanted = scale * np.exp(1j * turn) * q[..., 0]
+    assert np.abs(q[..., 1] - wanted).max() <= 1e-10 * np.abs(wanted).max()
+
+
+def test_isotropic_bearings_give_circular_orbits(hydrostatic: Machine) -> None:
+    """On an axisymmetric system (also with kxy = -kyx) unbalance excites forward whirl only: Q_y = -j Q_x."""
+    table = bearings_of(
+        hydrostatic.rotor.bearing_nodes,
+        hydrostatic.speeds,
+        **{"kxx": 2e7, "kyy": 2e7, "kxy": 3e6, "kyx": -3e6, "cxx": 2e4, "cyy": 2e4, "cxy": 1e3, "cyx": -1e3},
+    )
+    q = unbalance_response(hydrostatic.rotor, table, hydrostatic.excitations, hydrostatic.runs)
+    x, y = q[:, 0::4], q[:, 1::4]
+    assert np.abs(y + 1j * x).max() <= 1e-10 * np.abs(x).max()
+    backward = tuple(replace(e, whirl="backward") for e in hydrostatic.excitations)
+    q = unbalance_response(hydrostatic.rotor, table, backward, hydrostatic.runs)
+    assert np.abs(q[:, 1::4] - 1j * q[:, 0::4]).max() <= 1e-10 * np.abs(q[:, 0::4]).max()
+
+
+def test_turning_the_frame_turns_the_response(hydrostatic: Machine) -> None:
+    """Frame indifference: in axes turned by 90 degrees (x' = y, y' = -x) H becomes R H R^T, and Q becomes R Q.
+
+    Entry by entry kxx' = kyy, kyy' = kxx, kxy' = -kyx, kyx' = -kxy; the unbalance then starts at -90 degrees.
+    """
+    table = hydrostatic.bearings
+    source = {"xx": ("yy", 1), "yy": ("xx", 1), "xy": ("yx", -1), "yx": ("xy", -1)}
+    values = np.stack(
+        [source[name[1:]][1] * table.coefficient(name[0] + source[name[1:]][0]) for name in COEFFICIENTS], axis=-1
+    )
+    turned = BearingTable(table.nodes, table.speeds, values)
+    excitations = tuple(replace(e, phase=e.phase - math.pi / 2) for e in hydrostatic.excitations)
+    q = unbalance_response(hydrostatic.rotor, turned, excitations, hydrostatic.runs)
+    pairs = q.reshape(len(q), -1, 2, q.shape[-1])  # (x, y) and (alpha, beta) of each node: both are vectors
+    wanted = hydrostatic.response.reshape(pairs.shape)
+    wanted = np.stack([wanted[:, :, 1], -wanted[:, :, 0]], axis=2)
+    size = np.abs(wanted).max(axis=(1, 2), keepdims=True)
+    assert (np.abs(pairs - wanted) / size).max() < 1e-9
+
+
+def receptance(rotor: RotorModel, frequencies: np.ndarray, speeds: np.ndarray, impedance: np.ndarray) -> np.ndarray:
+    """(S, n, n) inverse of D."""
+    unit = np.broadcast_to(np.eye(rotor.n_dof, dtype=complex), (len(speeds), rotor.n_dof, rotor.n_dof))
+    return solve(banded(rotor), frequencies, speeds, unit, impedance, bearing_dof(rotor))
+
+
+def test_reciprocity(hydrostatic: Machine) -> None:
+    """Maxwell and Betti: without spin, and with kxy = kyx, the receptance is symmetric.
+
+    With spin the gyroscopic matrix is antisymmetric, so that the transposed receptance belongs to the opposite spin
+    and the transposed bearings; and fluid-film bearings (kxy != kyx) are not reciprocal, so the test can fail.
+    """
+    rotor, few = hydrostatic.rotor, hydrostatic.bearings.at(np.arange(0, 60, 6))
+    w, film = few.speeds, few.impedance()
+    symmetric = (film + film.mT) / 2
+    still = receptance(rotor, w, np.zeros_like(w), symmetric)
+    assert np.abs(still - still.mT).max() < 1e-10 * np.abs(still).max()
+    spinning = receptance(rotor, w, w, film)
+    opposite = receptance(rotor, w, -w, film.mT.copy())
+    assert np.abs(spinning.mT - opposite).max() < 1e-10 * np.abs(spinning).max()
+    assert np.abs(spinning - spinning.mT).max() > 1e-2 * np.abs(spinning).max()
+
+
+# --- the band solve and its dense twin -----------------------------------------------------------
+
+
+def test_band_solve_equals_the_dense_one(hydrostatic: Machine, rng: np.random.Generator) -> None:
+    """The fast path against numpy's dense solution, with excitation at other frequencies than the rotor's speed."""
+    rotor, few = hydrostatic.rotor, hydrostatic.bearings.at(np.arange(0, 60, 7))
+    frequencies = few.speeds * rng.uniform(0.2, 2.0, len(few.speeds))
+    shape = (len(frequencies), rotor.n_dof, 3)
+    right = rng.normal(size=shape) + 1j * rng.normal(size=shape)
+    impedance = few.impedance(frequencies)
+    found = solve(banded(rotor), frequencies, few.speeds, right, impedance, bearing_dof(rotor))
+    wanted = np.linalg.solve(dense(rotor, impedance, frequencies, few.speeds), right)
+    assert np.abs(found - wanted).max() < 1e-9 * np.abs(wanted).max()
+
+
+def test_band_solve_of_some_dof_equals_the_dense_one(hydrostatic: Machine, rng: np.random.Generator) -> None:
+    """The same for a subset of the DOF: what follows from measured ones, D_uu q_u = F_u - D_um q_m."""
+    rotor, w = hydrostatic.rotor, hydrostatic.speeds[::9]
+    kept = np.setdiff1d(np.arange(rotor.n_dof), [*bearing_dof(rotor).ravel(), 9, 17])
+    right = rng.normal(size=(len(w), len(kept), 2)) + 0j
+    found = solve(banded(rotor, kept), w, w, right)
+    wanted = np.linalg.solve(dense(rotor, None, w, w)[:, kept[:, None], kept], right)
+    assert np.abs(found - wanted).max() < 1e-9 * np.abs(wanted).max()
+
+
+@pytest.mark.parametrize("count", [1, 15, 16, 17, 33])
+def test_number_of_speeds_does_not_matter(count: int, hydrostatic: Machine) -> None:
+    """Speeds are assembled in chunks: a response does not depend on which others are computed with it."""
+    table = hydrostatic.bearings.at(np.arange(count))
+    q = unbalance_response(hydrostatic.rotor, table, hydrostatic.excitations, hydrostatic.runs)
+    np.testing.assert_array_equal(q, hydrostatic.response[:count])
+
+
+def test_product_equals_the_dense_one(hydrostatic: Machine, rng: np.random.Generator) -> None:
+    """``apply`` multiplies only the columns that couple; the dense product is D[rows, columns] x."""
+    rotor, speeds = hydrostatic.rotor, hydrostatic.speeds[::13]
+    frequencies = 1.3 * speeds
+    rows, columns = np.array([5, 4, 21]), np.setdiff1d(np.arange(rotor.n_dof), [7])
+    x = rng.normal(size=(len(speeds), len(columns), 2)) + 1j * rng.normal(size=(len(speeds), len(columns), 2))
+    wanted = dense(rotor, None, frequencies, speeds)[:, rows[:, None], columns] @ x
+    found = apply(rotor, rows, columns, frequencies, speeds, x)
+    assert np.abs(found - wanted).max() < 1e-12 * np.abs(wanted).max()
+
+
+def test_response_satisfies_the_equation_of_motion(hydrostatic: Machine) -> None:
+    """Eq. 1: D Q = F, the residual of every row at rounding of the terms that cancel in it."""
+    w = hydrostatic.speeds
+    d = dense(hydrostatic.rotor, hydrostatic.bearings.impedance(), w, w)
+    force = force_vectors(hydrostatic.rotor, hydrostatic.excitations, hydrostatic.runs, w)
+    terms = np.abs(d) @ np.abs(hydrostatic.response)
+    assert (np.abs(d @ hydrostatic.response - force) <= 1e-12 * terms.max(axis=1, keepdims=True)).all()
+
+
+def test_unbalance_force(hydrostatic: Machine) -> None:
+    """method.md, section 1: F = w^2 m e e^{jp} [1, -j] forward, [1, +j] backward; a force has no w^2."""
+    w = np.array([10.0, 300.0])
+    made = (
+        Excitation("a", "unbalance", 2, 1e-4, 0.3),
+        Excitation("b", "unbalance", 2, 1e-4, 0.3, "backward"),
+        Excitation("c", "force", 3, 5.0, -1.0),
+    )
+    force = force_vectors(hydrostatic.rotor, made, ("a", "b", "c"), w)
+    size = 1e-4 * w**2 * np.exp(0.3j)
+    np.testing.assert_allclose(force[:, 8:10, 0], np.stack([size, -1j * size], axis=1), rtol=1e-14)
+    np.testing.assert_allclose(force[:, 8:10, 1], np.stack([size, 1j * size], axis=1), rtol=1e-14)
+    np.testing.assert_allclose(force[:, 12:14, 2], np.tile(5 * np.exp(-1j) * np.array([1, -1j]), (2, 1)), rtol=1e-14)
+    assert np.count_nonzero(force) == 12
+
+
+def test_singular_system_is_refused(hydrostatic: Machine) -> None:
+    """A DOF without mass and stiffness makes D singular: a sentence with the speed, never a zero or a NaN."""
+    loose = replace(hydrostatic.rotor)
+    for name in ("mass", "damping", "gyroscopic", "stiffness"):
+        matrix = getattr(hydrostatic.rotor, name).copy()
+        matrix[0], matrix[:, 0] = 0.0, 0.0
+        object.__setattr__(loose, name, matrix)
+    with pytest.raises(PipelineError, match="singular at 10.472 rad/s"):
+        unbalance_response(loose, hydrostatic.bearings, hydrostatic.excitations, hydrostatic.runs)
+    with pytest.raises(PipelineError, match="singular"):
+        solve(banded(hydrostatic.rotor), np.ones(1), np.ones(1), np.full((1, hydrostatic.rotor.n_dof, 1), np.nan))
+
+
+def test_rigid_body_without_bearings_is_free(hydrostatic: Machine) -> None:
+    """Newton: the shaft and discs hold themselves only. K moves no rigid body, and M weighs the rotor."""
+    rotor = hydrostatic.rotor
+    moved = np.zeros(rotor.n_dof)
+    moved[0::4] = 1.0
+    assert np.abs(rotor.stiffness @ moved).max() < 1e-9 * np.abs(rotor.stiffness).max()
+    assert moved @ rotor.mass @ moved == pytest.approx(rotor.total_mass, rel=1e-12)
+    for matrix, sign in ((rotor.mass, 1), (rotor.stiffness, 1), (rotor.gyroscopic, -1)):
+        assert np.abs(matrix - sign * matrix.T).max() <= 1e-12 * np.abs(matrix).max()
+
+
+def test_rigid_rotor_far_above_its_critical_speeds() -> None:
+    """A free rotor turns about its centre of mass: Q tends to -m e / m in the plane of the unbalance at its middle."""
+    shaft = {"length": 0.2, "outer_diameter": 0.1, "elements": 2}
+    config = {"shaft": [shaft], "material": STEEL, "bearing_nodes": [0, 2]}
+    rotor = assemble(RotorConfig.model_validate(config))
+    speeds = np.array([6000.0]) * RAD_S_PER_RPM
+    table = bearings_of((0, 2), speeds, kxx=100.0, kyy=100.0)
+    q = unbalance_response(rotor, table, (Excitation("a", "unbalance", 1, 1e-4, 0.0),), ("a",))
+    assert q[0, 4, 0] == pytest.approx(-1e-4 / rotor.total_mass, rel=2e-3)
