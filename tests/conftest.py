@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pipeline.rotor.bearing_table import BearingTable
     from pipeline.rotor.model import RotorModel
 
-# The tests judge the checkout that they lie in, from whatever folder they are started and whatever is installed.
+# The tests judge the checkout that they lie in, wherever they are started and whatever is installed.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 # The same examples each time: a random failure helps nobody who did not change anything.
@@ -105,7 +105,7 @@ def machine() -> MachineFactory:
 
 @pytest.fixture(scope="session")
 def refined() -> Callable[[str, int], list[str]]:
-    """``refined(experiment, factor)``: overrides for the same rotor with ``factor`` times as many elements."""
+    """``refined(experiment, factor)``: overrides for the same rotor with ``factor`` times the elements."""
 
     def overrides(experiment: str, factor: int) -> list[str]:
         from pipeline.config.compose import compose_config
@@ -199,7 +199,7 @@ def _global_state() -> dict[str, Any]:
         state["torch's determinism"] = torch.are_deterministic_algorithms_enabled()
         state["torch's generator"] = torch.get_rng_state().numpy().tobytes()
     if _imported("numpy"):
-        kind, keys, *rest = sys.modules["numpy"].random.get_state()  # noqa: NPY002  # watched, not used
+        kind, keys, *rest = sys.modules["numpy"].random.get_state()  # watched, not used
         state["numpy's generator"] = (kind, keys.tobytes(), *rest)
     if _imported("matplotlib"):
         # Reading the backend would choose one and import pyplot.
