@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +15,18 @@ import pandas as pd
 import pytest
 
 from pipeline.config.compose import CONF, compose_config, options
+from pipeline.config.schema import Config
 from pipeline.errors import ConfigError, DataError
+from pipeline.rotor.ross_adapter import ross_rotor
 from pipeline.stages import STAGES, check, evaluate, run_stage
 from pipeline.stages.inputs import load_inputs
+from pipeline.units import RAD_S_PER_RPM
 
 EXPERIMENTS = options("experiment")
 LINE = ["generate", "train", "evaluate", "robustness", "predict"]
 FEW = [
     "tracking=none",
-    *(f"excitation.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=250")),
+    *(f"excitation.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=500")),
     "optimizer.adam.steps=4",
     "optimizer.levenberg_marquardt.steps=4",
     "robustness.count=3",
@@ -36,9 +40,16 @@ FIGURES = [
 ]
 
 
+@cache
+def composed(experiment: str, *overrides: str) -> Config:
+    """An experiment with few speeds and steps; composing takes longer than most stages here."""
+    return compose_config([f"experiment={experiment}", *FEW, *overrides])
+
+
 def run(stage: str, experiment: str, folder: Path, *overrides: str) -> None:
     """One stage of an experiment in ``folder``."""
-    run_stage(compose_config([f"experiment={experiment}", *FEW, f"stage={stage}", f"output='{folder}'", *overrides]))
+    config = composed(experiment, *overrides)
+    run_stage(config.model_copy(update={"stage": stage, "output": str(folder)}))
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -114,14 +125,14 @@ NETWORK = [
 
 
 def _runs_or_says_why_not(experiment: str, folder: Path, *overrides: str) -> None:
-    """Training and robustness leave finite answers; what can't be combined is a ConfigError that names nodes."""
+    """Training and robustness leave finite answers; what can't be combined is a ConfigError that says so."""
     try:
-        config = compose_config([f"experiment={experiment}", *FEW, *overrides])
+        config = composed(experiment, *overrides)
     except ConfigError as refusal:
-        if "must use nodes" in str(refusal):
+        if any(words in str(refusal) for words in ("must use nodes", "must give rotor.file")):
             return
         raise
-    if config == compose_config([f"experiment={experiment}", *FEW]):
+    if config == composed(experiment):
         return  # what every stage has run with
     run("train", experiment, folder, *overrides)
     identified = pd.read_csv(folder / "identified_coefficients.csv")
@@ -133,7 +144,7 @@ def _runs_or_says_why_not(experiment: str, folder: Path, *overrides: str) -> Non
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
 @pytest.mark.parametrize(("group", "option"), CHOICES)
 def test_every_option_of_every_group(group: str, option: str, experiment: str, tmp_path: Path) -> None:
-    """Any option with any experiment composes and trains, or is refused for the nodes it names."""
+    """Any option with any experiment composes and trains, or is refused for nodes or a file."""
     chosen = [f"{group}={option}"]
     if group == "tracking":  # it has tests of its own, and would leave records in the folder of the tests
         compose_config([f"experiment={experiment}", *chosen])
@@ -222,6 +233,23 @@ def test_a_training_that_fails_has_a_named_outcome(
         assert "diverged" in said.err
 
 
+def test_a_rotor_that_ross_has_saved(tmp_path: Path) -> None:
+    """A rotor file gives the same data as the configuration it was made from, and all stages run on it."""
+    config = composed("ball_bearing")
+    speeds = np.array(config.excitation.speeds.rpm()) * RAD_S_PER_RPM
+    file = tmp_path / "my rotor.toml"
+    ross_rotor(config.rotor, config.bearing, speeds).save(file)
+    from_file = [f"rotor.file='{file}'", "bearing=rotor_file", "rotor.bearing_nodes=[]"]
+    for stage in LINE:
+        run(stage, "ball_bearing", tmp_path / "file", *from_file)
+    run("generate", "ball_bearing", tmp_path / "config")
+    for name in ("modelled_coefficients.csv", "excitation.csv"):
+        one, other = (pd.read_csv(tmp_path / folder / name) for folder in ("file", "config"))
+        pd.testing.assert_frame_equal(one, other, rtol=1e-9)
+    one, other = (pd.read_parquet(tmp_path / folder / "vibration.parquet") for folder in ("file", "config"))
+    pd.testing.assert_frame_equal(one, other, rtol=1e-6)
+
+
 # --- missing inputs, other data --------------------------------------------------------------------
 
 
@@ -281,7 +309,7 @@ def test_a_model_trained_on_other_data_is_refused(stage: str, made: Made, tmp_pa
         run(stage, "ball_bearing", folder, other)
     assert contents(folder) == before
     run("train", "ball_bearing", folder, other)
-    config = compose_config(["experiment=ball_bearing", *FEW, other, f"output='{folder}'"])
+    config = composed("ball_bearing", other).model_copy(update={"output": str(folder)})
     evaluate.load_identified(config, load_inputs(config))
 
 
@@ -351,7 +379,7 @@ def test_files_of_an_experiment(experiment: str, made: Made) -> None:
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
 def test_tables_have_the_columns_that_others_rely_on(experiment: str, made: Made) -> None:
     """The doors of the design: names and order of columns, one row a speed and bearing, rpm as written."""
-    folder, config = made(experiment), compose_config([f"experiment={experiment}", *FEW])
+    folder, config = made(experiment), composed(experiment)
     speeds, nodes = config.excitation.speeds.rpm(), list(config.rotor.bearing_nodes)
     vibration = pd.read_parquet(folder / "vibration.parquet")
     assert list(vibration) == ["run", "speed_rpm", "node", "direction", "amplitude_m", "phase_deg"]
@@ -394,7 +422,7 @@ def test_known_columns_of_the_identified_table_are_the_known_ones(experiment: st
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
 def test_metrics_have_the_shape_that_others_rely_on(experiment: str, made: Made) -> None:
     """metrics.json: bearing, coefficient, error; only what was identified; finite numbers."""
-    config = compose_config([f"experiment={experiment}", *FEW])
+    config = composed(experiment)
     metrics = read(made(experiment) / "metrics.json")
     assert set(metrics) >= {"coefficients", "least_squares", "residual", "condition_number"}
     for part in ("coefficients", "least_squares"):

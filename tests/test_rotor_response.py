@@ -280,7 +280,7 @@ def test_reciprocity(hydrostatic: Machine) -> None:
 
 
 def test_band_solve_equals_the_dense_one(hydrostatic: Machine, rng: np.random.Generator) -> None:
-    """The fast path against numpy's dense one, with excitation at other frequencies than the rotor's speed."""
+    """The fast path against numpy's dense one, excitation at other frequencies than the rotor's speed."""
     rotor, few = hydrostatic.rotor, hydrostatic.bearings.at(np.arange(0, 60, 7))
     frequencies = few.speeds * rng.uniform(0.2, 2.0, len(few.speeds))
     shape = (len(frequencies), rotor.n_dof, 3)

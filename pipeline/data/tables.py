@@ -61,7 +61,7 @@ def _read_csv(path: Path) -> pd.DataFrame:
 
     try:
         # Texts are kept as they are: a run called 'NA' is a run.
-        return pd.read_csv(path, keep_default_na=False, float_precision="round_trip", dtype={"run": str})
+        return pd.read_csv(path, keep_default_na=False, dtype={"run": str})
     except (OSError, ValueError, pd.errors.ParserError) as error:
         raise DataError(f"'{path}' must be a CSV table, but it can't be read as one ({error})") from None
 

@@ -21,7 +21,7 @@ class WhirlModes:
     speeds: np.ndarray  # (S,) rad/s
     frequency: np.ndarray  # (S, K) damped natural frequency, rad/s; NaN where there are fewer modes
     logarithmic_decrement: np.ndarray  # (S, K)
-    growth: np.ndarray  # (S,) largest real part among all eigenvalues, 1/s; positive is unstable
+    growth: np.ndarray  # (S,) largest real part among all eigenvalues, 1/s; positive is unstable, rounding is zero
 
 
 def whirl_modes(rotor: RotorModel, bearings: BearingTable, count: int = 8) -> WhirlModes:
@@ -49,7 +49,10 @@ def whirl_modes(rotor: RotorModel, bearings: BearingTable, count: int = 8) -> Wh
         whirling = whirling[np.argsort(whirling.imag)][:count]
         frequency[s, : len(whirling)] = whirling.imag
         decrement[s, : len(whirling)] = -2.0 * math.pi * whirling.real / whirling.imag
-    return WhirlModes(bearings.speeds, frequency, decrement, eigenvalues.real.max(axis=1))
+    growth = eigenvalues.real.max(axis=1)
+    # The sign of an undamped mode's real part is a matter of rounding.
+    rounding = np.finfo(float).eps * 2 * n * np.abs(eigenvalues).max(axis=1)
+    return WhirlModes(bearings.speeds, frequency, decrement, np.where(np.abs(growth) < rounding, 0.0, growth))
 
 
 @dataclass(frozen=True)
@@ -85,7 +88,7 @@ class StabilityMargin:
     """How far a system stays from instability over its speed range."""
 
     stable: bool
-    largest_growth: float  # 1/s, over all modes and speeds; below zero is stable
+    largest_growth: float  # 1/s, over all modes and speeds; at most zero is stable
     smallest_logarithmic_decrement: float  # over the modes within twice the top speed
     at_speed: float  # rad/s, where that is
 
@@ -99,5 +102,5 @@ def stability_margin(modes: WhirlModes) -> StabilityMargin:
     within = np.where(modes.frequency <= 2.0 * modes.speeds.max(), modes.logarithmic_decrement, np.inf)
     s, k = np.unravel_index(np.nanargmin(np.where(np.isnan(within), np.inf, within)), within.shape)
     return StabilityMargin(
-        bool((modes.growth < 0).all()), float(modes.growth.max()), float(within[s, k]), float(modes.speeds[s])
+        bool((modes.growth <= 0).all()), float(modes.growth.max()), float(within[s, k]), float(modes.speeds[s])
     )
