@@ -274,7 +274,7 @@ def _key(override: str) -> str:
 
 def _help() -> str:
     from pipeline.config.compose import options
-    from pipeline.stages import STAGES
+    from pipeline.config.stage_names import STAGES
 
     experiments = {name: _description(name) for name in options("experiment")}
     return f"""\

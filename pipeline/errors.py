@@ -28,7 +28,7 @@ class StorageError(PipelineError):
 
 def nearest(name: str, candidates: Iterable[str]) -> str:
     """The words that follow an unknown name: the nearest candidate, and all of them."""
-    known = sorted(candidates)
+    known = sorted(candidate if len(candidate) <= 40 else f"{candidate[:37]}..." for candidate in candidates)
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
     hint = f"did you mean '{close[0]}'? " if close else ""
     return f"{hint}(known: {', '.join(known)})"

@@ -51,14 +51,18 @@ def write_json(path: Path, value: Mapping[str, Any]) -> Path:
     return write_text(path, json.dumps(value, indent=2, allow_nan=False) + "\n")
 
 
-def read_json(path: Path) -> dict[str, Any]:
-    """Read a JSON object. Raises DataError where the file is missing or no JSON object."""
+def _refuse_constant(name: str) -> None:
+    raise ValueError(f"{name} is no JSON number")
+
+
+def read_json(path: Path, remedy: str = "make it again") -> dict[str, Any]:
+    """Read a JSON object. Raises DataError with the ``remedy`` where the file is no JSON object."""
     try:
-        value = json.loads(path.read_text(encoding="utf-8"))
+        value = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
     except FileNotFoundError:
         raise DataError(f"'{path}' must exist, but there is no such file") from None
-    except (OSError, ValueError) as error:
-        raise DataError(f"'{path}' must be readable as JSON, but it is not ({error}): make it again") from None
+    except (OSError, ValueError, RecursionError) as error:
+        raise DataError(f"'{path}' must be readable as JSON, but it is not ({error}): {remedy}") from None
     if not isinstance(value, dict):
-        raise DataError(f"'{path}' must hold a JSON object, but it holds a {type(value).__name__}: make it again")
+        raise DataError(f"'{path}' must hold a JSON object, but it holds a {type(value).__name__}: {remedy}")
     return value

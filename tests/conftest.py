@@ -78,6 +78,19 @@ class Machine:
 MachineFactory = Callable[..., Machine]
 
 
+def bearings_of(nodes: tuple[int, ...], speeds: np.ndarray, **coefficients: float) -> BearingTable:
+    """The same coefficients at every node and speed (rad/s); those not named are zero."""
+    import numpy as np
+
+    from pipeline.coefficients import COEFFICIENTS
+    from pipeline.rotor.bearing_table import BearingTable
+
+    values = np.zeros((len(nodes), len(speeds), len(COEFFICIENTS)))
+    for name, value in coefficients.items():
+        values[..., COEFFICIENTS.index(name)] = value
+    return BearingTable(nodes, np.asarray(speeds, dtype=float), values)
+
+
 @cache
 def _machine(*overrides: str) -> Machine:
     import numpy as np

@@ -51,9 +51,7 @@ def _failing(monkeypatch: pytest.MonkeyPatch, error: BaseException, where: Run =
 
 
 def _process(*arguments: str, cwd: Path, **others: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*COMMAND, *arguments], cwd=cwd, env=ENVIRONMENT, text=True, capture_output=True, **others
-    )
+    return subprocess.run([*COMMAND, *arguments], cwd=cwd, env=ENVIRONMENT, text=True, capture_output=True, **others)
 
 
 # --- help ----------------------------------------------------------------------------------------
@@ -140,9 +138,7 @@ def test_composing_leaves_hydra_as_it_was() -> None:
 def test_a_stage_may_compose_while_it_runs(
     runs: list[Config], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(
-        "pipeline.stages.run_stage", lambda config: print(config.seed, compose_config(["seed=9"]).seed)
-    )
+    monkeypatch.setattr("pipeline.stages.run_stage", lambda config: print(config.seed, compose_config(["seed=9"]).seed))
     assert main(["seed=1"]) == 0
     assert capsys.readouterr().out == "1 9\n"
 
@@ -299,9 +295,7 @@ def test_a_broken_file_in_conf_is_named(monkeypatch: pytest.MonkeyPatch, tmp_pat
 
 @settings(max_examples=12, deadline=None, derandomize=True)
 @given(
-    key=st.sampled_from(
-        ["seed", "+seed", "~seed", "rotor", "model.kind", "stage", "experiment", "rotor.shaft.0", ""]
-    ),
+    key=st.sampled_from(["seed", "+seed", "~seed", "rotor", "model.kind", "stage", "experiment", "rotor.shaft.0", ""]),
     value=st.sampled_from(["", "null", "[]", "[1]", "{a: 1}", "${rotor}", "${"]) | st.text(max_size=8),
 )
 def test_any_override_composes_or_is_refused_with_a_sentence(key: str, value: str) -> None:
@@ -309,9 +303,7 @@ def test_any_override_composes_or_is_refused_with_a_sentence(key: str, value: st
         compose_config([f"{key}={value}"])
 
 
-def test_what_only_hydra_can_see_is_a_sentence_too(
-    runs: list[Config], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_only_hydra_can_see_is_a_sentence_too(runs: list[Config], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["hydra.run.dir=${nothing}"]) == 2
     assert "nothing" in capsys.readouterr().err
     assert runs == []
@@ -431,9 +423,7 @@ def test_the_configuration_is_printed(runs: list[Config], capsys: pytest.Capture
 
 
 def test_how_the_configuration_was_composed_is_printed(tmp_path: Path) -> None:
-    answer = _process(
-        "seed=77", "--info", "config", cwd=tmp_path
-    )  # it prints through a logger that would stay
+    answer = _process("seed=77", "--info", "config", cwd=tmp_path)  # it prints through a logger that would stay
     assert (answer.returncode, answer.stderr, list(tmp_path.iterdir())) == (0, "", [])
     assert "seed: 77" in answer.stdout
 

@@ -305,7 +305,7 @@ def test_a_model_trained_on_other_data_is_refused(stage: str, made: Made, tmp_pa
     folder = Path(shutil.copytree(made("ball_bearing"), tmp_path / "x"))
     run("generate", "ball_bearing", folder, other)
     before = contents(folder)
-    with pytest.raises(DataError, match=r"trained on other data .*: run stage=train"):
+    with pytest.raises(DataError, match=r"must belong to the data at hand, .*: run stage=train"):
         run(stage, "ball_bearing", folder, other)
     assert contents(folder) == before
     run("train", "ball_bearing", folder, other)

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.linalg
-from conftest import Machine, MachineFactory
+from conftest import Machine, MachineFactory, bearings_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -27,16 +27,6 @@ from pipeline.twin.modes import critical_speeds, whirl_modes
 from pipeline.units import RAD_S_PER_RPM
 
 STEEL = {"density": 7810.0, "youngs_modulus": 211e9, "shear_modulus": 81.2e9}
-
-
-def bearings_of(
-    nodes: tuple[int, ...], speeds: np.ndarray, **coefficients: float | np.ndarray
-) -> BearingTable:
-    """The same coefficients at every node and speed; those not named are zero."""
-    values = np.zeros((len(nodes), len(speeds), 8))
-    for name, value in coefficients.items():
-        values[..., COEFFICIENTS.index(name)] = value
-    return BearingTable(nodes, np.asarray(speeds, dtype=float), values)
 
 
 def dense(

@@ -55,18 +55,12 @@ def record(**changes: object) -> StageRecord:
 def python(code: str, *arguments: object, folder: Path) -> subprocess.CompletedProcess[str]:
     """Run ``code`` in a new interpreter in ``folder``, with warnings as errors."""
     command = [sys.executable, "-W", "error", "-c", code, *map(str, arguments)]
-    return subprocess.run(
-        command, cwd=folder, capture_output=True, text=True, timeout=120, env=clean_environment()
-    )
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, env=clean_environment())
 
 
 def clean_environment() -> dict[str, str]:
     """The environment without what would let a new process find this checkout or a tracking store."""
-    return {
-        name: value
-        for name, value in os.environ.items()
-        if name != "PYTHONPATH" and "MLFLOW_TRACKING" not in name
-    }
+    return {name: value for name, value in os.environ.items() if name != "PYTHONPATH" and "MLFLOW_TRACKING" not in name}
 
 
 @pytest.fixture(scope="session")
@@ -130,9 +124,7 @@ def test_everything_in_a_record_is_read_back(
     table, figure = tmp_path / "identified_coefficients.csv", tmp_path / "loss.png"
     table.write_text("bearing_node,kxx\n3,1e7\n")
     figure.write_bytes(b"\x89PNG")
-    history = [
-        {"step": step, "loss": 1 / step, "held_out_loss": 2 / step, "phase": "adam"} for step in range(1, 601)
-    ]
+    history = [{"step": step, "loss": 1 / step, "held_out_loss": 2 / step, "phase": "adam"} for step in range(1, 601)]
 
     problems = track(
         record(
@@ -237,9 +229,7 @@ def test_values_that_are_not_finite_are_named(settings: TrackingSettings) -> Non
     assert Logged(settings).run.data.metrics == {"good": 1.0, "loss": 1.0}
 
 
-def test_a_part_that_fails_does_not_take_the_others_with_it(
-    settings: TrackingSettings, tmp_path: Path
-) -> None:
+def test_a_part_that_fails_does_not_take_the_others_with_it(settings: TrackingSettings, tmp_path: Path) -> None:
     problems = track(
         record(files=[tmp_path / "gone.csv"], model=tmp_path / "no model", metrics={"good": 1.0}), settings
     )
@@ -353,9 +343,7 @@ def test_locked_database(settings: TrackingSettings) -> None:
     assert "database is locked" in problem
 
 
-@pytest.mark.parametrize(
-    "uri", ["sqlite://", "sqlite:///:memory:", "sqlite:///a.db?mode=ro", "nonsense://x", ""]
-)
+@pytest.mark.parametrize("uri", ["sqlite://", "sqlite:///:memory:", "sqlite:///a.db?mode=ro", "nonsense://x", ""])
 def test_uri_that_names_no_store(uri: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     (problem,) = track(record(), TrackingSettings(True, uri))
@@ -363,9 +351,7 @@ def test_uri_that_names_no_store(uri: str, tmp_path: Path, monkeypatch: pytest.M
     assert list(tmp_path.iterdir()) == []
 
 
-def test_failed_creation_leaves_no_database(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quiet: None
-) -> None:
+def test_failed_creation_leaves_no_database(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quiet: None) -> None:
     from mlflow.store.tracking import sqlalchemy_store
 
     def half_made(uri: str, root: str) -> None:
@@ -449,9 +435,7 @@ def model_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_logged_model_predicts_in_a_new_process(
-    settings: TrackingSettings, model_folder: Path, tmp_path: Path
-) -> None:
+def test_logged_model_predicts_in_a_new_process(settings: TrackingSettings, model_folder: Path, tmp_path: Path) -> None:
     """It needs neither this checkout nor the folder it was logged from."""
     from pipeline.identification.storage import load_model
 

@@ -161,9 +161,7 @@ def test_what_training_is_given_holds_no_unknown(
     (inputs,) = seen
     for name in config.identify.unknowns:
         assert not inputs.known.coefficient(name).any()
-    truth = read_coefficients(
-        trained / "modelled_coefficients.csv", inputs.rotor.bearing_nodes, inputs.dataset.speeds
-    )
+    truth = read_coefficients(trained / "modelled_coefficients.csv", inputs.rotor.bearing_nodes, inputs.dataset.speeds)
     for name in config.identify.known():
         np.testing.assert_array_equal(inputs.known.coefficient(name), truth.coefficient(name))
 
@@ -194,9 +192,7 @@ def _names(paths: list[str]) -> set[str]:
     return {Path(path).name for path in paths}
 
 
-def test_training_opens_no_file_of_the_truth(
-    config: Config, trained: Path, tmp_path: Path, opened: list[str]
-) -> None:
+def test_training_opens_no_file_of_the_truth(config: Config, trained: Path, tmp_path: Path, opened: list[str]) -> None:
     """While stage=train runs, no file named like the truth is opened; the files that it should read are."""
     folder = Path(shutil.copytree(trained, tmp_path / "x"))
     opened.clear()

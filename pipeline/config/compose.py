@@ -53,7 +53,7 @@ def validated(mapping: Mapping[str, Any]) -> Config:
     from pydantic import ValidationError
 
     from pipeline.config.schema import Config
-    from pipeline.stages import STAGES
+    from pipeline.config.stage_names import STAGES
 
     stage = mapping.get("stage")
     if not isinstance(stage, str) or stage not in STAGES:
@@ -162,7 +162,7 @@ def _parsed(overrides: Sequence[str], loader: ConfigLoader) -> list[Override]:
 
 
 def _bad_syntax(text: str) -> str:
-    from pipeline.stages import STAGES
+    from pipeline.config.stage_names import STAGES
 
     return bad_syntax(text, {"stage": STAGES, "experiment": options("experiment")})
 

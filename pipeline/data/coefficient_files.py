@@ -39,10 +39,14 @@ def read_coefficients(
     Raises DataError where a bearing or a speed has no row.
     """
     table = read_table(path, {"bearing_node": "number", "speed_rpm": "number"} | dict.fromkeys(names, "number"))
-    wanted = to_rpm(speeds)
+    # Speeds of two files are the same where they agree to a millionth of an rpm.
+    table["speed_rpm"] = table["speed_rpm"].round(6)
+    wanted = np.round(to_rpm(speeds), 6)
+    if table.duplicated(["bearing_node", "speed_rpm"]).any():
+        raise DataError(f"'{path}' must have one row a bearing and speed, but some are there twice")
     values = np.zeros((len(nodes), len(speeds), len(COEFFICIENTS)))
     for b, node in enumerate(nodes):
-        rows = table[table["bearing_node"] == node].drop_duplicates("speed_rpm").set_index("speed_rpm")
+        rows = table[table["bearing_node"] == node].set_index("speed_rpm")
         if rows.empty:
             has = sorted({int(n) for n in table["bearing_node"]})
             raise DataError(f"'{path}' must have rows for the bearing at node {node}, but it has bearings at {has}")

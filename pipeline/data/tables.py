@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -72,18 +73,24 @@ def _read_parquet(path: Path) -> pd.DataFrame:
 
     try:
         stored = parquet.read_table(path)
-    except (OSError, pyarrow.lib.ArrowException) as error:
+        # Without the notes that pandas leaves in a file: columns and types are all that is needed of it.
+        table = stored.replace_schema_metadata(None).to_pandas()
+    except (OSError, ValueError, TypeError, pyarrow.lib.ArrowException) as error:
         raise DataError(
-            f"'{path}' must be a complete Parquet file, but it can't be read ({str(error).splitlines()[0]}): make "
-            "it again with stage=generate"
+            f"'{path}' must be a complete Parquet file, but it can't be read ({_first_line(error)}): make it "
+            "again with stage=generate"
         ) from None
-    schema = (stored.schema.metadata or {}).get(_SCHEMA_KEY)
-    if schema is not None and schema.decode() != SCHEMA:
+    schema = (stored.schema.metadata or {}).get(_SCHEMA_KEY, SCHEMA.encode()).decode(errors="replace")
+    if schema != SCHEMA:
         raise DataError(
-            f"'{path}' must have the file schema {SCHEMA}, but it was written with schema {schema.decode()}: make "
-            "it again with stage=generate"
+            f"'{path}' must have the file schema {SCHEMA}, but it was written with schema {schema}: make it "
+            "again with stage=generate"
         )
-    return stored.to_pandas()
+    return table
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0][:200]
 
 
 def rotor_of(path: Path) -> str | None:
@@ -91,9 +98,25 @@ def rotor_of(path: Path) -> str | None:
     return _stored(path, _ROTOR_KEY)
 
 
+def fingerprint_of(path: Path) -> str:
+    """Identity of a file's bytes; empty where there is no file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:16] if path.is_file() else ""
+
+
 def origin_of(path: Path) -> str | None:
     """Identity of the configuration that a Parquet file was generated from; None where it doesn't say."""
     return _stored(path, _ORIGIN_KEY)
+
+
+def is_foreign(path: Path) -> bool:
+    """True for a complete Parquet file that was not generated here."""
+    import pyarrow.lib
+    import pyarrow.parquet as parquet
+
+    try:
+        return _ORIGIN_KEY not in (parquet.read_schema(path).metadata or {})
+    except (OSError, ValueError, pyarrow.lib.ArrowException):
+        return False
 
 
 def _stored(path: Path, key: bytes) -> str | None:
@@ -104,9 +127,9 @@ def _stored(path: Path, key: bytes) -> str | None:
         return None
     try:
         stored = (parquet.read_schema(path).metadata or {}).get(key)
-    except (OSError, pyarrow.lib.ArrowException):
+    except (OSError, ValueError, pyarrow.lib.ArrowException):
         return None  # a damaged file says so when its rows are read
-    return stored.decode() if stored is not None else None
+    return stored.decode(errors="replace") if stored is not None else None
 
 
 def write_table(path: Path, table: pd.DataFrame, rotor: str | None = None, origin: str | None = None) -> Path:

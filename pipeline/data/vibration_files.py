@@ -44,10 +44,8 @@ def to_rpm(speeds: np.ndarray) -> np.ndarray:
     return np.round(speeds / RAD_S_PER_RPM, 9)
 
 
-def write_dataset(
-    vibration: Path, excitation: Path, dataset: VibrationDataset, rotor: RotorModel, origin: str | None = None
-) -> None:
-    """Write both files, with the rotor's fingerprint and generated data's ``origin``. Raises StorageError."""
+def write_vibration(path: Path, dataset: VibrationDataset, rotor: RotorModel, origin: str | None = None) -> Path:
+    """Write the displacements, with the rotor's fingerprint and generated data's ``origin``. Raises StorageError."""
     import pandas as pd
 
     n_speeds, n_channels, n_runs = dataset.displacement.shape
@@ -64,6 +62,13 @@ def write_dataset(
             "phase_deg": np.degrees(np.angle(flat)),
         }
     )
+    return write_table(path, table, rotor.fingerprint, origin)
+
+
+def write_excitation(path: Path, dataset: VibrationDataset) -> Path:
+    """Write what excited the runs. Raises StorageError."""
+    import pandas as pd
+
     forces = pd.DataFrame(
         {
             "run": [e.run for e in dataset.excitations],
@@ -74,8 +79,7 @@ def write_dataset(
             "whirl": [e.whirl for e in dataset.excitations],
         }
     )
-    write_table(vibration, table, rotor.fingerprint, origin)
-    write_table(excitation, forces)
+    return write_table(path, forces)
 
 
 def read_dataset(vibration: Path, excitation: Path, rotor: RotorModel) -> VibrationDataset:
@@ -97,8 +101,9 @@ def read_dataset(vibration: Path, excitation: Path, rotor: RotorModel) -> Vibrat
     _check_words(table["direction"], DIRECTIONS, vibration, "direction")
     if (table["speed_rpm"] <= 0).any():
         raise DataError(f"'{vibration}' must have speeds above zero, but got {table['speed_rpm'].min():g} rpm")
-    if (table["amplitude_m"] < 0).any():
-        raise DataError(f"'{vibration}' must have amplitudes of zero or more, but got {table['amplitude_m'].min():g} m")
+    strange = table["amplitude_m"][(table["amplitude_m"] < 0) | (table["amplitude_m"] > 1)]
+    if len(strange):
+        raise DataError(f"'{vibration}' must have amplitudes of zero or more, up to 1 m, but got {strange.iloc[0]:g} m")
     for run, rpm in table.groupby("run", sort=False)["speed_rpm"]:
         if (np.diff(rpm.to_numpy()) < 0).any():
             raise DataError(

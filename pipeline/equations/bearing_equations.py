@@ -71,8 +71,8 @@ def bearing_equations(rotor: RotorModel, dataset: VibrationDataset) -> BearingEq
         for direction, dof in enumerate(pair):
             if dof not in measured:
                 raise DataError(
-                    "The residual needs x and y measured at every bearing, but the vibration data have no "
-                    f"{DIRECTIONS[direction]} of node {node}"
+                    "The residual needs x and y measured at every bearing, but "
+                    f"{DIRECTIONS[direction]} of node {node} is missing in the vibration data"
                 )
     w = dataset.speeds
     forces = force_vectors(rotor, dataset.excitations, dataset.runs, w)
@@ -109,11 +109,13 @@ def unknown_system(equations: BearingEquations, unknowns: Sequence[str], known: 
     n_bearings, n_speeds = offset.shape[:2]
     matrix = matrix.reshape(n_bearings, n_speeds, -1, len(unknowns))
     offset = offset.reshape(n_bearings, n_speeds, -1)
-    return UnknownSystem(
+    system = UnknownSystem(
         tuple(unknowns),
         np.concatenate([matrix.real, matrix.imag], axis=2),
         np.concatenate([offset.real, offset.imag], axis=2),
     )
+    _check_motion(equations, system)
+    return system
 
 
 def _column(equations: BearingEquations, name: str) -> np.ndarray:
@@ -133,4 +135,33 @@ def _check_enough_runs(unknowns: Sequence[str], n_runs: int) -> None:
                 f"({', '.join(wanted)}) need "
                 f"{-(-len(wanted) // 2)} runs with independent orbits, but got {n_runs}: add a run or name fewer "
                 "unknowns"
+            )
+
+
+_DEPENDENT = 1e-12
+"""Ratio of singular values below which double precision can't tell orbits apart."""
+
+
+def _check_motion(equations: BearingEquations, system: UnknownSystem) -> None:
+    force = np.abs(equations.free_residual).max(axis=(2, 3))[..., None]  # (B, S, 1)
+    still = np.argwhere((np.abs(system.matrix).max(axis=2) == 0) | (force == 0))
+    if len(still):
+        b, s, u = still[0]
+        raise IdentifiabilityError(
+            f"The bearing at node {equations.bearing_nodes[b]} must move to show its {system.unknowns[u]}, but the "
+            f"data have no motion of it at {equations.speeds[s]:.6g} rad/s ({len(still)} such points): "
+            "check the sensors"
+        )
+
+
+def require_independent_orbits(equations: BearingEquations, system: UnknownSystem) -> None:
+    """Raise IdentifiabilityError for a bearing whose unknowns the runs do not determine at any speed."""
+    columns = system.matrix / np.linalg.norm(system.matrix, axis=2, keepdims=True)
+    singular = np.linalg.svd(columns, compute_uv=False)
+    for b, node in enumerate(equations.bearing_nodes):
+        if (singular[b, :, -1] < _DEPENDENT * singular[b, :, 0]).all():
+            raise IdentifiabilityError(
+                f"The runs must give the bearing at node {node} independent orbits to determine "
+                f"{', '.join(system.unknowns)}, but at every speed they are multiples of each other: add a run with "
+                "another excitation or name fewer unknowns"
             )

@@ -28,26 +28,25 @@ CoefficientErrors = dict[int, dict[str, CoefficientError]]
 
 
 def relative_errors(identified: BearingTable, modelled: BearingTable, name: str) -> np.ndarray:
-    """(B, S) |identified - modelled| / |modelled| in percent; infinite or 0 where modelled is zero."""
+    """(B, S) |identified - modelled| / |modelled| in percent; NaN where the modelled value is zero."""
     found, true = identified.coefficient(name), modelled.coefficient(name)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.nan_to_num(100.0 * np.abs(found - true) / np.abs(true), nan=0.0, posinf=np.inf)
+    size = np.where(true == 0.0, np.nan, np.abs(true))
+    return 100.0 * np.abs(found - true) / size
 
 
 def coefficient_errors(identified: BearingTable, modelled: BearingTable, names: Sequence[str]) -> CoefficientErrors:
-    """Errors of the coefficients ``names`` at every bearing."""
+    """Errors of the coefficients ``names`` at every bearing; one that is modelled as zero has none."""
     result: CoefficientErrors = {node: {} for node in identified.nodes}
     for name in names:
         relative = relative_errors(identified, modelled, name)
         found, true = identified.coefficient(name), modelled.coefficient(name)
-        l2 = 100.0 * np.linalg.norm(found - true, axis=1) / np.linalg.norm(true, axis=1)
         for b, node in enumerate(identified.nodes):
-            result[node][name] = CoefficientError(
-                float(relative[b].mean()),
-                float(np.median(relative[b])),
-                float(relative[b].max()),
-                float(l2[b]),
-            )
+            of = relative[b][~np.isnan(relative[b])]
+            if len(of):
+                l2 = 100.0 * np.linalg.norm(found[b] - true[b]) / np.linalg.norm(true[b])
+                result[node][name] = CoefficientError(
+                    float(of.mean()), float(np.median(of)), float(of.max()), float(l2)
+                )
     return result
 
 
@@ -58,4 +57,4 @@ def as_metrics(errors: CoefficientErrors) -> dict[str, dict[str, dict[str, float
 
 def worst_mean_error(errors: CoefficientErrors, name: str) -> float:
     """The largest mean error of one coefficient among the bearings, percent."""
-    return max(of[name].mean_error_percent for of in errors.values())
+    return max((of[name].mean_error_percent for of in errors.values() if name in of), default=0.0)

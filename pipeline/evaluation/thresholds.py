@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
 from pipeline.errors import ConfigError, DataError
 from pipeline.files import read_json
@@ -49,8 +49,10 @@ def read_rules(path: Path) -> list[Rule]:
     import yaml
 
     try:
-        return TypeAdapter(list[Rule]).validate_python(yaml.safe_load(path.read_text(encoding="utf-8")))
-    except (OSError, yaml.YAMLError, ValidationError) as error:
+        return TypeAdapter(Annotated[list[Rule], Field(min_length=1)]).validate_python(
+            yaml.safe_load(path.read_text(encoding="utf-8"))
+        )
+    except (OSError, ValueError, yaml.YAMLError) as error:
         raise ConfigError(
             f"'{path}' must be a list of rules with file, metric, max and why, but it is not: {error}"
         ) from None

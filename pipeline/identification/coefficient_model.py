@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from pipeline.coefficients import CoefficientName
 from pipeline.config.schema import ModelConfig, NetworkModelConfig
 
 if TYPE_CHECKING:
@@ -28,12 +29,12 @@ _OUTPUT_GAIN = 0.1
 class CoefficientModel:
     """Architecture and scaling; everything but the trained numbers."""
 
-    unknowns: tuple[str, ...]
+    unknowns: tuple[CoefficientName, ...]
     inputs: tuple[str, ...]
     parametrisation: Literal["log", "scaled"]
     scale: tuple[tuple[float, ...], ...]  # (bearings or 1) x U, N/m and N s/m
     hidden: tuple[int, ...] | None  # widths; None for constants
-    activation: str = "tanh"
+    activation: Literal["tanh", "silu", "sine"] = "tanh"
     input_scaling: Literal["rpm", "log_rpm"] = "rpm"
     input_range: tuple[float, float] = (0.0, 1.0)  # rad/s, mapped to [-1, 1]
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from pipeline.errors import DataError
 from pipeline.files import read_json, write_beside, write_json
@@ -17,7 +16,7 @@ WEIGHTS, ARCHITECTURE = "model.safetensors", "model.json"
 
 def save_model(folder: Path, identified: IdentifiedModel) -> list[Path]:
     """Write both files. Raises StorageError."""
-    from safetensors.torch import save_file
+    from safetensors.torch import save
 
     weights = {"parameters": identified.parameters.contiguous()}
     description = {
@@ -26,37 +25,40 @@ def save_model(folder: Path, identified: IdentifiedModel) -> list[Path]:
         "model": asdict(identified.model),
     }
     return [
-        write_beside(folder / WEIGHTS, lambda beside: save_file(weights, beside)),
+        write_beside(folder / WEIGHTS, lambda beside: _write(beside, save(weights))),
         write_json(folder / ARCHITECTURE, description),
     ]
 
 
+def _write(path: Path, content: bytes) -> None:
+    path.write_bytes(content)
+
+
 def load_model(folder: Path) -> IdentifiedModel:
     """Read what :func:`save_model` wrote. Raises DataError: missing, damaged or of another schema."""
+    import torch
+    from pydantic import TypeAdapter
     from safetensors import SafetensorError
     from safetensors.torch import load_file
 
-    description = read_json(folder / ARCHITECTURE)
+    description = read_json(folder / ARCHITECTURE, "train again with stage=train")
     if description.get("schema") != SCHEMA:
         raise DataError(
             f"'{folder / ARCHITECTURE}' must have schema {SCHEMA}, but it has {description.get('schema')}: train "
             "again with stage=train"
         )
     try:
-        model = CoefficientModel(
-            **{field.name: _tuples(description["model"][field.name]) for field in fields(CoefficientModel)}
-        )
+        model = TypeAdapter(CoefficientModel).validate_python(description["model"])
+        nodes = TypeAdapter(tuple[int, ...]).validate_python(description["bearing_nodes"])
         parameters = load_file(folder / WEIGHTS)["parameters"]
-        identified = IdentifiedModel(model, tuple(description["bearing_nodes"]), parameters)
         if parameters.shape != (len(model.scale), model.n_parameters):
             raise ValueError(f"{tuple(parameters.shape)} numbers do not fit the architecture")
+        if parameters.dtype != torch.float64 or not parameters.isfinite().all():
+            raise ValueError("the numbers are not finite and of double precision")
+        if len(model.scale) not in (1, len(nodes)) or any(len(row) != len(model.unknowns) for row in model.scale):
+            raise ValueError("scale does not fit the bearings and unknowns")
     except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
         raise DataError(
             f"'{folder}' must hold a complete trained model, but it does not ({error}): train again with stage=train"
         ) from None
-    return identified
-
-
-def _tuples(value: Any) -> Any:
-    """JSON knows lists only; the model is hashable and has tuples."""
-    return tuple(_tuples(item) for item in value) if isinstance(value, list) else value
+    return IdentifiedModel(model, nodes, parameters)

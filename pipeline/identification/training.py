@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.coefficients import is_stiffness
 from pipeline.config.schema import IdentifyConfig, LossConfig, ModelConfig, OptimizerConfig, TrainingConfig
-from pipeline.equations.bearing_equations import BearingEquations, unknown_system
+from pipeline.equations.bearing_equations import BearingEquations, require_independent_orbits, unknown_system
 from pipeline.identification import optimizers
 from pipeline.identification.coefficient_model import CoefficientModel, coefficient_model
 from pipeline.identification.identified import IdentificationResult, IdentifiedModel
@@ -88,6 +88,7 @@ class TrainedBatch:
 def prepare(equations: BearingEquations, known: BearingTable, setup: TrainingSetup) -> PreparedTraining:
     """Everything before the first step. Raises IdentifiabilityError where the runs are too few."""
     system = unknown_system(equations, setup.identify.unknowns, known)
+    require_independent_orbits(equations, system)
     members = 1 if setup.identify.tie_bearings else len(equations.bearing_nodes)
     model = coefficient_model(setup.model, setup.identify.unknowns, equations.speeds, data_scale(system, members))
     scaling = speed_scaling(setup.loss, equations)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS, column, row, unit
+from pipeline.data.tables import read_table
 from pipeline.data.vibration_files import to_rpm
 from pipeline.evaluation.errors import relative_errors
 from pipeline.files import write_beside
@@ -136,9 +137,7 @@ def _coefficients(
 
 def history_figure(path: Path, history: Path) -> Path:
     """Loss over the steps of training, on training and held-out speeds."""
-    import pandas as pd
-
-    table = pd.read_csv(history)
+    table = read_table(history, {"step": "number", "phase": "text", "loss": "number"})
     with figure(path, 1, 1, 7.5, 4.2) as axes:
         ax = axes[0, 0]
         ax.semilogy(table["step"], table["loss"], color=BLUE, label="training speeds")

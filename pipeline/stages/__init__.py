@@ -8,18 +8,10 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING
 
+from pipeline.config.stage_names import STAGES
+
 if TYPE_CHECKING:
     from pipeline.config.schema import Config
-
-STAGES: dict[str, str] = {
-    "configure": "write the experiment's composed configuration to config.yaml",
-    "generate": "model the machine with ROSS and write its unbalance vibration",
-    "train": "identify the unknown bearing coefficients from the vibration",
-    "evaluate": "compare identified with modelled coefficients, and with per-speed least squares",
-    "robustness": "train from many initial guesses or seeds at once",
-    "predict": "predict vibration never seen, critical speeds and stability with the digital twin",
-    "check": "hold the metrics of all experiments against conf/thresholds; exit code 1 where one is passed",
-}
 
 
 def run_stage(config: Config) -> None:
@@ -27,3 +19,6 @@ def run_stage(config: Config) -> None:
     from pipeline.stages.run import execute
 
     execute(config, importlib.import_module(f"pipeline.stages.{config.stage}").run)
+
+
+__all__ = ["STAGES", "run_stage"]

@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import read_coefficients, write_coefficients
-from pipeline.data.tables import write_table
+from pipeline.data.tables import fingerprint_of, write_table
 from pipeline.equations.bearing_equations import unknown_system
 from pipeline.equations.least_squares import per_speed_least_squares
 from pipeline.errors import DataError
@@ -32,15 +32,23 @@ if TYPE_CHECKING:
 def load_identified(config: Config, inputs: Inputs) -> IdentifiedModel:
     """The trained model, training first where it is missing. Raises DataError where other data trained it."""
     work = workspace(config)
-    make_missing(config, "train", work.folder / WEIGHTS, work.folder / ARCHITECTURE, work.training)
-    trained_on = read_json(work.training).get("data_fingerprint")
-    if trained_on != inputs.dataset.fingerprint:
-        raise DataError(
-            f"'{work.training}' must belong to the data at hand ({inputs.dataset.fingerprint}), but the model was "
-            "trained on other data "
-            f"({trained_on}): run stage=train"
-        )
-    return load_model(work.folder)
+    make_missing(config, "train", work.folder / WEIGHTS, work.folder / ARCHITECTURE, work.training, work.history)
+    account, model_files = read_json(work.training), (work.folder / WEIGHTS, work.folder / ARCHITECTURE)
+    identified = load_model(work.folder)
+    laws = {
+        "the data at hand": account.get("data_fingerprint") == inputs.dataset.fingerprint,
+        "the model beside it": account.get("model") == " ".join(fingerprint_of(path) for path in model_files),
+        f"the bearings at nodes {list(inputs.rotor.bearing_nodes)}": identified.bearing_nodes
+        == inputs.rotor.bearing_nodes,
+        f"the unknowns {', '.join(config.identify.unknowns)}": set(identified.model.unknowns)
+        == set(config.identify.unknowns),
+    }
+    for law, holds in laws.items():
+        if not holds:
+            raise DataError(
+                f"'{work.training}' must belong to {law}, but it does not: run stage=train with the same overrides"
+            )
+    return identified
 
 
 def load_modelled(config: Config, inputs: Inputs) -> BearingTable | None:
@@ -84,12 +92,12 @@ def run(config: Config) -> StageOutput:
     else:
         say(f"{config.name}: no modelled coefficients, so no errors; residual {residual:.3g} of the bearing force")
     written += [
-        write_json(work.metrics, metrics),
-        write_json(work.folder / "summary.json", summary),
-        write_coefficients(work.folder / "least_squares_coefficients.csv", conventional),
+        history_figure(work.figure("training"), work.history),
         coefficient_figure(work.figure("stiffness"), "k", answer, modelled, unknowns),
         coefficient_figure(work.figure("damping"), "c", answer, modelled, unknowns),
-        history_figure(work.figure("training"), work.history),
+        write_coefficients(work.folder / "least_squares_coefficients.csv", conventional),
+        write_json(work.metrics, metrics),
+        write_json(work.folder / "summary.json", summary),
     ]
     return StageOutput(
         flat_metrics(metrics), {"data_fingerprint": inputs.dataset.fingerprint}, [*written, work.identified]

@@ -8,13 +8,14 @@ from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import write_coefficients
 from pipeline.data.dataset import Excitation
 from pipeline.data.simulate import simulate
-from pipeline.data.vibration_files import write_dataset
+from pipeline.data.tables import is_foreign
+from pipeline.data.vibration_files import write_excitation, write_vibration
 from pipeline.errors import DataError
 from pipeline.reporting.console import say, warn
 from pipeline.rotor.ross_adapter import assemble, bearing_table
 from pipeline.stages.inputs import require_nodes
-from pipeline.stages.run import StageOutput, flat_metrics, input_files, origin, workspace
-from pipeline.twin.modes import stability_margin, whirl_modes
+from pipeline.stages.run import StageOutput, flat_metrics, input_files, origin_of_files, workspace
+from pipeline.twin.modes import StabilityMargin, stability_margin, whirl_modes
 from pipeline.units import RAD_S_PER_RPM
 
 
@@ -26,6 +27,11 @@ def run(config: Config) -> StageOutput:
             "generate must write the experiment's own files, but data.vibration, data.excitation or data.known "
             "names others: leave them out"
         )
+    if is_foreign(files.vibration):
+        raise DataError(
+            f"generate must not replace what it did not write, but '{files.vibration}' was made elsewhere: move it and "
+            "give it as data.vibration=..., or choose another folder with output=FOLDER"
+        )
     speeds = np.array(config.excitation.speeds.rpm()) * RAD_S_PER_RPM
     rotor = assemble(config.rotor)
     bearings = bearing_table(config.rotor, config.bearing, speeds)
@@ -33,16 +39,15 @@ def run(config: Config) -> StageOutput:
     require_nodes(rotor, "excitation.runs", [excitation.node for excitation in runs])
     dataset = simulate(rotor, bearings, runs)
     modelled = workspace(config).modelled
-    write_dataset(files.vibration, files.excitation, dataset, rotor, origin(config))
+    write_excitation(files.excitation, dataset)
     write_coefficients(modelled, bearings)
     write_coefficients(files.known, bearings, config.identify.known())
+    write_vibration(files.vibration, dataset, rotor, origin_of_files(config, files))
     # A tenth of the speeds shows the trend; the eigenvalues of all would take longer than the vibration.
     margin = stability_margin(whirl_modes(rotor, bearings.at(np.arange(0, len(speeds), 10))))
     say(
         f"{config.name}: {len(dataset.runs)} runs, {len(speeds)} speeds, {len(dataset.channels)} channels in "
-        f"'{files.vibration}'\n"
-        f"smallest logarithmic decrement {margin.smallest_logarithmic_decrement:.3f} at "
-        f"{margin.at_speed / RAD_S_PER_RPM:.0f} rpm"
+        f"'{files.vibration}'\n" + _margin_text(margin)
     )
     if not margin.stable:
         warn(
@@ -61,6 +66,13 @@ def run(config: Config) -> StageOutput:
         tags={"data_fingerprint": dataset.fingerprint, "rotor_fingerprint": rotor.fingerprint},
         files=[files.excitation, files.known, modelled],
     )
+
+
+def _margin_text(margin: StabilityMargin) -> str:
+    if margin.smallest_logarithmic_decrement is None or margin.at_speed is None:
+        return "no whirling mode below twice the top speed"
+    at = margin.at_speed / RAD_S_PER_RPM
+    return f"smallest logarithmic decrement {margin.smallest_logarithmic_decrement:.3f} at {at:.0f} rpm"
 
 
 def excitations(config: Config) -> tuple[Excitation, ...]:

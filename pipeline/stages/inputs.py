@@ -16,7 +16,7 @@ from pipeline.errors import ConfigError, DataError
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.ross_adapter import assemble
-from pipeline.stages.run import input_files, make_missing, origin
+from pipeline.stages.run import input_files, make_missing, origin, origin_of_files
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,12 +49,17 @@ def load_inputs(config: Config) -> Inputs:
     if files.own:
         make_missing(config, "generate", files.vibration, files.excitation, files.known)
         made_from = origin_of(files.vibration)
-        if made_from not in (None, origin(config)):
+        if made_from is not None and made_from.split(" ")[0] != origin(config):
             raise DataError(
                 f"'{files.vibration}' must have been generated from the configured rotor, bearings and excitation, but "
-                "they have "
-                "changed since: run stage=generate with the same overrides first, or choose another folder with "
-                "output=FOLDER"
+                "they have changed since: run stage=generate with the same overrides first, or choose another folder "
+                "with output=FOLDER"
+            )
+        if made_from not in (None, origin_of_files(config, files)):
+            raise DataError(
+                f"'{files.vibration}', '{files.excitation}' and '{files.known}' must come from one stage=generate, but "
+                "they do not belong together: run it again, or give files of your own as data.vibration=..., "
+                "data.excitation=... and data.known=..."
             )
     rotor = assemble(config.rotor)
     dataset = read_dataset(files.vibration, files.excitation, rotor)

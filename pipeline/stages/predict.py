@@ -100,7 +100,7 @@ def _modal_summary(rotor: RotorModel, bearings: BearingTable) -> dict[str, objec
             "stable": margin.stable,
             "largest_growth": margin.largest_growth,
             "smallest_logarithmic_decrement": margin.smallest_logarithmic_decrement,
-            "at_rpm": margin.at_speed / RAD_S_PER_RPM,
+            "at_rpm": None if margin.at_speed is None else margin.at_speed / RAD_S_PER_RPM,
         },
     }
 
@@ -123,6 +123,7 @@ def _print(config: Config, summary: Mapping[str, Any], vibration: dict[str, Pred
         criticals = ", ".join(
             f"{c['rpm']:.1f} ({c['logarithmic_decrement']:.3f})" for c in of["critical_speeds"].values()
         )
+        decrement = of["stability"]["smallest_logarithmic_decrement"]
         amplitude = 1e6 * np.abs(vibration[name].displacement[at])
         rows.append(
             [
@@ -130,7 +131,7 @@ def _print(config: Config, summary: Mapping[str, Any], vibration: dict[str, Pred
                 f"{amplitude[0]:.5f}",
                 f"{amplitude[1]:.5f}",
                 criticals or "none",
-                f"{of['stability']['smallest_logarithmic_decrement']:.4f}",
+                "none" if decrement is None else f"{decrement:.4f}",
             ]
         )
     rpm = config.prediction.speed_rpm

@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError
-from pipeline.evaluation.errors import coefficient_errors
+from pipeline.evaluation.errors import CoefficientErrors, coefficient_errors
 from pipeline.files import write_json
 from pipeline.identification.outcome import Outcome
 from pipeline.identification.training import (
@@ -101,12 +101,17 @@ def _rows(
                         "bearing_node": node,
                         "coefficient": name,
                         "mean_value": float(answer.coefficient(name)[b].mean()),
-                        "mean_error_percent": float("nan") if errors is None else errors[node][name].mean_error_percent,
+                        "mean_error_percent": _mean_error(errors, node, name),
                         "loss": float(batch.loss[g]),
                         "outcome": batch.outcomes[g].label,
                     }
                 )
     return pd.DataFrame(rows)
+
+
+def _mean_error(errors: CoefficientErrors | None, node: int, name: str) -> float:
+    found = None if errors is None else errors[node].get(name)
+    return float("nan") if found is None else found.mean_error_percent
 
 
 def _summary(batch: TrainedBatch, rows: pd.DataFrame) -> dict[str, object]:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from pipeline.config.schema import Config
+from pipeline.data.tables import fingerprint_of
 from pipeline.reporting.console import say, warn
 from pipeline.tracking import StageRecord, TrackingSettings, track
 
@@ -83,6 +84,14 @@ def origin(config: Config) -> str:
     """Identity of what data are generated from: rotor, bearings and excitation of the configuration."""
     parts = [section.model_dump(mode="json") for section in (config.rotor, config.bearing, config.excitation)]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def origin_of_files(config: Config, files: InputFiles) -> str:
+    """:func:`origin` and the identity of the files generated beside the vibration, which is written last.
+
+    Files of two generations, as an interrupted ``generate`` leaves them, do not fit each other.
+    """
+    return f"{origin(config)} {fingerprint_of(files.excitation)} {fingerprint_of(files.known)}"
 
 
 def make_missing(config: Config, stage: str, *needed: Path) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import write_coefficients
-from pipeline.data.tables import write_table
+from pipeline.data.tables import fingerprint_of, write_table
 from pipeline.files import write_json
 from pipeline.identification.identified import IdentificationResult
 from pipeline.identification.outcome import Outcome
@@ -61,7 +61,8 @@ def _save(config: Config, inputs: Inputs, result: IdentificationResult) -> list[
         "data_fingerprint": inputs.dataset.fingerprint,
         "seed": config.seed,
     } | _account(result)
-    save_model(work.folder, result.identified)
+    model = save_model(work.folder, result.identified)
+    account["model"] = " ".join(fingerprint_of(path) for path in model)
     return [
         write_coefficients(work.identified, table),
         write_table(work.history, pd.DataFrame(list(result.history)).drop(columns="seconds")),

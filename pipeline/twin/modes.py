@@ -89,8 +89,8 @@ class StabilityMargin:
 
     stable: bool
     largest_growth: float  # 1/s, over all modes and speeds; at most zero is stable
-    smallest_logarithmic_decrement: float  # over the modes within twice the top speed
-    at_speed: float  # rad/s, where that is
+    smallest_logarithmic_decrement: float | None  # over the modes within twice the top speed; None without any
+    at_speed: float | None  # rad/s, where that is
 
 
 def stability_margin(modes: WhirlModes) -> StabilityMargin:
@@ -101,6 +101,10 @@ def stability_margin(modes: WhirlModes) -> StabilityMargin:
     """
     within = np.where(modes.frequency <= 2.0 * modes.speeds.max(), modes.logarithmic_decrement, np.inf)
     s, k = np.unravel_index(np.nanargmin(np.where(np.isnan(within), np.inf, within)), within.shape)
+    found = np.isfinite(within[s, k])
     return StabilityMargin(
-        bool((modes.growth <= 0).all()), float(modes.growth.max()), float(within[s, k]), float(modes.speeds[s])
+        bool((modes.growth <= 0).all()),
+        float(modes.growth.max()),
+        float(within[s, k]) if found else None,
+        float(modes.speeds[s]) if found else None,
     )

@@ -1,0 +1,13 @@
+"""The stages by name, with a line on each, for help and for messages."""
+
+from __future__ import annotations
+
+STAGES: dict[str, str] = {
+    "configure": "write the experiment's composed configuration to config.yaml",
+    "generate": "model the machine with ROSS and write its unbalance vibration",
+    "train": "identify the unknown bearing coefficients from the vibration",
+    "evaluate": "compare identified with modelled coefficients, and with per-speed least squares",
+    "robustness": "train from many initial guesses or seeds at once",
+    "predict": "predict vibration never seen, critical speeds and stability with the digital twin",
+    "check": "hold the metrics of all experiments against conf/thresholds; exit code 1 where one is passed",
+}

@@ -1,0 +1,347 @@
+"""Ctrl-C in training keeps the best state so far; two processes at once leave complete files."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import pty
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.config.compose import compose_config
+from pipeline.config.schema import Config
+from pipeline.identification.storage import load_model
+from pipeline.stages import robustness, run_stage, train
+
+ROOT = Path(__file__).resolve().parents[1]
+ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT), "TERM": "xterm", "COLUMNS": "120"}
+COARSE = [
+    "experiment=ball_bearing",
+    "tracking=none",
+    *(f"excitation.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=500")),
+    "robustness.count=3",
+]
+LONG = ["optimizer=adam", "optimizer.adam.steps=100000000", "optimizer.adam.patience=100000000"]
+ANSWER = {
+    *("model.safetensors", "model.json", "identified_coefficients.csv", "history.csv", "training.json"),
+}
+DATA = {"vibration.parquet", "excitation.csv", "known_coefficients.csv", "modelled_coefficients.csv"}
+
+
+def files(folder: Path) -> set[str]:
+    """Names of everything in ``folder``, hidden files too."""
+    return {path.name for path in folder.iterdir()} if folder.exists() else set()
+
+
+def run(config: Config, stage: str, folder: Path) -> None:
+    """One stage in ``folder``."""
+    run_stage(config.model_copy(update={"stage": stage, "output": str(folder)}))
+
+
+def account(folder: Path) -> dict[str, object]:
+    """training.json."""
+    told: dict[str, object] = json.loads((folder / "training.json").read_text(encoding="utf-8"))
+    return told
+
+
+def losses(folder: Path) -> list[float]:
+    """Held-out losses of history.csv, by which the best state is chosen."""
+    with (folder / "history.csv").open(newline="") as file:
+        return [float(row["held_out_loss"]) for row in csv.DictReader(file)]
+
+
+# --- in this process -------------------------------------------------------------------------------
+
+Progress = Callable[[str, int, int, float], None]
+
+
+def interrupting(phase: str, at: int) -> Callable[[str], object]:
+    """A stand-in for the progress bar: Ctrl-C at a step of a phase."""
+
+    @contextmanager
+    def progress(name: str) -> Iterator[Progress]:
+        def update(now: str, step: int, total: int, loss: float) -> None:
+            if (now, step) == (phase, at):
+                raise KeyboardInterrupt
+
+        yield update
+
+    return progress
+
+
+PHASES = {
+    "adam": ["optimizer.adam.steps=40", "optimizer.lbfgs.steps=0", "optimizer.levenberg_marquardt.steps=5"],
+    "lbfgs": ["optimizer.adam.steps=5", "optimizer.lbfgs.steps=40", "optimizer.levenberg_marquardt.steps=5"],
+    "levenberg_marquardt": [
+        *("optimizer.adam.steps=5", "optimizer.lbfgs.steps=0"),
+        "optimizer.levenberg_marquardt.steps=40",
+    ],
+}
+
+
+@pytest.mark.parametrize("step", [1, 4])
+@pytest.mark.parametrize("phase", PHASES)
+def test_ctrl_c_in_any_phase_keeps_the_best_state(
+    phase: str,
+    step: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Exit code 130, a sentence, and a complete model: the best of all steps until then."""
+    config = compose_config([*COARSE, *PHASES[phase]])
+    monkeypatch.setattr(train, "training_progress", interrupting(phase, step))
+    with pytest.raises(SystemExit) as stop:
+        run(config, "train", tmp_path / "x")
+    assert stop.value.code == 130
+    assert "interrupted: the best state so far was kept" in capsys.readouterr().out
+    assert files(tmp_path / "x") == DATA | ANSWER
+    told = account(tmp_path / "x")
+    assert told["outcome"] == "interrupted"
+    assert told["held_out_loss"] == pytest.approx(min(losses(tmp_path / "x")), rel=1e-12)
+    assert told["steps"] == len(losses(tmp_path / "x"))
+    identified = load_model(tmp_path / "x").values(np.array([100.0, 200.0]))
+    assert np.isfinite(identified).all()
+
+
+def test_a_run_that_was_interrupted_is_the_start_of_a_longer_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The steps before Ctrl-C are those of the uninterrupted training, to the last bit."""
+    config = compose_config([*COARSE, *PHASES["adam"]])
+    run(config, "train", tmp_path / "whole")
+    monkeypatch.setattr(train, "training_progress", interrupting("adam", 20))
+    with pytest.raises(SystemExit):
+        run(config, "train", tmp_path / "cut")
+    cut = losses(tmp_path / "cut")
+    assert 20 <= len(cut) <= 21  # the start is a row of its own
+    assert cut == losses(tmp_path / "whole")[: len(cut)]
+
+
+@pytest.mark.parametrize("stage", ["evaluate", "predict"])
+def test_ctrl_c_in_a_training_that_another_stage_needs(
+    stage: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The stage that asked for it does not go on: 130, the model is kept, no metrics are written."""
+    config = compose_config([*COARSE, *PHASES["adam"]])
+    monkeypatch.setattr(train, "training_progress", interrupting("adam", 3))
+    with pytest.raises(SystemExit) as stop:
+        run(config, stage, tmp_path / "x")
+    assert stop.value.code == 130
+    assert files(tmp_path / "x") == DATA | ANSWER
+    monkeypatch.undo()
+    run(config, stage, tmp_path / "x")  # what was kept can be used
+    assert files(tmp_path / "x") > DATA | ANSWER
+
+
+def test_ctrl_c_in_robustness(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """All starts end at their best state so far, named as interrupted; exit code 130."""
+    config = compose_config([*COARSE, *PHASES["adam"]])
+    monkeypatch.setattr(robustness, "training_progress", interrupting("adam", 6))
+    with pytest.raises(SystemExit) as stop:
+        run(config, "robustness", tmp_path / "x")
+    assert stop.value.code == 130
+    assert "3 interrupted" in capsys.readouterr().out
+    told = json.loads((tmp_path / "x" / "robustness.json").read_text())
+    assert told["outcomes"] == {"interrupted": 3}
+    assert {"robustness.json", "robustness.csv", "figures"} <= files(tmp_path / "x")
+
+
+def test_ctrl_c_before_training_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """While data are read there is no state to keep: the interrupt passes, and no answer is written."""
+
+    def interrupted(config: Config) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(train, "load_inputs", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run(compose_config(COARSE), "train", tmp_path / "x")
+    assert files(tmp_path / "x") == set()
+
+
+@pytest.mark.parametrize("nth", range(1, 6))
+def test_ctrl_c_while_saving_leaves_no_half_file(nth: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An impatient second Ctrl-C stops between two files, never in one; nothing temporary stays."""
+    config = compose_config([*COARSE, *PHASES["adam"]])
+    run(config, "generate", tmp_path / "x")
+    real, calls = os.replace, []
+
+    def replace(source: object, target: object) -> None:
+        calls.append(target)
+        if len(calls) == nth:
+            raise KeyboardInterrupt
+        real(source, target)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(os, "replace", replace)
+    with pytest.raises(KeyboardInterrupt):
+        run(config, "train", tmp_path / "x")
+    written = files(tmp_path / "x") - DATA
+    assert len(written) <= nth
+    assert written <= ANSWER
+
+
+# --- real processes --------------------------------------------------------------------------------
+
+
+def _command(folder: Path, *overrides: str) -> list[str]:
+    given = [*COARSE, "stage=train", f"output='{folder}'", *overrides]
+    return [sys.executable, "-W", "error", "-m", "pipeline", *given]
+
+
+class Terminal:
+    """A process on a terminal of its own, where Ctrl-C is typed."""
+
+    def __init__(self, command: list[str], cwd: Path) -> None:
+        self.said = ""
+        self.process, self.terminal = pty.fork()
+        if not self.process:
+            os.chdir(cwd)
+            os.execve(command[0], command, ENVIRONMENT)
+
+    def read_until(self, words: str, seconds: float) -> None:
+        """Read what it says until it says ``words``."""
+        end = time.monotonic() + seconds
+        while words not in self.said and time.monotonic() < end:
+            if select.select([self.terminal], [], [], 0.2)[0]:
+                try:
+                    self.said += os.read(self.terminal, 65536).decode(errors="replace")
+                except OSError:  # it has ended
+                    break
+        assert words in self.said, self.said[-2000:]
+
+    def press_ctrl_c(self) -> None:
+        """The character that the terminal turns into SIGINT."""
+        os.write(self.terminal, b"\x03")
+
+    def end(self, seconds: float) -> int:
+        """The exit code; killed where it does not end in time."""
+        finish = time.monotonic() + seconds
+        while time.monotonic() < finish:
+            if select.select([self.terminal], [], [], 0.1)[0]:
+                try:
+                    self.said += os.read(self.terminal, 65536).decode(errors="replace")
+                except OSError:
+                    pass
+            done, status = os.waitpid(self.process, os.WNOHANG)
+            if done:
+                os.close(self.terminal)
+                return os.waitstatus_to_exitcode(status)
+        os.kill(self.process, signal.SIGKILL)
+        os.waitpid(self.process, 0)
+        os.close(self.terminal)
+        raise AssertionError(f"it did not end: {self.said[-2000:]}")
+
+
+@pytest.mark.slow
+def test_ctrl_c_on_a_terminal(tmp_path: Path) -> None:
+    """Typed while the progress bar runs: 130, a sentence, no traceback, files that evaluate can use."""
+    terminal = Terminal(_command(tmp_path / "x", *LONG), tmp_path)
+    terminal.read_until("steps/s", 90)
+    assert "loss" in terminal.said
+    time.sleep(0.5)
+    terminal.press_ctrl_c()
+    assert terminal.end(30) == 130
+    assert "interrupted: the best state so far was kept" in terminal.said
+    assert "Traceback" not in terminal.said
+    assert files(tmp_path / "x") == DATA | ANSWER
+    told = account(tmp_path / "x")
+    assert told["outcome"] == "interrupted"
+    assert told["held_out_loss"] == pytest.approx(min(losses(tmp_path / "x")), rel=1e-12)
+    run(compose_config([*COARSE, *LONG]), "evaluate", tmp_path / "x")
+    assert "metrics.json" in files(tmp_path / "x")
+    assert files(tmp_path) == {"x"}  # nothing beside its folder
+
+
+@pytest.mark.slow
+def test_an_interrupt_without_a_terminal(tmp_path: Path) -> None:
+    """SIGINT to a process in the background, once its data are there: the same, on pipes."""
+    run(compose_config(COARSE), "generate", tmp_path / "x")
+    started = time.monotonic()
+    with subprocess.Popen(
+        _command(tmp_path / "x", *LONG),
+        cwd=tmp_path,
+        env=ENVIRONMENT,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as process:
+        # Nothing is said on a pipe while it trains: the processor time of a process that trains only grows.
+        while _processor_seconds(process.pid) < 12 and time.monotonic() - started < 90:
+            time.sleep(0.2)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert "Traceback" not in err
+    assert "interrupted: the best state so far was kept" in out
+    assert files(tmp_path / "x") == DATA | ANSWER
+    assert np.isfinite(load_model(tmp_path / "x").values(np.array([100.0]))).all()
+
+
+def _processor_seconds(pid: int) -> float:
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+@pytest.mark.slow
+def test_two_trainings_of_one_experiment_at_once(tmp_path: Path) -> None:
+    """Both end well, whoever is last, and the files are complete and fit each other."""
+    folder = tmp_path / "x"
+    few = ["optimizer.adam.steps=30", "optimizer.levenberg_marquardt.steps=10"]
+    processes = [
+        subprocess.Popen(
+            _command(folder, *few, f"seed={seed}"),
+            cwd=tmp_path,
+            env=ENVIRONMENT,
+            text=True,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+        )
+        for seed in (1, 2)
+    ]
+    said = [process.communicate(timeout=120) for process in processes]
+    assert [process.returncode for process in processes] == [0, 0], said
+    assert files(folder) == DATA | ANSWER
+    assert account(folder)["seed"] in (1, 2)
+    run(compose_config([*COARSE, *few]), "evaluate", folder)
+    errors = json.loads((folder / "metrics.json").read_text())["coefficients"]
+    assert all(error["mean_error_percent"] < 1e-4 for of in errors.values() for error in of.values())
+
+
+WRITER = """
+import sys, time
+from pathlib import Path
+from pipeline.files import write_json
+end = time.monotonic() + float(sys.argv[2])
+while time.monotonic() < end:
+    write_json(Path(sys.argv[1]), {"letters": sys.argv[3] * 20_000})
+"""
+
+
+def test_two_processes_that_write_one_file(tmp_path: Path) -> None:
+    """A reader sees the file of one writer or of the other, always whole; nothing temporary stays."""
+    path = tmp_path / "x.json"
+    writers = [
+        subprocess.Popen([sys.executable, "-c", WRITER, str(path), "0.7", letter], env=ENVIRONMENT) for letter in "ab"
+    ]
+    seen = set()
+    while any(writer.poll() is None for writer in writers):
+        if path.exists():
+            letters = json.loads(path.read_text())["letters"]
+            assert len(letters) == 20_000
+            assert len(set(letters)) == 1
+            seen.add(letters[0])
+    assert [writer.returncode for writer in writers] == [0, 0]
+    assert seen == {"a", "b"}
+    assert files(tmp_path) == {"x.json"}

@@ -1,0 +1,270 @@
+"""The twin: modes, critical speeds and stability against other solutions and closed forms; time curves."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.linalg
+from conftest import Machine, MachineFactory, bearings_of
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline.config.schema import RotorConfig
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.model import RotorModel, bearing_dof
+from pipeline.rotor.ross_adapter import assemble, ross_rotor
+from pipeline.twin.modes import WhirlModes, critical_speeds, stability_margin, whirl_modes
+from pipeline.twin.prediction import PredictedVibration, predict, time_curve
+from pipeline.units import RAD_S_PER_RPM
+
+
+def system(rotor: RotorModel, bearings: BearingTable, s: int) -> tuple[np.ndarray, np.ndarray]:
+    """K and C + W G with the bearings at speed s."""
+    stiffness = rotor.stiffness.copy()
+    damping = rotor.damping + bearings.speeds[s] * rotor.gyroscopic
+    for b, pair in enumerate(bearing_dof(rotor)):
+        stiffness[np.ix_(pair, pair)] += bearings.values[b, s, :4].reshape(2, 2)
+        damping[np.ix_(pair, pair)] += bearings.values[b, s, 4:].reshape(2, 2)
+    return stiffness, damping
+
+
+# --- modes ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["hydrostatic", "ball"])
+def test_modes_equal_those_of_the_dense_pencil(name: str, request: pytest.FixtureRequest) -> None:
+    """Oracle: scipy's generalised eigenvalues of the pencil (A, B), no mass inverted, at three speeds."""
+    machine = request.getfixturevalue(name)
+    picked = machine.bearings.at(np.array([0, 7, 24]))
+    modes = whirl_modes(machine.rotor, picked, count=6)
+    n, mass = machine.rotor.n_dof, machine.rotor.mass
+    for s in range(3):
+        stiffness, damping = system(machine.rotor, picked, s)
+        left = np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness, -damping]])
+        right = np.block([[np.eye(n), np.zeros((n, n))], [np.zeros((n, n)), mass]])
+        values = scipy.linalg.eigvals(left, right)
+        upper = values[values.imag > 1.0]
+        upper = upper[np.argsort(upper.imag)][:6]
+        np.testing.assert_allclose(modes.frequency[s], upper.imag, rtol=1e-7)
+        decrement = -2 * math.pi * upper.real / upper.imag
+        np.testing.assert_allclose(modes.logarithmic_decrement[s], decrement, rtol=1e-5, atol=1e-8)
+        # The largest growth may be that of a mode high up, known to rounding of its own frequency.
+        assert modes.growth[s] == pytest.approx(values.real.max(), rel=1e-5, abs=1e-12 * np.abs(values).max())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["hydrostatic", "ball"])
+def test_modes_equal_those_of_ross(name: str, request: pytest.FixtureRequest) -> None:
+    """Oracle: ROSS ``run_modal`` (wd, logarithmic decrements), which has axial and torsional modes as well.
+
+    The 6 lowest of ours; the first call in a process takes seconds of compilation.
+    """
+    machine = request.getfixturevalue(name)
+    s = 12
+    modes = whirl_modes(machine.rotor, machine.bearings.at(np.array([s])), count=6)
+    rotor = ross_rotor(machine.config.rotor, machine.config.bearing, machine.speeds)
+    answer = rotor.run_modal(speed=float(machine.speeds[s]), sparse=False)
+    every = answer.evalues[answer.evalues.imag > 1.0]
+    for frequency, decrement in zip(modes.frequency[0], modes.logarithmic_decrement[0], strict=True):
+        ours = complex(-decrement * frequency / (2 * math.pi), frequency)
+        assert np.abs(every - ours).min() < 1e-6 * abs(ours)
+    damped = answer.wd[answer.wd > 1.0]
+    for k, frequency in enumerate(damped[:4]):
+        nearest = np.nanargmin(np.abs(modes.frequency[0] - frequency))
+        assert modes.frequency[0, nearest] == pytest.approx(frequency, rel=1e-6)
+        wanted = answer.log_dec[answer.wd > 1.0][k]
+        assert modes.logarithmic_decrement[0, nearest] == pytest.approx(wanted, rel=1e-4, abs=1e-8)
+
+
+def rigid_rotor() -> RotorModel:
+    """A thick short shaft with a disc in the middle: on soft bearings it moves as a rigid body."""
+    disc = {"node": 1, "mass": 50.0, "diametral_inertia": 0.05, "polar_inertia": 0.06}
+    config = {
+        "shaft": [{"length": 0.4, "outer_diameter": 0.1, "elements": 2}],
+        "material": {"density": 7810.0, "youngs_modulus": 211e9, "shear_modulus": 81.2e9},
+        "discs": [disc],
+        "bearing_nodes": [0, 2],
+    }
+    return assemble(RotorConfig.model_validate(config))
+
+
+def test_rigid_rotor_on_soft_bearings() -> None:
+    """Closed form of one degree of freedom: 2 k and 2 c under the mass m, w_d = w_n sqrt(1 - z^2),
+    decrement 2 pi z / sqrt(1 - z^2), to 1e-3: the shaft is 1e4 times as stiff as the bearings."""
+    rotor, k, c = rigid_rotor(), 1e5, 200.0
+    modes = whirl_modes(rotor, bearings_of((0, 2), np.array([1e-3]), kxx=k, kyy=k, cxx=c, cyy=c), count=2)
+    natural = math.sqrt(2 * k / rotor.total_mass)
+    ratio = 2 * c / (2 * rotor.total_mass * natural)
+    np.testing.assert_allclose(modes.frequency[0], natural * math.sqrt(1 - ratio**2), rtol=1e-3)
+    wanted = 2 * math.pi * ratio / math.sqrt(1 - ratio**2)
+    np.testing.assert_allclose(modes.logarithmic_decrement[0], wanted, rtol=1e-3)
+
+
+def test_overdamped_modes_are_left_out() -> None:
+    """With z > 1 a mode does not oscillate: NaN stands where modes are missing; growth stays below zero."""
+    rotor, k = rigid_rotor(), 1e5
+    critical = math.sqrt(2 * k * rotor.total_mass)
+    table = bearings_of((0, 2), np.array([1e-3]), kxx=k, kyy=k, cxx=3 * critical, cyy=3 * critical)
+    everything = whirl_modes(rotor, table, count=rotor.n_dof)
+    assert np.isnan(everything.frequency).any()
+    assert (everything.frequency[~np.isnan(everything.frequency)] > 1e3).all()  # what is left bends the shaft
+    assert everything.growth[0] < 0
+
+
+def test_gyroscopic_splitting(hydrostatic: Machine) -> None:
+    """Axisymmetric, undamped: W and -W give the same frequencies, and spin parts those of a pair."""
+    rotor = hydrostatic.rotor
+    table = bearings_of(rotor.bearing_nodes, np.array([0.0, 300.0, -300.0]), kxx=1e8, kyy=1e8)
+    still, forward, backward = whirl_modes(rotor, table, count=6).frequency
+    np.testing.assert_allclose(forward, backward, rtol=1e-8)
+    np.testing.assert_allclose(still[::2], still[1::2], rtol=1e-6)
+    assert (forward[0::2] < still[0::2] * (1 + 1e-9)).all()
+    assert (forward[1::2] > still[1::2] * (1 - 1e-9)).all()
+    assert (forward[1::2] / forward[0::2] - 1 > 1e-3).any()
+
+
+# --- critical speeds -----------------------------------------------------------------------------
+
+
+def test_critical_speeds_of_the_ball_bearing_rotor(machine: MachineFactory) -> None:
+    """Direct method: without damping D(w) = K - w^2 (M - j G), so that the critical speeds are eigenvalues of
+    K q = w^2 (M - j G) q; two lie near 3800 rpm.
+
+    Damping changes them by the square of its ratio (1e-6); the speeds are 20 rpm apart.
+    """
+    made = machine("experiment=ball_bearing", "excitation.speeds.step_rpm=20")
+    stiffness, _ = system(made.rotor, made.bearings, 0)
+    # Of the two only K is positive definite: a thin disc has no forward critical speed of its tilting.
+    inverses = scipy.linalg.eigh(made.rotor.mass - 1j * made.rotor.gyroscopic, stiffness, eigvals_only=True)
+    direct = 1 / np.sqrt(inverses[inverses > 0])
+    expected = np.sort(direct[direct < made.speeds[-1]])
+    found = critical_speeds(whirl_modes(made.rotor, made.bearings))
+    assert len(found) == len(expected) == 2
+    np.testing.assert_allclose([critical.speed for critical in found], expected, rtol=1e-5)
+    assert all(3700 < critical.speed / RAD_S_PER_RPM < 3900 for critical in found)
+    # There the response peaks: the largest of each direction stands within a step of a critical speed.
+    for direction in (0, 1):
+        amplitude = np.abs(made.response[:, 4 + direction, 0])
+        peak = made.speeds[amplitude.argmax()]
+        assert np.abs(peak - expected).min() <= 20 * RAD_S_PER_RPM
+
+
+def made_modes(speeds: np.ndarray, *lines: np.ndarray) -> WhirlModes:
+    """Modes along given lines, a decrement of 0.1, 0.2 .. each."""
+    frequency = np.stack(lines, axis=1)
+    decrement = np.broadcast_to(0.1 * np.arange(1, len(lines) + 1), frequency.shape).copy()
+    return WhirlModes(speeds, frequency, decrement, np.full(len(speeds), -1.0))
+
+
+@given(
+    constant=st.floats(12, 88),
+    slope=st.floats(-0.4, 0.4),
+    count=st.integers(60, 120),
+)
+def test_crossings_of_straight_lines_are_exact(constant: float, slope: float, count: int) -> None:
+    """A frequency a + b W meets W at a / (1 - b); linear interpolation is exact on a line."""
+    speeds = np.linspace(0.5, 300.0, count) + 1e-4 * math.pi
+    found = critical_speeds(made_modes(speeds, constant + slope * speeds))
+    assert [critical.speed for critical in found] == [pytest.approx(constant / (1 - slope), rel=1e-9)]
+    assert found[0].logarithmic_decrement == pytest.approx(0.1)
+
+
+def test_lines_that_jump_or_miss_make_no_critical_speed() -> None:
+    """A mode that becomes overdamped makes those above change places: a jump is no crossing, nor is NaN."""
+    speeds = np.linspace(10, 100, 10)
+    above, below = np.full(10, 200.0), np.full(10, 5.0)
+    jumping = np.where(speeds < 55, 40.0 + speeds, 20.0)
+    missing = np.full(10, np.nan)
+    assert critical_speeds(made_modes(speeds, below, jumping, above, missing)) == []
+
+
+@pytest.mark.xfail(reason="a gap of exactly zero changes its sign on neither side")
+def test_speed_exactly_on_the_line() -> None:
+    """A table speed that is itself critical counts once."""
+    speeds = np.arange(10.0, 100.0, 10.0)
+    found = critical_speeds(made_modes(speeds, np.full(9, 50.0)))
+    assert [critical.speed for critical in found] == [pytest.approx(50.0)]
+
+
+# --- stability -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("share", "stable"), [(0.0, True), (0.95, True), (1.05, False), (-1.05, False)])
+def test_stability_threshold_of_cross_coupling(share: float, stable: bool) -> None:
+    """Closed form: with kxy = -kyx = s the mode of 2 k, 2 c, m grows if |s| > c w_n, in either direction.
+
+    The rotor hardly turns, so that its tilting mode, of higher frequency, has no gyroscopic help or harm.
+    """
+    rotor, k, c = rigid_rotor(), 1e5, 200.0
+    s = share * c * math.sqrt(2 * k / rotor.total_mass)
+    table = bearings_of((0, 2), np.array([40.0, 100.0, 250.0]), kxx=k, kyy=k, kxy=s, kyx=-s, cxx=c, cyy=c)
+    margin = stability_margin(whirl_modes(rotor, table))
+    assert margin.stable is stable
+    assert (margin.largest_growth < 0) is stable
+    assert (margin.smallest_logarithmic_decrement > 0) is stable
+
+
+@pytest.mark.parametrize("experiment", ["hydrostatic_stiffness", "hydrostatic_damping", "ball_bearing"])
+def test_modelled_machines_are_stable(experiment: str, machine: MachineFactory) -> None:
+    """method.md, section 4: what is unstable can't be measured, so every experiment is stable."""
+    made = machine(f"experiment={experiment}", "excitation.speeds.step_rpm=100")
+    margin = stability_margin(whirl_modes(made.rotor, made.bearings))
+    assert margin.stable
+    assert margin.smallest_logarithmic_decrement > 0
+
+
+def test_margin_says_where(hydrostatic: Machine) -> None:
+    """The smallest decrement stands at its own speed, among the modes up to twice the top speed."""
+    modes = whirl_modes(hydrostatic.rotor, hydrostatic.bearings)
+    margin = stability_margin(modes)
+    s = int(np.flatnonzero(modes.speeds == margin.at_speed)[0])
+    assert margin.smallest_logarithmic_decrement in modes.logarithmic_decrement[s]
+    below = modes.frequency <= 2 * modes.speeds.max()
+    assert margin.smallest_logarithmic_decrement == modes.logarithmic_decrement[below].min()
+    assert margin.largest_growth == modes.growth.max()
+
+
+# --- vibration -----------------------------------------------------------------------------------
+
+
+@given(
+    amplitudes=st.lists(st.floats(1e-9, 1e-3), min_size=2, max_size=2),
+    phases=st.lists(st.floats(-math.pi, math.pi), min_size=2, max_size=2),
+    speed=st.floats(1.0, 1000.0),
+)
+def test_time_curve(amplitudes: list[float], phases: list[float], speed: float) -> None:
+    """method.md, section 1: q(t) = Re(Q e^{jwt}) = |Q| cos(w t + phase), zero-to-peak, over two turns."""
+    q = np.array(amplitudes) * np.exp(1j * np.array(phases))
+    time, curve = time_curve(q, speed)
+    assert time[0] == 0
+    assert time[-1] == pytest.approx(2 * 2 * math.pi / speed)
+    wanted = np.array(amplitudes) * np.cos(speed * time[:, None] + np.array(phases))
+    np.testing.assert_allclose(curve, wanted, atol=1e-12)
+    np.testing.assert_allclose(curve[-1], curve[0], atol=1e-12)
+    assert np.abs(curve).max(axis=0) == pytest.approx(amplitudes, rel=1e-3)
+
+
+def test_prediction_is_the_response_of_that_node(hydrostatic: Machine) -> None:
+    """Paper, section 4.2.1: x and y of a node for one unbalance run, here one whose response is known."""
+    own = tuple(e for e in hydrostatic.excitations if e.run == "couple")
+    found = predict(hydrostatic.rotor, hydrostatic.bearings, own, 4)
+    np.testing.assert_allclose(found.displacement, hydrostatic.response[:, 16:18, 2], rtol=1e-12)
+    np.testing.assert_array_equal(found.speeds, hydrostatic.speeds)
+    twin = PredictedVibration(4, found.speeds, found.displacement * (1 + 0.01j))
+    np.testing.assert_allclose(twin.error_percent(found), 1.0, rtol=1e-10)
+
+
+def test_prediction_changes_with_the_coefficients(hydrostatic: Machine) -> None:
+    """Sensitivity: 1e-6 more stiffness changes the vibration in proportion; the error is of first order."""
+    own = tuple(e for e in hydrostatic.excitations if e.run == "couple")
+    true = predict(hydrostatic.rotor, hydrostatic.bearings, own, 4)
+    errors = []
+    for size in (1e-6, 2e-6):
+        values = hydrostatic.bearings.values.copy()
+        values[..., :4] *= 1 + size
+        changed = predict(hydrostatic.rotor, replace(hydrostatic.bearings, values=values), own, 4)
+        errors.append(changed.error_percent(true))
+    np.testing.assert_allclose(errors[1], 2 * errors[0], rtol=1e-3)
