@@ -30,9 +30,7 @@ from pipeline.identification.problem import ResidualProblem, data_scale, residua
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import bearing_dof
 
-CONSTANT = ConstantModelConfig(
-    kind="constant", parametrisation="scaled", initial_stiffness=1e6, initial_damping=1e3
-)
+CONSTANT = ConstantModelConfig(kind="constant", parametrisation="scaled", initial_stiffness=1e6, initial_damping=1e3)
 NETWORK = NetworkModelConfig(
     kind="network",
     parametrisation="log",
@@ -49,9 +47,7 @@ def at_bearings(machine: Machine) -> VibrationDataset:
     """The data set of probes at the bearings alone."""
     data = machine.dataset
     keep = [i for i, (node, _) in enumerate(data.channels) if node in machine.rotor.bearing_nodes]
-    return replace(
-        data, channels=tuple(data.channels[i] for i in keep), displacement=data.displacement[:, keep]
-    )
+    return replace(data, channels=tuple(data.channels[i] for i in keep), displacement=data.displacement[:, keep])
 
 
 def some_table(machine: Machine, rng: np.random.Generator) -> BearingTable:
@@ -96,9 +92,7 @@ def test_missing_probe_at_a_bearing_is_refused(hydrostatic: Machine) -> None:
     """Eq. 6 needs q_b: x and y of every bearing."""
     data = hydrostatic.dataset
     keep = [i for i, channel in enumerate(data.channels) if channel != (5, 1)]
-    short = replace(
-        data, channels=tuple(data.channels[i] for i in keep), displacement=data.displacement[:, keep]
-    )
+    short = replace(data, channels=tuple(data.channels[i] for i in keep), displacement=data.displacement[:, keep])
     with pytest.raises(DataError, match="y of node 5"):
         bearing_equations(hydrostatic.rotor, short)
 
@@ -162,9 +156,7 @@ def test_small_system_equals_the_full_matrices(hydrostatic: Machine, rng: np.ran
     np.testing.assert_allclose(gradients[1], gradients[0], rtol=0, atol=1e-9 * np.abs(gradients[0]).max())
 
 
-def test_numpy_residual_is_the_one_that_is_differentiated(
-    hydrostatic: Machine, rng: np.random.Generator
-) -> None:
+def test_numpy_residual_is_the_one_that_is_differentiated(hydrostatic: Machine, rng: np.random.Generator) -> None:
     """``BearingEquations.residual`` and the torch expression above have the same norm."""
     table = some_table(hydrostatic, rng)
     norm = np.linalg.norm(hydrostatic.equations.residual(table.impedance()))
@@ -202,9 +194,7 @@ def test_equation_7_by_autograd(hydrostatic: Machine, rng: np.random.Generator) 
 
 
 @pytest.mark.parametrize("scaling", ["none", "per_speed"])
-def test_equation_7_is_the_gradient_of_the_loss(
-    scaling: str, hydrostatic: Machine, rng: np.random.Generator
-) -> None:
+def test_equation_7_is_the_gradient_of_the_loss(scaling: str, hydrostatic: Machine, rng: np.random.Generator) -> None:
     """Eq. 7 by the chain rule: d/dkij = Re(r_i conj(q_j)), d/dcij = w Im(r_i conj(q_j)), summed over speeds
     and runs and divided by ||r||, is the gradient that training follows (all eight, constant over speed).
 
@@ -226,9 +216,7 @@ def test_equation_7_is_the_gradient_of_the_loss(
         w = hydrostatic.speeds[:, None]
         part = product.real if is_stiffness(name) else w * product.imag
         wanted = part.sum(axis=(1, 2)) / norm / np.sqrt(4 * 3 * 60)
-        np.testing.assert_allclose(
-            parameters.grad.numpy()[:, u] / scale[:, u], wanted, rtol=1e-8, err_msg=name
-        )
+        np.testing.assert_allclose(parameters.grad.numpy()[:, u] / scale[:, u], wanted, rtol=1e-8, err_msg=name)
 
 
 # --- the reduced problem of training -------------------------------------------------------------
@@ -270,9 +258,7 @@ def test_reduced_loss_equals_the_unreduced_one(
     for g in range(3):
         table = hydrostatic.bearings.values.copy()
         table[..., [COEFFICIENTS.index(name) for name in unknowns]] = np.broadcast_to(values[g], (2, 60, 4))
-        rows = factors[:, :, None, None] * equations.residual(
-            replace(hydrostatic.bearings, values=table).impedance()
-        )
+        rows = factors[:, :, None, None] * equations.residual(replace(hydrostatic.bearings, values=table).impedance())
         square = (np.abs(rows[:, keep]) ** 2).reshape(members, -1)
         rms = np.sqrt(square.sum(axis=1) / (2 * square.shape[1]))
         np.testing.assert_allclose(found[g].numpy(), rms, rtol=1e-10)
@@ -306,9 +292,7 @@ SUBSETS = [("kxx", "kyy"), ("kxx", "kyy", "cxx", "cyy"), ("kxx", "kxy", "kyx", "
 
 @pytest.mark.parametrize("unknowns", SUBSETS, ids="-".join)
 @pytest.mark.parametrize("probes", ["all nodes", "bearings"])
-def test_least_squares_is_exact_on_clean_data(
-    unknowns: tuple[str, ...], probes: str, hydrostatic: Machine
-) -> None:
+def test_least_squares_is_exact_on_clean_data(unknowns: tuple[str, ...], probes: str, hydrostatic: Machine) -> None:
     """Tiwari, Lees, Friswell (2002): independent equations, as many as unknowns, give them, here to 1e-9."""
     data = hydrostatic.dataset if probes == "all nodes" else at_bearings(hydrostatic)
     equations = bearing_equations(hydrostatic.rotor, data)
@@ -344,9 +328,7 @@ def test_least_squares_of_all_eight(hydrostatic: Machine) -> None:
 
 @settings(max_examples=15)
 @given(exponents=st.lists(st.floats(-9, 9), min_size=4, max_size=4), rows=st.floats(-6, 6))
-def test_condition_number_does_not_depend_on_units(
-    hydrostatic: Machine, exponents: list[float], rows: float
-) -> None:
+def test_condition_number_does_not_depend_on_units(hydrostatic: Machine, exponents: list[float], rows: float) -> None:
     """The condition number speaks of the orbits: other units of a coefficient or of force leave it alone."""
     system = unknown_system(hydrostatic.equations, SUBSETS[1], hydrostatic.bearings)
     factors = 10.0 ** np.array(exponents)

@@ -133,9 +133,7 @@ SHAPES = [(None, "tanh")] + [(depth, act) for depth in (1, 2, 3) for act in ("ta
 
 
 @pytest.mark.parametrize(("depth", "activation"), SHAPES)
-def test_network_jacobian_equals_autograd(
-    depth: int | None, activation: str, generator: torch.Generator
-) -> None:
+def test_network_jacobian_equals_autograd(depth: int | None, activation: str, generator: torch.Generator) -> None:
     """The hand-written back-propagation against torch's reverse mode, for every depth and activation."""
     model = a_model(depth, activation)
     inputs = model.scaled_inputs(np.array([10.0, 90.0, 333.0, 600.0]))
@@ -267,9 +265,7 @@ def test_optimizers_of_conf_recover_the_truth(
 ) -> None:
     """Paper, Figure 2: with every file of conf/optimizer, as it is, the guess does not matter."""
     if (name, guess) == ("adam_lbfgs", 1.0):
-        reason = (
-            "its Adam (1000 steps of 0.01) goes 5 or 6 of the 18 e-folds, and L-BFGS sticks on the plateau"
-        )
+        reason = "its Adam (1000 steps of 0.01) goes 5 or 6 of the 18 e-folds, and L-BFGS sticks on the plateau"
         request.applymarker(pytest.mark.xfail(reason=reason))
     config = compose_config(["experiment=ball_bearing", f"optimizer={name}"])
     setup = replace(setup_of(ball, config.optimizer), training=config.training)
@@ -314,9 +310,7 @@ def test_tied_bearings_are_identical(ball: Machine) -> None:
 
 def test_tied_fit_of_unlike_bearings_is_a_compromise(hydrostatic: Machine) -> None:
     """The two journals of a rotor move differently; a tied model has both bearings' residual in one norm."""
-    tied = prepare(
-        hydrostatic.equations, hydrostatic.bearings, setup_of(hydrostatic, optimizer(lm=1), tied=True)
-    )
+    tied = prepare(hydrostatic.equations, hydrostatic.bearings, setup_of(hydrostatic, optimizer(lm=1), tied=True))
     single = prepare(hydrostatic.equations, hydrostatic.bearings, setup_of(hydrostatic, optimizer(lm=1)))
     assert (len(tied.model.scale), len(single.model.scale)) == (1, 2)
     parameters = torch.zeros(1, 2, single.model.n_parameters, dtype=torch.float64)
@@ -351,9 +345,7 @@ def test_second_order_answer_is_the_least_squares_one(hydrostatic: Machine, rng:
     prepared = prepare(noisy, hydrostatic.bearings, replace(setup, model=constant))
     batch = run_training(prepared, starts(prepared, setup, [1e6]), setup)
     problem = prepared.train
-    wanted = [
-        np.linalg.lstsq(problem.matrix[b, 0].numpy(), -problem.offset[b, 0].numpy())[0] for b in range(2)
-    ]
+    wanted = [np.linalg.lstsq(problem.matrix[b, 0].numpy(), -problem.offset[b, 0].numpy())[0] for b in range(2)]
     np.testing.assert_allclose(batch.identified().values(hydrostatic.speeds[:1])[:, 0], wanted, rtol=1e-9)
     assert batch.loss[0] > 1e-3  # noise remains
 
@@ -536,9 +528,7 @@ def test_held_out_speeds_are_not_trained_on(hydrostatic: Machine) -> None:
     setup = setup_of(hydrostatic, optimizer(lm=1), holdout_every=10)
     mask = held_out_speeds(60, 10)
     equations = hydrostatic.equations
-    spoiled = replace(
-        equations, displacement=equations.displacement * np.where(mask, 1.3, 1.0)[:, None, None]
-    )
+    spoiled = replace(equations, displacement=equations.displacement * np.where(mask, 1.3, 1.0)[:, None, None])
     clean, other = (prepare(data, hydrostatic.bearings, setup) for data in (equations, spoiled))
     parameters = initial_parameters(clean, setup, 0)
     other_train = replace(other.train, scale=clean.train.scale)
@@ -621,9 +611,7 @@ def test_damaged_model_is_refused(damage: str, saved: tuple[Path, IdentifiedMode
 
 def test_network_model_of_conf_is_the_one_that_is_built(hydrostatic: Machine) -> None:
     """Width, depth and parametrisation of the configuration make the architecture."""
-    config = NetworkModelConfig.model_validate(
-        hydrostatic.config.model.model_dump() | {"width": 4, "depth": 3}
-    )
+    config = NetworkModelConfig.model_validate(hydrostatic.config.model.model_dump() | {"width": 4, "depth": 3})
     model = coefficient_model(config, ("kxx", "kyy"), hydrostatic.speeds, np.ones((2, 2)))
     assert model.sizes == [(1, 4), (4, 4), (4, 4), (4, 2)]
     assert model.n_parameters == 8 + 20 + 20 + 10

@@ -29,9 +29,7 @@ from pipeline.units import RAD_S_PER_RPM
 STEEL = {"density": 7810.0, "youngs_modulus": 211e9, "shear_modulus": 81.2e9}
 
 
-def dense(
-    rotor: RotorModel, impedance: np.ndarray | None, frequencies: np.ndarray, speeds: np.ndarray
-) -> np.ndarray:
+def dense(rotor: RotorModel, impedance: np.ndarray | None, frequencies: np.ndarray, speeds: np.ndarray) -> np.ndarray:
     """(S, n, n) eq. 1 written down term by term."""
     matrices = []
     for s, (w, speed) in enumerate(zip(frequencies, speeds, strict=True)):
@@ -179,9 +177,7 @@ PHASES = st.floats(-math.pi, math.pi)
 
 @settings(max_examples=25)
 @given(first=AMPLITUDES, second=AMPLITUDES, phase=PHASES, other=PHASES)
-def test_linear_in_the_unbalance(
-    hydrostatic: Machine, first: float, second: float, phase: float, other: float
-) -> None:
+def test_linear_in_the_unbalance(hydrostatic: Machine, first: float, second: float, phase: float, other: float) -> None:
     """Superposition (paper, eq. 1 is linear in F): two unbalances together give the sum of responses."""
     few = hydrostatic.bearings.at(np.arange(0, 60, 12))
     a, b = Excitation("a", "unbalance", 2, first, phase), Excitation("b", "unbalance", 6, second, other)
@@ -241,9 +237,7 @@ def test_turning_the_frame_turns_the_response(hydrostatic: Machine) -> None:
     assert (np.abs(pairs - wanted) / size).max() < 1e-9
 
 
-def receptance(
-    rotor: RotorModel, frequencies: np.ndarray, speeds: np.ndarray, impedance: np.ndarray
-) -> np.ndarray:
+def receptance(rotor: RotorModel, frequencies: np.ndarray, speeds: np.ndarray, impedance: np.ndarray) -> np.ndarray:
     """(S, n, n) inverse of D."""
     unit = np.broadcast_to(np.eye(rotor.n_dof, dtype=complex), (len(speeds), rotor.n_dof, rotor.n_dof))
     return solve(banded(rotor), frequencies, speeds, unit, impedance, bearing_dof(rotor))
@@ -343,9 +337,7 @@ def test_singular_system_is_refused(hydrostatic: Machine) -> None:
     for matrix in matrices.values():
         matrix[0], matrix[:, 0] = 0.0, 0.0
     with pytest.raises(PipelineError, match=r"singular at 10\.472 rad/s"):
-        unbalance_response(
-            replace(rotor, **matrices), hydrostatic.bearings, hydrostatic.excitations, hydrostatic.runs
-        )
+        unbalance_response(replace(rotor, **matrices), hydrostatic.bearings, hydrostatic.excitations, hydrostatic.runs)
     with pytest.raises(PipelineError, match="singular"):
         solve(banded(rotor), np.ones(1), np.ones(1), np.full((1, rotor.n_dof, 1), np.nan))
 

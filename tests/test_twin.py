@@ -181,7 +181,6 @@ def test_lines_that_jump_or_miss_make_no_critical_speed() -> None:
     assert critical_speeds(made_modes(speeds, below, jumping, above, missing)) == []
 
 
-@pytest.mark.xfail(reason="a gap of exactly zero changes its sign on neither side")
 def test_speed_exactly_on_the_line() -> None:
     """A table speed that is itself critical counts once."""
     speeds = np.arange(10.0, 100.0, 10.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 from pipeline.config.schema import Config
@@ -45,9 +46,10 @@ def run(config: Config) -> StageOutput:
 
 
 def _account(result: IdentificationResult) -> dict[str, object]:
-    account: dict[str, object] = {"loss": result.loss, "steps": result.steps}
+    # A loss that overflowed is no JSON number.
+    account: dict[str, object] = {"loss": result.loss if math.isfinite(result.loss) else None, "steps": result.steps}
     if result.held_out_loss is not None:
-        account["held_out_loss"] = result.held_out_loss
+        account["held_out_loss"] = result.held_out_loss if math.isfinite(result.held_out_loss) else None
     return account
 
 

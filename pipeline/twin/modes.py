@@ -72,7 +72,9 @@ def critical_speeds(modes: WhirlModes) -> list[CriticalSpeed]:
     found = []
     gap = modes.frequency - modes.speeds[:, None]  # (S, K)
     for k in range(gap.shape[1]):
-        for s in np.flatnonzero(gap[:-1, k] * gap[1:, k] < 0):
+        crosses = (gap[:-1, k] * gap[1:, k] < 0) | (gap[:-1, k] == 0)
+        crosses[-1] |= gap[-1, k] == 0
+        for s in np.flatnonzero(crosses & (gap[:-1, k] != gap[1:, k])):
             jump = abs(modes.frequency[s + 1, k] - modes.frequency[s, k])
             if jump > 0.25 * modes.frequency[s, k]:
                 continue

@@ -167,9 +167,6 @@ def test_compressor_rotor_stability() -> None:
     assert (modes.growth > 1e-6).tolist() == [False, False, True, True]
 
 
-@pytest.mark.xfail(
-    strict=False, reason="the sign of a growth of 1e-10 1/s (rounding) decides about stability"
-)
 def test_rounding_makes_no_rotor_unstable() -> None:
     """DTU: at 3000 rpm, less than half of its threshold, the rotor is stable."""
     margin = stability_margin(whirl_modes(assemble(DTU_ROTOR), dtu_bearings(np.array([3000.0]))))
