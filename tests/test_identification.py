@@ -260,13 +260,8 @@ def test_known_truth_is_recovered(chain: str, parametrisation: str, ball: Machin
 @pytest.mark.slow
 @pytest.mark.parametrize("name", options("optimizer"))
 @pytest.mark.parametrize("guess", [1.0, 1e8])
-def test_optimizers_of_conf_recover_the_truth(
-    name: str, guess: float, ball: Machine, request: pytest.FixtureRequest
-) -> None:
+def test_optimizers_of_conf_recover_the_truth(name: str, guess: float, ball: Machine) -> None:
     """Paper, Figure 2: with every file of conf/optimizer, as it is, the guess does not matter."""
-    if (name, guess) == ("adam_lbfgs", 1.0):
-        reason = "its Adam (1000 steps of 0.01) goes 5 or 6 of the 18 e-folds, and L-BFGS sticks on the plateau"
-        request.applymarker(pytest.mark.xfail(reason=reason))
     config = compose_config(["experiment=ball_bearing", f"optimizer={name}"])
     setup = replace(setup_of(ball, config.optimizer), training=config.training)
     assert errors(ball, trained(ball, setup, [guess])).max() < (1e-3 if name == "adam" else 1e-9)
