@@ -22,7 +22,12 @@ from pipeline.config.schema import (
     NetworkModelConfig,
 )
 from pipeline.data.dataset import VibrationDataset, force_vectors
-from pipeline.equations.bearing_equations import BearingEquations, bearing_equations, unknown_system
+from pipeline.equations.bearing_equations import (
+    BearingEquations,
+    bearing_equations,
+    require_independent_orbits,
+    unknown_system,
+)
 from pipeline.equations.least_squares import per_speed_least_squares
 from pipeline.errors import DataError, IdentifiabilityError
 from pipeline.identification.coefficient_model import CoefficientModel, coefficient_model
@@ -347,9 +352,13 @@ def test_condition_number_of_a_rank_one_system(hydrostatic: Machine) -> None:
         displacement=equations.displacement[..., [0, 0]],
     )
     unknowns = ("kxx", "kxy", "cxx", "cxy")
-    found, condition = per_speed_least_squares(unknown_system(twice, unknowns, hydrostatic.bearings))
+    system = unknown_system(twice, unknowns, hydrostatic.bearings)
+    found, condition = per_speed_least_squares(system)
     assert (condition > 1e13).all()
     assert np.isfinite(found).all()
+    with pytest.raises(IdentifiabilityError, match="independent orbits"):
+        require_independent_orbits(twice, system)
+    require_independent_orbits(equations, unknown_system(equations, COEFFICIENTS, hydrostatic.bearings))
 
 
 @pytest.mark.parametrize(

@@ -153,9 +153,9 @@ def test_critical_speeds_of_the_ball_bearing_rotor(machine: MachineFactory) -> N
 
 
 def made_modes(speeds: np.ndarray, *lines: np.ndarray) -> WhirlModes:
-    """Modes along given lines, a decrement of 0.1, 0.2 .. each."""
+    """Modes along given lines; the decrement of each is a thousandth of the speed."""
     frequency = np.stack(lines, axis=1)
-    decrement = np.broadcast_to(0.1 * np.arange(1, len(lines) + 1), frequency.shape).copy()
+    decrement = np.repeat(1e-3 * speeds[:, None], len(lines), axis=1)
     return WhirlModes(speeds, frequency, decrement, np.full(len(speeds), -1.0))
 
 
@@ -169,7 +169,7 @@ def test_crossings_of_straight_lines_are_exact(constant: float, slope: float, co
     speeds = np.linspace(0.5, 300.0, count) + 1e-4 * math.pi
     found = critical_speeds(made_modes(speeds, constant + slope * speeds))
     assert [critical.speed for critical in found] == [pytest.approx(constant / (1 - slope), rel=1e-9)]
-    assert found[0].logarithmic_decrement == pytest.approx(0.1)
+    assert found[0].logarithmic_decrement == pytest.approx(1e-3 * found[0].speed)
 
 
 def test_lines_that_jump_or_miss_make_no_critical_speed() -> None:
@@ -181,11 +181,18 @@ def test_lines_that_jump_or_miss_make_no_critical_speed() -> None:
     assert critical_speeds(made_modes(speeds, below, jumping, above, missing)) == []
 
 
-def test_speed_exactly_on_the_line() -> None:
-    """A table speed that is itself critical counts once."""
+@pytest.mark.parametrize("critical", [10.0, 50.0, 90.0])
+def test_speed_exactly_on_the_line(critical: float) -> None:
+    """A speed of the table that is itself critical counts once, also the first and the last."""
     speeds = np.arange(10.0, 100.0, 10.0)
-    found = critical_speeds(made_modes(speeds, np.full(9, 50.0)))
-    assert [critical.speed for critical in found] == [pytest.approx(50.0)]
+    found = critical_speeds(made_modes(speeds, np.full(9, critical)))
+    assert [one.speed for one in found] == [pytest.approx(critical)]
+    assert found[0].logarithmic_decrement == pytest.approx(1e-3 * critical)
+
+
+def test_one_speed_has_no_crossing() -> None:
+    """A measurement at a single speed tells of no crossing, and breaks nothing."""
+    assert critical_speeds(made_modes(np.array([50.0]), np.array([60.0]))) == []
 
 
 # --- stability -----------------------------------------------------------------------------------

@@ -69,7 +69,9 @@ def critical_speeds(modes: WhirlModes) -> list[CriticalSpeed]:
     Modes are followed by their order in frequency. A line that jumps because a mode became overdamped makes
     a crossing only where it passes the synchronous line between two neighbouring speeds on a continuous branch.
     """
-    found = []
+    found: list[CriticalSpeed] = []
+    if len(modes.speeds) < 2:
+        return found
     gap = modes.frequency - modes.speeds[:, None]  # (S, K)
     for k in range(gap.shape[1]):
         crosses = (gap[:-1, k] * gap[1:, k] < 0) | (gap[:-1, k] == 0)
