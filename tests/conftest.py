@@ -172,6 +172,17 @@ def generator() -> torch.Generator:
     return torch.Generator().manual_seed(20221115)
 
 
+@pytest.fixture
+def one_thread() -> Iterator[None]:
+    """torch on one thread, as with ``threads: 1`` of the configuration."""
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
 # --- global state --------------------------------------------------------------------------------
 
 

@@ -35,6 +35,8 @@ from pipeline.identification.problem import ResidualProblem, data_scale, residua
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import bearing_dof
 
+pytestmark = pytest.mark.usefixtures("one_thread")
+
 CONSTANT = ConstantModelConfig(kind="constant", parametrisation="scaled", initial_stiffness=1e6, initial_damping=1e3)
 NETWORK = NetworkModelConfig(
     kind="network",

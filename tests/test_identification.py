@@ -45,6 +45,8 @@ from pipeline.identification.training import (
     run_training,
 )
 
+pytestmark = pytest.mark.usefixtures("one_thread")
+
 FOREVER = 100_000  # patience: no early stopping
 
 
@@ -158,7 +160,8 @@ def test_problem_jacobian_equals_autograd(
     model = hydrostatic.config.model.model_copy(update=kind | {"parametrisation": parametrisation})
     if depth is None:
         model = compose_config(["experiment=ball_bearing", f"model.parametrisation={parametrisation}"]).model
-    prepared = prepare(hydrostatic.equations, hydrostatic.bearings, replace(setup, model=model))
+    few = np.arange(0, 60, 9)
+    prepared = prepare(hydrostatic.equations.subset(few), hydrostatic.bearings.at(few), replace(setup, model=model))
     shape = (1, 1 if tied else 2, prepared.model.n_parameters)
     parameters = 0.3 * torch.randn(*shape, generator=generator, dtype=torch.float64)
     found = prepared.train.jacobian(parameters)

@@ -291,7 +291,9 @@ def test_an_interrupt_without_a_terminal(tmp_path: Path) -> None:
         stderr=subprocess.PIPE,
     ) as process:
         assert process.stdout is not None
-        said = list(iter(process.stdout.readline, "training\n"))  # generate speaks first
+        said = []
+        while (line := process.stdout.readline()) not in ("training\n", ""):  # generate speaks first
+            said.append(line)
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=30)
     assert process.returncode == 130, said

@@ -1,13 +1,13 @@
 """The bars of speed, each printed with what was measured (``pytest -s -m slow tests/test_speed.py``).
 
-Both sides of every ratio are measured in this process on one thread (numpy's by conftest.py, torch's here), and
+Both sides of every ratio are measured in this process on one thread (numpy's and torch's, by conftest.py), and
 the least time of each is taken: another program on the machine only ever makes a time longer.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -22,18 +22,9 @@ from pipeline.identification.training import TrainingSetup, initial_parameters, 
 from pipeline.rotor.ross_adapter import ross_rotor
 from pipeline.stages.robustness import starting_points
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_thread")]
 
 Refined = Callable[[str, int], list[str]]
-
-
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    """As ``threads: 1`` of the configuration."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 def seconds(action: Callable[[], object]) -> float:
