@@ -234,14 +234,18 @@ class Job:
     def _run(self, composed: DictConfig) -> None:
         from omegaconf import OmegaConf
 
-        from pipeline.config.compose import validated
+        from pipeline.config.compose import effective
         from pipeline.stages import run_stage
 
+        overrides = list(_job().overrides.task)
         if self.multirun:
-            composed.output = self.folder(composed.output, _job().overrides.task)
+            composed.output = self.folder(composed.output, overrides)
+            if composed.stage in ("tune", "samplers"):  # studies of different values are different studies
+                composed.tuning.folder = self.folder(composed.tuning.folder, overrides)
+                composed.tuning.study = self.folder(composed.tuning.study, overrides)
             print(f"{self._which()} -> {composed.output}", flush=True)
         mapping: Any = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
-        run_stage(validated(mapping))
+        run_stage(effective(mapping, overrides))
 
     def _which(self) -> str:
         return f"[{_job().job.num + 1}/{self.count}] {' '.join(_job().overrides.task)}"

@@ -208,7 +208,7 @@ def test_equation_7_is_the_gradient_of_the_loss(scaling: str, hydrostatic: Machi
     Each speed's residual is multiplied by its scaling before the norm; the loss is the norm over sqrt(4 R S).
     """
     equations = hydrostatic.equations
-    factors = speed_scaling(LossConfig(kind="residual", scaling=scaling), equations)
+    factors = speed_scaling(scaling, equations)
     problem, model = problem_of(hydrostatic, CONSTANT, COEFFICIENTS, 2, factors)
     values = hydrostatic.bearings.values.mean(axis=1) * rng.uniform(-2, 2, (2, 8))
     scale = np.array(model.scale)
@@ -254,7 +254,7 @@ def test_reduced_loss_equals_the_unreduced_one(
     """QR keeps norms: the loss on U rows a speed is the root mean square of all 4 R rows, training speeds."""
     unknowns = ("kxx", "kyy", "cxx", "cyy")
     equations = hydrostatic.equations
-    factors = speed_scaling(LossConfig(kind="residual", scaling=scaling), equations)
+    factors = speed_scaling(scaling, equations)
     keep = np.arange(60) % 10 != 5
     problem, model = problem_of(hydrostatic, config, unknowns, members, factors, keep=keep)
     parameters = torch.randn(3, members, model.n_parameters, generator=generator, dtype=torch.float64)
@@ -286,10 +286,10 @@ def test_member_is_the_problem_of_one_bearing(hydrostatic: Machine, generator: t
 def test_per_speed_scaling_makes_every_speed_count(name: str, request: pytest.FixtureRequest) -> None:
     """method.md, section 2: scaled, what an absent bearing leaves has size one at every bearing and speed."""
     equations = request.getfixturevalue(name).equations
-    factors = speed_scaling(LossConfig(kind="residual", scaling="per_speed"), equations)
+    factors = speed_scaling("per_speed", equations)
     size = np.sqrt((np.abs(factors[:, :, None, None] * equations.free_residual) ** 2).mean(axis=(2, 3)))
     np.testing.assert_allclose(size, 1.0, rtol=1e-12)
-    assert (speed_scaling(LossConfig(kind="residual", scaling="none"), equations) == 1.0).all()
+    assert (speed_scaling("none", equations) == 1.0).all()
 
 
 # --- least squares and identifiability -----------------------------------------------------------

@@ -37,7 +37,14 @@ VERSION_BASE = "1.3"
 
 def compose_config(overrides: Sequence[str] = ()) -> Config:
     """The configuration that ``python -m pipeline OVERRIDES`` would run with."""
-    return validated(composed_mapping(overrides))
+    return effective(composed_mapping(overrides), overrides)
+
+
+def effective(mapping: Mapping[str, Any], overrides: Sequence[str]) -> Config:
+    """``mapping`` as a Config with the promoted values of its study; ``overrides`` win over them."""
+    from pipeline.config.promotion import with_promoted
+
+    return with_promoted(validated(mapping), overrides)
 
 
 def composed_mapping(overrides: Sequence[str] = ()) -> dict[str, Any]:

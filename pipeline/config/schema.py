@@ -25,6 +25,7 @@ from pipeline.config.quantities import (
     UnbalanceMagnitude,
     Viscosity,
 )
+from pipeline.config.tuning import TuningConfig
 
 NonNegativeInt = Annotated[int, Field(ge=0)]
 
@@ -371,6 +372,15 @@ class CheckConfig(_Section):
     experiments: tuple[str, ...] = ()
 
 
+class PromotedConfig(_Section):
+    """Values of a study that are in force, and those that the command line overrode (by dotted key)."""
+
+    study: str
+    trial: NonNegativeInt
+    in_force: dict[str, bool | int | float | str]
+    overridden: dict[str, bool | int | float | str]
+
+
 class Config(_Section):
     """A complete experiment and the stage to run."""
 
@@ -389,6 +399,9 @@ class Config(_Section):
     loss: LossConfig
     optimizer: OptimizerConfig
     training: TrainingConfig
+    tuned: bool
+    tuning: TuningConfig
+    promoted: PromotedConfig | None = None
     robustness: RobustnessConfig
     prediction: PredictionConfig
     tracking: TrackingConfig

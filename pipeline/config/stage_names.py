@@ -5,6 +5,8 @@ from __future__ import annotations
 STAGES: dict[str, str] = {
     "configure": "write the experiment's composed configuration to config.yaml",
     "generate": "model the machine with ROSS and write its unbalance vibration",
+    "tune": "search hyperparameters on held-out speeds and promote the best into training",
+    "samplers": "compare TPE with other samplers: several studies of each at equal budget",
     "train": "identify the unknown bearing coefficients from the vibration",
     "evaluate": "compare identified with modelled coefficients, and with per-speed least squares",
     "robustness": "train from many initial guesses or seeds at once",

@@ -12,11 +12,10 @@ bearings, N speeds, U unknowns, P parameters.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from pipeline.config.schema import LossConfig
 from pipeline.equations.bearing_equations import BearingEquations, UnknownSystem
 from pipeline.identification.coefficient_model import CoefficientModel
 
@@ -99,14 +98,14 @@ def residual_problem(
     )
 
 
-def speed_scaling(config: LossConfig, equations: BearingEquations) -> np.ndarray:
+def speed_scaling(scaling: Literal["per_speed", "none"], equations: BearingEquations) -> np.ndarray:
     """(B, S) factors of the residual in 1/N: one over the size of the bearing force at each speed, or one.
 
     Unbalance grows with the square of the speed; unscaled, the fastest speeds outweigh the slowest by
     orders of magnitude.
     """
     size = np.sqrt((np.abs(equations.free_residual) ** 2).mean(axis=(2, 3)))
-    return np.ones_like(size) if config.scaling == "none" else 1.0 / size
+    return np.ones_like(size) if scaling == "none" else 1.0 / size
 
 
 def data_scale(system: UnknownSystem, members: int) -> np.ndarray:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from pipeline.coefficients import is_stiffness
-from pipeline.config.schema import IdentifyConfig, LossConfig, ModelConfig, OptimizerConfig, TrainingConfig
+from pipeline.config.schema import Config, IdentifyConfig, LossConfig, ModelConfig, OptimizerConfig, TrainingConfig
 from pipeline.equations.bearing_equations import BearingEquations, require_independent_orbits, unknown_system
 from pipeline.identification import optimizers
 from pipeline.identification.coefficient_model import CoefficientModel, coefficient_model
@@ -24,6 +24,12 @@ if TYPE_CHECKING:
 
 _DIVERGED_FACTOR = 10.0
 """A final loss this far above the first one is a divergence, not a slow start."""
+
+
+class Watch(Protocol):
+    """Something that follows the best state (G, M, P) of a training; what it raises ends the training."""
+
+    def __call__(self, phase: str, step: int, total: int, best: torch.Tensor, /) -> None: ...
 
 
 class Progress(Protocol):
@@ -43,6 +49,16 @@ class TrainingSetup:
     training: TrainingConfig
 
 
+def setup_of(config: Config) -> TrainingSetup:
+    """The sections of a configuration that training reads."""
+    return TrainingSetup(config.identify, config.model, config.loss, config.optimizer, config.training)
+
+
+def phases(config: OptimizerConfig) -> tuple[str, ...]:
+    """The optimiser's phases that have steps, in their order."""
+    return tuple(name for name in type(config).model_fields if getattr(config, name).steps)
+
+
 @dataclass(frozen=True, eq=False)
 class PreparedTraining:
     """The problem on the training speeds and, where some are held out, on those."""
@@ -50,7 +66,16 @@ class PreparedTraining:
     model: CoefficientModel
     train: ResidualProblem
     held_out: ResidualProblem | None
+    held_out_per_speed: ResidualProblem | None  # scaled per speed whatever ``loss.scaling`` is
     bearing_nodes: tuple[int, ...]
+
+    def per_speed_held_out_loss(self, parameters: torch.Tensor) -> np.ndarray:
+        """(G,) what trainings of any loss are compared by; ``parameters`` (G, M, P).
+
+        Root mean square, over bearings and held-out speeds, of the residual divided by the bearing force of its speed.
+        """
+        assert self.held_out_per_speed is not None, "no speed is held out"
+        return _root_mean_square(self.held_out_per_speed.loss(parameters))
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +91,10 @@ class TrainedBatch:
     seconds: float
     history: tuple[Mapping[str, float | str], ...]
     trajectory: tuple[tuple[int, torch.Tensor], ...]  # (step, parameters), where it was asked for
+
+    def per_speed_held_out_loss(self) -> np.ndarray:
+        """(G,) see :meth:`PreparedTraining.per_speed_held_out_loss`."""
+        return self.prepared.per_speed_held_out_loss(self.parameters)
 
     def identified(self, g: int = 0) -> IdentifiedModel:
         """The model of training g."""
@@ -91,12 +120,15 @@ def prepare(equations: BearingEquations, known: BearingTable, setup: TrainingSet
     require_independent_orbits(equations, system)
     members = 1 if setup.identify.tie_bearings else len(equations.bearing_nodes)
     model = coefficient_model(setup.model, setup.identify.unknowns, equations.speeds, data_scale(system, members))
-    scaling = speed_scaling(setup.loss, equations)
+    scaling = speed_scaling(setup.loss.scaling, equations)
     held_out = held_out_speeds(len(equations.speeds), setup.training.holdout_every)
+    some = bool(held_out.any())
+    judged = speed_scaling("per_speed", equations)
     return PreparedTraining(
         model,
         residual_problem(model, equations, system, ~held_out, scaling),
-        residual_problem(model, equations, system, held_out, scaling) if held_out.any() else None,
+        residual_problem(model, equations, system, held_out, scaling) if some else None,
+        residual_problem(model, equations, system, held_out, judged) if some else None,
         equations.bearing_nodes,
     )
 
@@ -141,6 +173,7 @@ class _Monitor:
     config: TrainingConfig
     progress: Progress | None
     record_trajectory: bool
+    watch: Watch | None
     phase: str = ""
     total: int = 0
     patience: int = 1
@@ -190,10 +223,19 @@ class _Monitor:
             self.trajectory.append((self.step, parameters.clone()))
         if self.progress is not None:
             self.progress(self.phase, self.step - self.phase_start + 1, self.total, loss)
+        if self.watch is not None:
+            self.watch(self.phase, self.step - self.phase_start + 1, self.total, self.best)
 
     def converged(self) -> np.ndarray:
         """(G,) all members of a training without improvement for ``patience`` steps."""
         return (self.stale >= self.patience).all(dim=1).numpy()
+
+
+_MINIMISERS: dict[str, Callable[..., torch.Tensor]] = {
+    "adam": optimizers.adam,
+    "lbfgs": optimizers.lbfgs,
+    "levenberg_marquardt": optimizers.levenberg_marquardt,
+}
 
 
 def run_training(
@@ -202,23 +244,18 @@ def run_training(
     setup: TrainingSetup,
     progress: Progress | None = None,
     record_trajectory: bool = False,
+    watch: Watch | None = None,
 ) -> TrainedBatch:
     """Train G starting points (G, M, P) at once. Ctrl-C ends it with the best state so far."""
-    monitor = _Monitor(prepared.train, prepared.held_out, setup.training, progress, record_trajectory)
-    config = setup.optimizer
-    phases: list[tuple[str, Callable[..., torch.Tensor], Any]] = [
-        ("adam", optimizers.adam, config.adam),
-        ("lbfgs", optimizers.lbfgs, config.lbfgs),
-        ("levenberg_marquardt", optimizers.levenberg_marquardt, config.levenberg_marquardt),
-    ]
+    monitor = _Monitor(prepared.train, prepared.held_out, setup.training, progress, record_trajectory, watch)
     interrupted = False
     monitor.begin("start", 1, 1)
     monitor(parameters, prepared.train.loss(parameters))
     try:
-        for name, minimise, section in phases:
-            if section.steps:
-                monitor.begin(name, section.steps, section.patience)
-                parameters = minimise(prepared.train, parameters, section, monitor)
+        for name in phases(setup.optimizer):
+            section = getattr(setup.optimizer, name)
+            monitor.begin(name, section.steps, section.patience)
+            parameters = _MINIMISERS[name](prepared.train, parameters, section, monitor)
     except KeyboardInterrupt:
         interrupted = True
     return _finish(prepared, monitor, interrupted)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING
@@ -11,6 +11,9 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from pipeline.identification.training import Progress
+
+StudyProgress = Callable[[int, "float | None"], None]
+"""(trials done, best loss so far)."""
 
 
 @cache
@@ -75,5 +78,31 @@ def training_progress(name: str) -> Iterator[Progress]:
                 loss=f"{loss:.3g}",
                 rate=rate,
             )
+
+        yield update
+
+
+@contextmanager
+def study_progress(name: str, total: int) -> Iterator[StudyProgress]:
+    """One bar for a study, with its best value so far and the time left, on a terminal; nothing elsewhere."""
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as ProgressBar
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("trials, best held-out loss {task.fields[best]}, left:"),
+        TimeRemainingColumn(elapsed_when_finished=True),
+    )
+    console = _console(True)
+    bar = ProgressBar(
+        *columns, console=console, transient=True, disable=not console.is_terminal, speed_estimate_period=3600
+    )
+    with bar:
+        task = bar.add_task(name, total=total, best="-")
+
+        def update(done: int, best: float | None) -> None:
+            bar.update(task, completed=done, best="-" if best is None else f"{best:.3g}")
 
         yield update

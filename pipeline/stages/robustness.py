@@ -20,6 +20,7 @@ from pipeline.identification.training import (
     initial_parameters,
     prepare,
     run_training,
+    setup_of,
 )
 from pipeline.reporting.console import say, table, training_progress
 from pipeline.reporting.figures import robustness_figure
@@ -27,7 +28,7 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.evaluate import load_modelled
 from pipeline.stages.inputs import load_inputs
 from pipeline.stages.run import StageOutput, flat_metrics, workspace
-from pipeline.stages.train import setup_of
+from pipeline.stages.train import say_promoted
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -48,6 +49,7 @@ def run(config: Config) -> StageOutput:
 
     torch.set_num_threads(config.threads)
     inputs, setup = load_inputs(config), setup_of(config)
+    say_promoted(config)
     if config.robustness.over == "initial_guess" and not any(name.startswith("k") for name in setup.identify.unknowns):
         raise ConfigError(
             "robustness over initial guesses must have an unknown stiffness, but identify.unknowns has none: use "

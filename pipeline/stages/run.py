@@ -12,7 +12,7 @@ from pathlib import Path
 from pipeline.config.schema import Config
 from pipeline.data.tables import fingerprint_of
 from pipeline.reporting.console import say, warn
-from pipeline.tracking import StageRecord, TrackingSettings, track
+from pipeline.tracking import ChildRecord, StageRecord, TrackingSettings, track
 
 
 @dataclass(frozen=True)
@@ -113,6 +113,7 @@ class StageOutput:
     files: Sequence[Path] = ()
     history: Sequence[Mapping[str, float]] = ()
     model: Path | None = None
+    children: Sequence[ChildRecord] = ()
     exit_code: int = 0
 
 
@@ -132,6 +133,7 @@ def execute(config: Config, run: Callable[[Config], StageOutput]) -> None:
         history=output.history,
         files=[path for path in output.files if path.exists()],
         model=output.model,
+        children=output.children,
         status="KILLED" if output.exit_code == 130 else "FINISHED",
     )
     settings = TrackingSettings(config.tracking.enabled, config.tracking.uri, config.tracking.timeout_seconds)

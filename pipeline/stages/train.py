@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 
+from pipeline.config.promotion import has_value, value_at
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import write_coefficients
 from pipeline.data.tables import fingerprint_of, write_table
@@ -12,15 +14,31 @@ from pipeline.files import write_json
 from pipeline.identification.identified import IdentificationResult
 from pipeline.identification.outcome import Outcome
 from pipeline.identification.storage import save_model
-from pipeline.identification.training import TrainingSetup, initial_parameters, prepare, run_training
+from pipeline.identification.training import initial_parameters, prepare, run_training, setup_of
 from pipeline.reporting.console import say, training_progress, warn
 from pipeline.stages.inputs import Inputs, load_inputs
 from pipeline.stages.run import StageOutput, flat_metrics, workspace
 
 
-def setup_of(config: Config) -> TrainingSetup:
-    """The sections of the configuration that training reads."""
-    return TrainingSetup(config.identify, config.model, config.loss, config.optimizer, config.training)
+def say_promoted(config: Config) -> None:
+    """Which values of a study are in force, and which the command line overrode."""
+    promoted = config.promoted
+    if promoted is None:
+        return
+    source = f"study '{promoted.study}' (trial {promoted.trial})"
+    if not promoted.in_force and not promoted.overridden:
+        say(f"{config.name}: configured values, which {source} found no better ones for")
+        return
+    words = [f"{config.name}: tuned values of {source} in force: {_listed(promoted.in_force)}"]
+    if promoted.overridden:
+        now = {key: value_at(config, key) for key in promoted.overridden if has_value(config, key)}
+        words.append(f"given on the command line instead of tuned: {_listed(now)}")
+    say("\n".join(words))
+
+
+def _listed(values: Mapping[str, object]) -> str:
+    shown = (f"{key}={value:.4g}" if isinstance(value, float) else f"{key}={value}" for key, value in values.items())
+    return ", ".join(shown) or "none"
 
 
 def run(config: Config) -> StageOutput:
@@ -29,6 +47,7 @@ def run(config: Config) -> StageOutput:
 
     torch.set_num_threads(config.threads)
     inputs, setup = load_inputs(config), setup_of(config)
+    say_promoted(config)
     prepared = prepare(inputs.equations, inputs.known, setup)
     start = initial_parameters(prepared, setup, config.seed)
     with training_progress(config.name) as progress:

@@ -8,6 +8,25 @@ from pathlib import Path
 
 
 @dataclass(frozen=True)
+class ChildRecord:
+    """A part of a stage that is a run of its own below the stage's, such as a trial of a study.
+
+    :param started: start and
+    :param ended: end as seconds since 1970, or None where they are not known
+    :param history: rows with a ``step`` and metrics
+    """
+
+    name: str
+    parameters: Mapping[str, object]
+    tags: Mapping[str, str]
+    metrics: Mapping[str, float]
+    history: Sequence[Mapping[str, float | str]] = ()
+    started: float | None = None
+    ended: float | None = None
+    failed: bool = False
+
+
+@dataclass(frozen=True)
 class StageRecord:
     """One stage's work, complete and saved.
 
@@ -22,6 +41,7 @@ class StageRecord:
         texts among them are left out, for MLflow's metrics are numbers
     :param files: images go to the artifact folder ``figures``, other files to ``files``
     :param model: a folder that holds ``model.safetensors`` and ``model.json``, logged as a loadable model
+    :param children: logged as runs below this one
     :param status: ``FINISHED``, ``KILLED`` or ``FAILED``
     """
 
@@ -35,6 +55,7 @@ class StageRecord:
     history: Sequence[Mapping[str, float | str]] = ()
     files: Sequence[Path] = ()
     model: Path | None = None
+    children: Sequence[ChildRecord] = ()
     status: str = "FINISHED"
 
 

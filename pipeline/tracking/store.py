@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import queue
-import threading
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 from pipeline.tracking.database import DatabaseProblem, artifact_root, prepare_database, sqlite_uri
 from pipeline.tracking.entries import name_of
 from pipeline.tracking.record import TrackingSettings
+from pipeline.waiting import within
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
 
-_T = TypeVar("_T")
 _SQLITE = "sqlite:///"
 
 
@@ -33,7 +30,7 @@ def open_experiment(settings: TrackingSettings, name: str) -> tuple[MlflowClient
         location = f"{artifact_root(path)}/{name_of(name).replace('/', '_')}"
         return _open(sqlite_uri(path), name, location)
     # Neither the look-up of a host's name nor MLflow's retries for a database heed a time limit of their own.
-    return _within(settings.timeout_seconds, lambda: _open(settings.uri, name, None))
+    return within(settings.timeout_seconds, lambda: _open(settings.uri, name, None))
 
 
 def _database_path(uri: str) -> Path:
@@ -65,23 +62,3 @@ def _open(uri: str, name: str, artifact_location: str | None) -> tuple[MlflowCli
             f"'mlflow experiments restore -x {experiment.experiment_id}' brings it back"
         )
     return client, experiment.experiment_id
-
-
-def _within(seconds: float, function: Callable[[], _T]) -> _T:
-    """What ``function`` returns or raises, or a :class:`TimeoutError`; its thread is then left to itself."""
-    answers: queue.SimpleQueue[tuple[_T | None, Exception | None]] = queue.SimpleQueue()
-
-    def work() -> None:
-        try:
-            answers.put((function(), None))
-        except Exception as error:
-            answers.put((None, error))
-
-    threading.Thread(target=work, name="tracking", daemon=True).start()
-    try:
-        value, error = answers.get(timeout=seconds)
-    except queue.Empty:
-        raise TimeoutError(f"no answer within {seconds:g} s") from None
-    if error is not None:
-        raise error
-    return value  # type: ignore[return-value]

@@ -24,7 +24,7 @@ from pipeline.tracking.entries import (
 )
 from pipeline.tracking.provenance import provenance_tags
 from pipeline.tracking.quiet import quiet_mlflow
-from pipeline.tracking.record import StageRecord, TrackingSettings
+from pipeline.tracking.record import ChildRecord, StageRecord, TrackingSettings
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
@@ -97,6 +97,8 @@ def _log_parts(client: MlflowClient, run: Run, record: StageRecord, patience_sec
     not_finite += parts.log("the history", lambda: _log_history(client, run_id, record)) or []
     for path, artifact_folder in _artifact_folders(record.files):
         parts.log(f"the file {path}", partial(_log_file, client, run_id, path, artifact_folder))
+    for child in record.children:
+        parts.log(child.name, partial(_log_child, client, run, record, child))
     if not_finite:
         names = ", ".join(dict.fromkeys(not_finite))
         parts.problems.append(f"MLflow does not have the values of {names} that are not finite.")
@@ -168,6 +170,23 @@ def _log_history(client: MlflowClient, run_id: str, record: StageRecord) -> list
     values, not_finite = history_metrics(record.history, record.started, record.ended)
     _log_metrics(client, run_id, values)
     return not_finite
+
+
+def _log_child(client: MlflowClient, run: Run, record: StageRecord, child: ChildRecord) -> None:
+    """A run below ``run``, in three requests: a study has many."""
+    from mlflow.entities import Metric, Param
+
+    started, ended = child.started or record.started, child.ended or record.ended
+    place = {"pipeline.experiment": record.experiment, "pipeline.stage": record.stage}
+    tags = flat_tags(place | dict(child.tags) | {"mlflow.parentRunId": run.info.run_id})
+    below = client.create_run(
+        run.info.experiment_id, start_time=round(1000 * started), tags=tags, run_name=child.name
+    ).info.run_id
+    values = final_metrics(child.metrics, ended)[0] + history_metrics(child.history, started, ended)[0]
+    metrics = [Metric(m.name, m.value, m.time, m.step) for m in values[:_METRICS_A_BATCH]]
+    parameters = [Param(name, text) for name, text in flat_parameters(child.parameters).items()]
+    client.log_batch(below, metrics=metrics, params=parameters[:_PARAMETERS_A_BATCH])
+    client.set_terminated(below, "FAILED" if child.failed else "FINISHED", end_time=round(1000 * ended))
 
 
 def _log_file(client: MlflowClient, run_id: str, path: Path, folder: str) -> None:

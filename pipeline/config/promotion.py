@@ -1,0 +1,146 @@
+"""Values by dotted key in a configuration: those of a trial, and those that a study promoted into training."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from pipeline.config.messages import schema_errors
+from pipeline.config.tuning import Key, Value
+from pipeline.errors import ConfigError, DataError
+
+if TYPE_CHECKING:
+    from pipeline.config.schema import Config
+
+BEST = "best.yaml"
+UNTUNED_STAGES = ("configure", "tune", "samplers", "check")
+"""Stages that see the configured values: a study begins from them, and `dvc repro` compares them."""
+
+
+class PromotedTrial(BaseModel):
+    """``best.yaml``: the values that a study promoted; empty where the configured default is the best."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    study: str
+    trial: int = Field(ge=0)
+    values: dict[Key, Value]
+
+
+def with_values(config: Config, values: Mapping[str, Value], source: str) -> Config:
+    """``config`` with ``values`` by dotted key; ``source`` says in a message where they come from.
+
+    :raises ConfigError: where a key does not exist or a value breaks a law of the schema
+    """
+    from pydantic import ValidationError
+
+    from pipeline.config.schema import Config
+
+    mapping = config.model_dump()
+    for key, value in values.items():
+        *path, last = key.split(".")
+        place: Any = mapping
+        for part in path:
+            place = place.get(part) if isinstance(place, dict) else None
+        if not isinstance(place, dict) or last not in place:
+            raise ConfigError(f"{source} must name keys of the configuration, but '{key}' is not one of {config.name}")
+        place[last] = value
+    try:
+        return Config.model_validate(mapping)
+    except ValidationError as error:
+        raise ConfigError(f"{source} must give values that the schema takes:\n{_errors(error, mapping)}") from None
+
+
+def _errors(error: Any, mapping: Mapping[str, Any]) -> str:
+    from pipeline.config.schema import Config
+
+    return schema_errors(error, mapping, Config)
+
+
+def value_at(config: Config, key: str) -> Any:
+    """The value of a dotted key. Raises ConfigError where there is none."""
+    place: Any = config
+    for part in key.split("."):
+        if not hasattr(place, part):
+            raise ConfigError(
+                f"tuning.space must name keys of the configuration, but '{key}' is not one of {config.name}: "
+                "choose another search space, such as tuning=network or tuning=constant"
+            )
+        place = getattr(place, part)
+    return place
+
+
+def has_value(config: Config, key: str) -> bool:
+    """Whether the configuration has the dotted key: a model of another kind has others."""
+    try:
+        value_at(config, key)
+    except ConfigError:
+        return False
+    return True
+
+
+def read_promoted(folder: Path) -> PromotedTrial | None:
+    """What the study of ``folder`` promoted; None where there is no study.
+
+    :raises DataError: where ``best.yaml`` is not what ``stage=tune`` writes
+    """
+    import yaml
+    from pydantic import ValidationError
+
+    path = folder / BEST
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except (OSError, UnicodeDecodeError) as error:
+        raise DataError(_unreadable(path, str(error))) from None
+    try:
+        return PromotedTrial.model_validate(yaml.safe_load(text))
+    except yaml.YAMLError as error:
+        raise DataError(_unreadable(path, " ".join(str(error).split()))) from None
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        raise DataError(_unreadable(path, f"{'.'.join(map(str, first['loc']))}: {first['msg']}")) from None
+
+
+def _unreadable(path: Path, reason: str) -> str:
+    return (
+        f"'{path}' must hold the values that a study promoted, but {reason}: run stage=tune again, or train with the "
+        "configured values (tuned=false)"
+    )
+
+
+def with_promoted(config: Config, overrides: Sequence[str]) -> Config:
+    """``config`` with the promoted values of its study, where there are any; ``overrides`` of the command line win.
+
+    :raises DataError: where ``best.yaml`` can't be read
+    :raises ConfigError: where its values do not fit the configuration
+    """
+    from pipeline.config.schema import PromotedConfig
+
+    if not config.tuned or config.stage in UNTUNED_STAGES:
+        return config
+    promoted = read_promoted(Path(config.tuning.folder))
+    if promoted is None:
+        return config
+    given = {override.lstrip("+~").partition("=")[0].partition("@")[0] for override in overrides}
+    in_force = {key: value for key, value in promoted.values.items() if not _overridden(key, given)}
+    source = f"'{Path(config.tuning.folder) / BEST}' (tuned=false leaves it out)"
+    return with_values(config, in_force, source).model_copy(
+        update={
+            "promoted": PromotedConfig(
+                study=promoted.study,
+                trial=promoted.trial,
+                in_force=in_force,
+                overridden={key: value for key, value in promoted.values.items() if key not in in_force},
+            )
+        }
+    )
+
+
+def _overridden(key: str, given: set[str]) -> bool:
+    """Whether the command line set ``key``, or a group that it belongs to such as ``model``."""
+    return any(name == key or key.startswith(f"{name}.") for name in given)

@@ -1,0 +1,137 @@
+"""What a hyperparameter study may say: its search space, budget and storage."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, model_validator
+
+NonNegativeInt = Annotated[int, Field(ge=0)]
+Value = bool | int | float | str
+Key = Annotated[str, Field(pattern=r"^(model|loss|optimizer)(\.[A-Za-z_]+)+$|^training\.tolerance$")]
+"""A value of the configuration that a study may change: not what the objective is measured on."""
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
+
+
+class _Dimension(_Section):
+    when: dict[str, tuple[Value, ...]] = {}
+
+    def options(self) -> tuple[str | Value, ...] | None:
+        """The choices, or None for a range."""
+        return None
+
+
+class _Range(_Dimension):
+    key: Key
+    log: bool = False
+
+    @model_validator(mode="after")
+    def _ascending(self) -> _Range:
+        low, high = self.low, self.high  # type: ignore[attr-defined]
+        if low > high:
+            raise ValueError(f"must have low <= high, but got {low:g} and {high:g}")
+        if self.log and low <= 0:
+            raise ValueError(f"must have low > 0 on a logarithmic scale, but got {low:g}")
+        return self
+
+
+class IntegerRange(_Range):
+    """Whole numbers from ``low`` to ``high`` inclusive."""
+
+    kind: Literal["int"]
+    low: int
+    high: int
+
+
+class FloatRange(_Range):
+    """Real numbers from ``low`` to ``high``, SI."""
+
+    kind: Literal["float"]
+    low: float
+    high: float
+
+
+class Choice(_Dimension):
+    """One of the values of ``key``."""
+
+    kind: Literal["choice"]
+    key: Key
+    choices: tuple[Value, ...] = Field(min_length=1)
+
+    def options(self) -> tuple[str | Value, ...]:
+        """The values."""
+        return self.choices
+
+    @model_validator(mode="after")
+    def _once(self) -> Choice:
+        if len(set(self.choices)) != len(self.choices):
+            raise ValueError(f"must name each choice once, but got {list(self.choices)}")
+        return self
+
+
+class Preset(_Dimension):
+    """One of several named sets of values, such as an optimiser with the phases that it has."""
+
+    kind: Literal["preset"]
+    choices: dict[str, dict[Key, Value]] = Field(min_length=1)
+
+    def options(self) -> tuple[str | Value, ...]:
+        """The names."""
+        return tuple(self.choices)
+
+
+Dimension = Annotated[IntegerRange | FloatRange | Choice | Preset, Field(discriminator="kind")]
+DimensionName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
+
+
+class TuningConfig(_Section):
+    """A study: what is varied, how often, where it is kept and what is done with its best trials."""
+
+    study: str = Field(min_length=1, max_length=200)
+    folder: str = Field(min_length=1)
+    storage: str = Field(min_length=1)
+    n_trials: PositiveInt
+    sampler: Literal["tpe", "random", "gp"]
+    sampler_seed: NonNegativeInt
+    startup_trials: PositiveInt
+    pruner: Literal["median", "none"]
+    workers: Annotated[int, Field(ge=1, le=256)]
+    finalists: Annotated[int, Field(ge=1, le=20)]
+    seeds: tuple[NonNegativeInt, ...] = Field(min_length=1)
+    least_gain: Annotated[float, Field(ge=1)]
+    changed: Literal["refuse", "restart"]
+    timeout_seconds: PositiveFloat
+    heartbeat_seconds: PositiveInt
+    space: dict[DimensionName, Dimension]
+
+    @model_validator(mode="after")
+    def _space(self) -> TuningConfig:
+        if not self.space:
+            raise ValueError(
+                "must have a search space, but tuning.space is empty: choose one, such as tuning=network, "
+                "or add a dimension"
+            )
+        seen: dict[str, Any] = {}
+        for name, dimension in self.space.items():
+            _check_condition(name, dimension, seen)
+            seen[name] = dimension
+        return self
+
+
+def _check_condition(name: str, dimension: _Dimension, earlier: Mapping[str, _Dimension]) -> None:
+    for other, values in dimension.when.items():
+        known = earlier[other].options() if other in earlier else None
+        if known is None:
+            raise ValueError(
+                f"must have conditions on choices that stand before them, but space.{name}.when names '{other}'"
+            )
+        unknown = [value for value in values if value not in known]
+        if unknown or not values:
+            raise ValueError(
+                f"must have conditions that can hold, but space.{name}.when.{other} has {unknown or 'no value'} and "
+                f"the choices are {list(known)}"
+            )

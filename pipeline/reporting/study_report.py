@@ -1,0 +1,290 @@
+"""What a study says to a person: tables, a summary and its text."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.config.promotion import value_at
+from pipeline.config.schema import Config
+from pipeline.evaluation.errors import coefficient_errors, worst_mean_error
+from pipeline.identification.series import SeriesFit
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.tuning.review import Finalist, TrialAccount
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+ROUNDING_LEVEL = 1e-12
+"""A held-out loss below this leaves nothing to tune."""
+
+
+@dataclass(frozen=True, eq=False)
+class StudyReport:
+    """Everything that a study found. ``finalists`` begins with the default; ``best`` is the promoted one of them."""
+
+    config: Config
+    trials: Sequence[TrialAccount]
+    finalists: Sequence[Finalist]
+    best: Finalist
+    series: SeriesFit | None
+    importances: Mapping[str, float]
+    known: BearingTable
+    modelled: BearingTable | None
+
+    @property
+    def default(self) -> Finalist:
+        """The configured values."""
+        return self.finalists[0]
+
+    @cached_property
+    def errors(self) -> dict[int, dict[str, np.ndarray]]:
+        """Trial -> coefficient -> (seeds,) mean error over speed in percent, worse bearing; empty without a truth."""
+        if self.modelled is None:
+            return {}
+        return {f.trial: self._errors(f) for f in self.finalists}
+
+    def _errors(self, finalist: Finalist) -> dict[str, np.ndarray]:
+        assert self.modelled is not None
+        unknowns, seeds = self.config.identify.unknowns, range(len(finalist.losses))
+        each = [
+            coefficient_errors(finalist.batch.identified(g).table(self.known), self.modelled, unknowns) for g in seeds
+        ]
+        return {name: np.array([worst_mean_error(errors, name) for errors in each]) for name in unknowns}
+
+    @cached_property
+    def series_errors(self) -> dict[str, float]:
+        """The same of the Chebyshev series."""
+        if self.modelled is None or self.series is None:
+            return {}
+        errors = coefficient_errors(self.series.table(self.known), self.modelled, self.config.identify.unknowns)
+        return {name: worst_mean_error(errors, name) for name in self.config.identify.unknowns}
+
+
+# --- tables ------------------------------------------------------------------------------------------
+
+
+def trial_table(report: StudyReport) -> pd.DataFrame:
+    """One row a trial."""
+    import pandas as pd
+
+    names = list(report.config.tuning.space)
+    rows = [
+        {
+            "trial": t.number,
+            "state": t.state,
+            "held_out_loss": t.loss,
+            "training_seconds": t.seconds,
+            "epochs": t.epochs,
+            "outcome": t.outcome,
+            "reason": t.reason,
+        }
+        | {name: t.parameters.get(name) for name in names}
+        for t in report.trials
+    ]
+    return pd.DataFrame(rows).astype({"epochs": "Int64"})
+
+
+def finalist_table(report: StudyReport) -> pd.DataFrame:
+    """One row a finalist and seed."""
+    import pandas as pd
+
+    rows = []
+    for f in report.finalists:
+        for g, seed in enumerate(report.config.tuning.seeds):
+            row = {"trial": f.trial, "seed": seed, "held_out_loss": f.losses[g], "outcome": f.batch.outcomes[g].label}
+            for name, errors in report.errors.get(f.trial, {}).items():
+                row[f"{name}_mean_error_percent"] = errors[g]
+            rows.append(row)
+    return pd.DataFrame(rows)
+
+
+# --- summary -----------------------------------------------------------------------------------------
+
+
+def summary_of(report: StudyReport) -> dict[str, object]:
+    """``summary.json``."""
+    summary: dict[str, object] = {
+        "experiment": report.config.name,
+        "promoted_trial": report.best.trial,
+        "verdict": verdict(report),
+        "trials": dict(Counter(t.state for t in report.trials)),
+        "held_out_loss_gain": _ratio(report.default.median, report.best.median),
+        "default": _finalist_summary(report, report.default),
+        "tuned": _finalist_summary(report, report.best),
+    }
+    if report.series is not None:
+        summary["chebyshev_series"] = {
+            "degree": report.series.degree,
+            "held_out_loss": report.series.held_out_loss,
+            "mean_error_percent": report.series_errors,
+        }
+    if report.errors:
+        summary["error_gain"] = {name: _ratio(*_medians(report, name)) for name in report.config.identify.unknowns}
+    return summary
+
+
+def _finalist_summary(report: StudyReport, finalist: Finalist) -> dict[str, object]:
+    losses = finalist.losses[np.isfinite(finalist.losses)]
+    summary: dict[str, object] = {"seeds": len(finalist.losses), "diverged": len(finalist.losses) - len(losses)}
+    if np.isfinite(finalist.median):
+        summary["held_out_loss"] = {
+            "median": finalist.median,
+            "lowest": float(losses.min()),
+            "highest": float(losses.max()),
+        }
+    summary["median_error_percent"] = {
+        name: float(np.median(errors)) for name, errors in report.errors.get(finalist.trial, {}).items()
+    }
+    return summary
+
+
+def _medians(report: StudyReport, name: str) -> tuple[float, float]:
+    return tuple(float(np.median(report.errors[f.trial][name])) for f in (report.default, report.best))  # type: ignore[return-value]
+
+
+def _ratio(before: float, after: float) -> float | None:
+    return before / after if np.isfinite(before) and after > 0 else None
+
+
+def verdict(report: StudyReport) -> str:
+    """Whether tuning helped, in a sentence."""
+    default, best = report.default, report.best
+    if best is not default:
+        return (
+            f"trial {best.trial} is promoted: median held-out loss {best.median:.3g}, "
+            f"{default.median / best.median:.3g} times below the default's {default.median:.3g}"
+        )
+    if default.median < ROUNDING_LEVEL:
+        return (
+            f"the configured default stays: its held-out loss {default.median:.2g} is rounding, and tuning can't help"
+        )
+    return (
+        f"the configured default stays: over {len(default.losses)} seeds no finalist lowers its median held-out loss "
+        f"{default.median:.3g} by {report.config.tuning.least_gain:g} times, so tuning does not help"
+    )
+
+
+# --- text --------------------------------------------------------------------------------------------
+
+
+def report_text(report: StudyReport) -> str:
+    """``README.md`` of the study."""
+    config, tuning = report.config, report.config.tuning
+    unknowns = ", ".join(config.identify.unknowns)
+    states = Counter(t.state for t in report.trials)
+    seconds = sum(t.seconds or 0.0 for t in report.trials)
+    command = f"python -m pipeline stage=tune experiment={config.name} tuning.n_trials={tuning.n_trials}"
+    parts = [
+        f"# Study `{tuning.study}`",
+        f"**Question.** Which hyperparameters identify {unknowns} of `{config.name}` best - {config.description}?",
+        f"**Objective.** The loss on the held-out speeds (every {config.training.holdout_every}th): the residual of "
+        "the equation of motion divided by the bearing force of its speed, root mean square. No modelled coefficient "
+        "is used, neither by the search nor by the choice.",
+        f"**Budget.** {len(report.trials)} trials ({', '.join(f'{n} {s}' for s, n in sorted(states.items()))}), "
+        f"{seconds:.0f} s of training, sampler {tuning.sampler} with seed {tuning.sampler_seed}, the first "
+        f"{tuning.startup_trials} at random. Trial 0 is the configured default.",
+        f"    {command}",
+        f"**Result.** {verdict(report).capitalize()}.",
+        _comparison(report),
+        *_limits(report),
+        _values(report),
+        _importance(report),
+        "`trials.csv` has every trial, `finalists.csv` every finalist and seed, `best.yaml` what training uses.",
+        *(
+            f"![{caption}](figures/{name}.png)"
+            for name, caption in _FIGURES.items()
+            if name != "importance" or report.importances
+        ),
+    ]
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+_FIGURES = {
+    "history": "Held-out loss of every trial, and the best so far",
+    "finalists": "Held-out loss of the default and the finalists, one dot a seed",
+    "learning_curves": "Learning curves of all trials",
+    "importance": "Importance of the parameters",
+    "slice": "Held-out loss over each parameter",
+    "parallel_coordinates": "Parallel coordinates of all trials",
+}
+
+
+def _comparison(report: StudyReport) -> str:
+    """Default, finalists and the Chebyshev series side by side."""
+    names = report.config.identify.unknowns if report.errors else ()
+    head = ["", "held-out loss", *(f"{name} error %" for name in names), "time of one training"]
+    rows = []
+    for f in report.finalists:
+        title = "default" if f.trial == 0 else f"trial {f.trial}"
+        losses = f.losses[np.isfinite(f.losses)]
+        span = f"{f.median:.3g} ({losses.min():.2g} to {losses.max():.2g})" if len(losses) else "diverged"
+        errors = [report.errors[f.trial][name] for name in names]
+        cells = [f"{np.median(e):.2g} ({e.min():.2g} to {e.max():.2g})" for e in errors]
+        seconds = f.batch.seconds / len(f.losses)
+        rows.append([f"**{title}, promoted**" if f is report.best else title, span, *cells, f"{seconds:.1f} s"])
+    if report.series is not None:
+        cells = [f"{report.series_errors[name]:.2g}" for name in names]
+        rows.append(
+            [f"Chebyshev series, degree {report.series.degree}", f"{report.series.held_out_loss:.3g}", *cells, ""]
+        )
+    lines = [" | ".join(row) for row in (head, ["---"] * len(head), *rows)]
+    seeds = len(report.config.tuning.seeds)
+    caption = f"Median over {seeds} seeds (lowest to highest)"
+    if names:
+        caption += "; errors are the mean over speed of the worse bearing, evaluated after the choice"
+    return "\n".join(f"| {line} |" for line in lines) + f"\n\n{caption}."
+
+
+def _limits(report: StudyReport) -> list[str]:
+    """How much there was to gain."""
+    if report.series is None:
+        return []
+    series, best = report.series, report.best
+    room = report.default.median / series.held_out_loss
+    text = (
+        "**What limits it.** A Chebyshev series of the speed, fitted by linear least squares (one answer, no "
+        f"training), reaches a held-out loss of {series.held_out_loss:.3g} at its best degree, {series.degree}. "
+    )
+    if room > 1:
+        text += (
+            f"Smooth functions of the speed do hardly better: the default had a factor of {room:.2g} to gain on the "
+        )
+        text += (
+            f"held-out speeds, and the promoted values have {max(best.median / series.held_out_loss, 1.0):.2g} left."
+        )
+    else:
+        text += "The default network is below that already."
+    sentences = [text]
+    if report.errors:
+        gains = []
+        for name in report.config.identify.unknowns:
+            before, after = _medians(report, name)
+            limit = report.series_errors[name]
+            gains.append(f"{name} {before:.2g} to {after:.2g} % ({before / after:.2g} times; series {limit:.2g} %)")
+        sentences.append(f"Median errors, default to promoted: {', '.join(gains)}.")
+    return sentences
+
+
+def _values(report: StudyReport) -> str:
+    changed = {key: value for key, value in report.best.values.items() if value_at(report.config, key) != value}
+    if not changed:
+        return ""
+    rows = [f"| `{key}` | {_short(value_at(report.config, key))} | {_short(value)} |" for key, value in changed.items()]
+    return "\n".join(["| value | default | promoted |", "|---|---|---|", *rows])
+
+
+def _short(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _importance(report: StudyReport) -> str:
+    if not report.importances:
+        return ""
+    shares = ", ".join(f"{name} {100 * share:.0f} %" for name, share in list(report.importances.items())[:4])
+    return f"What mattered most, among the parameters that every trial has: {shares}."

@@ -1,0 +1,140 @@
+"""Search hyperparameters by the loss on held-out speeds, and promote the best into training."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from pipeline.config.promotion import BEST, PromotedTrial
+from pipeline.config.schema import Config
+from pipeline.errors import ConfigError
+from pipeline.files import read_json, write_json, write_text
+from pipeline.identification.series import best_series
+from pipeline.reporting.console import StudyProgress, say, study_progress, warn
+from pipeline.reporting.study_figures import study_figures
+from pipeline.reporting.study_report import (
+    StudyReport,
+    finalist_table,
+    report_text,
+    summary_of,
+    trial_table,
+)
+from pipeline.stages.evaluate import load_modelled
+from pipeline.stages.inputs import Inputs, load_inputs
+from pipeline.stages.run import StageOutput, flat_metrics
+from pipeline.tracking import ChildRecord
+from pipeline.tuning.parallel import run_study
+from pipeline.tuning.review import TrialAccount, accounts, finalists, fingerprint, importances, promoted
+from pipeline.tuning.storage import place
+from pipeline.tuning.study import StudyProblem
+from pipeline.tuning.worker import ROUNDING, Seen
+
+SUMMARY = "summary.json"
+
+
+def study_problem(config: Config, inputs: Inputs) -> StudyProblem:
+    """What a study of ``config`` searches on. Raises ConfigError where no speed is held out."""
+    if not config.training.holdout_every:
+        raise ConfigError(
+            "a study must judge its trials on held-out speeds, but training.holdout_every is 0: give it 10, or another "
+            "number from 2"
+        )
+    return StudyProblem(config, inputs.equations, inputs.known, inputs.dataset.fingerprint)
+
+
+def run(config: Config) -> StageOutput:
+    """The study, then its best trials and the default over several seeds; ``studies/NAME/`` with what came of it."""
+    started = time.perf_counter()
+    inputs = load_inputs(config)
+    problem, folder = study_problem(config, inputs), Path(config.tuning.folder)
+    try:
+        with study_progress(config.name, config.tuning.n_trials) as shown:
+            study, sentences = run_study(problem, progress_of(shown, config.tuning.n_trials))
+    except KeyboardInterrupt:
+        warn(f"{config.name}: study interrupted; no finished trial is lost, and the same command goes on")
+        raise SystemExit(130) from None
+    searched = time.perf_counter() - started
+    for sentence in sentences:
+        warn(f"{config.name}: {sentence}")
+    trials, mark = accounts(study), fingerprint(study, problem)
+    if _is_current(folder, mark):
+        say(f"{config.name}: the study has its {len(trials)} trials, and '{folder}' is what came of them")
+        return StageOutput(flat_metrics(read_json(folder / SUMMARY)))
+    default, others = finalists(study, problem)
+    best = promoted(default, others, config.tuning, ROUNDING)
+    report = StudyReport(
+        config,
+        trials,
+        (default, *others),
+        best,
+        best_series(default.batch.prepared),
+        importances(study),
+        inputs.known,
+        load_modelled(config, inputs),  # read when the choice is made
+    )
+    summary = summary_of(report) | {"study_fingerprint": mark}
+    written = _write(config, report, summary, folder)
+    say(
+        f"{config.name}: {len(trials)} trials in {searched:.0f} s; {summary['verdict']}\n"
+        f"report in '{folder / 'README.md'}'; look at the trials with: optuna-dashboard {place(config.tuning.storage)}"
+    )
+    return StageOutput(
+        flat_metrics(summary) | {"seconds": time.perf_counter() - started},
+        {"data_fingerprint": inputs.dataset.fingerprint, "study": config.tuning.study},
+        written,
+        children=[_child(trial) for trial in trials],
+    )
+
+
+def progress_of(shown: StudyProgress, total: int) -> Seen:
+    """What a worker calls between its steps to show how far the study is."""
+
+    def seen(study: object) -> None:
+        trials = study.get_trials(deepcopy=False)  # type: ignore[attr-defined]
+        values = [t.value for t in trials if t.state.name == "COMPLETE"]
+        done = sum(t.state.is_finished() for t in trials)
+        shown(min(done, total), 10 ** min(values) if values else None)
+
+    return seen
+
+
+def _is_current(folder: Path, mark: str) -> bool:
+    if not all((folder / name).exists() for name in (BEST, SUMMARY, "README.md", "trials.csv", "finalists.csv")):
+        return False
+    return read_json(folder / SUMMARY, "run stage=tune again after moving it away").get("study_fingerprint") == mark
+
+
+def _write(config: Config, report: StudyReport, summary: dict[str, object], folder: Path) -> list[Path]:
+    import yaml
+
+    from pipeline.data.tables import write_table
+
+    values = PromotedTrial(study=config.tuning.study, trial=report.best.trial, values=dict(report.best.values))
+    head = (
+        f"# Promoted by: python -m pipeline stage=tune experiment={config.name}\n"
+        "# Training uses these values; one given on the command line wins, and tuned=false leaves them all out.\n"
+    )
+    return [
+        write_table(folder / "trials.csv", trial_table(report)),
+        write_table(folder / "finalists.csv", finalist_table(report)),
+        *study_figures(folder / "figures", report.trials, report.importances, report.finalists),
+        write_text(folder / "README.md", report_text(report)),
+        write_text(folder / BEST, head + yaml.safe_dump(values.model_dump(mode="json"), sort_keys=False)),
+        write_json(folder / SUMMARY, summary),
+    ]
+
+
+def _child(trial: TrialAccount) -> ChildRecord:
+    """A trial as a run below the study's."""
+    metrics = {"held_out_loss": trial.loss, "training_seconds": trial.seconds, "epochs": trial.epochs}
+    return ChildRecord(
+        name=f"trial {trial.number}",
+        parameters=dict(trial.parameters),
+        tags={"outcome": trial.outcome or trial.state, "state": trial.state}
+        | ({"reason": trial.reason} if trial.reason else {}),
+        metrics={name: float(value) for name, value in metrics.items() if value is not None},
+        history=[{"step": percent, "held_out_loss": loss} for percent, loss in trial.curve.items()],
+        started=trial.started,
+        ended=trial.ended,
+        failed=trial.state == "failed",
+    )

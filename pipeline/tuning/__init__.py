@@ -1,0 +1,1 @@
+"""Hyperparameter studies: the one package that imports Optuna."""

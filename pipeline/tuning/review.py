@@ -1,0 +1,151 @@
+"""What a study found: its trials, the finalists over several seeds, and which of them is promoted."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.config.promotion import with_values
+from pipeline.config.tuning import TuningConfig, Value
+from pipeline.identification.outcome import Outcome
+from pipeline.identification.training import TrainedBatch, initial_parameters, prepare, run_training, setup_of
+from pipeline.tuning.space import values_of
+from pipeline.tuning.study import StudyProblem
+
+if TYPE_CHECKING:
+    import optuna
+
+
+@dataclass(frozen=True)
+class TrialAccount:
+    """A trial, as the tables and figures have it. Losses are held-out losses, not their logarithms."""
+
+    number: int
+    state: str  # complete, pruned, failed, ...
+    loss: float | None
+    seconds: float | None
+    epochs: int | None
+    outcome: str
+    reason: str
+    parameters: Mapping[str, Value]
+    curve: Mapping[int, float]  # percent of the last phase -> loss
+    started: float | None  # seconds since 1970
+    ended: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class Finalist:
+    """A trial's values, trained with every seed. ``losses`` (G,) are per-speed held-out losses."""
+
+    trial: int
+    values: Mapping[str, Value]
+    losses: np.ndarray
+    batch: TrainedBatch
+
+    @property
+    def median(self) -> float:
+        """Of the losses; infinite where most seeds diverged."""
+        return float(np.median(np.where(np.isfinite(self.losses), self.losses, math.inf)))
+
+
+def accounts(study: optuna.Study) -> list[TrialAccount]:
+    """The study's trials by number."""
+    return [_account(trial) for trial in study.get_trials(deepcopy=False)]
+
+
+def _account(trial: optuna.trial.FrozenTrial) -> TrialAccount:
+    attributes = trial.user_attrs
+    loss = None if trial.value is None or not trial.state.is_finished() else 10**trial.value
+    return TrialAccount(
+        trial.number,
+        {"FAIL": "failed"}.get(trial.state.name, trial.state.name.lower()),
+        attributes.get("held_out_loss", loss),
+        attributes.get("training_seconds"),
+        attributes.get("epochs"),
+        attributes.get("outcome", ""),
+        attributes.get("reason", ""),
+        dict(trial.params),
+        {step: 10**value for step, value in sorted(trial.intermediate_values.items())},
+        trial.datetime_start.timestamp() if trial.datetime_start else None,
+        trial.datetime_complete.timestamp() if trial.datetime_complete else None,
+    )
+
+
+def finalists(study: optuna.Study, problem: StudyProblem) -> tuple[Finalist, list[Finalist]]:
+    """The default, and the best other trials, each trained with every seed of ``tuning.seeds``."""
+    config = problem.config.tuning
+    best = sorted(
+        (t for t in study.get_trials(deepcopy=False) if t.state.name == "COMPLETE" and t.number),
+        key=lambda t: (t.value, t.number),
+    )
+    chosen: list[tuple[int, dict[str, Value]]] = [(0, {})]
+    for trial in best:
+        values = values_of(config.space, trial.params)
+        if len(chosen) <= config.finalists and values not in [other for _, other in chosen]:
+            chosen.append((trial.number, values))
+    trained = [_trained(problem, number, values) for number, values in chosen]
+    return trained[0], trained[1:]
+
+
+def _trained(problem: StudyProblem, number: int, values: Mapping[str, Value]) -> Finalist:
+    import torch
+
+    setup = setup_of(with_values(problem.config, values, f"trial {number}"))
+    prepared = prepare(problem.equations, problem.known, setup)
+    starts = [initial_parameters(prepared, setup, seed) for seed in problem.config.tuning.seeds]
+    batch = run_training(prepared, torch.cat(starts), setup)
+    if Outcome.INTERRUPTED in batch.outcomes:
+        raise KeyboardInterrupt
+    return Finalist(number, dict(values), batch.per_speed_held_out_loss(), batch)
+
+
+def promoted(default: Finalist, others: Sequence[Finalist], config: TuningConfig, rounding: float) -> Finalist:
+    """The finalist with the lowest median loss, if it is lower than the default's by ``least_gain``; or the default."""
+    best = min(others, key=lambda f: f.median, default=default)
+    gained = max(default.median, rounding) >= config.least_gain * max(best.median, rounding)
+    return best if gained else default
+
+
+def importances(study: optuna.Study) -> dict[str, float]:
+    """Share of each parameter in the variance of the objective, largest first; empty where too few trials tell.
+
+    Parameters that only some trials have are left out, as Optuna's evaluator compares trials that have all.
+    """
+    from optuna.importance import get_param_importances
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found: dict[str, Any] = get_param_importances(study)
+    except (RuntimeError, ValueError):
+        return {}
+    return {name: float(value) for name, value in found.items()}
+
+
+def sampler_study(problem: StudyProblem, sampler: str, seed: int) -> StudyProblem:
+    """The same problem as a study of its own with another sampler."""
+    tuning = problem.config.tuning.model_copy(
+        update={
+            "sampler": sampler,
+            "sampler_seed": seed,
+            "study": f"{problem.config.tuning.study} · {sampler} {seed}",
+        }
+    )
+    config = problem.config.model_copy(update={"tuning": tuning})
+    return StudyProblem(config, problem.equations, problem.known, problem.data_fingerprint)
+
+
+def fingerprint(study: optuna.Study, problem: StudyProblem) -> str:
+    """Identity of everything that a report is made from: the trials, and how finalists are chosen."""
+    tuning = problem.config.tuning
+    trials = [(t.number, t.state.name, t.value, sorted(t.params.items())) for t in study.get_trials(deepcopy=False)]
+    choice = (tuning.finalists, tuning.seeds, tuning.least_gain, tuning.n_trials, tuning.study)
+    text = json.dumps([problem.made_from(), trials, choice], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]

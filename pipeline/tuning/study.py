@@ -1,0 +1,168 @@
+"""A study and what it was made from: one that fits goes on, one that does not is refused."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.config.schema import Config
+from pipeline.equations.bearing_equations import BearingEquations
+from pipeline.errors import ConfigError
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.tuning.samplers import pruner, sampler
+from pipeline.tuning.space import default_parameters
+from pipeline.tuning.storage import open_storage, place
+
+if TYPE_CHECKING:
+    import optuna
+
+OBJECTIVE = "log10 of the held-out loss"
+INPUTS = "made_from"
+_CREATION_SECONDS = 5.0
+_CODE = ("equations", "identification")
+
+
+@dataclass(frozen=True, eq=False)
+class StudyProblem:
+    """What a study searches on: the same in every worker."""
+
+    config: Config
+    equations: BearingEquations
+    known: BearingTable
+    data_fingerprint: str
+
+    def made_from(self) -> dict[str, dict[str, str]]:
+        """Parts and the fingerprints of their pieces; a study of other ones is another study."""
+        config, tuning = self.config, self.config.tuning
+        sections = ("identify", "model", "loss", "optimizer", "training")
+        return {
+            "the search space": {name: _hash(d.model_dump(mode="json")) for name, d in tuning.space.items()}
+            | {"its order": _hash(list(tuning.space))},
+            "the data": {
+                "vibration, excitation and rotor": self.data_fingerprint,
+                "known coefficients": _hash(self.known.values.tobytes().hex()),
+                "equations": _hash(np.round(_size(self.equations), 12).tolist()),
+            },
+            "the configuration": {name: _hash(getattr(config, name).model_dump(mode="json")) for name in sections}
+            | {"seed": str(config.seed)},
+            "the sampler": {name: str(getattr(tuning, name)) for name in ("sampler", "sampler_seed", "startup_trials")}
+            | {"pruner": tuning.pruner},
+            "the program": _program(),
+        }
+
+
+def _hash(value: object) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:12]
+
+
+def _size(equations: BearingEquations) -> np.ndarray:
+    """(B,) log of the mean bearing force: the rotor, in one number a bearing."""
+    return np.log(np.abs(equations.free_residual).mean(axis=tuple(range(1, equations.free_residual.ndim))))
+
+
+@cache
+def _program() -> dict[str, str]:
+    """Fingerprints of the sources that a trial's loss depends on, and Optuna's version."""
+    import optuna
+
+    package = Path(__file__).parents[1]
+    prints = {"optuna": optuna.__version__}
+    for folder in _CODE:
+        text = b"".join(path.read_bytes() for path in sorted((package / folder).glob("*.py")))
+        prints[f"pipeline/{folder}"] = hashlib.sha256(text).hexdigest()[:12]
+    return prints
+
+
+def open_study(problem: StudyProblem) -> optuna.Study:
+    """The configured study, made where there is none, with the configured default as its trial 0.
+
+    :raises StorageError: where its storage can't be used
+    :raises ConfigError: where the space lacks the default, or a study of this name was made from something else
+    """
+    import optuna
+
+    config = problem.config.tuning
+    default = default_parameters(problem.config)
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    storage = open_storage(config)
+    study = _made_or_loaded(problem, storage, default)
+    changed = _changed(study.user_attrs.get(INPUTS, {}), problem.made_from())
+    if changed and config.changed == "restart":
+        optuna.delete_study(study_name=config.study, storage=storage)
+        study = _made_or_loaded(problem, storage, default)
+        changed = _changed(study.user_attrs.get(INPUTS, {}), problem.made_from())
+    if changed:
+        raise ConfigError(
+            f"the study '{config.study}' in '{place(config.storage)}' must have been made from the same inputs, but "
+            f"it was not: {changed}. Begin another with tuning.study=NAME, or delete this one and begin again with "
+            "tuning.changed=restart"
+        )
+    return study
+
+
+def _made_or_loaded(problem: StudyProblem, storage: Any, default: Mapping[str, Any]) -> optuna.Study:
+    import optuna
+
+    config = problem.config.tuning
+    parts: dict[str, Any] = {"storage": storage, "sampler": sampler(config), "pruner": pruner(config)}
+    try:
+        study = optuna.create_study(study_name=config.study, direction="minimize", **parts)
+    except optuna.exceptions.DuplicatedStudyError:
+        study = optuna.load_study(study_name=config.study, **parts)
+        _await_maker(study)
+    if INPUTS not in study.user_attrs:
+        study.set_user_attr(INPUTS, problem.made_from())
+        _describe(study, problem)
+    if not study.get_trials(deepcopy=False):
+        study.enqueue_trial(dict(default), user_attrs={"note": "the configured default"})
+    return study
+
+
+def _await_maker(study: optuna.Study) -> None:
+    """Another process may be making it this moment; one that died half-way is not waited for long."""
+    ends = time.monotonic() + _CREATION_SECONDS
+    while not study.get_trials(deepcopy=False) and time.monotonic() < ends:
+        time.sleep(0.05)
+
+
+def _changed(then: Mapping[str, Mapping[str, str]], now: Mapping[str, Mapping[str, str]]) -> str:
+    """The parts that differ, with their pieces; empty where none does."""
+    sentences = []
+    for part in dict.fromkeys([*now, *then]):
+        before, after = then.get(part, {}), now.get(part, {})
+        pieces = [name for name in dict.fromkeys([*before, *after]) if before.get(name) != after.get(name)]
+        if pieces:
+            sentences.append(f"{part} changed ({', '.join(pieces)})")
+    return "; ".join(sentences)
+
+
+def _describe(study: optuna.Study, problem: StudyProblem) -> None:
+    """What the dashboard shows beside the trials."""
+    from optuna_dashboard import save_note
+
+    config = problem.config
+    lines = [
+        f"**Question:** which hyperparameters identify {', '.join(config.identify.unknowns)} of `{config.name}` best?",
+        f"({config.description})",
+        "",
+        f"**Objective:** {OBJECTIVE}: the residual of the equation of motion, divided by the bearing force, at the "
+        f"speeds that training did not see (every {config.training.holdout_every}th). No modelled coefficient is used.",
+        "**Trial 0** is the configured default. Intermediate values are the same loss at percents of the last phase's "
+        "epochs; a trial worse than the median there is pruned. A trial that diverges is failed, with its reason.",
+        f"**User attributes:** training_seconds, epochs, outcome, held_out_loss. **Sampler:** {config.tuning.sampler}.",
+        "",
+        f"**Go on:** `python -m pipeline stage=tune experiment={config.name} tuning.n_trials=N`, N being the total.",
+    ]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # experimental, in Optuna's words
+        study.set_metric_names([OBJECTIVE])
+        save_note(study, "\n".join(lines))
