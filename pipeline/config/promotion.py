@@ -113,6 +113,12 @@ def _unreadable(path: Path, reason: str) -> str:
     )
 
 
+def study_folder(config: Config) -> Path:
+    """Where the study's files are: below the working folder or, where there are none, beside conf/ like that itself."""
+    folder = Path(config.tuning.folder)
+    return folder if (folder / BEST).exists() else Path(__file__).parents[2] / folder
+
+
 def with_promoted(config: Config, overrides: Sequence[str]) -> Config:
     """``config`` with the promoted values of its study, where there are any; ``overrides`` of the command line win.
 
@@ -123,12 +129,13 @@ def with_promoted(config: Config, overrides: Sequence[str]) -> Config:
 
     if not config.tuned or config.stage in UNTUNED_STAGES:
         return config
-    promoted = read_promoted(Path(config.tuning.folder))
+    folder = study_folder(config)
+    promoted = read_promoted(folder)
     if promoted is None:
         return config
     given = {override.lstrip("+~").partition("=")[0].partition("@")[0] for override in overrides}
     in_force = {key: value for key, value in promoted.values.items() if not _overridden(key, given)}
-    source = f"'{Path(config.tuning.folder) / BEST}' (tuned=false leaves it out)"
+    source = f"'{folder / BEST}' (tuned=false leaves it out)"
     return with_values(config, in_force, source).model_copy(
         update={
             "promoted": PromotedConfig(

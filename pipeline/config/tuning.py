@@ -88,6 +88,16 @@ Dimension = Annotated[IntegerRange | FloatRange | Choice | Preset, Field(discrim
 DimensionName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 
 
+Sampler = Literal["tpe", "random", "gp"]
+
+
+class ComparisonConfig(_Section):
+    """Studies that ``stage=samplers`` makes: each sampler with each seed."""
+
+    samplers: tuple[Sampler, ...] = Field(min_length=1)
+    seeds: tuple[NonNegativeInt, ...] = Field(min_length=1)
+
+
 class TuningConfig(_Section):
     """A study: what is varied, how often, where it is kept and what is done with its best trials."""
 
@@ -95,7 +105,7 @@ class TuningConfig(_Section):
     folder: str = Field(min_length=1)
     storage: str = Field(min_length=1)
     n_trials: PositiveInt
-    sampler: Literal["tpe", "random", "gp"]
+    sampler: Sampler
     sampler_seed: NonNegativeInt
     startup_trials: PositiveInt
     pruner: Literal["median", "none"]
@@ -106,6 +116,7 @@ class TuningConfig(_Section):
     changed: Literal["refuse", "restart"]
     timeout_seconds: PositiveFloat
     heartbeat_seconds: PositiveInt
+    comparison: ComparisonConfig
     space: dict[DimensionName, Dimension]
 
     @model_validator(mode="after")

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from pipeline.config.tuning import Dimension, Value
 from pipeline.reporting.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, figure, legend_above
 from pipeline.tuning.review import Finalist, TrialAccount
 
@@ -18,14 +20,18 @@ _COLOURS = "viridis_r"
 
 
 def study_figures(
-    folder: Path, trials: Sequence[TrialAccount], importances: Mapping[str, float], finalists: Sequence[Finalist]
+    folder: Path,
+    trials: Sequence[TrialAccount],
+    space: Mapping[str, Dimension],
+    importances: Mapping[str, float],
+    finalists: Sequence[Finalist],
 ) -> list[Path]:
     """All figures of a study in ``folder``; those that need more trials than there are, are left out."""
     done = [trial for trial in trials if trial.loss is not None]
     written = [_finalists(folder / "finalists.png", finalists)]
     if done:
-        written += [_history(folder / "history.png", trials), _slices(folder / "slice.png", done)]
-        written.append(_parallel(folder / "parallel_coordinates.png", done))
+        written += [_history(folder / "history.png", trials), _slices(folder / "slice.png", done, space)]
+        written.append(_parallel(folder / "parallel_coordinates.png", done, space))
     if any(trial.curve for trial in trials):
         written.append(_curves(folder / "learning_curves.png", trials))
     if importances:
@@ -88,120 +94,128 @@ def _curves(path: Path, trials: Sequence[TrialAccount]) -> Path:
 
 
 def _importance(path: Path, importances: Mapping[str, float]) -> Path:
-    names = list(importances)[::-1]
+    names = [name for name, share in importances.items() if share > 0.005][::-1]
     with figure(path, 1, 1, 7.0, 1.2 + 0.35 * len(names)) as axes:
         ax = axes[0, 0]
         ax.barh(names, [100 * importances[name] for name in names], color=BLUE)
-        ax.set_xlabel("importance for the logarithm of the held-out loss (%)")
+        ax.set_xlabel("importance: what sets the best trials apart (%)")
         ax.grid(axis="y", visible=False)
     return path
 
 
-def _parameters(trials: Sequence[TrialAccount]) -> list[str]:
-    return list(dict.fromkeys(name for trial in trials for name in trial.parameters))
+@dataclass(frozen=True)
+class _Axis:
+    """Where the values of a parameter lie: choices by their place, numbers as they are or by their logarithm."""
+
+    name: str
+    choices: tuple[str, ...]  # empty for a range
+    log: bool
+
+    def position(self, value: Value) -> float:
+        return float(self.choices.index(str(value))) if self.choices else float(value)
 
 
-def _slices(path: Path, trials: Sequence[TrialAccount]) -> Path:
+def _axes(trials: Sequence[TrialAccount], space: Mapping[str, Dimension], least: int) -> list[_Axis]:
+    """An axis for every parameter that ``least`` trials have."""
+    axes = []
+    for name, dimension in space.items():
+        if sum(name in trial.parameters for trial in trials) >= least:
+            choices = tuple(str(value) for value in dimension.options() or ())
+            axes.append(_Axis(name, choices, getattr(dimension, "log", False)))
+    return axes
+
+
+def _slices(path: Path, trials: Sequence[TrialAccount], space: Mapping[str, Dimension]) -> Path:
     """The loss over each parameter; later trials are darker."""
-    names = _parameters(trials)
-    columns = min(4, len(names))
-    rows = math.ceil(len(names) / columns)
+    shown = _axes(trials, space, 1)
+    columns = min(4, len(shown))
+    rows = math.ceil(len(shown) / columns)
     last = max(trial.number for trial in trials) or 1
     with figure(path, rows, columns, 3.1 * columns, 2.6 * rows, sharey=True) as axes:
-        for ax in axes.flat[len(names) :]:
+        for ax in axes.flat[len(shown) :]:
             ax.set_axis_off()
-        for ax, name in zip(axes.flat, names, strict=False):
-            some = [t for t in trials if name in t.parameters]
-            positions, ticks, log = _positions([t.parameters[name] for t in some])
+        for ax, axis in zip(axes.flat, shown, strict=False):
             for state, (_, marker) in _STATES.items():
-                at = [i for i, t in enumerate(some) if t.state == state]
-                ax.scatter(
-                    [positions[i] for i in at],
-                    [some[i].loss for i in at],
-                    marker=marker,
-                    s=22,
-                    c=[some[i].number for i in at],
-                    cmap=_COLOURS,
-                    vmin=0,
-                    vmax=last,
-                )
-            ax.set(xlabel=name.replace("_", " "), yscale="log")
-            if ticks:
-                ax.set_xticks(
-                    range(len(ticks)),
-                    ticks,
-                    rotation=20 if len(ticks) > 2 else 0,
-                    ha="right" if len(ticks) > 2 else "center",
-                )
-                ax.set_xlim(-0.6, len(ticks) - 0.4)
-            elif log:
-                ax.set_xscale("log")
+                some = [t for t in trials if axis.name in t.parameters and t.state == state]
+                x = [axis.position(t.parameters[axis.name]) for t in some]
+                numbers = [t.number for t in some]
+                ax.scatter(x, [t.loss for t in some], marker=marker, s=22, c=numbers, cmap=_COLOURS, vmin=0, vmax=last)
+            ax.set(xlabel=axis.name.replace("_", " "), yscale="log")
+            _ticks(ax, axis)
         for ax in axes[:, 0]:
             ax.set_ylabel("held-out loss")
-        axes.flat[0].figure.suptitle(
-            "dots: complete, crosses: pruned; darker: later trials", fontsize=9, x=0.01, ha="left"
-        )
+        title = "dots: complete, crosses: pruned; darker: later trials"
+        axes.flat[0].figure.suptitle(title, fontsize=9, x=0.01, ha="left")
     return path
 
 
-def _positions(values: Sequence[Any]) -> tuple[list[float], list[str], bool]:
-    """Numbers as they are, choices by their place; the names of the choices; whether a logarithmic axis suits."""
-    if all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in values) and len(set(values)) > 3:
-        return [float(v) for v in values], [], min(values) > 0 and max(values) > 8 * min(values)
-    names = sorted({str(v) for v in values})
-    return [float(names.index(str(v))) for v in values], [name.replace("_", "\n") for name in names], False
+def _ticks(ax: Any, axis: _Axis) -> None:
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    if axis.choices:
+        ax.set_xticks(range(len(axis.choices)), [name.replace("_", "\n") for name in axis.choices], fontsize=8)
+        ax.set_xlim(-0.6, len(axis.choices) - 0.4)
+    elif axis.log:
+        ax.set_xscale("log")
+        low, high = ax.get_xlim()
+        ax.xaxis.set_major_locator(LogLocator(subs=(1.0,) if high > 30 * low else (1.0, 2.0, 5.0)))
+        ax.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        ax.xaxis.set_minor_formatter(NullFormatter())
 
 
-def _parallel(path: Path, trials: Sequence[TrialAccount]) -> Path:
-    """A line a trial through its parameters, coloured by loss; parameters that a trial lacks break its line."""
-    names = _parameters(trials)
-    losses = np.log10([trial.loss for trial in trials if trial.loss is not None])
+def _parallel(path: Path, trials: Sequence[TrialAccount], space: Mapping[str, Dimension]) -> Path:
+    """A line a trial through the parameters that half of the trials have, coloured by its loss."""
+    shown = _axes(trials, space, math.ceil(len(trials) / 2))
+    losses = np.log10([float(trial.loss or math.nan) for trial in trials])
     low, high = float(losses.min()), float(losses.max())
-    with figure(path, 1, 1, 1.6 * len(names) + 3.0, 5.2) as axes:
-        ax = axes[0, 0]
+    with figure(path, 1, 1, min(1.25 * len(shown) + 2.5, 15.0), 4.6) as axes:
         from matplotlib import colormaps
         from matplotlib.cm import ScalarMappable
         from matplotlib.colors import Normalize
 
-        heights, captions = {}, {}
-        for name in names:
-            values = [t.parameters[name] for t in trials if name in t.parameters]
-            heights[name], captions[name] = _heights(values)
+        ax = axes[0, 0]
         norm = Normalize(low, high if high > low else low + 1)
+        spans = [
+            _span([axis.position(t.parameters[axis.name]) for t in trials if axis.name in t.parameters], axis)
+            for axis in shown
+        ]
         for trial, loss in sorted(zip(trials, losses, strict=True), key=lambda pair: -pair[1]):
-            y = [heights[n](trial.parameters[n]) if n in trial.parameters else math.nan for n in names]
-            ax.plot(range(len(names)), y, color=colormaps["viridis"](norm(loss)), lw=1.3, alpha=0.8, marker=".", ms=4)
-        for x, name in enumerate(names):
+            y = [_height(trial.parameters.get(axis.name), axis, span) for axis, span in zip(shown, spans, strict=True)]
+            ax.plot(range(len(shown)), y, color=colormaps["viridis"](norm(loss)), lw=1.3, alpha=0.8, marker=".", ms=4)
+        for x, (axis, span) in enumerate(zip(shown, spans, strict=True)):
             ax.axvline(x, color=GREY, lw=0.6)
-            for height, caption in captions[name]:
+            captions = axis.choices or [f"{value:.3g}" for value in span]
+            for caption in captions:
+                height = _height(caption if axis.choices else float(caption), axis, span)
                 ax.annotate(
-                    caption,
+                    caption.replace("_", " "),
                     (x, height),
                     xytext=(4, 0),
                     textcoords="offset points",
-                    fontsize=8,
+                    fontsize=7,
                     va="center",
                     bbox={"facecolor": "white", "alpha": 0.7, "lw": 0, "pad": 0.5},
                 )
-        ax.set_xticks(range(len(names)), [n.replace("_", "\n") for n in names], fontsize=8)
-        ax.set(yticks=[], ylim=(-0.08, 1.08), xlim=(-0.2, len(names) - 0.4))
+        ax.set_xticks(range(len(shown)), [axis.name.replace("_", "\n") for axis in shown], fontsize=8)
+        ax.set(yticks=[], ylim=(-0.08, 1.08), xlim=(-0.2, len(shown) - 0.3))
         ax.grid(visible=False)
         ax.figure.colorbar(ScalarMappable(norm, "viridis"), ax=ax, label="log10 of the held-out loss", pad=0.01)
     return path
 
 
-def _heights(values: Sequence[Any]) -> tuple[Any, list[tuple[float, str]]]:
-    """A function from a value to its height on the axis of a parameter, and the axis' captions."""
-    positions, names, log = _positions(values)
-    if names:
-        known = sorted({str(v) for v in values})
-        step = max(len(known) - 1, 1)
-        captions = [(i / step, name.replace("_", " ")) for i, name in enumerate(known)]
-        return lambda value: known.index(str(value)) / step, captions
-    scale = np.log if log else np.asarray
-    low, high = float(scale(min(positions))), float(scale(max(positions)))
-    captions = [(0.0, f"{min(positions):.3g}"), (1.0, f"{max(positions):.3g}")]
-    return lambda value: (float(scale(value)) - low) / ((high - low) or 1.0), captions
+def _span(positions: Sequence[float], axis: _Axis) -> tuple[float, float]:
+    if axis.choices:
+        return 0.0, float(max(len(axis.choices) - 1, 1))
+    return min(positions), max(positions)
+
+
+def _height(value: Value | None, axis: _Axis, span: tuple[float, float]) -> float:
+    """0 to 1 on the axis of a parameter; NaN, which breaks the line, where a trial lacks it."""
+    if value is None:
+        return math.nan
+    low, high = (math.log(v) for v in span) if axis.log else span
+    position = math.log(float(value)) if axis.log else axis.position(value)
+    return (position - low) / (high - low) if high > low else 0.5
 
 
 def _finalists(path: Path, finalists: Sequence[Finalist]) -> Path:

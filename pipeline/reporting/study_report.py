@@ -287,4 +287,4 @@ def _importance(report: StudyReport) -> str:
     if not report.importances:
         return ""
     shares = ", ".join(f"{name} {100 * share:.0f} %" for name, share in list(report.importances.items())[:4])
-    return f"What mattered most, among the parameters that every trial has: {shares}."
+    return f"What sets the best trials apart (importance by PED-ANOVA): {shares}."

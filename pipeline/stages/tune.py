@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import Any
 
 from pipeline.config.promotion import BEST, PromotedTrial
 from pipeline.config.schema import Config
@@ -44,19 +45,28 @@ def study_problem(config: Config, inputs: Inputs) -> StudyProblem:
 
 def run(config: Config) -> StageOutput:
     """The study, then its best trials and the default over several seeds; ``studies/NAME/`` with what came of it."""
-    started = time.perf_counter()
+    from filelock import FileLock
+
     inputs = load_inputs(config)
     problem, folder = study_problem(config, inputs), Path(config.tuning.folder)
+    started = time.perf_counter()
     try:
         with study_progress(config.name, config.tuning.n_trials) as shown:
             study, sentences = run_study(problem, progress_of(shown, config.tuning.n_trials))
+        searched = time.perf_counter() - started
+        for sentence in sentences:
+            warn(f"{config.name}: {sentence}")
+        folder.mkdir(parents=True, exist_ok=True)
+        with FileLock(folder / ".lock"):  # of several processes that end a study together, one makes the report
+            return _reported(config, problem, study, inputs, searched)
     except KeyboardInterrupt:
         warn(f"{config.name}: study interrupted; no finished trial is lost, and the same command goes on")
         raise SystemExit(130) from None
-    searched = time.perf_counter() - started
-    for sentence in sentences:
-        warn(f"{config.name}: {sentence}")
-    trials, mark = accounts(study), fingerprint(study, problem)
+
+
+def _reported(config: Config, problem: StudyProblem, study: Any, inputs: Inputs, searched: float) -> StageOutput:
+    """The finalists, the choice, and the files of ``studies/NAME/``; nothing where they are up to date."""
+    folder, trials, mark = Path(config.tuning.folder), accounts(study), fingerprint(study, problem)
     if _is_current(folder, mark):
         say(f"{config.name}: the study has its {len(trials)} trials, and '{folder}' is what came of them")
         return StageOutput(flat_metrics(read_json(folder / SUMMARY)))
@@ -79,7 +89,7 @@ def run(config: Config) -> StageOutput:
         f"report in '{folder / 'README.md'}'; look at the trials with: optuna-dashboard {place(config.tuning.storage)}"
     )
     return StageOutput(
-        flat_metrics(summary) | {"seconds": time.perf_counter() - started},
+        flat_metrics(summary) | {"search_seconds": searched},
         {"data_fingerprint": inputs.dataset.fingerprint, "study": config.tuning.study},
         written,
         children=[_child(trial) for trial in trials],
@@ -117,7 +127,7 @@ def _write(config: Config, report: StudyReport, summary: dict[str, object], fold
     return [
         write_table(folder / "trials.csv", trial_table(report)),
         write_table(folder / "finalists.csv", finalist_table(report)),
-        *study_figures(folder / "figures", report.trials, report.importances, report.finalists),
+        *study_figures(folder / "figures", report.trials, config.tuning.space, report.importances, report.finalists),
         write_text(folder / "README.md", report_text(report)),
         write_text(folder / BEST, head + yaml.safe_dump(values.model_dump(mode="json"), sort_keys=False)),
         write_json(folder / SUMMARY, summary),

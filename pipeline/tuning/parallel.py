@@ -53,7 +53,9 @@ def run_study(problem: StudyProblem, seen: Seen) -> tuple[optuna.Study, list[str
 
 def threads_each(threads: int, workers: int) -> int:
     """Threads of each worker: together no more than the machine has cores."""
-    return max(1, min(threads, len(os.sched_getaffinity(0)) // workers))
+    # Not every system can limit a process to some of its cores.
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, min(threads, cores // workers))
 
 
 @contextmanager

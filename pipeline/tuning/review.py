@@ -114,9 +114,9 @@ def promoted(default: Finalist, others: Sequence[Finalist], config: TuningConfig
 
 
 def importances(study: optuna.Study) -> dict[str, float]:
-    """Share of each parameter in the variance of the objective, largest first; empty where too few trials tell.
+    """Share of each parameter in what sets the best trials apart, largest first (Optuna's PED-ANOVA).
 
-    Parameters that only some trials have are left out, as Optuna's evaluator compares trials that have all.
+    Empty where there are too few trials to tell.
     """
     from optuna.importance import get_param_importances
 
@@ -136,6 +136,7 @@ def sampler_study(problem: StudyProblem, sampler: str, seed: int) -> StudyProble
             "sampler": sampler,
             "sampler_seed": seed,
             "study": f"{problem.config.tuning.study} · {sampler} {seed}",
+            "pruner": "none",  # what is pruned depends on the trials before, which differ
         }
     )
     config = problem.config.model_copy(update={"tuning": tuning})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 import zlib
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
@@ -64,12 +65,14 @@ def _random(config: TuningConfig, seed: int) -> optuna.samplers.BaseSampler:
 def _gp(config: TuningConfig, seed: int) -> optuna.samplers.BaseSampler:
     from optuna.samplers import GPSampler, RandomSampler
 
-    return GPSampler(
-        n_startup_trials=config.startup_trials,
-        seed=seed,
-        deterministic_objective=True,
-        independent_sampler=RandomSampler(seed=seed),
-    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # `deterministic_objective` is experimental, in Optuna's words
+        return GPSampler(
+            n_startup_trials=config.startup_trials,
+            seed=seed,
+            deterministic_objective=True,
+            independent_sampler=RandomSampler(seed=seed),
+        )
 
 
 def pruner(config: TuningConfig) -> optuna.pruners.BasePruner:

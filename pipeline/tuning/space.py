@@ -83,9 +83,13 @@ def default_parameters(config: Config) -> dict[str, Value]:
 
 def _default(config: Config, name: str, dimension: Dimension) -> Any:
     if isinstance(dimension, Preset):
-        for choice, values in dimension.choices.items():
-            if all(_same(value_at(config, key), value) for key, value in values.items()):
-                return choice
+        fitting = [
+            choice
+            for choice, values in dimension.choices.items()
+            if all(_same(value_at(config, key), value) for key, value in values.items())
+        ]
+        if fitting:  # the one that says most
+            return max(fitting, key=lambda choice: len(dimension.choices[choice]))
         keys = dict.fromkeys(key for values in dimension.choices.values() for key in values)
         came = ", ".join(f"{key} = {value_at(config, key)}" for key in keys)
         raise _outside(name, came, f"the choices of {name} are {', '.join(dimension.choices)}")

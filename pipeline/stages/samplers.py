@@ -1,0 +1,98 @@
+"""Samplers at equal budget: several studies of each, on the same problem and without pruning."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.config.schema import Config
+from pipeline.data.tables import write_table
+from pipeline.files import write_json
+from pipeline.reporting.console import say, study_progress, table, warn
+from pipeline.reporting.study_figures import samplers_figure
+from pipeline.stages.inputs import load_inputs
+from pipeline.stages.run import StageOutput, flat_metrics
+from pipeline.stages.tune import progress_of, study_problem
+from pipeline.tuning.parallel import run_study
+from pipeline.tuning.review import TrialAccount, accounts, sampler_study
+from pipeline.tuning.worker import ROUNDING
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def run(config: Config) -> StageOutput:
+    """``samplers.csv``, ``samplers.json`` and a figure in ``studies/NAME/``: the best loss after each trial."""
+    problem = study_problem(config, load_inputs(config))
+    folder, spec = Path(config.tuning.folder), config.tuning.comparison
+    best: dict[str, list[np.ndarray]] = {sampler: [] for sampler in spec.samplers}
+    seconds: dict[str, float] = dict.fromkeys(spec.samplers, 0.0)
+    try:
+        for seed in spec.seeds:
+            for sampler in spec.samplers:
+                with study_progress(f"{config.name}: {sampler}, seed {seed}", config.tuning.n_trials) as shown:
+                    one = sampler_study(problem, sampler, seed)
+                    study, sentences = run_study(one, progress_of(shown, config.tuning.n_trials))
+                for sentence in sentences:
+                    warn(sentence)
+                trials = accounts(study)
+                best[sampler].append(best_so_far(trials))
+                seconds[sampler] += sum(t.seconds or 0.0 for t in trials)
+    except KeyboardInterrupt:
+        warn(f"{config.name}: comparison interrupted; no finished trial is lost, and the same command goes on")
+        raise SystemExit(130) from None
+    curves = {sampler: np.array(runs) for sampler, runs in best.items()}
+    summary = {
+        sampler: {
+            "median_best_loss": float(np.median(runs[:, -1])),
+            "best_losses": runs[:, -1].tolist(),
+            "training_seconds": round(seconds[sampler], 1),
+        }
+        for sampler, runs in curves.items()
+    }
+    _print(config, summary)
+    written = [
+        write_table(folder / "samplers.csv", _table(curves, spec.seeds)),
+        samplers_figure(folder / "figures" / "samplers.png", curves),
+        write_json(folder / "samplers.json", summary),
+    ]
+    return StageOutput(flat_metrics(summary), {"data_fingerprint": problem.data_fingerprint}, written)
+
+
+def best_so_far(trials: list[TrialAccount]) -> np.ndarray:
+    """(trials,) lowest held-out loss of the complete trials up to each; the default, trial 0, is left out.
+
+    Every study has the same default, which would hide what the sampler found by itself. Losses that are rounding
+    count as equal.
+    """
+    losses = [t.loss if t.state == "complete" and t.loss is not None else np.inf for t in trials[1:]]
+    return np.minimum.accumulate(np.maximum(losses, ROUNDING))
+
+
+def _table(curves: dict[str, np.ndarray], seeds: tuple[int, ...]) -> pd.DataFrame:
+    import pandas as pd
+
+    rows = [
+        {"sampler": sampler, "seed": seed, "trial": trial, "best_held_out_loss": loss}
+        for sampler, runs in curves.items()
+        for seed, run in zip(seeds, runs, strict=True)
+        for trial, loss in enumerate(run, start=1)
+    ]
+    return pd.DataFrame(rows)
+
+
+def _print(config: Config, summary: dict[str, dict[str, object]]) -> None:
+    rows = [
+        [sampler, f"{found['median_best_loss']:.3g}", *(f"{loss:.3g}" for loss in found["best_losses"])]  # type: ignore[attr-defined]
+        for sampler, found in summary.items()
+    ]
+    seeds = [f"seed {seed}" for seed in config.tuning.comparison.seeds]
+    title = f"{config.name}: best held-out loss of {config.tuning.n_trials} trials, the configured default left out"
+    table(title, ["sampler", "median", *seeds], rows)
+    first, *others = summary
+    for other in others:
+        mine, its = summary[first]["median_best_loss"], summary[other]["median_best_loss"]
+        wins = mine < its  # type: ignore[operator]
+        say(f"{first} {'beats' if wins else 'does not beat'} {other} in the median of {len(seeds)} studies")

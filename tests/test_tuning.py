@@ -1,0 +1,452 @@
+"""Search spaces, samplers, what is promoted, and what a study says: everything but processes and storages."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
+
+from pipeline.config.compose import compose_config
+from pipeline.config.promotion import with_values
+from pipeline.config.schema import Config
+from pipeline.errors import ConfigError, DataError
+from pipeline.tuning.space import applies, default_parameters, suggest, values_of
+
+if TYPE_CHECKING:
+    from conftest import Machine
+
+EXPERIMENTS = ["ball_bearing", "hydrostatic_stiffness", "hydrostatic_damping"]
+NO_STUDY = "tuning.folder=no/such/folder"
+
+
+@cache
+def untuned(*overrides: str) -> Config:
+    """A configuration that no study of the checkout has touched."""
+    return compose_config([*overrides, NO_STUDY])
+
+
+# --- search space ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", EXPERIMENTS)
+def test_trial_0_is_the_configured_default(name: str) -> None:
+    """The default's parameters stand for the very configuration that they were read from."""
+    config = untuned(f"experiment={name}")
+    parameters = default_parameters(config)
+    assert with_values(config, values_of(config.tuning.space, parameters), "default") == config
+
+
+class Draws:
+    """A trial that draws from hypothesis, and remembers the names that it was asked for."""
+
+    def __init__(self, data: st.DataObject) -> None:
+        self.data = data
+        self.asked: list[str] = []
+
+    def suggest_int(self, name: str, low: int, high: int, *, log: bool) -> int:
+        self.asked.append(name)
+        return self.data.draw(st.integers(low, high), name)
+
+    def suggest_float(self, name: str, low: float, high: float, *, log: bool) -> float:
+        self.asked.append(name)
+        return self.data.draw(st.floats(low, high), name)
+
+    def suggest_categorical(self, name: str, choices: Any) -> Any:
+        self.asked.append(name)
+        return self.data.draw(st.sampled_from(choices), name)
+
+
+@pytest.mark.parametrize("name", EXPERIMENTS)
+@given(data=st.data())
+@hypothesis_settings(max_examples=60)
+def test_every_point_of_the_space_is_a_configuration(name: str, data: st.DataObject) -> None:
+    """Whatever is drawn fits the schema, changes nothing else, and leaves out what has no meaning."""
+    config = untuned(f"experiment={name}")
+    space = config.tuning.space
+    trial = Draws(data)
+    parameters = suggest(trial, space)  # type: ignore[arg-type]
+    assert trial.asked == list(parameters)
+    assert [key for key in space if key in parameters] == [key for key in space if applies(space[key], parameters)]
+    made = with_values(config, values_of(space, parameters), "trial")
+    for section in ("rotor", "bearing", "excitation", "data", "identify", "prediction", "tuning", "seed"):
+        assert getattr(made, section) == getattr(config, section)
+    assert made.training.holdout_every == config.training.holdout_every
+    steps = [getattr(made.optimizer, phase).steps > 0 for phase in type(made.optimizer).model_fields]
+    named = str(parameters["optimizer"])
+    assert steps == [named.startswith("adam"), named.endswith("lbfgs"), named.endswith("levenberg_marquardt")]
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (["model.width=200"], "widen tuning.space.width"),
+        (["model.activation=sine", "tuning.space.activation.choices=[tanh,silu]"], "activation are tanh, silu"),
+        (["optimizer.lbfgs.steps=100"], "trial 0"),
+        (["tuning=constant", "~tuning.space.output", "experiment=ball_bearing"], ""),
+        (
+            ["experiment=ball_bearing", "+tuning.space.width={kind: int, key: model.breadth, low: 1, high: 2}"],
+            "model.breadth",
+        ),
+        (["tuning.space.width.high=1000"], "model.width"),
+    ],
+)
+def test_a_space_must_contain_the_default_and_fit_the_schema(overrides: list[str], words: str) -> None:
+    """Where it does not, a sentence says which dimension and what to do; where it does, nothing is said."""
+    config = untuned("stage=tune", *overrides)
+    if not words:
+        assert default_parameters(config)
+        return
+    with pytest.raises(ConfigError, match=words):
+        default_parameters(config)
+
+
+@pytest.mark.parametrize("name", ["adam", "adam_lbfgs", "adam_levenberg_marquardt", "levenberg_marquardt"])
+def test_each_optimizer_is_told_from_the_others(name: str) -> None:
+    """A default of any configured optimiser is the choice of that name."""
+    high = "tuning.space.adam_epochs.high=5000"
+    assert default_parameters(untuned(f"optimizer={name}", high))["optimizer"] == name
+
+
+# --- samplers ----------------------------------------------------------------------------------------
+
+
+def _parabola(study: Any, config: Config) -> None:
+    """One trial of a function with a conditional parameter."""
+    trial = study.ask()
+    kind = trial.suggest_categorical("kind", ["a", "b"])
+    x = trial.suggest_float("x", -3, 3)
+    value = (x - 1) ** 2 + (trial.suggest_float("y", 0, 1) if kind == "a" else 0.5)
+    study.tell(trial, value)
+
+
+@pytest.mark.parametrize("name", ["tpe", "random", "gp"])
+def test_a_study_reopened_before_every_trial_draws_the_same(name: str) -> None:
+    """The draws depend on seed, trial and parameter, not on how long the sampler has lived."""
+    import optuna
+
+    from pipeline.tuning.samplers import sampler
+
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    config = untuned(f"tuning.sampler={name}", "tuning.startup_trials=4").tuning
+    at_once = optuna.create_study(sampler=sampler(config))
+    storage = optuna.storages.InMemoryStorage()
+    optuna.create_study(storage=storage, study_name="x")
+    for _ in range(12):
+        _parabola(at_once, config)  # type: ignore[arg-type]
+        _parabola(optuna.load_study(study_name="x", storage=storage, sampler=sampler(config)), config)  # type: ignore[arg-type]
+    reopened = optuna.load_study(study_name="x", storage=storage)
+    assert [t.params for t in reopened.trials] == [t.params for t in at_once.trials]
+    assert len({tuple(t.params.values()) for t in at_once.trials}) == 12, "no point is drawn twice"
+
+
+def test_the_sampler_seed_matters() -> None:
+    """Another seed is another study."""
+    import optuna
+
+    from pipeline.tuning.samplers import sampler
+
+    first = []
+    for seed in (0, 1):
+        study = optuna.create_study(sampler=sampler(untuned(f"tuning.sampler_seed={seed}").tuning))
+        first.append(study.ask().suggest_float("x", 0, 1))
+    assert first[0] != first[1]
+
+
+# --- promotion ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    """A folder in which a study promoted three values."""
+    folder = tmp_path / "a study"
+    folder.mkdir()
+    values = {"model.width": 17, "model.activation": "silu", "training.tolerance": 0.03}
+    (folder / "best.yaml").write_text(yaml.safe_dump({"study": "x", "trial": 5, "values": values}))
+    return folder
+
+
+def test_promoted_values_are_in_force_where_training_is(study: Path) -> None:
+    """train and what reads its answer use them; a study itself and the written configuration do not."""
+    for stage in ("generate", "train", "evaluate", "robustness", "predict"):
+        config = compose_config([f"stage={stage}", f"tuning.folder={study}"])
+        assert (config.model.width, config.model.activation, config.training.tolerance) == (17, "silu", 0.03)  # type: ignore[union-attr]
+        assert config.promoted is not None
+        assert (config.promoted.trial, len(config.promoted.in_force)) == (5, 3)
+    for stage in ("tune", "samplers", "configure"):
+        config = compose_config([f"stage={stage}", f"tuning.folder={study}"])
+        assert (config.model.width, config.promoted) == (48, None)  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    ("override", "overridden"),
+    [
+        ("model.width=24", ["model.width"]),
+        ("model=network_32", ["model.width", "model.activation"]),
+        ("training.tolerance=0.5", ["training.tolerance"]),
+        ("++model.activation=sine", ["model.activation"]),
+        ("model.depth=2", []),
+        ("seed=3", []),
+    ],
+)
+def test_the_command_line_wins_over_promoted_values(study: Path, override: str, overridden: list[str]) -> None:
+    """A value, or the group that it is in, given explicitly is in force; the other promoted values stay."""
+    config = compose_config([f"tuning.folder={study}", override])
+    plain = compose_config([NO_STUDY, override])
+    assert config.promoted is not None
+    assert set(config.promoted.overridden) == set(overridden)
+    for key in overridden:
+        section, field = key.split(".")
+        assert getattr(getattr(config, section), field) == getattr(getattr(plain, section), field)
+    assert len(config.promoted.in_force) == 3 - len(overridden)
+
+
+def test_tuned_false_leaves_them_out(study: Path) -> None:
+    """The configured values, and nothing that breaks where the file is damaged."""
+    (study / "best.yaml").write_text("{")
+    assert compose_config([f"tuning.folder={study}", "tuned=false"]).model.width == 48  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "{",
+        "[]",
+        "study: x",
+        "study: x\ntrial: 1\nvalues: {rotor.file: x}",
+        "study: x\ntrial: -1\nvalues: {}",
+        "\x00",
+    ],
+)
+def test_a_damaged_best_file_is_a_sentence(study: Path, text: str) -> None:
+    """It names the file and both ways out."""
+    (study / "best.yaml").write_text(text)
+    with pytest.raises(DataError, match=r"best\.yaml' must hold .*tuned=false"):
+        compose_config([f"tuning.folder={study}"])
+
+
+def test_promoted_values_of_another_kind_of_model_are_refused(study: Path) -> None:
+    """A network's width does not fit a constant that a configuration file chose; the command line alone drops it."""
+    with pytest.raises(ConfigError, match=r"tuned=false.*model\.\w+' is not one of ball_bearing"):
+        compose_config(["experiment=ball_bearing", f"tuning.folder={study}"])
+    assert compose_config(["model=constant", f"tuning.folder={study}"]).model.kind == "constant"
+
+
+def test_the_console_says_which_values_are_in_force(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Promoted and overridden ones, by key and value."""
+    from pipeline.stages.train import say_promoted
+
+    say_promoted(compose_config([f"tuning.folder={study}", "model.width=24"]))
+    said = capsys.readouterr().out
+    assert "study 'x' (trial 5) in force: model.activation=silu, training.tolerance=0.03" in said
+    assert "given on the command line instead of tuned: model.width=24" in said
+
+
+# --- Chebyshev series --------------------------------------------------------------------------------
+
+
+def test_a_series_finds_coefficients_that_are_one(hydrostatic: Machine) -> None:
+    """Stiffness that is a polynomial of the logarithm of the speed is identified to rounding."""
+    from pipeline.coefficients import COEFFICIENTS
+    from pipeline.data.simulate import simulate
+    from pipeline.equations.bearing_equations import bearing_equations
+    from pipeline.identification.series import best_series
+    from pipeline.identification.training import prepare, setup_of
+    from pipeline.rotor.bearing_table import BearingTable
+
+    x = np.log(hydrostatic.speeds / hydrostatic.speeds[0]) / np.log(hydrostatic.speeds[-1] / hydrostatic.speeds[0])
+    values = hydrostatic.bearings.values.copy()
+    for b in range(2):
+        values[b, :, COEFFICIENTS.index("kxx")] = 1e7 * (1 + b + x - 0.5 * x**3)
+        values[b, :, COEFFICIENTS.index("kyy")] = 2e7 * (1 - 0.4 * x**2 + 0.1 * x**4)
+    truth = BearingTable(hydrostatic.bearings.nodes, hydrostatic.speeds, values)
+    equations = bearing_equations(hydrostatic.rotor, simulate(hydrostatic.rotor, truth, hydrostatic.excitations))
+    prepared = prepare(equations, truth, setup_of(untuned("training.holdout_every=5")))
+    fit = best_series(prepared)
+    assert fit is not None
+    assert fit.held_out_loss < 1e-11
+    for name in ("kxx", "kyy"):
+        np.testing.assert_allclose(fit.table(truth).coefficient(name), truth.coefficient(name), rtol=1e-9)
+
+
+def test_the_held_out_loss_is_the_residual_of_the_equation_of_motion(hydrostatic: Machine) -> None:
+    """The same number from the equations themselves, without the reduced rows, whatever the trained loss is."""
+
+    from pipeline.identification.identified import IdentifiedModel
+    from pipeline.identification.training import held_out_speeds, initial_parameters, prepare, setup_of
+
+    numbers = []
+    for scaling in ("per_speed", "none"):
+        setup = setup_of(untuned(f"loss.scaling={scaling}", "training.holdout_every=5"))
+        prepared = prepare(hydrostatic.equations, hydrostatic.bearings, setup)
+        parameters = initial_parameters(prepared, setup, 3)
+        numbers.append(float(prepared.per_speed_held_out_loss(parameters)[0]))
+    model = IdentifiedModel(prepared.model, prepared.bearing_nodes, parameters[0])
+    table = model.table(hydrostatic.bearings)
+    kept = held_out_speeds(len(hydrostatic.speeds), 5)
+    residual = hydrostatic.equations.residual(table.impedance())[:, kept]
+    force = hydrostatic.equations.free_residual[:, kept]
+    share = np.abs(residual) ** 2 / (np.abs(force) ** 2).mean(axis=(2, 3), keepdims=True)
+    elements = 2  # real and imaginary part
+    assert numbers[0] == pytest.approx(math.sqrt(share.mean() / elements), rel=1e-9)
+    assert numbers[0] == numbers[1]
+
+
+# --- a whole study -----------------------------------------------------------------------------------
+
+SMALL = [
+    "experiment=ball_bearing",
+    "tracking=none",
+    "excitation.speeds.step_rpm=490",
+    "tuning.n_trials=6",
+    "tuning.startup_trials=3",
+    "tuning.space.adam_epochs.high=400",
+    "optimizer.adam.steps=100",
+]
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small study, run through the stage; holds ``data`` and ``study``."""
+    from pipeline.stages import run_stage
+
+    folder = tmp_path_factory.mktemp("small study")
+    run_stage(small(folder))
+    return folder
+
+
+def small(folder: Path, *overrides: str) -> Config:
+    """The small study in ``folder``."""
+    places = [f"output={folder}/data", f"tuning.folder={folder}/study", f"tuning.storage={folder}/optuna.log"]
+    return compose_config(["stage=tune", *SMALL, *places, *overrides])
+
+
+def test_a_study_writes_what_a_person_reviews(finished: Path) -> None:
+    """Values, tables, figures, a summary and a text that name the same trial."""
+    study = finished / "study"
+    summary = json.loads((study / "summary.json").read_text())
+    best = yaml.safe_load((study / "best.yaml").read_text())
+    trials = pd.read_csv(study / "trials.csv")
+    finalists = pd.read_csv(study / "finalists.csv")
+    assert best["trial"] == summary["promoted_trial"]
+    assert list(trials["trial"]) == list(range(6))
+    assert sum(summary["trials"].values()) == 6
+    assert finalists.groupby("trial")["seed"].count().eq(5).all()
+    assert 0 in set(finalists["trial"]), "the default is always a finalist"
+    assert {"kxx_mean_error_percent", "kyy_mean_error_percent"} <= set(finalists)
+    text = (study / "README.md").read_text()
+    assert summary["verdict"][1:] in text
+    for name in ("Question", "Objective", "Budget", "Result"):
+        assert f"**{name}.**" in text
+    figures = {path.name for path in (study / "figures").glob("*.png")}
+    assert {"history.png", "finalists.png", "slice.png", "parallel_coordinates.png", "learning_curves.png"} <= figures
+    assert all(f"figures/{name})" in text for name in figures)
+
+
+def test_a_study_at_rounding_keeps_the_default(finished: Path) -> None:
+    """Ball bearings without noise leave nothing to tune, and the study says so instead of promoting luck."""
+    summary = json.loads((finished / "study" / "summary.json").read_text())
+    assert summary["promoted_trial"] == 0
+    assert "tuning can't help" in summary["verdict"]
+    assert yaml.safe_load((finished / "study" / "best.yaml").read_text())["values"] == {}
+
+
+def test_a_finished_study_is_not_made_again(finished: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The second run changes no file and says that all is there; a missing file is made again."""
+    from pipeline.stages import run_stage
+
+    before = {path: path.stat().st_mtime_ns for path in (finished / "study").rglob("*") if path.is_file()}
+    run_stage(small(finished))
+    assert "the study has its 6 trials" in capsys.readouterr().out
+    assert before == {path: path.stat().st_mtime_ns for path in (finished / "study").rglob("*") if path.is_file()}
+    text = (finished / "study" / "best.yaml").read_text()
+    (finished / "study" / "best.yaml").unlink()
+    run_stage(small(finished))
+    assert (finished / "study" / "best.yaml").read_text() == text
+
+
+def test_the_truth_changes_no_trial_and_no_choice(finished: Path, tmp_path: Path) -> None:
+    """With other modelled coefficients the same trials are made and the same values promoted: only errors differ."""
+    from pipeline.stages import run_stage
+
+    folder = tmp_path / "lied"
+    shutil.copytree(finished / "data", folder / "data")
+    truth = pd.read_csv(folder / "data" / "modelled_coefficients.csv")
+    truth.iloc[:, 2:] = -7.0 * truth.iloc[:, 2:] + 1.0
+    truth.to_csv(folder / "data" / "modelled_coefficients.csv", index=False)
+    run_stage(small(folder))
+    told, lie = (pd.read_csv(f / "study" / "trials.csv") for f in (finished, folder))
+    same = [name for name in told if name != "training_seconds"]
+    pd.testing.assert_frame_equal(told[same], lie[same])
+    assert (folder / "study" / "best.yaml").read_text() == (finished / "study" / "best.yaml").read_text()
+    told, lie = (pd.read_csv(f / "study" / "finalists.csv") for f in (finished, folder))
+    pd.testing.assert_series_equal(told["held_out_loss"], lie["held_out_loss"])
+    assert not np.allclose(told["kxx_mean_error_percent"], lie["kxx_mean_error_percent"])
+
+
+# --- the choice --------------------------------------------------------------------------------------
+
+
+def _finalist(trial: int, *losses: float) -> Any:
+    from pipeline.tuning.review import Finalist
+
+    return Finalist(trial, {"model.width": trial}, np.array(losses), None)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("default", "others", "chosen"),
+    [
+        ([1.0, 1.0, 1.0], [(7, 0.5, 0.5, 0.5)], 7),
+        ([1.0, 1.0, 1.0], [(7, 0.95, 0.95, 0.95)], 0),  # less than the least gain
+        ([1.0, 1.0, 1.0], [(7, 0.01, 2.0, 2.0)], 0),  # one lucky seed
+        ([1.0, 1.0, 1.0], [(7, 0.5, 0.5, 0.5), (8, 0.4, 0.4, 9.0)], 8),
+        ([1.0, 1.0, 1.0], [(7, math.nan, math.nan, 0.1)], 0),  # most seeds diverged
+        ([math.nan, math.nan, 1.0], [(7, 3.0, 3.0, 3.0)], 7),
+        ([1e-15, 1e-15, 1e-15], [(7, 1e-16, 1e-16, 1e-16)], 0),  # rounding
+        ([1.0, 1.0, 1.0], [], 0),
+    ],
+)
+def test_the_median_over_seeds_decides(default: list[float], others: list[tuple[float, ...]], chosen: int) -> None:
+    """Promoted is what lowers the median by the least gain; luck of one seed and rounding do not count."""
+    from pipeline.tuning.review import promoted
+    from pipeline.tuning.worker import ROUNDING
+
+    first = _finalist(0, *default)
+    rest = [_finalist(int(number), *losses) for number, *losses in others]
+    assert promoted(first, rest, untuned().tuning, ROUNDING).trial == chosen
+
+
+def test_the_best_so_far_leaves_the_default_out() -> None:
+    """Samplers are compared by what they found themselves; rounding counts as equal, pruned trials not at all."""
+    from pipeline.stages.samplers import best_so_far
+    from pipeline.tuning.review import TrialAccount
+    from pipeline.tuning.worker import ROUNDING
+
+    losses = [1e-9, 1e-2, None, 1e-3, 1e-1, 1e-20]
+    states = ["complete", "complete", "failed", "complete", "pruned", "complete"]
+    trials = [
+        TrialAccount(i, state, loss, 1.0, 1, "", "", {}, {}, None, None)
+        for i, (state, loss) in enumerate(zip(states, losses, strict=True))
+    ]
+    assert best_so_far(trials).tolist() == [1e-2, 1e-2, 1e-3, 1e-3, ROUNDING]
+
+
+def test_speeds_are_held_out_inside_the_range() -> None:
+    """What trials are judged on is neither the first nor the last speed."""
+    from pipeline.identification.training import held_out_speeds
+
+    mask = held_out_speeds(591, untuned().training.holdout_every)
+    assert not mask[0]
+    assert not mask[-1]
+    assert mask.sum() == 59
