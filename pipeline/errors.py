@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable
 
 
@@ -24,6 +25,21 @@ class IdentifiabilityError(PipelineError):
 
 class StorageError(PipelineError):
     """A result that can't be written; nothing was left half-written."""
+
+
+# SQLAlchemy takes a password with "/" and more; in an http address, what follows the port may hold an "@".
+_PASSWORDS = (
+    (re.compile(r"(?<!http)(?<!https)(://[^\s:/@]*):\S*@"), r"\1:***@"),
+    (re.compile(r"(\w://[^\s:/@]*):[^\s/@]+@"), r"\1:***@"),
+    (re.compile(r"([?&]password=)[^\s&'\"]*"), r"\1***"),
+)
+
+
+def without_password(text: str) -> str:
+    """``text`` with the password of every ``scheme://user:password@host`` in it replaced by ``***``."""
+    for pattern, masked in _PASSWORDS:
+        text = pattern.sub(masked, text)
+    return text
 
 
 def nearest(name: str, candidates: Iterable[str]) -> str:

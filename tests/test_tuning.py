@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import shutil
 from functools import cache
 from pathlib import Path
@@ -99,6 +100,7 @@ def test_every_point_of_the_space_is_a_configuration(name: str, data: st.DataObj
             "model.breadth",
         ),
         (["tuning.space.width.high=1000"], "model.width"),
+        (["tuning=study"], "tuning.space is empty"),
     ],
 )
 def test_a_space_must_contain_the_default_and_fit_the_schema(overrides: list[str], words: str) -> None:
@@ -393,6 +395,23 @@ def test_the_truth_changes_no_trial_and_no_choice(finished: Path, tmp_path: Path
     told, lie = (pd.read_csv(f / "study" / "finalists.csv") for f in (finished, folder))
     pd.testing.assert_series_equal(told["held_out_loss"], lie["held_out_loss"])
     assert not np.allclose(told["kxx_mean_error_percent"], lie["kxx_mean_error_percent"])
+
+
+def test_samplers_are_compared_at_equal_budget(finished: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As many trials of each sampler and seed, in studies of their own, and a sentence on who won."""
+    from pipeline.stages import run_stage
+
+    given = ["stage=samplers", "tuning.comparison.seeds=[0,1]", "tuning.comparison.samplers=[tpe,random]"]
+    run_stage(small(finished, *given))
+    table = pd.read_csv(finished / "study" / "samplers.csv")
+    assert table.groupby(["sampler", "seed"]).size().tolist() == [5, 5, 5, 5]
+    assert (table.groupby(["sampler", "seed"])["best_held_out_loss"].diff().dropna() <= 0).all()
+    summary = json.loads((finished / "study" / "samplers.json").read_text())
+    for name in ("tpe", "random"):
+        last = table[(table["sampler"] == name) & (table["trial"] == 5)]["best_held_out_loss"]
+        assert summary[name]["median_best_loss"] == pytest.approx(last.median())
+    said = capsys.readouterr().out
+    assert re.search(r"tpe (beats|does not beat) random in the median of 2 studies", said)
 
 
 # --- the choice --------------------------------------------------------------------------------------

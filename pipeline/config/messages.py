@@ -179,9 +179,9 @@ def unknown_key(key: str, tree: Any) -> str:
 
 
 def paths(tree: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
-    """The dotted paths of all mapping keys, Hydra's own left out."""
+    """The dotted paths of all mapping keys; Hydra's own left out, and those that are themselves a dotted path."""
     for name, value in tree.items():
-        if prefix or name != "hydra":
+        if (prefix or name != "hydra") and "." not in name:
             yield f"{prefix}{name}"
             if isinstance(value, Mapping):
                 yield from paths(value, f"{prefix}{name}.")

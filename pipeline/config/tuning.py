@@ -121,11 +121,6 @@ class TuningConfig(_Section):
 
     @model_validator(mode="after")
     def _space(self) -> TuningConfig:
-        if not self.space:
-            raise ValueError(
-                "must have a search space, but tuning.space is empty: choose one, such as tuning=network, "
-                "or add a dimension"
-            )
         seen: dict[str, Any] = {}
         for name, dimension in self.space.items():
             _check_condition(name, dimension, seen)

@@ -268,6 +268,14 @@ def _limits(report: StudyReport) -> list[str]:
             limit = report.series_errors[name]
             gains.append(f"{name} {before:.2g} to {after:.2g} % ({before / after:.2g} times; series {limit:.2g} %)")
         sentences.append(f"Median errors, default to promoted: {', '.join(gains)}.")
+        worse = [
+            name for name in report.config.identify.unknowns if _medians(report, name)[1] > _medians(report, name)[0]
+        ]
+        if worse and best is not report.default:
+            sentences.append(
+                f"A lower held-out loss is not a better {' and '.join(worse)} here: so close to the limit, the loss "
+                "can't tell which of two answers is nearer to the truth."
+            )
     return sentences
 
 

@@ -10,12 +10,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from pipeline.errors import without_password
+
 NAME_LENGTH = 250
 PARAMETER_LENGTH = 6000
 TAG_LENGTH = 8000
 
 _FORBIDDEN_IN_NAME = re.compile(r"[^\w .:/-]")
-_PASSWORD_IN_URI = re.compile(r"(\w://[^\s:/@]*):[^\s/@]+@")
 
 
 @dataclass(frozen=True)
@@ -33,11 +34,6 @@ def name_of(text: str) -> str:
     # "/" makes folders of names, which must not be empty, "." or "..", nor start at the root.
     parts = [part for part in _FORBIDDEN_IN_NAME.sub("_", text).split("/") if part not in ("", ".", "..")]
     return "/".join(parts)[:NAME_LENGTH] or "_"
-
-
-def without_password(text: str) -> str:
-    """``text`` with the password of every ``scheme://user:password@host`` in it replaced by ``***``."""
-    return _PASSWORD_IN_URI.sub(r"\1:***@", text)
 
 
 def shortened(text: str, length: int) -> str:

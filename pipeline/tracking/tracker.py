@@ -11,6 +11,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
+from pipeline.errors import without_password
 from pipeline.tracking.database import DatabaseProblem
 from pipeline.tracking.entries import (
     MetricValue,
@@ -20,7 +21,6 @@ from pipeline.tracking.entries import (
     history_metrics,
     plain,
     shortened,
-    without_password,
 )
 from pipeline.tracking.provenance import provenance_tags
 from pipeline.tracking.quiet import quiet_mlflow

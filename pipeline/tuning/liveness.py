@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import socket
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from datetime import datetime, timedelta
@@ -16,6 +17,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     import optuna
+    from optuna.storages._heartbeat import BaseHeartbeat
 
 WORKER = "worker"
 _NAMELESS_SECONDS = 5.0
@@ -47,11 +49,15 @@ def is_dead(worker: str) -> bool:
 
 
 def requeue(study: optuna.Study, trial_id: int) -> None:
-    """Put a running trial back to the queue; another worker may have done so, or finished it, meanwhile."""
+    """Put a running trial back to the queue; another worker may have done so, or finished it, meanwhile.
+
+    Without its worker's name, or whoever takes it next would be taken for dead until he has written his own.
+    """
     from optuna.exceptions import UpdateFinishedTrialError
     from optuna.trial import TrialState
 
     with suppress(UpdateFinishedTrialError):
+        study._storage.set_trial_user_attr(trial_id, WORKER, None)
         study._storage.set_trial_state_values(trial_id, state=TrialState.WAITING)
 
 
@@ -65,16 +71,26 @@ def requeue_orphans(study: optuna.Study) -> bool:
     if not running:
         return False
     silent: list[int] = []
+    beats = False
     if isinstance(storage, BaseHeartbeat) and is_heartbeat_enabled(storage):
+        beats = True
         silent = storage._get_stale_trial_ids(study._study_id)
     nameless = False
     for trial in running:
         worker = trial.user_attrs.get(WORKER)
         if worker is None and not _is_old(trial.datetime_start):
             nameless = True
-        elif worker is None or is_dead(worker) or trial._trial_id in silent:
-            requeue(study, trial._trial_id)
+        elif worker is None or is_dead(worker) or trial._trial_id in silent or not (beats or _is_here(worker)):
+            latest = storage.get_trial(trial._trial_id)
+            if (latest.datetime_start, latest.user_attrs.get(WORKER)) == (trial.datetime_start, worker):
+                requeue(study, trial._trial_id)  # no other worker has done so
     return nameless
+
+
+def _is_here(worker: str) -> bool:
+    """A journal file is of one machine: a worker elsewhere is of a time when this one, or its container, had another
+    name."""
+    return worker.rsplit(":", 2)[0] == socket.gethostname()
 
 
 def _is_old(started: datetime | None) -> bool:
@@ -82,9 +98,31 @@ def _is_old(started: datetime | None) -> bool:
 
 
 @contextmanager
-def heartbeat(study: optuna.Study, trial_id: int) -> Iterator[None]:
-    """Tell the storage at intervals that this process works on the trial, where it keeps heartbeats."""
-    from optuna.storages._heartbeat import get_heartbeat_thread
+def working_on(study: optuna.Study, trial_id: int) -> Iterator[None]:
+    """Put this process's name on the trial and, where the storage keeps heartbeats, tell it at intervals that it lives.
 
-    with get_heartbeat_thread(trial_id, study._storage):
+    The first heartbeat comes before the name: a trial that was put back still has the last one of its dead worker.
+    """
+    from optuna.storages._heartbeat import BaseHeartbeat, is_heartbeat_enabled
+
+    storage, ended = study._storage, threading.Event()
+    beating = None
+    if isinstance(storage, BaseHeartbeat) and is_heartbeat_enabled(storage):
+        storage.record_heartbeat(trial_id)
+        beating = threading.Thread(target=_beat, args=(storage, trial_id, ended), name="heartbeat", daemon=True)
+        beating.start()
+    try:
+        storage.set_trial_user_attr(trial_id, WORKER, this_worker())
         yield
+    finally:
+        ended.set()
+        if beating is not None:
+            beating.join()
+
+
+def _beat(storage: BaseHeartbeat, trial_id: int, ended: threading.Event) -> None:
+    """Optuna's own loop ends, with a traceback, when the database is away for a moment."""
+    interval = storage.get_heartbeat_interval()
+    while not ended.wait(interval):
+        with suppress(Exception):  # the trial itself tells where the database is gone for good
+            storage.record_heartbeat(trial_id)

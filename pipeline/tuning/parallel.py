@@ -5,10 +5,14 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-from collections.abc import Iterator
+import threading
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from typing import TYPE_CHECKING, Any
 
+from pipeline.errors import PipelineError
 from pipeline.tuning.liveness import requeue_orphans
 from pipeline.tuning.storage import storage_errors
 from pipeline.tuning.study import StudyProblem, open_study
@@ -19,6 +23,8 @@ if TYPE_CHECKING:
 
 _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 _PATIENCE_SECONDS = 15.0
+_ORPHAN_SECONDS = 3.0
+"""How long a worker whose parent died may take to put its trial back itself."""
 
 
 class ParentGone(Exception):
@@ -59,24 +65,69 @@ def threads_each(threads: int, workers: int) -> int:
 
 
 @contextmanager
-def _others(problem: StudyProblem, count: int, threads: int) -> Iterator[list[Any]]:
-    """``count`` more workers. New interpreters, since torch and BLAS don't survive a fork; they read their limit
-    of threads from the environment."""
-    context = multiprocessing.get_context("spawn")
+def _limited(threads: int) -> Iterator[None]:
+    """Interpreters started in the block find the limit of their threads in the environment: BLAS reads it there."""
     before = {name: os.environ.get(name) for name in _THREADS}
     os.environ.update(dict.fromkeys(_THREADS, str(threads)))
-    workers: list[Any] = []
     try:
-        for _ in range(count):
-            worker = context.Process(target=_work_beside, args=(problem, threads), daemon=True)
-            worker.start()
-            workers.append(worker)
+        yield
     finally:
         for name, value in before.items():
             if value is None:
                 del os.environ[name]
             else:
                 os.environ[name] = value
+
+
+@contextmanager
+def _later_interrupt() -> Iterator[None]:
+    """Ctrl-C waits until the end of the block, and in processes started in it until they let it through: one that
+    came while they import would end them with a traceback."""
+    if hasattr(signal, "pthread_sigmask"):
+        resource_tracker.ensure_running()  # it would let the signal through when the first process starts it
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        _let_interrupt_through()
+
+
+def _let_interrupt_through() -> None:
+    if hasattr(signal, "pthread_sigmask"):  # not on Windows
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+
+
+@contextmanager
+def pool(workers: int, threads: int) -> Iterator[Callable[..., Iterator[Any]]]:
+    """``map`` over as many processes; one worker is this process. Ctrl-C ends the others at once."""
+    if workers == 1:
+        yield map
+        return
+    each = threads_each(threads, workers)
+    # New interpreters, since torch and BLAS don't survive a fork.
+    with _limited(each), _later_interrupt():
+        processes = multiprocessing.get_context("spawn").Pool(workers, _begin, (each,))
+    with processes:  # terminates them at its end
+        yield processes.imap
+
+
+def _begin(threads: int) -> None:
+    import torch
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent gets it too
+    torch.set_num_threads(threads)
+
+
+@contextmanager
+def _others(problem: StudyProblem, count: int, threads: int) -> Iterator[list[Any]]:
+    """``count`` more workers."""
+    context = multiprocessing.get_context("spawn")
+    workers: list[Any] = []
+    with _limited(threads), _later_interrupt():
+        for _ in range(count):
+            worker = context.Process(target=_work_beside, args=(problem, threads), daemon=True)
+            worker.start()
+            workers.append(worker)
     try:
         yield workers
     finally:
@@ -102,12 +153,24 @@ def _work_beside(problem: StudyProblem, threads: int) -> None:
 
     torch.set_num_threads(threads)
     parent = multiprocessing.parent_process()
+    threading.Thread(target=_end_with, args=(parent,), name="parent", daemon=True).start()
 
     def seen(_: optuna.Study) -> None:
         if parent is not None and not parent.is_alive():
             raise ParentGone
 
     try:
-        work(open_study(problem), problem, seen)
+        _let_interrupt_through()
+        with storage_errors(problem.config.tuning):
+            work(open_study(problem), problem, seen)
     except (KeyboardInterrupt, ParentGone):
         os._exit(0)  # without Python's words on an interrupt
+    except PipelineError:
+        os._exit(2)  # what is wrong with the storage, the parent finds and says too
+
+
+def _end_with(parent: Any) -> None:
+    """End this process after its parent, also where no point of the learning curve is due for long."""
+    parent.join()
+    time.sleep(_ORPHAN_SECONDS)
+    os._exit(1)  # its trial is found without a worker

@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,15 @@ import numpy as np
 from pipeline.config.promotion import with_values
 from pipeline.config.tuning import TuningConfig, Value
 from pipeline.identification.outcome import Outcome
-from pipeline.identification.training import TrainedBatch, initial_parameters, prepare, run_training, setup_of
+from pipeline.identification.training import (
+    TrainedBatch,
+    TrainingSetup,
+    initial_parameters,
+    prepare,
+    run_training,
+    setup_of,
+)
+from pipeline.tuning.parallel import pool
 from pipeline.tuning.space import values_of
 from pipeline.tuning.study import StudyProblem
 
@@ -90,20 +98,45 @@ def finalists(study: optuna.Study, problem: StudyProblem) -> tuple[Finalist, lis
         values = values_of(config.space, trial.params)
         if len(chosen) <= config.finalists and values not in [other for _, other in chosen]:
             chosen.append((trial.number, values))
-    trained = [_trained(problem, number, values) for number, values in chosen]
+    trained = [
+        Finalist(number, values, batch.per_speed_held_out_loss(), batch)
+        for (number, values), batch in zip(chosen, _trained_with_seeds(problem, chosen), strict=True)
+    ]
     return trained[0], trained[1:]
 
 
-def _trained(problem: StudyProblem, number: int, values: Mapping[str, Value]) -> Finalist:
+def _trained_with_seeds(
+    problem: StudyProblem, chosen: Sequence[tuple[int, Mapping[str, Value]]]
+) -> Iterator[TrainedBatch]:
+    """Each of the ``chosen`` trained with every seed, in as many processes as the study had workers."""
     import torch
 
-    setup = setup_of(with_values(problem.config, values, f"trial {number}"))
+    workers = min(problem.config.tuning.workers, len(chosen))
+    each = [(problem, number, values) for number, values in chosen]
+    with pool(workers, problem.config.threads) as run_all:
+        for (_, number, values), answer in zip(each, run_all(_train_seeds, each), strict=True):
+            parameters, outcomes, losses, held_out, steps, seconds = answer
+            if Outcome.INTERRUPTED in outcomes:
+                raise KeyboardInterrupt
+            prepared = prepare(problem.equations, problem.known, _setup(problem, number, values))
+            state = torch.from_numpy(parameters)
+            yield TrainedBatch(prepared, state, outcomes, losses, held_out, steps, seconds, (), ())
+
+
+def _setup(problem: StudyProblem, number: int, values: Mapping[str, Value]) -> TrainingSetup:
+    return setup_of(with_values(problem.config, values, f"trial {number}"))
+
+
+def _train_seeds(given: tuple[StudyProblem, int, Mapping[str, Value]]) -> tuple[Any, ...]:
+    """What a batch consists of, without torch's tensors, which don't outlive their process."""
+    import torch
+
+    problem, number, values = given
+    setup = _setup(problem, number, values)
     prepared = prepare(problem.equations, problem.known, setup)
     starts = [initial_parameters(prepared, setup, seed) for seed in problem.config.tuning.seeds]
     batch = run_training(prepared, torch.cat(starts), setup)
-    if Outcome.INTERRUPTED in batch.outcomes:
-        raise KeyboardInterrupt
-    return Finalist(number, dict(values), batch.per_speed_held_out_loss(), batch)
+    return batch.parameters.numpy(), batch.outcomes, batch.loss, batch.held_out_loss, batch.steps, batch.seconds
 
 
 def promoted(default: Finalist, others: Sequence[Finalist], config: TuningConfig, rounding: float) -> Finalist:

@@ -72,6 +72,11 @@ def default_parameters(config: Config) -> dict[str, Value]:
         schema refuses
     """
     space = config.tuning.space
+    if not space:
+        raise ConfigError(
+            "a study must have a search space, but tuning.space is empty: choose one, such as tuning=network, or add "
+            "a dimension"
+        )
     parameters: dict[str, Value] = {}
     for name, dimension in space.items():
         if applies(dimension, parameters):

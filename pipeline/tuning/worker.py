@@ -21,7 +21,7 @@ from pipeline.identification.training import (
     run_training,
     setup_of,
 )
-from pipeline.tuning.liveness import WORKER, heartbeat, requeue, requeue_orphans, this_worker
+from pipeline.tuning.liveness import requeue, requeue_orphans, working_on
 from pipeline.tuning.space import suggest, values_of
 from pipeline.tuning.study import StudyProblem
 
@@ -48,7 +48,7 @@ def work(study: optuna.Study, problem: StudyProblem, seen: Seen) -> None:
     """Run trials until the study has its total. KeyboardInterrupt leaves the trial it was at in the queue."""
     from optuna.trial import TrialState
 
-    total, me = problem.config.tuning.n_trials, this_worker()
+    total = problem.config.tuning.n_trials
     while True:
         seen(study)
         if requeue_orphans(study):
@@ -61,9 +61,8 @@ def work(study: optuna.Study, problem: StudyProblem, seen: Seen) -> None:
                 return
             time.sleep(_POLL_SECONDS)  # those of other workers, which may yet come back to the queue
             continue
-        trial.set_user_attr(WORKER, me)
         try:
-            with heartbeat(study, trial._trial_id):
+            with working_on(study, trial._trial_id):
                 run_trial(study, trial, problem, seen)
         except BaseException:
             with suppress(Exception):  # where the storage is gone, the trial's worker will be found dead
@@ -82,7 +81,7 @@ def _next(study: optuna.Study, total: int) -> optuna.trial.Trial | None:
     if not waiting and len(trials) >= total:
         return None
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Heartbeat of storage")  # see liveness.heartbeat
+        warnings.filterwarnings("ignore", message="Heartbeat of storage")  # see liveness.working_on
         trial = study.ask()
     if trial.number >= total:  # several workers asked for the last one
         requeue(study, trial._trial_id)
@@ -118,8 +117,8 @@ def run_trial(study: optuna.Study, trial: optuna.trial.Trial, problem: StudyProb
         for name, entry in (account | {"training_seconds": round(time.perf_counter() - started, 3)}).items():
             trial.set_user_attr(name, entry)
         study.tell(trial, value, state=state)
-    except optuna.exceptions.UpdateFinishedTrialError:
-        return
+    except (optuna.exceptions.UpdateFinishedTrialError, ValueError):
+        return  # another worker took this one for dead, and finished it or put it back to the queue
 
 
 def _finished(curve: _Curve, batch: TrainedBatch) -> tuple[Any, float | None, dict[str, Any]]:
