@@ -60,7 +60,10 @@ def _command(arguments: list[str]) -> None:
 
 
 class JobFailed(Exception):
-    """A job of a multirun that has said itself why it failed; ``args`` holds its exit code."""
+    """A job of a multirun that has said itself why it failed.
+
+    ``args`` holds its exit code, and the folder of the files that it spoke into where that was not the terminal.
+    """
 
 
 def _exit_code(action: Callable[[], None]) -> int:
@@ -72,7 +75,8 @@ def _exit_code(action: Callable[[], None]) -> int:
     except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else _said(stop.code, MISTAKE) if stop.code else 0
     except JobFailed as failure:
-        return int(failure.args[0])
+        code, folder = failure.args
+        return _said(f"what the jobs said is in '{folder}'", code) if folder else int(code)
     except PipelineError as error:
         return _said(error, MISTAKE)
     except KeyboardInterrupt:
@@ -229,7 +233,8 @@ class Job:
         if not self.multirun or code == INTERRUPTED:
             raise SystemExit(code)
         _said(f"{self._which()} failed", code)
-        raise JobFailed(code)  # Hydra goes on with the other jobs
+        folder = _job().launcher.get("submitit_folder")
+        raise JobFailed(code, folder and str(Path(folder).parent))  # Hydra goes on with the other jobs
 
     def _run(self, composed: DictConfig) -> None:
         from omegaconf import OmegaConf

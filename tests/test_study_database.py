@@ -195,7 +195,7 @@ def unwatched(study: object) -> None:
 MACHINE_ROOM = """
 import json, os, pickle, signal, socket, sys, time, traceback
 from pathlib import Path
-import optuna, psycopg, sqlalchemy.dialects.postgresql.psycopg, torch
+import alembic.command, optuna, optuna_dashboard, psycopg, sqlalchemy.dialects.postgresql.psycopg, torch._dynamo
 from pipeline.errors import PipelineError
 from pipeline.tuning.liveness import this_worker
 from pipeline.tuning.parallel import run_study
@@ -241,7 +241,7 @@ for line in sys.stdin:
         os.dup2(said, stream)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     work(Path(folder), name, orders)
-    sys.exit()
+    os._exit(0)  # the last rites of so many modules take a second
 """
 """A process that has imported everything, which takes seconds, and splits workers off on demand."""
 
@@ -289,6 +289,7 @@ def machine_room() -> Iterator[subprocess.Popen[str]]:
     with subprocess.Popen(command, env=ENVIRONMENT, text=True, bufsize=1, **pipes) as process:  # type: ignore[call-overload]
         assert process.stdout.readline() == "open\n"
         yield process
+        process.kill()
 
 
 @dataclass
@@ -361,6 +362,17 @@ def trials_of(problem: StudyProblem) -> list[Any]:
         return list(study.get_trials())
 
 
+def wait_for_finished(problem: StudyProblem, count: int) -> list[Any]:
+    """``count`` finished trials at least."""
+    with opened(problem) as study:
+
+        def finished() -> list[Any]:
+            return [trial for trial in study.get_trials() if trial.state.is_finished()]
+
+        wait_until(lambda: len(finished()) >= count)
+        return finished()
+
+
 def check_complete(problem: StudyProblem) -> list[Any]:
     """Every trial below the total is finished, with its loss or its reason, and nobody is still at work.
 
@@ -394,7 +406,7 @@ def test_a_killed_worker_loses_no_trial(database: str, problem: StudyProblem, cr
     (killed,) = crew.hire(shared, killed={"halts": True})
     number, parameters, curve = json.loads(killed.told("halts"))
     others = crew.hire(shared, second={}, third={})
-    wait_until(lambda: any(trial.state.is_finished() for trial in trials_of(shared)))
+    wait_for_finished(shared, 1)
     killed.send(signal.SIGKILL)
     assert [other.end() for other in others] == [(0, "")] * 2
     trials = check_complete(shared)
@@ -411,7 +423,7 @@ def test_a_machine_that_died_is_found_by_its_silence(server: Server, problem: St
     (far,) = crew.hire(shared, far={"host": "far-away", "halts": True})
     number, parameters, _ = json.loads(far.told("halts"))
     (near,) = crew.hire(shared, near={})
-    wait_until(lambda: sum(trial.state.is_finished() for trial in trials_of(shared)) == 3)
+    wait_for_finished(shared, 3)
     time.sleep(4.0)  # longer than the three heartbeats after which a worker is given up
     slow = trials_of(shared)[number]
     assert (slow.state.name, slow.user_attrs["worker"].split(":")[0]) == ("RUNNING", "far-away")
@@ -535,7 +547,7 @@ def test_a_server_that_stops_in_the_middle(server: Server, problem: StudyProblem
     shared = stored_in(problem, server.database(), n_trials=6, workers=2, timeout_seconds=3.0)
     (worker,) = crew.hire(shared, first={"halts": True})
     number, parameters, _ = json.loads(worker.told("halts"))
-    finished = wait_until(lambda: [trial for trial in trials_of(shared) if trial.state.is_finished()])
+    finished = wait_for_finished(shared, 1)
     server.stop()
     try:
         time.sleep(1.5)  # a heartbeat finds nobody

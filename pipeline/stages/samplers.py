@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -92,7 +92,8 @@ def _print(config: Config, summary: dict[str, dict[str, object]]) -> None:
     title = f"{config.name}: best held-out loss of {config.tuning.n_trials} trials, the configured default left out"
     table(title, ["sampler", "median", *seeds], rows)
     first, *others = summary
+    mine: Any = summary[first]["median_best_loss"]
     for other in others:
-        mine, its = summary[first]["median_best_loss"], summary[other]["median_best_loss"]
-        wins = mine < its  # type: ignore[operator]
-        say(f"{first} {'beats' if wins else 'does not beat'} {other} in the median of {len(seeds)} studies")
+        its: Any = summary[other]["median_best_loss"]
+        verdict = "beats" if mine < its else "ends level with" if mine == its else "does not beat"
+        say(f"{first} {verdict} {other} in the median of {len(seeds)} studies")

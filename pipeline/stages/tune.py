@@ -92,7 +92,7 @@ def _reported(config: Config, problem: StudyProblem, study: Any, inputs: Inputs,
         flat_metrics(summary) | {"search_seconds": searched},
         {"data_fingerprint": inputs.dataset.fingerprint, "study": config.tuning.study},
         written,
-        children=[_child(trial) for trial in trials],
+        children=[child_record(trial) for trial in trials],
     )
 
 
@@ -134,7 +134,7 @@ def _write(config: Config, report: StudyReport, summary: dict[str, object], fold
     ]
 
 
-def _child(trial: TrialAccount) -> ChildRecord:
+def child_record(trial: TrialAccount) -> ChildRecord:
     """A trial as a run below the study's."""
     metrics = {"held_out_loss": trial.loss, "training_seconds": trial.seconds, "epochs": trial.epochs}
     return ChildRecord(

@@ -1,0 +1,107 @@
+"""Hydra's parallel launchers on real commands: the jobs of a multirun side by side, as if they ran one by one."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.__main__ import main
+from pipeline.identification.storage import load_model
+
+pytestmark = pytest.mark.slow
+
+ROOT = Path(__file__).resolve().parents[1]
+ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT)}
+CHEAP = [
+    "tracking=none",
+    *(f"excitation.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=500")),
+    *("optimizer.adam.steps=10", "optimizer.levenberg_marquardt.steps=0"),
+]
+# As a network of the speed, which begins elsewhere for each seed; single parameters all begin at the same guess.
+SEEDS = ["-m", "stage=train", "seed=0,1,2", "experiment=ball_bearing", "model=network", *CHEAP]
+ANSWER = {"model.safetensors", "model.json", "identified_coefficients.csv", "history.csv", "training.json"}
+DATA = {"vibration.parquet", "excitation.csv", "known_coefficients.csv", "modelled_coefficients.csv"}
+
+
+def command(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    """``python -m pipeline``, started in ``cwd``."""
+    words = [sys.executable, "-W", "error", "-m", "pipeline", *arguments]
+    return subprocess.run(words, cwd=cwd, env=ENVIRONMENT, text=True, capture_output=True, timeout=180)
+
+
+@pytest.fixture(scope="module")
+def one_by_one(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the three seeds, trained by Hydra's basic launcher."""
+    folder = tmp_path_factory.mktemp("basic")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        assert main([*SEEDS, "hydra/launcher=basic", "output=out"]) == 0
+    return folder / "out"
+
+
+@pytest.mark.parametrize("launcher", [["joblib", "hydra.launcher.n_jobs=2"], ["submitit_local"]], ids="-".join)
+def test_jobs_side_by_side(launcher: list[str], one_by_one: Path, tmp_path: Path) -> None:
+    """Three seeds: a folder each, complete, with the numbers of the jobs that ran one by one."""
+    done = command(*SEEDS, f"hydra/launcher={launcher[0]}", *launcher[1:], "output=out", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
+    if launcher[0] == "joblib":  # submitit's jobs speak into files of their own
+        assert all(f"[{seed + 1}/3] stage=train seed={seed} " in done.stdout for seed in range(3))
+    assert {path.name for path in tmp_path.iterdir()} == {"artifacts", "out"}
+    assert [path.name for path in (tmp_path / "artifacts").iterdir()] == [".multirun"]
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {f"seed-{seed}" for seed in range(3)}
+    answers = []
+    for seed in range(3):
+        here, there = tmp_path / "out" / f"seed-{seed}", one_by_one / f"seed-{seed}"
+        assert {path.name for path in here.iterdir()} == DATA | ANSWER
+        told = [json.loads((folder / "training.json").read_text()) for folder in (here, there)]
+        assert (told[0]["seed"], told[0]["steps"]) == (seed, told[1]["steps"])
+        np.testing.assert_allclose(told[0]["held_out_loss"], told[1]["held_out_loss"], rtol=1e-6)
+        speeds = np.array([100.0, 300.0, 500.0])
+        values = [load_model(folder).values(speeds) for folder in (here, there)]
+        np.testing.assert_allclose(*values, rtol=1e-6)
+        answers.append(values[0])
+        tables = [(folder / "vibration.parquet").read_bytes() for folder in (here, there)]
+        assert tables[0] == tables[1]
+    assert not np.allclose(answers[0], answers[1], rtol=1e-3), "each seed has its own answer"
+
+
+def test_experiments_side_by_side(tmp_path: Path) -> None:
+    """Two experiments of different machines, models and optimisers: each in the folder of its name."""
+    names = ("ball_bearing", "hydrostatic_stiffness")
+    experiments = f"experiment={','.join(names)}"
+    done = command("-m", "stage=train", experiments, "hydra/launcher=joblib", *CHEAP, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
+    for number, name in enumerate(names, start=1):
+        assert f"[{number}/2] stage=train experiment={name} " in done.stdout
+        assert {path.name for path in (tmp_path / "artifacts" / name).iterdir()} == DATA | ANSWER
+    models = [load_model(tmp_path / "artifacts" / name) for name in names]
+    assert [bool(model.model.hidden) for model in models] == [False, True]
+    assert {path.name for path in tmp_path.iterdir()} == {"artifacts"}
+
+
+@pytest.mark.parametrize("launcher", ["joblib", "submitit_local"])
+def test_a_job_that_fails_is_named(launcher: str, tmp_path: Path) -> None:
+    """The others are done, the command's exit code is that of the mistake, and its reason is found."""
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "seed-1").write_text("in the way")
+    given = ("stage=configure", "seed=0,1,2", "experiment=ball_bearing", "tracking=none", "output=out")
+    done = command("-m", f"hydra/launcher={launcher}", *given, cwd=tmp_path)
+    assert done.returncode == 2, done.stderr
+    assert "Traceback" not in done.stderr
+    assert "'seed=1'" in done.stderr
+    said = done.stderr
+    if launcher == "submitit_local":
+        assert "what the jobs said is in 'artifacts/.multirun/.submitit'" in said
+        said = "".join(path.read_text() for path in (tmp_path / "artifacts/.multirun/.submitit").rglob("*.err"))
+    assert "[2/3] stage=configure seed=1 experiment=ball_bearing tracking=none output=out failed" in said
+    assert "'out/seed-1/config.yaml' must be writable" in said
+    assert "Traceback" not in said
+    assert all((tmp_path / "out" / f"seed-{seed}" / "config.yaml").is_file() for seed in (0, 2))
