@@ -469,3 +469,51 @@ def test_speeds_are_held_out_inside_the_range() -> None:
     assert not mask[0]
     assert not mask[-1]
     assert mask.sum() == 59
+
+
+# --- the committed studies -----------------------------------------------------------------------------
+
+STUDIES = Path(__file__).parents[1] / "studies"
+
+
+@pytest.mark.parametrize("name", EXPERIMENTS)
+def test_every_experiment_has_a_study_that_a_person_can_review(name: str) -> None:
+    """As many trials and seeds as configured, a default to compare with, and values that training takes."""
+    folder = STUDIES / name
+    tuning = untuned(f"experiment={name}").tuning
+    summary = json.loads((folder / "summary.json").read_text())
+    assert sum(summary["trials"].values()) == len(pd.read_csv(folder / "trials.csv")) == tuning.n_trials
+    finalists = pd.read_csv(folder / "finalists.csv")
+    assert set(finalists[finalists["trial"] == 0]["seed"]) == set(tuning.seeds)
+    assert len(tuning.seeds) >= 5
+    best = yaml.safe_load((folder / "best.yaml").read_text())
+    assert with_values(untuned(f"experiment={name}"), best["values"], "best.yaml")
+    for figure in re.findall(r"\(figures/(\w+\.png)\)", (folder / "README.md").read_text()):
+        assert (folder / "figures" / figure).stat().st_size > 1000
+
+
+@pytest.mark.parametrize("name", ["hydrostatic_stiffness", "hydrostatic_damping"])
+def test_a_study_is_three_times_more_accurate_or_shows_why_it_cannot_be(name: str) -> None:
+    """Either every identified coefficient gained three times, or no smooth function of the speed has that to give."""
+    summary = json.loads((STUDIES / name / "summary.json").read_text())
+    if min(summary["error_gain"].values()) >= 3.0:
+        return
+    default, series = summary["default"]["held_out_loss"]["median"], summary["chebyshev_series"]["held_out_loss"]
+    assert default < 3.0 * series
+    assert "**What limits it.**" in (STUDIES / name / "README.md").read_text()
+
+
+@pytest.mark.parametrize("name", ["hydrostatic_stiffness_from_adam", "hydrostatic_damping_from_adam"])
+def test_a_study_from_the_papers_optimizer_is_three_times_more_accurate(name: str) -> None:
+    """From the paper's optimiser and loss, the search finds by itself what makes every coefficient better."""
+    summary = json.loads((STUDIES / name / "summary.json").read_text())
+    assert summary["promoted_trial"] > 0
+    assert min(summary["error_gain"].values()) >= 3.0
+
+
+@pytest.mark.parametrize("name", ["hydrostatic_stiffness", "hydrostatic_damping"])
+def test_tpe_beat_random_search(name: str) -> None:
+    """In the median of five studies at equal budget, the default left out."""
+    found = json.loads((STUDIES / name / "samplers.json").read_text())
+    assert len(found["tpe"]["best_losses"]) == len(found["random"]["best_losses"]) == 5
+    assert found["tpe"]["median_best_loss"] < found["random"]["median_best_loss"]

@@ -239,7 +239,7 @@ def samplers_figure(path: Path, best: Mapping[str, np.ndarray]) -> Path:
     with figure(path, 1, 1, 8.0, 4.4) as axes:
         ax = axes[0, 0]
         for (name, losses), colour in zip(best.items(), (BLUE, ORANGE, GREEN), strict=False):
-            trials = np.arange(losses.shape[1])
+            trials = 1 + np.arange(losses.shape[1])
             ax.fill_between(trials, losses.min(axis=0), losses.max(axis=0), color=colour, alpha=0.15, lw=0)
             ax.semilogy(trials, np.median(losses, axis=0), color=colour, lw=1.8, label=name)
         ax.set(xlabel="trial", ylabel=f"best {_LOSS}", yscale="log")

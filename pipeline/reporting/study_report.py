@@ -227,7 +227,9 @@ def _comparison(report: StudyReport) -> str:
         errors = [report.errors[f.trial][name] for name in names]
         cells = [f"{np.median(e):.2g} ({e.min():.2g} to {e.max():.2g})" for e in errors]
         seconds = f.batch.seconds / len(f.losses)
-        rows.append([f"**{title}, promoted**" if f is report.best else title, span, *cells, f"{seconds:.1f} s"])
+        if f is report.best:
+            title = f"**{title}, {'promoted' if f.trial else 'which stays'}**"
+        rows.append([title, span, *cells, f"{seconds:.1f} s"])
     if report.series is not None:
         cells = [f"{report.series_errors[name]:.2g}" for name in names]
         rows.append(
@@ -252,26 +254,22 @@ def _limits(report: StudyReport) -> list[str]:
         f"training), reaches a held-out loss of {series.held_out_loss:.3g} at its best degree, {series.degree}. "
     )
     if room > 1:
-        text += (
-            f"Smooth functions of the speed do hardly better: the default had a factor of {room:.2g} to gain on the "
-        )
-        text += (
-            f"held-out speeds, and the promoted values have {max(best.median / series.held_out_loss, 1.0):.2g} left."
-        )
+        text += f"Smooth functions of the speed hardly do better: the default had a factor of {room:.2g} to gain there."
     else:
         text += "The default network is below that already."
-    sentences = [text]
+    if best is report.default:
+        return [text]
+    sentences = [text + f" The promoted values have {max(best.median / series.held_out_loss, 1.0):.2g} left."]
     if report.errors:
+        unknowns = report.config.identify.unknowns
         gains = []
-        for name in report.config.identify.unknowns:
+        for name in unknowns:
             before, after = _medians(report, name)
             limit = report.series_errors[name]
             gains.append(f"{name} {before:.2g} to {after:.2g} % ({before / after:.2g} times; series {limit:.2g} %)")
         sentences.append(f"Median errors, default to promoted: {', '.join(gains)}.")
-        worse = [
-            name for name in report.config.identify.unknowns if _medians(report, name)[1] > _medians(report, name)[0]
-        ]
-        if worse and best is not report.default:
+        worse = [name for name in unknowns if _medians(report, name)[1] > _medians(report, name)[0]]
+        if worse:
             sentences.append(
                 f"A lower held-out loss is not a better {' and '.join(worse)} here: so close to the limit, the loss "
                 "can't tell which of two answers is nearer to the truth."

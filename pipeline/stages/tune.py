@@ -143,7 +143,8 @@ def child_record(trial: TrialAccount) -> ChildRecord:
         tags={"outcome": trial.outcome or trial.state, "state": trial.state}
         | ({"reason": trial.reason} if trial.reason else {}),
         metrics={name: float(value) for name, value in metrics.items() if value is not None},
-        history=[{"step": percent, "held_out_loss": loss} for percent, loss in trial.curve.items()],
+        # Not by the metric's name, or its final value would be a point of the curve, at step 0.
+        history=[{"step": percent, "learning_curve": loss} for percent, loss in trial.curve.items()],
         started=trial.started,
         ended=trial.ended,
         failed=trial.state == "failed",

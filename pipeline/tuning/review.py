@@ -64,8 +64,8 @@ class Finalist:
 
 
 def accounts(study: optuna.Study) -> list[TrialAccount]:
-    """The study's trials by number."""
-    return [_account(trial) for trial in study.get_trials(deepcopy=False)]
+    """The study's finished trials by number: workers that asked for the last one at once leave more in the queue."""
+    return [_account(trial) for trial in study.get_trials(deepcopy=False) if trial.state.is_finished()]
 
 
 def _account(trial: optuna.trial.FrozenTrial) -> TrialAccount:

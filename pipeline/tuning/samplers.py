@@ -38,6 +38,10 @@ def sampler(config: TuningConfig) -> optuna.samplers.BaseSampler:
             return self._relative.infer_relative_search_space(study, trial)
 
         def sample_relative(self, study: Any, trial: Any, search_space: dict[str, Any]) -> dict[str, Any]:
+            # On a second attempt GP would take what it left in the trial for the draw of another worker.
+            drawn = _left_by_gp(trial)
+            if drawn:
+                return {name: value for name, value in drawn.items() if name in search_space}
             return self._relative.sample_relative(study, trial, search_space)
 
         def sample_independent(self, study: Any, trial: Any, param_name: str, param_distribution: Any) -> Any:
@@ -45,6 +49,12 @@ def sampler(config: TuningConfig) -> optuna.samplers.BaseSampler:
             return drawn_by.sample_independent(study, trial, param_name, param_distribution)
 
     return Seeded()
+
+
+def _left_by_gp(trial: Any) -> dict[str, Any]:
+    from optuna.samplers._gp.sampler import _RELATIVE_PARAMS_KEY, _get_params
+
+    return _get_params(trial) if f"{_RELATIVE_PARAMS_KEY}:0" in trial.system_attrs else {}
 
 
 Maker = Callable[[TuningConfig, int], "optuna.samplers.BaseSampler"]
