@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -98,45 +98,69 @@ def finalists(study: optuna.Study, problem: StudyProblem) -> tuple[Finalist, lis
         values = values_of(config.space, trial.params)
         if len(chosen) <= config.finalists and values not in [other for _, other in chosen]:
             chosen.append((trial.number, values))
-    trained = [
-        Finalist(number, values, batch.per_speed_held_out_loss(), batch)
-        for (number, values), batch in zip(chosen, _trained_with_seeds(problem, chosen), strict=True)
-    ]
+    trained = _trained(problem, chosen)
     return trained[0], trained[1:]
 
 
-def _trained_with_seeds(
-    problem: StudyProblem, chosen: Sequence[tuple[int, Mapping[str, Value]]]
-) -> Iterator[TrainedBatch]:
-    """Each of the ``chosen`` trained with every seed, in as many processes as the study had workers."""
+def _trained(problem: StudyProblem, chosen: Sequence[tuple[int, Mapping[str, Value]]]) -> list[Finalist]:
+    """Each of the ``chosen`` trained with every seed, in as many processes as the study had workers.
+
+    One training at a time, as in ``stage=train``: a batch would go on until its slowest seed is done.
+    """
+    seeds = problem.config.tuning.seeds
+    each = [(problem, number, values, seed) for number, values in chosen for seed in seeds]
+    with pool(min(problem.config.tuning.workers, len(each)), problem.config.threads) as run_all:
+        answers = list(run_all(_train_seed, each))
+    return [
+        _finalist(problem, number, values, answers[i * len(seeds) : (i + 1) * len(seeds)])
+        for i, (number, values) in enumerate(chosen)
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class _Answer:
+    """What comes back from another process: torch's tensors don't outlive theirs."""
+
+    parameters: np.ndarray  # (1, M, P)
+    outcomes: tuple[Outcome, ...]
+    loss: np.ndarray
+    held_out_loss: np.ndarray | None
+    steps: int
+    seconds: float
+
+
+def _train_seed(given: tuple[StudyProblem, int, Mapping[str, Value], int]) -> _Answer:
+    problem, number, values, seed = given
+    setup = _setup(problem, number, values)
+    prepared = prepare(problem.equations, problem.known, setup)
+    batch = run_training(prepared, initial_parameters(prepared, setup, seed), setup)
+    if Outcome.INTERRUPTED in batch.outcomes:
+        raise KeyboardInterrupt
+    state = batch.parameters.numpy()
+    return _Answer(state, batch.outcomes, batch.loss, batch.held_out_loss, batch.steps, batch.seconds)
+
+
+def _finalist(problem: StudyProblem, number: int, values: Mapping[str, Value], answers: Sequence[_Answer]) -> Finalist:
     import torch
 
-    workers = min(problem.config.tuning.workers, len(chosen))
-    each = [(problem, number, values) for number, values in chosen]
-    with pool(workers, problem.config.threads) as run_all:
-        for (_, number, values), answer in zip(each, run_all(_train_seeds, each), strict=True):
-            parameters, outcomes, losses, held_out, steps, seconds = answer
-            if Outcome.INTERRUPTED in outcomes:
-                raise KeyboardInterrupt
-            prepared = prepare(problem.equations, problem.known, _setup(problem, number, values))
-            state = torch.from_numpy(parameters)
-            yield TrainedBatch(prepared, state, outcomes, losses, held_out, steps, seconds, (), ())
+    prepared = prepare(problem.equations, problem.known, _setup(problem, number, values))
+    held_out = [answer.held_out_loss for answer in answers if answer.held_out_loss is not None]
+    batch = TrainedBatch(
+        prepared,
+        torch.from_numpy(np.concatenate([answer.parameters for answer in answers])),
+        tuple(outcome for answer in answers for outcome in answer.outcomes),
+        np.concatenate([answer.loss for answer in answers]),
+        np.concatenate(held_out) if held_out else None,
+        max(answer.steps for answer in answers),
+        sum(answer.seconds for answer in answers),
+        (),
+        (),
+    )
+    return Finalist(number, dict(values), batch.per_speed_held_out_loss(), batch)
 
 
 def _setup(problem: StudyProblem, number: int, values: Mapping[str, Value]) -> TrainingSetup:
     return setup_of(with_values(problem.config, values, f"trial {number}"))
-
-
-def _train_seeds(given: tuple[StudyProblem, int, Mapping[str, Value]]) -> tuple[Any, ...]:
-    """What a batch consists of, without torch's tensors, which don't outlive their process."""
-    import torch
-
-    problem, number, values = given
-    setup = _setup(problem, number, values)
-    prepared = prepare(problem.equations, problem.known, setup)
-    starts = [initial_parameters(prepared, setup, seed) for seed in problem.config.tuning.seeds]
-    batch = run_training(prepared, torch.cat(starts), setup)
-    return batch.parameters.numpy(), batch.outcomes, batch.loss, batch.held_out_loss, batch.steps, batch.seconds
 
 
 def promoted(default: Finalist, others: Sequence[Finalist], config: TuningConfig, rounding: float) -> Finalist:
