@@ -219,7 +219,8 @@ def run(order):
     if order["dies_at"]:
         dies_at(*order["dies_at"])
     if order["slow"]:
-        study._describe = lambda *_: time.sleep(order["slow"])
+        enqueue = optuna.Study.enqueue_trial
+        optuna.Study.enqueue_trial = lambda *a, **b: (time.sleep(order["slow"]), enqueue(*a, **b))
     if order["room"]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (order["room"], order["room"]))
     with open(order["problem"], "rb") as file:
@@ -397,12 +398,24 @@ def in_one_go(cheap: StudyProblem, start: Forks, tmp_path_factory: pytest.TempPa
 # --- killed again and again ---------------------------------------------------------------------------
 
 
-def stopped_again_and_again(start: Forks, problem: StudyProblem, number: int, rng: np.random.Generator) -> list[int]:
-    """The exit codes of a study that gets a signal at random moments until it is through."""
+def undisturbed_seconds(make: Make, start: Forks, **tuning: Any) -> float:
+    """How long a study takes on this machine: what is stopped at random is stopped often, however fast that is."""
+    problem = make(**tuning)
+    storage = f"{problem.config.tuning.storage}.timed"
+    begun = time.perf_counter()
+    runner = start(with_tuning(problem, storage=storage))
+    assert runner.end() == 0, runner.said
+    return time.perf_counter() - begun
+
+
+def stopped_again_and_again(
+    start: Forks, problem: StudyProblem, number: int, longest: float, rng: np.random.Generator
+) -> list[int]:
+    """The exit codes of a study that gets a signal within ``longest`` seconds or a little more until it is through."""
     codes: list[int] = []
     while True:
         runner = start(problem)
-        code = runner.code(rng.uniform(0.0, 0.2) * 1.02 ** len(codes))
+        code = runner.code(rng.uniform(0.0, longest) * 1.02 ** len(codes))
         if code is None:
             runner.signal(number)
             code = runner.end()
@@ -433,7 +446,7 @@ def test_a_study_that_is_stopped_at_random_moments_ends_as_if_it_had_not_been(
 ) -> None:
     """Numbers, states, parameters, values and learning curves are the very same, bit by bit."""
     problem = make()
-    codes = stopped_again_and_again(start, problem, number, rng)
+    codes = stopped_again_and_again(start, problem, number, undisturbed_seconds(make, start) / 8, rng)
     assert len(codes) > 5
     assert finished(problem) == in_one_go()
     assert max(taken(problem).values()) > 1  # some were begun again
@@ -786,12 +799,13 @@ def test_three_processes_of_which_any_dies_at_any_time(
 ) -> None:
     """Each is started again where it dies; together they find what one alone would have found."""
     problem = make(**in_any_order(n_trials=12))
+    longest = undisturbed_seconds(make, start, **in_any_order(n_trials=12)) / 16
     runners: list[Runner] = []
     deaths = 0
     while True:
         while len(runners) < 3:
             runners.append(start(problem))
-        if (code := runners[0].code(rng.uniform(0.0, 0.3))) is None:
+        if (code := runners[0].code(rng.uniform(0.0, longest) * 1.02**deaths)) is None:
             runners[0].signal(signal.SIGKILL)
             code = runners[0].end()
         if code == 0:

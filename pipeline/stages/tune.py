@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from pipeline.config.schema import Config
 from pipeline.errors import ConfigError
 from pipeline.files import read_json, write_json, write_text
 from pipeline.identification.series import best_series
+from pipeline.identification.training import TrainingSetup, prepare, setup_of
 from pipeline.reporting.console import StudyProgress, say, study_progress, warn
 from pipeline.reporting.study_figures import study_figures
 from pipeline.reporting.study_report import (
@@ -77,7 +79,7 @@ def _reported(config: Config, problem: StudyProblem, study: Any, inputs: Inputs,
         trials,
         (default, *others),
         best,
-        best_series(default.batch.prepared),
+        best_series(prepare(problem.equations, problem.known, _judged(config))),
         importances(study),
         inputs.known,
         load_modelled(config, inputs),  # read when the choice is made
@@ -94,6 +96,12 @@ def _reported(config: Config, problem: StudyProblem, study: Any, inputs: Inputs,
         written,
         children=[child_record(trial) for trial in trials],
     )
+
+
+def _judged(config: Config) -> TrainingSetup:
+    """Training with the loss that trials are compared by, whatever they are trained with."""
+    setup = setup_of(config)
+    return replace(setup, loss=setup.loss.model_copy(update={"scaling": "per_speed"}))
 
 
 def progress_of(shown: StudyProgress, total: int) -> Seen:
