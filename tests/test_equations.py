@@ -17,7 +17,6 @@ from hypothesis import strategies as st
 from pipeline.coefficients import COEFFICIENTS, column, is_stiffness, row
 from pipeline.config.schema import (
     ConstantModelConfig,
-    LossConfig,
     ModelConfig,
     NetworkModelConfig,
 )

@@ -213,7 +213,9 @@ def test_a_study_spends_its_time_on_training(machine: MachineFactory, tmp_path: 
     track(replace(record, children=()), settings)  # makes the database
     tracking = seconds(lambda: track(record, settings))
     overhead = (wall - training + tracking) / wall
-    print(f"{wall:.1f} s of which training {training:.1f} s, tracking {tracking:.1f} s: overhead {100 * overhead:.1f} %")
+    print(
+        f"{wall:.1f} s of which training {training:.1f} s, tracking {tracking:.1f} s: overhead {100 * overhead:.1f} %"
+    )
     assert overhead < 0.05
 
 
