@@ -19,6 +19,11 @@ def is_stiffness(name: str) -> bool:
     return name[0] == "k"
 
 
+def is_direct(name: str) -> bool:
+    """True for kxx, kyy, cxx and cyy, false for the cross-coupled coefficients."""
+    return name[1] == name[2]
+
+
 def row(name: str) -> int:
     """Direction of the force: 0 for x, 1 for y."""
     return _DIRECTION[name[1]]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from pipeline.equations.bearing_equations import BearingEquations
     from pipeline.rotor.bearing_table import BearingTable
     from pipeline.rotor.model import RotorModel
+    from pipeline.unknowns import UnknownSet
 
 # The tests judge the checkout that they lie in, wherever they are started and whatever is installed.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -60,16 +61,19 @@ class Machine:
     @cached_property
     def response(self) -> np.ndarray:
         """(S, n, R) complex response of every lateral DOF."""
-        from pipeline.data.simulate import unbalance_response
+        from pipeline.data.simulate import forced_response
+        from pipeline.stages.generate import own_frequencies
 
-        return unbalance_response(self.rotor, self.bearings, self.excitations, self.runs)
+        frequencies = own_frequencies(self.config, self.speeds)
+        return forced_response(self.rotor, self.bearings, self.excitations, self.runs, frequencies)
 
     @cached_property
     def dataset(self) -> VibrationDataset:
         """x and y of every node, without noise."""
         from pipeline.data.simulate import simulate
+        from pipeline.stages.generate import own_frequencies
 
-        return simulate(self.rotor, self.bearings, self.excitations)
+        return simulate(self.rotor, self.bearings, self.excitations, own_frequencies(self.config, self.speeds))
 
     @cached_property
     def equations(self) -> BearingEquations:
@@ -93,6 +97,20 @@ def bearings_of(nodes: tuple[int, ...], speeds: np.ndarray, **coefficients: floa
     for name, value in coefficients.items():
         values[..., COEFFICIENTS.index(name)] = value
     return BearingTable(nodes, np.asarray(speeds, dtype=float), values)
+
+
+def unknown_at_all(nodes: tuple[int, ...], names: Sequence[str]) -> UnknownSet:
+    """The same coefficients unknown at every bearing, without a structure."""
+    from pipeline.unknowns import BearingUnknowns, unknown_set
+
+    return unknown_set(dict.fromkeys(nodes, BearingUnknowns(tuple(names))))
+
+
+def known_names(config: Config) -> tuple[str, ...]:
+    """The coefficients that an experiment takes as known."""
+    from pipeline.coefficients import COEFFICIENTS
+
+    return tuple(name for name in COEFFICIENTS if name not in config.identify.named())
 
 
 @cache

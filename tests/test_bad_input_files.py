@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import known_names
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -781,7 +782,7 @@ READERS: dict[str, Callable[[Path, Config], object]] = {
     "vibration.csv": partial(_dataset, vibration="vibration.csv"),
     "excitation.csv": _dataset,
     "known_coefficients.csv": lambda folder, base: read_coefficients(
-        folder / "known_coefficients.csv", (0, 2), SPEEDS[:2] * np.pi / 30, base.identify.known()
+        folder / "known_coefficients.csv", (0, 2), SPEEDS[:2] * np.pi / 30, {0: known_names(base), 2: known_names(base)}
     ),
     "training.json": lambda folder, base: read_json(folder / "training.json"),
     "model.json": lambda folder, base: load_model(folder).table(_known()),

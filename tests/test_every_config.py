@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import known_names
 
 from pipeline.config.compose import CONF, compose_config, options
 from pipeline.config.schema import Config
@@ -392,7 +393,7 @@ def test_tables_have_the_columns_that_others_rely_on(experiment: str, made: Made
     assert len(vibration) == len(config.excitation.runs) * len(speeds) * n_nodes * 2
     excitation = pd.read_csv(folder / "excitation.csv")
     assert list(excitation) == ["run", "kind", "node", "magnitude", "phase_deg", "whirl"]
-    known = ["bearing_node", "speed_rpm", *config.identify.known()]
+    known = ["bearing_node", "speed_rpm", *known_names(config)]
     for name, columns in {
         "modelled_coefficients": ["bearing_node", "speed_rpm", *COEFFICIENTS],
         "identified_coefficients": ["bearing_node", "speed_rpm", *COEFFICIENTS],
@@ -432,7 +433,7 @@ def test_metrics_have_the_shape_that_others_rely_on(experiment: str, made: Made)
         for of in metrics[part].values():
             assert list(of) == list(config.identify.unknowns)
             for error in of.values():
-                assert set(error) == {f"{k}_error_percent" for k in ("mean", "median", "max", "l2")}
+                assert set(error) == {f"{k}_error_percent" for k in ("mean", "median", "p95", "max", "l2")}
                 top = error["max_error_percent"] * (1 + 1e-12)  # a mean of equal numbers is rounded
                 assert 0 <= error["median_error_percent"] <= top
                 assert 0 <= error["mean_error_percent"] <= top

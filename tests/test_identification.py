@@ -78,9 +78,9 @@ def setup_of(
 ) -> TrainingSetup:
     """The experiment's model, trained by ``phases``."""
     return TrainingSetup(
-        IdentifyConfig(unknowns=unknowns, tie_bearings=tied),
+        IdentifyConfig(unknowns=unknowns, structure="none", tie_bearings=tied),
         machine.config.model.model_copy(update={"parametrisation": parametrisation}),
-        LossConfig(kind="residual", scaling=scaling),
+        LossConfig(kind="residual", scaling=scaling, regularisation=0.0),
         phases,
         TrainingConfig(holdout_every=holdout_every, tolerance=tolerance),
     )
@@ -203,15 +203,18 @@ def test_networks_start_near_the_guess(depth: int, guess: float, hydrostatic: Ma
     setup = replace(setup, model=setup.model.model_copy(update={"depth": depth}))
     prepared = prepare(hydrostatic.equations, hydrostatic.bearings, setup)
     for seed in range(5):
-        start = IdentifiedModel(prepared.model, (1, 5), initial_parameters(prepared, setup, seed, guess)[0])
+        start = IdentifiedModel(
+            prepared.model, prepared.unknowns, (1, 5), initial_parameters(prepared, setup, seed, guess)[0]
+        )
         assert np.abs(np.log(start.values(hydrostatic.speeds) / guess)).max() < np.log(4)
 
 
 def test_configured_guess_and_seed(hydrostatic: Machine) -> None:
     """Stiffness and damping start where the configuration says; another seed gives another network."""
     setup = setup_of(hydrostatic, optimizer(lm=1), unknowns=("kxx", "cyy"))
-    np.testing.assert_array_equal(initial_guess(setup, 2), [[1e6, 1e4]] * 2)
-    np.testing.assert_array_equal(initial_guess(setup, 1, 7.0), [[7.0, 1e4]])
+    names = ("kxx", "cyy", "kxy")
+    np.testing.assert_array_equal(initial_guess(setup, names, 2), [[1e6, 1e4, 0.0]] * 2)
+    np.testing.assert_array_equal(initial_guess(setup, names, 1, 7.0), [[7.0, 1e4, 0.0]])
     prepared = prepare(hydrostatic.equations, hydrostatic.bearings, setup)
     first, again, other = (initial_parameters(prepared, setup, seed) for seed in (3, 3, 4))
     assert torch.equal(first, again)

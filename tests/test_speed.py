@@ -19,7 +19,7 @@ from conftest import Machine, MachineFactory
 
 from pipeline.config.compose import compose_config
 from pipeline.config.schema import AdamConfig, LevenbergMarquardtConfig
-from pipeline.data.simulate import unbalance_response
+from pipeline.data.simulate import forced_response
 from pipeline.identification import optimizers
 from pipeline.identification.training import TrainingSetup, initial_parameters, prepare, run_training
 from pipeline.rotor.ross_adapter import ross_rotor
@@ -63,7 +63,7 @@ def test_response_is_50_times_faster_than_ross(
     assert (len(made.speeds), len(made.runs), made.rotor.n_nodes) == (591, 3, nodes)
 
     def ours() -> np.ndarray:
-        return unbalance_response(made.rotor, made.bearings, made.excitations, made.runs)
+        return forced_response(made.rotor, made.bearings, made.excitations, made.runs)
 
     def of_ross() -> float:
         rotor = ross_rotor(made.config.rotor, made.config.bearing, made.speeds)
@@ -90,7 +90,7 @@ def test_response_grows_linearly_with_the_nodes(nodes: int, machine: MachineFact
     coarse = machine(*refined("hydrostatic_stiffness", 1))
     fine = machine(*refined("hydrostatic_stiffness", (nodes - 1) // 6))
     actions = [
-        lambda made=made: unbalance_response(made.rotor, made.bearings, made.excitations, made.runs)
+        lambda made=made: forced_response(made.rotor, made.bearings, made.excitations, made.runs)
         for made in (coarse, fine)
     ]
     at_7, at_n = least_times(actions, 10)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import known_names
 
 from pipeline.config.compose import compose_config
 from pipeline.config.schema import Config
@@ -144,7 +145,7 @@ def test_robustness_ends_at_the_same_bits_with_any_truth(config: Config, honest:
 def test_known_coefficients_hold_no_unknown(config: Config, trained: Path) -> None:
     """The file that training reads has no column of a coefficient that it identifies."""
     columns = list(pd.read_csv(trained / "known_coefficients.csv"))
-    assert columns == ["bearing_node", "speed_rpm", *config.identify.known()]
+    assert columns == ["bearing_node", "speed_rpm", *known_names(config)]
     assert not set(columns) & set(config.identify.unknowns)
 
 
@@ -162,7 +163,7 @@ def test_what_training_is_given_holds_no_unknown(
     for name in config.identify.unknowns:
         assert not inputs.known.coefficient(name).any()
     truth = read_coefficients(trained / "modelled_coefficients.csv", inputs.rotor.bearing_nodes, inputs.dataset.speeds)
-    for name in config.identify.known():
+    for name in known_names(config):
         np.testing.assert_array_equal(inputs.known.coefficient(name), truth.coefficient(name))
 
 

@@ -59,6 +59,7 @@ def _quantity(unit: str, example: str, **bounds: Any) -> Any:
 
 Length = _quantity("m", "150 mm", gt=0)
 Bore = _quantity("m", "0 mm", ge=0)
+Deviation = _quantity("m", "0.1 um", ge=0)
 Angle = _quantity("rad", "30 deg")
 Mass = _quantity("kg", "12 kg", gt=0)
 Inertia = _quantity("kg * m**2", "0.2 kg m^2", gt=0)

@@ -6,16 +6,18 @@ One class a concept, in the order of the straight line of data. Values are SI (s
 
 from __future__ import annotations
 
+import itertools
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, model_validator
 
-from pipeline.coefficients import COEFFICIENTS, CoefficientName
+from pipeline.coefficients import CoefficientName
 from pipeline.config.quantities import (
     Angle,
     Bore,
     Damping,
     Density,
+    Deviation,
     Force,
     Inertia,
     Length,
@@ -26,6 +28,7 @@ from pipeline.config.quantities import (
     Viscosity,
 )
 from pipeline.config.tuning import TuningConfig
+from pipeline.unknowns import BearingUnknowns, Structure
 
 NonNegativeInt = Annotated[int, Field(ge=0)]
 
@@ -151,14 +154,70 @@ class CylindricalBearingConfig(_Section):
     static_load: Force | None = None
 
 
+class JournalTableConfig(_Section):
+    """A journal bearing from a published table of dimensionless coefficients over the Sommerfeld number.
+
+    ``rows`` are (S, Kxx, Kxy, Kyx, Kyy, Bxx, Bxy, Byx, Byy), with x the direction of the load,
+    S = viscosity N L D / W (R / C)^2, N in 1/s; k = K W / C and c = B W / (w C). Between the rows: cubic splines of the
+    logarithm of S.
+    """
+
+    kind: Literal["journal_table"]
+    rows: tuple[Annotated[tuple[float, ...], Field(min_length=9, max_length=9)], ...] = Field(min_length=4)
+    journal_diameter: Length
+    length: Length
+    radial_clearance: Length
+    oil_viscosity: Viscosity
+    static_load: Force
+
+    @model_validator(mode="after")
+    def _ascending(self) -> JournalTableConfig:
+        numbers = [row[0] for row in self.rows]
+        if numbers[0] <= 0 or any(b <= a for a, b in itertools.pairwise(numbers)):
+            raise ValueError(f"must have rows with ascending Sommerfeld numbers above zero, but got {numbers}")
+        return self
+
+
+class LinearBearingConfig(_Section):
+    """A support with the same coefficients at every speed, N/m and N s/m."""
+
+    kind: Literal["linear"]
+    kxx: float = 0.0
+    kxy: float = 0.0
+    kyx: float = 0.0
+    kyy: float = 0.0
+    cxx: float = 0.0
+    cxy: float = 0.0
+    cyx: float = 0.0
+    cyy: float = 0.0
+
+
 class RotorFileBearingConfig(_Section):
     """The bearings that are saved in ``rotor.file``."""
 
     kind: Literal["rotor_file"]
 
 
+AnyBearingConfig = Annotated[
+    BallBearingConfig | CylindricalBearingConfig | JournalTableConfig | LinearBearingConfig, Field(discriminator="kind")
+]
+
+
+class PerNodeBearingConfig(_Section):
+    """Bearings that differ, by node."""
+
+    kind: Literal["per_node"]
+    nodes: dict[NonNegativeInt, AnyBearingConfig] = Field(min_length=1)
+
+
 BearingConfig = Annotated[
-    BallBearingConfig | CylindricalBearingConfig | RotorFileBearingConfig, Field(discriminator="kind")
+    BallBearingConfig
+    | CylindricalBearingConfig
+    | JournalTableConfig
+    | LinearBearingConfig
+    | PerNodeBearingConfig
+    | RotorFileBearingConfig,
+    Field(discriminator="kind"),
 ]
 
 
@@ -184,19 +243,48 @@ class SpeedsConfig(_Section):
         return [self.start_rpm + i * self.step_rpm for i in range(count)]
 
 
-class ForceConfig(_Section):
-    """An unbalance (kg m) at a node; several make one run."""
+class UnbalanceConfig(_Section):
+    """An unbalance (kg m) at a node; it excites forward whirl at the rotor speed."""
 
     node: NonNegativeInt
     magnitude: UnbalanceMagnitude
     phase: Angle = 0.0
 
 
+class ForceConfig(_Section):
+    """A rotating force (N) at a node, of a shaker or a magnetic bearing."""
+
+    node: NonNegativeInt
+    magnitude: Force
+    phase: Angle = 0.0
+    whirl: Literal["forward", "backward"] = "forward"
+
+
 class RunConfig(_Section):
-    """One unbalance configuration, measured over all speeds."""
+    """One configuration of unbalances and forces, measured over all speeds.
+
+    The forces turn at the rotor speed, or at ``frequency_hz``, or at ``frequency_ratio`` times the rotor speed;
+    unbalances always turn with the rotor.
+    """
 
     name: str = Field(min_length=1)
-    unbalances: tuple[ForceConfig, ...] = Field(min_length=1)
+    unbalances: tuple[UnbalanceConfig, ...] = ()
+    forces: tuple[ForceConfig, ...] = ()
+    frequency_hz: PositiveFloat | None = None
+    frequency_ratio: PositiveFloat | None = None
+
+    @model_validator(mode="after")
+    def _excited(self) -> RunConfig:
+        if not self.unbalances and not self.forces:
+            raise ValueError(f"run '{self.name}' must have an unbalance or a force, but it has none")
+        if self.frequency_hz is not None and self.frequency_ratio is not None:
+            raise ValueError(f"run '{self.name}' must have frequency_hz or frequency_ratio, but it has both")
+        if self.unbalances and (self.frequency_hz or self.frequency_ratio):
+            raise ValueError(
+                f"run '{self.name}' must have no unbalances where its forces have a frequency of their own (unbalances "
+                "turn with the rotor), but it has some: put them into another run"
+            )
+        return self
 
 
 class ExcitationConfig(_Section):
@@ -224,25 +312,53 @@ class DataConfig(_Section):
 # --- identification ----------------------------------------------------------------------------
 
 
+class OneBearingConfig(_Section):
+    """What one bearing has otherwise than the rest; null stands for what the rest has."""
+
+    unknowns: tuple[CoefficientName, ...] | None = None
+    structure: Structure | None = None
+
+
 class IdentifyConfig(_Section):
-    """Which coefficients are unknown; the others are taken as known."""
+    """Which coefficients are unknown, and what ties them together; the others are taken as known.
+
+    ``bearings`` has exceptions by node; ``tie_bearings`` makes all bearings alike.
+    """
 
     unknowns: tuple[CoefficientName, ...] = Field(min_length=1)
-    tie_bearings: bool = False
+    structure: Structure
+    tie_bearings: bool
+    bearings: dict[NonNegativeInt, OneBearingConfig] = {}
 
     @model_validator(mode="after")
-    def _once(self) -> IdentifyConfig:
-        if len(set(self.unknowns)) != len(self.unknowns):
-            raise ValueError(f"must name each unknown once, but got {list(self.unknowns)}")
+    def _lawful(self) -> IdentifyConfig:
+        if self.tie_bearings and self.bearings:
+            raise ValueError(
+                "tie_bearings makes all bearings alike, but bearings has exceptions: leave one of them out"
+            )
+        for unknowns in (self.unknowns, *(one.unknowns or () for one in self.bearings.values())):
+            if len(set(unknowns)) != len(unknowns):
+                raise ValueError(f"must name each unknown once, but got {list(unknowns)}")
+        self.at(-1)
+        for node in self.bearings:
+            self.at(node)
         return self
 
-    def known(self) -> tuple[str, ...]:
-        """The coefficients that are not identified."""
-        return tuple(name for name in COEFFICIENTS if name not in self.unknowns)
+    def at(self, node: int) -> BearingUnknowns:
+        """What is unknown of the bearing at ``node``. Raises ValueError for a structure that half of is known."""
+        one = self.bearings.get(node, OneBearingConfig())
+        return BearingUnknowns(self.unknowns if one.unknowns is None else one.unknowns, one.structure or self.structure)
+
+    def named(self) -> tuple[str, ...]:
+        """Every coefficient that is unknown at some bearing, in the order of the configuration."""
+        return tuple(
+            dict.fromkeys([*self.unknowns, *(n for one in self.bearings.values() for n in one.unknowns or ())])
+        )
 
 
 class _CoefficientModelConfig(_Section):
     parametrisation: Literal["log", "scaled"]
+    initialisation: Literal["guess", "per_speed"]
     initial_stiffness: Stiffness
     initial_damping: Damping
 
@@ -267,10 +383,16 @@ ModelConfig = Annotated[ConstantModelConfig | NetworkModelConfig, Field(discrimi
 
 
 class LossConfig(_Section):
-    """The residual of the equation of motion (paper, eq. 6), per speed divided by its size or not."""
+    """What training minimises.
 
-    kind: Literal["residual"]
+    ``residual``: the residual of the equation of motion (paper, eq. 6), per speed divided by its size or not.
+    ``preconditioned``: the same, multiplied at each speed by the regularised pseudo-inverse of its derivative by
+    the unknowns; ``regularisation`` is relative to the largest singular value.
+    """
+
+    kind: Literal["residual", "preconditioned"]
     scaling: Literal["per_speed", "none"]
+    regularisation: Annotated[float, Field(ge=0, lt=1)]
 
 
 class _PhaseConfig(_Section):
@@ -355,7 +477,47 @@ class PredictionConfig(_Section):
 
     node: NonNegativeInt
     speed_rpm: PositiveFloat
-    unbalances: tuple[ForceConfig, ...] = Field(min_length=1)
+    unbalances: tuple[UnbalanceConfig, ...] = Field(min_length=1)
+
+
+class NoiseConfig(_Section):
+    """Root mean square of the noise of each measured complex displacement: ``additive``, and a share of its size."""
+
+    additive: Deviation
+    multiplicative: Annotated[float, Field(ge=0, lt=1)]
+
+    @model_validator(mode="after")
+    def _some(self) -> NoiseConfig:
+        if not self.additive and not self.multiplicative:
+            raise ValueError("must have an additive or a multiplicative part above zero, but both are zero")
+        return self
+
+
+class CandidateConfig(_Section):
+    """What an experimenter can do: trial unbalances and rotating forces, at these nodes and phases."""
+
+    unbalance_nodes: tuple[NonNegativeInt, ...]
+    unbalance: UnbalanceMagnitude
+    force_nodes: tuple[NonNegativeInt, ...]
+    force: Force
+    whirls: tuple[Literal["forward", "backward"], ...]
+    phases_deg: tuple[float, ...] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _some(self) -> CandidateConfig:
+        if not self.unbalance_nodes and not (self.force_nodes and self.whirls):
+            raise ValueError("must have an unbalance node, or a force node and a whirl, but there is no candidate")
+        return self
+
+
+class DesignConfig(_Section):
+    """Which runs ``stage=design`` chooses: so many of the candidates, best by the criterion over speeds."""
+
+    runs: PositiveInt
+    criterion: Literal["A", "D"]
+    speeds: Annotated[int, Field(ge=2)]
+    simulations: NonNegativeInt
+    candidates: CandidateConfig
 
 
 class TrackingConfig(_Section):
@@ -390,6 +552,7 @@ class Config(_Section):
     output: str = Field(min_length=1)
     seed: NonNegativeInt
     threads: PositiveInt
+    force: bool
     rotor: RotorConfig
     bearing: BearingConfig
     excitation: ExcitationConfig
@@ -402,6 +565,8 @@ class Config(_Section):
     tuned: bool
     tuning: TuningConfig
     promoted: PromotedConfig | None = None
+    stated_noise: NoiseConfig
+    design: DesignConfig
     robustness: RobustnessConfig
     prediction: PredictionConfig
     tracking: TrackingConfig
@@ -414,7 +579,11 @@ class Config(_Section):
         if self.bearing.kind == "rotor_file":
             raise ValueError("must give rotor.file where bearing.kind is rotor_file, but rotor.file is null")
         last = sum(segment.elements for segment in self.rotor.shaft)
-        used = [(f"excitation run '{run.name}'", u.node) for run in self.excitation.runs for u in run.unbalances]
+        used = [
+            (f"excitation run '{run.name}'", one.node)
+            for run in self.excitation.runs
+            for one in (*run.unbalances, *run.forces)
+        ]
         used += [("prediction.unbalances", u.node) for u in self.prediction.unbalances]
         for what, node in [*used, ("prediction.node", self.prediction.node)]:
             if node > last:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 STAGES: dict[str, str] = {
     "configure": "write the experiment's composed configuration to config.yaml",
-    "generate": "model the machine with ROSS and write its unbalance vibration",
+    "generate": "model the machine with ROSS and write its vibration",
+    "diagnose": "tell which coefficients the data determine: rank, condition number, predicted deviation",
+    "design": "choose the runs that would identify best, from what an experimenter can do",
     "tune": "search hyperparameters on held-out speeds and promote the best into training",
     "samplers": "compare TPE with other samplers: several studies of each at equal budget",
     "train": "identify the unknown bearing coefficients from the vibration",

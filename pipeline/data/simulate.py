@@ -1,32 +1,57 @@
-"""Vibration of a modelled machine: the unbalance response of every run and speed."""
+"""Vibration of a modelled machine: its response to the excitation of every run and speed, and sensors' noise."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from pipeline.data.dataset import Excitation, VibrationDataset, force_vectors
+from pipeline.data.dataset import Excitation, VibrationDataset, force_vectors, runs_by_frequency
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.dynamic_stiffness import banded, solve
 from pipeline.rotor.model import TRANSLATIONS, RotorModel, bearing_dof, translation_dof
 
 
-def unbalance_response(
-    rotor: RotorModel, bearings: BearingTable, excitations: tuple[Excitation, ...], runs: tuple[str, ...]
+def forced_response(
+    rotor: RotorModel,
+    bearings: BearingTable,
+    excitations: tuple[Excitation, ...],
+    runs: tuple[str, ...],
+    frequencies: np.ndarray | None = None,
 ) -> np.ndarray:
     """(S, n, R) complex displacements (m) and rotations (rad) at the speeds of ``bearings``.
 
-    Solves ``(D_rotor(w) + H(w)) Q = F`` (paper, eqs. 1 and 4) with synchronous excitation.
+    Solves ``(D_rotor(w) + H(w)) Q = F`` (paper, eqs. 1 and 4); ``frequencies`` (S, R) rad/s, None for synchronous.
     Raises PipelineError where the system is singular.
     """
-    speeds = bearings.speeds
-    forces = force_vectors(rotor, excitations, runs, speeds)
-    return solve(banded(rotor), speeds, speeds, forces, bearings.impedance(), bearing_dof(rotor))
+    speeds, system, places = bearings.speeds, banded(rotor), bearing_dof(rotor)
+    if frequencies is None:
+        frequencies = np.repeat(speeds[:, None], len(runs), axis=1)
+    forces = force_vectors(rotor, excitations, runs, frequencies)
+    response = np.empty(forces.shape, dtype=complex)
+    for alike, w in runs_by_frequency(frequencies):
+        response[..., alike] = solve(system, w, speeds, forces[..., alike], bearings.impedance(w), places)
+    return response
 
 
-def simulate(rotor: RotorModel, bearings: BearingTable, excitations: tuple[Excitation, ...]) -> VibrationDataset:
-    """The data set of a machine whose x and y are measured at every node, without noise."""
+def simulate(
+    rotor: RotorModel,
+    bearings: BearingTable,
+    excitations: tuple[Excitation, ...],
+    own_frequencies: np.ndarray | None = None,
+) -> VibrationDataset:
+    """The data set of a machine whose x and y are measured at every node, without noise.
+
+    ``own_frequencies`` (S, R) rad/s, runs in the order in which ``excitations`` first names them; None for synchronous.
+    """
     runs = tuple(dict.fromkeys(excitation.run for excitation in excitations))
-    response = unbalance_response(rotor, bearings, excitations, runs)
+    response = forced_response(rotor, bearings, excitations, runs, own_frequencies)
     channels = tuple((node, direction) for node in range(rotor.n_nodes) for direction in range(TRANSLATIONS))
     measured = [translation_dof(node, direction) for node, direction in channels]
-    return VibrationDataset(bearings.speeds, runs, channels, response[:, measured], excitations)
+    return VibrationDataset(bearings.speeds, runs, channels, response[:, measured], excitations, own_frequencies)
+
+
+def with_noise(dataset: VibrationDataset, deviation: np.ndarray, generator: np.random.Generator) -> VibrationDataset:
+    """The data set with circular complex noise, ``E|n|^2 = deviation^2``; ``deviation`` (S, P, R) in m."""
+    parts = generator.standard_normal((2, *dataset.displacement.shape)) / np.sqrt(2.0)
+    return replace(dataset, displacement=dataset.displacement + deviation * (parts[0] + 1j * parts[1]))

@@ -20,8 +20,10 @@ _ROTOR_KEY = b"bearing_identification.rotor"
 _ORIGIN_KEY = b"bearing_identification.origin"
 
 
-def read_table(path: Path, columns: dict[str, str]) -> pd.DataFrame:
-    """A CSV or Parquet file with at least ``columns`` (name -> "number" or "text").
+def read_table(path: Path, columns: dict[str, str], optional: dict[str, str] | None = None) -> pd.DataFrame:
+    """A CSV or Parquet file with at least ``columns`` (name -> "number", "number or blank", or "text").
+
+    Columns that are ``optional`` are held to their kind where there are any.
 
     Raises DataError: no such file, unreadable or truncated, an older schema, no rows, a missing column, a
     column of another type, NaN or infinite values.
@@ -36,9 +38,14 @@ def read_table(path: Path, columns: dict[str, str]) -> pd.DataFrame:
             )
     if table.empty:
         raise DataError(f"'{path}' must have at least one row, but it has none")
-    for name, kind in columns.items():
+    there = {name: kind for name, kind in (optional or {}).items() if name in table.columns}
+    for name, kind in (columns | there).items():
         if kind == "number":
             table[name] = _numbers(path, table, name)
+        elif kind == "number or blank":
+            blank = table[name].isna() | (table[name].astype(str) == "")
+            table[name] = _numbers(path, table.assign(**{name: table[name].where(~blank, 0.0)}), name)
+            table.loc[blank, name] = np.nan
         else:
             table[name] = table[name].astype(str)
     return table

@@ -1,7 +1,8 @@
 """The two files that training reads: ``vibration.parquet`` (or .csv) and ``excitation.csv``.
 
 Vibration: ``run, speed_rpm, node, direction, amplitude_m, phase_deg``, one row a measured displacement;
-amplitude zero-to-peak, phase of Q in q(t) = Re(Q e^{jwt}).
+amplitude zero-to-peak, phase of Q in q(t) = Re(Q e^{jwt}). A column ``frequency_hz`` gives the excitation frequency
+where it is not the rotor speed's; without it, and where it is blank, the response is synchronous.
 Excitation: ``run, kind, node, magnitude, phase_deg, whirl``; kind ``unbalance`` (kg m) or ``force`` (N).
 """
 
@@ -29,6 +30,7 @@ _VIBRATION = {
     "amplitude_m": "number",
     "phase_deg": "number",
 }
+_FREQUENCY = "frequency_hz"
 _EXCITATION = {
     "run": "text",
     "kind": "text",
@@ -52,17 +54,17 @@ def write_vibration(path: Path, dataset: VibrationDataset, rotor: RotorModel, or
     flat = dataset.displacement.transpose(2, 0, 1).ravel()  # run slowest, then speed, then channel
     nodes = np.array([node for node, _ in dataset.channels])
     directions = np.array([DIRECTIONS[direction] for _, direction in dataset.channels])
-    table = pd.DataFrame(
-        {
-            "run": np.repeat(np.array(dataset.runs, dtype=object), n_speeds * n_channels),
-            "speed_rpm": np.tile(np.repeat(to_rpm(dataset.speeds), n_channels), n_runs),
-            "node": np.tile(nodes, n_speeds * n_runs),
-            "direction": np.tile(directions, n_speeds * n_runs),
-            "amplitude_m": np.abs(flat),
-            "phase_deg": np.degrees(np.angle(flat)),
-        }
-    )
-    return write_table(path, table, rotor.fingerprint, origin)
+    columns = {
+        "run": np.repeat(np.array(dataset.runs, dtype=object), n_speeds * n_channels),
+        "speed_rpm": np.tile(np.repeat(to_rpm(dataset.speeds), n_channels), n_runs),
+        "node": np.tile(nodes, n_speeds * n_runs),
+        "direction": np.tile(directions, n_speeds * n_runs),
+        "amplitude_m": np.abs(flat),
+        "phase_deg": np.degrees(np.angle(flat)),
+    }
+    if dataset.own_frequencies is not None:
+        columns[_FREQUENCY] = np.repeat(dataset.own_frequencies.T.ravel() / (2 * np.pi), n_channels)
+    return write_table(path, pd.DataFrame(columns), rotor.fingerprint, origin)
 
 
 def write_excitation(path: Path, dataset: VibrationDataset) -> Path:
@@ -88,7 +90,7 @@ def read_dataset(vibration: Path, excitation: Path, rotor: RotorModel) -> Vibrat
     Raises DataError with the law that a file breaks; see :func:`pipeline.data.tables.read_table` for those of
     the tables themselves.
     """
-    table = read_table(vibration, _VIBRATION)
+    table = read_table(vibration, _VIBRATION, {_FREQUENCY: "number or blank"})
     made_for = rotor_of(vibration)
     if made_for is not None and made_for != rotor.fingerprint:
         raise DataError(
@@ -116,7 +118,10 @@ def read_dataset(vibration: Path, excitation: Path, rotor: RotorModel) -> Vibrat
             raise DataError(f"'{excitation}' must have a row for every run, but run '{run}' of '{vibration}' has none")
     for run in sorted(acting - set(runs)):
         raise DataError(f"'{vibration}' must have data of every run, but run '{run}' of '{excitation}' has none")
-    return _assemble(table.assign(node=nodes), vibration, runs, excitations)
+    dataset = _assemble(table.assign(node=nodes), vibration, runs, excitations)
+    if dataset.own_frequencies is not None:
+        _check_synchronous(dataset, vibration)
+    return dataset
 
 
 def _assemble(
@@ -142,7 +147,42 @@ def _assemble(
             "missing "
             f"(the first: run '{runs[r]}', {rpm[s]:g} rpm, node {pairs[p][0]} {DIRECTIONS[pairs[p][1]]})"
         )
-    return VibrationDataset(rpm * RAD_S_PER_RPM, runs, tuple(pairs), displacement, excitations)
+    speeds = rpm * RAD_S_PER_RPM
+    own = None
+    if _FREQUENCY in table and table[_FREQUENCY].notna().any():
+        own = _frequencies(table, path, speeds, runs, at_speed, at_run)
+    return VibrationDataset(speeds, runs, tuple(pairs), displacement, excitations, own)
+
+
+def _frequencies(
+    table: pd.DataFrame, path: Path, speeds: np.ndarray, runs: tuple[str, ...], at_speed: np.ndarray, at_run: np.ndarray
+) -> np.ndarray:
+    """(S, R) rad/s."""
+    given = 2 * np.pi * table[_FREQUENCY].to_numpy()
+    if (given <= 0).any():
+        raise DataError(f"'{path}' must have frequencies above zero, but got {table[_FREQUENCY].min():g} Hz")
+    given = np.where(np.isnan(given), speeds[at_speed], given)
+    frequencies = np.zeros((len(speeds), len(runs)))
+    frequencies[at_speed, at_run] = given
+    unequal = np.flatnonzero(frequencies[at_speed, at_run] != given)
+    if len(unequal):
+        row = table.iloc[unequal[0]]
+        raise DataError(
+            f"'{path}' must have one frequency for all channels of a run and speed, but run '{row['run']}' has several "
+            f"at {row['speed_rpm']:g} rpm: give every frequency a run of its own"
+        )
+    return frequencies
+
+
+def _check_synchronous(dataset: VibrationDataset, path: Path) -> None:
+    """An unbalance turns with the rotor."""
+    for excitation in dataset.excitations:
+        own = dataset.frequencies[:, dataset.runs.index(excitation.run)]
+        if excitation.kind == "unbalance" and not np.allclose(own, dataset.speeds, rtol=1e-9):
+            raise DataError(
+                f"'{path}' must have the rotor's frequency in runs with an unbalance, but run '{excitation.run}' has "
+                "another: give its force as kind 'force', or leave the frequency out"
+            )
 
 
 def _excitations(table: pd.DataFrame, path: Path, rotor: RotorModel) -> tuple[Excitation, ...]:

@@ -19,6 +19,7 @@ class CoefficientError:
 
     mean_error_percent: float
     median_error_percent: float
+    p95_error_percent: float
     max_error_percent: float
     l2_error_percent: float
 
@@ -34,18 +35,21 @@ def relative_errors(identified: BearingTable, modelled: BearingTable, name: str)
     return 100.0 * np.abs(found - true) / size
 
 
-def coefficient_errors(identified: BearingTable, modelled: BearingTable, names: Sequence[str]) -> CoefficientErrors:
-    """Errors of the coefficients ``names`` at every bearing; one that is modelled as zero has none."""
+def coefficient_errors(
+    identified: BearingTable, modelled: BearingTable, names: Sequence[Sequence[str]]
+) -> CoefficientErrors:
+    """Errors of the coefficients ``names`` of each bearing; one that is modelled as zero has none."""
     result: CoefficientErrors = {node: {} for node in identified.nodes}
-    for name in names:
-        relative = relative_errors(identified, modelled, name)
-        found, true = identified.coefficient(name), modelled.coefficient(name)
-        for b, node in enumerate(identified.nodes):
-            of = relative[b][~np.isnan(relative[b])]
+    for b, node in enumerate(identified.nodes):
+        for name in names[b]:
+            relative = relative_errors(identified, modelled, name)[b]
+            of = relative[~np.isnan(relative)]
             if len(of):
-                l2 = 100.0 * np.linalg.norm(found[b] - true[b]) / np.linalg.norm(true[b])
+                found, true = identified.coefficient(name)[b], modelled.coefficient(name)[b]
+                l2 = 100.0 * np.linalg.norm(found - true) / np.linalg.norm(true)
+                median, p95 = np.percentile(of, (50.0, 95.0))
                 result[node][name] = CoefficientError(
-                    float(of.mean()), float(np.median(of)), float(of.max()), float(l2)
+                    float(of.mean()), float(median), float(p95), float(of.max()), float(l2)
                 )
     return result
 

@@ -1,6 +1,6 @@
 """Metrics against ``conf/thresholds``: what must not get worse, and why that is the limit.
 
-A threshold file (one an experiment) is a list of rules ``{file, metric, max, why}``. ``metric`` is a dotted
+A threshold file (one an experiment) is a list of rules ``{file, metric, max, why}``, or ``min`` in place of ``max``. ``metric`` is a dotted
 path into the JSON ``file`` of the experiment's folder; ``*`` matches every key, and all matches must hold.
 """
 
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, model_validator
 
 from pipeline.errors import ConfigError, DataError
 from pipeline.files import read_json
@@ -24,8 +24,15 @@ class Rule(BaseModel):
 
     file: str = "metrics.json"
     metric: str = Field(min_length=1)
-    max: Annotated[float, Field(allow_inf_nan=False)]
+    max: Annotated[float, Field(allow_inf_nan=False)] | None = None
+    min: Annotated[float, Field(allow_inf_nan=False)] | None = None
     why: str = Field(min_length=10)
+
+    @model_validator(mode="after")
+    def _one_limit(self) -> Rule:
+        if (self.max is None) == (self.min is None):
+            raise ValueError("must have max, or min for a metric that must not get small, and not both")
+        return self
 
 
 @dataclass(frozen=True)
@@ -35,13 +42,21 @@ class Check:
     experiment: str
     metric: str
     value: float | None
-    max: float
+    max: float | None
+    min: float | None
     why: str
 
     @property
     def passed(self) -> bool:
         """False for a missing metric and for NaN, too."""
-        return self.value is not None and self.value <= self.max
+        if self.value is None:
+            return False
+        return self.value <= self.max if self.max is not None else self.min is not None and self.value >= self.min
+
+    @property
+    def limit(self) -> str:
+        """The limit in words."""
+        return f"<= {self.max:.3g}" if self.max is not None else f">= {self.min:.3g}"
 
 
 def read_rules(path: Path) -> list[Rule]:
@@ -54,7 +69,7 @@ def read_rules(path: Path) -> list[Rule]:
         )
     except (OSError, ValueError, yaml.YAMLError) as error:
         raise ConfigError(
-            f"'{path}' must be a list of rules with file, metric, max and why, but it is not: {error}"
+            f"'{path}' must be a list of rules with file, metric, max (or min) and why, but it is not: {error}"
         ) from None
 
 
@@ -67,7 +82,7 @@ def check_experiment(experiment: str, rules: list[Rule], folder: Path) -> list[C
         except DataError:
             values = []
         found: list[tuple[str, float | None]] = list(values) or [(rule.metric, None)]
-        checks += [Check(experiment, name, value, rule.max, rule.why) for name, value in found]
+        checks += [Check(experiment, name, value, rule.max, rule.min, rule.why) for name, value in found]
     return checks
 
 

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from pipeline.coefficients import CoefficientName
+from pipeline.coefficients import CoefficientName, is_direct
 from pipeline.config.schema import ModelConfig, NetworkModelConfig
 
 if TYPE_CHECKING:
@@ -21,6 +22,9 @@ if TYPE_CHECKING:
 
 _FIRST_LAYER_GAIN = 3.0
 """Inputs lie in [-1, 1]; first-layer weights of this size spread the bends of the units over that range."""
+_SMALLEST = 1e-3
+_OUTPUT_RIDGE = 1e-9
+"""Keeps the weights of a fitted last layer small enough to train on from."""
 _OUTPUT_GAIN = 0.1
 """Small, so that an untrained network starts near its initial guess at every speed."""
 
@@ -37,6 +41,11 @@ class CoefficientModel:
     activation: Literal["tanh", "silu", "sine"] = "tanh"
     input_scaling: Literal["rpm", "log_rpm"] = "rpm"
     input_range: tuple[float, float] = (0.0, 1.0)  # rad/s, mapped to [-1, 1]
+
+    @property
+    def positive(self) -> tuple[bool, ...]:
+        """Which unknowns are ``scale * exp(output)``; the others, which may have either sign, are ``scale * output``."""
+        return tuple(self.parametrisation == "log" and is_direct(name) for name in self.unknowns)
 
     @property
     def sizes(self) -> list[tuple[int, int]]:
@@ -114,11 +123,31 @@ class CoefficientModel:
 
     def physical(self, raw: torch.Tensor, scale: torch.Tensor) -> torch.Tensor:
         """Coefficients in N/m and N s/m from network output; ``scale`` broadcasts over (..., N, U)."""
-        return scale * (raw.exp() if self.parametrisation == "log" else raw)
+        if all(self.positive):
+            return scale * raw.exp()
+        return scale * (self._where_positive(lambda positive: positive.exp(), raw, raw) if any(self.positive) else raw)
 
     def physical_slope(self, raw: torch.Tensor, scale: torch.Tensor) -> torch.Tensor:
         """Derivative of :meth:`physical` with respect to ``raw``."""
-        return self.physical(raw, scale) if self.parametrisation == "log" else scale.expand_as(raw)
+        if all(self.positive):
+            return self.physical(raw, scale)
+        return self._where_positive(lambda positive: scale * positive.exp(), raw, scale.expand_as(raw))
+
+    def _where_positive(
+        self, function: Callable[[torch.Tensor], torch.Tensor], raw: torch.Tensor, otherwise: torch.Tensor
+    ) -> torch.Tensor:
+        import torch
+
+        mask = torch.tensor(self.positive)
+        # The function sees zeros in place of the others: an overflow there would spoil their gradient.
+        return torch.where(mask, function(torch.where(mask, raw, torch.zeros_like(raw))), otherwise)
+
+    def raw_from(self, values: torch.Tensor, scale: torch.Tensor) -> torch.Tensor:
+        """The network output that gives ``values`` (..., U); where that must be positive, a thousandth of the scale at least."""
+        import torch
+
+        relative = values / scale
+        return torch.where(torch.tensor(self.positive), relative.clamp(min=_SMALLEST).log(), relative)
 
     def scale_tensor(self) -> torch.Tensor:
         """(bearings or 1, 1, U)."""
@@ -131,7 +160,7 @@ class CoefficientModel:
         import torch
 
         start = torch.as_tensor(guess, dtype=torch.float64) / torch.tensor(self.scale, dtype=torch.float64)
-        start = start.log() if self.parametrisation == "log" else start
+        start = torch.where(torch.tensor(self.positive), start.clamp(min=0.0).log(), start)
         if self.hidden is None:
             return start
         members = len(start)
@@ -146,6 +175,26 @@ class CoefficientModel:
             else:
                 pieces += [weight, 0.1 * bias]
         return torch.cat(pieces, dim=1)
+
+    def with_output_at(self, parameters: torch.Tensor, inputs: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
+        """Parameters (M, P) whose last layer is fitted, by linear least squares, to give ``values`` (M, N, U).
+
+        The hidden layers stay as they are: a start near an answer that is known roughly.
+        """
+        import torch
+
+        targets = self.raw_from(values, self.scale_tensor())
+        if self.hidden is None:
+            return targets.mean(dim=1)
+        fed = inputs.expand(len(parameters), *inputs.shape)
+        layers = self._layers(parameters)
+        for weight, bias in layers[:-1]:
+            fed = _activation(self.activation, fed @ weight + bias)[0]
+        fed = torch.cat([fed, torch.ones_like(fed[..., :1])], dim=-1)
+        ridge = _OUTPUT_RIDGE * len(inputs) * torch.eye(fed.shape[-1], dtype=fed.dtype)
+        output = torch.linalg.solve(fed.mT @ fed + ridge, fed.mT @ targets)  # (M, h + 1, U)
+        n_in, n_out = self.sizes[-1]
+        return torch.cat([parameters[:, : -(n_in + 1) * n_out], output.flatten(1)], dim=1)
 
 
 def _activation(name: str, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:

@@ -12,6 +12,7 @@ from pipeline.coefficients import COEFFICIENTS
 from pipeline.identification.coefficient_model import CoefficientModel
 from pipeline.identification.outcome import Outcome
 from pipeline.rotor.bearing_table import BearingTable
+from pipeline.unknowns import UnknownSet
 
 if TYPE_CHECKING:
     import torch
@@ -22,11 +23,12 @@ class IdentifiedModel:
     """A coefficient model with its trained numbers."""
 
     model: CoefficientModel
+    unknowns: UnknownSet
     bearing_nodes: tuple[int, ...]
     parameters: torch.Tensor  # (M, P); M = 1 where the bearings are tied
 
     def values(self, speeds: np.ndarray) -> np.ndarray:
-        """(B, S, U) identified coefficients at ``speeds`` (S,) rad/s, N/m and N s/m."""
+        """(B, S, U) unknowns at ``speeds`` (S,) rad/s, N/m and N s/m."""
         import torch
 
         with torch.no_grad():
@@ -37,17 +39,15 @@ class IdentifiedModel:
     def coefficients(self, speeds: np.ndarray) -> dict[int, dict[str, np.ndarray]]:
         """Bearing node -> coefficient name -> values (S,) at ``speeds`` (S,) rad/s."""
         values = self.values(speeds)
+        eight = self.unknowns.expand(values, np.zeros((*values.shape[:2], len(COEFFICIENTS))))
         return {
-            node: {name: values[b, :, u] for u, name in enumerate(self.model.unknowns)}
+            node: {name: eight[b, :, COEFFICIENTS.index(name)] for name in self.unknowns.coefficients(b)}
             for b, node in enumerate(self.bearing_nodes)
         }
 
     def table(self, known: BearingTable) -> BearingTable:
         """All eight coefficients: the identified ones, and the known ones from ``known``."""
-        table = known.values.copy()
-        for u, values in enumerate(np.moveaxis(self.values(known.speeds), -1, 0)):
-            table[..., COEFFICIENTS.index(self.model.unknowns[u])] = values
-        return BearingTable(known.nodes, known.speeds, table)
+        return BearingTable(known.nodes, known.speeds, self.unknowns.expand(self.values(known.speeds), known.values))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,9 +1,13 @@
 """The least-squares problem that training minimises: rows and Jacobian as functions of the parameters.
 
-The residual of each bearing and speed is linear in its U unknown coefficients, ``A p + y``. A QR
+The residual of each bearing and speed is linear in its U unknowns, ``A p + y``. A QR
 factorisation of A, done once, leaves U rows a speed with the same norm up to a constant, so a training step
 costs the same for any number of nodes and of runs; where the coefficients are the same at every
 speed, all speeds together leave U rows.
+
+The preconditioned loss multiplies each speed's rows by the regularised pseudo-inverse of A: they are then the distance
+of the unknowns, each relative to its scale, from what that speed by itself says of them. Directions that the orbits
+hardly tell apart weigh as much as the others, which the residual all but ignores.
 
 Legend: G guesses or seeds, M members trained independently (the bearings, or 1 where they are tied), B
 bearings, N speeds, U unknowns, P parameters.
@@ -16,7 +20,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from pipeline.equations.bearing_equations import BearingEquations, UnknownSystem
+from pipeline.equations.bearing_equations import BearingEquations
+from pipeline.equations.unknown_system import UnknownSystem
 from pipeline.identification.coefficient_model import CoefficientModel
 
 if TYPE_CHECKING:
@@ -29,15 +34,15 @@ class ResidualProblem:
 
     model: CoefficientModel
     inputs: torch.Tensor  # (N, 1)
-    matrix: torch.Tensor  # R, (B, N, U, U)
-    offset: torch.Tensor  # y, (B, N, U)
-    rest: torch.Tensor  # (B,) the part of the squared loss that no coefficient can change
+    matrix: torch.Tensor  # R, (M, N, U, U)
+    offset: torch.Tensor  # y, (M, N, U)
+    rest: torch.Tensor  # (M,) the part of the squared loss that no coefficient can change
     scale: torch.Tensor  # (M, 1, U)
 
     def rows(self, parameters: torch.Tensor) -> torch.Tensor:
         """(G, M, rows) from parameters (G, M, P)."""
         coefficients = self.model.physical(self.model.raw(parameters, self.inputs), self.scale)
-        residual = (self.matrix @ coefficients[..., None])[..., 0] + self.offset  # (G, B, N, U); tied members broadcast
+        residual = (self.matrix @ coefficients[..., None])[..., 0] + self.offset  # (G, M, N, U)
         return residual.reshape(len(parameters), len(self.scale), -1)
 
     def jacobian(self, parameters: torch.Tensor) -> torch.Tensor:
@@ -52,17 +57,47 @@ class ResidualProblem:
 
         The paper's ``|r|_2`` divided by the root of the number of its elements.
         """
-        return (self.rows(parameters).square().sum(-1) + self._member_rest()).sqrt()
-
-    def _member_rest(self) -> torch.Tensor:
-        return self.rest if len(self.scale) == len(self.rest) else self.rest.sum()[None]
+        return (self.rows(parameters).square().sum(-1) + self.rest).sqrt()
 
     def member(self, m: int) -> ResidualProblem:
         """The problem of one member by itself."""
-        own = slice(m, m + 1) if len(self.scale) == len(self.rest) else slice(None)
+        own = slice(m, m + 1)
         return ResidualProblem(
-            self.model, self.inputs, self.matrix[own], self.offset[own], self.rest[own], self.scale[m : m + 1]
+            self.model, self.inputs, self.matrix[own], self.offset[own], self.rest[own], self.scale[own]
         )
+
+    def per_speed(self, regularisation: float) -> tuple[np.ndarray, np.ndarray]:
+        """The regularised pseudo-inverse of A (M, N, U, U) and the answer of each speed (M, N, U), relative to the scale.
+
+        ``regularisation`` is relative to the largest singular value; what lies below the rounding of the data is left
+        out in any case.
+        """
+        scaled = (self.matrix * self.scale[:, :, None]).numpy()
+        left, singular, right = np.linalg.svd(scaled, full_matrices=False)
+        largest = singular[..., :1]
+        kept = singular > _ROUNDING * largest
+        factor = np.where(kept, singular, 0.0) / np.maximum(singular**2 + (regularisation * largest) ** 2, _TINY)
+        inverse = np.einsum("mnvu,mnv,mnwv->mnuw", right, factor, left)
+        return inverse, -(inverse @ self.offset.numpy()[..., None])[..., 0]
+
+    def preconditioned(self, regularisation: float) -> ResidualProblem:
+        """The same unknowns with rows ``A^+ (A p + y)``, a root mean square over speeds and unknowns."""
+        import torch
+
+        inverse, answer = self.per_speed(regularisation)
+        size = np.sqrt(answer.shape[1] * answer.shape[2])
+        return ResidualProblem(
+            self.model,
+            self.inputs,
+            torch.as_tensor(inverse @ self.matrix.numpy() / size),
+            torch.as_tensor(-answer / size),
+            torch.zeros(len(answer), dtype=torch.float64),
+            self.scale,
+        )
+
+
+_ROUNDING = 1e-13
+_TINY = np.finfo(float).tiny
 
 
 def residual_problem(
@@ -76,14 +111,16 @@ def residual_problem(
     import torch
 
     weight = scaling[:, keep, None]
-    matrix, offset = system.matrix[:, keep] * weight[..., None], system.offset[:, keep] * weight
-    members = len(model.scale)
-    n_rows = offset[0].size if members == len(offset) else offset.size
-    matrix, offset = matrix / np.sqrt(n_rows), offset / np.sqrt(n_rows)
+    weighted = UnknownSystem(
+        system.unknowns, system.matrix[:, keep] * weight[..., None], system.offset[:, keep] * weight
+    )
+    if len(model.scale) < len(weight):
+        weighted = weighted.alike()
+    n_rows = weighted.offset[0].size
+    matrix, offset = weighted.matrix / np.sqrt(n_rows), weighted.offset / np.sqrt(n_rows)
     speeds = equations.speeds[keep]
     if model.hidden is None:
-        n_bearings, n_unknowns = len(offset), len(system.unknowns)
-        matrix, offset = matrix.reshape(n_bearings, 1, -1, n_unknowns), offset.reshape(n_bearings, 1, -1)
+        matrix, offset = matrix.reshape(len(matrix), 1, -1, matrix.shape[-1]), offset.reshape(len(offset), 1, -1)
         speeds = speeds[:1]
     orthogonal, triangular = np.linalg.qr(matrix)
     reduced = np.einsum("bsru,bsr->bsu", orthogonal, offset)
@@ -112,5 +149,6 @@ def data_scale(system: UnknownSystem, members: int) -> np.ndarray:
     """(M, U) a size for every coefficient, from the data: bearing force over what a unit coefficient gives."""
     force = np.linalg.norm(system.offset, axis=2)[..., None]  # (B, S, 1)
     unit = np.linalg.norm(system.matrix, axis=2)  # (B, S, U)
-    size = np.median(force / unit, axis=1)
+    there = unit > 0  # a bearing may lack an unknown
+    size = np.median(np.where(there, force / np.where(there, unit, 1.0), 1.0), axis=1)
     return size if members == len(size) else size.mean(axis=0, keepdims=True)

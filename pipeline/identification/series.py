@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.coefficients import COEFFICIENTS
 from pipeline.identification.problem import ResidualProblem
 from pipeline.identification.training import PreparedTraining
 from pipeline.rotor.bearing_table import BearingTable
@@ -26,14 +25,10 @@ class SeriesFit:
 
     def table(self, known: BearingTable) -> BearingTable:
         """All eight coefficients: the identified ones, and the known ones from ``known``."""
-        model = self.prepared.model
-        basis = _basis(model.scaled_inputs(known.speeds).numpy(), self.degree)
-        values = known.values.copy()
-        for b in range(len(known.nodes)):
-            series = self.series[b] if len(self.series) > 1 else self.series[0]
-            for u, name in enumerate(model.unknowns):
-                values[b, :, COEFFICIENTS.index(name)] = basis @ series[u]
-        return BearingTable(known.nodes, known.speeds, values)
+        basis = _basis(self.prepared.model.scaled_inputs(known.speeds).numpy(), self.degree)
+        values = np.array([basis @ series.T for series in self.series])  # (M, S, U)
+        values = np.broadcast_to(values, (len(known.nodes), *values.shape[1:]))
+        return BearingTable(known.nodes, known.speeds, self.prepared.unknowns.expand(values, known.values))
 
 
 def best_series(prepared: PreparedTraining) -> SeriesFit | None:

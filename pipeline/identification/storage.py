@@ -5,12 +5,16 @@ from __future__ import annotations
 from dataclasses import asdict
 from pathlib import Path
 
+import numpy as np
+
+from pipeline.coefficients import COEFFICIENTS
 from pipeline.errors import DataError
 from pipeline.files import read_json, write_beside, write_json
 from pipeline.identification.coefficient_model import CoefficientModel
 from pipeline.identification.identified import IdentifiedModel
+from pipeline.unknowns import UnknownSet
 
-SCHEMA = 1
+SCHEMA = 2
 WEIGHTS, ARCHITECTURE = "model.safetensors", "model.json"
 
 
@@ -23,6 +27,7 @@ def save_model(folder: Path, identified: IdentifiedModel) -> list[Path]:
         "schema": SCHEMA,
         "bearing_nodes": list(identified.bearing_nodes),
         "model": asdict(identified.model),
+        "expansion": identified.unknowns.expansion.astype(int).tolist(),
     }
     return [
         write_beside(folder / WEIGHTS, lambda beside: _write(beside, save(weights))),
@@ -50,6 +55,7 @@ def load_model(folder: Path) -> IdentifiedModel:
     try:
         model = TypeAdapter(CoefficientModel).validate_python(description["model"])
         nodes = TypeAdapter(tuple[int, ...]).validate_python(description["bearing_nodes"])
+        expansion = np.array(description["expansion"], dtype=float)
         parameters = load_file(folder / WEIGHTS)["parameters"]
         if parameters.shape != (len(model.scale), model.n_parameters):
             raise ValueError(f"{tuple(parameters.shape)} numbers do not fit the architecture")
@@ -57,8 +63,10 @@ def load_model(folder: Path) -> IdentifiedModel:
             raise ValueError("the numbers are not finite and of double precision")
         if len(model.scale) not in (1, len(nodes)) or any(len(row) != len(model.unknowns) for row in model.scale):
             raise ValueError("scale does not fit the bearings and unknowns")
+        if expansion.shape != (len(nodes), len(COEFFICIENTS), len(model.unknowns)):
+            raise ValueError("expansion does not fit the bearings and unknowns")
     except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
         raise DataError(
             f"'{folder}' must hold a complete trained model, but it does not ({error}): train again with stage=train"
         ) from None
-    return IdentifiedModel(model, nodes, parameters)
+    return IdentifiedModel(model, UnknownSet(model.unknowns, expansion), nodes, parameters)

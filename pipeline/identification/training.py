@@ -3,21 +3,32 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from pipeline.coefficients import is_stiffness
-from pipeline.config.schema import Config, IdentifyConfig, LossConfig, ModelConfig, OptimizerConfig, TrainingConfig
-from pipeline.equations.bearing_equations import BearingEquations, require_independent_orbits, unknown_system
+from pipeline.coefficients import is_direct, is_stiffness
+from pipeline.config.schema import (
+    Config,
+    IdentifyConfig,
+    LossConfig,
+    ModelConfig,
+    NetworkModelConfig,
+    OptimizerConfig,
+    TrainingConfig,
+)
+from pipeline.equations.bearing_equations import BearingEquations
+from pipeline.equations.identifiability import Identifiability, identifiability, require_identifiable
+from pipeline.equations.unknown_system import unknown_system
 from pipeline.identification import optimizers
 from pipeline.identification.coefficient_model import CoefficientModel, coefficient_model
 from pipeline.identification.identified import IdentificationResult, IdentifiedModel
 from pipeline.identification.outcome import Outcome
 from pipeline.identification.problem import ResidualProblem, data_scale, residual_problem, speed_scaling
 from pipeline.rotor.bearing_table import BearingTable
+from pipeline.unknowns import UnknownSet, unknown_set
 
 if TYPE_CHECKING:
     import torch
@@ -47,11 +58,12 @@ class TrainingSetup:
     loss: LossConfig
     optimizer: OptimizerConfig
     training: TrainingConfig
+    force: bool = False
 
 
 def setup_of(config: Config) -> TrainingSetup:
     """The sections of a configuration that training reads."""
-    return TrainingSetup(config.identify, config.model, config.loss, config.optimizer, config.training)
+    return TrainingSetup(config.identify, config.model, config.loss, config.optimizer, config.training, config.force)
 
 
 def phases(config: OptimizerConfig) -> tuple[str, ...]:
@@ -64,10 +76,12 @@ class PreparedTraining:
     """The problem on the training speeds and, where some are held out, on those."""
 
     model: CoefficientModel
+    unknowns: UnknownSet
     train: ResidualProblem
     held_out: ResidualProblem | None
-    held_out_per_speed: ResidualProblem | None  # scaled per speed whatever ``loss.scaling`` is
+    held_out_per_speed: ResidualProblem | None  # the residual scaled per speed, whatever ``loss`` is
     bearing_nodes: tuple[int, ...]
+    identifiability: tuple[Identifiability, ...]
 
     def per_speed_held_out_loss(self, parameters: torch.Tensor) -> np.ndarray:
         """(G,) what trainings of any loss are compared by; ``parameters`` (G, M, P).
@@ -98,7 +112,8 @@ class TrainedBatch:
 
     def identified(self, g: int = 0) -> IdentifiedModel:
         """The model of training g."""
-        return IdentifiedModel(self.prepared.model, self.prepared.bearing_nodes, self.parameters[g])
+        prepared = self.prepared
+        return IdentifiedModel(prepared.model, prepared.unknowns, prepared.bearing_nodes, self.parameters[g])
 
     def result(self) -> IdentificationResult:
         """The only training of a batch of one."""
@@ -115,21 +130,33 @@ class TrainedBatch:
 
 
 def prepare(equations: BearingEquations, known: BearingTable, setup: TrainingSetup) -> PreparedTraining:
-    """Everything before the first step. Raises IdentifiabilityError where the runs are too few."""
-    system = unknown_system(equations, setup.identify.unknowns, known)
-    require_independent_orbits(equations, system)
-    members = 1 if setup.identify.tie_bearings else len(equations.bearing_nodes)
-    model = coefficient_model(setup.model, setup.identify.unknowns, equations.speeds, data_scale(system, members))
-    scaling = speed_scaling(setup.loss.scaling, equations)
+    """Everything before the first step.
+
+    Raises IdentifiabilityError where the runs determine the unknowns of a bearing at no speed, unless ``setup.force``.
+    """
+    unknowns = unknown_set({node: setup.identify.at(node) for node in equations.bearing_nodes})
+    system = unknown_system(equations, unknowns, known)
+    alike, constant = setup.identify.tie_bearings, not isinstance(setup.model, NetworkModelConfig)
+    accounts = identifiability(equations, system, alike, constant)
+    if not setup.force:
+        require_identifiable(accounts)
+    members = 1 if alike else len(equations.bearing_nodes)
+    model = coefficient_model(setup.model, unknowns.names, equations.speeds, data_scale(system, members))
     held_out = held_out_speeds(len(equations.speeds), setup.training.holdout_every)
-    some = bool(held_out.any())
-    judged = speed_scaling("per_speed", equations)
+
+    def problem(keep: np.ndarray, loss: LossConfig) -> ResidualProblem:
+        made = residual_problem(model, equations, system, keep, speed_scaling(loss.scaling, equations))
+        return made.preconditioned(loss.regularisation) if loss.kind == "preconditioned" else made
+
+    some, judge = bool(held_out.any()), LossConfig(kind="residual", scaling="per_speed", regularisation=0.0)
     return PreparedTraining(
         model,
-        residual_problem(model, equations, system, ~held_out, scaling),
-        residual_problem(model, equations, system, held_out, scaling) if some else None,
-        residual_problem(model, equations, system, held_out, judged) if some else None,
+        unknowns,
+        problem(~held_out, setup.loss),
+        problem(held_out, setup.loss) if some else None,
+        problem(held_out, judge) if some else None,
         equations.bearing_nodes,
+        accounts,
     )
 
 
@@ -142,12 +169,21 @@ def held_out_speeds(count: int, every: int) -> np.ndarray:
     return mask
 
 
-def initial_guess(setup: TrainingSetup, members: int, stiffness: float | None = None) -> np.ndarray:
-    """(M, U) starting values, N/m and N s/m: as configured, or ``stiffness`` for every unknown stiffness."""
+def initial_guess(
+    setup: TrainingSetup, names: Sequence[str], members: int, stiffness: float | None = None
+) -> np.ndarray:
+    """(M, U) starting values, N/m and N s/m: as configured, or ``stiffness`` for every direct stiffness.
+
+    Cross-coupled coefficients, which have either sign, start at zero.
+    """
     model = setup.model
     values = [
-        (stiffness or model.initial_stiffness) if is_stiffness(name) else model.initial_damping
-        for name in setup.identify.unknowns
+        0.0
+        if not is_direct(name)
+        else (stiffness or model.initial_stiffness)
+        if is_stiffness(name)
+        else model.initial_damping
+        for name in names
     ]
     return np.tile(values, (members, 1))
 
@@ -155,13 +191,20 @@ def initial_guess(setup: TrainingSetup, members: int, stiffness: float | None = 
 def initial_parameters(
     prepared: PreparedTraining, setup: TrainingSetup, seed: int, stiffness: float | None = None
 ) -> torch.Tensor:
-    """(1, M, P) starting parameters from a seed and, if given, a guess of the stiffness."""
+    """(1, M, P) starting parameters from a seed and, if given, a guess of the stiffness.
+
+    With ``model.initialisation`` of ``per_speed`` and no guess, the last layer is fitted to the regularised least
+    squares of each training speed.
+    """
     import torch
 
-    generator = torch.Generator().manual_seed(seed)
-    return prepared.model.initial_parameters(initial_guess(setup, len(prepared.model.scale), stiffness), generator)[
-        None
-    ]
+    model = prepared.model
+    guess = initial_guess(setup, model.unknowns, len(model.scale), stiffness)
+    start = model.initial_parameters(guess, torch.Generator().manual_seed(seed))
+    if setup.model.initialisation == "per_speed" and stiffness is None:
+        _, answer = prepared.train.per_speed(setup.loss.regularisation)
+        start = model.with_output_at(start, prepared.train.inputs, torch.as_tensor(answer) * prepared.train.scale)
+    return start[None]
 
 
 @dataclass

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.coefficients import COEFFICIENTS, column, row, unit
+from pipeline.coefficients import COEFFICIENTS, is_direct, unit
 from pipeline.data.tables import read_table
 from pipeline.data.vibration_files import to_rpm
 from pipeline.evaluation.errors import relative_errors
@@ -58,16 +58,18 @@ def figure(path: Path, rows: int, columns: int, width: float, height: float, **o
 
 
 def coefficient_figure(
-    path: Path, letter: str, identified: BearingTable, modelled: BearingTable | None, unknowns: Sequence[str]
+    path: Path, letter: str, identified: BearingTable, modelled: BearingTable | None, unknowns: Sequence[Sequence[str]]
 ) -> Path:
-    """Paper, Figures 3 (``letter`` k) and 4 (c): direct coefficients over speed, and the error below.
+    """Paper, Figures 3 (``letter`` k) and 4 (c): coefficients over speed, and the error below.
 
-    What was not identified is drawn as the known line that it is.
+    ``unknowns`` are those of each bearing. A direct coefficient that was not identified is drawn as the known line that
+    it is.
     """
-    names = [name for name in COEFFICIENTS if name[0] == letter and (row(name) == column(name) or name in unknowns)]
+    named = {name for of in unknowns for name in of}
+    names = [name for name in COEFFICIENTS if name[0] == letter and (is_direct(name) or name in named)]
     rpm = to_rpm(identified.speeds)
     kind = "stiffness" if letter == "k" else "damping"
-    some = any(name in unknowns for name in names) and modelled is not None
+    some = any(name in named for name in names) and modelled is not None
     ratios = {"height_ratios": [2.2, 1]} if some else {}
     with figure(
         path,
@@ -79,11 +81,11 @@ def coefficient_figure(
         gridspec_kw=ratios,
     ) as axes:
         for b, node in enumerate(identified.nodes):
-            _coefficients(axes[0, b], b, rpm, names, identified, modelled, unknowns)
+            _coefficients(axes[0, b], b, rpm, names, identified, modelled, unknowns[b])
             axes[0, b].set_title(f"bearing at node {node}")
             if some and modelled is not None:
                 for name, (colour, _) in zip(names, _looks(), strict=False):
-                    if name in unknowns:
+                    if name in unknowns[b]:
                         error = np.maximum(relative_errors(identified, modelled, name)[b], 1e-14)
                         axes[1, b].semilogy(rpm, error, color=colour, lw=1.2, label=name)
                 axes[1, b].set_ylabel("error (%)")

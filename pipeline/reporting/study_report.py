@@ -51,10 +51,12 @@ class StudyReport:
 
     def _errors(self, finalist: Finalist) -> dict[str, np.ndarray]:
         assert self.modelled is not None
-        unknowns, seeds = self.config.identify.unknowns, range(len(finalist.losses))
+        names = finalist.batch.prepared.unknowns.by_bearing
         each = [
-            coefficient_errors(finalist.batch.identified(g).table(self.known), self.modelled, unknowns) for g in seeds
+            coefficient_errors(finalist.batch.identified(g).table(self.known), self.modelled, names)
+            for g in range(len(finalist.losses))
         ]
+        unknowns = self.config.identify.named()
         return {name: np.array([worst_mean_error(errors, name) for errors in each]) for name in unknowns}
 
     @cached_property
@@ -62,8 +64,10 @@ class StudyReport:
         """The same of the Chebyshev series."""
         if self.modelled is None or self.series is None:
             return {}
-        errors = coefficient_errors(self.series.table(self.known), self.modelled, self.config.identify.unknowns)
-        return {name: worst_mean_error(errors, name) for name in self.config.identify.unknowns}
+        errors = coefficient_errors(
+            self.series.table(self.known), self.modelled, self.series.prepared.unknowns.by_bearing
+        )
+        return {name: worst_mean_error(errors, name) for name in self.config.identify.named()}
 
 
 # --- tables ------------------------------------------------------------------------------------------
@@ -125,7 +129,7 @@ def summary_of(report: StudyReport) -> dict[str, object]:
             "mean_error_percent": report.series_errors,
         }
     if report.errors:
-        summary["error_gain"] = {name: _ratio(*_medians(report, name)) for name in report.config.identify.unknowns}
+        summary["error_gain"] = {name: _ratio(*_medians(report, name)) for name in report.config.identify.named()}
     return summary
 
 
@@ -166,7 +170,8 @@ def verdict(report: StudyReport) -> str:
         )
     return (
         f"the configured default stays: over {len(default.losses)} seeds no finalist lowers its median held-out loss "
-        f"{default.median:.3g} by {report.config.tuning.least_gain:g} times, so tuning does not help"
+        f"{default.median:.3g} by {report.config.tuning.least_gain:g} times and below its luckiest seed, so tuning does not "
+        "help"
     )
 
 
@@ -176,7 +181,7 @@ def verdict(report: StudyReport) -> str:
 def report_text(report: StudyReport) -> str:
     """``README.md`` of the study."""
     config, tuning = report.config, report.config.tuning
-    unknowns = ", ".join(config.identify.unknowns)
+    unknowns = ", ".join(config.identify.named())
     states = Counter(t.state for t in report.trials)
     seconds = sum(t.seconds or 0.0 for t in report.trials)
     command = f"python -m pipeline stage=tune experiment={config.name} tuning.n_trials={tuning.n_trials}"
@@ -219,7 +224,7 @@ _FIGURES = {
 
 def _comparison(report: StudyReport) -> str:
     """Default, finalists and the Chebyshev series side by side."""
-    names = report.config.identify.unknowns if report.errors else ()
+    names = report.config.identify.named() if report.errors else ()
     head = ["", "held-out loss", *(f"{name} error %" for name in names), "time of one training"]
     rows = []
     for f in report.finalists:
@@ -263,7 +268,7 @@ def _limits(report: StudyReport) -> list[str]:
         return [text]
     sentences = [text + f" The promoted values have {max(best.median / series.held_out_loss, 1.0):.2g} left."]
     if report.errors:
-        unknowns = report.config.identify.unknowns
+        unknowns = report.config.identify.named()
         gains = []
         for name in unknowns:
             before, after = _medians(report, name)

@@ -25,14 +25,16 @@ class BearingTable:
         return self.values[..., COEFFICIENTS.index(name)]
 
     def impedance(self, frequencies: np.ndarray | None = None) -> np.ndarray:
-        """(B, S, 2, 2) complex ``K + j w C`` in N/m.
+        """(B, S, 2, 2) complex ``K + j w C`` in N/m; (B, S, R, 2, 2) for ``frequencies`` (S, R).
 
         Coefficients belong to the rotor speed, ``w`` is the excitation frequency (rad/s); the two are
-        the same unless ``frequencies`` (S,) is given.
+        the same unless ``frequencies`` (S,) or (S, R) are given.
         """
         w = self.speeds if frequencies is None else frequencies
-        stiffness, damping = np.split(self.values.reshape(*self.values.shape[:2], 2, 2, 2), 2, axis=2)
-        return (stiffness + 1j * w[:, None, None, None] * damping)[:, :, 0]
+        stiffness, damping = np.moveaxis(self.values.reshape(*self.values.shape[:2], 2, 2, 2), 2, 0)
+        if w.ndim == 1:
+            return stiffness + 1j * w[:, None, None] * damping
+        return stiffness[:, :, None] + 1j * w[:, :, None, None] * damping[:, :, None]
 
     def at(self, keep: np.ndarray) -> BearingTable:
         """The same at the speeds that the mask or index ``keep`` selects."""

@@ -23,13 +23,19 @@ from pipeline.config.schema import (
     BearingConfig,
     CylindricalBearingConfig,
     DiscConfig,
+    JournalTableConfig,
+    LinearBearingConfig,
+    PerNodeBearingConfig,
     RotorConfig,
+    RotorFileBearingConfig,
 )
 from pipeline.errors import ConfigError
 from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.journal_table import journal_coefficients
 from pipeline.rotor.model import RotorModel
 
 GRAVITY = 9.80665  # m/s^2
+_SPLINE_POINTS = 4
 _LATERAL = (0, 1, 3, 4)
 """x, y, alpha, beta among ROSS's six DOF of a node (x, y, z, alpha, beta, theta)."""
 
@@ -102,14 +108,43 @@ def ross_rotor(config: RotorConfig, bearing: BearingConfig, speeds: np.ndarray) 
 def bearing_table(config: RotorConfig, bearing: BearingConfig, speeds: np.ndarray) -> BearingTable:
     """The modelled coefficients at ``speeds`` (S,) rad/s."""
     rotor = _load(config.file) if config.file is not None else _build(config)
+    speeds = np.asarray(speeds, dtype=float)
     elements = bearing_elements(config, bearing, rotor, speeds)
-    values = np.array([[_eight(element, speed) for speed in speeds] for element in elements])
+    nodes = tuple(int(element.n) for element in elements)
+    tables = [_tabulated(_at(bearing, node), speeds) for node in nodes]
+    values = np.array(
+        [
+            [_eight(element, speed) for speed in speeds] if table is None else table
+            for element, table in zip(elements, tables, strict=True)
+        ]
+    )
     if not np.isfinite(values).all():
         raise ConfigError(
             "Modelled bearing coefficients must be finite, but ROSS gave some that are not: check the bearing's "
             "load and geometry"
         )
-    return BearingTable(tuple(int(e.n) for e in elements), np.asarray(speeds, dtype=float), values)
+    return BearingTable(nodes, speeds, values)
+
+
+def _at(bearing: BearingConfig, node: int) -> BearingConfig:
+    """The bearing at a node. Raises ConfigError where there is none."""
+    if not isinstance(bearing, PerNodeBearingConfig):
+        return bearing
+    if node not in bearing.nodes:
+        raise ConfigError(
+            f"bearing.nodes must have a bearing for every bearing node, but node {node} has none (it has "
+            f"{', '.join(map(str, bearing.nodes))})"
+        )
+    return bearing.nodes[node]
+
+
+def _tabulated(bearing: BearingConfig, speeds: np.ndarray) -> np.ndarray | None:
+    """(S, 8) of a bearing that is a table itself; None for those that ROSS models."""
+    if isinstance(bearing, JournalTableConfig):
+        return journal_coefficients(bearing, speeds)
+    if isinstance(bearing, LinearBearingConfig):
+        return np.tile([getattr(bearing, name) for name in COEFFICIENTS], (len(speeds), 1))
+    return None
 
 
 def _eight(element: Any, speed: float) -> list[float]:
@@ -120,33 +155,40 @@ def _eight(element: Any, speed: float) -> list[float]:
 
 def bearing_elements(config: RotorConfig, bearing: BearingConfig, rotor: Any, speeds: np.ndarray) -> list[Any]:
     """ROSS bearing elements of ``bearing`` at every bearing node of the rotor."""
-    if not isinstance(bearing, (BallBearingConfig, CylindricalBearingConfig)):
+    if isinstance(bearing, RotorFileBearingConfig):
         return sorted(rotor.bearing_elements, key=lambda element: element.n)
-    rs = ross()
-    elements = []
     nodes = _bearing_nodes(config, rotor)
-    for node in nodes:
-        if isinstance(bearing, BallBearingConfig):
-            element = rs.BallBearingElement(
-                n=node,
-                n_balls=bearing.n_balls,
-                d_balls=bearing.ball_diameter,
-                fs=bearing.static_load,
-                alpha=bearing.contact_angle,
-            )
-        else:
-            load = bearing.static_load or rotor.m * GRAVITY / len(nodes)
-            element = rs.CylindricalBearing(
-                n=node,
-                speed=[float(speed) for speed in speeds],
-                weight=load,
-                bearing_length=bearing.length,
-                journal_diameter=bearing.journal_diameter,
-                radial_clearance=bearing.radial_clearance,
-                oil_viscosity=bearing.oil_viscosity,
-            )
-        elements.append(element)
-    return elements
+    share = rotor.m * GRAVITY / len(nodes)
+    return [_element(_at(bearing, node), node, speeds, share) for node in nodes]
+
+
+def _element(bearing: BearingConfig, node: int, speeds: np.ndarray, share: float) -> Any:
+    """ROSS's element; ``share`` is the bearing's part of the rotor's weight, N."""
+    rs = ross()
+    if isinstance(bearing, BallBearingConfig):
+        return rs.BallBearingElement(
+            n=node,
+            n_balls=bearing.n_balls,
+            d_balls=bearing.ball_diameter,
+            fs=bearing.static_load,
+            alpha=bearing.contact_angle,
+        )
+    if isinstance(bearing, CylindricalBearingConfig):
+        return rs.CylindricalBearing(
+            n=node,
+            speed=[float(speed) for speed in speeds],
+            weight=bearing.static_load or share,
+            bearing_length=bearing.length,
+            journal_diameter=bearing.journal_diameter,
+            radial_clearance=bearing.radial_clearance,
+            oil_viscosity=bearing.oil_viscosity,
+        )
+    table = _tabulated(bearing, speeds)
+    assert table is not None, bearing.kind
+    columns = {name: [float(v) for v in column] for name, column in zip(COEFFICIENTS, table.T, strict=True)}
+    if len(speeds) < _SPLINE_POINTS:  # too few for ROSS's spline over the speed
+        return rs.BearingElement(n=node, **{name: column[0] for name, column in columns.items()})
+    return rs.BearingElement(n=node, **columns, frequency=[float(speed) for speed in speeds])
 
 
 def _build(config: RotorConfig) -> Any:

@@ -34,16 +34,16 @@ def run(config: Config) -> StageOutput:
             c.experiment,
             c.metric,
             "missing" if c.value is None else f"{c.value:.3g}",
-            f"{c.max:.3g}",
+            c.limit,
             "ok" if c.passed else "FAILED",
         ]
         for c in checks
     ]
-    table("metrics against thresholds", ["experiment", "metric", "value", "at most", ""], rows)
+    table("metrics against thresholds", ["experiment", "metric", "value", "limit", ""], rows)
     failed = [c for c in checks if not c.passed]
     for c in failed:
         came = f"is missing (run the stages of {c.experiment} first)" if c.value is None else f"is {c.value:.3g}"
-        warn(f"{c.experiment}: {c.metric} must be at most {c.max:g}, but {came}. The limit: {c.why}")
+        warn(f"{c.experiment}: {c.metric} must be {c.limit}, but {came}. The limit: {c.why}")
     if not failed:
         say(f"all {len(checks)} metrics hold")
     summary = {"checked": len(checks), "failed": len(failed), "share_of_threshold": _shares(checks)}
@@ -55,6 +55,10 @@ def _shares(checks: list[Check]) -> dict[str, float]:
     """The metric nearest to its threshold in each experiment, as a share of it; 1 and more fails."""
     shares: dict[str, float] = {}
     for c in checks:
-        if c.value is not None and math.isfinite(c.value) and c.max > 0:
+        if c.value is None or not math.isfinite(c.value):
+            continue
+        if c.max is not None and c.max > 0:
             shares[c.experiment] = max(shares.get(c.experiment, 0.0), c.value / c.max)
+        if c.min is not None and c.value > 0:
+            shares[c.experiment] = max(shares.get(c.experiment, 0.0), c.min / c.value)
     return shares

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import read_coefficients, write_coefficients
 from pipeline.data.tables import fingerprint_of, write_table
-from pipeline.equations.bearing_equations import unknown_system
 from pipeline.equations.least_squares import per_speed_least_squares
+from pipeline.equations.unknown_system import unknown_system
 from pipeline.errors import DataError
 from pipeline.evaluation.errors import CoefficientErrors, as_metrics, coefficient_errors, worst_mean_error
 from pipeline.files import read_json, write_json
@@ -24,6 +23,7 @@ from pipeline.reporting.figures import coefficient_figure, history_figure
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.inputs import Inputs, load_inputs
 from pipeline.stages.run import StageOutput, flat_metrics, input_files, make_missing, workspace
+from pipeline.unknowns import unknown_set
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -40,8 +40,7 @@ def load_identified(config: Config, inputs: Inputs) -> IdentifiedModel:
         "the model beside it": account.get("model") == " ".join(fingerprint_of(path) for path in model_files),
         f"the bearings at nodes {list(inputs.rotor.bearing_nodes)}": identified.bearing_nodes
         == inputs.rotor.bearing_nodes,
-        f"the unknowns {', '.join(config.identify.unknowns)}": set(identified.model.unknowns)
-        == set(config.identify.unknowns),
+        f"the unknowns {', '.join(config.identify.named())}": _same_unknowns(config, identified),
     }
     for law, holds in laws.items():
         if not holds:
@@ -49,6 +48,13 @@ def load_identified(config: Config, inputs: Inputs) -> IdentifiedModel:
                 f"'{work.training}' must belong to {law}, but it does not: run stage=train with the same overrides"
             )
     return identified
+
+
+def _same_unknowns(config: Config, identified: IdentifiedModel) -> bool:
+    wanted = unknown_set({node: config.identify.at(node) for node in identified.bearing_nodes})
+    found = identified.unknowns
+    order = [found.names.index(name) for name in wanted.names] if set(wanted.names) == set(found.names) else []
+    return bool(order) and np.array_equal(wanted.expansion, found.expansion[..., order])
 
 
 def load_modelled(config: Config, inputs: Inputs) -> BearingTable | None:
@@ -63,14 +69,12 @@ def run(config: Config) -> StageOutput:
     """Errors, their summary (worst bearing, parts per million), least-squares coefficients, Figures 3 and 4."""
     work, inputs = workspace(config), load_inputs(config)
     identified = load_identified(config, inputs)
-    unknowns = identified.model.unknowns
+    names = identified.unknowns.by_bearing
     answer = identified.table(inputs.known)
-    system = unknown_system(inputs.equations, unknowns, inputs.known)
-    values, condition = per_speed_least_squares(system)
-    conventional = _with(inputs.known, unknowns, values)
+    conventional, condition = _least_squares(config, inputs, identified)
     modelled = load_modelled(config, inputs)
     size = np.abs(inputs.equations.free_residual).mean()
-    residual = float(np.abs(inputs.equations.residual(answer.impedance())).mean() / size)
+    residual = float(np.abs(inputs.equations.residual(answer.impedance(inputs.dataset.frequencies))).mean() / size)
     summary: dict[str, object] = {"residual_ppm": 1e6 * residual}
     metrics: dict[str, object] = {
         "coefficients": {},
@@ -82,9 +86,9 @@ def run(config: Config) -> StageOutput:
     }
     written: list[Path] = []
     if modelled is not None:
-        errors = coefficient_errors(answer, modelled, unknowns)
-        beside = coefficient_errors(conventional, modelled, unknowns)
-        summary["mean_error_ppm"] = {name: 1e4 * worst_mean_error(errors, name) for name in unknowns}
+        errors = coefficient_errors(answer, modelled, names)
+        beside = coefficient_errors(conventional, modelled, names)
+        summary["mean_error_ppm"] = {name: 1e4 * worst_mean_error(errors, name) for name in config.identify.named()}
         metrics |= {"coefficients": as_metrics(errors), "least_squares": as_metrics(beside)}
         error_table = _error_table(answer, modelled, errors, beside)
         written.append(write_table(work.folder / "coefficient_errors.csv", error_table))
@@ -93,8 +97,8 @@ def run(config: Config) -> StageOutput:
         say(f"{config.name}: no modelled coefficients, so no errors; residual {residual:.3g} of the bearing force")
     written += [
         history_figure(work.figure("training"), work.history),
-        coefficient_figure(work.figure("stiffness"), "k", answer, modelled, unknowns),
-        coefficient_figure(work.figure("damping"), "c", answer, modelled, unknowns),
+        coefficient_figure(work.figure("stiffness"), "k", answer, modelled, names),
+        coefficient_figure(work.figure("damping"), "c", answer, modelled, names),
         write_coefficients(work.folder / "least_squares_coefficients.csv", conventional),
         write_json(work.metrics, metrics),
         write_json(work.folder / "summary.json", summary),
@@ -104,11 +108,14 @@ def run(config: Config) -> StageOutput:
     )
 
 
-def _with(known: BearingTable, unknowns: tuple[str, ...], values: np.ndarray) -> BearingTable:
-    merged = known.values.copy()
-    for u, name in enumerate(unknowns):
-        merged[..., COEFFICIENTS.index(name)] = values[..., u]
-    return BearingTable(known.nodes, known.speeds, merged)
+def _least_squares(config: Config, inputs: Inputs, identified: IdentifiedModel) -> tuple[BearingTable, np.ndarray]:
+    """Coefficients and condition numbers (B, S) of least squares at each speed by itself."""
+    known, unknowns = inputs.known, identified.unknowns
+    system = unknown_system(inputs.equations, unknowns, known)
+    values, condition = per_speed_least_squares(system.alike() if config.identify.tie_bearings else system)
+    values = np.broadcast_to(values, (len(known.nodes), *values.shape[1:]))
+    condition = np.broadcast_to(condition, values.shape[:2])
+    return BearingTable(known.nodes, known.speeds, unknowns.expand(values, known.values)), condition
 
 
 def _error_table(
@@ -132,7 +139,7 @@ def _error_table(
 
 def _print_table(name: str, errors: pd.DataFrame) -> None:
     header = ["bearing and coefficient", "modelled (mean)", "identified (mean)"]
-    header += ["mean error %", "median", "max", "L2", "least squares mean error %"]
+    header += ["mean error %", "median", "95 %", "max", "L2", "least squares mean error %"]
     rows = [
         [
             f"node {node} {coefficient}",

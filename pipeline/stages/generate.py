@@ -13,7 +13,8 @@ from pipeline.data.vibration_files import write_excitation, write_vibration
 from pipeline.errors import DataError
 from pipeline.reporting.console import say, warn
 from pipeline.rotor.ross_adapter import assemble, bearing_table
-from pipeline.stages.inputs import require_nodes
+from pipeline.rotor.stored import write_rotor
+from pipeline.stages.inputs import known_coefficients, require_nodes
 from pipeline.stages.run import StageOutput, flat_metrics, input_files, origin_of_files, workspace
 from pipeline.twin.modes import StabilityMargin, stability_margin, whirl_modes
 from pipeline.units import RAD_S_PER_RPM
@@ -37,11 +38,12 @@ def run(config: Config) -> StageOutput:
     bearings = bearing_table(config.rotor, config.bearing, speeds)
     runs = excitations(config)
     require_nodes(rotor, "excitation.runs", [excitation.node for excitation in runs])
-    dataset = simulate(rotor, bearings, runs)
+    dataset = simulate(rotor, bearings, runs, own_frequencies(config, speeds))
     modelled = workspace(config).modelled
+    write_rotor(workspace(config).rotor, rotor, config.rotor)
     write_excitation(files.excitation, dataset)
     write_coefficients(modelled, bearings)
-    write_coefficients(files.known, bearings, config.identify.known())
+    write_coefficients(files.known, bearings, known_coefficients(config, rotor.bearing_nodes))
     write_vibration(files.vibration, dataset, rotor, origin_of_files(config, files))
     # A tenth of the speeds shows the trend; the eigenvalues of all would take longer than the vibration.
     margin = stability_margin(whirl_modes(rotor, bearings.at(np.arange(0, len(speeds), 10))))
@@ -77,8 +79,22 @@ def _margin_text(margin: StabilityMargin) -> str:
 
 def excitations(config: Config) -> tuple[Excitation, ...]:
     """The configured runs."""
-    return tuple(
-        Excitation(run.name, "unbalance", force.node, force.magnitude, force.phase)
-        for run in config.excitation.runs
-        for force in run.unbalances
-    )
+    acting: list[Excitation] = []
+    for run in config.excitation.runs:
+        acting += [Excitation(run.name, "unbalance", one.node, one.magnitude, one.phase) for one in run.unbalances]
+        acting += [Excitation(run.name, "force", one.node, one.magnitude, one.phase, one.whirl) for one in run.forces]
+    return tuple(acting)
+
+
+def own_frequencies(config: Config, speeds: np.ndarray) -> np.ndarray | None:
+    """(S, R) rad/s of the configured runs at ``speeds`` (S,) rad/s; None where all are synchronous."""
+    runs = config.excitation.runs
+    if not any(run.frequency_hz or run.frequency_ratio for run in runs):
+        return None
+    columns = [
+        np.full(len(speeds), 2 * np.pi * run.frequency_hz)
+        if run.frequency_hz
+        else speeds * (run.frequency_ratio or 1.0)
+        for run in runs
+    ]
+    return np.stack(columns, axis=1)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import read_coefficients
 from pipeline.data.dataset import VibrationDataset
@@ -16,7 +17,8 @@ from pipeline.errors import ConfigError, DataError
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.ross_adapter import assemble
-from pipeline.stages.run import input_files, make_missing, origin, origin_of_files
+from pipeline.rotor.stored import read_rotor
+from pipeline.stages.run import input_files, make_missing, origin, origin_of_files, workspace
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +42,17 @@ def require_nodes(rotor: RotorModel, key: str, nodes: Sequence[int]) -> None:
             raise ConfigError(f"{key} must use nodes 0 to {rotor.n_nodes - 1} of the rotor, but got node {node}")
 
 
+def known_coefficients(config: Config, nodes: Sequence[int]) -> dict[int, tuple[str, ...]]:
+    """The coefficients of each bearing that are not identified. Raises ConfigError for an exception without bearing."""
+    for node in config.identify.bearings:
+        if node not in nodes:
+            raise ConfigError(
+                f"identify.bearings must name bearing nodes of the rotor ({', '.join(map(str, nodes))}), but got {node}"
+            )
+    unknown = {node: config.identify.at(node).coefficients for node in nodes}
+    return {node: tuple(name for name in COEFFICIENTS if name not in unknown[node]) for node in nodes}
+
+
 def load_inputs(config: Config) -> Inputs:
     """Read the data set of an experiment, generating it first where it is missing.
 
@@ -61,7 +74,8 @@ def load_inputs(config: Config) -> Inputs:
                 "they do not belong together: run it again, or give files of your own as data.vibration=..., "
                 "data.excitation=... and data.known=..."
             )
-    rotor = assemble(config.rotor)
+    rotor = read_rotor(workspace(config).rotor, config.rotor) or assemble(config.rotor)
     dataset = read_dataset(files.vibration, files.excitation, rotor)
-    known = read_coefficients(files.known, rotor.bearing_nodes, dataset.speeds, config.identify.known())
+    nodes = rotor.bearing_nodes
+    known = read_coefficients(files.known, nodes, dataset.speeds, known_coefficients(config, nodes))
     return Inputs(rotor, dataset, known)

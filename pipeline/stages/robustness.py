@@ -25,6 +25,7 @@ from pipeline.identification.training import (
 from pipeline.reporting.console import say, table, training_progress
 from pipeline.reporting.figures import robustness_figure
 from pipeline.rotor.bearing_table import BearingTable
+from pipeline.stages.diagnose import say_diagnosis
 from pipeline.stages.evaluate import load_modelled
 from pipeline.stages.inputs import load_inputs
 from pipeline.stages.run import StageOutput, flat_metrics, workspace
@@ -50,12 +51,13 @@ def run(config: Config) -> StageOutput:
     torch.set_num_threads(config.threads)
     inputs, setup = load_inputs(config), setup_of(config)
     say_promoted(config)
-    if config.robustness.over == "initial_guess" and not any(name.startswith("k") for name in setup.identify.unknowns):
+    if config.robustness.over == "initial_guess" and not any(name.startswith("k") for name in setup.identify.named()):
         raise ConfigError(
             "robustness over initial guesses must have an unknown stiffness, but identify.unknowns has none: use "
             "robustness=seeds"
         )
     prepared = prepare(inputs.equations, inputs.known, setup)
+    say_diagnosis(config, inputs)
     starts = starting_points(config)
     parameters = torch.cat([_start(config, setup, prepared, value) for value in starts])
     with training_progress(f"{config.name}: {len(starts)} at once") as progress:
@@ -94,16 +96,18 @@ def _rows(
     rows = []
     for g, start in enumerate(starts):
         answer = batch.identified(g).table(known)
-        errors = None if modelled is None else coefficient_errors(answer, modelled, batch.prepared.model.unknowns)
+        errors = None if modelled is None else coefficient_errors(answer, modelled, batch.prepared.unknowns.by_bearing)
         for b, node in enumerate(answer.nodes):
-            for name in batch.prepared.model.unknowns:
+            for name in batch.prepared.unknowns.coefficients(b):
                 rows.append(
                     {
                         over: start,
                         "bearing_node": node,
                         "coefficient": name,
                         "mean_value": float(answer.coefficient(name)[b].mean()),
-                        "mean_error_percent": _mean_error(errors, node, name),
+                        "mean_error_percent": _error(errors, node, name, "mean"),
+                        "median_error_percent": _error(errors, node, name, "median"),
+                        "p95_error_percent": _error(errors, node, name, "p95"),
                         "loss": float(batch.loss[g]),
                         "outcome": batch.outcomes[g].label,
                     }
@@ -111,19 +115,22 @@ def _rows(
     return pd.DataFrame(rows)
 
 
-def _mean_error(errors: CoefficientErrors | None, node: int, name: str) -> float:
+def _error(errors: CoefficientErrors | None, node: int, name: str, kind: str) -> float:
     found = None if errors is None else errors[node].get(name)
-    return float("nan") if found is None else found.mean_error_percent
+    return float("nan") if found is None else float(getattr(found, f"{kind}_error_percent"))
 
 
 def _summary(batch: TrainedBatch, rows: pd.DataFrame) -> dict[str, object]:
     labels = [outcome.label for outcome in batch.outcomes]
     coefficients: dict[str, dict[str, dict[str, float]]] = {}
-    for (node, name), errors in rows.groupby(["bearing_node", "coefficient"], sort=False)["mean_error_percent"]:
+    for (node, name), group in rows.groupby(["bearing_node", "coefficient"], sort=False):
+        errors = group["mean_error_percent"]
         if errors.notna().all():
             values = {
                 "worst_mean_error_percent": float(errors.max()),
                 "median_mean_error_percent": float(errors.median()),
+                "worst_median_error_percent": float(group["median_error_percent"].max()),
+                "worst_p95_error_percent": float(group["p95_error_percent"].max()),
             }
             coefficients.setdefault(str(node), {})[str(name)] = values
     return {

@@ -32,6 +32,11 @@ class Workspace:
         return self.folder / "modelled_coefficients.csv"
 
     @property
+    def rotor(self) -> Path:
+        """The assembled rotor; made again where it does not fit."""
+        return self.folder / "rotor.npz"
+
+    @property
     def identified(self) -> Path:
         """The answer of training."""
         return self.folder / "identified_coefficients.csv"

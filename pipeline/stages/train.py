@@ -16,6 +16,7 @@ from pipeline.identification.outcome import Outcome
 from pipeline.identification.storage import save_model
 from pipeline.identification.training import initial_parameters, prepare, run_training, setup_of
 from pipeline.reporting.console import say, training_progress, warn
+from pipeline.stages.diagnose import say_diagnosis
 from pipeline.stages.inputs import Inputs, load_inputs
 from pipeline.stages.run import StageOutput, flat_metrics, workspace
 
@@ -49,6 +50,7 @@ def run(config: Config) -> StageOutput:
     inputs, setup = load_inputs(config), setup_of(config)
     say_promoted(config)
     prepared = prepare(inputs.equations, inputs.known, setup)
+    say_diagnosis(config, inputs)
     start = initial_parameters(prepared, setup, config.seed)
     with training_progress(config.name) as progress:
         result = run_training(prepared, start, setup, progress).result()

@@ -22,6 +22,7 @@ from pipeline.reporting.study_report import (
     summary_of,
     trial_table,
 )
+from pipeline.stages.diagnose import say_diagnosis
 from pipeline.stages.evaluate import load_modelled
 from pipeline.stages.inputs import Inputs, load_inputs
 from pipeline.stages.run import StageOutput, flat_metrics
@@ -51,6 +52,8 @@ def run(config: Config) -> StageOutput:
 
     inputs = load_inputs(config)
     problem, folder = study_problem(config, inputs), Path(config.tuning.folder)
+    prepare(problem.equations, problem.known, setup_of(config))  # what is not identifiable needs no study
+    say_diagnosis(config, inputs)
     started = time.perf_counter()
     try:
         with study_progress(config.name, config.tuning.n_trials) as shown:

@@ -151,7 +151,7 @@ def _describe(study: optuna.Study, problem: StudyProblem) -> None:
 
     config = problem.config
     lines = [
-        f"**Question:** which hyperparameters identify {', '.join(config.identify.unknowns)} of `{config.name}` best?",
+        f"**Question:** which hyperparameters identify {', '.join(config.identify.named())} of `{config.name}` best?",
         f"({config.description})",
         "",
         f"**Objective:** {OBJECTIVE}: the residual of the equation of motion, divided by the bearing force, at the "

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.data.dataset import Excitation
-from pipeline.data.simulate import unbalance_response
+from pipeline.data.simulate import forced_response
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import TRANSLATIONS, RotorModel, translation_dof
 
@@ -30,7 +30,7 @@ def predict(
 ) -> PredictedVibration:
     """The response of ``node`` to ``unbalances`` (one run) at the speeds of ``bearings``."""
     runs = (unbalances[0].run,)
-    response = unbalance_response(rotor, bearings, unbalances, runs)
+    response = forced_response(rotor, bearings, unbalances, runs)
     places = [translation_dof(node, direction) for direction in range(TRANSLATIONS)]
     return PredictedVibration(node, bearings.speeds, response[:, places, 0])
 

@@ -1,0 +1,106 @@
+"""What the sensors' noise does to the residual, and to the coefficients of least squares at each speed.
+
+A displacement enters the residual through the rotor's dynamic stiffness: noise of a thousandth in Q can be as large as
+the bearing force itself. To first order, with the bearings' impedance H and the rows b of the bearings,
+
+    dr_b = (D_bm - D_bu D_uu^-1 D_um + H) dQ_m
+
+for measured DOF m and others u, which follow from their own rows of the equation of motion.
+
+Legend: S speeds, P channels, R runs, B bearings, U unknowns, M members (see :mod:`pipeline.equations.unknown_system`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.data.dataset import VibrationDataset, runs_by_frequency
+from pipeline.equations.identifiability import DEPENDENT
+from pipeline.equations.unknown_system import UnknownSystem
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.dynamic_stiffness import apply, banded, solve
+from pipeline.rotor.model import RotorModel, bearing_dof
+
+_CHUNK = 64
+"""Speeds whose sensitivities are held at once."""
+
+
+def sensor_deviation(dataset: VibrationDataset, additive: float, multiplicative: float) -> np.ndarray:
+    """(S, P, R) m, the root mean square of each complex displacement's noise."""
+    return np.hypot(additive, multiplicative * np.abs(dataset.displacement))
+
+
+def residual_covariance(
+    rotor: RotorModel, dataset: VibrationDataset, bearings: BearingTable, deviation: np.ndarray
+) -> np.ndarray:
+    """(S, R, 2 B, 2 B) complex, N^2: covariance of the residual at the bearings, the runs being independent.
+
+    ``bearings`` are the best at hand (identified, or a prior); ``deviation`` (S, P, R) m is circular noise.
+    """
+    count = 2 * len(bearings.nodes)
+    covariance = np.empty((len(dataset.speeds), len(dataset.runs), count, count), dtype=complex)
+    for alike, w in runs_by_frequency(dataset.frequencies):
+        for start in range(0, len(w), _CHUNK):
+            few = np.arange(start, min(start + _CHUNK, len(w)))
+            sensitivity = _sensitivity(rotor, dataset, bearings.at(few), w[few])
+            for run in alike:
+                scaled = sensitivity * deviation[few, None, :, run]
+                covariance[few, run] = scaled @ scaled.conj().swapaxes(1, 2)
+    return covariance
+
+
+def _sensitivity(rotor: RotorModel, dataset: VibrationDataset, bearings: BearingTable, w: np.ndarray) -> np.ndarray:
+    """(S, 2 B, P) derivative of the residual by the measured displacements, N/m."""
+    measured, rows = dataset.measured_dof(), bearing_dof(rotor)
+    unmeasured = np.setdiff1d(np.arange(rotor.n_dof), measured)
+    unit = np.broadcast_to(np.eye(len(measured)), (len(w), len(measured), len(measured))).astype(complex)
+    result = apply(rotor, rows.ravel(), measured, w, bearings.speeds, unit)
+    if len(unmeasured):
+        carried = apply(rotor, unmeasured, measured, w, bearings.speeds, unit)
+        followed = solve(banded(rotor, unmeasured), w, bearings.speeds, carried)
+        result -= apply(rotor, rows.ravel(), unmeasured, w, bearings.speeds, followed)
+    place = {dof: p for p, dof in enumerate(measured)}
+    for b, impedance in enumerate(bearings.impedance(w)):
+        for i in range(2):
+            for j in range(2):
+                result[:, 2 * b + i, place[rows[b, j]]] += impedance[:, i, j]
+    return result
+
+
+def whitened(system: UnknownSystem, covariance: np.ndarray, alike: bool) -> UnknownSystem:
+    """The system with rows of independent noise of unit deviation, (M, S, rows, ..); least squares of it is weighted."""
+    n_bearings, n_speeds, n_rows, n_unknowns = system.matrix.shape
+    n_runs = n_rows // 4
+    both = np.concatenate([system.matrix, system.offset[..., None]], axis=-1)
+    rows = (both[:, :, : n_rows // 2] + 1j * both[:, :, n_rows // 2 :]).reshape(n_bearings, n_speeds, 2, n_runs, -1)
+    rows = rows.transpose(1, 3, 0, 2, 4)  # (S, R, B, 2, U + 1)
+    members = [np.arange(2 * n_bearings)] if alike else [np.array([2 * b, 2 * b + 1]) for b in range(n_bearings)]
+    flat = rows.reshape(n_speeds, n_runs, 2 * n_bearings, -1)
+    white = []
+    for member in members:
+        factor = np.linalg.cholesky(covariance[:, :, member[:, None], member])
+        unit = np.sqrt(2.0) * np.linalg.solve(factor, flat[:, :, member])  # half of the power is in the real part
+        unit = unit.reshape(n_speeds, -1, n_unknowns + 1)
+        white.append(np.concatenate([unit.real, unit.imag], axis=1))
+    stacked = np.stack(white)
+    unknowns = system.alike().unknowns if alike else system.unknowns
+    return UnknownSystem(unknowns, stacked[..., :-1], stacked[..., -1])
+
+
+def least_squares_deviation(white: UnknownSystem) -> np.ndarray:
+    """(M, S, U) standard deviation of weighted least squares at each speed; infinite where the data say nothing.
+
+    ``white`` is a :func:`whitened` system. An unknown that a bearing does not have has none (NaN).
+    """
+    result = np.full((*white.matrix.shape[:2], white.matrix.shape[-1]), np.nan)
+    for m, present in enumerate(white.unknowns.present):
+        matrix = white.matrix[m][..., present]
+        length = np.linalg.norm(matrix, axis=1, keepdims=True)
+        _, singular, right = np.linalg.svd(matrix / np.where(length > 0, length, 1.0), full_matrices=True)
+        inverse = np.full((len(matrix), right.shape[1]), np.inf)
+        determined = singular > DEPENDENT * singular[:, :1]
+        inverse[:, : singular.shape[1]][determined] = 1.0 / singular[determined]
+        with np.errstate(invalid="ignore"):  # no share of an infinite deviation is none
+            shares = np.where(np.abs(right) > DEPENDENT, np.abs(right) * inverse[..., None], 0.0)
+        result[m][:, present] = np.sqrt((shares**2).sum(axis=1)) / length[:, 0]
+    return result

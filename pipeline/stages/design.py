@@ -1,0 +1,226 @@
+"""Choose the runs that would identify best, and tell the gain against the configured ones."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.schema import Config, DesignConfig
+from pipeline.data.dataset import Excitation, VibrationDataset
+from pipeline.data.simulate import simulate, with_noise
+from pipeline.equations.bearing_equations import bearing_equations
+from pipeline.equations.design import choose, run_information
+from pipeline.equations.least_squares import per_speed_least_squares
+from pipeline.equations.noise import least_squares_deviation, residual_covariance, sensor_deviation, whitened
+from pipeline.equations.unknown_system import UnknownSystem, unknown_system
+from pipeline.errors import ConfigError
+from pipeline.files import write_json, write_text
+from pipeline.reporting.console import say, table
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.model import RotorModel
+from pipeline.rotor.ross_adapter import assemble, bearing_table
+from pipeline.stages.diagnose import noise_words
+from pipeline.stages.generate import excitations, own_frequencies
+from pipeline.stages.inputs import require_nodes
+from pipeline.stages.run import StageOutput, flat_metrics, workspace
+from pipeline.units import RAD_S_PER_RPM
+from pipeline.unknowns import UnknownSet, unknown_set
+
+NAME = "designed"
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A set of runs on the machine as the configuration models it, and what it would give."""
+
+    config: Config
+    rotor: RotorModel
+    prior: BearingTable
+    dataset: VibrationDataset
+    unknowns: UnknownSet
+
+    @property
+    def alike(self) -> bool:
+        """Whether all bearings share their coefficients."""
+        return self.config.identify.tie_bearings
+
+    def covariance(self) -> tuple[np.ndarray, np.ndarray]:
+        """(S, P, R) deviation of the sensors and (S, R, 2 B, 2 B) covariance of the residual."""
+        noise = self.config.stated_noise
+        deviation = sensor_deviation(self.dataset, noise.additive, noise.multiplicative)
+        return deviation, residual_covariance(self.rotor, self.dataset, self.prior, deviation)
+
+    def white(self, dataset: VibrationDataset, covariance: np.ndarray) -> UnknownSystem:
+        """The weighted equations of a data set of these runs."""
+        system = unknown_system(bearing_equations(self.rotor, dataset), self.unknowns, self.prior)
+        return whitened(system, covariance, self.alike)
+
+    def sizes(self) -> np.ndarray:
+        """(M, S, U) sizes of the unknowns; no less than a hundredth of the largest of its kind, for those that cross zero."""
+        values = np.abs(self.prior.values)
+        kinds = values.reshape(*values.shape[:2], 2, 4)
+        floor = np.repeat(_FLOOR * kinds.max(axis=-1), 4, axis=-1)
+        leaders = [COEFFICIENTS.index(name) for name in self.unknowns.names]
+        sizes = np.maximum(values, floor)[..., leaders]
+        return sizes[:1] if self.alike else sizes
+
+    def deviations(self) -> dict[str, float]:
+        """Unknown -> predicted standard deviation over size, median over speed."""
+        _, covariance = self.covariance()
+        return self._medians(least_squares_deviation(self.white(self.dataset, covariance)))
+
+    def simulated(self, count: int, generator: np.random.Generator) -> dict[str, float]:
+        """The same, as the spread of ``count`` weighted least-squares fits to noisy data."""
+        deviation, covariance = self.covariance()
+        fits = np.array(
+            [
+                per_speed_least_squares(self.white(with_noise(self.dataset, deviation, generator), covariance))[0]
+                for _ in range(count)
+            ]
+        )
+        return self._medians(fits.std(axis=0, ddof=1))
+
+    def _medians(self, deviation: np.ndarray) -> dict[str, float]:
+        relative = deviation / self.sizes()
+        nodes = ["all bearings"] if self.alike else [f"node {node}" for node in self.rotor.bearing_nodes]
+        return {
+            f"{nodes[m]} {name}": float(np.median(relative[m, :, u]))
+            for m in range(len(relative))
+            for u, name in enumerate(self.unknowns.names)
+            if self.unknowns.present[m, u]
+        }
+
+
+_FLOOR = 0.01
+
+
+def candidates(design: DesignConfig) -> tuple[tuple[Excitation, ...], ...]:
+    """Every run that could be made: single unbalances, pairs of them, and rotating forces."""
+    can = design.candidates
+    made: list[tuple[Excitation, ...]] = []
+
+    def unbalance(name: str, node: int, degrees: float) -> Excitation:
+        return Excitation(name, "unbalance", node, can.unbalance, float(np.radians(degrees)))
+
+    for node in can.unbalance_nodes:  # the phase of a single source does not matter
+        made.append((unbalance(f"unbalance_{node}", node, 0.0),))
+    for (first, second), degrees in itertools.product(itertools.combinations(can.unbalance_nodes, 2), can.phases_deg):
+        name = f"unbalance_{first}_and_{second}_at_{degrees:g}_deg"
+        made.append((unbalance(name, first, 0.0), unbalance(name, second, degrees)))
+    for node, whirl in itertools.product(can.force_nodes, can.whirls):
+        made.append((Excitation(f"{whirl}_force_{node}", "force", node, can.force, 0.0, whirl),))
+    return tuple(made)
+
+
+def run(config: Config) -> StageOutput:
+    """``design.json`` and ``design/excitation/designed.yaml``, an excitation that can be used at once."""
+    design, rotor = config.design, assemble(config.rotor)
+    possible = candidates(design)
+    require_nodes(rotor, "design.candidates", [one.node for acting in possible for one in acting])
+    if design.runs > len(possible):
+        raise ConfigError(f"design.runs must be at most the {len(possible)} candidates, but got {design.runs}")
+    every = np.array(config.excitation.speeds.rpm()) * RAD_S_PER_RPM
+    speeds = every[np.unique(np.linspace(0, len(every) - 1, min(design.speeds, len(every))).round().astype(int))]
+    prior = bearing_table(config.rotor, config.bearing, speeds)
+    unknowns = unknown_set({node: config.identify.at(node) for node in rotor.bearing_nodes})
+
+    def plan(acting: Sequence[Excitation], own: np.ndarray | None = None) -> Plan:
+        return Plan(config, rotor, prior, simulate(rotor, prior, tuple(acting), own), unknowns)
+
+    everything = plan(list(itertools.chain.from_iterable(possible)))
+    white = everything.white(everything.dataset, everything.covariance()[1])
+    information = run_information(white, len(possible), everything.sizes())
+    present = unknowns.present[: len(white.matrix)]
+    chosen = [possible[c] for c in choose(information, present, design.runs, design.criterion)]
+    plans = {
+        "configured": plan(excitations(config), own_frequencies(config, speeds)),
+        "designed": plan(list(itertools.chain.from_iterable(chosen))),
+    }
+    summary = _summary(config, plans)
+    _print(config, summary, [acting[0].run for acting in chosen])
+    folder = workspace(config).folder
+    written = [
+        write_text(folder / "design" / "excitation" / f"{NAME}.yaml", _excitation_yaml(config, chosen)),
+        write_json(folder / "design.json", summary | {"runs": [acting[0].run for acting in chosen]}),
+    ]
+    say(
+        f"use it with: python -m pipeline stage=train experiment={config.name} output={folder}_designed "
+        f"--config-dir {folder / 'design'} excitation={NAME}"
+    )
+    return StageOutput(flat_metrics(summary), {"rotor_fingerprint": rotor.fingerprint}, written)
+
+
+def _summary(config: Config, plans: Mapping[str, Plan]) -> dict[str, object]:
+    predicted = {name: plan.deviations() for name, plan in plans.items()}
+    summary: dict[str, object] = {"stated_noise": config.stated_noise.model_dump(), "predicted": _finite(predicted)}
+    summary["worst"] = {name: _number(max(of.values())) for name, of in predicted.items()}
+    summary["gain"] = _number(max(predicted["configured"].values()) / max(predicted["designed"].values()))
+    if config.design.simulations > 1:
+        generator = np.random.default_rng(config.seed)
+        simulated = {name: plan.simulated(config.design.simulations, generator) for name, plan in plans.items()}
+        summary["simulated"] = _finite(simulated)
+        summary["simulated_gain"] = _number(max(simulated["configured"].values()) / max(simulated["designed"].values()))
+    return summary
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _finite(values: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float | None]]:
+    return {name: {key: _number(value) for key, value in of.items()} for name, of in values.items()}
+
+
+def _excitation_yaml(config: Config, chosen: Sequence[Sequence[Excitation]]) -> str:
+    import yaml
+
+    runs = []
+    for acting in chosen:
+        run: dict[str, object] = {"name": acting[0].run}
+        for key, kind in (("unbalances", "unbalance"), ("forces", "force")):
+            of_kind = [one for one in acting if one.kind == kind]
+            if of_kind:
+                run[key] = [_source(one) for one in of_kind]
+        runs.append(run)
+    content = {"speeds": config.excitation.speeds.model_dump(), "runs": runs}
+    head = f"# Chosen by: python -m pipeline stage=design experiment={config.name}\n"
+    return head + yaml.safe_dump(content, sort_keys=False)
+
+
+def _source(one: Excitation) -> dict[str, object]:
+    unit = "kg m" if one.kind == "unbalance" else "N"
+    source: dict[str, object] = {"node": one.node, "magnitude": f"{one.magnitude:.12g} {unit}"}
+    source["phase"] = f"{np.degrees(one.phase):.12g} deg"
+    return source | ({"whirl": one.whirl} if one.kind == "force" else {})
+
+
+def _print(config: Config, summary: Mapping[str, object], names: Sequence[str]) -> None:
+    predicted, simulated = summary["predicted"], summary.get("simulated")
+    assert isinstance(predicted, dict)
+    header = ["bearing and unknown", "configured runs", "designed runs"]
+    header += ["configured, simulated", "designed, simulated"] if simulated else []
+    sources = [predicted[name] for name in ("configured", "designed")]
+    if isinstance(simulated, dict):
+        sources += [simulated[name] for name in ("configured", "designed")]
+    rows = [[key, *(_percent(source[key]) for source in sources)] for key in sources[0]]
+    table(
+        f"{config.name}: standard deviation of least squares at {noise_words(config)}, % of the coefficient",
+        header,
+        rows,
+    )
+    say(f"{config.name}: the best {len(names)} runs are {', '.join(names)}")
+    gain = summary["gain"]
+    if gain is None:
+        say("the configured runs leave an unknown free; these do not")
+        return
+    confirmed = "" if simulated is None else f" (in simulations {summary['simulated_gain']:.3g} times)"
+    say(f"they lower the worst deviation {gain:.3g} times{confirmed}")
+
+
+def _percent(value: float | None) -> str:
+    return "free" if value is None else f"{100 * value:.2g}"

@@ -1,0 +1,191 @@
+"""What the data determine: rank, condition number, free combination and predicted deviation of every bearing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.schema import Config
+from pipeline.data.tables import write_table
+from pipeline.data.vibration_files import to_rpm
+from pipeline.equations.identifiability import Identifiability, Verdict, identifiability
+from pipeline.equations.least_squares import per_speed_least_squares
+from pipeline.equations.noise import least_squares_deviation, residual_covariance, sensor_deviation, whitened
+from pipeline.equations.unknown_system import UnknownSystem, unknown_system
+from pipeline.files import write_json
+from pipeline.reporting.console import say, table
+from pipeline.reporting.diagnosis_figures import diagnosis_figure
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.stages.inputs import Inputs, load_inputs
+from pipeline.stages.run import StageOutput, flat_metrics, workspace
+from pipeline.unknowns import unknown_set
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """Everything that is known of the fit before it is done. Legend: B bearings, S speeds."""
+
+    accounts: tuple[Identifiability, ...]
+    answer: BearingTable  # least squares of each speed by itself: sizes to compare the deviations with
+    deviation: np.ndarray  # (B, S, 8) standard deviation of it, N/m and N s/m; NaN where nothing is identified
+
+    def relative(self, node: int) -> dict[str, np.ndarray]:
+        """Coefficient -> (S,) standard deviation over size."""
+        b = self.answer.nodes.index(node)
+        size = np.abs(self.answer.values[b])
+        return {
+            name: self.deviation[b, :, c] / size[:, c]
+            for c, name in enumerate(COEFFICIENTS)
+            if not np.isnan(self.deviation[b, :, c]).all()
+        }
+
+    def worst(self, account: Identifiability) -> tuple[str, float]:
+        """The coefficient of a bearing with the largest deviation, and that over its size, median over speed."""
+        medians = {
+            f"{name} at node {node}" if len(account.nodes) > 1 else name: float(np.median(values))
+            for node in account.nodes
+            for name, values in self.relative(node).items()
+        }
+        name = max(medians, key=lambda key: medians[key])
+        return name, medians[name]
+
+
+def diagnose(config: Config, inputs: Inputs) -> Diagnosis:
+    """From the data alone; no modelled coefficient is read."""
+    identify, equations, known = config.identify, inputs.equations, inputs.known
+    unknowns = unknown_set({node: identify.at(node) for node in equations.bearing_nodes})
+    system = unknown_system(equations, unknowns, known)
+    alike = identify.tie_bearings
+    accounts = identifiability(equations, system, alike, config.model.kind == "constant")
+    answer = _solved(system.alike() if alike else system, known, system)
+    noise = sensor_deviation(inputs.dataset, config.stated_noise.additive, config.stated_noise.multiplicative)
+    covariance = residual_covariance(inputs.rotor, inputs.dataset, answer, noise)
+    spread = least_squares_deviation(whitened(system, covariance, alike))
+    spread = np.broadcast_to(spread, (len(known.nodes), *spread.shape[1:]))
+    # Each coefficient follows one unknown, with a sign that no deviation has. 0 x inf would be NaN.
+    follows = np.abs(unknowns.expansion).argmax(axis=2)  # (B, 8)
+    deviation = np.take_along_axis(spread, follows[:, None, :], axis=2)
+    deviation = np.where(unknowns.identified[:, None], deviation, np.nan)
+    return Diagnosis(accounts, answer, deviation)
+
+
+def _solved(solvable: UnknownSystem, known: BearingTable, system: UnknownSystem) -> BearingTable:
+    values, _ = per_speed_least_squares(solvable)
+    values = np.broadcast_to(values, (len(known.nodes), *values.shape[1:]))
+    return BearingTable(known.nodes, known.speeds, system.unknowns.expand(values, known.values))
+
+
+def noise_words(config: Config) -> str:
+    """The stated noise, such as ``0.1 % noise``."""
+    noise = config.stated_noise
+    parts = [f"{100 * noise.multiplicative:g} %"] if noise.multiplicative else []
+    parts += [f"{1e6 * noise.additive:g} um"] if noise.additive else []
+    return " and ".join(parts) + " noise"
+
+
+def say_diagnosis(config: Config, inputs: Inputs) -> None:
+    """A line a bearing, before a fit."""
+    diagnosis = diagnose(config, inputs)
+    for account in diagnosis.accounts:
+        text = account.sentence
+        if account.verdict is not Verdict.NOT_IDENTIFIABLE:
+            name, deviation = diagnosis.worst(account)
+            text += (
+                f"; condition number {np.median(account.condition):.2g} (worst {account.condition.max():.2g}); at "
+                f"{noise_words(config)} least squares gives {name} to {100 * deviation:.2g} %"
+            )
+        say(f"{config.name}: {text}")
+
+
+def run(config: Config) -> StageOutput:
+    """``diagnosis.json``, ``diagnosis.csv`` (a row a bearing and speed) and a figure over speed."""
+    inputs = load_inputs(config)
+    diagnosis = diagnose(config, inputs)
+    work = workspace(config)
+    for account in diagnosis.accounts:
+        say(f"{config.name}: {account.sentence}")
+    _print(config, diagnosis)
+    summary = {"stated_noise": config.stated_noise.model_dump(), "bearings": _summary(diagnosis)}
+    written = [
+        write_json(work.folder / "diagnosis.json", summary),
+        write_table(work.folder / "diagnosis.csv", _rows(diagnosis)),
+        diagnosis_figure(work.figure("diagnosis"), diagnosis.accounts, diagnosis.relative, noise_words(config)),
+    ]
+    return StageOutput(flat_metrics(summary), {"data_fingerprint": inputs.dataset.fingerprint}, written)
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _summary(diagnosis: Diagnosis) -> dict[str, object]:
+    """By node; an infinite number is null, as JSON has none."""
+    result: dict[str, object] = {}
+    for account in diagnosis.accounts:
+        shared = {
+            "verdict": account.verdict.value,
+            "reason": account.reason,
+            "unknowns": len(account.unknowns),
+            "rank": {"least": int(account.rank.min()), "most": int(account.rank.max())},
+            "orbit_rank": {"least": int(account.orbit_rank.min()), "most": int(account.orbit_rank.max())},
+            "condition_number": {
+                "median": _finite(np.median(account.condition)),
+                "max": _finite(account.condition.max()),
+            },
+            "least_determined": account.free_combination(),
+        }
+        for node in account.nodes:
+            deviations = {name: _finite(100 * np.median(v)) for name, v in diagnosis.relative(node).items()}
+            result[str(node)] = shared | {"median_deviation_percent": deviations}
+    return result
+
+
+def _rows(diagnosis: Diagnosis) -> pd.DataFrame:
+    import pandas as pd
+
+    frames = []
+    for account in diagnosis.accounts:
+        for node in account.nodes:
+            b = diagnosis.answer.nodes.index(node)
+            columns: dict[str, object] = {
+                "bearing_node": node,
+                "speed_rpm": to_rpm(account.speeds),
+                "unknowns": len(account.unknowns),
+                "rank": account.rank,
+                "condition_number": account.condition,
+                "orbit_rank": account.orbit_rank,
+                "orbit_condition_number": account.orbit_condition,
+            }
+            columns |= {f"singular_value_{i + 1}": values for i, values in enumerate(account.singular_values.T)}
+            columns |= {
+                f"{name}_std": diagnosis.deviation[b, :, COEFFICIENTS.index(name)] for name in diagnosis.relative(node)
+            }
+            frames.append(pd.DataFrame(columns))
+    return pd.concat(frames, ignore_index=True)
+
+
+def _print(config: Config, diagnosis: Diagnosis) -> None:
+    header = ["bearing", "rank", "orbits", "condition (median)", "worst", "worst coefficient", "determined least"]
+    rows = []
+    for account in diagnosis.accounts:
+        name, deviation = diagnosis.worst(account)
+        worst = f"{name} +- {100 * deviation:.2g} %" if np.isfinite(deviation) else f"{name} free"
+        rows.append(
+            [
+                account.where,
+                f"{int(np.median(account.rank))} of {len(account.unknowns)}",
+                f"{int(np.median(account.orbit_rank))} of 2",
+                f"{np.median(account.condition):.3g}",
+                f"{account.condition.max():.3g}",
+                worst,
+                account.free_combination(),
+            ]
+        )
+    table(f"{config.name}: what the data determine at each speed, at {noise_words(config)} (medians)", header, rows)

@@ -1,0 +1,379 @@
+"""What the data determine: the rank theorem, predicted deviations, structures, and the loss that all eight train with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from conftest import Machine, MachineFactory, bearings_of
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.compose import compose_config
+from pipeline.config.schema import Config
+from pipeline.data.dataset import Excitation, VibrationDataset
+from pipeline.data.simulate import simulate, with_noise
+from pipeline.equations.bearing_equations import BearingEquations, bearing_equations
+from pipeline.equations.identifiability import Identifiability, Verdict, identifiability
+from pipeline.equations.least_squares import per_speed_least_squares
+from pipeline.equations.noise import least_squares_deviation, residual_covariance, sensor_deviation, whitened
+from pipeline.equations.unknown_system import UnknownSystem, unknown_system
+from pipeline.errors import IdentifiabilityError
+from pipeline.identification.training import PreparedTraining, initial_parameters, prepare, run_training, setup_of
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.unknowns import BearingUnknowns, UnknownSet, unknown_set
+
+EIGHT = "identify.unknowns=[kxx,kxy,kyx,kyy,cxx,cxy,cyx,cyy]"
+FEW = ("excitation.speeds.start_rpm=500", "excitation.speeds.step_rpm=250")
+UNBALANCES = tuple(
+    Excitation(run, "unbalance", node, 1e-4, phase)
+    for run, node, phase in (("a", 2, 0.0), ("b", 4, 0.0), ("c", 2, 0.0), ("c", 4, 1.5), ("d", 4, 2.5), ("d", 1, 0.3))
+)
+BACKWARD = Excitation("backward", "force", 2, 10.0, 0.0, "backward")
+ANISOTROPIC = dict(zip(COEFFICIENTS, (6e6, 8e6, -1.4e7, 9e6, 2e5, 4e4, 4e4, 3e5), strict=True))
+ISOTROPIC = {"kxx": 7e6, "kxy": 5e6, "kyx": -5e6, "kyy": 7e6, "cxx": 2e5, "cyy": 2e5}
+
+
+@pytest.fixture(scope="module")
+def rotor_of(machine: MachineFactory) -> Machine:
+    """The rotor with two discs; its bearings are chosen by the tests."""
+    return machine("experiment=all_coefficients", *FEW)
+
+
+def everything(nodes: tuple[int, ...]) -> UnknownSet:
+    """All eight coefficients of every bearing."""
+    return unknown_set(dict.fromkeys(nodes, BearingUnknowns(COEFFICIENTS)))
+
+
+def table_of(machine: Machine, *bearings: dict[str, float]) -> BearingTable:
+    """Bearings with these coefficients at every speed."""
+    each = [
+        bearings_of((node,), machine.speeds, **b) for node, b in zip(machine.rotor.bearing_nodes, bearings, strict=True)
+    ]
+    return BearingTable(machine.rotor.bearing_nodes, machine.speeds, np.concatenate([one.values for one in each]))
+
+
+def accounts_of(
+    machine: Machine, table: BearingTable, acting: tuple[Excitation, ...], own: np.ndarray | None = None
+) -> tuple[Identifiability, ...]:
+    """What the runs determine of all eight coefficients of both bearings."""
+    equations = bearing_equations(machine.rotor, simulate(machine.rotor, table, acting, own))
+    system = unknown_system(equations, everything(table.nodes), table)
+    return identifiability(equations, system, alike=False, constant=False)
+
+
+# --- the rank theorem (shared by every axisymmetric rotor) -------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("bearings", "ranks"),
+    [
+        ((ANISOTROPIC, ANISOTROPIC), (2, 2)),
+        ((ANISOTROPIC, ISOTROPIC), (1, 2)),
+        ((ISOTROPIC, ANISOTROPIC), (2, 1)),
+        ((ISOTROPIC, ISOTROPIC), (1, 1)),
+    ],
+)
+def test_the_rank_of_the_orbits_of_unbalance(
+    rotor_of: Machine, bearings: tuple[dict[str, float], ...], ranks: tuple[int, int]
+) -> None:
+    """Backward whirl comes from anisotropic bearings alone.
+
+    The only one of them has it in a fixed ratio to its own forward whirl: rank 1, whatever the planes. The isotropic
+    bearing beside it sees the two in any ratio. Each dimension determines four of the eight unknowns.
+    """
+    for account, rank in zip(accounts_of(rotor_of, table_of(rotor_of, *bearings), UNBALANCES), ranks, strict=True):
+        assert set(account.orbit_rank) == {rank}
+        assert set(account.rank) == {4 * rank}
+
+
+def test_a_third_unbalance_run_adds_no_equation(rotor_of: Machine) -> None:
+    """Two runs span what all four do: the ranks are the same, and the smallest singular value stays of its order."""
+    table = table_of(rotor_of, ANISOTROPIC, ANISOTROPIC)
+    two = accounts_of(rotor_of, table, UNBALANCES[:2])
+    four = accounts_of(rotor_of, table, UNBALANCES)
+    for few, many in zip(two, four, strict=True):
+        assert (few.rank == many.rank).all()
+        assert (many.condition > 0.05 * few.condition).all()
+
+
+@pytest.mark.parametrize("bearings", [(ANISOTROPIC, ISOTROPIC), (ISOTROPIC, ISOTROPIC)])
+def test_one_backward_run_adds_a_dimension(rotor_of: Machine, bearings: tuple[dict[str, float], ...]) -> None:
+    """Rank 2 whatever the bearings, and orbits that are nearly orthogonal."""
+    for account in accounts_of(rotor_of, table_of(rotor_of, *bearings), (*UNBALANCES, BACKWARD)):
+        assert set(account.orbit_rank) == {2}
+        assert set(account.rank) == {8}
+        assert account.verdict is Verdict.IDENTIFIABLE
+
+
+def test_condition_numbers_of_the_papers_rotor(rotor_of: Machine) -> None:
+    """shared/method.md, section 3: thousands with three unbalance runs, about 2 to 3 with a backward one (orbits)."""
+    modelled, acting = rotor_of.bearings, rotor_of.excitations
+    for account in accounts_of(rotor_of, modelled, acting):
+        assert 3e2 < np.median(account.orbit_condition) < 1e4
+        assert account.verdict is Verdict.IDENTIFIABLE
+    for account in accounts_of(rotor_of, modelled, (*acting, BACKWARD)):
+        assert np.median(account.orbit_condition) < 4
+
+
+def test_asynchronous_forward_runs_do_what_a_backward_one_does(rotor_of: Machine) -> None:
+    """One orbit shape at two frequencies tells stiffness from damping and x from y: rank 8 with an isotropic bearing."""
+    table = table_of(rotor_of, ANISOTROPIC, ISOTROPIC)
+    shaker = Excitation("shaker", "force", 2, 10.0, 0.0, "forward")
+    other = Excitation("other", "force", 4, 10.0, 0.0, "forward")
+    own = np.stack([rotor_of.speeds, 0.6 * rotor_of.speeds, 0.6 * rotor_of.speeds], axis=1)
+    synchronous = accounts_of(rotor_of, table, (UNBALANCES[0], shaker, other))
+    asynchronous = accounts_of(rotor_of, table, (UNBALANCES[0], shaker, other), own)
+    assert set(synchronous[0].rank) == {4}
+    assert set(asynchronous[0].rank) == {8}
+
+
+def test_the_free_combination_changes_nothing_that_is_measured(rotor_of: Machine) -> None:
+    """Adding the combination that the account names to the true coefficients leaves the residual at zero."""
+    table = table_of(rotor_of, ANISOTROPIC, ISOTROPIC)
+    equations = bearing_equations(rotor_of.rotor, simulate(rotor_of.rotor, table, UNBALANCES))
+    system = unknown_system(equations, everything(table.nodes), table)
+    account = identifiability(equations, system, alike=False, constant=False)[0]
+    length = np.linalg.norm(system.matrix[0], axis=1)
+    size = np.linalg.norm(equations.free_residual[0], axis=(1, 2))[:, None]
+    moved = np.einsum("sru,su->sr", system.matrix[0], account.free / length * size)
+    np.testing.assert_allclose(moved / size, 0.0, atol=1e-9)
+    assert account.free_combination().count(" k") + account.free_combination().count(" c") >= 2
+
+
+# --- verdicts ----------------------------------------------------------------------------------------
+
+
+def test_verdicts_of_the_compressor(machine: MachineFactory) -> None:
+    """The journal bearing is the one that can't be identified; the isotropic one is, by its structure; a backward run cures."""
+    made = machine("experiment=compressor_journal_and_isotropic", "excitation.speeds.step_rpm=200")
+    setup = setup_of(made.config)
+    with pytest.raises(
+        IdentifiabilityError, match=r"bearing at node 8: not identifiable, because .*rank 1 of 2.*backward"
+    ):
+        prepare(made.equations, made.bearings, setup)
+    journal, isotropic = prepare(made.equations, made.bearings, replace(setup, force=True)).identifiability
+    assert (set(journal.rank), set(journal.orbit_rank)) == ({4}, {1})
+    assert isotropic.verdict is Verdict.IDENTIFIABLE
+    cured = machine(
+        "experiment=compressor_journal_and_isotropic",
+        "excitation=compressor_backward",
+        "excitation.speeds.step_rpm=200",
+    )
+    for account in prepare(cured.equations, cured.bearings, setup_of(cured.config)).identifiability:
+        assert account.verdict is Verdict.IDENTIFIABLE
+
+
+def test_a_constant_is_identifiable_across_speeds(rotor_of: Machine) -> None:
+    """One run determines half of eight unknowns at each speed; that they are the same at all speeds does the rest."""
+    table = table_of(rotor_of, ANISOTROPIC, ANISOTROPIC)
+    equations = bearing_equations(rotor_of.rotor, simulate(rotor_of.rotor, table, UNBALANCES[:1]))
+    system = unknown_system(equations, everything(table.nodes), table)
+    constant = identifiability(equations, system, alike=False, constant=True)
+    free = identifiability(equations, system, alike=False, constant=False)
+    assert [one.verdict for one in constant] == [Verdict.ACROSS_SPEEDS] * 2
+    assert [one.verdict for one in free] == [Verdict.NOT_IDENTIFIABLE] * 2
+    assert "2 real equations" in free[0].reason
+
+
+# --- structures --------------------------------------------------------------------------------------
+
+
+def trained(machine: Machine, table: BearingTable, acting: tuple[Excitation, ...], *overrides: str) -> BearingTable:
+    """The table that a short training gives."""
+    equations = bearing_equations(machine.rotor, simulate(machine.rotor, table, acting))
+    config = compose_config(
+        [
+            "experiment=all_coefficients",
+            "optimizer.levenberg_marquardt.steps=40",
+            "training.holdout_every=0",
+            *overrides,
+        ]
+    )
+    prepared = prepare(equations, table, setup_of(config))
+    batch = run_training(prepared, initial_parameters(prepared, setup_of(config), 1), setup_of(config))
+    return batch.identified().table(table)
+
+
+@pytest.mark.parametrize(
+    ("structure", "ties", "bearing"),
+    [
+        ("isotropic", [("kxx", "kyy", 1), ("kxy", "kyx", -1), ("cxx", "cyy", 1), ("cxy", "cyx", -1)], ISOTROPIC),
+        ("symmetric_damping", [("cxy", "cyx", 1)], ANISOTROPIC),
+    ],
+)
+def test_a_structure_is_respected_exactly(
+    rotor_of: Machine, structure: str, ties: list[tuple[str, str, int]], bearing: dict[str, float]
+) -> None:
+    """To the last bit, and it removes unknowns for real: the isotropic one needs a forward and a backward run, no more."""
+    acting = (UNBALANCES[0], BACKWARD) if structure == "isotropic" else (*UNBALANCES, BACKWARD)
+    table = table_of(rotor_of, bearing, bearing)
+    found = trained(rotor_of, table, acting, f"identify.structure={structure}")
+    for one, other, sign in ties:
+        assert np.array_equal(found.coefficient(one), sign * found.coefficient(other))
+    for name in ("kxx", "kyy", "cxx"):
+        np.testing.assert_allclose(found.coefficient(name), table.coefficient(name), rtol=1e-3)
+
+
+def test_bearings_alike_are_exactly_alike(rotor_of: Machine) -> None:
+    """One set of coefficients for both, from the equations of both."""
+    table = table_of(rotor_of, ANISOTROPIC, ANISOTROPIC)
+    found = trained(rotor_of, table, (*UNBALANCES, BACKWARD), "identify.tie_bearings=true")
+    assert np.array_equal(found.values[0], found.values[1])
+    np.testing.assert_allclose(found.values, table.values, rtol=2e-3)
+
+
+def test_bearings_may_have_different_unknowns(rotor_of: Machine) -> None:
+    """What is not unknown at a bearing keeps its known value, to the last bit."""
+    table = table_of(rotor_of, ANISOTROPIC, ISOTROPIC)
+    exception = "+identify.bearings={5: {unknowns: [kxx, kyy], structure: isotropic}}"
+    found = trained(rotor_of, table, (*UNBALANCES, BACKWARD), exception)
+    kept = [COEFFICIENTS.index(name) for name in COEFFICIENTS if name not in ("kxx", "kyy")]
+    assert np.array_equal(found.values[1][:, kept], table.values[1][:, kept])
+    assert np.array_equal(found.coefficient("kxx")[1], found.coefficient("kyy")[1])
+    np.testing.assert_allclose(found.values[0], table.values[0], rtol=2e-3)
+
+
+def test_a_structure_needs_both_of_a_pair() -> None:
+    """Half of a tied pair can't be known."""
+    with pytest.raises(ValueError, match="ties cxy and cyx: both must be unknown or neither"):
+        BearingUnknowns(("kxx", "cxy"), "symmetric_damping")
+
+
+# --- the preconditioned loss -------------------------------------------------------------------------
+
+
+def prepared_with(machine: Machine, *overrides: str) -> PreparedTraining:
+    """The training of all eight coefficients of a machine."""
+    return prepare(
+        machine.equations, machine.bearings, setup_of(compose_config(["experiment=all_coefficients", *overrides]))
+    )
+
+
+def test_both_losses_have_the_same_minimiser_on_clean_data(rotor_of: Machine) -> None:
+    """At the true coefficients both are zero to rounding, and their answers at each speed are the truth."""
+    for loss in ("residual", "preconditioned"):
+        problem = prepared_with(rotor_of, f"loss={loss}", "training.holdout_every=0").train
+        _, answer = problem.per_speed(0.0)
+        np.testing.assert_allclose(answer * problem.scale.numpy(), rotor_of.bearings.values, rtol=1e-5, atol=1.0)
+        rows = (problem.matrix @ torch.as_tensor(rotor_of.bearings.values)[..., None])[..., 0] + problem.offset
+        assert rows.square().sum().sqrt() < 1e-7
+
+
+def test_the_preconditioned_loss_is_the_distance_from_the_answer_of_each_speed(rotor_of: Machine) -> None:
+    """Without regularisation its rows are the relative distance itself; with it, no direction is weighed more."""
+    problem = prepared_with(rotor_of, "loss=residual").train
+    plain, damped = problem.preconditioned(0.0), problem.preconditioned(1e-3)
+    size = np.sqrt(plain.offset.shape[1] * plain.offset.shape[2])
+    for m in range(2):
+        # Double precision over a condition number of up to 1e5.
+        unit = plain.matrix[m] * plain.scale[m, 0] * size
+        np.testing.assert_allclose(unit, np.broadcast_to(np.eye(8), unit.shape), atol=1e-8)
+        weights = np.linalg.svd((damped.matrix[m] * damped.scale[m, 0] * size).numpy(), compute_uv=False)
+        assert weights.max() <= 1 + 1e-9
+        assert weights.min() < 0.5
+
+
+def test_the_start_from_least_squares_is_near_the_answer(rotor_of: Machine) -> None:
+    """``initialisation: per_speed`` starts below a hundredth of the loss of a guess."""
+    losses = []
+    for initialisation in ("guess", "per_speed"):
+        config = compose_config(["experiment=all_coefficients", f"model.initialisation={initialisation}"])
+        prepared = prepare(rotor_of.equations, rotor_of.bearings, setup_of(config))
+        losses.append(float(prepared.train.loss(initial_parameters(prepared, setup_of(config), 0)).max()))
+    assert losses[1] < 0.01 * losses[0]
+
+
+# --- noise -------------------------------------------------------------------------------------------
+
+Fit = Callable[[VibrationDataset], np.ndarray]
+
+
+def fits(machine: Machine, dataset: VibrationDataset, unknowns: UnknownSet, covariance: np.ndarray) -> UnknownSystem:
+    """The weighted equations of a data set."""
+    return whitened(
+        unknown_system(bearing_equations(machine.rotor, dataset), unknowns, machine.bearings), covariance, False
+    )
+
+
+@pytest.mark.parametrize("sensors", ["every node", "bearings alone"])
+def test_the_predicted_deviation_is_the_spread_of_noisy_fits(
+    rotor_of: Machine, sensors: str, rng: np.random.Generator
+) -> None:
+    """200 weighted least-squares fits to data with noise: the same deviation within 15 %, for all sixteen."""
+    dataset = simulate(rotor_of.rotor, rotor_of.bearings, (*rotor_of.excitations, BACKWARD))
+    if sensors == "bearings alone":
+        kept = [p for p, (node, _) in enumerate(dataset.channels) if node in (1, 5)]
+        channels = tuple(dataset.channels[p] for p in kept)
+        dataset = replace(dataset, channels=channels, displacement=dataset.displacement[:, kept])
+    unknowns = everything((1, 5))
+    deviation = sensor_deviation(dataset, 0.0, 1e-4)
+    covariance = residual_covariance(rotor_of.rotor, dataset, rotor_of.bearings, deviation)
+    predicted = least_squares_deviation(fits(rotor_of, dataset, unknowns, covariance))
+    found = np.array(
+        [
+            per_speed_least_squares(fits(rotor_of, with_noise(dataset, deviation, rng), unknowns, covariance))[0]
+            for _ in range(200)
+        ]
+    )
+    ratio = found.std(axis=0, ddof=1) / predicted
+    # The spread of 200 fits is itself known to 5 %; its median over the speeds to much less.
+    np.testing.assert_allclose(np.median(ratio, axis=1), 1.0, atol=0.15)
+    np.testing.assert_allclose(found.mean(axis=0), rotor_of.bearings.values, atol=float((6 * predicted).max()))
+
+
+def test_what_is_free_has_an_infinite_deviation(rotor_of: Machine) -> None:
+    """No number is given for what the data do not determine."""
+    table = table_of(rotor_of, ANISOTROPIC, ISOTROPIC)
+    dataset = simulate(rotor_of.rotor, table, UNBALANCES)
+    covariance = residual_covariance(rotor_of.rotor, dataset, table, sensor_deviation(dataset, 0.0, 1e-3))
+    equations = bearing_equations(rotor_of.rotor, dataset)
+    system = unknown_system(equations, everything(table.nodes), table)
+    assert np.isinf(least_squares_deviation(whitened(system, covariance, False))[0]).all()
+
+
+# --- excitation at a frequency of its own ------------------------------------------------------------
+
+
+def test_asynchronous_data_are_identified(machine: MachineFactory) -> None:
+    """Forces at another frequency than the rotor's speed: least squares finds the coefficients of the rotor speed."""
+    runs = (
+        "[{name: a, unbalances: [{node: 2, magnitude: 1e-4}]}, "
+        "{name: b, forces: [{node: 4, magnitude: 10}], frequency_ratio: 0.4}, "
+        "{name: c, forces: [{node: 2, magnitude: 5, whirl: backward}], frequency_hz: 30}]"
+    )
+    made = machine("experiment=all_coefficients", *FEW, f"excitation.runs={runs}")
+    assert made.dataset.frequencies.shape == (len(made.speeds), 3)
+    np.testing.assert_allclose(made.dataset.frequencies[:, 2], 60 * np.pi)
+    system = unknown_system(made.equations, everything((1, 5)), made.bearings)
+    values, _ = per_speed_least_squares(system)
+    np.testing.assert_allclose(values, made.bearings.values, rtol=1e-6, atol=1.0)
+    residual: BearingEquations = made.equations
+    impedance = made.bearings.impedance(made.dataset.frequencies)
+    assert np.abs(residual.residual(impedance)).max() < 1e-8 * np.abs(residual.free_residual).max()
+
+
+def test_frequencies_go_through_the_files(machine: MachineFactory, tmp_path: Path) -> None:
+    """A column of the vibration file; blank and absent mean synchronous."""
+    from pipeline.data.vibration_files import read_dataset, write_excitation, write_vibration
+
+    runs = "[{name: a, unbalances: [{node: 2, magnitude: 1e-4}]}, {name: b, forces: [{node: 4, magnitude: 10}], frequency_hz: 40}]"
+    made = machine("experiment=all_coefficients", *FEW, f"excitation.runs={runs}")
+    vibration, excitation = tmp_path / "v.csv", tmp_path / "e.csv"
+    write_vibration(vibration, made.dataset, made.rotor)
+    write_excitation(excitation, made.dataset)
+    read = read_dataset(vibration, excitation, made.rotor)
+    np.testing.assert_allclose(read.frequencies, made.dataset.frequencies, rtol=1e-12)
+    text = vibration.read_text().splitlines()
+    blank = [",".join([*line.split(",")[:-1], ""]) if line.startswith("a,") else line for line in text]
+    vibration.write_text("\n".join(blank) + "\n")
+    np.testing.assert_allclose(read_dataset(vibration, excitation, made.rotor).frequencies, read.frequencies, rtol=1e-9)
+
+
+def test_config_type(rotor_of: Machine) -> None:
+    """Every experiment states a noise."""
+    assert isinstance(rotor_of.config, Config)
+    assert rotor_of.config.stated_noise.multiplicative == pytest.approx(1e-3)
