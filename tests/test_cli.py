@@ -185,7 +185,7 @@ OVERRIDES = [
         ["experiment=ball_baering"],
         ["a file in conf/experiment", "'ball_baering'", "did you mean 'ball_bearing'?"],
     ),
-    (["experiment="], ["a file in conf/experiment", "known: ball_bearing"]),
+    (["experiment="], ["a file in conf/experiment", "known: all_coefficients"]),
     (["experiment=null"], ["a file in conf/experiment", "but got null"]),
     (["+experiment=ball_bearing"], ["write 'experiment=ball_bearing'"]),
     (["model=konstant"], ["a file in conf/model", "did you mean 'constant'?"]),

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import unknown_at_all
 
 import pipeline
 from pipeline.tracking import StageRecord, TrackingSettings, track, tracker
@@ -430,7 +431,7 @@ def model_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     numbers = torch.linspace(-1.0, 1.0, 2 * model.n_parameters, dtype=torch.float64)
     folder = tmp_path_factory.mktemp("a model")
-    save_model(folder, IdentifiedModel(model, (3, 7), numbers.reshape(2, -1)))
+    save_model(folder, IdentifiedModel(model, unknown_at_all((3, 7), model.unknowns), (3, 7), numbers.reshape(2, -1)))
     return folder
 
 

@@ -44,7 +44,27 @@ def effective(mapping: Mapping[str, Any], overrides: Sequence[str]) -> Config:
     """``mapping`` as a Config with the promoted values of its study; ``overrides`` win over them."""
     from pipeline.config.promotion import with_promoted
 
-    return with_promoted(validated(mapping), overrides)
+    return with_promoted(validated(_with_excitation_file(mapping)), overrides)
+
+
+def _with_excitation_file(mapping: Mapping[str, Any]) -> Mapping[str, Any]:
+    """``mapping`` with the speeds and runs of ``excitation.file``, such as ``stage=design`` writes."""
+    import yaml
+
+    section = mapping.get("excitation")
+    file = section.get("file") if isinstance(section, Mapping) else None
+    if not file:
+        return mapping
+    try:
+        read = yaml.safe_load(Path(str(file)).read_text(encoding="utf-8"))
+    except (OSError, ValueError, yaml.YAMLError) as error:
+        raise ConfigError(
+            f"excitation.file must be an excitation such as stage=design writes, but '{file}' can't be read as one: "
+            f"{error}"
+        ) from None
+    if not isinstance(read, dict):
+        raise ConfigError(f"excitation.file must have speeds and runs, but '{file}' has {shown(read)}")
+    return dict(mapping) | {"excitation": read | {"file": str(file)}}
 
 
 def composed_mapping(overrides: Sequence[str] = ()) -> dict[str, Any]:

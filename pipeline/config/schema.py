@@ -288,8 +288,9 @@ class RunConfig(_Section):
 
 
 class ExcitationConfig(_Section):
-    """The runs and the speeds that vibration is generated for."""
+    """The runs and the speeds that vibration is generated for; ``file`` is where they came from, if from a file."""
 
+    file: str | None = None
     speeds: SpeedsConfig
     runs: tuple[RunConfig, ...] = Field(min_length=1)
 
@@ -580,9 +581,9 @@ class Config(_Section):
             raise ValueError("must give rotor.file where bearing.kind is rotor_file, but rotor.file is null")
         last = sum(segment.elements for segment in self.rotor.shaft)
         used = [
-            (f"excitation run '{run.name}'", one.node)
+            (f"excitation run '{run.name}'", node)
             for run in self.excitation.runs
-            for one in (*run.unbalances, *run.forces)
+            for node in (*(u.node for u in run.unbalances), *(f.node for f in run.forces))
         ]
         used += [("prediction.unbalances", u.node) for u in self.prediction.unbalances]
         for what, node in [*used, ("prediction.node", self.prediction.node)]:

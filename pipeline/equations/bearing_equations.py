@@ -34,7 +34,10 @@ class BearingEquations:
     displacement: np.ndarray  # q, (B, S, 2, R) complex, m
 
     def residual(self, impedance: np.ndarray) -> np.ndarray:
-        """(B, S, 2, R) complex residual in N for ``impedance`` H, (B, S, R, 2, 2), or (B, S, 2, 2) of synchronous runs."""
+        """(B, S, 2, R) complex residual in N.
+
+        ``impedance`` H is (B, S, R, 2, 2), or (B, S, 2, 2) where all runs are synchronous.
+        """
         if impedance.ndim == 4:
             return self.free_residual + impedance @ self.displacement
         return self.free_residual + np.einsum("bsrij,bsjr->bsir", impedance, self.displacement)

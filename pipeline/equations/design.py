@@ -1,7 +1,7 @@
 """Choosing the runs that determine the unknowns best, before anything is measured.
 
-Each run adds its Fisher information to that of the others, ``I = sum A_r' S_r^-1 A_r`` with the covariance S_r of its residual
-(least squares at each speed, :mod:`pipeline.equations.noise`), so a set of runs is judged without a simulation.
+Each run adds its Fisher information to that of the others, ``I = sum A_r' S_r^-1 A_r`` with the covariance S_r of its
+residual (least squares at each speed, :mod:`pipeline.equations.noise`): a set of runs is judged without a simulation.
 
 Legend: C candidate runs, S speeds, U unknowns, M members (see :mod:`pipeline.equations.unknown_system`).
 """
@@ -18,7 +18,8 @@ from pipeline.equations.unknown_system import UnknownSystem
 Criterion = Literal["A", "D"]
 
 PRIOR_DEVIATION = 1e3
-"""Every unknown is taken as known beforehand to within so many times its size: sets too small to determine all compare."""
+"""Every unknown is taken as known beforehand to within so many times its size, so that sets too small to determine all
+of them compare."""
 
 
 def run_information(white: UnknownSystem, n_runs: int, size: np.ndarray) -> np.ndarray:
@@ -34,7 +35,7 @@ def run_information(white: UnknownSystem, n_runs: int, size: np.ndarray) -> np.n
 def merit(information: np.ndarray, present: np.ndarray, criterion: Criterion) -> float:
     """What a design minimises, from the information (M, S, U, U) of its runs; ``present`` (M, U).
 
-    A: logarithm of the mean variance; D: of the volume of the confidence region; both as means over speeds and bearings.
+    A: logarithm of the mean variance; D: of the volume of the confidence region; means over speeds and bearings.
     """
     total = 0.0
     for m, there in enumerate(present):

@@ -1,9 +1,9 @@
 """What the data determine, before any fit: rank, condition, the combination left free, and a verdict in words.
 
-At one speed a bearing has up to eight real unknowns, and each run gives two complex equations: two runs with independent
-orbits determine all eight, one leaves four free. On an axisymmetric rotor unbalance excites forward whirl alone, and
-backward whirl comes from anisotropic bearings. Where one bearing alone is anisotropic, its own backward whirl is in a
-fixed ratio to its forward whirl, so its orbits are multiples of each other whatever the planes and phases.
+At one speed a bearing has up to eight real unknowns, and each run gives two complex equations: two runs with
+independent orbits determine all eight, one leaves four free. On an axisymmetric rotor unbalance excites forward whirl
+alone, and backward whirl comes from anisotropic bearings. Where one bearing alone is anisotropic, its own backward
+whirl is in a fixed ratio to its forward whirl: its orbits are multiples of each other, whatever the planes and phases.
 
 Legend: S speeds, R runs, B bearings, U unknowns, M members (see :mod:`pipeline.equations.unknown_system`).
 """
@@ -159,8 +159,8 @@ def _reason(names: tuple[str, ...], rank: np.ndarray, orbit_rank: np.ndarray, eq
     cures = "a run of another whirl (backward) or frequency, fewer unknowns, or a structure (identify.structure)"
     if orbit_rank.max() < 2 and n_runs > 1:
         return (
-            f"{determined}: their orbits are multiples of each other (rank 1 of 2), as those of all unbalances are where "
-            f"the other bearings are isotropic; add {cures}"
+            f"{determined}: their orbits are multiples of each other (rank 1 of 2), as those of all unbalances are "
+            f"where the other bearings are isotropic; add {cures}"
         )
     if n_runs == 1:
         return f"{determined}: a run gives 2 real equations for the force in x and 2 in y; add {cures}"

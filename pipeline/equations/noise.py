@@ -68,7 +68,7 @@ def _sensitivity(rotor: RotorModel, dataset: VibrationDataset, bearings: Bearing
 
 
 def whitened(system: UnknownSystem, covariance: np.ndarray, alike: bool) -> UnknownSystem:
-    """The system with rows of independent noise of unit deviation, (M, S, rows, ..); least squares of it is weighted."""
+    """The system, (M, S, rows, ..), with rows of independent noise of unit deviation: its least squares is weighted."""
     n_bearings, n_speeds, n_rows, n_unknowns = system.matrix.shape
     n_runs = n_rows // 4
     both = np.concatenate([system.matrix, system.offset[..., None]], axis=-1)

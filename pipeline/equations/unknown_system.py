@@ -71,7 +71,7 @@ def _check_motion(equations: BearingEquations, system: UnknownSystem) -> None:
     if len(points):
         b, s, u = points[0]
         raise IdentifiabilityError(
-            f"The bearing at node {equations.bearing_nodes[b]} must move to show its {system.unknowns.names[u]}, but the "
-            f"data have no motion of it at {equations.speeds[s]:.6g} rad/s ({len(points)} such points): "
+            f"The bearing at node {equations.bearing_nodes[b]} must move to show its {system.unknowns.names[u]}, but "
+            f"the data have no motion of it at {equations.speeds[s]:.6g} rad/s ({len(points)} such points): "
             "check the sensors"
         )

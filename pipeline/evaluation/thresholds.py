@@ -1,7 +1,8 @@
 """Metrics against ``conf/thresholds``: what must not get worse, and why that is the limit.
 
-A threshold file (one an experiment) is a list of rules ``{file, metric, max, why}``, or ``min`` in place of ``max``. ``metric`` is a dotted
-path into the JSON ``file`` of the experiment's folder; ``*`` matches every key, and all matches must hold.
+A threshold file (one an experiment) is a list of rules ``{file, metric, max, why}``, or ``min`` in place of ``max``.
+``metric`` is a dotted path into the JSON ``file`` of the experiment's folder; ``*`` matches every key, and all matches
+must hold.
 """
 
 from __future__ import annotations

@@ -44,7 +44,7 @@ class CoefficientModel:
 
     @property
     def positive(self) -> tuple[bool, ...]:
-        """Which unknowns are ``scale * exp(output)``; the others, which may have either sign, are ``scale * output``."""
+        """Which unknowns are ``scale * exp(output)``; the others, of either sign, are ``scale * output``."""
         return tuple(self.parametrisation == "log" and is_direct(name) for name in self.unknowns)
 
     @property
@@ -143,7 +143,7 @@ class CoefficientModel:
         return torch.where(mask, function(torch.where(mask, raw, torch.zeros_like(raw))), otherwise)
 
     def raw_from(self, values: torch.Tensor, scale: torch.Tensor) -> torch.Tensor:
-        """The network output that gives ``values`` (..., U); where that must be positive, a thousandth of the scale at least."""
+        """The network output that gives ``values`` (..., U); what must be positive is kept above a floor."""
         import torch
 
         relative = values / scale

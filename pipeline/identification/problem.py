@@ -67,7 +67,7 @@ class ResidualProblem:
         )
 
     def per_speed(self, regularisation: float) -> tuple[np.ndarray, np.ndarray]:
-        """The regularised pseudo-inverse of A (M, N, U, U) and the answer of each speed (M, N, U), relative to the scale.
+        """The regularised pseudo-inverse of A (M, N, U, U) and the answer of each speed (M, N, U), in scales.
 
         ``regularisation`` is relative to the largest singular value; what lies below the rounding of the data is left
         out in any case.

@@ -170,8 +170,8 @@ def verdict(report: StudyReport) -> str:
         )
     return (
         f"the configured default stays: over {len(default.losses)} seeds no finalist lowers its median held-out loss "
-        f"{default.median:.3g} by {report.config.tuning.least_gain:g} times and below its luckiest seed, so tuning does not "
-        "help"
+        f"{default.median:.3g} by {report.config.tuning.least_gain:g} times and below its luckiest seed, so tuning "
+        "does not help"
     )
 
 

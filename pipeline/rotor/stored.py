@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import importlib.metadata
 import json
-from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from pipeline.config.schema import RotorConfig
 from pipeline.files import write_beside
 from pipeline.rotor.model import RotorModel
 
-_KEY = "made_from"
+_ARRAYS = ("mass", "damping", "gyroscopic", "stiffness", "positions")
 
 
 def made_from(config: RotorConfig) -> str:
@@ -27,28 +26,36 @@ def made_from(config: RotorConfig) -> str:
 
 
 def write_rotor(path: Path, rotor: RotorModel, config: RotorConfig) -> Path:
-    """Write the matrices, bit by bit, as NumPy's npz. Raises StorageError."""
-    content = {field.name: np.asarray(getattr(rotor, field.name)) for field in fields(rotor)}
-    content[_KEY] = np.array(made_from(config))
+    """Write the matrices, bit by bit, as safetensors. Raises StorageError."""
+    from safetensors.numpy import save
+
+    places = {"bearing_nodes": rotor.bearing_nodes, "disc_nodes": rotor.disc_nodes, "total_mass": rotor.total_mass}
+    content = save(
+        {name: np.ascontiguousarray(getattr(rotor, name)) for name in _ARRAYS},
+        {"made_from": made_from(config), "places": json.dumps(places)},
+    )
 
     def write(beside: Path) -> None:
-        with beside.open("wb") as file:  # savez would give a name without its ending another one
-            np.savez(file, **content)
+        beside.write_bytes(content)
 
     return write_beside(path, write)
 
 
 def read_rotor(path: Path, config: RotorConfig) -> RotorModel | None:
     """What :func:`write_rotor` wrote; None where there is no such file, a damaged one, or one of another rotor."""
+    from safetensors import SafetensorError, safe_open
+
     try:
-        with np.load(path, allow_pickle=False) as stored:
-            if str(stored[_KEY]) != made_from(config):
+        with safe_open(path, framework="np") as stored:
+            metadata = stored.metadata() or {}
+            if metadata.get("made_from") != made_from(config):
                 return None
+            places = json.loads(metadata["places"])
             return RotorModel(
-                **{name: stored[name] for name in ("mass", "damping", "gyroscopic", "stiffness", "positions")},
-                bearing_nodes=tuple(int(node) for node in stored["bearing_nodes"]),
-                disc_nodes=tuple(int(node) for node in stored["disc_nodes"]),
-                total_mass=float(stored["total_mass"]),
+                **{name: stored.get_tensor(name) for name in _ARRAYS},
+                bearing_nodes=tuple(places["bearing_nodes"]),
+                disc_nodes=tuple(places["disc_nodes"]),
+                total_mass=places["total_mass"],
             )
-    except Exception:  # NumPy raises what its zip and header readers raise; ROSS assembles the rotor anew then
-        return None
+    except (OSError, SafetensorError, KeyError, ValueError):
+        return None  # ROSS assembles the rotor anew

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -30,8 +29,6 @@ from pipeline.stages.inputs import require_nodes
 from pipeline.stages.run import StageOutput, flat_metrics, workspace
 from pipeline.units import RAD_S_PER_RPM
 from pipeline.unknowns import UnknownSet, unknown_set
-
-NAME = "designed"
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +58,7 @@ class Plan:
         return whitened(system, covariance, self.alike)
 
     def sizes(self) -> np.ndarray:
-        """(M, S, U) sizes of the unknowns; no less than a hundredth of the largest of its kind, for those that cross zero."""
+        """(M, S, U) sizes of the unknowns; some cross zero: no less than a hundredth of the largest of their kind."""
         values = np.abs(self.prior.values)
         kinds = values.reshape(*values.shape[:2], 2, 4)
         floor = np.repeat(_FLOOR * kinds.max(axis=-1), 4, axis=-1)
@@ -118,7 +115,7 @@ def candidates(design: DesignConfig) -> tuple[tuple[Excitation, ...], ...]:
 
 
 def run(config: Config) -> StageOutput:
-    """``design.json`` and ``design/excitation/designed.yaml``, an excitation that can be used at once."""
+    """``design.json`` and ``designed_excitation.yaml``, which can be used at once."""
     design, rotor = config.design, assemble(config.rotor)
     possible = candidates(design)
     require_nodes(rotor, "design.candidates", [one.node for acting in possible for one in acting])
@@ -145,12 +142,12 @@ def run(config: Config) -> StageOutput:
     _print(config, summary, [acting[0].run for acting in chosen])
     folder = workspace(config).folder
     written = [
-        write_text(folder / "design" / "excitation" / f"{NAME}.yaml", _excitation_yaml(config, chosen)),
+        write_text(folder / "designed_excitation.yaml", _excitation_yaml(config, chosen)),
         write_json(folder / "design.json", summary | {"runs": [acting[0].run for acting in chosen]}),
     ]
     say(
-        f"use it with: python -m pipeline stage=train experiment={config.name} output={folder}_designed "
-        f"--config-dir {folder / 'design'} excitation={NAME}"
+        f"use them with: python -m pipeline stage=train experiment={config.name} "
+        f"excitation.file={written[0]} output={folder}_designed"
     )
     return StageOutput(flat_metrics(summary), {"rotor_fingerprint": rotor.fingerprint}, written)
 

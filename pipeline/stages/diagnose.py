@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -41,7 +40,7 @@ class Diagnosis:
         b = self.answer.nodes.index(node)
         size = np.abs(self.answer.values[b])
         return {
-            name: self.deviation[b, :, c] / size[:, c]
+            name: np.divide(self.deviation[b, :, c], size[:, c], out=np.full(len(size), np.inf), where=size[:, c] > 0)
             for c, name in enumerate(COEFFICIENTS)
             if not np.isnan(self.deviation[b, :, c]).all()
         }

@@ -50,6 +50,11 @@ def load_identified(config: Config, inputs: Inputs) -> IdentifiedModel:
     return identified
 
 
+def _finite(value: float) -> float | None:
+    """JSON has no infinity."""
+    return float(value) if np.isfinite(value) else None
+
+
 def _same_unknowns(config: Config, identified: IdentifiedModel) -> bool:
     wanted = unknown_set({node: config.identify.at(node) for node in identified.bearing_nodes})
     found = identified.unknowns
@@ -81,7 +86,7 @@ def run(config: Config) -> StageOutput:
         "residual": {"mean_over_bearing_force": residual},
     }
     metrics["condition_number"] = {
-        str(node): {"median": float(np.median(c)), "max": float(c.max())}
+        str(node): {"median": _finite(np.median(c)), "max": _finite(c.max())}
         for node, c in zip(answer.nodes, condition, strict=True)
     }
     written: list[Path] = []

@@ -34,7 +34,7 @@ class Workspace:
     @property
     def rotor(self) -> Path:
         """The assembled rotor; made again where it does not fit."""
-        return self.folder / "rotor.npz"
+        return self.folder / "rotor.safetensors"
 
     @property
     def identified(self) -> Path:
@@ -87,7 +87,8 @@ def input_files(config: Config) -> InputFiles:
 
 def origin(config: Config) -> str:
     """Identity of what data are generated from: rotor, bearings and excitation of the configuration."""
-    parts = [section.model_dump(mode="json") for section in (config.rotor, config.bearing, config.excitation)]
+    parts = [section.model_dump(mode="json") for section in (config.rotor, config.bearing)]
+    parts.append(config.excitation.model_dump(mode="json", exclude={"file"}))
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
 
 
