@@ -192,7 +192,8 @@ class CoefficientModel:
             fed = _activation(self.activation, fed @ weight + bias)[0]
         fed = torch.cat([fed, torch.ones_like(fed[..., :1])], dim=-1)
         ridge = _OUTPUT_RIDGE * len(inputs) * torch.eye(fed.shape[-1], dtype=fed.dtype)
-        output = torch.linalg.solve(fed.mT @ fed + ridge, fed.mT @ targets)  # (M, h + 1, U)
+        factor = torch.linalg.cholesky(fed.mT @ fed + ridge)
+        output = torch.cholesky_solve(fed.mT @ targets, factor)  # (M, h + 1, U)
         n_in, n_out = self.sizes[-1]
         return torch.cat([parameters[:, : -(n_in + 1) * n_out], output.flatten(1)], dim=1)
 
