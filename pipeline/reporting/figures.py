@@ -91,7 +91,11 @@ def coefficient_figure(
                 axes[1, b].set_ylabel("error (%)")
             axes[-1, b].set_xlabel("rotor speed (rpm)")
         axes[0, 0].set_ylabel(f"{kind} ({unit(names[0])})")
-        axes[0, 0].legend()
+        if len(names) > 2:  # too many for a place among the curves
+            entries = axes[0, 0].get_legend_handles_labels()
+            axes[0, 0].figure.legend(*entries, loc="outside upper center", ncols=4)
+        else:
+            axes[0, 0].legend()
     return path
 
 
@@ -213,6 +217,7 @@ def _final_errors(path: Path, rows: pd.DataFrame, over: str) -> Path:
                 marker=marker,
                 ms=7,
                 color=colour,
+                mfc=colour if i < 8 else "none",
                 label=f"node {node} {name}",
             )
         if over == "initial_guess":
