@@ -208,6 +208,8 @@ class Terminal:
         self.said = ""
         self.process, self.terminal = pty.fork()
         if not self.process:
+            # A shell's background job hands down an ignored SIGINT.
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
             os.chdir(cwd)
             os.execve(command[0], command, ENVIRONMENT)
 
