@@ -579,6 +579,13 @@ class Config(_Section):
             return self
         if self.bearing.kind == "rotor_file":
             raise ValueError("must give rotor.file where bearing.kind is rotor_file, but rotor.file is null")
+        if isinstance(self.bearing, PerNodeBearingConfig):
+            without = [node for node in self.rotor.bearing_nodes if node not in self.bearing.nodes]
+            if without:
+                raise ValueError(
+                    f"bearing.nodes must have a bearing for every bearing node of the rotor, but node {without[0]} has "
+                    f"none (it has {', '.join(map(str, self.bearing.nodes))})"
+                )
         last = sum(segment.elements for segment in self.rotor.shaft)
         used = [
             (f"excitation run '{run.name}'", node)

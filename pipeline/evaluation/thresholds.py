@@ -57,7 +57,7 @@ class Check:
     @property
     def limit(self) -> str:
         """The limit in words."""
-        return f"<= {self.max:.3g}" if self.max is not None else f">= {self.min:.3g}"
+        return f"at most {self.max:g}" if self.max is not None else f"at least {self.min:g}"
 
 
 def read_rules(path: Path) -> list[Rule]:

@@ -14,6 +14,8 @@ from pipeline.files import write_beside
 from pipeline.rotor.model import RotorModel
 
 _ARRAYS = ("mass", "damping", "gyroscopic", "stiffness", "positions")
+_REST = ("bearing_nodes", "disc_nodes", "total_mass")
+_ENTRY = "rotor"
 
 
 def made_from(config: RotorConfig) -> str:
@@ -29,11 +31,9 @@ def write_rotor(path: Path, rotor: RotorModel, config: RotorConfig) -> Path:
     """Write the matrices, bit by bit, as safetensors. Raises StorageError."""
     from safetensors.numpy import save
 
-    places = {"bearing_nodes": rotor.bearing_nodes, "disc_nodes": rotor.disc_nodes, "total_mass": rotor.total_mass}
-    content = save(
-        {name: np.ascontiguousarray(getattr(rotor, name)) for name in _ARRAYS},
-        {"made_from": made_from(config), "places": json.dumps(places)},
-    )
+    # One entry: safetensors writes several in any order, and equal rotors should have equal bytes.
+    rest = {"made_from": made_from(config)} | {name: getattr(rotor, name) for name in _REST}
+    content = save({name: np.ascontiguousarray(getattr(rotor, name)) for name in _ARRAYS}, {_ENTRY: json.dumps(rest)})
 
     def write(beside: Path) -> None:
         beside.write_bytes(content)
@@ -47,15 +47,14 @@ def read_rotor(path: Path, config: RotorConfig) -> RotorModel | None:
 
     try:
         with safe_open(path, framework="np") as stored:
-            metadata = stored.metadata() or {}
-            if metadata.get("made_from") != made_from(config):
+            rest = json.loads((stored.metadata() or {})[_ENTRY])
+            if rest["made_from"] != made_from(config):
                 return None
-            places = json.loads(metadata["places"])
             return RotorModel(
                 **{name: stored.get_tensor(name) for name in _ARRAYS},
-                bearing_nodes=tuple(places["bearing_nodes"]),
-                disc_nodes=tuple(places["disc_nodes"]),
-                total_mass=places["total_mass"],
+                bearing_nodes=tuple(rest["bearing_nodes"]),
+                disc_nodes=tuple(rest["disc_nodes"]),
+                total_mass=rest["total_mass"],
             )
-    except (OSError, SafetensorError, KeyError, ValueError):
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError):
         return None  # ROSS assembles the rotor anew
