@@ -36,7 +36,7 @@ LONG = ["optimizer=adam", "optimizer.adam.steps=100000000", "optimizer.adam.pati
 ANSWER = {
     *("model.safetensors", "model.json", "identified_coefficients.csv", "history.csv", "training.json"),
 }
-DATA = {"vibration.parquet", "excitation.csv", "known_coefficients.csv", "modelled_coefficients.csv"}
+DATA = {"rotor.safetensors", "vibration.parquet", "excitation.csv", "known_coefficients.csv", "modelled_coefficients.csv"}
 
 
 def files(folder: Path) -> set[str]:
