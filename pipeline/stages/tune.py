@@ -28,7 +28,7 @@ from pipeline.stages.run import StageOutput, flat_metrics
 from pipeline.tracking import ChildRecord
 from pipeline.tuning.parallel import run_study
 from pipeline.tuning.review import TrialAccount, accounts, finalists, fingerprint, importances, promoted
-from pipeline.tuning.storage import place
+from pipeline.tuning.storage import open_storage, place, storage_errors
 from pipeline.tuning.study import StudyProblem
 from pipeline.tuning.worker import ROUNDING, Seen
 
@@ -49,6 +49,8 @@ def run(config: Config) -> StageOutput:
     """The study, then its best trials and the default over several seeds; ``studies/NAME/`` with what came of it."""
     from filelock import FileLock
 
+    with storage_errors(config.tuning):
+        open_storage(config.tuning)  # one that can't be reached is said at once, before the data are read
     inputs = load_inputs(config)
     problem, folder = study_problem(config, inputs), Path(config.tuning.folder)
     started = time.perf_counter()
@@ -107,8 +109,8 @@ def _judged(config: Config) -> TrainingSetup:
 def progress_of(shown: StudyProgress, total: int) -> Seen:
     """What a worker calls between its steps to show how far the study is."""
 
-    def seen(study: object) -> None:
-        trials = study.get_trials(deepcopy=False)  # type: ignore[attr-defined]
+    def seen(study: Any) -> None:
+        trials = study.get_trials(deepcopy=False)
         values = [t.value for t in trials if t.state.name == "COMPLETE"]
         done = sum(t.state.is_finished() for t in trials)
         shown(min(done, total), 10 ** min(values) if values else None)

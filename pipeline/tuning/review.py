@@ -164,10 +164,14 @@ def _setup(problem: StudyProblem, number: int, values: Mapping[str, Value]) -> T
 
 
 def promoted(default: Finalist, others: Sequence[Finalist], config: TuningConfig, rounding: float) -> Finalist:
-    """The finalist with the lowest median loss, if it is lower than the default's by ``least_gain``; or the default."""
+    """The finalist with the lowest median loss, or the default.
+
+    A finalist must be better by ``least_gain``, and by more than luck: its median below the default's luckiest seed.
+    """
     best = min(others, key=lambda f: f.median, default=default)
     gained = max(default.median, rounding) >= config.least_gain * max(best.median, rounding)
-    return best if gained else default
+    luckiest = np.nanmin(default.losses) if np.isfinite(default.median) else np.inf
+    return best if gained and best.median < luckiest else default
 
 
 def importances(study: optuna.Study) -> dict[str, float]:
