@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import queue
 import threading
 from collections.abc import Callable
+from concurrent.futures import Future
 from typing import TypeVar
 
 _T = TypeVar("_T")
@@ -12,19 +12,19 @@ _T = TypeVar("_T")
 
 def within(seconds: float, function: Callable[[], _T]) -> _T:
     """What ``function`` returns or raises, or a :class:`TimeoutError`; its thread is then left to itself."""
-    answers: queue.SimpleQueue[tuple[_T | None, Exception | None]] = queue.SimpleQueue()
+    answer: Future[_T] = Future()
 
     def work() -> None:
         try:
-            answers.put((function(), None))
+            answer.set_result(function())
         except Exception as error:
-            answers.put((None, error))
+            answer.set_exception(error)
 
+    # Not an executor's thread, which the interpreter would wait for at its end.
     threading.Thread(target=work, name="within", daemon=True).start()
     try:
-        value, error = answers.get(timeout=seconds)
-    except queue.Empty:
+        return answer.result(seconds)
+    except TimeoutError:
+        if answer.done():
+            raise  # the function's own
         raise TimeoutError(f"no answer within {seconds:g} s") from None
-    if error is not None:
-        raise error
-    return value  # type: ignore[return-value]

@@ -36,7 +36,13 @@ LONG = ["optimizer=adam", "optimizer.adam.steps=100000000", "optimizer.adam.pati
 ANSWER = {
     *("model.safetensors", "model.json", "identified_coefficients.csv", "history.csv", "training.json"),
 }
-DATA = {"rotor.safetensors", "vibration.parquet", "excitation.csv", "known_coefficients.csv", "modelled_coefficients.csv"}
+DATA = {
+    "rotor.safetensors",
+    "vibration.parquet",
+    "excitation.csv",
+    "known_coefficients.csv",
+    "modelled_coefficients.csv",
+}
 
 
 def files(folder: Path) -> set[str]:
@@ -179,11 +185,11 @@ def test_ctrl_c_while_saving_leaves_no_half_file(nth: int, tmp_path: Path, monke
     run(config, "generate", tmp_path / "x")
     real, calls = os.replace, []
 
-    def replace(source: object, target: object) -> None:
+    def replace(source: Any, target: Any) -> None:
         calls.append(target)
         if len(calls) == nth:
             raise KeyboardInterrupt
-        real(source, target)  # type: ignore[arg-type]
+        real(source, target)
 
     monkeypatch.setattr(os, "replace", replace)
     with pytest.raises(KeyboardInterrupt):

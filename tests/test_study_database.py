@@ -285,8 +285,9 @@ class Worker:
 def machine_room() -> Iterator[subprocess.Popen[str]]:
     """MACHINE_ROOM, open."""
     command = [sys.executable, "-W", "error", "-W", "ignore::ResourceWarning", "-c", MACHINE_ROOM]
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-    with subprocess.Popen(command, env=ENVIRONMENT, text=True, bufsize=1, **pipes) as process:  # type: ignore[call-overload]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, env=ENVIRONMENT, text=True, bufsize=1, stdin=pipe, stdout=pipe) as process:
+        assert process.stdout is not None
         assert process.stdout.readline() == "open\n"
         yield process
         process.kill()

@@ -88,11 +88,9 @@ class DiscConfig(_Section):
                 "must give either width, inner_diameter and outer_diameter, or mass, diametral_inertia and "
                 f"polar_inertia, but got {sorted(self.model_fields_set - {'node'})}"
             )
-        if complete[0] and self.inner_diameter >= self.outer_diameter:  # type: ignore[operator]
-            raise ValueError(
-                f"must have inner_diameter < outer_diameter, but got {self.inner_diameter:g} m and "
-                f"{self.outer_diameter:g} m"
-            )
+        inner, outer = self.inner_diameter, self.outer_diameter
+        if inner is not None and outer is not None and inner >= outer:
+            raise ValueError(f"must have inner_diameter < outer_diameter, but got {inner:g} m and {outer:g} m")
         return self
 
 

@@ -27,15 +27,16 @@ class _Dimension(_Section):
 
 class _Range(_Dimension):
     key: Key
+    low: float
+    high: float
     log: bool = False
 
     @model_validator(mode="after")
     def _ascending(self) -> _Range:
-        low, high = self.low, self.high  # type: ignore[attr-defined]
-        if low > high:
-            raise ValueError(f"must have low <= high, but got {low:g} and {high:g}")
-        if self.log and low <= 0:
-            raise ValueError(f"must have low > 0 on a logarithmic scale, but got {low:g}")
+        if self.low > self.high:
+            raise ValueError(f"must have low <= high, but got {self.low:g} and {self.high:g}")
+        if self.log and self.low <= 0:
+            raise ValueError(f"must have low > 0 on a logarithmic scale, but got {self.low:g}")
         return self
 
 
@@ -51,8 +52,6 @@ class FloatRange(_Range):
     """Real numbers from ``low`` to ``high``, SI."""
 
     kind: Literal["float"]
-    low: float
-    high: float
 
 
 class Choice(_Dimension):

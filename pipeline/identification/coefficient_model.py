@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -212,7 +212,7 @@ def _activation(name: str, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]
 
 
 def coefficient_model(
-    config: ModelConfig, unknowns: tuple[str, ...], speeds: np.ndarray, scale: np.ndarray
+    config: ModelConfig, unknowns: tuple[CoefficientName, ...], speeds: np.ndarray, scale: np.ndarray
 ) -> CoefficientModel:
     """The model that a configuration describes, for data at ``speeds`` (S,) rad/s.
 
@@ -220,18 +220,13 @@ def coefficient_model(
     :func:`pipeline.identification.problem.data_scale`.
     """
     rows = tuple(tuple(float(v) for v in row) for row in scale)
-    common = {
-        "unknowns": unknowns,
-        "inputs": ("speed",),
-        "parametrisation": config.parametrisation,
-        "scale": rows,
-    }
+    constant = CoefficientModel(unknowns, ("speed",), config.parametrisation, rows, hidden=None)
     if not isinstance(config, NetworkModelConfig):
-        return CoefficientModel(hidden=None, **common)  # type: ignore[arg-type]
-    return CoefficientModel(
+        return constant
+    return replace(
+        constant,
         hidden=(config.width,) * config.depth,
         activation=config.activation,
         input_scaling=config.input_scaling,
         input_range=(float(speeds.min()), float(speeds.max())),
-        **common,  # type: ignore[arg-type]
     )

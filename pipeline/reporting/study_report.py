@@ -149,7 +149,8 @@ def _finalist_summary(report: StudyReport, finalist: Finalist) -> dict[str, obje
 
 
 def _medians(report: StudyReport, name: str) -> tuple[float, float]:
-    return tuple(float(np.median(report.errors[f.trial][name])) for f in (report.default, report.best))  # type: ignore[return-value]
+    before, after = (float(np.median(report.errors[f.trial][name])) for f in (report.default, report.best))
+    return before, after
 
 
 def _ratio(before: float, after: float) -> float | None:

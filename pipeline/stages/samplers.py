@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -52,7 +52,7 @@ def run(config: Config) -> StageOutput:
         }
         for sampler, runs in curves.items()
     }
-    _print(config, summary)
+    _print(config, {sampler: runs[:, -1] for sampler, runs in curves.items()})
     written = [
         write_table(folder / "samplers.csv", _table(curves, spec.seeds)),
         samplers_figure(folder / "figures" / "samplers.png", curves),
@@ -83,17 +83,15 @@ def _table(curves: dict[str, np.ndarray], seeds: tuple[int, ...]) -> pd.DataFram
     return pd.DataFrame(rows)
 
 
-def _print(config: Config, summary: dict[str, dict[str, object]]) -> None:
-    rows = [
-        [sampler, f"{found['median_best_loss']:.3g}", *(f"{loss:.3g}" for loss in found["best_losses"])]  # type: ignore[attr-defined]
-        for sampler, found in summary.items()
-    ]
+def _print(config: Config, best: dict[str, np.ndarray]) -> None:
+    """``best`` has the losses (seeds,) that each sampler's studies ended with."""
+    medians = {sampler: float(np.median(losses)) for sampler, losses in best.items()}
+    rows = [[name, f"{medians[name]:.3g}", *(f"{loss:.3g}" for loss in losses)] for name, losses in best.items()]
     seeds = [f"seed {seed}" for seed in config.tuning.comparison.seeds]
     title = f"{config.name}: best held-out loss of {config.tuning.n_trials} trials, the configured default left out"
     table(title, ["sampler", "median", *seeds], rows)
-    first, *others = summary
-    mine: Any = summary[first]["median_best_loss"]
+    first, *others = best
     for other in others:
-        its: Any = summary[other]["median_best_loss"]
+        mine, its = medians[first], medians[other]
         verdict = "beats" if mine < its else "ends level with" if mine == its else "does not beat"
         say(f"{first} {verdict} {other} in the median of {len(seeds)} studies")

@@ -112,8 +112,8 @@ def _judged(config: Config) -> TrainingSetup:
 def progress_of(shown: StudyProgress, total: int) -> Seen:
     """What a worker calls between its steps to show how far the study is."""
 
-    def seen(study: object) -> None:
-        trials = study.get_trials(deepcopy=False)  # type: ignore[attr-defined]
+    def seen(study: Any) -> None:
+        trials = study.get_trials(deepcopy=False)
         values = [t.value for t in trials if t.state.name == "COMPLETE"]
         done = sum(t.state.is_finished() for t in trials)
         shown(min(done, total), 10 ** min(values) if values else None)

@@ -42,7 +42,7 @@ def prepare_database(path: Path, timeout_seconds: float) -> None:
         raise DatabaseProblem(
             f"{path} is not a sound SQLite database ({error}); move it away, the next run makes a new one"
         ) from error
-    except (OSError, NotImplementedError) as error:
+    except (OSError, NotImplementedError) as error:  # filelock raises the latter where a file system has no locks
         reason = getattr(error, "strerror", None) or error
         raise DatabaseProblem(f"the database {path} can't be made there ({reason})") from error
 

@@ -40,7 +40,7 @@ def quiet_mlflow(timeout_seconds: float) -> Iterator[None]:
         # half-way through SQLAlchemy's set-up of its classes it would spoil them for the whole process.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            # MLflow sets the levels of these loggers when it is imported.
+            # Only for its effect: MLflow sets the levels of these loggers when it is imported.
             import mlflow  # noqa: F401
 
             for name in _LOGGERS:

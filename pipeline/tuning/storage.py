@@ -155,7 +155,7 @@ def _is_corrupted(path: Path) -> bool:
 
     try:
         JournalStorage(JournalFileBackend(str(path)))
-    except Exception:
+    except Exception:  # it raises what the damage happens to break: KeyError, AttributeError, JSONDecodeError ...
         return True
     return False
 

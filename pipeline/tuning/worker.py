@@ -99,7 +99,7 @@ def run_trial(study: optuna.Study, trial: optuna.trial.Trial, problem: StudyProb
     curve: _Curve | None = None
     try:
         values = values_of(config.tuning.space, suggest(trial, config.tuning.space))
-        started = time.perf_counter()
+        started = time.perf_counter()  # sampling is no training; where it fails, the time of that is all there is
         setup = setup_of(with_values(config, values, f"trial {trial.number}"))
         prepared = prepare(problem.equations, problem.known, setup)
         curve = _Curve(study, trial, prepared, phases(setup.optimizer)[-1], seen)
