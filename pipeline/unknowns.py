@@ -18,7 +18,7 @@ from typing import Literal
 
 import numpy as np
 
-from pipeline.coefficients import COEFFICIENTS
+from pipeline.coefficients import COEFFICIENTS, CoefficientName
 
 Structure = Literal["none", "symmetric_damping", "isotropic"]
 
@@ -34,7 +34,7 @@ _TIES: dict[str, tuple[tuple[str, str, int], ...]] = {
 class BearingUnknowns:
     """The coefficients that are identified at one bearing, and their structure."""
 
-    coefficients: tuple[str, ...]
+    coefficients: tuple[CoefficientName, ...]
     structure: Structure = "none"
 
     def __post_init__(self) -> None:
@@ -56,7 +56,7 @@ class BearingUnknowns:
 class UnknownSet:
     """The unknowns of all bearings, and how coefficients follow from them: ``coefficients = expansion @ unknowns``."""
 
-    names: tuple[str, ...]  # U, each by the coefficient that leads it
+    names: tuple[CoefficientName, ...]  # U, each by the coefficient that leads it
     expansion: np.ndarray  # (B, 8, U) of 0, 1 and -1; a row of zeros is a known coefficient
 
     @property

@@ -16,11 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.coefficients import COEFFICIENTS, column, is_stiffness, row
-from pipeline.config.schema import (
-    ConstantModelConfig,
-    ModelConfig,
-    NetworkModelConfig,
-)
+from pipeline.config.identification import ConstantModelConfig, ModelConfig, NetworkModelConfig
 from pipeline.data.dataset import VibrationDataset, force_vectors
 from pipeline.equations import unknown_system as systems
 from pipeline.equations.bearing_equations import BearingEquations, bearing_equations

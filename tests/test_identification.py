@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.compose import compose_config, options
-from pipeline.config.schema import (
+from pipeline.config.identification import (
     AdamConfig,
     IdentifyConfig,
     LBFGSConfig,

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.compose import options
-from pipeline.config.schema import RotorConfig
+from pipeline.config.machine import RotorConfig
 from pipeline.data.dataset import Excitation, force_vectors
 from pipeline.data.simulate import forced_response
 from pipeline.errors import PipelineError

@@ -19,7 +19,7 @@ import torch
 from conftest import Machine, MachineFactory
 
 from pipeline.config.compose import compose_config
-from pipeline.config.schema import AdamConfig, LevenbergMarquardtConfig
+from pipeline.config.identification import AdamConfig, LevenbergMarquardtConfig
 from pipeline.data.simulate import forced_response
 from pipeline.identification import optimizers
 from pipeline.identification.training import TrainingSetup, initial_parameters, prepare, run_training

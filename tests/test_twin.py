@@ -12,7 +12,7 @@ from conftest import Machine, MachineFactory, bearings_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.config.schema import RotorConfig
+from pipeline.config.machine import RotorConfig
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel, bearing_dof
 from pipeline.rotor.ross_adapter import assemble, ross_rotor

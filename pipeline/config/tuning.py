@@ -5,20 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, model_validator
+from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
-NonNegativeInt = Annotated[int, Field(ge=0)]
+from pipeline.config.section import NonNegativeInt, Section
+
 Value = bool | int | float | str
 Key = Annotated[str, Field(pattern=r"^(model|loss|optimizer)(\.[A-Za-z_]+)+$|^training\.tolerance$")]
 """A value of the configuration that a study may change: not what the objective is measured on."""
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
-
-
-class _Dimension(_Section):
-    when: dict[str, tuple[Value, ...]] = {}
+class _Dimension(Section):
+    when: dict[str, tuple[Value, ...]] = Field(default_factory=dict)
 
     def options(self) -> tuple[str | Value, ...] | None:
         """The choices, or None for a range."""
@@ -90,14 +87,14 @@ DimensionName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 Sampler = Literal["tpe", "random", "gp"]
 
 
-class ComparisonConfig(_Section):
+class ComparisonConfig(Section):
     """Studies that ``stage=samplers`` makes: each sampler with each seed."""
 
     samplers: tuple[Sampler, ...] = Field(min_length=1)
     seeds: tuple[NonNegativeInt, ...] = Field(min_length=1)
 
 
-class TuningConfig(_Section):
+class TuningConfig(Section):
     """A study: what is varied, how often, where it is kept and what is done with its best trials."""
 
     study: str = Field(min_length=1, max_length=200)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from pipeline.coefficients import CoefficientName, is_direct
-from pipeline.config.schema import ModelConfig, NetworkModelConfig
+from pipeline.config.identification import ModelConfig, NetworkModelConfig
 
 if TYPE_CHECKING:
     import torch

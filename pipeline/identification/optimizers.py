@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from pipeline.config.schema import AdamConfig, LBFGSConfig, LevenbergMarquardtConfig
+from pipeline.config.identification import AdamConfig, LBFGSConfig, LevenbergMarquardtConfig
 from pipeline.identification.problem import ResidualProblem
 
 if TYPE_CHECKING:

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from pipeline.coefficients import is_direct, is_stiffness
-from pipeline.config.schema import (
-    Config,
+from pipeline.config.identification import (
     IdentifyConfig,
     LossConfig,
     ModelConfig,
@@ -19,6 +18,7 @@ from pipeline.config.schema import (
     OptimizerConfig,
     TrainingConfig,
 )
+from pipeline.config.schema import Config
 from pipeline.equations.bearing_equations import BearingEquations
 from pipeline.equations.identifiability import Identifiability, identifiability, require_identifiable
 from pipeline.equations.unknown_system import unknown_system

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.config.schema import (
+from pipeline.config.machine import (
     BallBearingConfig,
     BearingConfig,
     CylindricalBearingConfig,

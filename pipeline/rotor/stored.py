@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.config.schema import RotorConfig
+from pipeline.config.machine import RotorConfig
 from pipeline.files import write_beside
 from pipeline.rotor.model import RotorModel
 

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.config.schema import Config, DesignConfig
+from pipeline.config.excitation import DesignConfig
+from pipeline.config.schema import Config
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.data.simulate import simulate, with_noise
 from pipeline.equations.bearing_equations import bearing_equations

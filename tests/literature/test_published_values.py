@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.compose import compose_config
-from pipeline.config.schema import CylindricalBearingConfig, RotorConfig
+from pipeline.config.machine import CylindricalBearingConfig, RotorConfig
 from pipeline.data.dataset import Excitation
 from pipeline.data.simulate import forced_response
 from pipeline.rotor.bearing_table import BearingTable

@@ -1,0 +1,172 @@
+"""What a configuration may say of the fit: unknowns, model, loss, optimiser and training."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+
+from pipeline.coefficients import CoefficientName
+from pipeline.config.quantities import (
+    Damping,
+    Stiffness,
+)
+from pipeline.config.section import NonNegativeInt, Section
+from pipeline.unknowns import BearingUnknowns, Structure
+
+
+class OneBearingConfig(Section):
+    """What one bearing has otherwise than the rest; null stands for what the rest has."""
+
+    unknowns: tuple[CoefficientName, ...] | None = None
+    structure: Structure | None = None
+
+
+class IdentifyConfig(Section):
+    """Which coefficients are unknown, and what ties them together; the others are taken as known.
+
+    ``bearings`` has exceptions by node; ``tie_bearings`` makes all bearings alike.
+    """
+
+    unknowns: tuple[CoefficientName, ...] = Field(min_length=1)
+    structure: Structure
+    tie_bearings: bool
+    bearings: dict[NonNegativeInt, OneBearingConfig] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _lawful(self) -> IdentifyConfig:
+        if self.tie_bearings and self.bearings:
+            raise ValueError(
+                "tie_bearings makes all bearings alike, but bearings has exceptions: leave one of them out"
+            )
+        for unknowns in (self.unknowns, *(one.unknowns or () for one in self.bearings.values())):
+            if len(set(unknowns)) != len(unknowns):
+                raise ValueError(f"must name each unknown once, but got {list(unknowns)}")
+        self.at(-1)
+        for node in self.bearings:
+            self.at(node)
+        return self
+
+    def at(self, node: int) -> BearingUnknowns:
+        """What is unknown of the bearing at ``node``. Raises ValueError for a structure that half of is known."""
+        one = self.bearings.get(node, OneBearingConfig())
+        return BearingUnknowns(self.unknowns if one.unknowns is None else one.unknowns, one.structure or self.structure)
+
+    def named(self) -> tuple[str, ...]:
+        """Every coefficient that is unknown at some bearing, in the order of the configuration."""
+        return tuple(
+            dict.fromkeys([*self.unknowns, *(n for one in self.bearings.values() for n in one.unknowns or ())])
+        )
+
+
+class _CoefficientModelConfig(Section):
+    parametrisation: Literal["log", "scaled"]
+    initialisation: Literal["guess", "per_speed"]
+    initial_stiffness: Stiffness
+    initial_damping: Damping
+
+
+class ConstantModelConfig(_CoefficientModelConfig):
+    """One trainable parameter a coefficient, the same at every speed (paper, section 4.1)."""
+
+    kind: Literal["constant"]
+
+
+class NetworkModelConfig(_CoefficientModelConfig):
+    """A multilayer perceptron of the rotor speed (paper, section 4.2)."""
+
+    kind: Literal["network"]
+    width: Annotated[int, Field(ge=1, le=512)]
+    depth: Annotated[int, Field(ge=1, le=8)]
+    activation: Literal["tanh", "silu", "sine"]
+    input_scaling: Literal["rpm", "log_rpm"]
+
+
+ModelConfig = Annotated[ConstantModelConfig | NetworkModelConfig, Field(discriminator="kind")]
+
+
+class LossConfig(Section):
+    """What training minimises.
+
+    ``residual``: the residual of the equation of motion (paper, eq. 6), per speed divided by its size or not.
+    ``preconditioned``: the same, multiplied at each speed by the regularised pseudo-inverse of its derivative by
+    the unknowns; ``regularisation`` is relative to the largest singular value.
+    """
+
+    kind: Literal["residual", "preconditioned"]
+    scaling: Literal["per_speed", "none"]
+    regularisation: Annotated[float, Field(ge=0, lt=1)]
+
+
+class _PhaseConfig(Section):
+    """Ends after ``steps``, or when the loss fell by less than ``training.tolerance`` in ``patience`` steps."""
+
+    steps: NonNegativeInt
+    patience: PositiveInt
+
+
+class AdamConfig(_PhaseConfig):
+    """Adam with the learning rate falling to ``final_rate_fraction`` of itself along a cosine."""
+
+    learning_rate: PositiveFloat
+    final_rate_fraction: Annotated[float, Field(gt=0, le=1)]
+
+
+class LBFGSConfig(_PhaseConfig):
+    """L-BFGS with a strong Wolfe line search."""
+
+    history: PositiveInt
+
+
+class LevenbergMarquardtConfig(_PhaseConfig):
+    """Damped Gauss-Newton steps, each member of a batch with its own damping."""
+
+    initial_damping: PositiveFloat
+
+
+class OptimizerConfig(Section):
+    """Phases run in this order; a phase of 0 steps is left out."""
+
+    adam: AdamConfig
+    lbfgs: LBFGSConfig
+    levenberg_marquardt: LevenbergMarquardtConfig
+
+    @model_validator(mode="after")
+    def _some_steps(self) -> OptimizerConfig:
+        if self.adam.steps + self.lbfgs.steps + self.levenberg_marquardt.steps == 0:
+            raise ValueError("must have a phase with steps > 0, but adam, lbfgs and levenberg_marquardt all have 0")
+        return self
+
+
+class TrainingConfig(Section):
+    """Stopping and model selection, on held-out speeds."""
+
+    holdout_every: NonNegativeInt
+    tolerance: Annotated[float, Field(ge=0, lt=1)]
+
+    @model_validator(mode="after")
+    def _leaves_training_speeds(self) -> TrainingConfig:
+        if self.holdout_every == 1:
+            raise ValueError(
+                "must have holdout_every = 0 (none) or at least 2, but got 1, which leaves no speed to train on"
+            )
+        return self
+
+
+class RobustnessConfig(Section):
+    """What is varied: initial guesses (log-spaced, for every unknown stiffness) or seeds."""
+
+    over: Literal["initial_guess", "seed"]
+    lowest_stiffness: Stiffness
+    highest_stiffness: Stiffness
+    count: Annotated[int, Field(ge=2, le=1000)]
+    seeds: tuple[NonNegativeInt, ...] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _ascending(self) -> RobustnessConfig:
+        if self.lowest_stiffness >= self.highest_stiffness:
+            raise ValueError(
+                "must have lowest_stiffness < highest_stiffness, "
+                f"but got {self.lowest_stiffness:g} and {self.highest_stiffness:g} N/m"
+            )
+        return self

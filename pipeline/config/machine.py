@@ -1,0 +1,197 @@
+"""What a configuration may say of the machine: rotor and bearings. SI."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Annotated, Literal
+
+from pydantic import Field, PositiveInt, model_validator
+
+from pipeline.config.quantities import (
+    Angle,
+    Bore,
+    Density,
+    Force,
+    Inertia,
+    Length,
+    Mass,
+    Pressure,
+    Viscosity,
+)
+from pipeline.config.section import NonNegativeInt, Section
+
+
+class MaterialConfig(Section):
+    """An isotropic shaft and disc material."""
+
+    density: Density
+    youngs_modulus: Pressure
+    shear_modulus: Pressure
+
+
+class ShaftSegmentConfig(Section):
+    """A cylindrical piece of shaft, divided into ``elements`` equal finite elements."""
+
+    length: Length
+    outer_diameter: Length
+    inner_diameter: Bore = 0.0
+    elements: PositiveInt = 1
+
+    @model_validator(mode="after")
+    def _hollow(self) -> ShaftSegmentConfig:
+        if self.inner_diameter >= self.outer_diameter:
+            raise ValueError(
+                f"must have inner_diameter < outer_diameter, but got {self.inner_diameter:g} m and "
+                f"{self.outer_diameter:g} m"
+            )
+        return self
+
+
+class DiscConfig(Section):
+    """A rigid disc: by its geometry (width, diameters) or by its inertia (mass, Id, Ip)."""
+
+    node: NonNegativeInt
+    width: Length | None = None
+    inner_diameter: Length | None = None
+    outer_diameter: Length | None = None
+    mass: Mass | None = None
+    diametral_inertia: Inertia | None = None
+    polar_inertia: Inertia | None = None
+
+    @model_validator(mode="after")
+    def _one_description(self) -> DiscConfig:
+        geometry = (self.width, self.inner_diameter, self.outer_diameter)
+        inertia = (self.mass, self.diametral_inertia, self.polar_inertia)
+        complete = [all(v is not None for v in group) for group in (geometry, inertia)]
+        given = [any(v is not None for v in group) for group in (geometry, inertia)]
+        if given != complete or sum(complete) != 1:
+            raise ValueError(
+                "must give either width, inner_diameter and outer_diameter, or mass, diametral_inertia and "
+                f"polar_inertia, but got {sorted(self.model_fields_set - {'node'})}"
+            )
+        inner, outer = self.inner_diameter, self.outer_diameter
+        if inner is not None and outer is not None and inner >= outer:
+            raise ValueError(f"must have inner_diameter < outer_diameter, but got {inner:g} m and {outer:g} m")
+        return self
+
+
+class RotorConfig(Section):
+    """Shaft, discs and bearing nodes; or ``file``, a rotor saved by ROSS (.toml, .json)."""
+
+    file: str | None = None
+    shaft: tuple[ShaftSegmentConfig, ...] = ()
+    material: MaterialConfig | None = None
+    discs: tuple[DiscConfig, ...] = ()
+    bearing_nodes: tuple[NonNegativeInt, ...] = ()
+    shear_effects: bool = True
+
+    @model_validator(mode="after")
+    def _nodes_exist(self) -> RotorConfig:
+        if self.file is not None:
+            return self
+        if not self.shaft or self.material is None or not self.bearing_nodes:
+            raise ValueError("must give shaft, material and bearing_nodes (or file, a rotor saved by ROSS)")
+        last = sum(segment.elements for segment in self.shaft)
+        if len(set(self.bearing_nodes)) != len(self.bearing_nodes):
+            raise ValueError(f"must name each bearing node once, but got bearing_nodes {list(self.bearing_nodes)}")
+        for what, nodes in (
+            ("bearing_nodes", self.bearing_nodes),
+            ("discs", [disc.node for disc in self.discs]),
+        ):
+            for node in nodes:
+                if node > last:
+                    raise ValueError(
+                        f"must use nodes 0 to {last} (the shaft has {last} elements), but {what} got node {node}"
+                    )
+        return self
+
+
+class BallBearingConfig(Section):
+    """ROSS ``BallBearingElement`` (Friswell et al. 2010, pages 182-185)."""
+
+    kind: Literal["ball"]
+    n_balls: PositiveInt
+    ball_diameter: Length
+    static_load: Force
+    contact_angle: Angle
+
+
+class CylindricalBearingConfig(Section):
+    """ROSS ``CylindricalBearing``, a short fluid-film bearing (Friswell et al. 2010, page 177).
+
+    ``static_load`` of null shares the rotor's weight equally among the bearings.
+    """
+
+    kind: Literal["cylindrical"]
+    journal_diameter: Length
+    length: Length
+    radial_clearance: Length
+    oil_viscosity: Viscosity
+    static_load: Force | None = None
+
+
+class JournalTableConfig(Section):
+    """A journal bearing from a published table of dimensionless coefficients over the Sommerfeld number.
+
+    ``rows`` are (S, Kxx, Kxy, Kyx, Kyy, Bxx, Bxy, Byx, Byy), with x the direction of the load,
+    S = viscosity N L D / W (R / C)^2, N in 1/s; k = K W / C and c = B W / (w C). Between the rows: cubic splines of the
+    logarithm of S.
+    """
+
+    kind: Literal["journal_table"]
+    rows: tuple[Annotated[tuple[float, ...], Field(min_length=9, max_length=9)], ...] = Field(min_length=4)
+    journal_diameter: Length
+    length: Length
+    radial_clearance: Length
+    oil_viscosity: Viscosity
+    static_load: Force
+
+    @model_validator(mode="after")
+    def _ascending(self) -> JournalTableConfig:
+        numbers = [row[0] for row in self.rows]
+        if numbers[0] <= 0 or any(b <= a for a, b in itertools.pairwise(numbers)):
+            raise ValueError(f"must have rows with ascending Sommerfeld numbers above zero, but got {numbers}")
+        return self
+
+
+class LinearBearingConfig(Section):
+    """A support with the same coefficients at every speed, N/m and N s/m."""
+
+    kind: Literal["linear"]
+    kxx: float = 0.0
+    kxy: float = 0.0
+    kyx: float = 0.0
+    kyy: float = 0.0
+    cxx: float = 0.0
+    cxy: float = 0.0
+    cyx: float = 0.0
+    cyy: float = 0.0
+
+
+class RotorFileBearingConfig(Section):
+    """The bearings that are saved in ``rotor.file``."""
+
+    kind: Literal["rotor_file"]
+
+
+AnyBearingConfig = Annotated[
+    BallBearingConfig | CylindricalBearingConfig | JournalTableConfig | LinearBearingConfig, Field(discriminator="kind")
+]
+
+
+class PerNodeBearingConfig(Section):
+    """Bearings that differ, by node."""
+
+    kind: Literal["per_node"]
+    nodes: dict[NonNegativeInt, AnyBearingConfig] = Field(min_length=1)
+
+
+BearingConfig = Annotated[
+    BallBearingConfig
+    | CylindricalBearingConfig
+    | JournalTableConfig
+    | LinearBearingConfig
+    | PerNodeBearingConfig
+    | RotorFileBearingConfig,
+    Field(discriminator="kind"),
+]

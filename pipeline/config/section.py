@@ -1,0 +1,15 @@
+"""What every part of a configuration has in common."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+NonNegativeInt = Annotated[int, Field(ge=0)]
+
+
+class Section(BaseModel):
+    """A part of a configuration: a key that it does not know is refused, and nothing changes it once it is made."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
