@@ -175,6 +175,7 @@ def test_unused_runs_cost_nothing(machine: MachineFactory) -> None:
     equations = made.equations
     many = replace(
         equations,
+        frequencies=np.tile(equations.frequencies, 10),
         free_residual=np.tile(equations.free_residual, 10),
         displacement=np.tile(equations.displacement, 10),
     )

@@ -29,13 +29,18 @@ def place(storage: str) -> str:
     return without_password(storage)
 
 
+def is_shared(config: TuningConfig) -> bool:
+    """Whether the storage is a database, which several machines can reach, and not a file."""
+    return bool(_URL.match(config.storage))
+
+
 def open_storage(config: TuningConfig) -> optuna.storages.BaseStorage:
     """The configured storage, made where it is missing.
 
     :raises StorageError: where it can't be reached within ``timeout_seconds``, read or written
     """
     with storage_errors(config, "Check its user, password, host and name"):
-        if _URL.match(config.storage):
+        if is_shared(config):
             return within(config.timeout_seconds, lambda: _database(config))
         return _journal(Path(config.storage))
 
@@ -49,7 +54,7 @@ def storage_errors(
     import sqlalchemy.exc
 
     shown = place(config.storage)
-    database = bool(_URL.match(config.storage))
+    database = is_shared(config)
     try:
         yield
     except TimeoutError as error:
