@@ -39,6 +39,15 @@ settings.register_profile("repeatable", derandomize=True, deadline=None, databas
 settings.load_profile("repeatable")
 
 
+DATA = {
+    *("rotor.safetensors", "vibration.parquet", "excitation.csv"),
+    *("known_coefficients.csv", "modelled_coefficients.csv"),
+}
+"""What ``generate`` writes into an experiment's folder."""
+ANSWER = {"model.safetensors", "model.json", "identified_coefficients.csv", "history.csv", "training.json"}
+"""What ``train`` adds."""
+
+
 @dataclass(frozen=True, eq=False)
 class Machine:
     """A modelled machine: its configuration, and what the straight line of data makes of it."""

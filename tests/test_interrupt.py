@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import ANSWER, DATA
 
 from pipeline.config.compose import compose_config
 from pipeline.config.schema import Config
@@ -33,16 +34,6 @@ COARSE = [
     "robustness.count=3",
 ]
 LONG = ["optimizer=adam", "optimizer.adam.steps=100000000", "optimizer.adam.patience=100000000"]
-ANSWER = {
-    *("model.safetensors", "model.json", "identified_coefficients.csv", "history.csv", "training.json"),
-}
-DATA = {
-    "rotor.safetensors",
-    "vibration.parquet",
-    "excitation.csv",
-    "known_coefficients.csv",
-    "modelled_coefficients.csv",
-}
 
 
 def files(folder: Path) -> set[str]:

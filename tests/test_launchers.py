@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import ANSWER, DATA
 
 from pipeline.__main__ import main
 from pipeline.identification.storage import load_model
@@ -25,14 +26,6 @@ CHEAP = [
 ]
 # As a network of the speed, which begins elsewhere for each seed; single parameters all begin at the same guess.
 SEEDS = ["-m", "stage=train", "seed=0,1,2", "experiment=ball_bearing", "model=network", *CHEAP]
-ANSWER = {"model.safetensors", "model.json", "identified_coefficients.csv", "history.csv", "training.json"}
-DATA = {
-    "rotor.safetensors",
-    "vibration.parquet",
-    "excitation.csv",
-    "known_coefficients.csv",
-    "modelled_coefficients.csv",
-}
 
 
 def command(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:

@@ -50,7 +50,7 @@ def record(**changes: object) -> StageRecord:
         "tags": {},
         "metrics": {},
     }
-    return StageRecord(**(parts | changes))  # type: ignore[arg-type]
+    return StageRecord(**(parts | changes))
 
 
 def python(code: str, *arguments: object, folder: Path) -> subprocess.CompletedProcess[str]:
@@ -100,7 +100,7 @@ class Logged:
             self.runs = self.client.search_runs([e.experiment_id for e in self.client.search_experiments()])
 
     @property
-    def run(self):  # type: ignore[no-untyped-def]
+    def run(self):
         (run,) = self.runs
         return run
 
@@ -326,7 +326,7 @@ def _below_a_file(path: Path) -> None:
         (Path.mkdir, "can't be made there"),
     ],
 )
-def test_unusable_database(spoil, reason: str, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+def test_unusable_database(spoil, reason: str, tmp_path: Path) -> None:
     path = tmp_path / "folder" / "mlflow.db"
     path.parent.mkdir()
     spoil(path)

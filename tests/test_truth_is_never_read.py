@@ -171,6 +171,7 @@ class Opened:
     """Files that the process opens, by Python's audit events; one hook serves all: it can't be taken away."""
 
     paths: list[str] | None = None
+    installed = False
 
     @classmethod
     def hook(cls, event: str, arguments: tuple[Any, ...]) -> None:
@@ -181,9 +182,9 @@ class Opened:
 @pytest.fixture
 def opened() -> Iterator[list[str]]:
     """Paths opened during the test."""
-    if Opened.paths is None and not getattr(Opened, "installed", False):
+    if not Opened.installed:
         sys.addaudithook(Opened.hook)
-        Opened.installed = True  # type: ignore[attr-defined]
+        Opened.installed = True
     Opened.paths = []
     yield Opened.paths
     Opened.paths = None

@@ -76,7 +76,7 @@ def test_every_point_of_the_space_is_a_configuration(name: str, data: st.DataObj
     config = untuned(f"experiment={name}")
     space = config.tuning.space
     trial = Draws(data)
-    parameters = suggest(trial, space)  # type: ignore[arg-type]
+    parameters = suggest(trial, space)
     assert trial.asked == list(parameters)
     assert [key for key in space if key in parameters] == [key for key in space if applies(space[key], parameters)]
     made = with_values(config, values_of(space, parameters), "trial")
@@ -145,8 +145,8 @@ def test_a_study_reopened_before_every_trial_draws_the_same(name: str) -> None:
     storage = optuna.storages.InMemoryStorage()
     optuna.create_study(storage=storage, study_name="x")
     for _ in range(12):
-        _parabola(at_once, config)  # type: ignore[arg-type]
-        _parabola(optuna.load_study(study_name="x", storage=storage, sampler=sampler(config)), config)  # type: ignore[arg-type]
+        _parabola(at_once, config)
+        _parabola(optuna.load_study(study_name="x", storage=storage, sampler=sampler(config)), config)
     reopened = optuna.load_study(study_name="x", storage=storage)
     assert [t.params for t in reopened.trials] == [t.params for t in at_once.trials]
     assert len({tuple(t.params.values()) for t in at_once.trials}) == 12, "no point is drawn twice"
@@ -182,12 +182,12 @@ def test_promoted_values_are_in_force_where_training_is(study: Path) -> None:
     """train and what reads its answer use them; a study itself and the written configuration do not."""
     for stage in ("generate", "train", "evaluate", "robustness", "predict"):
         config = compose_config([f"stage={stage}", f"tuning.folder={study}"])
-        assert (config.model.width, config.model.activation, config.training.tolerance) == (17, "silu", 0.03)  # type: ignore[union-attr]
+        assert (config.model.width, config.model.activation, config.training.tolerance) == (17, "silu", 0.03)
         assert config.promoted is not None
         assert (config.promoted.trial, len(config.promoted.in_force)) == (5, 3)
     for stage in ("tune", "samplers", "configure"):
         config = compose_config([f"stage={stage}", f"tuning.folder={study}"])
-        assert (config.model.width, config.promoted) == (48, None)  # type: ignore[union-attr]
+        assert (config.model.width, config.promoted) == (48, None)
 
 
 @pytest.mark.parametrize(
@@ -216,7 +216,7 @@ def test_the_command_line_wins_over_promoted_values(study: Path, override: str, 
 def test_tuned_false_leaves_them_out(study: Path) -> None:
     """The configured values, and nothing that breaks where the file is damaged."""
     (study / "best.yaml").write_text("{")
-    assert compose_config([f"tuning.folder={study}", "tuned=false"]).model.width == 48  # type: ignore[union-attr]
+    assert compose_config([f"tuning.folder={study}", "tuned=false"]).model.width == 48
 
 
 @pytest.mark.parametrize(
@@ -420,7 +420,7 @@ def test_samplers_are_compared_at_equal_budget(finished: Path, capsys: pytest.Ca
 def _finalist(trial: int, *losses: float) -> Any:
     from pipeline.tuning.review import Finalist
 
-    return Finalist(trial, {"model.width": trial}, np.array(losses), None)  # type: ignore[arg-type]
+    return Finalist(trial, {"model.width": trial}, np.array(losses), None)
 
 
 @pytest.mark.parametrize(

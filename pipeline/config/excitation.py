@@ -6,12 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
-from pipeline.config.quantities import (
-    Angle,
-    Deviation,
-    Force,
-    UnbalanceMagnitude,
-)
+from pipeline.config.quantities import Angle, Deviation, Force, UnbalanceMagnitude
 from pipeline.config.section import NonNegativeInt, Section
 
 

@@ -7,10 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from pipeline.coefficients import CoefficientName
-from pipeline.config.quantities import (
-    Damping,
-    Stiffness,
-)
+from pipeline.config.quantities import Damping, Stiffness
 from pipeline.config.section import NonNegativeInt, Section
 from pipeline.unknowns import BearingUnknowns, Structure
 

@@ -29,7 +29,7 @@ from pipeline.stages.run import StageOutput, flat_metrics
 from pipeline.tracking import ChildRecord
 from pipeline.tuning.parallel import run_study
 from pipeline.tuning.review import TrialAccount, accounts, finalists, fingerprint, importances, promoted
-from pipeline.tuning.storage import is_shared, open_storage, place, storage_errors
+from pipeline.tuning.storage import is_shared, open_storage, place
 from pipeline.tuning.study import StudyProblem
 from pipeline.tuning.worker import ROUNDING, Seen
 
@@ -50,9 +50,8 @@ def run(config: Config) -> StageOutput:
     """The study, then its best trials and the default over several seeds; ``studies/NAME/`` with what came of it."""
     from filelock import FileLock
 
-    if is_shared(config.tuning):  # one that can't be reached is said at once, before the data are read
-        with storage_errors(config.tuning):
-            open_storage(config.tuning)
+    if is_shared(config.tuning):
+        open_storage(config.tuning)  # one that can't be reached is said at once, before the data are read
     inputs = load_inputs(config)
     problem, folder = study_problem(config, inputs), Path(config.tuning.folder)
     prepare(problem.equations, problem.known, setup_of(config))  # what is not identifiable needs no study
