@@ -160,7 +160,11 @@ VIBRATION: dict[str, tuple[Change, str, str]] = {
     "a node the rotor lacks": (put("node", 99), "must use the rotor's nodes 0 to 2", "node 99"),
     "a negative node": (put("node", -1), "must use the rotor's nodes 0 to 2", "node -1"),
     "half a node": (put("node", 0.5), "must use the rotor's nodes 0 to 2", "node 0.5"),
-    "unknown direction": (put("direction", "z"), "must have 'x' or 'y' in the column 'direction'", "'z'"),
+    "unknown direction": (
+        put("direction", "z"),
+        "must have 'x', 'y' or an angle in degrees (from x towards y) in the column 'direction'",
+        "'z'",
+    ),
     "speed zero": (put("speed_rpm", 0.0), "must have speeds above zero", "0 rpm"),
     "negative speed": (put("speed_rpm", -500.0), "must have speeds above zero", "-500 rpm"),
     "unsorted speeds": (lambda t: t.iloc[::-1], "must have ascending speeds in every run", "is not sorted"),
@@ -501,6 +505,7 @@ def test_modelled_coefficients_that_break_a_law_in_robustness(base: Config, mine
     assert contents(mine) == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stage", ["evaluate", "predict"])
 def test_no_modelled_coefficients(stage: str, base: Config, mine: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Measured data have no truth: the stages finish without errors of coefficients."""
@@ -514,6 +519,7 @@ def test_no_modelled_coefficients(stage: str, base: Config, mine: Path, capsys: 
         assert "displacement" not in json.loads((mine / "prediction.json").read_text())
 
 
+@pytest.mark.slow
 def test_a_modelled_coefficient_of_zero_has_no_relative_error(base: Config, tmp_path: Path) -> None:
     """Identifying kxy of a bearing that has none finishes, and its metrics are JSON."""
     unknowns = base.identify.model_copy(update={"unknowns": ("kxx", "kxy", "kyy")})
@@ -800,6 +806,7 @@ def _known() -> BearingTable:
     return BearingTable((0, 2), speeds, np.zeros((2, len(speeds), 8)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", READERS)
 def test_a_file_with_any_bytes_wrong_is_read_or_refused(name: str, base: Config, small: Path) -> None:
     """Whatever happened to a file on its way, its reader raises errors of ours only, and no warning."""

@@ -390,6 +390,7 @@ def staged(stage: str, folder: Path, *overrides: str) -> Config:
     return config
 
 
+@pytest.mark.slow
 def test_diagnose_writes_its_account(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """JSON, a table with a row a bearing and speed, a figure; the verdict. No modelled coefficient is read."""
     chosen = ("experiment=compressor_journal_and_isotropic", "excitation.speeds.step_rpm=300")
@@ -420,6 +421,7 @@ def test_training_of_what_is_not_identifiable(tmp_path: Path, capsys: pytest.Cap
     assert (tmp_path / "x" / "model.json").exists()
 
 
+@pytest.mark.slow
 def test_design_beats_the_papers_runs_and_simulations_confirm_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -435,6 +437,7 @@ def test_design_beats_the_papers_runs_and_simulations_confirm_it(
     assert "excitation.file=" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_design_can_be_used_at_once(tmp_path: Path) -> None:
     """``excitation.file`` takes it; an excitation that is none is refused by name."""
     few = ("experiment=all_coefficients", "excitation.speeds.step_rpm=500", "design.speeds=5", "design.simulations=0")

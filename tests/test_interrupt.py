@@ -25,6 +25,8 @@ from pipeline.config.schema import Config
 from pipeline.identification.storage import load_model
 from pipeline.stages import robustness, run_stage, train
 
+pytestmark = pytest.mark.slow  # it trains, or starts processes
+
 ROOT = Path(__file__).resolve().parents[1]
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT), "TERM": "xterm", "COLUMNS": "120"}
 COARSE = [
@@ -242,7 +244,6 @@ class Terminal:
         raise AssertionError(f"it did not end: {self.said[-2000:]}")
 
 
-@pytest.mark.slow
 def test_ctrl_c_on_a_terminal(tmp_path: Path) -> None:
     """Typed while the progress bar runs: 130, a sentence, no traceback, files that evaluate can use."""
     terminal = Terminal(_command(tmp_path / "x", *LONG), tmp_path)
@@ -277,7 +278,6 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
-@pytest.mark.slow
 def test_an_interrupt_without_a_terminal(tmp_path: Path) -> None:
     """SIGINT to a process in the background while it trains: the same, on pipes."""
     arguments = _command(tmp_path / "x", *LONG)[5:]
@@ -304,7 +304,6 @@ def test_an_interrupt_without_a_terminal(tmp_path: Path) -> None:
     assert np.isfinite(load_model(tmp_path / "x").values(np.array([100.0]))).all()
 
 
-@pytest.mark.slow
 def test_two_trainings_of_one_experiment_at_once(tmp_path: Path) -> None:
     """Both end well, whoever is last, and the files are complete and fit each other."""
     folder = tmp_path / "x"

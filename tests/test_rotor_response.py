@@ -84,6 +84,7 @@ def assert_equals_ross(machine: Machine) -> None:
     assert (np.abs(ours - theirs) / size).max() < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("experiment", options("experiment"))
 def test_response_equals_ross(experiment: str, machine: MachineFactory) -> None:
     """Oracle: ROSS ``run_unbalance_response`` and ``run_forced_response`` on every experiment's rotor and runs."""
@@ -98,6 +99,7 @@ def test_response_equals_ross_at_all_speeds(machine: MachineFactory) -> None:
     assert_equals_ross(made)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("experiment", ["ball_bearing", "hydrostatic_stiffness"])
 def test_response_equals_ross_on_finer_meshes(
     experiment: str, machine: MachineFactory, refined: Callable[[str, int], list[str]]

@@ -26,6 +26,7 @@ STEPS = [
     {"config"},
     {"rotor"},
     {"data"},
+    {"ingest"},
     {"equations"},
     {"identification"},
     {"evaluation"},
@@ -45,6 +46,9 @@ HOMES = {
     "optuna_dashboard": ["tuning/"],
     "hydra": ["__main__.py", "config/"],
     "omegaconf": ["__main__.py", "config/"],
+    "h5py": ["ingest/recordings.py"],
+    "nptdms": ["ingest/recordings.py"],
+    "pyuff": ["ingest/uff.py"],
 }
 """Where alone a package may be imported."""
 
@@ -212,7 +216,10 @@ def test_a_heavy_module_is_imported_inside_functions_only(file: str) -> None:
     assert [str(i) for i in users if not (i.inside_function or i.for_types_only)] == []
 
 
-HEAVY = ["torch", "ross", "mlflow", "pandas", "matplotlib", "scipy.optimize", "pyarrow", "optuna", "plotly"]
+HEAVY = [
+    *("torch", "ross", "mlflow", "pandas", "matplotlib", "scipy.optimize", "pyarrow", "optuna", "plotly"),
+    *("scipy.interpolate", "h5py", "nptdms", "pyuff", "openpyxl"),
+]
 
 
 @pytest.mark.parametrize(
@@ -221,6 +228,7 @@ HEAVY = ["torch", "ross", "mlflow", "pandas", "matplotlib", "scipy.optimize", "p
         (["pipeline.config.schema"], [*HEAVY, "hydra", "pint"]),
         (["pipeline.stages"], [*HEAVY, "hydra", "pydantic", "numpy"]),
         (["pipeline.config.compose", "pipeline.stages.run", "pipeline.stages.inputs"], HEAVY),
+        (["pipeline.stages.ingest"], HEAVY),
         (["pipeline.stages.train", "pipeline.stages.evaluate", "pipeline.stages.check"], HEAVY),
         (["pipeline.tracking", "pipeline.reporting.figures", "pipeline.twin.modes"], HEAVY),
     ],
@@ -347,8 +355,11 @@ def test_every_threshold_file_is_of_an_experiment() -> None:
 def test_dvc_runs_every_experiment() -> None:
     """`dvc repro` makes them all."""
     assert sorted(graph()["all"]) == EXPERIMENTS
-    assert sorted({*graph()["evaluated"], *graph()["diagnosed"]}) == EXPERIMENTS
-    assert sorted(graph()["evaluated"]) == sorted([*graph()["experiments"], *graph()["all_eight"]])
+    lists = graph()
+    assert sorted({*lists["evaluated"], *lists["diagnosed"], *lists["measured"]}) == EXPERIMENTS
+    assert sorted(lists["modelled"]) == sorted(set(EXPERIMENTS) - set(lists["measured"]))
+    assert sorted(lists["evaluated"]) == sorted([*lists["experiments"], *lists["without_study"], *lists["noisy"]])
+    assert sorted(lists["by_response"]) == sorted([*lists["noisy"], *lists["measured"]])
 
 
 @pytest.mark.parametrize("path", sorted(CONF.rglob("*.yaml")), ids=lambda p: p.relative_to(CONF).as_posix())

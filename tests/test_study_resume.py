@@ -38,6 +38,8 @@ from pipeline.tuning.space import default_parameters
 from pipeline.tuning.storage import open_storage
 from pipeline.tuning.study import StudyProblem, open_study
 
+pytestmark = pytest.mark.slow  # it trains, or starts processes
+
 if TYPE_CHECKING:
     import optuna
 
@@ -439,7 +441,6 @@ def test_a_study_that_is_undisturbed_has_trials_of_every_kind(
     assert all(curve for *_, curve, _ in trials)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT], ids=["SIGKILL", "SIGINT"])
 def test_a_study_that_is_stopped_at_random_moments_ends_as_if_it_had_not_been(
     number: int, start: Forks, make: Make, in_one_go: Callable[..., list[Told]], rng: np.random.Generator
@@ -472,7 +473,6 @@ def test_a_study_that_dies_while_it_writes_its_journal(
     assert finished(problem) == in_one_go()[:4]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("sampler", ["tpe", "random", "gp"])
 def test_every_sampler_goes_on_where_it_died(
     sampler: str, start: Forks, make: Make, in_one_go: Callable[..., list[Told]]
@@ -538,7 +538,6 @@ def test_a_last_line_that_is_torn_is_repaired(
     assert Path(problem.config.tuning.storage).read_bytes().startswith(journal[:last])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(8))
 def test_a_journal_that_ends_anywhere_is_gone_on_with(
     seed: int, journal: bytes, make: Make, in_one_go: Callable[..., list[Told]], monkeypatch: pytest.MonkeyPatch
@@ -793,7 +792,6 @@ def test_two_processes_that_make_one_study_at_once(
     assert max(workers) == 2
 
 
-@pytest.mark.slow
 def test_three_processes_of_which_any_dies_at_any_time(
     start: Forks, make: Make, in_one_go: Callable[..., list[Told]], rng: np.random.Generator
 ) -> None:
@@ -827,7 +825,6 @@ def at_work(problem: StudyProblem, pids: set[int]) -> optuna.trial.FrozenTrial |
     return None
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("workers", [2, 3])
 def test_the_trial_of_a_worker_that_dies_is_taken_over(workers: int, start: Forks, make: Make) -> None:
     """The others go on with it under its number and with its parameters, and the run says that a worker ended."""
@@ -854,7 +851,6 @@ def ended(processes: list[psutil.Process]) -> bool:
     return not any(p.is_running() and p.status() != psutil.STATUS_ZOMBIE for p in processes)
 
 
-@pytest.mark.slow
 def test_workers_end_with_the_process_that_started_them(start: Forks, make: Make) -> None:
     """After SIGKILL of the parent they are gone within seconds, and another process goes on with the study."""
     problem = lengthy(make(**in_any_order(n_trials=4, workers=2)))
@@ -872,7 +868,6 @@ def test_workers_end_with_the_process_that_started_them(start: Forks, make: Make
     assert [number for number in complete if taken(problem)[number] > 1] == []
 
 
-@pytest.mark.slow
 def test_a_worker_ends_with_its_parent_in_the_middle_of_a_long_phase(start: Forks, make: Make) -> None:
     """Also where no point of a learning curve is due for minutes; its trial is taken over."""
     problem = lengthy(make(**in_any_order(n_trials=2, workers=2)), 10**6, last=2)
@@ -891,7 +886,6 @@ def test_a_worker_ends_with_its_parent_in_the_middle_of_a_long_phase(start: Fork
     assert [t.params for t in trials_of(problem)] == before
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("whole_group", [True, False], ids=["the group", "the parent alone"])
 @pytest.mark.parametrize("moment", ["at the start", "in a trial"])
 def test_ctrl_c_stops_every_worker(moment: str, whole_group: bool, start: Forks, make: Make) -> None:
@@ -1279,7 +1273,6 @@ def test_mistakes_on_the_command_line(
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.slow
 def test_a_host_that_does_not_answer(tune: Callable[..., tuple[int, str]]) -> None:
     """With the configured patience, a host that no packet comes back from is named within ten seconds."""
     began = time.monotonic()
@@ -1335,7 +1328,6 @@ def test_a_disk_that_is_full_in_the_middle_of_a_study(
 # --- the command line -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
 def test_the_command_line_goes_on_where_it_was_interrupted(
     data: Path,
     tmp_path: Path,

@@ -35,6 +35,8 @@ from pipeline.tracking.provenance import provenance_tags
 from pipeline.tracking.quiet import quiet_mlflow
 from pipeline.tracking.table import coefficient_table
 
+pytestmark = pytest.mark.slow  # it trains, or starts processes
+
 CHECKOUT = Path(pipeline.__file__).resolve().parents[1]
 STARTED, ENDED = 1_700_000_000.0, 1_700_000_060.0
 
@@ -365,7 +367,6 @@ def test_failed_creation_leaves_no_database(tmp_path: Path, monkeypatch: pytest.
     assert [path.name for path in tmp_path.iterdir()] == ["mlflow.db-lock"]
 
 
-@pytest.mark.slow
 def test_two_processes_make_a_fresh_database_together(tmp_path: Path) -> None:
     code = """if True:
         import sys, time
@@ -435,7 +436,6 @@ def model_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.slow
 def test_logged_model_predicts_in_a_new_process(settings: TrackingSettings, model_folder: Path, tmp_path: Path) -> None:
     """It needs neither this checkout nor the folder it was logged from."""
     from pipeline.identification.storage import load_model

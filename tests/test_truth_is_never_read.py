@@ -22,6 +22,8 @@ from pipeline.errors import DataError
 from pipeline.stages import robustness, run_stage
 from pipeline.stages.inputs import Inputs
 
+pytestmark = pytest.mark.slow  # it trains, or starts processes
+
 COARSE = [
     "tracking=none",
     *(f"excitation.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=250")),

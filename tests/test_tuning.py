@@ -24,6 +24,8 @@ from pipeline.config.schema import Config
 from pipeline.errors import ConfigError, DataError
 from pipeline.tuning.space import applies, default_parameters, suggest, values_of
 
+pytestmark = pytest.mark.slow  # it trains, or starts processes
+
 if TYPE_CHECKING:
     from conftest import Machine
 

@@ -74,11 +74,15 @@ class RunConfig(Section):
 
 
 class ExcitationConfig(Section):
-    """The runs and the speeds that vibration is generated for; ``file`` is where they came from, if from a file."""
+    """The runs and the speeds that vibration is generated for; ``file`` is where they came from, if from a file.
+
+    A ``residual`` unbalance acts in every run and is not written down: the machine has it and nobody knows.
+    """
 
     file: str | None = None
     speeds: SpeedsConfig
     runs: tuple[RunConfig, ...] = Field(min_length=1)
+    residual: tuple[UnbalanceConfig, ...] = ()
 
     @model_validator(mode="after")
     def _names(self) -> ExcitationConfig:

@@ -22,12 +22,14 @@ class OneBearingConfig(Section):
 class IdentifyConfig(Section):
     """Which coefficients are unknown, and what ties them together; the others are taken as known.
 
-    ``bearings`` has exceptions by node; ``tie_bearings`` makes all bearings alike.
+    ``bearings`` has exceptions by node; ``tie_bearings`` makes all bearings alike. With ``unbalance_planes`` a residual
+    unbalance at these nodes is identified too (loss ``response``).
     """
 
     unknowns: tuple[CoefficientName, ...] = Field(min_length=1)
     structure: Structure
     tie_bearings: bool
+    unbalance_planes: tuple[NonNegativeInt, ...] = ()
     bearings: dict[NonNegativeInt, OneBearingConfig] = Field(default_factory=dict)
 
     @model_validator(mode="after")
@@ -70,13 +72,17 @@ class ConstantModelConfig(_CoefficientModelConfig):
 
 
 class NetworkModelConfig(_CoefficientModelConfig):
-    """A multilayer perceptron of the rotor speed (paper, section 4.2)."""
+    """A multilayer perceptron of the rotor speed (paper, section 4.2).
+
+    With ``trend`` the output layer sees the speed and its logarithm beside the hidden units.
+    """
 
     kind: Literal["network"]
     width: Annotated[int, Field(ge=1, le=512)]
     depth: Annotated[int, Field(ge=1, le=8)]
     activation: Literal["tanh", "silu", "sine"]
     input_scaling: Literal["rpm", "log_rpm"]
+    trend: bool
 
 
 ModelConfig = Annotated[ConstantModelConfig | NetworkModelConfig, Field(discriminator="kind")]
@@ -88,11 +94,15 @@ class LossConfig(Section):
     ``residual``: the residual of the equation of motion (paper, eq. 6), per speed divided by its size or not.
     ``preconditioned``: the same, multiplied at each speed by the regularised pseudo-inverse of its derivative by
     the unknowns; ``regularisation`` is relative to the largest singular value.
+    ``response``: predicted less measured displacements over the sensors' noise, which is as ``stated_noise`` says or of
+    that shape and ``estimated`` size; ``robust`` gives readings far off less weight.
     """
 
-    kind: Literal["residual", "preconditioned"]
+    kind: Literal["residual", "preconditioned", "response"]
     scaling: Literal["per_speed", "none"]
     regularisation: Annotated[float, Field(ge=0, lt=1)]
+    noise: Literal["stated", "estimated"] = "stated"
+    robust: bool = True
 
 
 class _PhaseConfig(Section):
@@ -139,6 +149,7 @@ class TrainingConfig(Section):
     """Stopping and model selection, on held-out speeds."""
 
     holdout_every: NonNegativeInt
+    holdout_runs: tuple[str, ...] = ()
     tolerance: Annotated[float, Field(ge=0, lt=1)]
 
     @model_validator(mode="after")
@@ -151,9 +162,11 @@ class TrainingConfig(Section):
 
 
 class RobustnessConfig(Section):
-    """What is varied: initial guesses (log-spaced, for every unknown stiffness) or seeds."""
+    """What is varied: initial guesses (log-spaced, for every unknown stiffness), seeds, or the noise of modelled
+    data.
+    """
 
-    over: Literal["initial_guess", "seed"]
+    over: Literal["initial_guess", "seed", "noise"]
     lowest_stiffness: Stiffness
     highest_stiffness: Stiffness
     count: Annotated[int, Field(ge=2, le=1000)]

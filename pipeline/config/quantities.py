@@ -6,7 +6,9 @@ converted, by pint.
 
 from __future__ import annotations
 
+import contextlib
 import math
+import re
 from functools import cache
 from typing import Annotated, Any
 
@@ -42,7 +44,8 @@ def _parse(text: str, unit: str, example: str) -> float:
     except ValueError:
         pass
     try:
-        quantity = _registry().Quantity(text)
+        # pint's mil is an angle; a probe's is a length.
+        quantity = _registry().Quantity(re.sub(r"\bmils?\b", "thou", text))
     except pint.UndefinedUnitError as error:
         raise ValueError(f"must have a known unit (such as {example}), but got {text!r}: {error}") from None
     except Exception:  # pint's parser raises many kinds (tokenize, syntax, assertion errors) for other text
@@ -51,6 +54,59 @@ def _parse(text: str, unit: str, example: str) -> float:
         return float(quantity.to(unit).magnitude)
     except pint.DimensionalityError:
         raise ValueError(f"must convert to {unit} (such as {example}), but got {text!r}") from None
+
+
+def _with_unit(value: Any, unit: str, example: str) -> str:
+    if not isinstance(value, str) or _is_number(value):
+        raise ValueError(f"must carry its unit (such as {example}), but got {value!r}")
+    if to_si(value, unit, example) == 0:
+        raise ValueError(f"must not be zero (such as {example}), but got {value!r}")
+    return value
+
+
+def _unit(value: Any, units: tuple[str, ...], examples: str) -> str:
+    if not isinstance(value, str) or not re.fullmatch(r"[^\W\d_]+", value):
+        raise ValueError(f"must be a unit (such as {examples}), but got {value!r}")
+    for unit in units:
+        with contextlib.suppress(ValueError):
+            to_si(f"1 {value}", unit, examples)
+            return value
+    raise ValueError(f"must be a unit of {' or '.join(units)} (such as {examples}), but got {value!r}")
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _shaft_angle(value: Any) -> float:
+    angle = to_si(value, "rad", "45 deg")
+    if isinstance(value, str) and not _is_number(value):
+        return math.remainder(angle, 2 * math.pi)
+    if abs(angle) > 2 * math.pi:  # 45 stands for degrees, but a number alone is in radians
+        raise ValueError(f"must carry its unit (such as 45 deg) where it is beyond a turn in radians, but got {value}")
+    return angle
+
+
+def metres(unit: str) -> float:
+    """Size of a length unit such as um, in m."""
+    return to_si(f"1 {unit}", "m", "um")
+
+
+def volts(unit: str) -> float | None:
+    """Size of a unit such as mV in V; None where it is no voltage."""
+    try:
+        return to_si(f"1 {unit}", "V", "mV")
+    except ValueError:
+        return None
+
+
+def volts_per_metre(sensitivity: str) -> float:
+    """A sensitivity such as 200 mV/mil in V/m."""
+    return to_si(sensitivity, "V / m", "7.87 V/mm")
 
 
 def _quantity(unit: str, example: str, **bounds: Any) -> Any:
@@ -70,3 +126,10 @@ Viscosity = _quantity("Pa * s", "0.05 Pa s", gt=0)
 Stiffness = _quantity("N / m", "1e7 N/m", gt=0)
 Damping = _quantity("N * s / m", "1e4 N s/m", gt=0)
 UnbalanceMagnitude = _quantity("kg * m", "100 g mm", gt=0)
+Frequency = _quantity("Hz", "5120 Hz", gt=0)
+ShaftAngle = Annotated[float, BeforeValidator(_shaft_angle)]
+"""rad, between -pi and pi where it had a unit; a number that can only be degrees is refused."""
+LengthUnit = Annotated[str, BeforeValidator(lambda value: _unit(value, ("m",), "um, mil or mm"))]
+SignalUnit = Annotated[str, BeforeValidator(lambda value: _unit(value, ("V", "m"), "V, mV or um"))]
+Sensitivity = Annotated[str, BeforeValidator(lambda value: _with_unit(value, "V / m", "7.87 V/mm or 200 mV/mil"))]
+"""Of a displacement probe; negative where the voltage falls when the shaft comes nearer."""

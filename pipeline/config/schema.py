@@ -17,17 +17,23 @@ from pipeline.config.identification import (
     RobustnessConfig,
     TrainingConfig,
 )
+from pipeline.config.ingest import IngestConfig
 from pipeline.config.machine import BearingConfig, PerNodeBearingConfig, RotorConfig
 from pipeline.config.section import NonNegativeInt, Section
+from pipeline.config.sensors import SensorsConfig
 from pipeline.config.tuning import TuningConfig
 
 
 class DataConfig(Section):
-    """The files that training reads; null stands for the experiment's own."""
+    """The files that training reads; null stands for the experiment's own.
+
+    ``baseline`` is the run of the machine as it was found, which is subtracted from the others.
+    """
 
     vibration: str | None = None
     excitation: str | None = None
     known: str | None = None
+    baseline: str | None = None
 
 
 class PredictionConfig(Section):
@@ -74,6 +80,8 @@ class Config(Section):
     rotor: RotorConfig
     bearing: BearingConfig
     excitation: ExcitationConfig
+    sensors: SensorsConfig
+    ingest: IngestConfig
     data: DataConfig
     identify: IdentifyConfig
     model: ModelConfig
@@ -110,6 +118,8 @@ class Config(Section):
             for node in (*(u.node for u in run.unbalances), *(f.node for f in run.forces))
         ]
         used += [("prediction.unbalances", u.node) for u in self.prediction.unbalances]
+        if not isinstance(self.sensors.probes, str):
+            used += [("sensors.probes", probe.node) for probe in self.sensors.probes]
         for what, node in [*used, ("prediction.node", self.prediction.node)]:
             if node > last:
                 raise ValueError(f"must use nodes 0 to {last} of the rotor, but {what} got node {node}")

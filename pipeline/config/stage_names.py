@@ -5,6 +5,7 @@ from __future__ import annotations
 STAGES: dict[str, str] = {
     "configure": "write the experiment's composed configuration to config.yaml",
     "generate": "model the machine with ROSS and write its vibration",
+    "ingest": "turn measured data into the two files that training reads, and draw them",
     "diagnose": "tell which coefficients the data determine: rank, condition number, predicted deviation",
     "design": "choose the runs that would identify best, from what an experimenter can do",
     "tune": "search hyperparameters on held-out speeds and promote the best into training",

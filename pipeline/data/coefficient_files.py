@@ -19,8 +19,16 @@ from pipeline.errors import DataError
 from pipeline.rotor.bearing_table import BearingTable
 
 
-def write_coefficients(path: Path, table: BearingTable, of: Mapping[int, Sequence[str]] | None = None) -> Path:
-    """Write the coefficients that ``of`` names for each node, or all; the others stay blank. Raises StorageError."""
+def write_coefficients(
+    path: Path,
+    table: BearingTable,
+    of: Mapping[int, Sequence[str]] | None = None,
+    deviation: np.ndarray | None = None,
+) -> Path:
+    """Write the coefficients that ``of`` names for each node, or all; the others stay blank. Raises StorageError.
+
+    With standard deviations (B, S, 8) there are columns ``kxx_std`` and so on, blank where a coefficient was known.
+    """
     import pandas as pd
 
     n_bearings, n_speeds = len(table.nodes), len(table.speeds)
@@ -32,6 +40,8 @@ def write_coefficients(path: Path, table: BearingTable, of: Mapping[int, Sequenc
         written = np.array([of is None or name in of[node] for node in table.nodes])
         if written.any():
             columns[name] = np.where(written[:, None], table.coefficient(name), np.nan).ravel()
+    if deviation is not None:
+        columns |= {f"{name}_std": deviation[..., c].ravel() for c, name in enumerate(COEFFICIENTS)}
     return write_table(path, pd.DataFrame(columns))
 
 

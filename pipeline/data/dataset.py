@@ -18,7 +18,8 @@ import numpy as np
 
 from pipeline.rotor.model import RotorModel, translation_dof
 
-DIRECTIONS = ("x", "y")
+DIRECTIONS = {"x": 0.0, "y": 90.0}
+"""Angle of a displacement's direction in degrees, from x towards y."""
 Kind = Literal["unbalance", "force"]
 Whirl = Literal["forward", "backward"]
 
@@ -41,10 +42,11 @@ class VibrationDataset:
 
     speeds: np.ndarray  # (S,) rad/s, ascending
     runs: tuple[str, ...]  # R
-    channels: tuple[tuple[int, int], ...]  # P of (node, direction), direction 0 for x, 1 for y
+    channels: tuple[tuple[int, float], ...]  # P of (node, angle of the direction in degrees, from x towards y)
     displacement: np.ndarray  # (S, P, R) complex, m
     excitations: tuple[Excitation, ...]
     own_frequencies: np.ndarray | None = None  # (S, R) rad/s; None where every run turns with the rotor
+    subtracted: np.ndarray | None = None  # (S, P, R) m, the baseline that was taken off; its noise is still there
 
     @cached_property
     def frequencies(self) -> np.ndarray:
@@ -59,13 +61,79 @@ class VibrationDataset:
         digest = hashlib.sha256(repr((self.runs, self.channels, self.excitations)).encode())
         digest.update(np.ascontiguousarray(self.speeds).tobytes())
         digest.update(np.ascontiguousarray(self.displacement).tobytes())
-        if self.own_frequencies is not None:
-            digest.update(np.ascontiguousarray(self.own_frequencies).tobytes())
+        for more in (self.own_frequencies, self.subtracted):
+            if more is not None:
+                digest.update(np.ascontiguousarray(more).tobytes())
         return digest.hexdigest()[:16]
 
-    def measured_dof(self) -> np.ndarray:
-        """(P,) index of each channel among the rotor's lateral DOF."""
-        return np.array([translation_dof(node, direction) for node, direction in self.channels])
+    def sensor_matrix(self, n_dof: int) -> np.ndarray:
+        """(P, n) what each channel shows of the rotor's lateral DOF."""
+        matrix = np.zeros((len(self.channels), n_dof))
+        for p, (node, angle) in enumerate(self.channels):
+            matrix[p, translation_dof(node, 0)], matrix[p, translation_dof(node, 1)] = direction_cosines(angle)
+        return matrix
+
+    def resolution(self) -> tuple[np.ndarray, np.ndarray]:
+        """Which lateral DOF the channels determine by themselves, (D,), and how, (D, P): ``q = resolution @ channels``.
+
+        Probes of one node whose angles span the plane give its x and y, by least squares; a single one gives x or y if
+        it looks along it, and nothing otherwise.
+        """
+        dof, rows = [], []
+        for node in dict.fromkeys(node for node, _ in self.channels):
+            own = [p for p, (n, _) in enumerate(self.channels) if n == node]
+            cosines = np.array([direction_cosines(self.channels[p][1]) for p in own])
+            inverse = np.linalg.pinv(cosines, rcond=_SPAN)
+            for direction in range(2):
+                if abs(inverse[direction] @ cosines[:, direction] - 1) < _SPAN:
+                    dof.append(translation_dof(node, direction))
+                    rows.append(np.zeros(len(self.channels)))
+                    rows[-1][own] = inverse[direction]
+        return np.array(dof, dtype=int), np.array(rows).reshape(len(dof), len(self.channels))
+
+
+_SPAN = 1e-6
+"""Sine of the angle below which two probes look along the same line."""
+
+
+def direction_cosines(angle: float) -> tuple[float, float]:
+    """Cosines with x and y of a direction in degrees, exact along the axes."""
+    quarter, rest = divmod(angle, 90.0)
+    if rest == 0.0:
+        return ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[int(quarter) % 4]
+    return float(np.cos(np.radians(angle))), float(np.sin(np.radians(angle)))
+
+
+def direction_name(angle: float) -> str:
+    """``x``, ``y``, or the angle in degrees."""
+    return next((name for name, of in DIRECTIONS.items() if of == angle), f"{angle:g}")
+
+
+def without_baseline(dataset: VibrationDataset, baseline: str) -> VibrationDataset:
+    """The other runs; those that turn with the rotor less the ``baseline``, and so less any residual unbalance."""
+    b = dataset.runs.index(baseline)
+    rest = [r for r in range(len(dataset.runs)) if r != b]
+    turning = np.isclose(dataset.frequencies, dataset.speeds[:, None], rtol=1e-9)[:, rest]  # (S, R)
+    subtracted = dataset.displacement[..., [b]] * turning[:, None]
+    return VibrationDataset(
+        dataset.speeds,
+        tuple(dataset.runs[r] for r in rest),
+        dataset.channels,
+        dataset.displacement[..., rest] - subtracted,
+        dataset.excitations,
+        None if dataset.own_frequencies is None else dataset.own_frequencies[:, rest],
+        subtracted,
+    )
+
+
+def reading_deviation(
+    displacement: np.ndarray, subtracted: np.ndarray | None, additive: float, multiplicative: float
+) -> np.ndarray:
+    """(.., S, P, R) m, root mean square of each complex displacement's noise, that of a baseline taken off included."""
+    if subtracted is None:
+        return np.hypot(additive, multiplicative * np.abs(displacement))
+    read = np.hypot(additive, multiplicative * np.abs(displacement + subtracted))
+    return np.hypot(read, np.where(subtracted != 0, np.hypot(additive, multiplicative * np.abs(subtracted)), 0.0))
 
 
 def runs_by_frequency(frequencies: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.data.dataset import Excitation, VibrationDataset, force_vectors, runs_by_frequency
+from pipeline.data.dataset import DIRECTIONS, Excitation, VibrationDataset, force_vectors, runs_by_frequency
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.dynamic_stiffness import banded, solve
 from pipeline.rotor.model import TRANSLATIONS, RotorModel, bearing_dof, translation_dof
@@ -46,8 +46,8 @@ def simulate(
     """
     runs = tuple(dict.fromkeys(excitation.run for excitation in excitations))
     response = forced_response(rotor, bearings, excitations, runs, own_frequencies)
-    channels = tuple((node, direction) for node in range(rotor.n_nodes) for direction in range(TRANSLATIONS))
-    measured = [translation_dof(node, direction) for node, direction in channels]
+    channels = tuple((node, angle) for node in range(rotor.n_nodes) for angle in DIRECTIONS.values())
+    measured = [translation_dof(node, direction) for node in range(rotor.n_nodes) for direction in range(TRANSLATIONS)]
     return VibrationDataset(bearings.speeds, runs, channels, response[:, measured], excitations, own_frequencies)
 
 

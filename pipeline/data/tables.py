@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,26 +23,47 @@ _ROTOR_KEY = b"bearing_identification.rotor"
 _ORIGIN_KEY = b"bearing_identification.origin"
 
 
-def read_table(path: Path, columns: dict[str, str], optional: dict[str, str] | None = None) -> pd.DataFrame:
-    """A CSV or Parquet file with at least ``columns`` (name -> "number", "number or blank", or "text").
+@dataclass(frozen=True)
+class TextFormat:
+    """How a CSV file is written; ``skip_rows`` are lines before the header (of an Excel sheet, too)."""
 
-    Columns that are ``optional`` are held to their kind where there are any.
+    delimiter: str = ","
+    decimal: str = "."
+    skip_rows: int = 0
+
+
+PLAIN = TextFormat()
+
+
+def read_table(
+    path: Path, columns: Mapping[str, str], optional: Mapping[str, str] | None = None, text: TextFormat = PLAIN
+) -> pd.DataFrame:
+    """A CSV, Excel (.xlsx, its first sheet) or Parquet file with at least ``columns``.
+
+    ``columns``: name -> "number", "number or blank", or "text". Columns that are ``optional`` are held to their kind
+    where there are any.
 
     Raises DataError: no such file, unreadable or truncated, an older schema, no rows, a missing column, a
     column of another type, NaN or infinite values.
     """
     if not path.is_file():
         raise DataError(f"'{path}' must exist, but there is no such file")
-    table = _read_parquet(path) if path.suffix == ".parquet" else _read_csv(path)
+    texts = {"run", *(name for name, kind in columns.items() if kind == "text")}
+    if path.suffix == ".parquet":
+        table = _read_parquet(path)
+    elif path.suffix.lower() in (".xlsx", ".xlsm"):
+        table = _read_excel(path, texts, text)
+    else:
+        table = _read_csv(path, texts, text)
     for name in columns:
         if name not in table.columns:
             raise DataError(
-                f"'{path}' must have the column '{name}', but it has {nearest(name, map(str, table.columns))}"
+                f"'{path}' must have the column '{name}', but it has not: {nearest(name, map(str, table.columns))}"
             )
     if table.empty:
         raise DataError(f"'{path}' must have at least one row, but it has none")
     there = {name: kind for name, kind in (optional or {}).items() if name in table.columns}
-    for name, kind in (columns | there).items():
+    for name, kind in (dict(columns) | there).items():
         if kind == "number":
             table[name] = _numbers(path, table, name)
         elif kind == "number or blank":
@@ -54,7 +78,12 @@ def read_table(path: Path, columns: dict[str, str], optional: dict[str, str] | N
 def _numbers(path: Path, table: pd.DataFrame, name: str) -> np.ndarray:
     import pandas as pd
 
-    values = pd.to_numeric(table[name], errors="coerce").to_numpy(dtype=float)
+    column = table[name]
+    values = pd.to_numeric(column, errors="coerce").to_numpy(dtype=float)
+    if column.dtype.kind not in "iuf":
+        # pandas takes true for 1, and a date for nanoseconds.
+        strange = column.map(lambda value: isinstance(value, (bool, np.bool_)) or hasattr(value, "year"))
+        values = np.where(strange, np.nan, values)
     bad = np.flatnonzero(~np.isfinite(values))
     if len(bad):
         raise DataError(
@@ -64,14 +93,45 @@ def _numbers(path: Path, table: pd.DataFrame, name: str) -> np.ndarray:
     return values
 
 
-def _read_csv(path: Path) -> pd.DataFrame:
+def _read_csv(path: Path, texts: set[str], text: TextFormat) -> pd.DataFrame:
     import pandas as pd
 
     try:
-        # Texts are kept as they are: a run called 'NA' is a run.
-        return pd.read_csv(path, keep_default_na=False, dtype={"run": str})
-    except (OSError, ValueError, pd.errors.ParserError) as error:
-        raise DataError(f"'{path}' must be a CSV table, but it can't be read as one ({error})") from None
+        with warnings.catch_warnings():
+            # A row with more fields than the header: pandas would drop some, or take the first for a name of the row.
+            warnings.simplefilter("error", pd.errors.ParserWarning)
+            # Texts are kept as they are: a run called 'NA' is a run.
+            return pd.read_csv(
+                path,
+                keep_default_na=False,
+                dtype=dict.fromkeys(texts, str),
+                index_col=False,
+                low_memory=False,
+                sep=text.delimiter,
+                decimal=text.decimal,
+                skiprows=text.skip_rows,
+            )
+    except (OSError, ValueError, OverflowError, pd.errors.ParserError, pd.errors.ParserWarning) as error:
+        raise DataError(f"'{path}' must be a CSV table, but it can't be read as one ({_first_line(error)})") from None
+
+
+def _read_excel(path: Path, texts: set[str], text: TextFormat) -> pd.DataFrame:
+    import pandas as pd
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of styles and validations, which hold no data
+            return pd.read_excel(
+                path,
+                keep_default_na=False,
+                dtype=dict.fromkeys(texts, str),
+                skiprows=text.skip_rows,
+                engine="openpyxl",
+            )
+    except Exception as error:  # for a damaged file openpyxl raises many kinds (zip, XML, key, attribute errors)
+        raise DataError(
+            f"'{path}' must be a complete Excel file (.xlsx), but it can't be read as one ({_first_line(error)})"
+        ) from None
 
 
 def _read_parquet(path: Path) -> pd.DataFrame:
@@ -124,6 +184,11 @@ def is_foreign(path: Path) -> bool:
         return _ORIGIN_KEY not in (parquet.read_schema(path).metadata or {})
     except (OSError, ValueError, pyarrow.lib.ArrowException):
         return False
+
+
+def is_ingested(path: Path) -> bool:
+    """True for a complete Parquet file that was written here, and not generated."""
+    return _stored(path, _SCHEMA_KEY) is not None and origin_of(path) is None
 
 
 def _stored(path: Path, key: bytes) -> str | None:

@@ -58,26 +58,27 @@ def bearing_equations(rotor: RotorModel, dataset: VibrationDataset) -> BearingEq
 
     Raises DataError where x or y is not measured at a bearing.
     """
-    measured = dataset.measured_dof()
+    measured, resolution = dataset.resolution()
     at_bearings = bearing_dof(rotor)
     for node, pair in zip(rotor.bearing_nodes, at_bearings, strict=True):
-        for direction, dof in enumerate(pair):
+        for direction, dof in zip(DIRECTIONS, pair, strict=True):
             if dof not in measured:
                 raise DataError(
                     "The residual needs x and y measured at every bearing, but "
-                    f"{DIRECTIONS[direction]} of node {node} is missing in the vibration data"
+                    f"{direction} of node {node} is missing in the vibration data: loss=response takes any sensors"
                 )
+    displacement = resolution @ dataset.displacement
     speeds = dataset.speeds
     forces = force_vectors(rotor, dataset.excitations, dataset.runs, dataset.frequencies)
     everything = np.arange(rotor.n_dof)
     unmeasured = np.setdiff1d(everything, measured)
     response = np.zeros((len(speeds), rotor.n_dof, len(dataset.runs)), dtype=complex)
-    response[:, measured] = dataset.displacement
+    response[:, measured] = displacement
     rows = at_bearings.ravel()
     free = -forces[:, rows]
     for alike, w in runs_by_frequency(dataset.frequencies):
         if len(unmeasured):
-            known = apply(rotor, unmeasured, measured, w, speeds, dataset.displacement[..., alike])
+            known = apply(rotor, unmeasured, measured, w, speeds, displacement[..., alike])
             right = forces[:, unmeasured][..., alike] - known
             response[np.ix_(np.arange(len(speeds)), unmeasured, alike)] = solve(
                 banded(rotor, unmeasured), w, speeds, right

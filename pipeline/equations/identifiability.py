@@ -46,13 +46,14 @@ class Identifiability:
     free: np.ndarray  # (S, U) the combination that the data determine least, in shares of the bearing force
     verdict: Verdict
     reason: str  # why not, and what to add; empty where identifiable
+    together: str = "alike"  # why several bearings share the account
 
     @property
     def where(self) -> str:
         """The bearing in words."""
         if len(self.nodes) == 1:
             return f"bearing at node {self.nodes[0]}"
-        return f"bearings at nodes {', '.join(map(str, self.nodes))}, alike"
+        return f"bearings at nodes {', '.join(map(str, self.nodes))}, {self.together}"
 
     @property
     def sentence(self) -> str:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.data.dataset import VibrationDataset, runs_by_frequency
+from pipeline.data.dataset import VibrationDataset, reading_deviation, runs_by_frequency
 from pipeline.equations.identifiability import DEPENDENT
 from pipeline.equations.unknown_system import UnknownSystem
 from pipeline.rotor.bearing_table import BearingTable
@@ -27,7 +27,7 @@ _CHUNK = 64
 
 def sensor_deviation(dataset: VibrationDataset, additive: float, multiplicative: float) -> np.ndarray:
     """(S, P, R) m, the root mean square of each complex displacement's noise."""
-    return np.hypot(additive, multiplicative * np.abs(dataset.displacement))
+    return reading_deviation(dataset.displacement, dataset.subtracted, additive, multiplicative)
 
 
 def residual_covariance(
@@ -51,7 +51,7 @@ def residual_covariance(
 
 def _sensitivity(rotor: RotorModel, dataset: VibrationDataset, bearings: BearingTable, w: np.ndarray) -> np.ndarray:
     """(S, 2 B, P) derivative of the residual by the measured displacements, N/m."""
-    measured, rows = dataset.measured_dof(), bearing_dof(rotor)
+    (measured, resolution), rows = dataset.resolution(), bearing_dof(rotor)
     unmeasured = np.setdiff1d(np.arange(rotor.n_dof), measured)
     unit = np.broadcast_to(np.eye(len(measured)), (len(w), len(measured), len(measured))).astype(complex)
     result = apply(rotor, rows.ravel(), measured, w, bearings.speeds, unit)
@@ -64,7 +64,7 @@ def _sensitivity(rotor: RotorModel, dataset: VibrationDataset, bearings: Bearing
         for i in range(2):
             for j in range(2):
                 result[:, 2 * b + i, place[rows[b, j]]] += impedance[:, i, j]
-    return result
+    return result @ resolution
 
 
 def whitened(system: UnknownSystem, covariance: np.ndarray, alike: bool) -> UnknownSystem:

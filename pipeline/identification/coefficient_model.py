@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 _FIRST_LAYER_GAIN = 3.0
 """Inputs lie in [-1, 1]; first-layer weights of this size spread the bends of the units over that range."""
+_SPREAD_GAIN = 1.0
+_REACH = 1.2
 _SMALLEST = 1e-3
 _OUTPUT_RIDGE = 1e-9
 """Keeps the weights of a fitted last layer small enough to train on from."""
@@ -41,6 +43,7 @@ class CoefficientModel:
     activation: Literal["tanh", "silu", "sine"] = "tanh"
     input_scaling: Literal["rpm", "log_rpm"] = "rpm"
     input_range: tuple[float, float] = (0.0, 1.0)  # rad/s, mapped to [-1, 1]
+    trend: bool = False  # the output layer also sees the speed and its logarithm
 
     @property
     def positive(self) -> tuple[bool, ...]:
@@ -53,7 +56,28 @@ class CoefficientModel:
         if self.hidden is None:
             return []
         widths = [len(self.inputs), *self.hidden, len(self.unknowns)]
-        return list(itertools.pairwise(widths))
+        layers = list(itertools.pairwise(widths))
+        return [*layers[:-1], (layers[-1][0] + self.n_trend, layers[-1][1])]
+
+    @property
+    def n_trend(self) -> int:
+        """Inputs of the output layer beside the hidden units."""
+        return 2 if self.trend else 0
+
+    def _with_trend(self, hidden: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:
+        """(..., N, n_in) what the output layer is fed: power laws and straight lines need no hidden units."""
+        import torch
+
+        if not self.trend:
+            return hidden
+        low, high = self.input_range
+        ratio = high / low
+        if self.input_scaling == "log_rpm":
+            other = 2 * (ratio ** ((inputs + 1) / 2) - 1) / max(ratio - 1, _SMALLEST) - 1
+        else:
+            other = 2 * (1 + (ratio - 1) * (inputs + 1) / 2).log() / max(math.log(ratio), _SMALLEST) - 1
+        terms = torch.cat([inputs, other], dim=-1)
+        return torch.cat([hidden, terms.expand(*hidden.shape[:-1], 2)], dim=-1)
 
     @property
     def n_parameters(self) -> int:
@@ -75,12 +99,11 @@ class CoefficientModel:
         """Network output (..., N, U) from parameters (..., P) and scaled inputs (N, 1)."""
         if self.hidden is None:
             return parameters[..., None, :].expand(*parameters.shape[:-1], len(inputs), len(self.unknowns))
-        value = inputs
-        for layer, (weight, bias) in enumerate(self._layers(parameters)):
-            value = value @ weight + bias
-            if layer < len(self.sizes) - 1:
-                value = _activation(self.activation, value)[0]
-        return value
+        value, layers = inputs, self._layers(parameters)
+        for weight, bias in layers[:-1]:
+            value = _activation(self.activation, value @ weight + bias)[0]
+        weight, bias = layers[-1]
+        return self._with_trend(value, inputs) @ weight + bias
 
     def raw_jacobian(self, parameters: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:
         """(..., N, U, P) derivative of :meth:`raw` by the parameters, back-propagated layer by layer.
@@ -102,13 +125,15 @@ class CoefficientModel:
             value, slope = _activation(self.activation, fed[-1] @ weight + bias)
             fed.append(value)
             slopes.append(slope)
+        fed[-1] = self._with_trend(fed[-1], inputs)
         blocks: list[torch.Tensor] = []
         sensitivity = identity.expand(*fed[-1].shape[:-1], n_unknowns, n_unknowns)  # of U outputs to a layer's sums
         for layer in range(len(layers) - 1, -1, -1):
             weights = (fed[layer][..., None, :, None] * sensitivity[..., None, :]).flatten(-2)
             blocks = [weights, sensitivity, *blocks]
             if layer:
-                sensitivity = (sensitivity @ layers[layer][0].mT[..., None, :, :]) * slopes[layer - 1][..., None, :]
+                weight = layers[layer][0][..., : slopes[layer - 1].shape[-1], :]  # the trend has nothing before it
+                sensitivity = (sensitivity @ weight.mT[..., None, :, :]) * slopes[layer - 1][..., None, :]
         return torch.cat(blocks, dim=-1)
 
     def _layers(self, parameters: torch.Tensor) -> list[tuple[torch.Tensor, torch.Tensor]]:
@@ -176,6 +201,33 @@ class CoefficientModel:
                 pieces += [weight, 0.1 * bias]
         return torch.cat(pieces, dim=1)
 
+    def spread_parameters(self, guess: np.ndarray, generator: torch.Generator) -> torch.Tensor:
+        """As :meth:`initial_parameters`, with the bends of the first hidden units spread evenly over the inputs.
+
+        For hidden layers that are not trained: drawn freely, some leave gaps that no output layer fills.
+        """
+        import torch
+
+        parameters = self.initial_parameters(guess, generator)
+        if self.hidden is None or len(self.inputs) > 1:
+            return parameters
+        members, width = len(parameters), self.hidden[0]
+        jitter = torch.rand(members, width, generator=generator, dtype=torch.float64)
+        places = _REACH * (2 * (torch.arange(width, dtype=torch.float64) + jitter) / width - 1)
+        slopes = _SPREAD_GAIN * (0.5 + torch.rand(members, width, generator=generator, dtype=torch.float64))
+        parameters[:, :width], parameters[:, width : 2 * width] = slopes, -slopes * places
+        return parameters
+
+    def features(self, parameters: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:
+        """(M, N, K) what the output layer is linear in, the last hidden units and 1, for (M, P) and inputs (N, 1)."""
+        import torch
+
+        fed = inputs.expand(len(parameters), *inputs.shape)
+        for weight, bias in self._layers(parameters)[:-1]:
+            fed = _activation(self.activation, fed @ weight + bias)[0]
+        one = torch.ones_like(inputs).expand(len(parameters), *inputs.shape)
+        return one if self.hidden is None else torch.cat([self._with_trend(fed, inputs), one], dim=-1)
+
     def with_output_at(self, parameters: torch.Tensor, inputs: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
         """Parameters (M, P) whose last layer is fitted, by linear least squares, to give ``values`` (M, N, U).
 
@@ -186,11 +238,7 @@ class CoefficientModel:
         targets = self.raw_from(values, self.scale_tensor())
         if self.hidden is None:
             return targets.mean(dim=1)
-        fed = inputs.expand(len(parameters), *inputs.shape)
-        layers = self._layers(parameters)
-        for weight, bias in layers[:-1]:
-            fed = _activation(self.activation, fed @ weight + bias)[0]
-        fed = torch.cat([fed, torch.ones_like(fed[..., :1])], dim=-1)
+        fed = self.features(parameters, inputs)
         ridge = _OUTPUT_RIDGE * len(inputs) * torch.eye(fed.shape[-1], dtype=fed.dtype)
         factor = torch.linalg.cholesky(fed.mT @ fed + ridge)
         output = torch.cholesky_solve(fed.mT @ targets, factor)  # (M, h + 1, U)
@@ -229,4 +277,5 @@ def coefficient_model(
         activation=config.activation,
         input_scaling=config.input_scaling,
         input_range=(float(speeds.min()), float(speeds.max())),
+        trend=config.trend,
     )

@@ -1,4 +1,4 @@
-"""Minimisers of a :class:`~pipeline.identification.problem.ResidualProblem`.
+"""Minimisers of a :class:`~pipeline.identification.problem.LeastSquares` problem.
 
 Each takes parameters (G, M, P) and returns better ones; members do not influence each other, so that
 81 initial guesses trained together take the same steps as one alone. ``monitor`` sees every step and says
@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from pipeline.config.identification import AdamConfig, LBFGSConfig, LevenbergMarquardtConfig
-from pipeline.identification.problem import ResidualProblem
+from pipeline.identification.problem import LeastSquares
 
 if TYPE_CHECKING:
     import torch
@@ -20,7 +20,7 @@ Monitor = Callable[["torch.Tensor", "torch.Tensor"], "torch.Tensor"]
 """(parameters, losses (G, M)) after a step -> which members (G, M) need no further step."""
 
 
-def adam(problem: ResidualProblem, parameters: torch.Tensor, config: AdamConfig, monitor: Monitor) -> torch.Tensor:
+def adam(problem: LeastSquares, parameters: torch.Tensor, config: AdamConfig, monitor: Monitor) -> torch.Tensor:
     """Adam on the Euclidean norm of the residual (paper, Algorithm 1)."""
     import torch
 
@@ -41,7 +41,7 @@ def adam(problem: ResidualProblem, parameters: torch.Tensor, config: AdamConfig,
     return trained.detach()
 
 
-def lbfgs(problem: ResidualProblem, parameters: torch.Tensor, config: LBFGSConfig, monitor: Monitor) -> torch.Tensor:
+def lbfgs(problem: LeastSquares, parameters: torch.Tensor, config: LBFGSConfig, monitor: Monitor) -> torch.Tensor:
     """L-BFGS on the squared residual, each member by itself: a shared line search would couple them."""
     import torch
 
@@ -59,7 +59,7 @@ def lbfgs(problem: ResidualProblem, parameters: torch.Tensor, config: LBFGSConfi
     return result
 
 
-def _lbfgs_stepper(problem: ResidualProblem, start: torch.Tensor, history: int) -> Callable[[], torch.Tensor]:
+def _lbfgs_stepper(problem: LeastSquares, start: torch.Tensor, history: int) -> Callable[[], torch.Tensor]:
     """A function that takes one step for one member and returns its parameters (P,)."""
     import torch
 
@@ -95,7 +95,7 @@ _DAMPING_FLOOR, _DAMPING_CEILING = 1e-16, 1e16
 
 
 def levenberg_marquardt(
-    problem: ResidualProblem, parameters: torch.Tensor, config: LevenbergMarquardtConfig, monitor: Monitor
+    problem: LeastSquares, parameters: torch.Tensor, config: LevenbergMarquardtConfig, monitor: Monitor
 ) -> torch.Tensor:
     """Damped Gauss-Newton steps ``(J'J + damping s I) d = -J'r``, each member with its own damping.
 
@@ -109,9 +109,7 @@ def levenberg_marquardt(
     damping = torch.full_like(squared, config.initial_damping)
     identity = torch.eye(current.shape[-1], dtype=current.dtype)
     for _ in range(config.steps):
-        jacobian = problem.jacobian(current)
-        gradient = (jacobian.mT @ problem.rows(current)[..., None])[..., 0]
-        normal = jacobian.mT @ jacobian
+        gradient, normal = problem.normal(current)
         size = normal.diagonal(dim1=-2, dim2=-1).mean(-1).clamp(min=1e-300)
         accepted = torch.zeros_like(squared, dtype=torch.bool)
         for _ in range(_DAMPING_TRIES):
@@ -130,3 +128,18 @@ def levenberg_marquardt(
         if monitor(current, problem.loss(current)).all():
             break
     return current
+
+
+def until_still() -> Monitor:
+    """Ends a fit once its loss hardly falls."""
+    last: list[torch.Tensor] = []
+
+    def monitor(parameters: torch.Tensor, losses: torch.Tensor) -> torch.Tensor:
+        still = losses * 0 == 1 if not last else (last[-1] - losses).abs() < _STILL * losses
+        last.append(losses)
+        return still
+
+    return monitor
+
+
+_STILL = 1e-8

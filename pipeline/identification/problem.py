@@ -16,7 +16,7 @@ bearings, N speeds, U unknowns, P parameters.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
 
@@ -26,6 +26,30 @@ from pipeline.identification.coefficient_model import CoefficientModel
 
 if TYPE_CHECKING:
     import torch
+
+
+class LeastSquares(Protocol):
+    """What optimisers minimise: the squares of rows of numbers (G, M, P)."""
+
+    def rows(self, parameters: torch.Tensor, /) -> torch.Tensor:
+        """(G, M, rows)."""
+        ...
+
+    def normal(self, parameters: torch.Tensor, /) -> tuple[torch.Tensor, torch.Tensor]:
+        """Gradient J'r (G, M, P) and J'J (G, M, P, P)."""
+        ...
+
+    def loss(self, parameters: torch.Tensor, /) -> torch.Tensor:
+        """(G, M) a root mean square that falls with the squared rows."""
+        ...
+
+    def network(self, parameters: torch.Tensor, /) -> torch.Tensor:
+        """(G, M, Q) parameters of the coefficient model."""
+        ...
+
+    def member(self, m: int, /) -> LeastSquares:
+        """The problem of one member by itself."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +75,15 @@ class ResidualProblem:
         slope = self.model.physical_slope(raw, self.scale)[..., None]  # (G, M, N, U, 1)
         derivative = self.model.raw_jacobian(parameters, self.inputs) * slope
         return (self.matrix @ derivative).reshape(len(parameters), len(self.scale), -1, parameters.shape[-1])
+
+    def normal(self, parameters: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Gradient J'r (G, M, P) and J'J (G, M, P, P) of the rows."""
+        jacobian = self.jacobian(parameters)
+        return (jacobian.mT @ self.rows(parameters)[..., None])[..., 0], jacobian.mT @ jacobian
+
+    def network(self, parameters: torch.Tensor) -> torch.Tensor:
+        """(G, M, P) parameters of the coefficient model: they are what is trained."""
+        return parameters
 
     def loss(self, parameters: torch.Tensor) -> torch.Tensor:
         """(G, M) root mean square of the residual over speeds, runs and directions.

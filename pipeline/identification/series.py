@@ -40,6 +40,7 @@ def best_series(prepared: PreparedTraining) -> SeriesFit | None:
     if prepared.model.hidden is None or prepared.held_out_per_speed is None:
         return None
     held_out, train = prepared.held_out_per_speed, prepared.train
+    assert isinstance(train, ResidualProblem), "the response is not linear in the coefficients"
     members = [(train.member(m), held_out.member(m)) for m in range(len(train.scale))]
     best: SeriesFit | None = None
     for degree in _DEGREES:

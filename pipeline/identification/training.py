@@ -26,7 +26,7 @@ from pipeline.identification import optimizers
 from pipeline.identification.coefficient_model import CoefficientModel, coefficient_model
 from pipeline.identification.identified import IdentificationResult, IdentifiedModel
 from pipeline.identification.outcome import Outcome
-from pipeline.identification.problem import ResidualProblem, data_scale, residual_problem, speed_scaling
+from pipeline.identification.problem import LeastSquares, ResidualProblem, data_scale, residual_problem, speed_scaling
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.unknowns import UnknownSet, unknown_set
 
@@ -77,8 +77,8 @@ class PreparedTraining:
 
     model: CoefficientModel
     unknowns: UnknownSet
-    train: ResidualProblem
-    held_out: ResidualProblem | None
+    train: LeastSquares
+    held_out: LeastSquares | None
     held_out_per_speed: ResidualProblem | None  # the residual scaled per speed, whatever ``loss`` is
     bearing_nodes: tuple[int, ...]
     identifiability: tuple[Identifiability, ...]
@@ -113,7 +113,8 @@ class TrainedBatch:
     def identified(self, g: int = 0) -> IdentifiedModel:
         """The model of training g."""
         prepared = self.prepared
-        return IdentifiedModel(prepared.model, prepared.unknowns, prepared.bearing_nodes, self.parameters[g])
+        network = prepared.train.network(self.parameters)[g]
+        return IdentifiedModel(prepared.model, prepared.unknowns, prepared.bearing_nodes, network)
 
     def result(self) -> IdentificationResult:
         """The only training of a batch of one."""
@@ -202,6 +203,7 @@ def initial_parameters(
     guess = initial_guess(setup, model.unknowns, len(model.scale), stiffness)
     start = model.initial_parameters(guess, torch.Generator().manual_seed(seed))
     if setup.model.initialisation == "per_speed" and stiffness is None:
+        assert isinstance(prepared.train, ResidualProblem), "the response has a start of its own"
         _, answer = prepared.train.per_speed(setup.loss.regularisation)
         start = model.with_output_at(start, prepared.train.inputs, torch.as_tensor(answer) * prepared.train.scale)
     return start[None]
@@ -211,8 +213,8 @@ def initial_parameters(
 class _Monitor:
     """Sees every step: keeps the best state of each member, the history, and the decision to stop."""
 
-    problem: ResidualProblem
-    held_out: ResidualProblem | None
+    problem: LeastSquares
+    held_out: LeastSquares | None
     config: TrainingConfig
     progress: Progress | None
     record_trajectory: bool

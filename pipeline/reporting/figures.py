@@ -58,12 +58,17 @@ def figure(path: Path, rows: int, columns: int, width: float, height: float, **o
 
 
 def coefficient_figure(
-    path: Path, letter: str, identified: BearingTable, modelled: BearingTable | None, unknowns: Sequence[Sequence[str]]
+    path: Path,
+    letter: str,
+    identified: BearingTable,
+    modelled: BearingTable | None,
+    unknowns: Sequence[Sequence[str]],
+    deviation: np.ndarray | None = None,
 ) -> Path:
     """Paper, Figures 3 (``letter`` k) and 4 (c): coefficients over speed, and the error below.
 
     ``unknowns`` are those of each bearing. A direct coefficient that was not identified is drawn as the known line that
-    it is.
+    it is. ``deviation`` (B, S, 8) is drawn as a band, and beside the error as nominal 95 % interval.
     """
     named = {name for of in unknowns for name in of}
     names = [name for name in COEFFICIENTS if name[0] == letter and (is_direct(name) or name in named)]
@@ -82,13 +87,19 @@ def coefficient_figure(
     ) as axes:
         for b, node in enumerate(identified.nodes):
             _coefficients(axes[0, b], b, rpm, names, identified, modelled, unknowns[b])
+            if deviation is not None:
+                _bands(axes[0, b], rpm, names, identified.values[b], deviation[b])
             axes[0, b].set_title(f"bearing at node {node}")
             if some and modelled is not None:
                 for name, (colour, _) in zip(names, _looks(), strict=False):
                     if name in unknowns[b]:
                         error = np.maximum(relative_errors(identified, modelled, name)[b], 1e-14)
                         axes[1, b].semilogy(rpm, error, color=colour, lw=1.2, label=name)
-                axes[1, b].set_ylabel("error (%)")
+                        if deviation is not None:
+                            c = COEFFICIENTS.index(name)
+                            bound = 196.0 * deviation[b, :, c] / np.abs(modelled.values[b, :, c])
+                            axes[1, b].semilogy(rpm, bound, color=colour, lw=1.0, ls=":")
+                axes[1, b].set_ylabel("error (%)" if deviation is None else "error, and nominal\n95 % (dotted) (%)")
             axes[-1, b].set_xlabel("rotor speed (rpm)")
         axes[0, 0].set_ylabel(f"{kind} ({unit(names[0])})")
         if len(names) > 2:  # too many for a place among the curves
@@ -97,6 +108,15 @@ def coefficient_figure(
         else:
             axes[0, 0].legend()
     return path
+
+
+def _bands(ax: Any, rpm: np.ndarray, names: Sequence[str], values: np.ndarray, deviation: np.ndarray) -> None:
+    """Two standard deviations either side."""
+    for name, (colour, _) in zip(names, _looks(), strict=False):
+        c = COEFFICIENTS.index(name)
+        if not np.isnan(deviation[:, c]).all():
+            low, high = values[:, c] - 2 * deviation[:, c], values[:, c] + 2 * deviation[:, c]
+            ax.fill_between(rpm, low, high, color=colour, alpha=0.25, lw=0)
 
 
 def _looks() -> list[tuple[str, str]]:

@@ -79,6 +79,12 @@ def response_figure(path: Path, vibration: dict[str, PredictedVibration]) -> Pat
                     np.degrees(np.unwrap(np.angle(predicted.displacement[:, d]))),
                     colour,
                 )
+                if predicted.deviation is not None:
+                    low, high = (
+                        MICROMETRES * (np.abs(predicted.displacement[:, d]) + k * predicted.deviation[:, d])
+                        for k in (-2, 2)
+                    )
+                    axes[0, d].fill_between(rpm, np.maximum(low, 1e-12), high, color=colour, alpha=0.25, lw=0)
                 axes[0, d].set_title(f"{'xy'[d]} of node {predicted.node}")
         if rows == 3:
             error = vibration["identified"].error_percent(vibration["modelled"])

@@ -14,14 +14,19 @@ from pipeline.data.vibration_files import to_rpm
 from pipeline.equations.identifiability import Identifiability, Verdict, identifiability
 from pipeline.equations.least_squares import per_speed_least_squares
 from pipeline.equations.noise import least_squares_deviation, residual_covariance, sensor_deviation, whitened
+from pipeline.equations.response import expansion
 from pipeline.equations.unknown_system import UnknownSystem, unknown_system
 from pipeline.files import write_json
+from pipeline.identification.response_identifiability import response_account
+from pipeline.identification.response_start import differences
+from pipeline.identification.training import initial_guess, setup_of
 from pipeline.reporting.console import say, table
 from pipeline.reporting.diagnosis_figures import diagnosis_figure
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.inputs import Inputs, load_inputs
+from pipeline.stages.response import equations_of, prepared_response
 from pipeline.stages.run import StageOutput, flat_metrics, workspace
-from pipeline.unknowns import unknown_set
+from pipeline.unknowns import UnknownSet, unknown_set
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -32,8 +37,9 @@ class Diagnosis:
     """Everything that is known of the fit before it is done. Legend: B bearings, S speeds."""
 
     accounts: tuple[Identifiability, ...]
-    answer: BearingTable  # least squares of each speed by itself: sizes to compare the deviations with
+    answer: BearingTable  # least squares of each speed by itself, or a guess: sizes to compare the deviations with
     deviation: np.ndarray  # (B, S, 8) standard deviation of it, N/m and N s/m; NaN where nothing is identified
+    by_least_squares: bool = True  # what the deviation is of; else of the network's fit
 
     def relative(self, node: int) -> dict[str, np.ndarray]:
         """Coefficient -> (S,) standard deviation over size."""
@@ -58,6 +64,8 @@ class Diagnosis:
 
 def diagnose(config: Config, inputs: Inputs) -> Diagnosis:
     """From the data alone; no modelled coefficient is read."""
+    if config.loss.kind == "response":
+        return _by_response(config, inputs)
     identify, equations, known = config.identify, inputs.equations, inputs.known
     unknowns = unknown_set({node: identify.at(node) for node in equations.bearing_nodes})
     system = unknown_system(equations, unknowns, known)
@@ -67,12 +75,40 @@ def diagnose(config: Config, inputs: Inputs) -> Diagnosis:
     noise = sensor_deviation(inputs.dataset, config.stated_noise.additive, config.stated_noise.multiplicative)
     covariance = residual_covariance(inputs.rotor, inputs.dataset, answer, noise)
     spread = least_squares_deviation(whitened(system, covariance, alike))
+    return Diagnosis(accounts, answer, _of_coefficients(spread, unknowns, known))
+
+
+def _of_coefficients(spread: np.ndarray, unknowns: UnknownSet, known: BearingTable) -> np.ndarray:
+    """(B, S, 8) from the deviation of the unknowns (M, S, U); NaN where nothing is identified."""
     spread = np.broadcast_to(spread, (len(known.nodes), *spread.shape[1:]))
     # Each coefficient follows one unknown, with a sign that no deviation has. 0 x inf would be NaN.
     follows = np.abs(unknowns.expansion).argmax(axis=2)  # (B, 8)
     deviation = np.take_along_axis(spread, follows[:, None, :], axis=2)
-    deviation = np.where(unknowns.identified[:, None], deviation, np.nan)
-    return Diagnosis(accounts, answer, deviation)
+    return np.where(unknowns.identified[:, None], deviation, np.nan)
+
+
+def _by_response(config: Config, inputs: Inputs) -> Diagnosis:
+    """From the forces at the bearings where the sensors tell them, and else from the response's own derivative."""
+    known, setup = inputs.known, setup_of(config)
+    unknowns = unknown_set({node: config.identify.at(node) for node in known.nodes})
+    alike = config.identify.tie_bearings
+    equations, displacement = equations_of(config, inputs), inputs.dataset.displacement
+    noise = sensor_deviation(inputs.dataset, config.stated_noise.additive, config.stated_noise.multiplicative)
+    if equations.planes:
+        equations, displacement, noise = differences(equations, displacement, noise)
+    expanded = expansion(equations, displacement, noise)
+    if expanded is None:
+        found = response_account(prepared_response(config, inputs, setup), initial_guess(setup, unknowns.names, 1))
+        table = known.at(np.flatnonzero(np.isin(known.speeds, found.account.speeds)))
+        values = np.broadcast_to(found.values, (len(known.nodes), *found.values.shape[1:]))
+        answer = BearingTable(table.nodes, table.speeds, unknowns.expand(values, table.values))
+        return Diagnosis((found.account,), answer, _of_coefficients(found.deviation, unknowns, table), False)
+    system = unknown_system(expanded.equations, unknowns, known)
+    accounts = identifiability(expanded.equations, system, alike, config.model.kind == "constant")
+    answer = _solved(system.alike() if alike else system, known, system)
+    covariance = expanded.residual_covariance(equations, answer)
+    spread = least_squares_deviation(whitened(system, covariance, alike))
+    return Diagnosis(accounts, answer, _of_coefficients(spread, unknowns, known))
 
 
 def _solved(solvable: UnknownSystem, known: BearingTable, system: UnknownSystem) -> BearingTable:
@@ -89,18 +125,20 @@ def noise_words(config: Config) -> str:
     return " and ".join(parts) + " noise"
 
 
-def say_diagnosis(config: Config, inputs: Inputs) -> None:
+def say_diagnosis(config: Config, inputs: Inputs) -> Diagnosis:
     """A line a bearing, before a fit."""
     diagnosis = diagnose(config, inputs)
     for account in diagnosis.accounts:
         text = account.sentence
         if account.verdict is not Verdict.NOT_IDENTIFIABLE:
             name, deviation = diagnosis.worst(account)
+            method = "least squares" if diagnosis.by_least_squares else "the network"
             text += (
                 f"; condition number {np.median(account.condition):.2g} (worst {account.condition.max():.2g}); at "
-                f"{noise_words(config)} least squares gives {name} to {100 * deviation:.2g} %"
+                f"{noise_words(config)} {method} gives {name} to {100 * deviation:.2g} %"
             )
         say(f"{config.name}: {text}")
+    return diagnosis
 
 
 def run(config: Config) -> StageOutput:
@@ -133,7 +171,7 @@ def _summary(diagnosis: Diagnosis) -> dict[str, object]:
             "reason": account.reason,
             "unknowns": len(account.unknowns),
             "rank": {"least": int(account.rank.min()), "most": int(account.rank.max())},
-            "orbit_rank": {"least": int(account.orbit_rank.min()), "most": int(account.orbit_rank.max())},
+            "orbit_rank": {"least": _finite(account.orbit_rank.min()), "most": _finite(account.orbit_rank.max())},
             "condition_number": {
                 "median": _finite(np.median(account.condition)),
                 "max": _finite(account.condition.max()),
@@ -180,7 +218,7 @@ def _print(config: Config, diagnosis: Diagnosis) -> None:
             [
                 account.where,
                 f"{int(np.median(account.rank))} of {len(account.unknowns)}",
-                f"{int(np.median(account.orbit_rank))} of 2",
+                "" if np.isnan(account.orbit_rank).any() else f"{int(np.median(account.orbit_rank))} of 2",
                 f"{np.median(account.condition):.3g}",
                 f"{account.condition.max():.3g}",
                 worst,

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import read_coefficients, write_coefficients
 from pipeline.data.tables import fingerprint_of, write_table
@@ -15,12 +17,15 @@ from pipeline.equations.least_squares import per_speed_least_squares
 from pipeline.equations.unknown_system import unknown_system
 from pipeline.errors import DataError
 from pipeline.evaluation.errors import CoefficientErrors, as_metrics, coefficient_errors, worst_mean_error
+from pipeline.evaluation.fit_quality import within
 from pipeline.files import read_json, write_json
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.storage import ARCHITECTURE, WEIGHTS, load_model
+from pipeline.identification.uncertainty import UNCERTAINTY, load_uncertainty
 from pipeline.reporting.console import say, table
 from pipeline.reporting.figures import coefficient_figure, history_figure
 from pipeline.rotor.bearing_table import BearingTable
+from pipeline.stages.diagnose import diagnose
 from pipeline.stages.inputs import Inputs, load_inputs
 from pipeline.stages.run import StageOutput, flat_metrics, input_files, make_missing, workspace
 from pipeline.unknowns import unknown_set
@@ -33,7 +38,9 @@ def load_identified(config: Config, inputs: Inputs) -> IdentifiedModel:
     """The trained model, training first where it is missing. Raises DataError where other data trained it."""
     work = workspace(config)
     make_missing(config, "train", work.folder / WEIGHTS, work.folder / ARCHITECTURE, work.training, work.history)
-    account, model_files = read_json(work.training), (work.folder / WEIGHTS, work.folder / ARCHITECTURE)
+    account = read_json(work.training)
+    model_files = [work.folder / name for name in (WEIGHTS, ARCHITECTURE, UNCERTAINTY)]
+    model_files = [path for path in model_files if path.name != UNCERTAINTY or path.is_file()]
     identified = load_model(work.folder)
     laws = {
         "the data at hand": account.get("data_fingerprint") == inputs.dataset.fingerprint,
@@ -74,43 +81,99 @@ def run(config: Config) -> StageOutput:
     """Errors, their summary (worst bearing, parts per million), least-squares coefficients, Figures 3 and 4."""
     work, inputs = workspace(config), load_inputs(config)
     identified = load_identified(config, inputs)
+    uncertainty = load_uncertainty(work.folder, identified)
+    deviation = None if uncertainty is None else uncertainty.deviation(identified, inputs.dataset.speeds)
     names = identified.unknowns.by_bearing
     answer = identified.table(inputs.known)
-    conventional, condition = _least_squares(config, inputs, identified)
     modelled = load_modelled(config, inputs)
-    size = np.abs(inputs.equations.free_residual).mean()
-    residual = float(np.abs(inputs.equations.residual(answer.impedance(inputs.dataset.frequencies))).mean() / size)
-    summary: dict[str, object] = {"residual_ppm": 1e6 * residual}
-    metrics: dict[str, object] = {
-        "coefficients": {},
-        "residual": {"mean_over_bearing_force": residual},
-    }
-    metrics["condition_number"] = {
-        str(node): {"median": _finite(np.median(c)), "max": _finite(c.max())}
-        for node, c in zip(answer.nodes, condition, strict=True)
-    }
+    summary: dict[str, object] = {}
+    metrics: dict[str, object] = {"coefficients": {}}
     written: list[Path] = []
+    conventional = None
+    fit: Mapping[str, Any] = {}
+    if config.loss.kind == "response":
+        metrics["fit"] = fit = _fit_account(work.training)
+        diagnosis = diagnose(config, inputs)
+        if diagnosis.by_least_squares:
+            conventional = diagnosis.answer
+            written.append(write_coefficients(work.folder / "least_squares_coefficients.csv", conventional))
+    else:
+        conventional, condition = _least_squares(config, inputs, identified)
+        size = np.abs(inputs.equations.free_residual).mean()
+        residual = np.abs(inputs.equations.residual(answer.impedance(inputs.dataset.frequencies))).mean() / size
+        summary["residual_ppm"] = 1e6 * float(residual)
+        metrics["residual"] = {"mean_over_bearing_force": float(residual)}
+        metrics["condition_number"] = {
+            str(node): {"median": _finite(np.median(c)), "max": _finite(c.max())}
+            for node, c in zip(answer.nodes, condition, strict=True)
+        }
+        written.append(write_coefficients(work.folder / "least_squares_coefficients.csv", conventional))
     if modelled is not None:
         errors = coefficient_errors(answer, modelled, names)
-        beside = coefficient_errors(conventional, modelled, names)
+        beside = None if conventional is None else coefficient_errors(conventional, modelled, names)
         summary["mean_error_ppm"] = {name: 1e4 * worst_mean_error(errors, name) for name in config.identify.named()}
-        metrics |= {"coefficients": as_metrics(errors), "least_squares": as_metrics(beside)}
-        error_table = _error_table(answer, modelled, errors, beside)
+        metrics["coefficients"] = as_metrics(errors)
+        if beside is not None:
+            metrics["least_squares"] = as_metrics(beside)
+        if deviation is not None:
+            metrics["within_95_percent_interval"] = _within(answer, modelled, deviation, names)
+        error_table = _error_table(answer, modelled, errors, beside, deviation)
         written.append(write_table(work.folder / "coefficient_errors.csv", error_table))
         _print_table(config.name, error_table)
-    else:
+    if config.loss.kind == "response":
+        _say_fit(config.name, fit)
+    elif modelled is None:
         say(f"{config.name}: no modelled coefficients, so no errors; residual {residual:.3g} of the bearing force")
     written += [
         history_figure(work.figure("training"), work.history),
-        coefficient_figure(work.figure("stiffness"), "k", answer, modelled, names),
-        coefficient_figure(work.figure("damping"), "c", answer, modelled, names),
-        write_coefficients(work.folder / "least_squares_coefficients.csv", conventional),
+        coefficient_figure(work.figure("stiffness"), "k", answer, modelled, names, deviation),
+        coefficient_figure(work.figure("damping"), "c", answer, modelled, names, deviation),
         write_json(work.metrics, metrics),
         write_json(work.folder / "summary.json", summary),
     ]
     return StageOutput(
         flat_metrics(metrics), {"data_fingerprint": inputs.dataset.fingerprint}, [*written, work.identified]
     )
+
+
+def _fit_account(path: Path) -> Mapping[str, Any]:
+    """What the response fit left over. Raises DataError where the model was trained by another loss."""
+    account = read_json(path, "train again with stage=train")
+    if "fit" not in account:
+        raise DataError(f"'{path}' must be of a training with loss=response, but it is of another: train again")
+    return dict(account["fit"])
+
+
+def _within(
+    answer: BearingTable, modelled: BearingTable, deviation: np.ndarray, names: Sequence[Sequence[str]]
+) -> dict[str, dict[str, float]]:
+    """Percent of the speeds at which the modelled coefficient lies in the nominal 95 % interval."""
+    result: dict[str, dict[str, float]] = {}
+    for b, node in enumerate(answer.nodes):
+        for name in names[b]:
+            c = COEFFICIENTS.index(name)
+            share = within(answer.values[b, :, c] - modelled.values[b, :, c], deviation[b, :, c])
+            result.setdefault(str(node), {})[name] = float(share)
+    return result
+
+
+def _say_fit(name: str, fit: Mapping[str, Any]) -> None:
+    """What is known of a fit without a truth."""
+    square, white = fit["chi_square"], fit["whiteness"]
+    lines = [
+        f"{name}: chi-square {square['value']:.0f} of {square['readings']} readings, {square['expected']:.0f} expected "
+        f"({100 * square['value'] / square['expected'] - 100:+.1f} %)",
+        f"whiteness: neighbouring speeds correlate by {white['autocorrelation']:.3f} "
+        f"({white['over_its_deviation']:+.1f} standard deviations from none); {fit['bad_points']} readings far off",
+    ]
+    for kind in ("held_out_speeds", "held_out_runs"):
+        if kind in fit:
+            held = fit[kind]
+            lines.append(
+                f"{kind.replace('held_out_', 'held-out ')}: predicted to {held['error_percent']:.3g} % (root mean "
+                f"square), mean square over the noise {held['mean_square_over_noise']:.3f}, where 1 is expected"
+            )
+    say("\n".join(lines))
 
 
 def _least_squares(config: Config, inputs: Inputs, identified: IdentifiedModel) -> tuple[BearingTable, np.ndarray]:
@@ -124,7 +187,11 @@ def _least_squares(config: Config, inputs: Inputs, identified: IdentifiedModel) 
 
 
 def _error_table(
-    answer: BearingTable, modelled: BearingTable, errors: CoefficientErrors, beside: CoefficientErrors
+    answer: BearingTable,
+    modelled: BearingTable,
+    errors: CoefficientErrors,
+    beside: CoefficientErrors | None,
+    deviation: np.ndarray | None,
 ) -> pd.DataFrame:
     """Paper, Table 1: one row a bearing and coefficient, values as means over the speeds, errors in percent."""
     import pandas as pd
@@ -137,14 +204,21 @@ def _error_table(
                 "modelled": modelled.coefficient(name)[b].mean(),
                 "identified": answer.coefficient(name)[b].mean(),
             }
-            row |= asdict(error) | {"least_squares_mean_error_percent": beside[node][name].mean_error_percent}
+            row |= asdict(error)
+            if beside is not None:
+                row["least_squares_mean_error_percent"] = beside[node][name].mean_error_percent
+            if deviation is not None:
+                c = COEFFICIENTS.index(name)
+                row["median_std_percent"] = float(100 * np.median(deviation[b, :, c] / np.abs(answer.values[b, :, c])))
             rows.append(row)
     return pd.DataFrame(rows)
 
 
 def _print_table(name: str, errors: pd.DataFrame) -> None:
     header = ["bearing and coefficient", "modelled (mean)", "identified (mean)"]
-    header += ["mean error %", "median", "95 %", "max", "L2", "least squares mean error %"]
+    header += ["mean error %", "median", "95 %", "max", "L2"]
+    more = {"least_squares_mean_error_percent": "least squares mean error %", "median_std_percent": "median std %"}
+    header += [words for column, words in more.items() if column in errors]
     rows = [
         [
             f"node {node} {coefficient}",

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import write_coefficients
 from pipeline.data.dataset import Excitation
+from pipeline.data.sensors import Channels, Sensors, both_directions, measured
 from pipeline.data.simulate import simulate
 from pipeline.data.tables import is_foreign
 from pipeline.data.vibration_files import write_excitation, write_vibration
 from pipeline.errors import DataError
 from pipeline.reporting.console import say, warn
+from pipeline.rotor.model import RotorModel
 from pipeline.rotor.ross_adapter import assemble, bearing_table
 from pipeline.rotor.stored import write_rotor
 from pipeline.stages.inputs import known_coefficients, require_nodes
@@ -36,9 +40,12 @@ def run(config: Config) -> StageOutput:
     speeds = np.array(config.excitation.speeds.rpm()) * RAD_S_PER_RPM
     rotor = assemble(config.rotor)
     bearings = bearing_table(config.rotor, config.bearing, speeds)
-    runs = excitations(config)
-    require_nodes(rotor, "excitation.runs", [excitation.node for excitation in runs])
-    dataset = simulate(rotor, bearings, runs, own_frequencies(config, speeds))
+    runs, residual = excitations(config), residual_unbalances(config)
+    require_nodes(rotor, "excitation.runs", [excitation.node for excitation in (*runs, *residual)])
+    complete = simulate(rotor, bearings, (*runs, *residual), own_frequencies(config, speeds))
+    # The residual unbalance is in the vibration and nobody knows of it.
+    generator = np.random.default_rng(config.sensors.seed)
+    dataset = measured(replace(complete, excitations=runs), sensors(config, rotor), generator)
     modelled = workspace(config).modelled
     write_rotor(workspace(config).rotor, rotor, config.rotor)
     write_excitation(files.excitation, dataset)
@@ -84,6 +91,29 @@ def excitations(config: Config) -> tuple[Excitation, ...]:
         acting += [Excitation(run.name, "unbalance", one.node, one.magnitude, one.phase) for one in run.unbalances]
         acting += [Excitation(run.name, "force", one.node, one.magnitude, one.phase, one.whirl) for one in run.forces]
     return tuple(acting)
+
+
+def residual_unbalances(config: Config) -> tuple[Excitation, ...]:
+    """The configured residual unbalance, in every run that turns with the rotor."""
+    turning = [run for run in config.excitation.runs if not run.frequency_hz and not run.frequency_ratio]
+    return tuple(
+        Excitation(run.name, "unbalance", one.node, one.magnitude, one.phase)
+        for run in turning
+        for one in config.excitation.residual
+    )
+
+
+def sensors(config: Config, rotor: RotorModel) -> Sensors:
+    """The configured sensors."""
+    spec = config.sensors
+    channels: Channels | None = None
+    if spec.probes == "bearings":
+        channels = both_directions(rotor.bearing_nodes)
+    elif spec.probes != "all":
+        require_nodes(rotor, "sensors.probes", [probe.node for probe in spec.probes])
+        # An angle such as 45 deg is a text or a number of radians: rounded, it is 45 again.
+        channels = tuple((probe.node, round(float(np.degrees(probe.angle)), 9) % 360.0) for probe in spec.probes)
+    return Sensors(channels, spec.additive, spec.multiplicative, spec.runout, spec.quantisation)
 
 
 def own_frequencies(config: Config, speeds: np.ndarray) -> np.ndarray | None:

@@ -60,7 +60,8 @@ def load_inputs(config: Config) -> Inputs:
     """
     files = input_files(config)
     if files.own:
-        make_missing(config, "generate", files.vibration, files.excitation, files.known)
+        source = "generate" if config.ingest.format == "none" else "ingest"
+        make_missing(config, source, files.vibration, files.excitation, files.known)
         made_from = origin_of(files.vibration)
         if made_from is not None and made_from.split(" ")[0] != origin(config):
             raise DataError(
@@ -75,7 +76,7 @@ def load_inputs(config: Config) -> Inputs:
                 "data.excitation=... and data.known=..."
             )
     rotor = read_rotor(workspace(config).rotor, config.rotor) or assemble(config.rotor)
-    dataset = read_dataset(files.vibration, files.excitation, rotor)
+    dataset = read_dataset(files.vibration, files.excitation, rotor, config.data.baseline)
     nodes = rotor.bearing_nodes
     known = read_coefficients(files.known, nodes, dataset.speeds, known_coefficients(config, nodes))
     return Inputs(rotor, dataset, known)

@@ -14,6 +14,7 @@ from pipeline.data.tables import write_table
 from pipeline.data.vibration_files import to_rpm
 from pipeline.errors import ConfigError
 from pipeline.files import write_json
+from pipeline.identification.uncertainty import load_uncertainty
 from pipeline.reporting.console import say, table
 from pipeline.reporting.twin_figures import orbit_figure, response_figure, time_figure
 from pipeline.rotor.bearing_table import BearingTable
@@ -22,14 +23,16 @@ from pipeline.stages.evaluate import load_identified, load_modelled
 from pipeline.stages.inputs import load_inputs, require_nodes
 from pipeline.stages.run import StageOutput, flat_metrics, workspace
 from pipeline.twin.modes import critical_speeds, stability_margin, whirl_modes
-from pipeline.twin.prediction import PredictedVibration, predict
+from pipeline.twin.prediction import PredictedVibration, predict, with_deviation
 from pipeline.units import RAD_S_PER_RPM
 
 
 def run(config: Config) -> StageOutput:
     """``prediction.json``, ``prediction.csv`` and Figure 6."""
     inputs = load_inputs(config)
-    identified = load_identified(config, inputs).table(inputs.known)
+    model = load_identified(config, inputs)
+    uncertainty = load_uncertainty(workspace(config).folder, model)
+    identified = model.table(inputs.known)
     systems = {"identified": identified}
     modelled = load_modelled(config, inputs)
     if modelled is not None:
@@ -44,6 +47,10 @@ def run(config: Config) -> StageOutput:
     vibration = {
         name: predict(inputs.rotor, system, unseen, config.prediction.node) for name, system in systems.items()
     }
+    if uncertainty is not None:
+        vibration["identified"] = with_deviation(
+            vibration["identified"], inputs.rotor, identified, unseen, model, uncertainty
+        )
     summary: dict[str, Any] = {name: _modal_summary(inputs.rotor, system) for name, system in systems.items()}
     if modelled is not None:
         error = vibration["identified"].error_percent(vibration["modelled"])
@@ -112,6 +119,8 @@ def _write_table(path: Path, vibration: dict[str, PredictedVibration]) -> Path:
     for name, predicted in vibration.items():
         for d, direction in enumerate("xy"):
             columns[f"{direction}_{name}_amplitude_m"] = np.abs(predicted.displacement[:, d])
+            if predicted.deviation is not None:
+                columns[f"{direction}_{name}_amplitude_std_m"] = predicted.deviation[:, d]
             columns[f"{direction}_{name}_phase_deg"] = np.degrees(np.angle(predicted.displacement[:, d]))
     return write_table(path, pd.DataFrame(columns))
 

@@ -48,6 +48,10 @@ def run(config: Config) -> StageOutput:
     """``robustness.json``, a table with the final error of every start, and Figure 2."""
     import torch
 
+    if config.robustness.over == "noise":
+        from pipeline.stages import noise_study  # it imports what this module has
+
+        return noise_study.run(config)
     torch.set_num_threads(config.threads)
     inputs, setup = load_inputs(config), setup_of(config)
     say_promoted(config)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.data.dataset import Excitation
+from pipeline.data.dataset import DIRECTIONS, Excitation, VibrationDataset
 from pipeline.data.simulate import forced_response
+from pipeline.equations.response import response_equations
+from pipeline.identification.identified import IdentifiedModel
+from pipeline.identification.uncertainty import Uncertainty
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import TRANSLATIONS, RotorModel, translation_dof
 
@@ -19,6 +22,7 @@ class PredictedVibration:
     node: int
     speeds: np.ndarray  # (S,) rad/s
     displacement: np.ndarray  # (S, 2) complex, m, of x and y
+    deviation: np.ndarray | None = None  # (S, 2) standard deviation of the amplitude, m, where it is known
 
     def error_percent(self, reference: PredictedVibration) -> np.ndarray:
         """(S, 2) |Q - Q_reference| / |Q_reference| in percent: amplitude and phase together."""
@@ -33,6 +37,29 @@ def predict(
     response = forced_response(rotor, bearings, unbalances, runs)
     places = [translation_dof(node, direction) for direction in range(TRANSLATIONS)]
     return PredictedVibration(node, bearings.speeds, response[:, places, 0])
+
+
+def with_deviation(
+    predicted: PredictedVibration,
+    rotor: RotorModel,
+    bearings: BearingTable,
+    unbalances: tuple[Excitation, ...],
+    identified: IdentifiedModel,
+    uncertainty: Uncertainty,
+) -> PredictedVibration:
+    """The same with the deviation that the coefficients' covariance implies, to first order."""
+    channels = tuple((predicted.node, angle) for angle in DIRECTIONS.values())
+    runs = (unbalances[0].run,)
+    dataset = VibrationDataset(bearings.speeds, runs, channels, predicted.displacement[..., None], unbalances)
+    stiffness = float(np.median(np.abs(bearings.values[..., 0])))
+    by_coefficient = response_equations(rotor, dataset, stiffness).sensitivity(bearings)[:, :, 0]  # (S, 2, B, 8)
+    by_number = uncertainty.sensitivity(identified, bearings.speeds)  # (B, S, 8, Z)
+    moved = np.einsum("sdbc,bscz->sdz", by_coefficient, by_number)
+    direction = predicted.displacement.conj() / np.abs(predicted.displacement)
+    along = (direction[..., None] * moved).real
+    count = along.shape[-1]
+    variance = np.einsum("sdz,zy,sdy->sd", along, uncertainty.covariance[:count, :count], along, optimize=True)
+    return replace(predicted, deviation=np.sqrt(np.maximum(variance, 0.0)))
 
 
 def time_curve(

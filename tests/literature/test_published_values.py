@@ -26,6 +26,7 @@ from pipeline.units import RAD_S_PER_RPM
 # --- ball bearing ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_ball_bearing_stiffness() -> None:
     """Paper, Table 1 (Friswell, pages 182-185): 464.16883e5 and 1009.06269e5 N/m, cut after that digit."""
     config = compose_config(["experiment=ball_bearing"])

@@ -1,0 +1,178 @@
+"""What a configuration may say of measured data in any format: conventions, probes, runs, runout, tacho.
+
+No convention has a default: a file that does not say how its numbers are meant spoils more than noise does. The
+equations behind the words are in :mod:`pipeline.ingest.conventions`. Values are SI, speeds in rpm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Literal
+
+from pydantic import Field, PositiveFloat, model_validator
+
+from pipeline.config.excitation import SpeedsConfig
+from pipeline.config.quantities import Deviation, Force, LengthUnit, ShaftAngle, UnbalanceMagnitude
+from pipeline.config.section import NonNegativeInt, Section
+
+AmplitudeKind = Literal["zero_to_peak", "peak_to_peak", "rms"]
+PhaseSense = Literal["lag", "lead"]
+SpeedUnit = Literal["rpm", "Hz", "rad/s"]
+Text = Annotated[str, Field(min_length=1)]
+
+
+class VectorConventionsConfig(Section):
+    """What complex numbers over the speed mean: unit and kind of size, sense of the angle, unit of the speed."""
+
+    length: LengthUnit
+    amplitude: AmplitudeKind
+    phase: PhaseSense
+    speed: SpeedUnit
+
+
+class ConventionsConfig(VectorConventionsConfig):
+    """What amplitudes, phases and speeds in a table mean."""
+
+    phase_unit: Literal["deg", "rad"]
+
+
+class ProbeConfig(Section):
+    """A displacement probe: its node of the rotor, and its angle from x towards y, which is the sense of rotation."""
+
+    node: NonNegativeInt
+    angle: ShaftAngle
+
+
+class MeasuredUnbalanceConfig(Section):
+    """An unbalance (kg m) that was on the shaft in a run; ``phase`` as ``shaft_angle`` says."""
+
+    node: NonNegativeInt
+    magnitude: UnbalanceMagnitude
+    phase: ShaftAngle
+
+
+class MeasuredForceConfig(Section):
+    """A rotating force F e^{jp} [1, -j] (forward) or [1, +j] (backward) on x and y, time zero at the tacho pulse."""
+
+    node: NonNegativeInt
+    magnitude: Force
+    phase: ShaftAngle
+    whirl: Literal["forward", "backward"]
+
+
+class MeasuredRunConfig(Section):
+    """One run: where its data are, and what excited it; nothing only in the baseline run."""
+
+    name: Text
+    file: Text | None = None
+    unbalances: tuple[MeasuredUnbalanceConfig, ...] = ()
+    forces: tuple[MeasuredForceConfig, ...] = ()
+
+    def sources(self, file: str | None) -> tuple[str, ...]:
+        """The files of this run; ``file`` is that of the runs that name none. Raises ValueError where there is none."""
+        if self.file is None and file is None:
+            raise ValueError(f"run '{self.name}' must have a file, but it has none (and there is no file for all)")
+        return (self.file or file or "",)
+
+
+class SlowRollVectorConfig(Section):
+    """The runout that one probe sees."""
+
+    amplitude: Deviation
+    phase: ShaftAngle
+
+
+class SlowRollConfig(Section):
+    """Runout to subtract: the mean 1X vector of each probe and run below a speed, or a given vector a probe."""
+
+    below_rpm: PositiveFloat | None = None
+    vectors: dict[str, SlowRollVectorConfig] = Field(default_factory=dict)
+    amplitude: AmplitudeKind | None = None
+    phase: PhaseSense | None = None
+
+    @model_validator(mode="after")
+    def _one_way(self) -> SlowRollConfig:
+        if (self.below_rpm is None) == (not self.vectors):
+            got = "both" if self.vectors else "neither"
+            raise ValueError(f"must give either below_rpm or vectors, but got {got}")
+        if self.vectors and (self.amplitude is None or self.phase is None):
+            raise ValueError(
+                "must give amplitude (zero_to_peak, peak_to_peak or rms) and phase (lag or lead) where it has vectors, "
+                "but one is missing"
+            )
+        return self
+
+
+class TachoAngleConfig(Section):
+    """Where the tacho probe sits, from x towards y; null where no unbalance is measured from its mark."""
+
+    angle: ShaftAngle | None = None
+
+
+class OrderTrackingConfig(Section):
+    """How 1X vectors are fitted to time signals; see :mod:`pipeline.ingest.order_tracking`."""
+
+    orders: Annotated[int, Field(ge=1, le=10)] = 3
+    degree: Annotated[int, Field(ge=0, le=8)] | None = None
+    revolutions: Annotated[float, Field(ge=2)] | None = None
+
+
+class CsvConfig(Section):
+    """How a CSV file is written; ``skip_rows`` are lines before the header."""
+
+    delimiter: Annotated[str, Field(min_length=1, max_length=1)] = ","
+    decimal: Literal[".", ","] = "."
+    skip_rows: NonNegativeInt = 0
+
+    @model_validator(mode="after")
+    def _apart(self) -> CsvConfig:
+        if self.delimiter == self.decimal:
+            raise ValueError(f"must have a delimiter that is not the decimal mark, but both are {self.decimal!r}")
+        return self
+
+
+class MeasuredConfig(Section):
+    """What all formats share; ``file`` is that of the runs that name none. Each format adds ``probes`` and ``runs``."""
+
+    file: Text | None = None
+    baseline: Text | None = None
+    shaft_angle: Literal["with_rotation", "against_rotation", "from_x"] | None = None
+    speeds: SpeedsConfig | None = None
+    interpolation: Literal["cubic", "linear"] = "cubic"
+    slow_roll: SlowRollConfig | None = None
+    known: Text | None = None
+
+    def check_shared(
+        self, runs: Sequence[MeasuredRunConfig], probes: Mapping[str, ProbeConfig], tacho: TachoAngleConfig
+    ) -> None:
+        """Raise ValueError for what runs, probes and tacho must have together."""
+        names = [run.name for run in runs]
+        if len(set(names)) != len(names):
+            raise ValueError(f"must give every run a name of its own, but runs has {names}")
+        if self.baseline is not None and self.baseline not in names:
+            raise ValueError(f"must have the baseline among its runs {names}, but baseline is '{self.baseline}'")
+        for run in runs:
+            run.sources(self.file)
+            excited = bool(run.unbalances or run.forces)
+            if excited and run.name == self.baseline:
+                raise ValueError(f"must have nothing that excites the baseline run '{run.name}', but it has some")
+            if not excited and run.name != self.baseline:
+                raise ValueError(
+                    f"run '{run.name}' must have unbalances or forces, but it has none: add them, or name it "
+                    "as baseline"
+                )
+        if any(run.unbalances for run in runs) and self.shaft_angle is None:
+            raise ValueError(
+                "must say in shaft_angle how phases of unbalances are measured (with_rotation or against_rotation from "
+                "the mark, or from_x at the pulse), but it is missing"
+            )
+        if any(run.unbalances for run in runs) and self.shaft_angle != "from_x" and tacho.angle is None:
+            raise ValueError(
+                "must give tacho.angle where phases of unbalances are measured from the mark, but it is missing: give "
+                "it, or the phases from x with shaft_angle=from_x"
+            )
+        vectors = set(self.slow_roll.vectors) if self.slow_roll is not None else set()
+        if vectors and vectors != set(probes):
+            raise ValueError(
+                f"slow_roll.vectors must have one vector a probe ({', '.join(probes)}), but it has {', '.join(vectors)}"
+            )

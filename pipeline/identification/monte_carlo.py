@@ -1,0 +1,76 @@
+"""Many fits of one machine under other noise, in one batch.
+
+They start at the fit of the data at hand, keep its weights and the prior of its output weights, and differ in the noise
+alone: their spread is that of the parametrisation, to be held against its Cramer-Rao bound.
+
+Legend: G data sets, S speeds, P channels, R runs, A unknowns, Z free numbers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.config.identification import LevenbergMarquardtConfig
+from pipeline.identification.optimizers import levenberg_marquardt, until_still
+from pipeline.identification.response_fit import ResponseFit, covariance
+from pipeline.identification.response_problem import ResponseProblem
+
+if TYPE_CHECKING:
+    import torch
+
+_CHUNK = 25
+"""Data sets in one batch: more do not fit the processor's cache."""
+
+
+@dataclass(frozen=True, eq=False)
+class MonteCarlo:
+    """The fits of all data sets."""
+
+    problem: ResponseProblem
+    free: torch.Tensor  # (G, 1, Z)
+
+    def unknowns(self) -> np.ndarray:
+        """(G, S, A) N/m and N s/m."""
+        return np.asarray(self.problem.unknowns(self.free)[0].numpy())
+
+    def deviations(self) -> np.ndarray:
+        """(G, S, A) the standard deviations that each fit states."""
+        found = []
+        for part in self.free.split(_CHUNK):
+            found.append(unknown_deviation(self.problem, part))
+        return np.concatenate(found)
+
+
+def unknown_deviation(problem: ResponseProblem, free: torch.Tensor) -> np.ndarray:
+    """(G, S, A) standard deviation of the active unknowns at the free vectors (G, 1, Z)."""
+    spread, count = covariance(problem, free), problem.features.shape[-1]
+    _, slope = problem.unknowns(free)
+    parts = []
+    for a, (m, _) in enumerate(problem.active):
+        own, part = problem.features[m].numpy(), slice(a * count, (a + 1) * count)
+        parts.append(np.sqrt(np.einsum("sk,gkl,sl->gs", own, spread[:, part, part], own, optimize=True)))
+    return np.stack(parts, axis=-1) * np.abs(slope.numpy())
+
+
+def monte_carlo(
+    fit: ResponseFit, clean: np.ndarray, count: int, generator: np.random.Generator, config: LevenbergMarquardtConfig
+) -> MonteCarlo:
+    """Fit ``count`` data sets: the ``clean`` readings (S, P, R), m, each with noise of its own."""
+    import torch
+
+    problem = fit.problem
+    blocks = fit.prepared.data.equations.blocks
+    runs = [of for of in (np.intersect1d(block.runs, fit.prepared.runs) for block in blocks) if len(of)]
+    kept = clean[fit.prepared.keep]
+    deviation = fit.prepared.data.deviation_of(kept, None, fit.factor)
+    answers = []
+    for start in range(0, count, _CHUNK):
+        n = min(_CHUNK, count - start)
+        parts = generator.standard_normal((2, n, *kept.shape)) / np.sqrt(2.0)
+        noisy = kept + deviation * (parts[0] + 1j * parts[1])
+        own = problem.with_measured([torch.as_tensor(noisy[..., of]) for of in runs])
+        answers.append(levenberg_marquardt(own, fit.free.repeat(n, 1, 1), config, until_still()))
+    return MonteCarlo(problem, torch.cat(answers))

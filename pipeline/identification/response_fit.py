@@ -1,0 +1,166 @@
+"""The fit by the output error: Levenberg-Marquardt, weights from the noise, and as many features as the data determine.
+
+The deviation of a reading follows from the predicted amplitude, not from the measured one, whose noise would bias the
+fit; so weights and coefficients are found in turn. Readings far off (bad points) count less (Huber 1964).
+
+Legend: S speeds, P channels, R runs, M members, U unknowns, Z free numbers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.config.identification import LevenbergMarquardtConfig
+from pipeline.identification.feature_choice import features_that_count
+from pipeline.identification.optimizers import levenberg_marquardt, until_still
+from pipeline.identification.outcome import Outcome
+from pipeline.identification.response_preparation import PreparedResponse
+from pipeline.identification.response_problem import ResponseProblem
+from pipeline.identification.training import Progress, TrainedBatch, TrainingSetup, run_training
+
+if TYPE_CHECKING:
+    import torch
+
+HUBER = 2.5
+"""Readings beyond so many deviations (complex) count less; of good ones that is one in five hundred."""
+BAD_POINT = 4.0
+"""Readings beyond so many deviations are listed: of good ones, one in ten million."""
+_ROUNDS = 8
+_SETTLED = 1e-3
+_CHOICE = 1
+"""The round after which superfluous features are dropped: the weights are nearly right by then."""
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseFit:
+    """The answer, and its account."""
+
+    prepared: PreparedResponse
+    batch: TrainedBatch
+    problem: ResponseProblem  # with the final weights
+    weights: tuple[np.ndarray, ...]  # Huber's, (S, P, R of the block)
+    factor: np.ndarray  # (P,) deviation of each channel over the stated one
+    outcome: Outcome
+    history: tuple[dict[str, float | str], ...]
+    steps: int
+    seconds: float
+
+    @property
+    def free(self) -> torch.Tensor:
+        """(1, 1, Z)."""
+        return self.batch.parameters
+
+    def covariance(self) -> np.ndarray:
+        """(Z, Z) of the free vector: the inverse of the information, the Cramer-Rao bound of the parametrisation."""
+        return covariance(self.problem, self.free)[0]
+
+    def residual_unbalance(self) -> np.ndarray:
+        """(N,) complex, kg m."""
+        return np.asarray(self.problem.unbalance(self.free)[0].numpy())
+
+
+def covariance(problem: ResponseProblem, free: torch.Tensor, precision: float = 0.0) -> np.ndarray:
+    """(G, Z, Z) inverse of the information at the free vectors (G, 1, Z); zero for numbers that are not fitted.
+
+    ``precision`` of the numbers beforehand keeps finite what the data leave open.
+    """
+    import torch
+
+    _, normal = problem.normal(free)
+    matrix = normal[:, 0] + precision * torch.eye(problem.size, dtype=free.dtype)
+    size = matrix.diagonal(dim1=-2, dim2=-1).clamp(min=1e-300).sqrt()
+    scaled = matrix / size[:, :, None] / size[:, None, :]
+    values, vectors = torch.linalg.eigh(scaled)
+    values = values.clamp(min=float(np.finfo(float).eps) * 10)
+    inverse = (vectors / values[:, None, :]) @ vectors.mT
+    fitted = problem.fitted().to(free.dtype)
+    return np.asarray((inverse * (fitted / size)[:, :, None] * (fitted / size)[:, None, :]).numpy())
+
+
+def fit_response(
+    prepared: PreparedResponse,
+    setup: TrainingSetup,
+    progress: Progress | None = None,
+    estimate_noise: bool = False,
+    robust: bool = True,
+) -> ResponseFit:
+    """Fit, weigh the readings anew, and fit again until the weights stay. Ctrl-C ends it with the best state so far."""
+    problem, free = prepared.problem, prepared.start
+    if prepared.from_guess:
+        free = grown(problem, free, setup.optimizer.levenberg_marquardt)
+    factor = np.ones(prepared.data.displacement.shape[1])
+    history: list[dict[str, float | str]] = []
+    steps, seconds = 0, 0.0
+    for turn in range(_ROUNDS):
+        training = replace(prepared.training, train=problem)
+        batch = run_training(training, free, setup, progress)
+        free = batch.parameters
+        history += [dict(row) | {"step": steps + int(row["step"])} for row in batch.history]
+        steps, seconds = steps + batch.steps, seconds + batch.seconds
+        if batch.outcomes[0] is Outcome.INTERRUPTED:
+            weights = tuple(np.ones(block.weight.shape[1:]) for block in problem.blocks)
+            break
+        if estimate_noise:
+            factor = estimated_factor(prepared, problem, free, factor)
+        before = problem
+        problem, weights = reweighted(prepared, problem, free, factor, robust)
+        if turn == _CHOICE:
+            problem, free = features_that_count(problem, free, covariance(problem, free)[0])
+        changes = [
+            float((new.weight / old.weight).log().abs().max())
+            for new, old in zip(problem.blocks, before.blocks, strict=True)
+        ]
+        if turn > _CHOICE and max(changes) < _SETTLED:
+            break
+    return ResponseFit(prepared, batch, problem, weights, factor, batch.outcomes[0], tuple(history), steps, seconds)
+
+
+def grown(problem: ResponseProblem, starts: torch.Tensor, config: LevenbergMarquardtConfig) -> torch.Tensor:
+    """(1, 1, Z) the best minimum from rough ``starts`` (G, 1, Z): constants first, then more features step by step.
+
+    Far from the answer, many features at once would follow one speed here and another there.
+    """
+    import torch
+
+    free, count = starts, problem.features.shape[-1]
+    orders = [1, *range(problem.basis.n_trend, count, 2)]
+    for order in orders:
+        limited = replace(problem, kept=(torch.arange(count) < order).repeat(len(problem.active), 1))
+        free = levenberg_marquardt(limited, free, config, until_still())
+    return free[[int(problem.loss(free)[:, 0].nan_to_num(torch.inf).argmin())]]
+
+
+def reweighted(
+    prepared: PreparedResponse, problem: ResponseProblem, free: torch.Tensor, factor: np.ndarray, robust: bool
+) -> tuple[ResponseProblem, tuple[np.ndarray, ...]]:
+    """Weights from the predicted amplitudes and, if ``robust``, Huber's for readings far off."""
+    import torch
+
+    blocks, shares = [], []
+    for block, predicted in zip(problem.blocks, problem.predicted(free), strict=True):
+        deviation = torch.as_tensor(prepared.data.deviation_of(predicted.numpy(), block.subtracted, factor))
+        off = (predicted - block.measured).abs() / deviation
+        share = (HUBER / off.clamp(min=HUBER)) if robust else torch.ones_like(off)
+        blocks.append(replace(block, weight=np.sqrt(2.0) / deviation * share.sqrt()))
+        shares.append(share[0].numpy())
+    return replace(problem, blocks=tuple(blocks)), tuple(shares)
+
+
+def estimated_factor(
+    prepared: PreparedResponse, problem: ResponseProblem, free: torch.Tensor, factor: np.ndarray
+) -> np.ndarray:
+    """(P,) deviation of each channel over the stated one, from the medians of what the fit leaves over.
+
+    The squared modulus of circular noise has the median ln 2; the free numbers took their share of the rest.
+    """
+    left = []
+    for block, predicted in zip(problem.blocks, problem.predicted(free), strict=True):
+        stated = prepared.data.deviation_of(predicted[0].numpy(), block.subtracted, np.ones_like(factor))
+        off = (predicted - block.measured).abs()[0].numpy() / stated
+        left.append(np.moveaxis(off, 1, 0).reshape(off.shape[1], -1))
+    squared = np.median(np.concatenate(left, axis=1) ** 2, axis=1) / np.log(2.0)
+    rest = max(1.0 - problem.n_numbers / problem.n_rows, 0.05)
+    return np.asarray(np.sqrt(squared / rest))

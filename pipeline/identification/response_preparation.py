@@ -1,0 +1,162 @@
+"""What a fit by the output error starts from: the readings, the problem on training speeds and runs, the start.
+
+Legend: S speeds, P channels, R runs, M members, U unknowns, Z free numbers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.config.excitation import NoiseConfig
+from pipeline.data.dataset import reading_deviation
+from pipeline.equations.response import ResponseEquations
+from pipeline.identification.coefficient_model import coefficient_model
+from pipeline.identification.feature_basis import feature_basis
+from pipeline.identification.response_problem import Readings, ResponseProblem, response_problem
+from pipeline.identification.response_start import linear_start
+from pipeline.identification.training import PreparedTraining, TrainingSetup, held_out_speeds, initial_guess
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.unknowns import UnknownSet, unknown_set
+
+if TYPE_CHECKING:
+    import torch
+
+_GUESSES = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
+"""Where the sensors are too few for a linear start, the configured guess is tried in these sizes."""
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredResponse:
+    """The readings, and how they are weighted."""
+
+    equations: ResponseEquations
+    displacement: np.ndarray  # (S, P, R) complex, m
+    noise: NoiseConfig
+    subtracted: np.ndarray | None = None  # (S, P, R) m, the baseline that was taken off
+
+    def deviation(self) -> np.ndarray:
+        """(S, P, R) root mean square of the noise, m, by the sizes of the readings."""
+        return self.deviation_of(self.displacement, self.subtracted, np.ones(self.displacement.shape[1]))
+
+    def deviation_of(self, displacement: np.ndarray, subtracted: np.ndarray | None, factor: np.ndarray) -> np.ndarray:
+        """(.., S, P, R) of readings of another size; ``factor`` (P,) is a channel's deviation over the stated one."""
+        size = reading_deviation(displacement, subtracted, self.noise.additive, self.noise.multiplicative)
+        return np.asarray(np.maximum(size * factor[:, None], _LEAST))
+
+
+_LEAST = 1e-15
+"""m; a reading of zero without additive noise would have none at all."""
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedResponse:
+    """Everything before the first step."""
+
+    data: MeasuredResponse
+    training: PreparedTraining
+    problem: ResponseProblem
+    held_out_speeds: ResponseProblem | None
+    held_out_runs: ResponseProblem | None
+    start: torch.Tensor  # (G, 1, Z); several where they are guesses
+    keep: np.ndarray  # (S,) mask of training speeds
+    runs: np.ndarray  # indices of training runs
+    from_guess: bool  # the sensors were too few for a linear start
+
+
+def prepare_response(
+    data: MeasuredResponse, known: BearingTable, setup: TrainingSetup, seed: int, held_out_runs: np.ndarray
+) -> PreparedResponse:
+    """The problem on the training speeds and runs, and where it starts."""
+    import torch
+
+    equations, displacement, deviation = data.equations, data.displacement, data.deviation()
+    unknowns = unknown_set({node: setup.identify.at(node) for node in equations.bearing_nodes})
+    members = 1 if setup.identify.tie_bearings else len(equations.bearing_nodes)
+    keep = ~held_out_speeds(len(equations.speeds), setup.training.holdout_every)
+    runs = np.setdiff1d(np.arange(displacement.shape[-1]), held_out_runs)
+    guess, scale = initial_guess(setup, unknowns.names, members), _sizes(setup, unknowns, members)
+    model = coefficient_model(setup.model, unknowns.names, equations.speeds, scale)
+    drawn = model.spread_parameters(guess, torch.Generator().manual_seed(seed))
+    basis = feature_basis(model, drawn, equations.speeds[keep])
+    plane_scale = _plane_scale(equations, displacement)
+    values = linear_start(
+        _restricted(equations, keep, runs),
+        displacement[keep][..., runs],
+        deviation[keep][..., runs],
+        unknowns,
+        known.at(np.flatnonzero(keep)),
+        basis.at(equations.speeds[keep]).numpy(),
+        scale,
+    )
+    from_guess = values is None
+    if values is None:
+        shape = (members, int(keep.sum()), len(unknowns.names))
+        starts = [np.broadcast_to(size * guess[:, None], shape) for size in _GUESSES]
+    else:
+        starts = [values]
+        found = np.median(np.abs(values), axis=1)
+        model = replace(model, scale=tuple(map(tuple, np.where(found > 0, found, scale).tolist())))
+        basis = replace(basis, model=model)
+
+    def problem(speeds: np.ndarray, of: np.ndarray) -> ResponseProblem:
+        readings = Readings(displacement, deviation, data.subtracted)
+        return response_problem(basis, equations, unknowns, known, readings, speeds, of, plane_scale)
+
+    train = problem(keep, runs)
+    prepared = PreparedTraining(model, unknowns, train, None, None, equations.bearing_nodes, ())
+    return PreparedResponse(
+        data,
+        prepared,
+        train,
+        problem(~keep, runs) if not keep.all() else None,
+        problem(np.ones_like(keep), held_out_runs) if len(held_out_runs) else None,
+        torch.cat([start_at(train, values) for values in starts]),
+        keep,
+        runs,
+        from_guess,
+    )
+
+
+def _restricted(equations: ResponseEquations, keep: np.ndarray, runs: np.ndarray) -> ResponseEquations:
+    """The equations at training speeds and runs, the runs numbered anew."""
+    blocks = []
+    for block in equations.blocks:
+        own = block.at(keep, runs)
+        if len(own.runs):
+            blocks.append(replace(own, runs=np.searchsorted(runs, own.runs)))
+    return replace(equations, speeds=equations.speeds[keep], blocks=tuple(blocks))
+
+
+def _sizes(setup: TrainingSetup, unknowns: UnknownSet, members: int) -> np.ndarray:
+    """(M, U) what an output of 1 stands for before anything is known: the configured guesses of direct coefficients."""
+    model = setup.model
+    values = [model.initial_stiffness if name.startswith("k") else model.initial_damping for name in unknowns.names]
+    return np.tile(values, (members, 1))
+
+
+def _plane_scale(equations: ResponseEquations, displacement: np.ndarray) -> float:
+    """kg m that moves the sensors about as much as what was measured."""
+    units = [np.abs(block.unit_sensors) for block in equations.blocks if block.unit_sensors.shape[-1]]
+    if not units:
+        return 1.0
+    return float(np.median(np.abs(displacement)) / np.median(units[0]))
+
+
+def start_at(problem: ResponseProblem, values: np.ndarray) -> torch.Tensor:
+    """(1, 1, Z) the free vector that comes nearest to unknowns (M, S, U), without residual unbalance."""
+    import torch
+
+    model, scale = problem.basis.model, problem.scale
+    raw = model.raw_from(torch.as_tensor(np.ascontiguousarray(values)), scale)  # (M, S, U)
+    free = torch.zeros(1, 1, problem.size, dtype=torch.float64)
+    count = problem.features.shape[-1]
+    for a, (m, u) in enumerate(problem.active):
+        kept = problem.kept[a]
+        wanted = raw[m, :, u : u + 1]
+        free[0, 0, a * count : (a + 1) * count][kept] = torch.linalg.lstsq(
+            problem.features[m][:, kept], wanted
+        ).solution[:, 0]
+    return free

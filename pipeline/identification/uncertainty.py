@@ -1,0 +1,131 @@
+"""How well the coefficients are known: the covariance of the free vector, carried to whatever follows from it.
+
+The covariance is the inverse of the information, so the deviations are the Cramer-Rao bound of the network's output
+layer (with the prior of its weights). Legend: M members, S speeds, B bearings, K features, A active unknowns, N balance
+planes, Z = A K + 2 N free numbers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.errors import DataError
+from pipeline.files import write_beside
+from pipeline.identification.identified import IdentifiedModel
+
+if TYPE_CHECKING:
+    from pipeline.identification.response_fit import ResponseFit
+
+UNCERTAINTY = "uncertainty.safetensors"
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """What is needed for a deviation at any speed, beside the identified model."""
+
+    weights: np.ndarray  # (M, K, K) output weights of an orthonormal basis
+    active: np.ndarray  # (A, 2) of (member, unknown)
+    covariance: np.ndarray  # (Z, Z)
+    residual_unbalance: np.ndarray  # (N,) complex, kg m
+    planes: np.ndarray  # (N,) nodes
+    plane_scale: float  # kg m of a free number of 1
+
+    def sensitivity(self, identified: IdentifiedModel, speeds: np.ndarray) -> np.ndarray:
+        """(B, S, 8, A K) derivative of the coefficients by the free numbers of the network."""
+        import torch
+
+        model, parameters = identified.model, identified.parameters
+        with torch.no_grad():
+            inputs = model.scaled_inputs(np.atleast_1d(speeds))
+            basis = (model.features(parameters, inputs) @ torch.as_tensor(self.weights)).numpy()  # (M, S, K)
+            slope = model.physical_slope(model.raw(parameters, inputs), model.scale_tensor()).numpy()  # (M, S, U)
+        n_bearings, count = len(identified.bearing_nodes), basis.shape[-1]
+        result = np.zeros((n_bearings, basis.shape[1], len(COEFFICIENTS), len(self.active) * count))
+        for a, (m, u) in enumerate(self.active):
+            moved = slope[m, :, u, None] * basis[m]  # (S, K)
+            for b in range(n_bearings):
+                if len(basis) == 1 or b == m:
+                    signs = identified.unknowns.expansion[b, :, u]
+                    result[b, :, :, a * count : (a + 1) * count] = signs[None, :, None] * moved[:, None]
+        return result
+
+    def deviation(self, identified: IdentifiedModel, speeds: np.ndarray) -> np.ndarray:
+        """(B, S, 8) standard deviations, N/m and N s/m; NaN for coefficients that were not identified."""
+        moved = self.sensitivity(identified, speeds)
+        outer = moved.shape[-1]
+        with np.errstate(over="ignore", invalid="ignore"):  # of coefficients that ran away
+            variance = np.einsum("bscz,zy,bscy->bsc", moved, self.covariance[:outer, :outer], moved, optimize=True)
+        known = ~identified.unknowns.identified[:, None]
+        return np.where(known, np.nan, np.sqrt(np.maximum(variance, 0.0)))
+
+    def unbalance_deviation(self) -> np.ndarray:
+        """(N,) standard deviation of the residual unbalance, kg m: of the real and the imaginary part together."""
+        variance = np.diag(self.covariance)[len(self.covariance) - 2 * len(self.planes) :].reshape(-1, 2).sum(axis=1)
+        return np.asarray(self.plane_scale * np.sqrt(variance))
+
+
+def uncertainty_of(fit: ResponseFit, inflation: float = 1.0) -> Uncertainty:
+    """The uncertainty of a fit; ``inflation`` of the variances is for readings that do not deviate independently."""
+    problem = fit.problem
+    return Uncertainty(
+        problem.basis.weights.numpy(),
+        np.array(problem.active, dtype=np.int64).reshape(-1, 2),
+        inflation * fit.covariance(),
+        fit.residual_unbalance(),
+        np.array(fit.prepared.data.equations.planes, dtype=np.int64),
+        problem.plane_scale,
+    )
+
+
+def save_uncertainty(folder: Path, uncertainty: Uncertainty) -> Path:
+    """Write ``uncertainty.safetensors``. Raises StorageError."""
+    from safetensors.numpy import save
+
+    parts = {
+        "weights": uncertainty.weights,
+        "active": uncertainty.active,
+        "covariance": uncertainty.covariance,
+        "residual_unbalance": np.stack([uncertainty.residual_unbalance.real, uncertainty.residual_unbalance.imag]),
+        "planes": uncertainty.planes,
+        "plane_scale": np.array([uncertainty.plane_scale]),
+    }
+    content = save({name: np.ascontiguousarray(part) for name, part in parts.items()})
+    return write_beside(folder / UNCERTAINTY, lambda beside: _write(beside, content))
+
+
+def _write(path: Path, content: bytes) -> None:
+    path.write_bytes(content)
+
+
+def load_uncertainty(folder: Path, identified: IdentifiedModel) -> Uncertainty | None:
+    """Read what :func:`save_uncertainty` wrote; None where there is none. Raises DataError for a damaged file."""
+    from safetensors import SafetensorError
+    from safetensors.numpy import load_file
+
+    path = folder / UNCERTAINTY
+    if not path.is_file():
+        return None
+    try:
+        parts = load_file(path)
+        unbalance = parts["residual_unbalance"][0] + 1j * parts["residual_unbalance"][1]
+        found = Uncertainty(
+            parts["weights"],
+            parts["active"],
+            parts["covariance"],
+            unbalance,
+            parts["planes"],
+            float(parts["plane_scale"][0]),
+        )
+        size = len(found.active) * found.weights.shape[-1] + 2 * len(found.planes)
+        if found.covariance.shape != (size, size) or len(found.weights) != len(identified.parameters):
+            raise ValueError("its numbers do not fit the model")
+    except (OSError, SafetensorError, KeyError, IndexError, ValueError) as error:
+        raise DataError(
+            f"'{path}' must belong to the model beside it, but {error}: train again with stage=train"
+        ) from None
+    return found

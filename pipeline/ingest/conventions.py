@@ -1,0 +1,56 @@
+"""What amplitude, phase and angle mean, worked out once.
+
+Time zero is a tacho pulse, w the rotor speed. A probe at the angle a (from x towards y; the shaft turns from x
+towards y) gives the displacement of the shaft towards it, v = x cos a + y sin a = Re(V e^{jwt}).
+
+Amplitude. |V| is zero-to-peak: half of a peak-to-peak value, sqrt(2) times a root mean square.
+
+Phase. A phase *lag* is the rotation, in degrees, from the tacho pulse to the next positive peak of the signal, when
+the shaft is nearest to the probe (the high spot): v = A cos(wt - lag), so V = A e^{-j lag}. A phase *lead* is its
+opposite: v = A cos(wt + lead), V = A e^{+j lead}. Complex numbers have their angle as a lead where they belong to
+e^{jwt}, and as a lag (they are conjugated here) where they belong to e^{-jwt}.
+
+Excitation. An unbalance m e acts as F = w^2 m e e^{jp} [1, -j] on (x, y), that is w^2 m e (cos(wt + p), sin(wt + p)):
+p is its angle from x at t = 0, at the pulse. At the pulse the shaft's mark stands at the tacho probe's angle T. An
+unbalance at the angle s on the shaft, measured from the mark, is therefore at
+
+    p = T + s   where s is measured with the rotation,      p = T - s   where it is measured against it.
+
+A balancing instrument's "angle from the mark against rotation" is the second. Where the mark is long, it is the end
+of it that makes the configured edge of the pulse.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pipeline.config.measured import AmplitudeKind, PhaseSense, SpeedUnit
+from pipeline.units import RAD_S_PER_RPM
+
+_TO_PEAK: dict[AmplitudeKind, float] = {"zero_to_peak": 1.0, "peak_to_peak": 0.5, "rms": math.sqrt(2.0)}
+RAD_S: dict[SpeedUnit, float] = {"rpm": RAD_S_PER_RPM, "Hz": 2 * math.pi, "rad/s": 1.0}
+"""Size of each unit of speed, rad/s."""
+
+
+def to_vectors(
+    amplitude: np.ndarray, phase: np.ndarray, metre: float, kind: AmplitudeKind, sense: PhaseSense
+) -> np.ndarray:
+    """Complex V in m, zero-to-peak, of amplitudes in units of ``metre`` and phases in rad (any shape)."""
+    sign = -1.0 if sense == "lag" else 1.0
+    with np.errstate(over="ignore"):  # what is too large for a number is no vibration, and refused as such
+        return amplitude * (metre * _TO_PEAK[kind]) * np.exp(1j * sign * phase)
+
+
+def to_lead(values: np.ndarray, metre: float, kind: AmplitudeKind, sense: PhaseSense) -> np.ndarray:
+    """Complex V in m, zero-to-peak, of complex values in units of ``metre``."""
+    with np.errstate(over="ignore"):
+        return (values if sense == "lead" else values.conj()) * (metre * _TO_PEAK[kind])
+
+
+def unbalance_phase(phase: float, shaft_angle: str, tacho: float | None) -> float:
+    """Angle p (rad) from x at the pulse of an unbalance at ``phase`` (rad) as ``shaft_angle`` says; tacho's in rad."""
+    if shaft_angle == "from_x" or tacho is None:
+        return phase
+    return tacho + phase if shaft_angle == "with_rotation" else tacho - phase

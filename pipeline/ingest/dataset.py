@@ -1,0 +1,132 @@
+"""From the 1X vectors of probes to displacements in x and y, and what excited them.
+
+Legend: S speeds, P probes, R runs, N nodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.config.ingest import IngestConfig, MeasuredIngestConfig, NoIngestConfig, TableRunConfig
+from pipeline.config.measured import MeasuredRunConfig, SlowRollConfig
+from pipeline.data.dataset import Excitation, VibrationDataset
+from pipeline.errors import DataError
+from pipeline.ingest.conventions import to_vectors, unbalance_phase
+from pipeline.ingest.probes import check_probes, resolve
+from pipeline.ingest.sources import read_runs
+from pipeline.ingest.tracks import LARGEST, RunTracks, to_common_speeds
+from pipeline.units import RAD_S_PER_RPM
+
+_CONTRADICTION = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """What was read: the data set of training, the runs it came from, and sentences that need attention."""
+
+    dataset: VibrationDataset
+    runs: tuple[RunTracks, ...]
+    notes: tuple[str, ...]
+
+
+def measurement(config: IngestConfig) -> Measurement:
+    """Read all runs and bring them to common speeds and to x and y. Raises DataError and ConfigError."""
+    if not isinstance(config, NoIngestConfig):
+        check_probes(config.probes)
+    runs = read_runs(config)
+    assert not isinstance(config, NoIngestConfig)  # refused by read_runs
+    notes = [note for run in runs for note in run.notes] + _zero_notes(runs)
+    asynchronous = {run.name for run in config.runs if isinstance(run, TableRunConfig) and run.asynchronous}
+    if config.slow_roll is not None:  # runout turns with the shaft
+        slow = config.slow_roll
+        runs = tuple(run if run.name in asynchronous else without_runout(run, slow) for run in runs)
+    wanted = None if config.speeds is None else np.array(config.speeds.rpm()) * RAD_S_PER_RPM
+    speeds, vectors = to_common_speeds(runs, wanted, config.interpolation)
+    resolved = resolve(config.probes, vectors)
+    _check_size(resolved.displacement, runs)
+    dataset = VibrationDataset(
+        speeds,
+        tuple(run.name for run in runs),
+        resolved.channels,
+        resolved.displacement,
+        excitations(config),
+        _own_frequencies(config.runs, speeds) if asynchronous else None,
+    )
+    notes += [
+        f"the probes at node {node} contradict each other by {100 * misfit:.2g} % of what they measure: check "
+        "their angles, "
+        "polarity and scale"
+        for node, misfit in resolved.misfit.items()
+        if misfit > _CONTRADICTION
+    ]
+    return Measurement(dataset, runs, tuple(dict.fromkeys(notes)))
+
+
+def without_runout(run: RunTracks, slow_roll: SlowRollConfig) -> RunTracks:
+    """The run with the runout of every probe subtracted. Raises DataError where nothing was measured that slowly."""
+    tracks = {}
+    for probe, track in run.tracks.items():
+        if slow_roll.below_rpm is None:
+            assert slow_roll.amplitude is not None  # the schema has seen to it
+            assert slow_roll.phase is not None
+            given = slow_roll.vectors[probe]
+            size, angle = np.array(given.amplitude), np.array(given.phase)
+            runout = complex(to_vectors(size, angle, 1.0, slow_roll.amplitude, slow_roll.phase))
+        else:
+            vectors = run.slow[probe].below(slow_roll.below_rpm * RAD_S_PER_RPM)
+            if not len(vectors):
+                raise DataError(
+                    f"run '{run.name}' must have speeds below "
+                    f"ingest.slow_roll.below_rpm={slow_roll.below_rpm:g}, but the "
+                    f"lowest is {run.slow[probe].speeds[0] / RAD_S_PER_RPM:.6g} rpm ({run.source}): give a "
+                    "larger one, or "
+                    "slow_roll.vectors, or slow_roll=null"
+                )
+            runout = complex(vectors.mean())
+        tracks[probe] = track.minus(runout)
+    return replace(run, tracks=tracks)
+
+
+def excitations(config: MeasuredIngestConfig) -> tuple[Excitation, ...]:
+    """What excited the runs; the phases of unbalances as angles from x at the pulse."""
+    acting: list[Excitation] = []
+    for run in config.runs:
+        for one in run.unbalances:
+            phase = unbalance_phase(one.phase, config.shaft_angle or "from_x", config.tacho.angle)
+            acting.append(Excitation(run.name, "unbalance", one.node, one.magnitude, phase))
+        acting += [Excitation(run.name, "force", one.node, one.magnitude, one.phase, one.whirl) for one in run.forces]
+    return tuple(acting)
+
+
+def _own_frequencies(runs: Sequence[MeasuredRunConfig], speeds: np.ndarray) -> np.ndarray:
+    """(S, R) rad/s."""
+    columns = []
+    for run in runs:
+        hz = run.frequency_hz if isinstance(run, TableRunConfig) else None
+        ratio = run.frequency_ratio if isinstance(run, TableRunConfig) else None
+        columns.append(np.full(len(speeds), 2 * np.pi * hz) if hz else speeds * (ratio or 1.0))
+    return np.stack(columns, axis=1)
+
+
+def _zero_notes(runs: Sequence[RunTracks]) -> list[str]:
+    """A sentence for every probe whose missing values may have been written as zeros."""
+    counts = [
+        (run.name, probe, (track.vectors == 0).sum(), track) for run in runs for probe, track in run.tracks.items()
+    ]
+    return [
+        f"probe '{probe}' of run '{run}' is exactly zero at {count} of {len(track.speeds)} speeds: are values missing?"
+        for run, probe, count, track in counts
+        if count
+    ]
+
+
+def _check_size(displacement: np.ndarray, runs: Sequence[RunTracks]) -> None:
+    largest = np.abs(displacement).max(axis=(0, 1))
+    if largest.max() > LARGEST:
+        raise DataError(
+            f"displacements must be below {LARGEST:g} m, but run '{runs[int(largest.argmax())].name}' has "
+            f"{largest.max():.3g} m: check the unit (ingest.conventions.length, or scale and signal_unit)"
+        )

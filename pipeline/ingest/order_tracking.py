@@ -1,0 +1,275 @@
+"""1X vectors of time signals: least squares of the shaft's orders in a window of revolutions around each wanted speed.
+
+In a window around the time t_c at which the shaft has the wanted speed, a signal is fitted by
+
+    v(t) = sum_i d_i x^i + sum_k sum_i (a_ki cos k phi(t) + b_ki sin k phi(t)) x^i,     x = (t - t_c) / half length
+
+with the orders k = 1 ... K. Since each amplitude is a polynomial in time, a gap voltage that drifts, a second
+harmonic, and a 1X amplitude and phase that change in the window do not bias the answer, V = a_10 - j b_10: the 1X
+vector at the centre.
+
+How long a window? With n samples of noise s (root mean square) and a polynomial of degree 6, each part of V has the
+standard deviation s sqrt(2 g / n), g = 4.8: long windows have little of it. But a resonance of damping ratio z at the
+speed n_r leaves the polynomial an error that grows with (half the speed span / z n_r)^8: short windows have little of
+that. Nobody knows z beforehand, so the window is chosen at each speed (the rule of Goldenshluger and Lepski): from 8
+revolutions (or 0.5 % of the speed, if that is more) it grows by a third at a time up to 30000 samples, and the one is
+taken whose variance, plus the square of what its answer differs from shorter windows' by beyond noise, is least. All
+windows of a centre share their sums, so they cost what the longest does.
+
+Legend: n samples, P signals, K orders, S speeds. SI.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.errors import DataError
+from pipeline.ingest.tacho import ShaftAngle
+from pipeline.units import RAD_S_PER_RPM
+
+_TURN = 2 * np.pi
+FEWEST_REVOLUTIONS = 8.0
+MOST_SAMPLES = 30000
+_GROWTH = 4 / 3
+_LEAST_SPAN = 0.005
+"""Half the speed span of the shortest window, over the speed: no resonance of a shaft in bearings is sharper."""
+_WIDEST_FIRST = 8
+"""Times the fewest revolutions: where the speed is held, the first window need not be the whole hold."""
+_NOISE_LIMIT = 9.0
+"""What noise explains of a squared difference, over its variance (chi-square of two: it is passed once in 90)."""
+_HOPELESS = 100.0
+"""Longer windows are not tried where one is worse than the best by so much."""
+_OTHER_DEGREE = 2
+_WORST_CONDITION = 1e6
+_NOTHING = 1e-30  # m^2, of a variance
+
+
+@dataclass(frozen=True)
+class Settings:
+    """``degree`` is that of the 1X amplitude, ``revolutions`` a fixed window; None for the rule above."""
+
+    orders: int = 3
+    degree: int | None = None
+    revolutions: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Signals:
+    """What was recorded together; ``where`` names it in messages."""
+
+    time: np.ndarray  # (n,) s, ascending
+    values: np.ndarray  # (n, P), m
+    angle: ShaftAngle
+    where: str
+
+    def between_pulses(self) -> Signals:
+        """The samples from the first tacho pulse to the last: only there is the angle known."""
+        keep = slice(*np.searchsorted(self.time, [self.angle.start, self.angle.end]))
+        return Signals(self.time[keep], self.values[keep], self.angle, self.where)
+
+
+@dataclass(frozen=True)
+class _Basis:
+    degrees: tuple[int, ...]  # of DC, 1X, 2X ...
+
+    @property
+    def first(self) -> tuple[int, int]:
+        """Columns of a_10 and b_10."""
+        start = self.degrees[0] + 1
+        return start, start + self.degrees[1] + 1
+
+    def columns(self, x: np.ndarray, turning: np.ndarray) -> np.ndarray:
+        """(n, columns) of the fit, ``turning`` (n,) = e^{j phi}."""
+        powers = np.vander(x, max(self.degrees) + 1, increasing=True)
+        parts = [powers[:, : self.degrees[0] + 1]]
+        harmonic = np.ones_like(turning)
+        for degree in self.degrees[1:]:
+            harmonic = harmonic * turning
+            for part in (harmonic.real, harmonic.imag):
+                parts.append(part[:, None] * powers[:, : degree + 1])
+        return np.concatenate(parts, axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Answer:
+    vectors: np.ndarray  # (P,) complex
+    variance: np.ndarray  # (P,) of the complex numbers
+
+
+def steady_vectors(signals: Signals, settings: Settings) -> tuple[float, np.ndarray]:
+    """Mean speed in rad/s and 1X vectors (P,) of a record at constant speed, fitted to all of it.
+
+    Raises DataError where the speed is not constant to 1 %, or the record is too short or too coarse.
+    """
+    signals = signals.between_pulses()
+    speed = signals.angle.speed(signals.time)
+    mean = float(speed.mean())
+    drift = max(speed.max() / mean - 1, 1 - speed.min() / mean)
+    if drift > 0.01:
+        raise DataError(
+            f"{signals.where} must have a constant speed (to 1 %), but it goes from {_rpm(speed.min())} to "
+            f"{_rpm(speed.max())} rpm: cut the record, or give ingest.records=run_up and ingest.speeds"
+        )
+    _check_sampling(signals, mean, settings)
+    centre = 0.5 * (signals.angle.start + signals.angle.end)
+    half = 0.5 * (signals.angle.end - signals.angle.start)
+    basis = _Basis((1, settings.degree or 0, *[0] * (settings.orders - 1)))
+    *_, answer = _answers(signals, np.exp(1j * signals.angle.angle(signals.time)), centre, [half], basis)
+    return mean, answer.vectors
+
+
+def sweep_vectors(signals: Signals, speeds: np.ndarray, settings: Settings) -> np.ndarray:
+    """1X vectors (S, P) of a run-up or run-down at ``speeds`` (S,) rad/s, each where it is passed first.
+
+    Raises DataError where a window around a speed is not inside the record: nothing is extrapolated.
+    """
+    signals = signals.between_pulses()
+    centres = _passages(signals, speeds, settings)
+    _check_sampling(signals, float(speeds.max()), settings)
+    turning = np.exp(1j * signals.angle.angle(signals.time))
+    degree = 6 if settings.degree is None else settings.degree
+    basis = _Basis((_OTHER_DEGREE, degree, *[min(_OTHER_DEGREE, degree)] * (settings.orders - 1)))
+    found = []
+    for centre, speed in zip(centres, speeds, strict=True):
+        halves = _half_lengths(signals, float(centre), float(speed), settings)
+        found.append(_chosen(_answers(signals, turning, float(centre), halves, basis)))
+    return np.array(found)
+
+
+def covered(signals: Signals, settings: Settings) -> tuple[float, float]:
+    """The lowest and the highest speed (rad/s) around which a window fits into the record."""
+    inner = _TURN * (settings.revolutions or FEWEST_REVOLUTIONS) / 2
+    time = np.linspace(signals.angle.start, signals.angle.end, 4001)
+    angle, speed = signals.angle.angle(time), signals.angle.speed(time)
+    # A window is even in time: the faster half has more of its revolutions.
+    fits = (time - inner / speed >= time[0]) & (time + inner / speed <= time[-1]) & (angle[-1] - angle[0] > 2 * inner)
+    inside = speed[fits]
+    return (float(inside.min()), float(inside.max())) if len(inside) else (np.inf, -np.inf)
+
+
+def _passages(signals: Signals, speeds: np.ndarray, settings: Settings) -> np.ndarray:
+    """(S,) s, when each speed is passed first, at least half a window from both ends of the record."""
+    low, high = covered(signals, settings)
+    if low > high or speeds.min() < low * (1 - 1e-6) or speeds.max() > high * (1 + 1e-6):
+        revolutions = settings.revolutions or FEWEST_REVOLUTIONS
+        range_ = f"{_rpm(low)} to {_rpm(high)} rpm" if low <= high else "nothing"
+        raise DataError(
+            f"{signals.where} must cover ingest.speeds ({_rpm(speeds.min())} to {_rpm(speeds.max())} rpm) with "
+            "windows of "
+            f"{revolutions:g} revolutions, but it covers {range_}: nothing is extrapolated, choose "
+            "ingest.speeds within it"
+        )
+    inner = _TURN * (settings.revolutions or FEWEST_REVOLUTIONS) / 2
+    time = np.linspace(signals.angle.start, signals.angle.end, max(4001, 4 * len(speeds)))
+    speed = signals.angle.speed(time)
+    fits = np.flatnonzero((time - inner / speed >= time[0]) & (time + inner / speed <= time[-1]))
+    time, speed = time[fits], speed[fits]
+    centres = np.empty(len(speeds))
+    for i, wanted in enumerate(speeds):
+        wanted = np.clip(wanted, speed.min(), speed.max())
+        apart = speed - wanted
+        passed = np.flatnonzero(apart[:-1] * apart[1:] <= 0)[0]
+        step = apart[passed] - apart[passed + 1]
+        share = apart[passed] / step if step else 0.0
+        centres[i] = time[passed] + share * (time[passed + 1] - time[passed])
+    return centres
+
+
+def _half_lengths(signals: Signals, centre: float, speed: float, settings: Settings) -> list[float]:
+    """Half lengths of the windows to try, ascending, s."""
+    if settings.revolutions is not None:
+        return [0.5 * settings.revolutions * _TURN / speed]
+    room = min(centre - signals.angle.start, signals.angle.end - centre)
+    step = (signals.time[-1] - signals.time[0]) / (len(signals.time) - 1)
+    most = min(room, 0.5 * MOST_SAMPLES * step)
+    around = signals.angle.speed(np.array([centre - 0.1 * room, centre + 0.1 * room]))
+    rate = abs(float(around[1] - around[0])) / (0.2 * room)
+    half = 0.5 * FEWEST_REVOLUTIONS * _TURN / speed
+    wide = min(_LEAST_SPAN * speed / rate if rate > 0 else most, _WIDEST_FIRST * half)
+    halves = [min(max(half, wide), max(half, most))]
+    while halves[-1] * _GROWTH <= most:
+        halves.append(halves[-1] * _GROWTH)
+    return halves
+
+
+def _answers(
+    signals: Signals, turning: np.ndarray, centre: float, halves: list[float], basis: _Basis
+) -> Iterator[_Answer]:
+    """The fit in each of the nested windows, ascending; the sums of one are kept for the next."""
+    time, values = signals.time, signals.values
+    begin = end = int(np.searchsorted(time, centre))
+    gram: np.ndarray | float = 0.0
+    right: np.ndarray | float = 0.0
+    squares: np.ndarray | float = 0.0
+    a, b = basis.first
+    for half in halves:
+        # A hair wider: a sample on the edge belongs to the window.
+        wide = half * (1 + 1e-9)
+        first, last = np.searchsorted(time, [centre - wide, centre + wide])
+        for part in (slice(first, begin), slice(end, last)):
+            columns = basis.columns((time[part] - centre) / halves[-1], turning[part])
+            gram = gram + columns.T @ columns
+            right = right + columns.T @ values[part]
+            squares = squares + (values[part] ** 2).sum(axis=0)
+        begin, end = int(first), int(last)
+        inverse = _inverse(np.asarray(gram), signals.where)
+        found = inverse @ right
+        freedom = max(end - begin - len(found), 1)
+        noise = np.maximum(squares - (found * right).sum(axis=0), 0.0) / freedom
+        yield _Answer(found[a] - 1j * found[b], noise * (inverse[a, a] + inverse[b, b]))
+
+
+def _inverse(gram: np.ndarray, where: str) -> np.ndarray:
+    """Of the sums, scaled: powers of x in a short window are small. Raises DataError where orders are not apart."""
+    scale = 1 / np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
+    scaled = gram * scale * scale[:, None]
+    try:
+        inverse: np.ndarray = np.linalg.inv(scaled)
+    except np.linalg.LinAlgError:
+        inverse = np.full_like(scaled, np.inf)
+    if np.abs(inverse).sum(axis=0).max() * np.abs(scaled).sum(axis=0).max() > _WORST_CONDITION:
+        raise DataError(
+            f"{where} must have enough revolutions in a window to tell the orders apart, but it has not: give fewer "
+            "ingest.tracking.orders, a smaller ingest.tracking.degree, or more ingest.tracking.revolutions"
+        )
+    return inverse * scale * scale[:, None]
+
+
+def _chosen(answers: Iterator[_Answer]) -> np.ndarray:
+    """(P,) of the window with the least error, as far as the shorter windows can tell."""
+    seen: list[_Answer] = []
+    best, least = None, np.inf
+    for answer in answers:
+        excess = np.zeros_like(answer.variance)
+        for shorter in seen:
+            # The long window has the short one's samples: their difference varies by what the short one has more.
+            spread = np.maximum(shorter.variance - answer.variance, 0.01 * shorter.variance)
+            gap = np.abs(answer.vectors - shorter.vectors) ** 2
+            excess = np.maximum(excess, gap - _NOISE_LIMIT * spread)
+        seen.append(answer)
+        size = np.maximum(seen[0].variance, _NOTHING)
+        error = float(((excess + answer.variance) / size).max())
+        if best is None or error < least:
+            best, least = answer.vectors, error
+        elif error > _HOPELESS * least:
+            break
+    assert best is not None
+    return best
+
+
+def _check_sampling(signals: Signals, fastest: float, settings: Settings) -> None:
+    rate = (len(signals.time) - 1) / (signals.time[-1] - signals.time[0]) if len(signals.time) > 1 else 0.0
+    samples = rate * _TURN / fastest
+    least = 2.5 * settings.orders + 2
+    if samples < least:
+        raise DataError(
+            f"{signals.where} must have at least {least:g} samples a revolution for {settings.orders} orders, but at "
+            f"{_rpm(fastest)} rpm it has {samples:.3g}: give fewer ingest.tracking.orders, or sample faster"
+        )
+
+
+def _rpm(speed: float) -> str:
+    return f"{speed / RAD_S_PER_RPM:.6g}"

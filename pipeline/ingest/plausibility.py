@@ -1,0 +1,66 @@
+"""What measured data look like when a unit or a convention is wrong."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.data.dataset import DIRECTIONS, VibrationDataset
+from pipeline.data.simulate import forced_response
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.model import RotorModel
+
+FAR_OFF = 300.0
+"""No bearing changes the vibration by as much; a forgotten unit (um for m, mm for um) changes it by a thousand."""
+
+
+def size_ratio(dataset: VibrationDataset, rotor: RotorModel, stiffness: float, damping: float) -> float:
+    """Measured over modelled amplitude, median over speeds, channels and excited runs.
+
+    The model is the rotor on isotropic bearings of ``stiffness`` (N/m) and ``damping`` (N s/m), a guess.
+    """
+    acting = {excitation.run for excitation in dataset.excitations}
+    excited = np.array([run in acting for run in dataset.runs])
+    values = np.zeros((len(rotor.bearing_nodes), len(dataset.speeds), len(COEFFICIENTS)))
+    for names, value in ((("kxx", "kyy"), stiffness), (("cxx", "cyy"), damping)):
+        for name in names:
+            values[..., COEFFICIENTS.index(name)] = value
+    bearings = BearingTable(rotor.bearing_nodes, dataset.speeds, values)
+    response = forced_response(rotor, bearings, dataset.excitations, dataset.runs, dataset.frequencies)
+    modelled = np.abs((dataset.sensor_matrix(rotor.n_dof) @ response)[..., excited])
+    measured = np.abs(dataset.displacement[..., excited])
+    both = (modelled > 0) & (measured > 0)
+    return float(np.median(measured[both] / modelled[both])) if both.any() else float("nan")
+
+
+def size_notes(dataset: VibrationDataset, rotor: RotorModel, stiffness: float, damping: float) -> list[str]:
+    """A sentence where amplitudes are far from the model's."""
+    ratio = size_ratio(dataset, rotor, stiffness, damping)
+    if not (np.isfinite(ratio) and (ratio > FAR_OFF or ratio < 1 / FAR_OFF)):
+        return []
+    words = f"{ratio:.2g} times larger" if ratio > 1 else f"{1 / ratio:.2g} times smaller"
+    return [
+        f"the amplitudes are {words} than the rotor's on bearings of {stiffness:.2g} N/m (median): is a unit wrong, of "
+        "the lengths or of the unbalances?"
+    ]
+
+
+def whirl_notes(dataset: VibrationDataset) -> list[str]:
+    """A sentence for each run of unbalances whose orbits turn backward at most speeds: an unbalance turns forward."""
+    notes = []
+    nodes = sorted({node for node, _ in dataset.channels})
+    for r, run in enumerate(dataset.runs):
+        kinds = {excitation.kind for excitation in dataset.excitations if excitation.run == run}
+        if kinds != {"unbalance"}:
+            continue
+        places = np.array([[dataset.channels.index((node, d)) for node in nodes] for d in DIRECTIONS.values()])
+        x, y = (dataset.displacement[:, place, r] for place in places)
+        backward = np.abs(x - 1j * y) > np.abs(x + 1j * y)
+        if backward.mean() > 0.5:
+            notes.append(
+                f"the orbits of run '{run}' turn backward at {100 * backward.mean():.0f} % of speeds and nodes, and an "
+                "unbalance turns the shaft forward, from x to y: check the sense of the phase (lag or lead) "
+                "and the probes' "
+                "angles"
+            )
+    return notes

@@ -1,0 +1,161 @@
+"""Amplitude and phase tables, CSV or Excel.
+
+Wide: a row a speed, two columns a probe. Long: a row a run, probe and speed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.config.ingest import TableIngestConfig, TableRunConfig
+from pipeline.config.measured import CsvConfig
+from pipeline.config.quantities import metres
+from pipeline.data.tables import TextFormat, read_table
+from pipeline.errors import DataError, nearest
+from pipeline.ingest.conventions import RAD_S, to_vectors
+from pipeline.ingest.tracks import RunTracks, Track, ascending
+
+_BROAD = 2.0
+"""Phases that differ by more than this pass a resonance if they are radians, and hardly differ if they are degrees."""
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def read_table_runs(config: TableIngestConfig) -> tuple[RunTracks, ...]:
+    """The runs of the configuration, each from its file.
+
+    Raises DataError; see :func:`pipeline.data.tables.read_table` for what a table must be.
+    """
+    runs = []
+    for run in config.runs:
+        path = Path(run.sources(config.file)[0])
+        rows = _wide(config, run, path) if config.layout == "wide" else _long(config, run, path)
+        tracks = {name: _track(config, one) for name, one in rows.items()}
+        phases = [one.phase for one in rows.values()]
+        notes = cut_off(path) + _unit_note(phases, config.conventions.phase_unit, path)
+        runs.append(RunTracks(run.name, f"'{path}'", tracks, tracks, notes))
+    return tuple(runs)
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """What a file says of one probe in one run, (S,) each, in the file's units."""
+
+    speed: np.ndarray
+    amplitude: np.ndarray
+    phase: np.ndarray
+    where: str
+
+
+def text_format(csv: CsvConfig) -> TextFormat:
+    """How the configuration says that CSV files are written."""
+    return TextFormat(csv.delimiter, csv.decimal, csv.skip_rows)
+
+
+def _wide(config: TableIngestConfig, run: TableRunConfig, path: Path) -> dict[str, _Rows]:
+    pairs = {name: run.columns.get(name) or probe.columns for name, probe in config.probes.items()}
+    columns = [config.columns.speed, *(c for pair in pairs.values() if pair for c in (pair.amplitude, pair.phase))]
+    table = read_table(path, dict.fromkeys(columns, "number"), text=text_format(config.csv))
+    _check_once(table, columns, path)
+    return {
+        name: _rows(table, config.columns.speed, pair.amplitude, pair.phase, f"'{path}'")
+        for name, pair in pairs.items()
+        if pair is not None  # the schema has seen to it
+    }
+
+
+def _long(config: TableIngestConfig, run: TableRunConfig, path: Path) -> dict[str, _Rows]:
+    names = config.columns
+    kinds = {names.run: "text", names.probe: "text"}
+    kinds |= dict.fromkeys((names.speed, names.amplitude, names.phase), "number")
+    table = read_table(path, kinds, text=text_format(config.csv))
+    _check_once(table, list(kinds), path)
+    _check_runs(config, list(dict.fromkeys(table[names.run])), path)
+    mine = table[table[names.run] == run.name]
+    if mine.empty:
+        raise DataError(
+            f"'{path}' must have rows of run '{run.name}' in the column '{names.run}', but it has "
+            f"{nearest(run.name, set(table[names.run]))}"
+        )
+    found = {}
+    for name, probe in config.probes.items():
+        label = probe.label or name
+        rows = mine[mine[names.probe] == label]
+        if rows.empty:
+            raise DataError(
+                f"'{path}' must have rows of probe '{label}' in run '{run.name}', but it has "
+                f"{nearest(label, set(mine[names.probe]))}"
+            )
+        where = f"'{path}', run '{run.name}', probe '{label}',"
+        found[name] = _rows(rows, names.speed, names.amplitude, names.phase, where)
+    return found
+
+
+def _rows(table: pd.DataFrame, speed: str, amplitude: str, phase: str, where: str) -> _Rows:
+    if (table[amplitude] < 0).any():
+        raise DataError(
+            f"{where} must have amplitudes of zero or more in the column '{amplitude}', but got "
+            f"{table[amplitude].min():g}"
+        )
+    return _Rows(table[speed].to_numpy(), table[amplitude].to_numpy(), table[phase].to_numpy(), where)
+
+
+def _track(config: TableIngestConfig, rows: _Rows) -> Track:
+    said = config.conventions
+    phase = np.radians(rows.phase) if said.phase_unit == "deg" else rows.phase
+    vectors = to_vectors(rows.amplitude, phase, metres(said.length), said.amplitude, said.phase)
+    return ascending(rows.speed * RAD_S[said.speed], vectors, rows.where)
+
+
+def _unit_note(phases: Sequence[np.ndarray], unit: str, path: Path) -> tuple[str, ...]:
+    """A note on phases, as in the file, that look like the other unit."""
+    every = np.concatenate(phases)
+    if unit == "deg" and np.abs(every).max() <= 2 * np.pi and np.ptp(every) > _BROAD:
+        return (
+            f"'{path}' has phases from {every.min():.3g} to {every.max():.3g} that are said to be degrees: are they in "
+            "radians (ingest.conventions.phase_unit=rad)?",
+        )
+    if unit == "rad" and np.abs(every).max() > 6 * np.pi:
+        return (
+            f"'{path}' has phases from {every.min():.3g} to {every.max():.3g} that are said to be radians: are they in "
+            "degrees (ingest.conventions.phase_unit=deg)?",
+        )
+    return ()
+
+
+def _check_once(table: pd.DataFrame, columns: Sequence[str], path: Path) -> None:
+    """pandas calls the second column of a name by another name, and takes the first without a word."""
+    for name in columns:
+        if f"{name}.1" in table.columns and f"{name}.1" not in columns:
+            raise DataError(
+                f"'{path}' must have the column '{name}' once, but it has it twice: give each a name of its own"
+            )
+
+
+def _check_runs(config: TableIngestConfig, there: Sequence[str], path: Path) -> None:
+    named = {run.name for run in config.runs} | set(config.leave_out)
+    strange = [name for name in there if name not in named]
+    if strange:
+        raise DataError(
+            f"ingest.runs must name every run of '{path}' with what excited it, but '{strange[0]}' is not "
+            "among them: add "
+            "it (or name it as ingest.baseline too), or put it into ingest.leave_out"
+        )
+
+
+def cut_off(path: Path) -> tuple[str, ...]:
+    """A note on a CSV file whose last row may lack digits: nothing else shows it."""
+    if path.suffix.lower() in (".parquet", ".xlsx", ".xlsm"):
+        return ()
+    with path.open("rb") as file:
+        file.seek(-1, 2)
+        last = file.read(1)
+    if last in b"\r\n":
+        return ()
+    return (f"'{path}' does not end with the end of a line: if it was cut off, its last row may be wrong",)

@@ -1,0 +1,166 @@
+"""The shaft's angle from the pulses of a tacho.
+
+Pulse times are crossings of a threshold, interpolated between the two samples around them, with a hysteresis that
+noise does not pass. A sharp edge is seen half a sample early or late, so the angle is not drawn through every pulse:
+it is a cubic spline fitted by least squares to all of them, with as many knots as generalised cross-validation asks
+for (each pulse weighted by the speed there: the error is one of time). Exact pulses get many knots, jittering ones
+few.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pipeline.errors import DataError
+
+LEAST_REVOLUTIONS = 4
+_TURN = 2 * np.pi
+
+
+@dataclass(frozen=True, eq=False)
+class Pulses:
+    """When the mark passed."""
+
+    times: np.ndarray  # (N,) s
+    step: float  # s, between samples
+    sharp: bool  # the edge is higher than what the interpolation sees of it: it lies anywhere between two samples
+
+    def locked_error(self) -> float:
+        """s, by which all pulses may be late or early alike: sharp edges at a whole number of samples a period."""
+        if not self.sharp or len(self.times) < 3:
+            return 0.0
+        apart = np.diff(self.times) / self.step
+        return 0.5 * self.step if np.abs(apart - np.round(apart)).max() < 0.2 and np.ptp(apart) < 0.5 else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class ShaftAngle:
+    """phi(t), zero (modulo a turn) when the mark passes the tacho probe, between the first pulse and the last."""
+
+    spline: Any  # revolutions over the time in s
+    start: float  # s
+    end: float  # s
+
+    def angle(self, time: np.ndarray) -> np.ndarray:
+        """phi in rad at ``time`` (n,) s."""
+        return _TURN * np.asarray(self.spline(time))
+
+    def speed(self, time: np.ndarray) -> np.ndarray:
+        """Rotor speed in rad/s at ``time`` (n,) s."""
+        return _TURN * np.asarray(self.spline(time, 1))
+
+
+def find_pulses(
+    time: np.ndarray, signal: np.ndarray, edge: str, threshold: float | None, hysteresis: float | None, where: str
+) -> Pulses:
+    """When ``signal`` (n,) at ``time`` (n,) s crosses the threshold upwards (edge rising) or downwards (falling).
+
+    A pulse counts where the signal has been beyond half the ``hysteresis`` on one side and then is on the other.
+    Null: half way between the levels of the signal, and four tenths of what lies between them. Raises DataError, which
+    begins with ``where``, for a signal without pulses.
+    """
+    low, high = np.percentile(signal, [0.2, 99.8])
+    if high <= low:
+        low, high = float(signal.min()), float(signal.max())  # pulses that are shorter than that
+    level = 0.5 * (low + high) if threshold is None else threshold
+    band = 0.4 * (high - low) if hysteresis is None else hysteresis
+    if not signal.min() < level < signal.max():
+        raise DataError(
+            f"{where} must have tacho pulses, but the signal stays between {signal.min():g} and {signal.max():g}"
+            + ("" if threshold is None else f", and the threshold is {threshold:g}")
+            + ": check the channel and tacho.threshold"
+        )
+    if edge == "falling":
+        signal, level = -signal, -level
+    state = np.where(signal >= level + band / 2, 1, np.where(signal <= level - band / 2, -1, 0))
+    known = np.flatnonzero(state)
+    arrivals = known[1:][(state[known[1:]] == 1) & (state[known[:-1]] == -1)]
+    if not len(arrivals):
+        raise DataError(
+            f"{where} must have tacho pulses, but the signal never passes {abs(level):g} by half the hysteresis of "
+            f"{band:g} on either side: check the channel, tacho.edge, tacho.threshold and tacho.hysteresis"
+        )
+    under = np.flatnonzero(signal < level)
+    before = under[np.searchsorted(under, arrivals) - 1]  # the last sample under the threshold
+    share = (level - signal[before]) / (signal[before + 1] - signal[before])
+    step = time[before + 1] - time[before]
+    sharp = bool(np.median(signal[before + 1] - signal[before]) > 0.9 * (high - low))
+    return Pulses(time[before] + share * step, float(np.median(step)), sharp)
+
+
+def shaft_angle(pulses: np.ndarray, per_revolution: int, where: str, marks: np.ndarray | None = None) -> ShaftAngle:
+    """The angle from ``pulses`` (N,) s; with several a revolution, ``marks`` (M,) s says where zero is.
+
+    Raises DataError for too few pulses, and for missing or doubled ones.
+    """
+    least = max(LEAST_REVOLUTIONS * per_revolution + 1, 6)
+    if len(pulses) < least:
+        raise DataError(
+            f"{where} must have at least {least} tacho pulses ({LEAST_REVOLUTIONS} revolutions), but it has "
+            f"{len(pulses)}: give a longer record, or check tacho.threshold"
+        )
+    _check_regular(pulses, where)
+    turns = np.arange(len(pulses)) / per_revolution
+    spline = _fitted(pulses, turns)
+    if marks is not None:
+        turns = turns - _offset(np.asarray(spline(marks[(marks >= pulses[0]) & (marks <= pulses[-1])])), where)
+        spline = _fitted(pulses, turns)
+    return ShaftAngle(spline, float(pulses[0]), float(pulses[-1]))
+
+
+def _check_regular(pulses: np.ndarray, where: str) -> None:
+    """With a constant acceleration the squared pulse rate is linear in the pulse number, also from standstill."""
+    squared = np.diff(pulses) ** -2.0
+    ratio = squared[1:-1] / (0.5 * (squared[:-2] + squared[2:]))
+    odd = np.flatnonzero((ratio < 0.6) | (ratio > 1.5))
+    if len(odd):
+        at = pulses[odd[0] + 1]
+        raise DataError(
+            f"{where} must have evenly spaced tacho pulses, but {len(odd)} of {len(pulses)} intervals do not fit their "
+            f"neighbours (the first at {at:.6g} s): pulses are missing or doubled; check tacho.threshold and "
+            "tacho.hysteresis, or cut the record"
+        )
+
+
+def _offset(found: np.ndarray, where: str) -> float:
+    """The place of the mark in a revolution, from where its pulses fall."""
+    if not len(found):
+        raise DataError(f"{where} must have a pulse in tacho.mark_channel within the record, but there is none")
+    mean = np.exp(1j * _TURN * found).mean()
+    if abs(mean) < 0.9:
+        raise DataError(
+            f"{where} must have its marks at one angle of the shaft, but they are spread over the revolution: check "
+            "tacho.pulses_per_revolution"
+        )
+    return float(np.angle(mean) / _TURN)
+
+
+def _fitted(pulses: np.ndarray, turns: np.ndarray) -> Any:
+    from scipy.interpolate import make_lsq_spline
+
+    n = len(pulses)
+    period = np.gradient(pulses)
+    best = None
+    for knots in _knots(pulses, period):
+        ends = np.pad(knots, 3, mode="edge")
+        spline = make_lsq_spline(pulses, turns, ends, k=3, w=period)
+        rest = (turns - spline(pulses)) * period
+        criterion = float(rest @ rest) / (1 - (len(knots) + 2) / n) ** 2
+        if best is None or criterion < best[0]:
+            best = criterion, spline
+    assert best is not None
+    return best[1]
+
+
+def _knots(pulses: np.ndarray, period: np.ndarray) -> list[np.ndarray]:
+    """Candidates, from a single cubic to a knot at every second pulse: even in the angle, and even in the time."""
+    most = max(1, (len(pulses) - 4) // 2)
+    counts = np.unique(np.round(np.sqrt(2.0) ** np.arange(2 * np.log2(most) + 1e-9)).astype(int))
+    number = np.arange(len(pulses))
+    even_in_angle = [np.interp(np.linspace(0, len(pulses) - 1, m + 1), number, pulses) for m in counts]
+    longest = (pulses[-1] - pulses[0]) / (2 * period.max())
+    even_in_time = [np.linspace(pulses[0], pulses[-1], m + 1) for m in counts if 1 < m <= longest]
+    return [*even_in_angle, *even_in_time]

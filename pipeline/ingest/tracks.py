@@ -1,0 +1,140 @@
+"""1X vectors of probes over the speed, and bringing all runs to the same speeds.
+
+Legend: S speeds, P probes, R runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pipeline.errors import DataError
+from pipeline.units import RAD_S_PER_RPM
+
+SAME_SPEED = 1e-3
+"""Speeds of two runs are the same where they differ by less than this share."""
+LARGEST = 1.0
+"""m, what the file of training takes."""
+_FASTEST = 1e5  # rad/s
+_ROUNDING = 1e-5
+"""Speeds in files have few digits: so much may the end of a range be missed by."""
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """The 1X vectors of one probe in one run."""
+
+    speeds: np.ndarray  # (S,) rad/s, ascending, each once
+    vectors: np.ndarray  # (S,) complex, m, zero-to-peak, towards the probe
+
+    def below(self, speed: float) -> np.ndarray:
+        """The vectors under ``speed`` rad/s."""
+        return self.vectors[self.speeds < speed]
+
+    def minus(self, vector: complex) -> Track:
+        """Without a runout (m)."""
+        return Track(self.speeds, self.vectors - vector)
+
+
+@dataclass(frozen=True, eq=False)
+class RunTracks:
+    """What was read of one run; ``notes`` are sentences that need attention."""
+
+    name: str
+    source: str  # its files, for messages
+    tracks: Mapping[str, Track]  # by probe, in the order of the configuration
+    slow: Mapping[str, Track] = field(default_factory=dict)  # by probe, where slow roll was tracked apart
+    notes: tuple[str, ...] = ()
+
+
+def ascending(speeds: np.ndarray, vectors: np.ndarray, where: str) -> Track:
+    """A track of rows in any order. Raises DataError for impossible speeds and sizes, and speeds there twice."""
+    if (speeds <= 0).any():
+        raise DataError(f"{where} must have speeds above zero, but got {_rpm(speeds.min())} rpm")
+    if (speeds > _FASTEST).any():
+        raise DataError(f"{where} must have speeds of a rotor, but got {_rpm(speeds.max())} rpm: check the unit")
+    sizes = np.hypot(vectors.real, vectors.imag)
+    if not (sizes <= LARGEST).all():
+        raise DataError(
+            f"{where} must have amplitudes below {LARGEST:g} m, but got {np.nanmax(sizes):.3g} m: check the unit "
+            "(ingest.conventions.length, or scale and signal_unit)"
+        )
+    order = np.argsort(speeds, kind="stable")
+    speeds, vectors = speeds[order], vectors[order]
+    same = np.flatnonzero(np.diff(speeds) == 0)
+    if len(same):
+        raise DataError(
+            f"{where} must have one row a speed, but {_rpm(speeds[same[0]])} rpm is there twice: leave one out, or "
+            "average them"
+        )
+    return Track(speeds, vectors)
+
+
+def to_common_speeds(runs: Sequence[RunTracks], speeds: np.ndarray | None, kind: str) -> tuple[np.ndarray, np.ndarray]:
+    """The speeds (S,) rad/s of all runs, and their vectors (S, P, R).
+
+    ``speeds`` (S,) rad/s are interpolated to (``kind`` cubic or linear), never beyond a run's range; None where all
+    runs have the same speeds, to 0.1 %. Raises DataError otherwise.
+    """
+    every = [(run, probe, track) for run in runs for probe, track in run.tracks.items()]
+    if speeds is None:
+        speeds = every[0][2].speeds
+        for run, probe, track in every[1:]:
+            _require_same(run, probe, track, speeds, every)
+        columns = [track.vectors for _, _, track in every]
+        mean = np.mean([track.speeds for _, _, track in every], axis=0)
+        # A mean of equal numbers is rounded.
+        speeds = np.where(np.isclose(mean, speeds, rtol=1e-12, atol=0), speeds, mean)
+    else:
+        columns = [_interpolated(run, probe, track, speeds, kind) for run, probe, track in every]
+    return speeds, np.stack(columns, axis=1).reshape(len(speeds), len(runs), -1).transpose(0, 2, 1)
+
+
+def _require_same(
+    run: RunTracks, probe: str, track: Track, speeds: np.ndarray, every: Sequence[tuple[RunTracks, str, Track]]
+) -> None:
+    if len(track.speeds) == len(speeds) and np.allclose(track.speeds, speeds, rtol=SAME_SPEED, atol=0):
+        return
+    first = every[0][0].name
+    start = max(float(one.speeds[0]) for _, _, one in every) / RAD_S_PER_RPM
+    stop = min(float(one.speeds[-1]) for _, _, one in every) / RAD_S_PER_RPM
+    common = f"all of them cover {start:.6g} to {stop:.6g} rpm" if start <= stop else "no speed is covered by all"
+    raise DataError(
+        f"all runs must have the same speeds where ingest.speeds is null, but run '{run.name}' has {_range(track)} at "
+        f"probe '{probe}', and run '{first}' has {_range(every[0][2])} ({run.source}): give "
+        f"ingest.speeds={{start_rpm: .., stop_rpm: .., step_rpm: ..}} to interpolate to; {common}"
+    )
+
+
+def _interpolated(run: RunTracks, probe: str, track: Track, speeds: np.ndarray, kind: str) -> np.ndarray:
+    low, high = track.speeds[0] * (1 - _ROUNDING), track.speeds[-1] * (1 + _ROUNDING)
+    if speeds[0] < low or speeds[-1] > high:
+        raise DataError(
+            f"every run must cover ingest.speeds ({_rpm(speeds[0])} to {_rpm(speeds[-1])} rpm), but the speed range of "
+            f"run '{run.name}' is {_range(track)} at probe '{probe}' ({run.source}): nothing is extrapolated, choose "
+            "ingest.speeds within it"
+        )
+    if len(speeds) == len(track.speeds) and np.allclose(speeds, track.speeds, rtol=1e-9, atol=0):
+        return track.vectors
+    inside = np.clip(speeds, track.speeds[0], track.speeds[-1])
+    if len(track.speeds) == 1:
+        return track.vectors[np.zeros(len(speeds), dtype=int)]
+    steps = np.diff(track.speeds)
+    # A cubic through noise between two speeds that are nearly one would swing far out.
+    if kind == "linear" or len(track.speeds) < 4 or steps.min() < np.median(steps) / 5:
+        real, imaginary = (np.interp(inside, track.speeds, part) for part in (track.vectors.real, track.vectors.imag))
+        return real + 1j * imaginary
+    from scipy.interpolate import CubicSpline
+
+    values: np.ndarray = CubicSpline(track.speeds, track.vectors)(inside)
+    return values
+
+
+def _rpm(speed: float) -> str:
+    return f"{speed / RAD_S_PER_RPM:.6g}"
+
+
+def _range(track: Track) -> str:
+    return f"{len(track.speeds)} speeds from {_rpm(track.speeds[0])} to {_rpm(track.speeds[-1])} rpm"

@@ -1,0 +1,239 @@
+"""Universal files, datasets 58: complex functions of the rotor speed, and the time signals of a recording."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.config.ingest import UffIngestConfig, UffRecordConfig, UffRunConfig
+from pipeline.config.measured import VectorConventionsConfig
+from pipeline.config.quantities import metres
+from pipeline.errors import DataError, nearest
+from pipeline.ingest.conventions import RAD_S, to_lead
+from pipeline.ingest.tracks import RunTracks, ascending
+
+_MARK = re.compile(rb"    -1(?=[ \t]*(?:[\r\n]|$))")
+_TIME, _FREQUENCY, _RPM = 17, 18, 19
+_NO_DISPLACEMENT = {11: "velocities", 12: "accelerations", 9: "forces", 13: "forces"}
+_FORCES = (9, 13)
+_ABSCISSA = {_FREQUENCY: ("Hz", "rad/s"), _RPM: ("rpm",)}
+
+
+@dataclass(frozen=True, eq=False)
+class UffRecord:
+    """One dataset 58."""
+
+    texts: tuple[str, ...]  # ID lines and response entity
+    response: tuple[int, int]  # node and direction in the file
+    abscissa: np.ndarray  # (n,)
+    values: np.ndarray  # (n,) real or complex
+    abscissa_type: int
+    abscissa_label: str
+    ordinate_type: int
+    ordinate_label: str
+    denominator_type: int
+
+    def is_called(self, text: str | None) -> bool:
+        """True where ``text`` is one of the texts; None is any."""
+        return text is None or text.strip() in self.texts
+
+    @property
+    def name(self) -> str:
+        """For messages."""
+        return f"{self.texts[0] if self.texts else 'no ID'} {list(self.response)}"
+
+
+@dataclass(frozen=True, eq=False)
+class UffFile:
+    """The datasets 58 of a file, and the length unit of its dataset 164 in m (None: it has none)."""
+
+    path: Path
+    records: tuple[UffRecord, ...]
+    metre: float | None
+
+
+def read_uff(path: Path) -> UffFile:
+    """Read a universal file. Raises DataError for a missing, damaged or truncated one, or one without datasets 58."""
+    if not path.is_file():
+        raise DataError(f"'{path}' must exist, but there is no such file")
+    sets = _sets(path)
+    records = tuple(_record(path, one) for one in sets if one.get("type") == 58)
+    if not records:
+        raise DataError(
+            f"'{path}' must have datasets 58 (functions at nodal DOF), but it has "
+            + (f"datasets {', '.join(str(one.get('type')) for one in sets[:10])}" if sets else "no dataset")
+        )
+    units = [one for one in sets if one.get("type") == 164]
+    factor = float(units[0].get("length", 0.0)) if units else 0.0
+    return UffFile(path, records, 1 / factor if factor > 0 else None)
+
+
+def find_record(file: UffFile, wanted: UffRecordConfig, label: str | None, what: str) -> UffRecord:
+    """The one record that fits. Raises DataError where there is none, or more than one."""
+    fits = [
+        record
+        for record in file.records
+        if record.is_called(wanted.record)
+        and record.is_called(label)
+        and (wanted.response is None or record.response == wanted.response)
+    ]
+    words = " and ".join(
+        [f"ID '{text}'" for text in (wanted.record, label) if text is not None]
+        + ([f"response {list(wanted.response)}"] if wanted.response is not None else [])
+    )
+    if not fits:
+        every = {text for record in file.records for text in (*record.texts, str(list(record.response)))}
+        asked = wanted.record or label or str(list(wanted.response or ()))
+        raise DataError(
+            f"'{file.path}' must have a record with {words} for {what}, but it has not: {nearest(asked, every)}"
+        )
+    if len(fits) > 1:
+        raise DataError(
+            f"'{file.path}' must have one record with {words} for {what}, but it has {len(fits)}: tell them apart by "
+            "the run's label, or by record and response together"
+        )
+    return fits[0]
+
+
+def read_uff_runs(config: UffIngestConfig) -> tuple[RunTracks, ...]:
+    """The runs of the configuration, of complex functions of the speed. Raises DataError."""
+    assert config.conventions is not None  # the schema has seen to it
+    files: dict[str, UffFile] = {}
+    runs = []
+    for run in config.runs:
+        source = run.sources(config.file)[0]
+        if source not in files:
+            files[source] = read_uff(Path(source))
+        runs.append(_functions(config, config.conventions, run, files[source]))
+    return tuple(runs)
+
+
+def _functions(config: UffIngestConfig, said: VectorConventionsConfig, run: UffRunConfig, file: UffFile) -> RunTracks:
+    tracks, notes = {}, []
+    for name, probe in config.probes.items():
+        record = find_record(file, probe, run.label, f"probe '{name}' in run '{run.name}'")
+        where = f"'{file.path}', record {record.name},"
+        if record.abscissa_type == _TIME:
+            raise DataError(
+                f"{where} must be a function of the speed, but it is one of the time: give the record of the tacho "
+                "(ingest.tacho), ingest.signal_unit and ingest.records in place of ingest.conventions"
+            )
+        if not np.iscomplexobj(record.values):
+            raise DataError(
+                f"{where} must have complex values (amplitude and phase), but they are real: export order 1 as complex"
+            )
+        _check_displacement(record, where)
+        notes += _notes(record, file, said, where)
+        vectors = to_lead(record.values, metres(said.length), said.amplitude, said.phase)
+        tracks[name] = ascending(record.abscissa * RAD_S[said.speed], vectors, where)
+    return RunTracks(run.name, f"'{file.path}'", tracks, tracks, tuple(dict.fromkeys(notes)))
+
+
+def _check_displacement(record: UffRecord, where: str) -> None:
+    if record.ordinate_type in _NO_DISPLACEMENT:
+        raise DataError(
+            f"{where} must hold displacements, but it says that it holds {_NO_DISPLACEMENT[record.ordinate_type]}: "
+            "integrate them to displacements first"
+        )
+
+
+def _notes(record: UffRecord, file: UffFile, said: VectorConventionsConfig, where: str) -> list[str]:
+    """Sentences on what the file says otherwise than the configuration, which is followed."""
+    notes = []
+    stated = _metres_of(record.ordinate_label) or file.metre
+    if stated is not None and not np.isclose(stated, metres(said.length), rtol=1e-3):
+        words = f"'{record.ordinate_label}'" if _metres_of(record.ordinate_label) else f"{stated:g} m (dataset 164)"
+        notes.append(
+            f"{where} says that its lengths are in {words}, and ingest.conventions.length is {said.length}, which is "
+            "followed"
+        )
+    units = _ABSCISSA.get(record.abscissa_type, ())
+    label = record.abscissa_label.strip().lower()
+    labelled = next((unit for unit in ("rpm", "Hz", "rad/s") if label == unit.lower()), None)
+    if (labelled or units) and said.speed not in ((labelled,) if labelled else units):
+        notes.append(
+            f"{where} says that its abscissa is in {labelled or ' or '.join(units)}, and ingest.conventions.speed is "
+            f"{said.speed}, which is followed"
+        )
+    if record.denominator_type in _FORCES:
+        notes.append(f"{where} is per force: its numbers are right for a force of 1 N in this run")
+    return notes
+
+
+def _metres_of(label: str) -> float | None:
+    """Size of the unit that a label names; None where it names none."""
+    label = re.sub(r"(?i)\s*(pk-?pk|p-?p|0-?p|pk|rms)$", "", label.strip())
+    try:
+        return metres(label) if re.fullmatch(r"[^\W\d_]+", label) else None
+    except ValueError:
+        return None
+
+
+def _sets(path: Path) -> list[dict[str, Any]]:
+    import pyuff
+
+    try:
+        content = path.read_bytes()
+        file = pyuff.UFF(str(path))
+        count = int(file.get_n_sets())
+        if len(_MARK.findall(content)) != 2 * count or not content.rstrip().endswith(b"-1"):
+            raise DataError(f"'{path}' must be a complete universal file, but it ends within a dataset: copy it again")
+        return [file.read_sets(i) for i in range(count)]
+    except DataError:
+        raise
+    except Exception as error:  # pyuff raises plain exceptions
+        raise DataError(
+            f"'{path}' must be a universal file, but it can't be read as one "
+            f"({str(error)[:200] or type(error).__name__})"
+        ) from None
+
+
+def _record(path: Path, one: dict[str, Any]) -> UffRecord:
+    texts = [str(one.get(key, "")).strip() for key in ("id1", "id2", "id3", "id4", "id5", "rsp_ent_name")]
+    record = UffRecord(
+        tuple(text for text in texts if text not in ("", "NONE")),
+        (int(one["rsp_node"]), int(one["rsp_dir"])),
+        np.asarray(one["x"], dtype=float),
+        np.asarray(one["data"]),
+        int(one.get("abscissa_spec_data_type", 0)),
+        str(one.get("abscissa_axis_units_lab", "")),
+        int(one.get("ordinate_spec_data_type", 0)),
+        str(one.get("ordinate_axis_units_lab", "")),
+        int(one.get("orddenom_spec_data_type", 0)),
+    )
+    n = int(one["num_pts"])
+    if not n == len(record.values) == len(record.abscissa) or n == 0:
+        raise DataError(
+            f"'{path}' must have {n} values in record {record.name}, as its header says, but it has "
+            f"{len(record.values)}: the file is damaged, copy it again"
+        )
+    if not (np.isfinite(record.abscissa).all() and np.isfinite(record.values).all()):
+        raise DataError(f"'{path}' must have finite numbers, but record {record.name} has NaN or infinite ones")
+    return record
+
+
+def signal_records(config: UffIngestConfig, run: UffRunConfig, path: Path) -> tuple[Sequence[UffRecord], UffRecord]:
+    """The time signals of the probes, in their order, and the tacho's. Raises DataError."""
+    file = read_uff(path)
+    records = [
+        find_record(file, probe, run.label, f"probe '{name}' in run '{run.name}'")
+        for name, probe in config.probes.items()
+    ]
+    tacho = find_record(file, config.tacho, run.label, f"the tacho in run '{run.name}'")
+    for record in (*records, tacho):
+        where = f"'{path}', record {record.name},"
+        if np.iscomplexobj(record.values) or record.abscissa_type in (_FREQUENCY, _RPM):
+            raise DataError(
+                f"{where} must be a time signal (ingest.tacho has a record), but it is a function of the speed or the "
+                "frequency: give ingest.conventions, and the tacho no record"
+            )
+        if len(record.abscissa) != len(tacho.abscissa) or not np.allclose(record.abscissa, tacho.abscissa):
+            raise DataError(f"{where} must have the same times as the tacho {tacho.name}, but it has others")
+    for record in records:
+        _check_displacement(record, f"'{path}', record {record.name},")
+    return records, tacho

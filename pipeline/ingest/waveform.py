@@ -1,0 +1,158 @@
+"""Recordings with a tacho, and the 1X vectors of each run in them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.config.ingest import UffIngestConfig, UffRunConfig, WaveformIngestConfig, WaveformRunConfig
+from pipeline.config.quantities import metres, volts, volts_per_metre
+from pipeline.errors import DataError
+from pipeline.ingest.order_tracking import Settings, Signals, covered, steady_vectors, sweep_vectors
+from pipeline.ingest.recordings import Clock, Recording, checked, read_recording
+from pipeline.ingest.table import cut_off, text_format
+from pipeline.ingest.tacho import Pulses, find_pulses, shaft_angle
+from pipeline.ingest.tracks import RunTracks, Track, ascending
+from pipeline.ingest.uff import signal_records
+from pipeline.units import RAD_S_PER_RPM
+
+SLOW_WINDOWS = 10
+_TACHO = "the tacho"
+_SEEN_ERROR = np.radians(0.1)
+
+SignalIngestConfig = WaveformIngestConfig | UffIngestConfig
+
+
+@dataclass(frozen=True, eq=False)
+class _Record:
+    """One file: its signals, and sentences that need attention."""
+
+    signals: Signals
+    pulses: Pulses
+    notes: tuple[str, ...]
+
+
+def read_signal_runs(config: SignalIngestConfig) -> tuple[RunTracks, ...]:
+    """The runs of the configuration, their 1X vectors fitted to time signals.
+
+    Raises DataError; see :mod:`pipeline.ingest.recordings`, :mod:`pipeline.ingest.tacho` and
+    :mod:`pipeline.ingest.order_tracking`.
+    """
+    runs = []
+    for run in config.runs:
+        paths = [Path(source) for source in run.sources(config.file)]
+        source = f"'{paths[0]}'" + (f" and {len(paths) - 1} more" if len(paths) > 1 else "")
+        records = (_read(config, run, path) for path in paths)  # one at a time: they are large
+        if config.records == "constant_speed":
+            runs.append(_steady(config, run.name, source, records))
+        else:
+            runs.append(_sweep(config, run.name, source, next(records)))
+    return tuple(runs)
+
+
+def _settings(config: SignalIngestConfig) -> Settings:
+    tracking = config.tracking
+    return Settings(tracking.orders, tracking.degree, tracking.revolutions)
+
+
+def _steady(config: SignalIngestConfig, name: str, source: str, records: Iterable[_Record]) -> RunTracks:
+    """A vector a record."""
+    speeds: list[float] = []
+    vectors: list[np.ndarray] = []
+    notes: list[str] = []
+    for record in records:
+        speed, found = steady_vectors(record.signals, _settings(config))
+        speeds.append(speed)
+        vectors.append(found)
+        notes += record.notes
+        error = speed * record.pulses.locked_error()
+        if error > _SEEN_ERROR:
+            notes.append(
+                f"{record.signals.where} has tacho edges that are sharper than the sampling, at a whole number "
+                "of samples "
+                f"a revolution: all its phases may be off by {np.degrees(error):.2g} deg together"
+            )
+    tracks = {
+        probe: ascending(np.array(speeds), np.array(vectors)[:, p], f"run '{name}'")
+        for p, probe in enumerate(config.probes)
+    }
+    return RunTracks(name, source, tracks, tracks, tuple(notes))
+
+
+def _sweep(config: SignalIngestConfig, name: str, source: str, record: _Record) -> RunTracks:
+    """Vectors at the wanted speeds, and at low ones for the slow roll."""
+    assert config.speeds is not None  # the schema has seen to it
+    wanted = np.array(config.speeds.rpm()) * RAD_S_PER_RPM
+    tracks = _tracked(config, record, wanted)
+    slow: dict[str, Track] = {}
+    if config.slow_roll is not None and config.slow_roll.below_rpm is not None:
+        limit = config.slow_roll.below_rpm * RAD_S_PER_RPM
+        lowest, _ = covered(record.signals, _settings(config))
+        if lowest >= limit:
+            raise DataError(
+                f"{record.signals.where} must have data below "
+                f"ingest.slow_roll.below_rpm={config.slow_roll.below_rpm:g}, "
+                f"but windows fit from {lowest / RAD_S_PER_RPM:.6g} rpm on: give a larger one, or slow_roll.vectors"
+            )
+        slow = _tracked(config, record, np.linspace(lowest, limit, SLOW_WINDOWS, endpoint=False))
+    return RunTracks(name, source, tracks, slow, record.notes)
+
+
+def _tracked(config: SignalIngestConfig, record: _Record, speeds: np.ndarray) -> dict[str, Track]:
+    vectors = sweep_vectors(record.signals, speeds, _settings(config))
+    return {
+        probe: ascending(speeds, vectors[:, p], f"{record.signals.where}, probe '{probe}',")
+        for p, probe in enumerate(config.probes)
+    }
+
+
+def _read(config: SignalIngestConfig, run: WaveformRunConfig | UffRunConfig, path: Path) -> _Record:
+    where = f"'{path}' (run '{run.name}')"
+    marks = None
+    if isinstance(config, UffIngestConfig):
+        assert isinstance(run, UffRunConfig)
+        recording, tacho, per_revolution = _from_uff(config, run, path), _TACHO, 1
+        values = recording.channels
+        notes: tuple[str, ...] = ()
+    else:
+        assert isinstance(run, WaveformRunConfig)
+        tacho, per_revolution = run.tacho or config.tacho.channel, config.tacho.pulses_per_revolution
+        names = {name: run.channels.get(name, probe.channel) for name, probe in config.probes.items()}
+        others = [tacho, *([config.tacho.mark_channel] if config.tacho.mark_channel else [])]
+        rate = run.sample_rate or config.sample_rate
+        clock = Clock(config.time, config.time_unit, rate, config.sample_rate_attribute)
+        recording = read_recording(path, [*names.values(), *others], clock, text_format(config.csv))
+        values = {name: recording.channels[channel] for name, channel in names.items()}
+        notes = cut_off(path) if path.suffix.lower() in (".csv", ".txt") else ()
+        if config.tacho.mark_channel is not None:
+            channel = config.tacho.mark_channel
+            marks = _pulses(config, recording, channel, f"{where}, channel '{channel}',").times
+    pulses = _pulses(config, recording, tacho, f"{where}, channel '{tacho}',")
+    angle = shaft_angle(pulses.times, per_revolution, f"{where}, channel '{tacho}',", marks)
+    return _Record(Signals(recording.time, _in_metres(config, values), angle, where), pulses, notes)
+
+
+def _pulses(config: SignalIngestConfig, recording: Recording, channel: str, where: str) -> Pulses:
+    tacho = config.tacho
+    signal = recording.channels[channel]
+    return find_pulses(recording.time, signal, tacho.edge or "rising", tacho.threshold, tacho.hysteresis, where)
+
+
+def _from_uff(config: UffIngestConfig, run: UffRunConfig, path: Path) -> Recording:
+    records, tacho = signal_records(config, run, path)
+    channels = {name: record.values for name, record in zip(config.probes, records, strict=True)}
+    return checked(path, channels | {_TACHO: tacho.values, "time": tacho.abscissa}, Clock("time", "s"), None)
+
+
+def _in_metres(config: SignalIngestConfig, values: Mapping[str, np.ndarray]) -> np.ndarray:
+    """(n, P) m, of the probes in their order."""
+    unit = config.signal_unit or ""
+    volt = volts(unit)
+    columns = []
+    for name, probe in config.probes.items():
+        size = metres(unit) if volt is None or probe.scale is None else volt / volts_per_metre(probe.scale)
+        columns.append(values[name] * size)
+    return np.stack(columns, axis=1)

@@ -1,0 +1,171 @@
+"""Turn measured data into the files that training reads, say what was read, and draw it before any fit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.ingest import (
+    MeasuredIngestConfig,
+    NoIngestConfig,
+    TableIngestConfig,
+    UffIngestConfig,
+    WaveformIngestConfig,
+)
+from pipeline.config.schema import Config
+from pipeline.data.coefficient_files import write_coefficients
+from pipeline.data.tables import is_ingested
+from pipeline.data.vibration_files import to_rpm, write_excitation, write_vibration
+from pipeline.errors import DataError
+from pipeline.files import write_json
+from pipeline.ingest.dataset import Measurement, measurement
+from pipeline.ingest.known import read_known
+from pipeline.ingest.plausibility import size_notes, whirl_notes
+from pipeline.reporting.console import say, table, warn
+from pipeline.reporting.ingest_figures import bode_figure, measured_orbit_figure
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.model import RotorModel
+from pipeline.rotor.ross_adapter import assemble
+from pipeline.rotor.stored import read_rotor, write_rotor
+from pipeline.stages.inputs import known_coefficients, require_nodes
+from pipeline.stages.run import InputFiles, StageOutput, input_files, workspace
+
+
+def run(config: Config) -> StageOutput:
+    """``vibration.parquet``, ``excitation.csv``, ``known_coefficients.csv``, ``ingest.json`` and two figures."""
+    files, work, ingest = input_files(config), workspace(config), config.ingest
+    _refuse_replacing(files)
+    if isinstance(ingest, NoIngestConfig):
+        measurement(ingest)  # says what to choose
+        raise AssertionError
+    rotor = read_rotor(work.rotor, config.rotor) or assemble(config.rotor)
+    require_nodes(rotor, "ingest.probes", [probe.node for probe in ingest.probes.values()])
+    for measured_run in ingest.runs:
+        acting = [*(one.node for one in measured_run.unbalances), *(one.node for one in measured_run.forces)]
+        require_nodes(rotor, f"ingest.runs, run '{measured_run.name}',", acting)
+    measured = measurement(ingest)
+    dataset = measured.dataset
+    known = _known(config, ingest, rotor, dataset.speeds)
+    notes = [*measured.notes, *whirl_notes(dataset)]
+    notes += size_notes(dataset, rotor, config.model.initial_stiffness, config.model.initial_damping)
+    write_rotor(work.rotor, rotor, config.rotor)
+    written = [write_excitation(files.excitation, dataset)]
+    if known is not None:
+        written.append(write_coefficients(files.known, known, known_coefficients(config, rotor.bearing_nodes)))
+    written.append(write_vibration(files.vibration, dataset))
+    written += [
+        write_json(work.folder / "ingest.json", _account(measured, ingest, notes)),
+        bode_figure(work.figure("ingest_bode"), dataset, ingest.baseline),
+        measured_orbit_figure(work.figure("ingest_orbits"), dataset, ingest.baseline),
+    ]
+    _report(config, ingest, measured, files)
+    for note in notes:
+        warn(note)
+    return StageOutput(
+        metrics={"ingest.runs": float(len(dataset.runs)), "ingest.speeds": float(len(dataset.speeds))},
+        tags={"data_fingerprint": dataset.fingerprint},
+        files=written,
+    )
+
+
+def _refuse_replacing(files: InputFiles) -> None:
+    if not files.own:
+        raise DataError(
+            "ingest must write the experiment's own files, but data.vibration, data.excitation or data.known names "
+            "others: leave them out"
+        )
+    if files.vibration.exists() and not is_ingested(files.vibration):
+        raise DataError(
+            f"ingest must not replace what it did not write, but '{files.vibration}' was generated or made elsewhere: "
+            "choose another folder with output=FOLDER"
+        )
+
+
+def _known(config: Config, ingest: MeasuredIngestConfig, rotor: RotorModel, speeds: np.ndarray) -> BearingTable | None:
+    """What training takes as known; None where it needs some and nothing says them."""
+    nodes = rotor.bearing_nodes
+    needed = known_coefficients(config, nodes)
+    if ingest.known is not None:
+        return read_known(Path(ingest.known), nodes, speeds, needed)
+    if any(needed.values()):
+        return None
+    return BearingTable(nodes, speeds, np.zeros((len(nodes), len(speeds), len(COEFFICIENTS))))
+
+
+def _account(measured: Measurement, ingest: MeasuredIngestConfig, notes: list[str]) -> dict[str, object]:
+    dataset = measured.dataset
+    rpm = to_rpm(dataset.speeds)
+    return {
+        "format": ingest.format,
+        "conventions": conventions(ingest),
+        "speeds": {"count": len(rpm), "first_rpm": float(rpm[0]), "last_rpm": float(rpm[-1])},
+        "nodes": sorted({node for node, _ in dataset.channels}),
+        "baseline": ingest.baseline,
+        "runs": {run.name: _run_account(measured, i) for i, run in enumerate(measured.runs)},
+        "notes": notes,
+    }
+
+
+def _run_account(measured: Measurement, index: int) -> dict[str, object]:
+    run = measured.runs[index]
+    tracks = list(run.tracks.values())
+    return {
+        "source": run.source,
+        "speeds": max(len(track.speeds) for track in tracks),
+        "first_rpm": float(min(to_rpm(track.speeds[:1])[0] for track in tracks)),
+        "last_rpm": float(max(to_rpm(track.speeds[-1:])[0] for track in tracks)),
+        "largest_um": float(1e6 * np.abs(measured.dataset.displacement[..., index]).max()),
+    }
+
+
+def conventions(ingest: MeasuredIngestConfig) -> str:
+    """What the numbers in the files were taken for."""
+    if isinstance(ingest, TableIngestConfig):
+        said = ingest.conventions
+        return (
+            f"{said.length}, {said.amplitude.replace('_', '-')}, phase {said.phase} in {said.phase_unit}, speed in "
+            f"{said.speed}"
+        )
+    if isinstance(ingest, UffIngestConfig) and ingest.conventions is not None:
+        vector = ingest.conventions
+        return (
+            f"complex, {vector.length}, {vector.amplitude.replace('_', '-')}, angle a phase {vector.phase}, speed in "
+            f"{vector.speed}"
+        )
+    assert isinstance(ingest, (UffIngestConfig, WaveformIngestConfig))
+    records = "records at constant speed" if ingest.records == "constant_speed" else "run-ups"
+    return f"time signals in {ingest.signal_unit}, {records}, tacho edge {ingest.tacho.edge}"
+
+
+def _report(config: Config, ingest: MeasuredIngestConfig, measured: Measurement, files: InputFiles) -> None:
+    dataset = measured.dataset
+    rows = []
+    for i, run in enumerate(measured.runs):
+        account = _run_account(measured, i)
+        acting = [e for e in dataset.excitations if e.run == run.name]
+        words = ", ".join(f"{e.kind} at node {e.node}" for e in acting) or "nothing (baseline)"
+        rows.append(
+            [
+                run.name,
+                run.source,
+                str(account["speeds"]),
+                f"{account['first_rpm']:g} to {account['last_rpm']:g}",
+                f"{account['largest_um']:.3g}",
+                words,
+            ]
+        )
+    header = ["run", "file", "speeds", "rpm", "largest, um", "excited by"]
+    table(f"{config.name}: read as {conventions(ingest)}", header, rows)
+    probes = ", ".join(
+        f"{name} (node {probe.node}, {np.degrees(probe.angle):g} deg)" for name, probe in ingest.probes.items()
+    )
+    rpm = to_rpm(dataset.speeds)
+    say(
+        f"probes: {probes}\n"
+        f"{config.name}: {len(dataset.runs)} runs, {len(rpm)} speeds from {rpm[0]:g} to {rpm[-1]:g} rpm, "
+        f"{len(dataset.channels)} channels in '{files.vibration}'"
+    )
+    if not files.known.exists():
+        say("some coefficients are taken as known (identify.unknowns): give their table as ingest.known, or data.known")

@@ -1,0 +1,275 @@
+"""The response loss: against ROSS's response by way of the dense system, its dense twin, and simulated noise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import Machine, MachineFactory, bearings_of
+
+from pipeline.config.compose import compose_config
+from pipeline.config.excitation import NoiseConfig
+from pipeline.data.dataset import Excitation, VibrationDataset, without_baseline
+from pipeline.data.sensors import Sensors, both_directions, measured, seen_by
+from pipeline.data.simulate import simulate
+from pipeline.equations.identifiability import require_identifiable
+from pipeline.equations.response import expansion, response_equations
+from pipeline.errors import IdentifiabilityError
+from pipeline.identification.response_fit import ResponseFit, fit_response
+from pipeline.identification.response_preparation import MeasuredResponse, prepare_response
+from pipeline.identification.training import setup_of
+from pipeline.stages.diagnose import diagnose
+from pipeline.stages.inputs import Inputs
+
+STIFFNESS = 2e7
+PROBES = ((0, 45.0), (1, 45.0), (1, 135.0), (3, 0.0), (5, 30.0), (5, 120.0))
+BACKWARD = Excitation("shaker", "force", 2, 10.0, 0.3, "backward")
+
+
+@pytest.fixture(scope="module")
+def rotor_of(machine: MachineFactory) -> Machine:
+    """The hydrostatic rotor at 60 speeds."""
+    return machine("experiment=noisy_stiffness", "excitation.speeds.step_rpm=100")
+
+
+def noisy(machine: Machine, noise: float, seed: int, *more: Excitation) -> VibrationDataset:
+    """Probes at the bearings with multiplicative noise."""
+    clean = simulate(machine.rotor, machine.bearings, (*machine.excitations, *more))
+    sensors = Sensors(both_directions(machine.rotor.bearing_nodes), multiplicative=noise)
+    return measured(clean, sensors, np.random.default_rng(seed))
+
+
+def fit_of(machine: Machine, dataset: VibrationDataset, noise: float, *overrides: str) -> ResponseFit:
+    """The fit that the experiment's configuration makes."""
+    config = compose_config(["experiment=noisy_stiffness", *overrides])
+    planes = config.identify.unbalance_planes
+    equations = response_equations(machine.rotor, dataset, STIFFNESS, planes)
+    stated = NoiseConfig(additive=0.0, multiplicative=noise)
+    setup = setup_of(config)
+    data = MeasuredResponse(equations, dataset.displacement, stated, dataset.subtracted)
+    prepared = prepare_response(data, machine.bearings, setup, 0, np.array([], dtype=int))
+    return fit_response(prepared, setup, None, config.loss.noise == "estimated", config.loss.robust)
+
+
+# --- the equations -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("stiffness", [1e5, 2e7, 1e9])
+def test_the_response_is_that_of_the_whole_system(rotor_of: Machine, stiffness: float) -> None:
+    """Any reference bearing gives the displacements that the full equation of motion has, at probes of any angle."""
+    clean = simulate(rotor_of.rotor, rotor_of.bearings, rotor_of.excitations)
+    dataset = seen_by(clean, PROBES)
+    predicted = response_equations(rotor_of.rotor, dataset, stiffness).predict(rotor_of.bearings)
+    np.testing.assert_allclose(predicted, dataset.displacement, rtol=1e-8, atol=1e-10 * np.abs(predicted).max())
+
+
+def test_asynchronous_runs_and_a_residual_unbalance(rotor_of: Machine) -> None:
+    """Runs of several frequencies; the residual unbalance acts in those that turn with the rotor alone."""
+    speeds = rotor_of.speeds
+    residual = 3e-5 * np.exp(0.7j)
+    given = (*rotor_of.excitations, BACKWARD)
+    turning = dict.fromkeys(e.run for e in rotor_of.excitations)
+    hidden = tuple(Excitation(run, "unbalance", 3, abs(residual), float(np.angle(residual))) for run in turning)
+    own = np.stack([*[speeds] * len(turning), np.full(len(speeds), 200.0)], axis=1)
+    complete = simulate(rotor_of.rotor, rotor_of.bearings, (*given, *hidden), own)
+    equations = response_equations(rotor_of.rotor, replace(complete, excitations=given), STIFFNESS, (3,))
+    assert len(equations.blocks) == 2
+    predicted = equations.predict(rotor_of.bearings, np.array([residual]))
+    np.testing.assert_allclose(predicted, complete.displacement, rtol=1e-7, atol=1e-10 * np.abs(predicted).max())
+
+
+@pytest.mark.parametrize("channels", [((1, 0.0), (1, 90.0), (5, 0.0), (5, 90.0)), PROBES])
+def test_the_expansion_finds_force_and_motion(rotor_of: Machine, channels: tuple[tuple[int, float], ...]) -> None:
+    """On clean data the residual at the bearings vanishes, whatever the sensors are."""
+    clean = simulate(rotor_of.rotor, rotor_of.bearings, rotor_of.excitations)
+    dataset = seen_by(clean, channels)
+    equations = response_equations(rotor_of.rotor, dataset, STIFFNESS)
+    made = expansion(equations, dataset.displacement, np.full(dataset.displacement.shape, 1e-9))
+    assert made is not None
+    residual = made.equations.residual(rotor_of.bearings.impedance())
+    assert np.abs(residual).max() < 1e-6 * np.abs(made.equations.free_residual).max()
+
+
+def test_too_few_sensors_have_no_expansion(rotor_of: Machine) -> None:
+    """Three probes can't tell four forces."""
+    clean = simulate(rotor_of.rotor, rotor_of.bearings, rotor_of.excitations)
+    dataset = seen_by(clean, PROBES[:3])
+    equations = response_equations(rotor_of.rotor, dataset, STIFFNESS)
+    assert expansion(equations, dataset.displacement, np.full(dataset.displacement.shape, 1e-9)) is None
+
+
+# --- the problem -------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def full_problem(rotor_of: Machine) -> ResponseFit:
+    """A problem with cross-coupled coefficients, a shaker's own frequency and a balance plane."""
+    own = np.stack([*[rotor_of.speeds] * 3, np.full(len(rotor_of.speeds), 200.0)], axis=1)
+    clean = simulate(rotor_of.rotor, rotor_of.bearings, (*rotor_of.excitations, BACKWARD), own)
+    dataset = measured(clean, Sensors(PROBES, multiplicative=0.01), np.random.default_rng(1))
+    return fit_of(
+        rotor_of, dataset, 0.01, "identify.unknowns=[kxx,kxy,kyx,kyy]", "identify.unbalance_planes=[2]", "model.width=5"
+    )
+
+
+def test_the_jacobian_is_that_of_automatic_differentiation(full_problem: ResponseFit) -> None:
+    """Closed-form derivatives against torch's."""
+    import torch
+
+    problem = full_problem.problem
+    free = full_problem.free + 0.01 * torch.randn(full_problem.free.shape, generator=torch.Generator().manual_seed(0))
+    wanted = torch.autograd.functional.jacobian(lambda z: problem.rows(z)[0, 0], free)[:, 0, 0]
+    assert float((problem.jacobian(free)[0, 0] - wanted).abs().max()) < 1e-10 * float(wanted.abs().max())
+
+
+def test_the_normal_equations_are_those_of_the_dense_jacobian(full_problem: ResponseFit) -> None:
+    """The sum over speeds against its dense twin."""
+    problem, free = full_problem.problem, full_problem.free
+    jacobian, rows = problem.jacobian(free)[0, 0], problem.rows(free)[0, 0]
+    gradient, matrix = problem.normal(free)
+    wanted = jacobian.T @ jacobian
+    wanted.diagonal()[~problem.fitted()] = 1.0  # a step leaves what is not fitted
+    assert float((matrix[0, 0] - wanted).abs().max()) < 1e-10 * float(matrix.abs().max())
+    scale = float((jacobian.abs().T @ rows.abs()).max())
+    assert float((gradient[0, 0] - jacobian.T @ rows).abs().max()) < 1e-10 * scale
+
+
+# --- the fit -----------------------------------------------------------------------------------------
+
+
+def relative_errors(machine: Machine, fit: ResponseFit, names: tuple[str, ...]) -> np.ndarray:
+    """(B, names, S)."""
+    found = fit.batch.identified().table(machine.bearings)
+    return np.stack([np.abs(found.coefficient(n) / machine.bearings.coefficient(n) - 1) for n in names], axis=1)
+
+
+def test_clean_data_give_the_modelled_coefficients(rotor_of: Machine) -> None:
+    """Where there is no noise, nothing but what the network can't follow is left."""
+    fit = fit_of(rotor_of, noisy(rotor_of, 0.0, 0), 1e-6)
+    assert np.median(relative_errors(rotor_of, fit, ("kxx", "kyy")), axis=-1).max() < 1e-5
+
+
+def test_a_residual_unbalance_is_found_with_the_coefficients(rotor_of: Machine) -> None:
+    """Of a third of the trial weights, at a disc; without the plane the coefficients are spoilt."""
+    runs = dict.fromkeys(e.run for e in rotor_of.excitations)
+    hidden = tuple(Excitation(run, "unbalance", 4, 3e-5, 1.0) for run in runs)
+    complete = simulate(rotor_of.rotor, rotor_of.bearings, (*rotor_of.excitations, *hidden))
+    sensors = Sensors(both_directions(rotor_of.rotor.bearing_nodes), multiplicative=1e-3)
+    dataset = measured(replace(complete, excitations=rotor_of.excitations), sensors, np.random.default_rng(0))
+    with_plane = fit_of(rotor_of, dataset, 1e-3, "identify.unbalance_planes=[4]")
+    found = with_plane.residual_unbalance()[0]
+    assert abs(found - 3e-5 * np.exp(1j)) < 0.01 * 3e-5
+    assert np.median(relative_errors(rotor_of, with_plane, ("kxx", "kyy")), axis=-1).max() < 0.005
+    without = fit_of(rotor_of, dataset, 1e-3)
+    assert np.median(relative_errors(rotor_of, without, ("kxx", "kyy")), axis=-1).max() > 0.02
+
+
+def test_a_baseline_cancels_the_residual_unbalance(rotor_of: Machine) -> None:
+    """Exactly, whatever it is: on clean data the coefficients are those without it."""
+    runs = tuple(dict.fromkeys(e.run for e in rotor_of.excitations))
+    hidden = tuple(Excitation(run, "unbalance", 2, 8e-5, 2.0) for run in (*runs, "as_found"))
+    complete = simulate(rotor_of.rotor, rotor_of.bearings, (*rotor_of.excitations, *hidden))
+    seen = seen_by(replace(complete, excitations=rotor_of.excitations), both_directions((1, 5)))
+    less = without_baseline(seen, "as_found")
+    wanted = seen_by(simulate(rotor_of.rotor, rotor_of.bearings, rotor_of.excitations), both_directions((1, 5)))
+    assert less.runs == runs
+    size = np.abs(seen.displacement).max()
+    np.testing.assert_allclose(less.displacement, wanted.displacement, rtol=0, atol=1e-9 * size)
+    fit = fit_of(rotor_of, less, 1e-6)
+    assert np.median(relative_errors(rotor_of, fit, ("kxx", "kyy")), axis=-1).max() < 1e-5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("guess", ["1e6 N/m", "1e8 N/m"])
+def test_sensors_too_few_for_the_forces_find_the_same_answer_from_any_guess(rotor_of: Machine, guess: str) -> None:
+    """Three probes, four bearing forces: there is no linear start."""
+    clean = simulate(rotor_of.rotor, rotor_of.bearings, rotor_of.excitations)
+    dataset = measured(
+        clean, Sensors(((1, 45.0), (1, 135.0), (5, 10.0)), multiplicative=0.01), np.random.default_rng(0)
+    )
+    fit = fit_of(rotor_of, dataset, 0.01, f"model.initial_stiffness={guess}")
+    assert fit.prepared.from_guess
+    chi_square = float(fit.problem.chi_square(fit.free))
+    assert abs(chi_square - dataset.displacement.size) < 4 * np.sqrt(dataset.displacement.size)
+    assert np.median(relative_errors(rotor_of, fit, ("kxx", "kyy")), axis=-1).max() < 0.05
+
+
+def test_one_probe_cannot_tell_all_coefficients(rotor_of: Machine) -> None:
+    """It is said by name before a fit."""
+    clean = simulate(rotor_of.rotor, rotor_of.bearings, rotor_of.excitations)
+    dataset = measured(clean, Sensors(((2, 0.0),), multiplicative=0.01), np.random.default_rng(0))
+    config = compose_config(["experiment=noisy_stiffness", "identify.unknowns=[kxx,kxy,kyx,kyy,cxx,cxy,cyx,cyy]"])
+    inputs = Inputs(rotor_of.rotor, dataset, rotor_of.bearings)
+    with pytest.raises(IdentifiabilityError, match="more than 4 of 16 unknowns at a speed"):
+        require_identifiable(diagnose(config, inputs).accounts)
+
+
+def test_bad_points_are_found_and_do_little(rotor_of: Machine) -> None:
+    """One reading in fifty is ten per cent off."""
+    dataset = noisy(rotor_of, 0.01, 3)
+    generator = np.random.default_rng(5)
+    spoilt = generator.random(dataset.displacement.shape) < 0.02
+    shifted = np.where(spoilt, 1.1 * dataset.displacement, dataset.displacement)
+    fit = fit_of(rotor_of, replace(dataset, displacement=shifted), 0.01)
+    clean = fit_of(rotor_of, dataset, 0.01)
+    listed = np.concatenate([w.ravel() for w in fit.weights]) < 0.5
+    assert listed.sum() >= 0.9 * spoilt.sum()
+    change = np.abs(
+        fit.batch.identified().table(rotor_of.bearings).values
+        - clean.batch.identified().table(rotor_of.bearings).values
+    )
+    assert np.median(change[..., [0, 3]] / rotor_of.bearings.values[..., [0, 3]]) < 0.005
+
+
+def test_the_noise_is_estimated_channel_by_channel(rotor_of: Machine) -> None:
+    """Stated at 1 %, it is 3 % in one channel and 0.5 % in the others."""
+    clean = simulate(rotor_of.rotor, rotor_of.bearings, rotor_of.excitations)
+    seen = seen_by(clean, both_directions((1, 5)))
+    generator = np.random.default_rng(0)
+    size = np.array([0.03, 0.005, 0.005, 0.005])[:, None] * np.abs(seen.displacement)
+    parts = generator.standard_normal((2, *seen.displacement.shape)) / np.sqrt(2)
+    dataset = replace(seen, displacement=seen.displacement + size * (parts[0] + 1j * parts[1]))
+    fit = fit_of(rotor_of, dataset, 0.01, "loss.noise=estimated")
+    np.testing.assert_allclose(fit.factor, [3.0, 0.5, 0.5, 0.5], rtol=0.2)
+
+
+@pytest.mark.parametrize("structure", ["isotropic", "symmetric_damping"])
+def test_a_structure_is_respected_exactly(rotor_of: Machine, structure: str) -> None:
+    """As with the residual losses."""
+    table = bearings_of(
+        (1, 5), rotor_of.speeds, kxx=2e7, kyy=2e7, kxy=5e6, kyx=-5e6, cxx=4e4, cyy=4e4, cxy=0.0, cyx=0.0
+    )
+    dataset = measured(
+        simulate(rotor_of.rotor, table, rotor_of.excitations),
+        Sensors(both_directions((1, 5)), multiplicative=0.01),
+        np.random.default_rng(0),
+    )
+    machine = replace(rotor_of, bearings=table)
+    names = "[kxx,kxy,kyx,kyy]" if structure == "isotropic" else "[cxx,cxy,cyx,cyy]"
+    fit = fit_of(machine, dataset, 0.01, f"identify.unknowns={names}", f"identify.structure={structure}")
+    found = fit.batch.identified().table(table)
+    if structure == "isotropic":
+        assert np.array_equal(found.coefficient("kxx"), found.coefficient("kyy"))
+        assert np.array_equal(found.coefficient("kxy"), -found.coefficient("kyx"))
+    else:
+        assert np.array_equal(found.coefficient("cxy"), found.coefficient("cyx"))
+
+
+def test_bearings_alike_share_their_coefficients(rotor_of: Machine) -> None:
+    """``tie_bearings`` halves the unknowns."""
+    fit = fit_of(rotor_of, noisy(rotor_of, 0.01, 0), 0.01, "identify.tie_bearings=true")
+    table = fit.batch.identified().table(rotor_of.bearings)
+    assert np.array_equal(table.values[0, :, 0], table.values[1, :, 0])
+    assert len(fit.problem.active) == 2
+
+
+def test_constant_coefficients(rotor_of: Machine) -> None:
+    """A constant has no features but one."""
+    table = bearings_of((1, 5), rotor_of.speeds, kxx=2e7, kyy=3e7, cxx=4e4, cyy=4e4)
+    clean = simulate(rotor_of.rotor, table, rotor_of.excitations)
+    dataset = measured(clean, Sensors(both_directions((1, 5)), multiplicative=0.01), np.random.default_rng(0))
+    fit = fit_of(replace(rotor_of, bearings=table), dataset, 0.01, "model=constant")
+    found = fit.batch.identified().table(table)
+    np.testing.assert_allclose(found.coefficient("kxx"), 2e7, rtol=5e-3)
+    np.testing.assert_allclose(found.coefficient("kyy"), 3e7, rtol=5e-3)
