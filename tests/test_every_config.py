@@ -160,6 +160,10 @@ def _runs_or_says_why_not(experiment: str, folder: Path, *overrides: str) -> Non
         assert len(config.identify.unknowns) == 8
         assert "isotropic" in str(overrides) or "one_unbalance" in str(overrides)
         return
+    except DataError as refusal:  # of a rotor whose bearings lie elsewhere
+        assert "proximity_probes" in str(overrides)
+        assert "x and y measured at every bearing" in str(refusal)
+        return
     identified = pd.read_csv(folder / "identified_coefficients.csv")
     assert list(identified) == identified_columns(config)
     assert np.isfinite(identified[COEFFICIENTS].to_numpy()).all()
@@ -196,7 +200,7 @@ def test_every_network(change: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("robustness", options("robustness"))
+@pytest.mark.parametrize("robustness", ["initial_guesses", "seeds"])  # noise_seeds is of another loss
 @pytest.mark.parametrize("optimizer", options("optimizer"))
 @pytest.mark.parametrize("model", ["constant", "network"])
 def test_all_stages_of_all_combinations(model: str, optimizer: str, robustness: str, tmp_path: Path) -> None:

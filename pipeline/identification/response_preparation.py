@@ -146,17 +146,13 @@ def _plane_scale(equations: ResponseEquations, displacement: np.ndarray) -> floa
 
 
 def start_at(problem: ResponseProblem, values: np.ndarray) -> torch.Tensor:
-    """(1, 1, Z) the free vector that comes nearest to unknowns (M, S, U), without residual unbalance."""
+    """(1, 1, Z) the free vector that comes nearest to unknowns (M, S, U), without residual unbalance.
+
+    ``problem`` is that of the training speeds, where the features are orthonormal: their coordinates are projections.
+    """
     import torch
 
-    model, scale = problem.basis.model, problem.scale
-    raw = model.raw_from(torch.as_tensor(np.ascontiguousarray(values)), scale)  # (M, S, U)
-    free = torch.zeros(1, 1, problem.size, dtype=torch.float64)
-    count = problem.features.shape[-1]
-    for a, (m, u) in enumerate(problem.active):
-        kept = problem.kept[a]
-        wanted = raw[m, :, u : u + 1]
-        free[0, 0, a * count : (a + 1) * count][kept] = torch.linalg.lstsq(
-            problem.features[m][:, kept], wanted
-        ).solution[:, 0]
-    return free
+    raw = problem.basis.model.raw_from(torch.as_tensor(np.ascontiguousarray(values)), problem.scale)  # (M, S, U)
+    own = torch.stack([problem.features[m].T @ raw[m, :, u] for m, u in problem.active]) * problem.kept  # (A, K)
+    planes = torch.zeros(2 * problem.n_planes, dtype=own.dtype)
+    return torch.cat([own.flatten(), planes])[None, None]
