@@ -76,6 +76,7 @@ class Config(Section):
     output: str = Field(min_length=1)
     seed: NonNegativeInt
     threads: PositiveInt
+    device: str = Field(pattern=r"^(cpu|cuda(:\d+)?)$")
     force: bool
     rotor: RotorConfig
     bearing: BearingConfig

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.config.identification import LevenbergMarquardtConfig
+from pipeline.errors import ConfigError
 from pipeline.identification.optimizers import levenberg_marquardt, until_still
 from pipeline.identification.response_fit import ResponseFit, covariance
 from pipeline.identification.response_problem import ResponseProblem
@@ -56,12 +57,22 @@ def unknown_deviation(problem: ResponseProblem, free: torch.Tensor) -> np.ndarra
 
 
 def monte_carlo(
-    fit: ResponseFit, clean: np.ndarray, count: int, generator: np.random.Generator, config: LevenbergMarquardtConfig
+    fit: ResponseFit,
+    clean: np.ndarray,
+    count: int,
+    generator: np.random.Generator,
+    config: LevenbergMarquardtConfig,
+    device: str = "cpu",
 ) -> MonteCarlo:
-    """Fit ``count`` data sets: the ``clean`` readings (S, P, R), m, each with noise of its own."""
+    """Fit ``count`` data sets: the ``clean`` readings (S, P, R), m, each with noise of its own.
+
+    Raises ConfigError for a ``device`` that torch does not find.
+    """
     import torch
 
-    problem = fit.problem
+    if device != "cpu" and not torch.cuda.is_available():
+        raise ConfigError(f"device must be one that torch finds, but it finds no '{device}' here: use device=cpu")
+    problem, start_free = fit.problem.to(device), fit.free.to(device)
     blocks = fit.prepared.data.equations.blocks
     runs = [of for of in (np.intersect1d(block.runs, fit.prepared.runs) for block in blocks) if len(of)]
     kept = clean[fit.prepared.keep]
@@ -71,6 +82,8 @@ def monte_carlo(
         n = min(_CHUNK, count - start)
         parts = generator.standard_normal((2, n, *kept.shape)) / np.sqrt(2.0)
         noisy = kept + deviation * (parts[0] + 1j * parts[1])
-        own = problem.with_measured([torch.as_tensor(noisy[..., of]) for of in runs])
-        answers.append(levenberg_marquardt(own, fit.free.repeat(n, 1, 1), config, until_still()))
-    return MonteCarlo(problem, torch.cat(answers))
+        with torch.device(device):
+            own = problem.with_measured([torch.as_tensor(noisy[..., of]).to(device) for of in runs])
+            found = levenberg_marquardt(own, start_free.repeat(n, 1, 1), config, until_still())
+        answers.append(found.cpu())
+    return MonteCarlo(fit.problem, torch.cat(answers))

@@ -15,7 +15,7 @@ bearings, U unknowns, A those of them that members have, K features, N balance p
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -43,6 +43,12 @@ class _Block:
     measured: torch.Tensor  # (G or 1, S, P, R)
     weight: torch.Tensor  # (G or 1, S, P, R), 1/m: root of 2 over the deviation, so that real and imaginary part count
     subtracted: np.ndarray | None = field(kw_only=True)  # (S, P, R) m, the baseline that was taken off
+
+    def to(self, device: str) -> _Block:
+        """The same on another device."""
+        return replace(
+            self, **{f.name: getattr(self, f.name).to(device) for f in fields(self) if f.name != "subtracted"}
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,6 +289,12 @@ class ResponseProblem:
         """All bearings speak through the same sensors: the problem has one member."""
         assert m == 0
         return self
+
+    def to(self, device: str) -> ResponseProblem:
+        """The same on another device, to be used under ``torch.device(device)``; the basis stays where it is."""
+        names = ("features", "scale", "spread", "known", "kept")
+        moved = {name: getattr(self, name).to(device) for name in names}
+        return replace(self, **moved, blocks=tuple(block.to(device) for block in self.blocks))
 
     def with_measured(self, measured: list[torch.Tensor]) -> ResponseProblem:
         """The same for other data (G, S, P, R) of each block."""

@@ -10,7 +10,7 @@ from pipeline.reporting.console import say
 from pipeline.stages.run import StageOutput, workspace
 
 _HOW: Any = {
-    **dict.fromkeys(("stage", "tracking", "check", "threads", "output", "promoted"), True),
+    **dict.fromkeys(("stage", "tracking", "check", "threads", "device", "output", "promoted"), True),
     "tuning": {"storage", "workers", "changed", "timeout_seconds", "heartbeat_seconds", "comparison"},
 }
 

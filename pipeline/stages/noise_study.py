@@ -52,7 +52,9 @@ def run(config: Config) -> StageOutput:
         fit = fitted(config, prepared, setup, progress)
     generator = np.random.default_rng([config.sensors.seed, 1])
     clean = prepared.data.equations.predict(modelled)
-    study = monte_carlo(fit, clean, config.robustness.count, generator, setup.optimizer.levenberg_marquardt)
+    study = monte_carlo(
+        fit, clean, config.robustness.count, generator, setup.optimizer.levenberg_marquardt, config.device
+    )
     rows, summary = _judged(inputs, fit, study, modelled)
     _print(config, rows)
     work = workspace(config)
