@@ -256,7 +256,7 @@ def test_check_fails_where_one_metric_got_worse(
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
 def test_thresholds_are_no_laxer_than_the_bars(experiment: str) -> None:
-    """What CI holds is at least what the issue asks."""
+    """What CI holds is at least what the bars above ask."""
     from pipeline.evaluation.thresholds import read_rules
 
     rules = read_rules(check.THRESHOLDS / f"{experiment}.yaml")
