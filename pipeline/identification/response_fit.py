@@ -104,7 +104,8 @@ def fit_response(
             weights = tuple(np.ones(block.weight.shape[1:]) for block in problem.blocks)
             break
         if estimate_noise:
-            factor = estimated_factor(prepared, problem, free, factor)
+            repeated = repeated_factor(prepared, problem, free)
+            factor = estimated_factor(prepared, problem, free, factor) if repeated is None else repeated
         before = problem
         problem, weights = reweighted(prepared, problem, free, factor, robust)
         if turn == _CHOICE:
@@ -164,3 +165,21 @@ def estimated_factor(
     squared = np.median(np.concatenate(left, axis=1) ** 2, axis=1) / np.log(2.0)
     rest = max(1.0 - problem.n_numbers / problem.n_rows, 0.05)
     return np.asarray(np.sqrt(squared / rest))
+
+
+def repeated_factor(prepared: PreparedResponse, problem: ResponseProblem, free: torch.Tensor) -> np.ndarray | None:
+    """(P,) as :func:`estimated_factor`, from runs of the same excitation; None where no run repeats another.
+
+    What differs between them is noise whatever the model is: half the squared difference of two has their variance.
+    """
+    squares = []
+    for block, predicted in zip(problem.blocks, problem.predicted(free), strict=True):
+        forced, measured = block.forced_sensors.numpy(), block.measured[0].numpy()
+        deviation = prepared.data.deviation_of(predicted[0].numpy(), block.subtracted, np.ones(measured.shape[1]))
+        last: dict[bytes, int] = {}
+        for r in range(measured.shape[-1]):
+            before = last.get(key := forced[..., r].tobytes())
+            if before is not None:
+                squares.append(np.abs((measured[..., r] - measured[..., before]) / deviation[..., r]) ** 2 / 2)
+            last[key] = r
+    return np.sqrt(np.median(np.concatenate(squares), axis=0) / np.log(2.0)) if squares else None
