@@ -15,7 +15,7 @@ from pipeline.data.sensors import Sensors, both_directions, measured, seen_by
 from pipeline.data.simulate import simulate
 from pipeline.equations.identifiability import require_identifiable
 from pipeline.equations.response import expansion, response_equations
-from pipeline.errors import IdentifiabilityError
+from pipeline.errors import ConfigError, IdentifiabilityError
 from pipeline.identification.response_fit import ResponseFit, fit_response
 from pipeline.identification.response_preparation import MeasuredResponse, prepare_response
 from pipeline.identification.training import setup_of
@@ -215,6 +215,13 @@ def test_one_probe_cannot_tell_all_coefficients(rotor_of: Machine) -> None:
     inputs = Inputs(rotor_of.rotor, dataset, rotor_of.bearings)
     with pytest.raises(IdentifiabilityError, match="more than 4 of 16 unknowns at a speed"):
         require_identifiable(diagnose(config, inputs).accounts)
+
+
+@pytest.mark.parametrize("asked", [["stage=tune"], ["stage=robustness", "robustness=seeds"]])
+def test_what_trains_by_the_residual_alone_is_refused(asked: list[str]) -> None:
+    """Rather than done by another loss without a word."""
+    with pytest.raises(ConfigError, match="must have loss=residual or loss=preconditioned, but got loss=response"):
+        compose_config([*asked, "experiment=noisy_stiffness"])
 
 
 def test_bad_points_are_found_and_do_little(rotor_of: Machine) -> None:

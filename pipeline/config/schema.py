@@ -100,6 +100,16 @@ class Config(Section):
     check: CheckConfig
 
     @model_validator(mode="after")
+    def _trains_by_a_residual(self) -> Config:
+        other = self.stage in ("tune", "samplers") or (self.stage == "robustness" and self.robustness.over != "noise")
+        if self.loss.kind == "response" and other:
+            raise ValueError(
+                "studies, and robustness over seeds and guesses, must have loss=residual or loss=preconditioned, but "
+                "got loss=response, which has a start of its own: use stage=robustness robustness=noise_seeds"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _nodes_exist(self) -> Config:
         if self.rotor.file is not None:
             return self

@@ -44,7 +44,7 @@ def run(config: Config) -> StageOutput:
         raise ConfigError(
             "robustness over noise must have loss=response and modelled data, but "
             + ("the data are measured" if modelled is None else f"the loss is {config.loss.kind}")
-            + ": use robustness=seeds"
+            + ": use robustness=seeds loss=residual"
         )
     say_diagnosis(config, inputs)
     prepared = prepared_response(config, inputs, setup)
