@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from pipeline.config.schema import Config
     from pipeline.data.dataset import Excitation, VibrationDataset
     from pipeline.equations.bearing_equations import BearingEquations
+    from pipeline.errors import PipelineError
     from pipeline.rotor.bearing_table import BearingTable
     from pipeline.rotor.model import RotorModel
     from pipeline.unknowns import UnknownSet
@@ -266,3 +268,16 @@ def _global_state() -> dict[str, Any]:
         hydra = sys.modules["hydra.core.global_hydra"]
         state["Hydra is set up"] = hydra.GlobalHydra.instance().is_initialized()
     return state
+
+
+@contextmanager
+def refused(*fragments: str, kind: type[PipelineError] | None = None) -> Iterator[None]:
+    """The block must end in an error of ours (a DataError if nothing is said) whose text has all ``fragments``."""
+    from pipeline.errors import DataError
+
+    with pytest.raises(kind or DataError) as caught:
+        yield
+    sentence = str(caught.value)
+    assert [fragment for fragment in fragments if fragment not in sentence] == [], sentence
+    assert "Traceback" not in sentence
+    assert len(sentence) < 900

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import known_names
+from conftest import known_names, refused
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -92,17 +92,6 @@ def measured(folder: Path, **files: Path) -> DataConfig:
 def contents(folder: Path) -> dict[str, bytes]:
     """Every file below ``folder``."""
     return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
-
-
-@contextmanager
-def refused(*fragments: str, kind: type[PipelineError] = DataError) -> Iterator[None]:
-    """The block must end in an error of ours whose text has all ``fragments``."""
-    with pytest.raises(kind) as caught:
-        yield
-    sentence = str(caught.value)
-    assert [fragment for fragment in fragments if fragment not in sentence] == [], sentence
-    assert "Traceback" not in sentence
-    assert len(sentence) < 800
 
 
 def refused_by_train(

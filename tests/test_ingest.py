@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import MachineFactory
+from conftest import MachineFactory, refused
 from measured_files import (
     CONVENTIONS,
     PROBES,
@@ -39,7 +38,7 @@ from pipeline.config.schema import Config
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.tables import TextFormat, read_table
 from pipeline.data.vibration_files import read_dataset, write_excitation, write_vibration
-from pipeline.errors import ConfigError, DataError, PipelineError
+from pipeline.errors import ConfigError
 from pipeline.ingest.conventions import unbalance_phase
 from pipeline.ingest.dataset import measurement
 from pipeline.ingest.known import read_known
@@ -58,9 +57,10 @@ def response(node: int, turn: float = 0.0, rpm: np.ndarray = GRID) -> tuple[np.n
     return size, -0.7j * size * np.exp(0.2j * node)
 
 
-def seen(turn: float = 0.0, rpm: np.ndarray = GRID) -> Vectors:
+def seen(turn: float = 0.0, rpm: np.ndarray = GRID, probes: Mapping[str, Any] = PROBES) -> Vectors:
     """What the probes of a run see."""
-    return vectors_of(rpm, lambda node: response(node, turn, rpm)[0], lambda node: response(node, turn, rpm)[1])
+    x, y = (lambda node: response(node, turn, rpm)[0]), (lambda node: response(node, turn, rpm)[1])
+    return vectors_of(rpm, x, y, probes)
 
 
 TURNS = {"one": 0.0, "two": 1.1}
@@ -104,16 +104,6 @@ def check_read(dataset: VibrationDataset, tolerance: float = 1e-12, rpm: np.ndar
             for d, true in enumerate(response(node, turn, rpm)):
                 found = dataset.displacement[:, 2 * n + d, r]
                 assert np.abs(found - true).max() < tolerance * np.abs(true).max()
-
-
-@contextmanager
-def refused(*fragments: str, kind: type[PipelineError] = DataError) -> Iterator[None]:
-    """The block must end in an error of ours whose text has all ``fragments``."""
-    with pytest.raises(kind) as caught:
-        yield
-    sentence = str(caught.value)
-    assert [fragment for fragment in fragments if fragment not in sentence] == [], sentence
-    assert len(sentence) < 900
 
 
 # --- conventions ------------------------------------------------------------------------------------
@@ -500,8 +490,7 @@ def test_three_probes_at_a_node(tmp_path: Path) -> None:
     runs = wide_runs(tmp_path)
     for sign, warned in ((1.0, False), (-1.0, True)):
         for run in runs:
-            turn = TURNS[run["name"]]
-            vectors = vectors_of(GRID, lambda n: response(n, turn)[0], lambda n: response(n, turn)[1], probes)  # noqa: B023
+            vectors = seen(TURNS[run["name"]], probes=probes)
             of = dict(vectors.of) | {"E": sign * vectors.of["E"]}
             wide(Vectors(GRID, of)).to_csv(run["file"], index=False)
         section = table_config(runs, probes=probes_config(probes, **pair))
@@ -913,7 +902,8 @@ def ball_tables(machine: MachineFactory, tmp_path: Path) -> Path:
     frames = {}
     for r, run in enumerate(made.runs):
         channels = {channel: made.dataset.displacement[:, i, r] for i, channel in enumerate(made.dataset.channels)}
-        frames[run] = vectors_of(rpm, lambda n: channels[n, 0.0], lambda n: channels[n, 90.0])  # noqa: B023
+        x, y = ({n: v for (n, a), v in channels.items() if a == axis} for axis in (0.0, 90.0))
+        frames[run] = vectors_of(rpm, x.__getitem__, y.__getitem__)
     long(frames).to_csv(tmp_path / "all.csv", index=False)
     table = {"bearing_node": np.repeat(made.bearings.nodes, len(rpm)), "speed_rpm": np.tile(rpm, 2)}
     table |= {name: made.bearings.coefficient(name).ravel() for name in KNOWN}

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import time
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -13,14 +14,17 @@ import numpy as np
 import pytest
 
 from pipeline.config.compose import compose_config
+from pipeline.config.schema import Config
 from pipeline.data.sensors import Sensors, both_directions, measured
 from pipeline.data.simulate import simulate
-from pipeline.identification.monte_carlo import monte_carlo
-from pipeline.identification.training import initial_parameters, prepare, run_training, setup_of
+from pipeline.identification.monte_carlo import MonteCarlo, monte_carlo
+from pipeline.identification.response_fit import ResponseFit
+from pipeline.identification.training import TrainingSetup, initial_parameters, prepare, run_training, setup_of
+from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages import run_stage
 from pipeline.stages.evaluate import load_modelled
 from pipeline.stages.generate import excitations
-from pipeline.stages.inputs import load_inputs
+from pipeline.stages.inputs import Inputs, load_inputs
 from pipeline.stages.response import fitted, prepared_response
 
 pytestmark = pytest.mark.slow
@@ -77,30 +81,58 @@ def test_a_typical_data_set_reaches_the_bar(experiment: str, study: Any) -> None
     assert max(errors.values()) <= BARS[experiment]
 
 
+@dataclass(frozen=True, eq=False)
+class Ready:
+    """An experiment before its fit, and the machine that its data were made of."""
+
+    config: Config
+    inputs: Inputs
+    modelled: BearingTable
+    setup: TrainingSetup
+
+    def fit(self, inputs: Inputs | None = None) -> ResponseFit:
+        """Of its own data, or of others."""
+        prepared = prepared_response(self.config, inputs or self.inputs, self.setup)
+        return fitted(self.config, prepared, self.setup, None)
+
+    def others(self, fit: ResponseFit, count: int) -> MonteCarlo:
+        """Fits of data sets with other noise."""
+        clean = fit.prepared.data.equations.predict(self.modelled)
+        config = self.setup.optimizer.levenberg_marquardt
+        return monte_carlo(fit, clean, count, np.random.default_rng(0), config)
+
+    def measured_again(self) -> Callable[[], Inputs]:
+        """A function that measures the machine once more, with other noise of 1 %."""
+        machine = simulate(self.inputs.rotor, self.modelled, excitations(self.config))
+        sensors = Sensors(both_directions(self.inputs.rotor.bearing_nodes), multiplicative=0.01)
+        generator = np.random.default_rng(0)
+        return lambda: replace(self.inputs, dataset=measured(machine, sensors, generator))
+
+
+def ready(experiment: str, folder: Path, *overrides: str) -> Ready:
+    """The experiment, its data in ``folder``."""
+    config = compose_config([f"experiment={experiment}", f"output='{folder}'", "tracking=none", *overrides])
+    inputs = load_inputs(config)
+    modelled = load_modelled(config, inputs)
+    assert modelled is not None
+    return Ready(config, inputs, modelled, setup_of(config))
+
+
 def test_the_residual_on_the_same_data_is_several_times_worse(folder: Path) -> None:
     """The paper's loss and network, each data set fitted by both; a typical one of twelve."""
-    at = [f"output='{folder}/noisy_stiffness'", "tracking=none"]
-    config = compose_config(["experiment=noisy_stiffness", *at])
-    paper = compose_config(["experiment=noisy_stiffness_residual", *at])
-    inputs, modelled = load_inputs(config), load_modelled(config, load_inputs(config))
-    assert modelled is not None
-    machine = simulate(inputs.rotor, modelled, excitations(config))
-    sensors = Sensors(both_directions(inputs.rotor.bearing_nodes), multiplicative=0.01)
+    ours = ready("noisy_stiffness", folder / "noisy_stiffness")
+    paper = setup_of(compose_config(["experiment=noisy_stiffness_residual"]))
     errors: dict[str, list[list[np.ndarray]]] = {"response": [], "residual": []}
-    generator = np.random.default_rng(0)
+    again = ours.measured_again()
     for _ in range(12):
-        data = replace(inputs, dataset=measured(machine, sensors, generator))
-        setup = setup_of(config)
-        fit = fitted(config, prepared_response(config, data, setup), setup, None)
-        prepared = prepare(data.equations, data.known, setup_of(paper))
-        start = initial_parameters(prepared, setup_of(paper), paper.seed)
-        batch = run_training(prepared, start, setup_of(paper), None)
-        for name, identified in (("response", fit.batch.identified()), ("residual", batch.result().identified)):
-            relative = np.abs(identified.table(data.known).values / modelled.values - 1)[..., [0, 3]]
+        data = again()
+        prepared = prepare(data.equations, data.known, paper)
+        batch = run_training(prepared, initial_parameters(prepared, paper, ours.config.seed), paper, None)
+        found = {"response": ours.fit(data).batch.identified(), "residual": batch.result().identified}
+        for name, identified in found.items():
+            relative = np.abs(identified.table(data.known).values / ours.modelled.values - 1)[..., [0, 3]]
             errors[name].append([np.median(relative, axis=1).ravel(), np.sqrt((relative**2).mean(axis=1)).ravel()])
-    median, square = (np.median([e[k] for e in errors["residual"]], axis=0) for k in (0, 1))
-    median /= np.median([e[0] for e in errors["response"]], axis=0)
-    square /= np.median([e[1] for e in errors["response"]], axis=0)
+    median, square = np.median(errors["residual"], axis=0) / np.median(errors["response"], axis=0)
     print(f"residual over response: median over speed {median}, root mean square over speed {square}")
     assert median.min() > 2
     assert square.min() > 4
@@ -110,23 +142,11 @@ def test_the_error_falls_in_proportion_to_the_noise(folder: Path) -> None:
     """Slope 1 +- 0.15 from 0.01 % to 1 %, over twenty data sets each."""
     noises, errors = np.array([1e-4, 1e-3, 1e-2]), []
     for noise in noises:
-        config = compose_config(
-            [
-                "experiment=noisy_stiffness",
-                f"output='{folder}/noise {noise}'",
-                f"sensors.multiplicative={noise}",
-                f"stated_noise.multiplicative={noise}",
-                "tracking=none",
-            ]
-        )
-        inputs, modelled = load_inputs(config), load_modelled(config, load_inputs(config))
-        assert modelled is not None
-        setup = setup_of(config)
-        prepared = prepared_response(config, inputs, setup)
-        fit = fitted(config, prepared, setup, None)
-        clean = prepared.data.equations.predict(modelled)
-        found = monte_carlo(fit, clean, 20, np.random.default_rng(0), setup.optimizer.levenberg_marquardt).unknowns()
-        truth = np.stack([modelled.values[m, :, [0, 3][u]] for m, u in fit.problem.active], axis=1)
+        stated = [f"{key}.multiplicative={noise}" for key in ("sensors", "stated_noise")]
+        one = ready("noisy_stiffness", folder / f"noise {noise}", *stated)
+        fit = one.fit()
+        found = one.others(fit, 20).unknowns()
+        truth = np.stack([one.modelled.values[m, :, [0, 3][u]] for m, u in fit.problem.active], axis=1)
         errors.append(np.sqrt(np.median((found / truth - 1) ** 2, axis=(0, 1))))
     slopes = np.polyfit(np.log(noises), np.log(np.array(errors)), 1)[0]
     print(slopes, errors)
@@ -134,11 +154,10 @@ def test_the_error_falls_in_proportion_to_the_noise(folder: Path) -> None:
 
 
 def test_sixteen_unknowns_are_fitted_within_30_seconds(folder: Path) -> None:
-    """At 591 speeds, from the files to the answer."""
-    config = compose_config(["experiment=noisy_all", f"output='{folder}/noisy_all'", "tracking=none"])
-    inputs, setup = load_inputs(config), setup_of(config)
+    """At 591 speeds, from the data to the answer."""
+    one = ready("noisy_all", folder / "noisy_all")
     began = time.perf_counter()
-    fit = fitted(config, prepared_response(config, inputs, setup), setup, None)
+    fit = one.fit()
     seconds = time.perf_counter() - began
     print(f"{seconds:.1f} s, {fit.steps} steps")
     assert fit.outcome.label == "converged"
@@ -147,23 +166,14 @@ def test_sixteen_unknowns_are_fitted_within_30_seconds(folder: Path) -> None:
 
 def test_a_batch_takes_a_fifth_of_the_time_of_one_after_another(folder: Path) -> None:
     """A hundred data sets of noisy_stiffness, against whole fits of some of them."""
-    config = compose_config(["experiment=noisy_stiffness", f"output='{folder}/noisy_stiffness'", "tracking=none"])
-    inputs, modelled = load_inputs(config), load_modelled(config, load_inputs(config))
-    assert modelled is not None
-    setup = setup_of(config)
-    prepared = prepared_response(config, inputs, setup)
-    fit = fitted(config, prepared, setup, None)
-    clean = prepared.data.equations.predict(modelled)
+    one, few = ready("noisy_stiffness", folder / "noisy_stiffness"), 10
+    fit, again = one.fit(), one.measured_again()
     began = time.perf_counter()
-    monte_carlo(fit, clean, 100, np.random.default_rng(0), setup.optimizer.levenberg_marquardt)
+    one.others(fit, 100)
     together = time.perf_counter() - began
-    generator, few = np.random.default_rng(0), 10
-    machine = simulate(inputs.rotor, modelled, excitations(config))
-    sensors = Sensors(both_directions(inputs.rotor.bearing_nodes), multiplicative=0.01)
     began = time.perf_counter()
     for _ in range(few):
-        data = replace(inputs, dataset=measured(machine, sensors, generator))
-        fitted(config, prepared_response(config, data, setup), setup, None)
+        one.fit(again())
     alone = (time.perf_counter() - began) * 100 / few
     print(f"100 at once {together:.1f} s, one after another {alone:.1f} s: {alone / together:.1f} times")
     assert together <= alone / 5

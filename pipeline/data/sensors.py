@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.data.dataset import DIRECTIONS, VibrationDataset, direction_cosines
+from pipeline.data.dataset import DIRECTIONS, VibrationDataset, direction_cosines, reading_deviation
 from pipeline.data.simulate import with_noise
 
 Channels = tuple[tuple[int, float], ...]
@@ -43,7 +43,7 @@ def measured(dataset: VibrationDataset, sensors: Sensors, generator: np.random.G
     seen = dataset if sensors.channels is None else seen_by(dataset, sensors.channels)
     # Noise comes first from the generator: with other runout, the same noise.
     if sensors.additive or sensors.multiplicative:
-        deviation = np.hypot(sensors.additive, sensors.multiplicative * np.abs(seen.displacement))
+        deviation = reading_deviation(seen.displacement, None, sensors.additive, sensors.multiplicative)
         seen = with_noise(seen, deviation, generator)
     readings = seen.displacement
     if sensors.runout:

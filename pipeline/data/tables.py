@@ -211,6 +211,7 @@ def write_table(path: Path, table: pd.DataFrame, rotor: str | None = None, origi
     """
 
     def write(beside: Path) -> None:
+        """By the ending of ``path``: ``beside`` has another name."""
         if path.suffix != ".parquet":
             table.to_csv(beside, index=False)
             return

@@ -117,10 +117,8 @@ class CoefficientModel:
         if self.hidden is None:
             return identity.expand(*parameters.shape[:-1], len(inputs), n_unknowns, n_unknowns)
         layers = self._layers(parameters)
-        fed, slopes = (
-            [inputs.expand(*parameters.shape[:-1], *inputs.shape)],
-            [],
-        )  # (..., N, n_in) into each layer
+        fed = [inputs.expand(*parameters.shape[:-1], *inputs.shape)]  # (..., N, n_in) into each layer
+        slopes: list[torch.Tensor] = []
         for weight, bias in layers[:-1]:
             value, slope = _activation(self.activation, fed[-1] @ weight + bias)
             fed.append(value)

@@ -1,7 +1,7 @@
 """Many fits of one machine under other noise, in one batch.
 
-They start at the fit of the data at hand, keep its weights and the prior of its output weights, and differ in the noise
-alone: their spread is that of the parametrisation, to be held against its Cramer-Rao bound.
+They start at the fit of the data at hand, keep its weights and its choice of features, and differ in the noise alone:
+their spread is that of the parametrisation, to be held against its Cramer-Rao bound.
 
 Legend: G data sets, S speeds, P channels, R runs, A unknowns, Z free numbers.
 """
@@ -16,7 +16,7 @@ import numpy as np
 from pipeline.config.identification import LevenbergMarquardtConfig
 from pipeline.errors import ConfigError
 from pipeline.identification.optimizers import levenberg_marquardt, until_still
-from pipeline.identification.response_fit import ResponseFit, covariance
+from pipeline.identification.response_fit import ResponseFit, unknown_deviation
 from pipeline.identification.response_problem import ResponseProblem
 
 if TYPE_CHECKING:
@@ -39,21 +39,7 @@ class MonteCarlo:
 
     def deviations(self) -> np.ndarray:
         """(G, S, A) the standard deviations that each fit states."""
-        found = []
-        for part in self.free.split(_CHUNK):
-            found.append(unknown_deviation(self.problem, part))
-        return np.concatenate(found)
-
-
-def unknown_deviation(problem: ResponseProblem, free: torch.Tensor) -> np.ndarray:
-    """(G, S, A) standard deviation of the active unknowns at the free vectors (G, 1, Z)."""
-    spread, count = covariance(problem, free), problem.features.shape[-1]
-    _, slope = problem.unknowns(free)
-    parts = []
-    for a, (m, _) in enumerate(problem.active):
-        own, part = problem.features[m].numpy(), slice(a * count, (a + 1) * count)
-        parts.append(np.sqrt(np.einsum("sk,gkl,sl->gs", own, spread[:, part, part], own, optimize=True)))
-    return np.stack(parts, axis=-1) * np.abs(slope.numpy())
+        return np.concatenate([unknown_deviation(self.problem, part) for part in self.free.split(_CHUNK)])
 
 
 def monte_carlo(
@@ -73,8 +59,6 @@ def monte_carlo(
     if device != "cpu" and not torch.cuda.is_available():
         raise ConfigError(f"device must be one that torch finds, but it finds no '{device}' here: use device=cpu")
     problem, start_free = fit.problem.to(device), fit.free.to(device)
-    blocks = fit.prepared.data.equations.blocks
-    runs = [of for of in (np.intersect1d(block.runs, fit.prepared.runs) for block in blocks) if len(of)]
     kept = clean[fit.prepared.keep]
     deviation = fit.prepared.data.deviation_of(kept, None, fit.factor)
     answers = []
@@ -83,7 +67,9 @@ def monte_carlo(
         parts = generator.standard_normal((2, n, *kept.shape)) / np.sqrt(2.0)
         noisy = kept + deviation * (parts[0] + 1j * parts[1])
         with torch.device(device):
-            own = problem.with_measured([torch.as_tensor(noisy[..., of]).to(device) for of in runs])
+            own = problem.with_measured(
+                [torch.as_tensor(noisy[..., block.runs]).to(device) for block in problem.blocks]
+            )
             found = levenberg_marquardt(own, start_free.repeat(n, 1, 1), config, until_still())
         answers.append(found.cpu())
     return MonteCarlo(fit.problem, torch.cat(answers))

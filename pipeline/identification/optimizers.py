@@ -132,12 +132,14 @@ def levenberg_marquardt(
 
 def until_still() -> Monitor:
     """Ends a fit once its loss hardly falls."""
+    import torch
+
     last: list[torch.Tensor] = []
 
     def monitor(parameters: torch.Tensor, losses: torch.Tensor) -> torch.Tensor:
-        still = losses * 0 == 1 if not last else (last[-1] - losses).abs() < _STILL * losses
+        before = last.pop() if last else losses + torch.inf
         last.append(losses)
-        return still
+        return (before - losses).abs() < _STILL * losses
 
     return monitor
 

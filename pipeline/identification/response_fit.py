@@ -80,6 +80,17 @@ def covariance(problem: ResponseProblem, free: torch.Tensor, precision: float = 
     return np.asarray((inverse * (fitted / size)[:, :, None] * (fitted / size)[:, None, :]).numpy())
 
 
+def unknown_deviation(problem: ResponseProblem, free: torch.Tensor, precision: float = 0.0) -> np.ndarray:
+    """(G, S, A) standard deviation of the active unknowns at the free vectors (G, 1, Z), see :func:`covariance`."""
+    spread, count = covariance(problem, free, precision), problem.features.shape[-1]
+    _, slope = problem.unknowns(free)
+    parts = []
+    for a, (m, _) in enumerate(problem.active):
+        own, part = problem.features[m].numpy(), slice(a * count, (a + 1) * count)
+        parts.append(np.sqrt(np.einsum("sk,gkl,sl->gs", own, spread[:, part, part], own, optimize=True)))
+    return np.stack(parts, axis=-1) * np.abs(slope.numpy())
+
+
 def fit_response(
     prepared: PreparedResponse,
     setup: TrainingSetup,
@@ -175,7 +186,9 @@ def repeated_factor(prepared: PreparedResponse, problem: ResponseProblem, free: 
     squares = []
     for block, predicted in zip(problem.blocks, problem.predicted(free), strict=True):
         forced, measured = block.forced_sensors.numpy(), block.measured[0].numpy()
-        deviation = prepared.data.deviation_of(predicted[0].numpy(), block.subtracted, np.ones(measured.shape[1]))
+        # All runs had the same baseline taken off: its noise cancels.
+        read = predicted[0].numpy() + (0.0 if block.subtracted is None else block.subtracted)
+        deviation = prepared.data.deviation_of(read, None, np.ones(measured.shape[1]))
         last: dict[bytes, int] = {}
         for r in range(measured.shape[-1]):
             before = last.get(key := forced[..., r].tobytes())

@@ -7,16 +7,12 @@ other as far as the network is smooth; the deviation that the stated noise impli
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pipeline.equations.identifiability import DEPENDENT, Identifiability, Verdict
-from pipeline.identification.response_fit import covariance
+from pipeline.identification.response_fit import unknown_deviation
 from pipeline.identification.response_preparation import PreparedResponse, start_at
-
-if TYPE_CHECKING:
-    import torch
 
 _UNEQUAL = np.array([1.0, 0.2, -0.3, 0.7])
 """xx, xy, yx, yy of the bearing that the account is made at, over the guess: one alike in all directions would show
@@ -52,7 +48,8 @@ def response_account(prepared: PreparedResponse, guess: np.ndarray) -> ResponseA
     padded = np.zeros((n_speeds, rows.shape[2]))
     padded[:, : singular.shape[1]] = singular
     rank = (padded > DEPENDENT * padded[:, :1]).sum(axis=1)
-    relative = _relative_deviation(prepared, free)  # (S, A)
+    # With all features of the network, each of a size up to a thousand.
+    relative = unknown_deviation(problem, free, _WIDE)[0] / problem.unknowns(free)[0][0].abs().numpy()  # (S, A)
     deviation = np.zeros_like(values)
     for a, (m, u) in enumerate(problem.active):
         deviation[m, :, u] = relative[:, a] * np.abs(values[m, :, u])
@@ -83,19 +80,6 @@ def response_account(prepared: PreparedResponse, guess: np.ndarray) -> ResponseA
 def _label(prepared: PreparedResponse, m: int, u: int) -> str:
     name = prepared.training.unknowns.names[u]
     return name if len(prepared.problem.scale) == 1 else f"{name} at node {prepared.training.bearing_nodes[m]}"
-
-
-def _relative_deviation(prepared: PreparedResponse, free: torch.Tensor) -> np.ndarray:
-    """(S, A) of the unknowns over their size, with all features of the network, each of a size up to a thousand."""
-    problem = prepared.problem
-    count = problem.features.shape[-1]
-    spread = covariance(problem, free, _WIDE)[0]
-    outputs = []
-    for a, (m, _) in enumerate(problem.active):
-        own, part = problem.features[m].numpy(), slice(a * count, (a + 1) * count)
-        outputs.append(np.sqrt(np.einsum("sk,kl,sl->s", own, spread[part, part], own)))
-    unknowns, slope = (v[0].numpy() for v in problem.unknowns(free))
-    return np.stack(outputs, axis=1) * np.abs(slope / unknowns)
 
 
 _WIDE = 1e-6

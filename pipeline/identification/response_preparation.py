@@ -13,9 +13,10 @@ import numpy as np
 from pipeline.config.excitation import NoiseConfig
 from pipeline.data.dataset import reading_deviation
 from pipeline.equations.response import ResponseEquations
-from pipeline.identification.coefficient_model import coefficient_model
-from pipeline.identification.feature_basis import feature_basis
-from pipeline.identification.response_problem import Readings, ResponseProblem, response_problem
+from pipeline.identification.coefficient_model import CoefficientModel, coefficient_model
+from pipeline.identification.feature_basis import FeatureBasis, feature_basis
+from pipeline.identification.response_block import Readings, block_of
+from pipeline.identification.response_problem import ResponseProblem
 from pipeline.identification.response_start import linear_start
 from pipeline.identification.training import PreparedTraining, TrainingSetup, held_out_speeds, initial_guess
 from pipeline.rotor.bearing_table import BearingTable
@@ -62,7 +63,6 @@ class PreparedResponse:
     held_out_runs: ResponseProblem | None
     start: torch.Tensor  # (G, 1, Z); several where they are guesses
     keep: np.ndarray  # (S,) mask of training speeds
-    runs: np.ndarray  # indices of training runs
     from_guess: bool  # the sensors were too few for a linear start
 
 
@@ -72,52 +72,65 @@ def prepare_response(
     """The problem on the training speeds and runs, and where it starts."""
     import torch
 
-    equations, displacement, deviation = data.equations, data.displacement, data.deviation()
+    equations, readings = data.equations, Readings(data.displacement, data.deviation(), data.subtracted)
     unknowns = unknown_set({node: setup.identify.at(node) for node in equations.bearing_nodes})
     members = 1 if setup.identify.tie_bearings else len(equations.bearing_nodes)
     keep = ~held_out_speeds(len(equations.speeds), setup.training.holdout_every)
-    runs = np.setdiff1d(np.arange(displacement.shape[-1]), held_out_runs)
-    guess, scale = initial_guess(setup, unknowns.names, members), _sizes(setup, unknowns, members)
-    model = coefficient_model(setup.model, unknowns.names, equations.speeds, scale)
+    runs = np.setdiff1d(np.arange(data.displacement.shape[-1]), held_out_runs)
+    guess = initial_guess(setup, unknowns.names, members)
+    model = coefficient_model(setup.model, unknowns.names, equations.speeds, _sizes(setup, unknowns, members))
     drawn = model.spread_parameters(guess, torch.Generator().manual_seed(seed))
     basis = feature_basis(model, drawn, equations.speeds[keep])
-    plane_scale = _plane_scale(equations, displacement)
-    values = linear_start(
-        _restricted(equations, keep, runs),
-        displacement[keep][..., runs],
-        deviation[keep][..., runs],
-        unknowns,
-        known.at(np.flatnonzero(keep)),
-        basis.at(equations.speeds[keep]).numpy(),
-        scale,
-    )
-    from_guess = values is None
+    values = _linear_start(equations, readings, unknowns, known, basis, keep, runs)
+    starts = [values]
     if values is None:
         shape = (members, int(keep.sum()), len(unknowns.names))
         starts = [np.broadcast_to(size * guess[:, None], shape) for size in _GUESSES]
     else:
-        starts = [values]
-        found = np.median(np.abs(values), axis=1)
-        model = replace(model, scale=tuple(map(tuple, np.where(found > 0, found, scale).tolist())))
-        basis = replace(basis, model=model)
+        basis = replace(basis, model=_scaled_by(basis.model, values))
+    plane_scale = _plane_scale(equations, data.displacement)
 
     def problem(speeds: np.ndarray, of: np.ndarray) -> ResponseProblem:
-        readings = Readings(displacement, deviation, data.subtracted)
         return response_problem(basis, equations, unknowns, known, readings, speeds, of, plane_scale)
 
     train = problem(keep, runs)
-    prepared = PreparedTraining(model, unknowns, train, None, None, equations.bearing_nodes, ())
     return PreparedResponse(
         data,
-        prepared,
+        PreparedTraining(basis.model, unknowns, train, None, None, equations.bearing_nodes, ()),
         train,
         problem(~keep, runs) if not keep.all() else None,
         problem(np.ones_like(keep), held_out_runs) if len(held_out_runs) else None,
-        torch.cat([start_at(train, values) for values in starts]),
+        torch.cat([start_at(train, start) for start in starts if start is not None]),
         keep,
-        runs,
-        from_guess,
+        from_guess=values is None,
     )
+
+
+def _linear_start(
+    equations: ResponseEquations,
+    readings: Readings,
+    unknowns: UnknownSet,
+    known: BearingTable,
+    basis: FeatureBasis,
+    keep: np.ndarray,
+    runs: np.ndarray,
+) -> np.ndarray | None:
+    """:func:`~pipeline.identification.response_start.linear_start` on the training speeds and runs."""
+    return linear_start(
+        _restricted(equations, keep, runs),
+        readings.displacement[keep][..., runs],
+        readings.deviation[keep][..., runs],
+        unknowns,
+        known.at(np.flatnonzero(keep)),
+        basis.at(equations.speeds[keep]).numpy(),
+        np.array(basis.model.scale),
+    )
+
+
+def _scaled_by(model: CoefficientModel, values: np.ndarray) -> CoefficientModel:
+    """The model with the sizes of unknowns (M, S, U) found in the data in place of guessed ones."""
+    found = np.median(np.abs(values), axis=1)
+    return replace(model, scale=tuple(map(tuple, np.where(found > 0, found, model.scale).tolist())))
 
 
 def _restricted(equations: ResponseEquations, keep: np.ndarray, runs: np.ndarray) -> ResponseEquations:
@@ -156,3 +169,43 @@ def start_at(problem: ResponseProblem, values: np.ndarray) -> torch.Tensor:
     own = torch.stack([problem.features[m].T @ raw[m, :, u] for m, u in problem.active]) * problem.kept  # (A, K)
     planes = torch.zeros(2 * problem.n_planes, dtype=own.dtype)
     return torch.cat([own.flatten(), planes])[None, None]
+
+
+def response_problem(
+    basis: FeatureBasis,
+    equations: ResponseEquations,
+    unknowns: UnknownSet,
+    known: BearingTable,
+    readings: Readings,
+    keep: np.ndarray,
+    runs: np.ndarray,
+    plane_scale: float,
+) -> ResponseProblem:
+    """The problem at the speeds ``keep`` (mask) and ``runs`` (indices)."""
+    import torch
+
+    n_bearings = len(equations.bearing_nodes)
+    members = len(basis.parameters)
+    # Members share one p where the bearings are alike: then each unknown moves the coefficients of all bearings.
+    present = unknowns.present[:members]
+    active = tuple((m, u) for m in range(members) for u in range(len(unknowns.names)) if present[m, u])
+    spread = np.zeros((n_bearings, 8, len(active)))
+    for a, (m, u) in enumerate(active):
+        for b in range(n_bearings):
+            if members == 1 or b == m:
+                spread[b, :, a] = unknowns.expansion[b, :, u]
+    others = np.where(unknowns.identified[:, None], 0.0, known.values)[:, keep]
+    blocks = [block.at(keep, runs) for block in equations.blocks]
+    return ResponseProblem(
+        basis,
+        basis.at(equations.speeds[keep]),
+        basis.model.scale_tensor(),
+        active,
+        torch.as_tensor(spread.reshape(8 * n_bearings, -1)),
+        torch.as_tensor(others.swapaxes(0, 1).reshape(int(keep.sum()), -1)),
+        equations.reference,
+        len(equations.planes),
+        plane_scale,
+        torch.ones(len(active), basis.n_features, dtype=torch.bool),
+        tuple(block_of(block, readings, keep) for block in blocks if len(block.runs)),
+    )

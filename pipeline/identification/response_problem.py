@@ -15,49 +15,16 @@ bearings, U unknowns, A those of them that members have, K features, N balance p
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.equations.response import ResponseBlock, ResponseEquations
 from pipeline.identification.feature_basis import FeatureBasis
-from pipeline.rotor.bearing_table import BearingTable
-from pipeline.unknowns import UnknownSet
+from pipeline.identification.response_block import Block
 
 if TYPE_CHECKING:
     import torch
-
-
-@dataclass(frozen=True, eq=False)
-class _Block:
-    """A :class:`ResponseBlock` as tensors, and what was measured in its runs."""
-
-    frequencies: torch.Tensor
-    forced_sensors: torch.Tensor
-    forced_bearings: torch.Tensor
-    receptance_sensors: torch.Tensor
-    receptance_bearings: torch.Tensor
-    unit_sensors: torch.Tensor
-    unit_bearings: torch.Tensor
-    measured: torch.Tensor  # (G or 1, S, P, R)
-    weight: torch.Tensor  # (G or 1, S, P, R), 1/m: root of 2 over the deviation, so that real and imaginary part count
-    subtracted: np.ndarray | None = field(kw_only=True)  # (S, P, R) m, the baseline that was taken off
-
-    def to(self, device: str) -> _Block:
-        """The same on another device."""
-        return replace(
-            self, **{f.name: getattr(self, f.name).to(device) for f in fields(self) if f.name != "subtracted"}
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class Readings:
-    """What was measured, (S, P, R) each, m."""
-
-    displacement: np.ndarray
-    deviation: np.ndarray  # root mean square of the noise
-    subtracted: np.ndarray | None  # the baseline that was taken off
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +41,7 @@ class ResponseProblem:
     n_planes: int
     plane_scale: float  # kg m that a free number of 1 stands for
     kept: torch.Tensor  # (A, K) bool: the features that an unknown has
-    blocks: tuple[_Block, ...]
+    blocks: tuple[Block, ...]
 
     @property
     def n_rows(self) -> int:
@@ -99,12 +66,6 @@ class ResponseProblem:
 
     # --- from the free vector to coefficients -------------------------------------------------------
 
-    def raw(self, free: torch.Tensor) -> torch.Tensor:
-        """(G, S, A) network outputs of the active unknowns."""
-        import torch
-
-        return torch.einsum("ask,gak->gsa", self._own_features(), self._outputs(free))
-
     def _outputs(self, free: torch.Tensor) -> torch.Tensor:
         """(G, A, K)."""
         count = self.size - 2 * self.n_planes
@@ -117,22 +78,13 @@ class ResponseProblem:
         pairs = free[:, 0, self.size - 2 * self.n_planes :].unflatten(-1, (self.n_planes, 2))
         return self.plane_scale * torch.view_as_complex(pairs.contiguous())
 
-    def _positive(self) -> torch.Tensor:
-        import torch
-
-        return torch.tensor([self.basis.model.positive[u] for _, u in self.active])
-
-    def _scales(self) -> torch.Tensor:
-        """(A,)."""
-        return self.scale[[m for m, _ in self.active], 0, [u for _, u in self.active]]
-
     def unknowns(self, free: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """(G, S, A) active unknowns in N/m and N s/m, and their derivative by the network's outputs."""
-        import torch
-
-        raw, positive, scale = self.raw(free), self._positive(), self._scales()
-        grown = scale * torch.where(positive, raw, torch.zeros_like(raw)).exp()
-        return torch.where(positive, grown, scale * raw), torch.where(positive, grown, scale.expand_as(raw))
+        model, raw = self.basis.model, self.features @ self.coordinates(free).mT  # (G, M, S, U)
+        member, unknown = [m for m, _ in self.active], [u for _, u in self.active]
+        both = (model.physical(raw, self.scale), model.physical_slope(raw, self.scale))
+        values, slope = (of[:, member, :, unknown].movedim(0, -1) for of in both)
+        return values, slope
 
     def coordinates(self, free: torch.Tensor) -> torch.Tensor:
         """(G, M, U, K) outputs of every member; zero where a member does not have an unknown."""
@@ -150,7 +102,7 @@ class ResponseProblem:
 
     # --- from coefficients to the sensors -----------------------------------------------------------
 
-    def _change(self, unknowns: torch.Tensor, block: _Block) -> torch.Tensor:
+    def _change(self, unknowns: torch.Tensor, block: Block) -> torch.Tensor:
         """dH, (G, S, 2 B, 2 B)."""
         import torch
 
@@ -161,7 +113,7 @@ class ResponseProblem:
         full = torch.einsum("gsbij,bc->gsbicj", blocks, place).flatten(4).flatten(2, 3)
         return full - self.reference * torch.eye(2 * n_bearings, dtype=full.dtype)
 
-    def _predicted(self, free: torch.Tensor, block: _Block, derivative: bool) -> tuple[torch.Tensor, ...]:
+    def _predicted(self, free: torch.Tensor, block: Block, derivative: bool) -> tuple[torch.Tensor, ...]:
         """q_s (G, S, P, R); with ``derivative`` also T (G, S, P, 2 B), q_b (G, S, 2 B, R) and what the planes add."""
         import torch
 
@@ -198,15 +150,11 @@ class ResponseProblem:
         parts = [torch.view_as_real(d).reshape(len(free), -1) for d in self.deviations(free)]
         return torch.cat(parts, dim=-1)[:, None]
 
-    def chi_square(self, free: torch.Tensor) -> torch.Tensor:
-        """(G,) sum of the squared whitened deviations, in units of a complex reading's variance."""
-        return sum(d.abs().square().sum((1, 2, 3)) for d in self.deviations(free)) / 2.0  # type: ignore[return-value]
-
     def loss(self, free: torch.Tensor) -> torch.Tensor:
         """(G, 1) root mean square of the whitened deviations: 1 where nothing but the stated noise is left."""
         return (self.rows(free).square().sum(-1) / self.n_rows).sqrt()
 
-    def _by_unknowns(self, free: torch.Tensor, block: _Block) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    def _by_unknowns(self, free: torch.Tensor, block: Block) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Whitened deviation (G, S, P R), its derivatives by the outputs (.., A) and the planes' numbers (.., 2 N)."""
         import torch
 
@@ -300,61 +248,3 @@ class ResponseProblem:
         """The same for other data (G, S, P, R) of each block."""
         blocks = [replace(block, measured=one) for block, one in zip(self.blocks, measured, strict=True)]
         return replace(self, blocks=tuple(blocks))
-
-
-def response_problem(
-    basis: FeatureBasis,
-    equations: ResponseEquations,
-    unknowns: UnknownSet,
-    known: BearingTable,
-    readings: Readings,
-    keep: np.ndarray,
-    runs: np.ndarray,
-    plane_scale: float,
-) -> ResponseProblem:
-    """The problem at the speeds ``keep`` (mask) and ``runs`` (indices)."""
-    import torch
-
-    n_bearings = len(equations.bearing_nodes)
-    members = len(basis.parameters)
-    # Members share one p where the bearings are alike: then each unknown moves the coefficients of all bearings.
-    present = unknowns.present[:members]
-    active = tuple((m, u) for m in range(members) for u in range(len(unknowns.names)) if present[m, u])
-    spread = np.zeros((n_bearings, 8, len(active)))
-    for a, (m, u) in enumerate(active):
-        for b in range(n_bearings):
-            if members == 1 or b == m:
-                spread[b, :, a] = unknowns.expansion[b, :, u]
-    others = np.where(unknowns.identified[:, None], 0.0, known.values)[:, keep]
-    blocks = [block.at(keep, runs) for block in equations.blocks]
-    return ResponseProblem(
-        basis,
-        basis.at(equations.speeds[keep]),
-        basis.model.scale_tensor(),
-        active,
-        torch.as_tensor(spread.reshape(8 * n_bearings, -1)),
-        torch.as_tensor(others.swapaxes(0, 1).reshape(int(keep.sum()), -1)),
-        equations.reference,
-        len(equations.planes),
-        plane_scale,
-        torch.ones(len(active), basis.n_features, dtype=torch.bool),
-        tuple(_tensors(block, readings, keep) for block in blocks if len(block.runs)),
-    )
-
-
-def _tensors(block: ResponseBlock, readings: Readings, keep: np.ndarray) -> _Block:
-    import torch
-
-    parts = [
-        block.frequencies,
-        block.forced_sensors,
-        block.forced_bearings,
-        block.receptance_sensors,
-        block.receptance_bearings,
-        block.unit_sensors,
-        block.unit_bearings,
-        readings.displacement[None, keep][..., block.runs],
-        np.sqrt(2.0) / readings.deviation[None, keep][..., block.runs],
-    ]
-    less = None if readings.subtracted is None else readings.subtracted[keep][..., block.runs]
-    return _Block(*[torch.as_tensor(part) for part in parts], subtracted=less)

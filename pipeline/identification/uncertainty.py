@@ -1,7 +1,7 @@
 """How well the coefficients are known: the covariance of the free vector, carried to whatever follows from it.
 
 The covariance is the inverse of the information, so the deviations are the Cramer-Rao bound of the network's output
-layer (with the prior of its weights). Legend: M members, S speeds, B bearings, K features, A active unknowns, N balance
+layer. Legend: M members, S speeds, B bearings, F features, K members of their basis, A active unknowns, N balance
 planes, Z = A K + 2 N free numbers.
 """
 
@@ -28,7 +28,7 @@ UNCERTAINTY = "uncertainty.safetensors"
 class Uncertainty:
     """What is needed for a deviation at any speed, beside the identified model."""
 
-    weights: np.ndarray  # (M, K, K) output weights of an orthonormal basis
+    weights: np.ndarray  # (M, F, K) output weights of an orthonormal basis
     active: np.ndarray  # (A, 2) of (member, unknown)
     covariance: np.ndarray  # (Z, Z)
     residual_unbalance: np.ndarray  # (N,) complex, kg m
@@ -64,8 +64,8 @@ class Uncertainty:
         return np.where(known, np.nan, np.sqrt(np.maximum(variance, 0.0)))
 
     def unbalance_deviation(self) -> np.ndarray:
-        """(N,) standard deviation of the residual unbalance, kg m: of the real and the imaginary part together."""
-        variance = np.diag(self.covariance)[len(self.covariance) - 2 * len(self.planes) :].reshape(-1, 2).sum(axis=1)
+        """(N,) standard deviation of the residual unbalance's magnitude, kg m: the mean one of its two parts."""
+        variance = np.diag(self.covariance)[len(self.covariance) - 2 * len(self.planes) :].reshape(-1, 2).mean(axis=1)
         return np.asarray(self.plane_scale * np.sqrt(variance))
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.config.ingest import IngestConfig, MeasuredIngestConfig, NoIngestConfig, TableRunConfig
+from pipeline.config.ingest import MeasuredIngestConfig, TableRunConfig
 from pipeline.config.measured import MeasuredRunConfig, SlowRollConfig
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.errors import DataError
@@ -32,12 +32,10 @@ class Measurement:
     notes: tuple[str, ...]
 
 
-def measurement(config: IngestConfig) -> Measurement:
+def measurement(config: MeasuredIngestConfig) -> Measurement:
     """Read all runs and bring them to common speeds and to x and y. Raises DataError and ConfigError."""
-    if not isinstance(config, NoIngestConfig):
-        check_probes(config.probes)
+    check_probes(config.probes)
     runs = read_runs(config)
-    assert not isinstance(config, NoIngestConfig)  # refused by read_runs
     notes = [note for run in runs for note in run.notes] + _zero_notes(runs)
     asynchronous = {run.name for run in config.runs if isinstance(run, TableRunConfig) and run.asynchronous}
     if config.slow_roll is not None:  # runout turns with the shaft

@@ -68,6 +68,7 @@ def training_progress(name: str) -> Iterator[Progress]:
         task = bar.add_task(name, total=None, loss="", rate="")
 
         def update(phase: str, step: int, total: int, loss: float) -> None:
+            """Move the bar; the rate is rich's."""
             speed = bar.tasks[0].speed
             rate = f"{speed:.0f} steps/s" if speed else ""
             bar.update(

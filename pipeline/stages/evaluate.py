@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -86,27 +86,11 @@ def run(config: Config) -> StageOutput:
     names = identified.unknowns.by_bearing
     answer = identified.table(inputs.known)
     modelled = load_modelled(config, inputs)
-    summary: dict[str, object] = {}
-    metrics: dict[str, object] = {"coefficients": {}}
+    left_over = (_of_response if config.loss.kind == "response" else _of_residual)(config, inputs, identified)
+    conventional, summary = left_over.conventional, dict(left_over.summary)
+    metrics: dict[str, object] = {"coefficients": {}, **left_over.metrics}
     written: list[Path] = []
-    conventional = None
-    fit: Mapping[str, Any] = {}
-    if config.loss.kind == "response":
-        metrics["fit"] = fit = _fit_account(work.training)
-        diagnosis = diagnose(config, inputs)
-        if diagnosis.by_least_squares:
-            conventional = diagnosis.answer
-            written.append(write_coefficients(work.folder / "least_squares_coefficients.csv", conventional))
-    else:
-        conventional, condition = _least_squares(config, inputs, identified)
-        size = np.abs(inputs.equations.free_residual).mean()
-        residual = np.abs(inputs.equations.residual(answer.impedance(inputs.dataset.frequencies))).mean() / size
-        summary["residual_ppm"] = 1e6 * float(residual)
-        metrics["residual"] = {"mean_over_bearing_force": float(residual)}
-        metrics["condition_number"] = {
-            str(node): {"median": _finite(np.median(c)), "max": _finite(c.max())}
-            for node, c in zip(answer.nodes, condition, strict=True)
-        }
+    if conventional is not None:
         written.append(write_coefficients(work.folder / "least_squares_coefficients.csv", conventional))
     if modelled is not None:
         errors = coefficient_errors(answer, modelled, names)
@@ -120,10 +104,8 @@ def run(config: Config) -> StageOutput:
         error_table = _error_table(answer, modelled, errors, beside, deviation)
         written.append(write_table(work.folder / "coefficient_errors.csv", error_table))
         _print_table(config.name, error_table)
-    if config.loss.kind == "response":
-        _say_fit(config.name, fit)
-    elif modelled is None:
-        say(f"{config.name}: no modelled coefficients, so no errors; residual {residual:.3g} of the bearing force")
+    if modelled is None or config.loss.kind == "response":
+        say(f"{config.name}: {left_over.words}")
     written += [
         history_figure(work.figure("training"), work.history),
         coefficient_figure(work.figure("stiffness"), "k", answer, modelled, names, deviation),
@@ -134,14 +116,6 @@ def run(config: Config) -> StageOutput:
     return StageOutput(
         flat_metrics(metrics), {"data_fingerprint": inputs.dataset.fingerprint}, [*written, work.identified]
     )
-
-
-def _fit_account(path: Path) -> Mapping[str, Any]:
-    """What the response fit left over. Raises DataError where the model was trained by another loss."""
-    account = read_json(path, "train again with stage=train")
-    if "fit" not in account:
-        raise DataError(f"'{path}' must be of a training with loss=response, but it is of another: train again")
-    return dict(account["fit"])
 
 
 def _within(
@@ -157,11 +131,51 @@ def _within(
     return result
 
 
-def _say_fit(name: str, fit: Mapping[str, Any]) -> None:
+@dataclass(frozen=True, eq=False)
+class _LeftOver:
+    """What the fit leaves over by its own loss, be there a truth or not."""
+
+    metrics: Mapping[str, object]
+    summary: Mapping[str, object]
+    conventional: BearingTable | None  # per-speed least squares, where the sensors suffice for it
+    words: str
+
+
+def _of_response(config: Config, inputs: Inputs, identified: IdentifiedModel) -> _LeftOver:
+    fit, diagnosis = _fit_account(workspace(config).training), diagnose(config, inputs)
+    conventional = diagnosis.answer if diagnosis.by_least_squares else None
+    return _LeftOver({"fit": fit}, {}, conventional, _fit_words(fit))
+
+
+def _of_residual(config: Config, inputs: Inputs, identified: IdentifiedModel) -> _LeftOver:
+    conventional, condition = _least_squares(config, inputs, identified)
+    impedance = identified.table(inputs.known).impedance(inputs.dataset.frequencies)
+    size = np.abs(inputs.equations.free_residual).mean()
+    residual = float(np.abs(inputs.equations.residual(impedance)).mean() / size)
+    metrics = {
+        "residual": {"mean_over_bearing_force": residual},
+        "condition_number": {
+            str(node): {"median": _finite(np.median(c)), "max": _finite(c.max())}
+            for node, c in zip(conventional.nodes, condition, strict=True)
+        },
+    }
+    words = f"no modelled coefficients, so no errors; residual {residual:.3g} of the bearing force"
+    return _LeftOver(metrics, {"residual_ppm": 1e6 * residual}, conventional, words)
+
+
+def _fit_account(path: Path) -> Mapping[str, Any]:
+    """What the response fit left over. Raises DataError where the model was trained by another loss."""
+    account = read_json(path, "train again with stage=train")
+    if "fit" not in account:
+        raise DataError(f"'{path}' must be of a training with loss=response, but it is of another: train again")
+    return dict(account["fit"])
+
+
+def _fit_words(fit: Mapping[str, Any]) -> str:
     """What is known of a fit without a truth."""
     square, white = fit["chi_square"], fit["whiteness"]
     lines = [
-        f"{name}: chi-square {square['value']:.0f} of {square['readings']} readings, {square['expected']:.0f} expected "
+        f"chi-square {square['value']:.0f} of {square['readings']} readings, {square['expected']:.0f} expected "
         f"({100 * square['value'] / square['expected'] - 100:+.1f} %)",
         f"whiteness: neighbouring speeds correlate by {white['autocorrelation']:.3f} "
         f"({white['over_its_deviation']:+.1f} standard deviations from none); {fit['bad_points']} readings far off",
@@ -173,7 +187,7 @@ def _say_fit(name: str, fit: Mapping[str, Any]) -> None:
                 f"{kind.replace('held_out_', 'held-out ')}: predicted to {held['error_percent']:.3g} % (root mean "
                 f"square), mean square over the noise {held['mean_square_over_noise']:.3f}, where 1 is expected"
             )
-    say("\n".join(lines))
+    return "\n".join(lines)
 
 
 def _least_squares(config: Config, inputs: Inputs, identified: IdentifiedModel) -> tuple[BearingTable, np.ndarray]:

@@ -18,7 +18,7 @@ from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import write_coefficients
 from pipeline.data.tables import is_ingested
 from pipeline.data.vibration_files import to_rpm, write_excitation, write_vibration
-from pipeline.errors import DataError
+from pipeline.errors import ConfigError, DataError
 from pipeline.files import write_json
 from pipeline.ingest.dataset import Measurement, measurement
 from pipeline.ingest.known import read_known
@@ -34,12 +34,17 @@ from pipeline.stages.run import InputFiles, StageOutput, input_files, workspace
 
 
 def run(config: Config) -> StageOutput:
-    """``vibration.parquet``, ``excitation.csv``, ``known_coefficients.csv``, ``ingest.json`` and two figures."""
+    """``vibration.parquet``, ``excitation.csv``, ``known_coefficients.csv``, ``ingest.json`` and two figures.
+
+    Raises ConfigError where the configuration says nothing to read.
+    """
     files, work, ingest = input_files(config), workspace(config), config.ingest
     _refuse_replacing(files)
     if isinstance(ingest, NoIngestConfig):
-        measurement(ingest)  # says what to choose
-        raise AssertionError
+        raise ConfigError(
+            "ingest must say what to read, but ingest.format is none: choose ingest=table, ingest=uff58 or "
+            "ingest=waveform, or a file of your own in conf/ingest (docs/ingest.md)"
+        )
     rotor = read_rotor(work.rotor, config.rotor) or assemble(config.rotor)
     require_nodes(rotor, "ingest.probes", [probe.node for probe in ingest.probes.values()])
     for measured_run in ingest.runs:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,9 +13,9 @@ from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError
 from pipeline.evaluation.fit_quality import within
 from pipeline.files import write_json
-from pipeline.identification.monte_carlo import MonteCarlo, monte_carlo, unknown_deviation
+from pipeline.identification.monte_carlo import MonteCarlo, monte_carlo
 from pipeline.identification.outcome import Outcome
-from pipeline.identification.response_fit import ResponseFit
+from pipeline.identification.response_fit import ResponseFit, unknown_deviation
 from pipeline.identification.response_preparation import start_at
 from pipeline.identification.training import setup_of
 from pipeline.reporting.console import table, training_progress
@@ -56,7 +57,7 @@ def run(config: Config) -> StageOutput:
         fit, clean, config.robustness.count, generator, setup.optimizer.levenberg_marquardt, config.device
     )
     rows, summary = _judged(inputs, fit, study, modelled)
-    _print(config, rows)
+    _print(config, rows, summary)
     work = workspace(config)
     written = [
         write_json(work.folder / "robustness.json", summary),
@@ -115,16 +116,20 @@ def _judged(
     return pd.DataFrame(rows), {"data_sets": len(found), "coefficients": coefficients}
 
 
-def _print(config: Config, rows: pd.DataFrame) -> None:
-    groups = rows.groupby(["bearing_node", "coefficient"], sort=False)
+def _print(config: Config, rows: pd.DataFrame, summary: Mapping[str, Any]) -> None:
+    worst = rows.groupby(["bearing_node", "coefficient"])["median_error_percent"].max()
     shown = [
         [
             f"node {node} {name}",
-            f"{group['median_error_percent'].median():.3g}",
-            f"{group['median_error_percent'].max():.3g}",
-            f"{group['within_95_percent_interval'].mean():.1f}",
+            f"{of['median_error_percent']:.3g}",
+            f"{worst[int(node), name]:.3g}",
+            f"{of['median_bound_percent']:.3g}",
+            f"{of['rmse_over_bound']:.2f}",
+            f"{of['within_95_percent_interval']:.1f}",
         ]
-        for (node, name), group in groups
+        for node, coefficients in summary["coefficients"].items()
+        for name, of in coefficients.items()
     ]
-    header = ["bearing and coefficient", "median error %, typical", "worst data set", "inside the 95 % interval, %"]
-    table(f"{config.name}: {rows['data_set'].nunique()} data sets with other noise", header, shown)
+    errors = ["median error %, typical", "worst data set", "bound, median %", "error over bound"]
+    header = ["bearing and coefficient", *errors, "inside the 95 % interval, %"]
+    table(f"{config.name}: {summary['data_sets']} data sets with other noise", header, shown)

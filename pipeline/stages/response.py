@@ -19,6 +19,7 @@ from pipeline.identification.response_fit import BAD_POINT, ResponseFit, fit_res
 from pipeline.identification.response_preparation import MeasuredResponse, PreparedResponse, prepare_response
 from pipeline.identification.response_problem import ResponseProblem
 from pipeline.identification.training import Progress, TrainingSetup
+from pipeline.identification.uncertainty import Uncertainty
 from pipeline.stages.inputs import Inputs, require_nodes
 
 if TYPE_CHECKING:
@@ -104,14 +105,12 @@ def _bad_points(fit: ResponseFit, dataset: VibrationDataset, plain: list[np.ndar
     import pandas as pd
 
     speeds, rows = to_rpm(dataset.speeds[fit.prepared.keep]), []
-    blocks = fit.prepared.data.equations.blocks
-    trained = [np.intersect1d(block.runs, fit.prepared.runs) for block in blocks]
-    for runs, off in zip([of for of in trained if len(of)], plain, strict=True):
+    for block, off in zip(fit.problem.blocks, plain, strict=True):
         for s, p, r in np.argwhere(np.abs(off) > BAD_POINT):
             node, angle = dataset.channels[p]
             rows.append(
                 {
-                    "run": dataset.runs[runs[r]],
+                    "run": dataset.runs[block.runs[r]],
                     "speed_rpm": speeds[s],
                     "node": node,
                     "direction": direction_name(angle),
@@ -121,21 +120,18 @@ def _bad_points(fit: ResponseFit, dataset: VibrationDataset, plain: list[np.ndar
     return pd.DataFrame(rows, columns=["run", "speed_rpm", "node", "direction", "deviations"])
 
 
-def write_account(folder: Path, fit: ResponseFit, account: FitAccount) -> list[Path]:
+def write_account(folder: Path, account: FitAccount, uncertainty: Uncertainty) -> list[Path]:
     """``bad_points.csv`` and, where planes were given, ``residual_unbalance.csv`` (kg m). Raises StorageError."""
     import pandas as pd
 
-    from pipeline.identification.uncertainty import uncertainty_of
-
     written = [write_table(folder / "bad_points.csv", account.bad_points)]
-    planes = fit.prepared.data.equations.planes
-    if planes:
-        found = fit.residual_unbalance()
+    if len(uncertainty.planes):
+        found = uncertainty.residual_unbalance
         columns = {
-            "node": list(planes),
+            "node": uncertainty.planes,
             "magnitude": np.abs(found),
             "phase_deg": np.degrees(np.angle(found)),
-            "magnitude_std": uncertainty_of(fit).unbalance_deviation() / np.sqrt(2.0),
+            "magnitude_std": uncertainty.unbalance_deviation(),
         }
         written.append(write_table(folder / "residual_unbalance.csv", pd.DataFrame(columns)))
     return written

@@ -59,7 +59,7 @@ def run(config: Config) -> StageOutput:
         left_over = account_of(fit, inputs.dataset)
         account = _account(result) | {"fit": left_over.summary}
         uncertainty = uncertainty_of(fit, left_over.inflation if config.loss.noise == "estimated" else 1.0)
-        files = write_account(workspace(config).folder, fit, left_over)
+        files = write_account(workspace(config).folder, left_over, uncertainty)
     else:
         result = _by_residual(config, inputs, setup)
         account, uncertainty, files = _account(result), None, []
@@ -91,7 +91,7 @@ def _by_response(config: Config, inputs: Inputs, setup: TrainingSetup) -> tuple[
     if prepared.from_guess:
         warn(
             f"{config.name}: the sensors are too few to tell the force at every bearing, so the fit starts at "
-            "model.initial_stiffness and model.initial_damping, and may end beside the best answer"
+            "several sizes of model.initial_stiffness and model.initial_damping, and may end beside the best answer"
         )
     with training_progress(config.name) as progress:
         fit = fitted(config, prepared, setup, progress)
@@ -158,6 +158,7 @@ def _report(config: Config, result: IdentificationResult, account: Mapping[str, 
         f"coefficients in '{workspace(config).identified}'"
     )
     square = account["fit"]["chi_square"] if "fit" in account else None
+    # NaN compares false.
     if square is not None and not square["value"] < _FAR_FROM_EXPECTED * square["expected"]:
         warn(
             f"{config.name}: the readings lie {math.sqrt(square['value'] / square['expected']):.2g} times as far from "

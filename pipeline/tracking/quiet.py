@@ -40,8 +40,7 @@ def quiet_mlflow(timeout_seconds: float) -> Iterator[None]:
         # half-way through SQLAlchemy's set-up of its classes it would spoil them for the whole process.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            # Only for its effect: MLflow sets the levels of these loggers when it is imported.
-            import mlflow  # noqa: F401
+            import mlflow  # noqa: F401  # for its effect: it sets the levels of these loggers when it is imported
 
             for name in _LOGGERS:
                 levels[name] = logging.getLogger(name).level
