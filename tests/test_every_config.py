@@ -173,7 +173,11 @@ def _runs_or_says_why_not(experiment: str, folder: Path, *overrides: str) -> Non
 def test_every_option_of_every_group(group: str, option: str, experiment: str, tmp_path: Path) -> None:
     """Any option with any experiment composes and trains, or is refused for nodes or a file."""
     chosen = [f"{group}={option}"]
-    if group in ("tracking", "ingest"):  # with tests of their own; records and recordings are not those of these tests
+    if group in (
+        "tracking",
+        "ingest",
+        "comparison",
+    ):  # with tests of their own; records and recordings are not those of these tests
         compose_config([f"experiment={experiment}", *chosen])
         return
     if group == "optimizer":

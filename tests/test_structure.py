@@ -31,6 +31,7 @@ STEPS = [
     {"identification"},
     {"evaluation"},
     {"twin"},
+    {"comparison"},
     {"tuning"},
     {"reporting"},
     {"tracking"},
@@ -49,6 +50,7 @@ HOMES = {
     "h5py": ["ingest/recordings.py"],
     "nptdms": ["ingest/recordings.py"],
     "pyuff": ["ingest/uff.py"],
+    "sklearn": ["comparison/"],
 }
 """Where alone a package may be imported."""
 
@@ -358,8 +360,10 @@ def test_dvc_runs_every_experiment() -> None:
     lists = graph()
     assert sorted({*lists["evaluated"], *lists["diagnosed"], *lists["measured"]}) == EXPERIMENTS
     assert sorted(lists["modelled"]) == sorted(set(EXPERIMENTS) - set(lists["measured"]))
-    assert sorted(lists["evaluated"]) == sorted([*lists["experiments"], *lists["without_study"], *lists["noisy"]])
-    assert sorted(lists["by_response"]) == sorted([*lists["noisy"], *lists["measured"]])
+    trained = [*lists["experiments"], *lists["without_study"], *lists["noisy"], *lists["with_unbalance"]]
+    assert sorted(lists["evaluated"]) == sorted(trained)
+    assert sorted(lists["by_response"]) == sorted([*lists["noisy"], *lists["with_unbalance"], *lists["measured"]])
+    assert set(lists["compared"]) <= set(lists["modelled"])
 
 
 @pytest.mark.parametrize("path", sorted(CONF.rglob("*.yaml")), ids=lambda p: p.relative_to(CONF).as_posix())

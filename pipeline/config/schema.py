@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
+from pipeline.config.comparison import ComparisonConfig
 from pipeline.config.excitation import DesignConfig, ExcitationConfig, NoiseConfig, UnbalanceConfig
 from pipeline.config.identification import (
     IdentifyConfig,
@@ -96,6 +97,7 @@ class Config(Section):
     design: DesignConfig
     robustness: RobustnessConfig
     prediction: PredictionConfig
+    comparison: ComparisonConfig
     tracking: TrackingConfig
     check: CheckConfig
 

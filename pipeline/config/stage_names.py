@@ -13,6 +13,7 @@ STAGES: dict[str, str] = {
     "train": "identify the unknown bearing coefficients from the vibration",
     "evaluate": "compare identified with modelled coefficients, and with per-speed least squares",
     "robustness": "train from many initial guesses or seeds at once",
+    "compare": "identify the modelled machine by every method, over noise, sensors and number of speeds",
     "predict": "predict vibration never seen, critical speeds and stability with the digital twin",
     "check": "hold the metrics of all experiments against conf/thresholds; exit code 1 where one is passed",
 }

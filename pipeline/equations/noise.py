@@ -14,12 +14,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from pipeline.coefficients import COEFFICIENTS, column, is_stiffness, row
 from pipeline.data.dataset import VibrationDataset, reading_deviation, runs_by_frequency
 from pipeline.equations.identifiability import DEPENDENT
 from pipeline.equations.unknown_system import UnknownSystem
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.dynamic_stiffness import apply, banded, solve
 from pipeline.rotor.model import RotorModel, bearing_dof
+from pipeline.unknowns import UnknownSet
 
 _CHUNK = 64
 """Speeds whose sensitivities are held at once."""
@@ -37,20 +39,36 @@ def residual_covariance(
 
     ``bearings`` are the best at hand (identified, or a prior); ``deviation`` (S, P, R) m is circular noise.
     """
-    count = 2 * len(bearings.nodes)
-    covariance = np.empty((len(dataset.speeds), len(dataset.runs), count, count), dtype=complex)
+    scaled = residual_sensitivity(rotor, dataset, bearings) * deviation.swapaxes(1, 2)[:, :, None]
+    return np.asarray(scaled @ scaled.conj().swapaxes(2, 3))
+
+
+def residual_sensitivity(rotor: RotorModel, dataset: VibrationDataset, bearings: BearingTable) -> np.ndarray:
+    """(S, R, 2 B, P) derivative of the residual by the measured displacements, N/m."""
+    result = np.empty(
+        (len(dataset.speeds), len(dataset.runs), 2 * len(bearings.nodes), len(dataset.channels)), dtype=complex
+    )
     for alike, w in runs_by_frequency(dataset.frequencies):
         for start in range(0, len(w), _CHUNK):
             few = np.arange(start, min(start + _CHUNK, len(w)))
-            sensitivity = _sensitivity(rotor, dataset, bearings.at(few), w[few])
-            for run in alike:
-                scaled = sensitivity * deviation[few, None, :, run]
-                covariance[few, run] = scaled @ scaled.conj().swapaxes(1, 2)
-    return covariance
+            result[np.ix_(few, alike)] = _sensitivity(rotor, dataset, bearings.at(few), w[few])[:, None]
+    return result
+
+
+def bearing_rows(rotor: RotorModel, dataset: VibrationDataset, unknowns: UnknownSet) -> np.ndarray:
+    """(S, R, 2 B, U, P) derivative of the residual's derivative by each unknown by the measured displacements."""
+    (measured, resolution), rows = dataset.resolution(), bearing_dof(rotor)
+    result = np.zeros((*dataset.frequencies.shape, rows.size, len(unknowns.names), len(dataset.channels)), complex)
+    for b, u, name in ((b, u, COEFFICIENTS[c]) for b, c, u in np.argwhere(unknowns.expansion)):
+        sign = unknowns.expansion[b, COEFFICIENTS.index(name), u]
+        seen = resolution[np.flatnonzero(measured == rows[b, column(name)])[0]]
+        factor = np.ones(dataset.frequencies.shape) if is_stiffness(name) else 1j * dataset.frequencies
+        result[:, :, 2 * b + row(name), u] += sign * factor[..., None] * seen
+    return result
 
 
 def _sensitivity(rotor: RotorModel, dataset: VibrationDataset, bearings: BearingTable, w: np.ndarray) -> np.ndarray:
-    """(S, 2 B, P) derivative of the residual by the measured displacements, N/m."""
+    """(S, 2 B, P) :func:`residual_sensitivity` at the frequencies ``w`` (S,)."""
     (measured, resolution), rows = dataset.resolution(), bearing_dof(rotor)
     unmeasured = np.setdiff1d(np.arange(rotor.n_dof), measured)
     unit = np.broadcast_to(np.eye(len(measured)), (len(w), len(measured), len(measured))).astype(complex)
@@ -74,7 +92,7 @@ def whitened(system: UnknownSystem, covariance: np.ndarray, alike: bool) -> Unkn
     both = np.concatenate([system.matrix, system.offset[..., None]], axis=-1)
     rows = (both[:, :, : n_rows // 2] + 1j * both[:, :, n_rows // 2 :]).reshape(n_bearings, n_speeds, 2, n_runs, -1)
     rows = rows.transpose(1, 3, 0, 2, 4)  # (S, R, B, 2, U + 1)
-    members = [np.arange(2 * n_bearings)] if alike else [np.array([2 * b, 2 * b + 1]) for b in range(n_bearings)]
+    members = member_rows(n_bearings, alike)
     flat = rows.reshape(n_speeds, n_runs, 2 * n_bearings, -1)
     white = []
     for member in members:
@@ -85,6 +103,13 @@ def whitened(system: UnknownSystem, covariance: np.ndarray, alike: bool) -> Unkn
     stacked = np.stack(white)
     unknowns = system.alike().unknowns if alike else system.unknowns
     return UnknownSystem(unknowns, stacked[..., :-1], stacked[..., -1])
+
+
+def member_rows(n_bearings: int, alike: bool) -> list[np.ndarray]:
+    """Which of the 2 B rows of the residual belong to each member."""
+    if alike:
+        return [np.arange(2 * n_bearings)]
+    return [np.array([2 * b, 2 * b + 1]) for b in range(n_bearings)]
 
 
 def least_squares_deviation(white: UnknownSystem) -> np.ndarray:

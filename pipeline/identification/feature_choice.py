@@ -19,8 +19,8 @@ from pipeline.identification.response_problem import ResponseProblem
 if TYPE_CHECKING:
     import torch
 
-_PRICE = 2.0
-"""Akaike's: what a number must lower chi-square by, where a superfluous one lowers it by 1 on average."""
+AKAIKE = 2.0
+"""Of his criterion: what a number must lower chi-square by, where a superfluous one lowers it by 1 on average."""
 
 
 def features_that_count(
@@ -38,7 +38,7 @@ def features_that_count(
     best = (criterion, count, value)
     for order in range(count - 1, problem.basis.n_trend - 1, -1):
         for i in np.arange(n_active) * count + order:
-            criterion += value[i] ** 2 / spread[i, i] - _PRICE
+            criterion += value[i] ** 2 / spread[i, i] - AKAIKE
             gain = spread[:, i] / spread[i, i]
             value = value - gain * value[i]
             spread = spread - np.outer(gain, spread[i])

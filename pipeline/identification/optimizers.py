@@ -92,15 +92,21 @@ def _lbfgs_stepper(problem: LeastSquares, start: torch.Tensor, history: int) -> 
 _DAMPING_TRIES = 8
 _DAMPING_UP, _DAMPING_DOWN = 4.0, 0.2
 _DAMPING_FLOOR, _DAMPING_CEILING = 1e-16, 1e16
+_SMALLEST_DIAGONAL = 1e-12
 
 
 def levenberg_marquardt(
-    problem: LeastSquares, parameters: torch.Tensor, config: LevenbergMarquardtConfig, monitor: Monitor
+    problem: LeastSquares,
+    parameters: torch.Tensor,
+    config: LevenbergMarquardtConfig,
+    monitor: Monitor,
+    by_diagonal: bool = False,
 ) -> torch.Tensor:
     """Damped Gauss-Newton steps ``(J'J + damping s I) d = -J'r``, each member with its own damping.
 
-    s is the mean of the diagonal of J'J, which makes the damping a pure number. The systems are solved by
-    Cholesky factors: torch's threaded batched LU is wrong on some MKL builds.
+    s is the mean of the diagonal of J'J, which makes the damping a pure number, or ``by_diagonal`` that diagonal itself
+    (Marquardt 1963), which does not depend on the sizes of the parameters. The systems are solved by Cholesky
+    factors: torch's threaded batched LU is wrong on some MKL builds.
     """
     import torch
 
@@ -110,10 +116,12 @@ def levenberg_marquardt(
     identity = torch.eye(current.shape[-1], dtype=current.dtype)
     for _ in range(config.steps):
         gradient, normal = problem.normal(current)
-        size = normal.diagonal(dim1=-2, dim2=-1).mean(-1).clamp(min=1e-300)
+        diagonal = normal.diagonal(dim1=-2, dim2=-1)
+        size = diagonal.mean(-1, keepdim=True).clamp(min=1e-300)
+        size = diagonal.clamp(min=_SMALLEST_DIAGONAL * size) if by_diagonal else size
         accepted = torch.zeros_like(squared, dtype=torch.bool)
         for _ in range(_DAMPING_TRIES):
-            factor, info = torch.linalg.cholesky_ex(normal + (damping * size)[..., None, None] * identity)
+            factor, info = torch.linalg.cholesky_ex(normal + (damping[..., None] * size)[..., None] * identity)
             step = -torch.cholesky_solve(gradient[..., None], factor)[..., 0]
             tried = problem.rows(current + step).square().sum(-1)
             # NaN compares false: an overflowing step is refused like one that climbs.
@@ -130,8 +138,8 @@ def levenberg_marquardt(
     return current
 
 
-def until_still() -> Monitor:
-    """Ends a fit once its loss hardly falls."""
+def until_still(share: float = 1e-8) -> Monitor:
+    """Ends a fit once a step lowers no loss by more than this ``share`` of it."""
     import torch
 
     last: list[torch.Tensor] = []
@@ -139,9 +147,6 @@ def until_still() -> Monitor:
     def monitor(parameters: torch.Tensor, losses: torch.Tensor) -> torch.Tensor:
         before = last.pop() if last else losses + torch.inf
         last.append(losses)
-        return (before - losses).abs() < _STILL * losses
+        return (before - losses).abs() < share * losses
 
     return monitor
-
-
-_STILL = 1e-8

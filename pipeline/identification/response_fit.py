@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.config.identification import LevenbergMarquardtConfig
-from pipeline.identification.feature_choice import features_that_count
+from pipeline.identification.feature_choice import AKAIKE, features_that_count
 from pipeline.identification.optimizers import levenberg_marquardt, until_still
 from pipeline.identification.outcome import Outcome
-from pipeline.identification.response_preparation import PreparedResponse
+from pipeline.identification.response_preparation import PreparedResponse, robust_start
 from pipeline.identification.response_problem import ResponseProblem
 from pipeline.identification.training import Progress, TrainedBatch, TrainingSetup, run_training
 
@@ -101,7 +101,7 @@ def fit_response(
     """Fit, weigh the readings anew, and fit again until the weights stay. Ctrl-C ends it with the best state so far."""
     problem, free = prepared.problem, prepared.start
     if prepared.from_guess:
-        free = grown(problem, free, setup.optimizer.levenberg_marquardt)
+        problem, free = grown(prepared, setup.optimizer.levenberg_marquardt)
     factor = np.ones(prepared.data.displacement.shape[1])
     history: list[dict[str, float | str]] = []
     steps, seconds = 0, 0.0
@@ -119,7 +119,7 @@ def fit_response(
             factor = estimated_factor(prepared, problem, free, factor) if repeated is None else repeated
         before = problem
         problem, weights = reweighted(prepared, problem, free, factor, robust)
-        if turn == _CHOICE:
+        if turn == _CHOICE and not prepared.from_guess:
             problem, free = features_that_count(problem, free, covariance(problem, free)[0])
         changes = [
             float((new.weight / old.weight).log().abs().max())
@@ -130,19 +130,49 @@ def fit_response(
     return ResponseFit(prepared, batch, problem, weights, factor, batch.outcomes[0], tuple(history), steps, seconds)
 
 
-def grown(problem: ResponseProblem, starts: torch.Tensor, config: LevenbergMarquardtConfig) -> torch.Tensor:
-    """(1, 1, Z) the best minimum from rough ``starts`` (G, 1, Z): constants first, then more features step by step.
+def grown(prepared: PreparedResponse, config: LevenbergMarquardtConfig) -> tuple[ResponseProblem, torch.Tensor]:
+    """The problem with as many features as count, and its best minimum (1, 1, Z), where there is no linear start.
 
-    Far from the answer, many features at once would follow one speed here and another there.
+    From several guesses constants are fitted first, then feature by feature is added: far from the answer, many at once
+    would follow one speed here and another there. What a filter made of each speed is tried with every number of
+    features. It ends when Akaike's criterion, of the minima themselves, has not fallen for some features.
     """
     import torch
 
-    free, count = starts, problem.features.shape[-1]
-    orders = [1, *range(problem.basis.n_trend, count, 2)]
-    for order in orders:
-        limited = replace(problem, kept=(torch.arange(count) < order).repeat(len(problem.active), 1))
-        free = levenberg_marquardt(limited, free, config, until_still())
-    return free[[int(problem.loss(free)[:, 0].nan_to_num(torch.inf).argmin())]]
+    problem, starts = prepared.problem, prepared.start
+    count = problem.features.shape[-1]
+    free, before, best = problem.with_features(starts, 1), 1, (float("inf"), 1, starts[:1])
+    for order in dict.fromkeys([1, *range(problem.basis.n_trend, count + 1)]):
+        limited = problem.truncated(order)
+        tried = problem.truncated(before).with_features(free, order)
+        tried = torch.cat([tried, *(limited.revived(one[None]) for one in tried)])
+        if prepared.rough is not None:
+            tried = torch.cat([robust_start(limited, prepared.rough), tried])
+        tried = levenberg_marquardt(limited, tried, config, until_still(_NEARLY), by_diagonal=True)
+        losses = limited.loss(tried)[:, 0].nan_to_num(float("inf"))
+        free, before = tried[_distinct(losses.tolist())], order
+        criterion = float(losses.min()) ** 2 * limited.n_rows + AKAIKE * limited.n_numbers
+        if criterion < best[0]:
+            best = (criterion, order, limited.with_features(free[:1], count))
+        elif order >= best[1] + _LOOK_AHEAD:
+            break
+    kept = (torch.arange(count) < best[1]).repeat(len(problem.active), 1)
+    return replace(problem, kept=kept), best[2]
+
+
+def _distinct(losses: list[float]) -> list[int]:
+    """The best few that lie in valleys of their own, the best first."""
+    kept: list[int] = []
+    for i in sorted(range(len(losses)), key=lambda i: losses[i]):
+        if len(kept) < _KEPT_STARTS and (not kept or losses[i] > losses[kept[-1]] * (1 + _SAME_VALLEY)):
+            kept.append(i)
+    return kept
+
+
+_KEPT_STARTS, _SAME_VALLEY = 3, 1e-2
+_LOOK_AHEAD = 3
+_NEARLY = 1e-5
+"""Share of the loss below which a step ends the search of a size: the fit itself goes on from there."""
 
 
 def reweighted(

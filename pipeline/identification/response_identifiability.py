@@ -14,7 +14,7 @@ from pipeline.equations.identifiability import DEPENDENT, Identifiability, Verdi
 from pipeline.identification.response_fit import unknown_deviation
 from pipeline.identification.response_preparation import PreparedResponse, start_at
 
-_UNEQUAL = np.array([1.0, 0.2, -0.3, 0.7])
+UNEQUAL = np.array([1.0, 0.2, -0.3, 0.7])
 """xx, xy, yx, yy of the bearing that the account is made at, over the guess: one alike in all directions would show
 circular orbits, from which less follows than from those of real bearings."""
 _LEARNT = 1.0
@@ -34,7 +34,7 @@ def response_account(prepared: PreparedResponse, guess: np.ndarray) -> ResponseA
     """The account near a bearing of the size of ``guess`` (M, U): its direct coefficients serve for all."""
     problem = prepared.problem
     names = prepared.training.unknowns.names
-    shape = np.array([_UNEQUAL[2 * (name[1] == "y") + (name[2] == "y")] for name in names])
+    shape = np.array([UNEQUAL[2 * (name[1] == "y") + (name[2] == "y")] for name in names])
     given = list(zip(np.abs(guess[0]), names, strict=True))
     sizes = {kind: max((size for size, name in given if name[0] == kind), default=1.0) for kind in "kc"}
     values = np.array([sizes[name[0]] for name in names]) * shape

@@ -12,12 +12,13 @@ import numpy as np
 
 from pipeline.config.excitation import NoiseConfig
 from pipeline.data.dataset import reading_deviation
+from pipeline.equations.filtered import BearingFilter, filtered
 from pipeline.equations.response import ResponseEquations
 from pipeline.identification.coefficient_model import CoefficientModel, coefficient_model
 from pipeline.identification.feature_basis import FeatureBasis, feature_basis
 from pipeline.identification.response_block import Readings, block_of
 from pipeline.identification.response_problem import ResponseProblem
-from pipeline.identification.response_start import linear_start
+from pipeline.identification.response_start import differences, linear_start
 from pipeline.identification.training import PreparedTraining, TrainingSetup, held_out_speeds, initial_guess
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.unknowns import UnknownSet, unknown_set
@@ -64,6 +65,7 @@ class PreparedResponse:
     start: torch.Tensor  # (G, 1, Z); several where they are guesses
     keep: np.ndarray  # (S,) mask of training speeds
     from_guess: bool  # the sensors were too few for a linear start
+    rough: np.ndarray | None  # (M, S, U) at the training speeds: what a filter made of few sensors
 
 
 def prepare_response(
@@ -82,10 +84,11 @@ def prepare_response(
     drawn = model.spread_parameters(guess, torch.Generator().manual_seed(seed))
     basis = feature_basis(model, drawn, equations.speeds[keep])
     values = _linear_start(equations, readings, unknowns, known, basis, keep, runs)
-    starts = [values]
+    starts, rough = [values], None
     if values is None:
         shape = (members, int(keep.sum()), len(unknowns.names))
         starts = [np.broadcast_to(size * guess[:, None], shape) for size in _GUESSES]
+        rough = _filtered(equations, readings, unknowns, known, np.abs(_sizes(setup, unknowns, members)), keep, runs)
     else:
         basis = replace(basis, model=_scaled_by(basis.model, values))
     plane_scale = _plane_scale(equations, data.displacement)
@@ -103,6 +106,7 @@ def prepare_response(
         torch.cat([start_at(train, start) for start in starts if start is not None]),
         keep,
         from_guess=values is None,
+        rough=rough,
     )
 
 
@@ -125,6 +129,36 @@ def _linear_start(
         basis.at(equations.speeds[keep]).numpy(),
         np.array(basis.model.scale),
     )
+
+
+def _filtered(
+    equations: ResponseEquations,
+    readings: Readings,
+    unknowns: UnknownSet,
+    known: BearingTable,
+    guess: np.ndarray,
+    keep: np.ndarray,
+    runs: np.ndarray,
+) -> np.ndarray | None:
+    """Unknowns (M, S, U) of each training speed by itself; None where the sensors are too few for that, too."""
+    equations = _restricted(equations, keep, runs)
+    measured, deviation = (of[keep][..., runs] for of in (readings.displacement, readings.deviation))
+    if equations.planes:
+        equations, measured, deviation = differences(equations, measured, deviation)
+    if 2 * measured[0].size < int(unknowns.present[: len(guess)].sum()):
+        return None
+    alike = len(guess) < len(equations.bearing_nodes)
+    problem = BearingFilter(equations, measured, deviation, unknowns, known.at(np.flatnonzero(keep)), alike)
+    values, settled = filtered(problem, guess)
+    if settled.mean() < _LEAST_SETTLED:
+        return None
+    order = np.flatnonzero(settled)
+    nearest = order[np.abs(np.arange(len(settled))[:, None] - order).argmin(axis=1)]
+    return values[:, nearest]
+
+
+_LEAST_SETTLED = 0.5
+"""Share of the speeds at which the filter must have settled to be a start."""
 
 
 def _scaled_by(model: CoefficientModel, values: np.ndarray) -> CoefficientModel:
@@ -156,6 +190,29 @@ def _plane_scale(equations: ResponseEquations, displacement: np.ndarray) -> floa
     if not units:
         return 1.0
     return float(np.median(np.abs(displacement)) / np.median(units[0]))
+
+
+def robust_start(problem: ResponseProblem, values: np.ndarray) -> torch.Tensor:
+    """As :func:`start_at`, of rough unknowns (M, S, U): single speeds that are far off count less (Huber 1964)."""
+    import torch
+
+    raw = problem.basis.model.raw_from(torch.as_tensor(np.ascontiguousarray(values)), problem.scale)
+    rows: list[torch.Tensor] = []
+    for m, u in problem.active:
+        features, target = problem.features[m], raw[m, :, u]
+        weight, found = torch.ones_like(target), torch.zeros(features.shape[-1], dtype=target.dtype)
+        for _ in range(_ROUNDS):
+            weighted = features * weight[:, None]
+            ridge = _RIDGE * torch.eye(len(found), dtype=target.dtype)
+            found = torch.linalg.solve(features.T @ weighted + ridge, weighted.T @ target)
+            off = (target - features @ found).abs()
+            weight = 1 / (off / off.median().clamp(min=_SMALLEST)).clamp(min=1.0)
+        rows.append(found * problem.kept[len(rows)])
+    planes = torch.zeros(2 * problem.n_planes, dtype=raw.dtype)
+    return torch.cat([torch.stack(rows).flatten(), planes])[None, None]
+
+
+_ROUNDS, _RIDGE, _SMALLEST = 20, 1e-12, 1e-12
 
 
 def start_at(problem: ResponseProblem, values: np.ndarray) -> torch.Tensor:

@@ -26,6 +26,9 @@ from pipeline.identification.response_block import Block
 if TYPE_CHECKING:
     import torch
 
+_VANISHED = 0.02
+"""Of its guess: an unknown that is smaller has vanished."""
+
 
 @dataclass(frozen=True, eq=False)
 class ResponseProblem:
@@ -230,6 +233,37 @@ class ResponseProblem:
                 matrix[:, outer:, outer:] += (by_plane.mT @ by_plane).sum(1)
                 gradient[:, outer:] += (by_plane.mT @ right).sum(1)[..., 0]
         return gradient[:, None], matrix[:, None]
+
+    # --- fewer features ------------------------------------------------------------------------------
+
+    def truncated(self, order: int) -> ResponseProblem:
+        """The same with the first ``order`` features alone, and a free vector that is as much shorter."""
+        return replace(self, features=self.features[..., :order], kept=self.kept[:, :order])
+
+    def with_features(self, free: torch.Tensor, order: int) -> torch.Tensor:
+        """The free vector (G, 1, ..) of this problem as one of ``order`` features: cut, or filled up with zeros."""
+        import torch
+
+        planes = free[..., self.size - 2 * self.n_planes :]
+        own = free[..., : self.size - 2 * self.n_planes].unflatten(-1, (len(self.active), -1))
+        missing = order - own.shape[-1]
+        return torch.cat([torch.nn.functional.pad(own, (0, missing)).flatten(-2), planes], dim=-1)
+
+    def revived(self, free: torch.Tensor) -> torch.Tensor:
+        """(0 or 1, 1, Z) the free vector (1, 1, Z) with unknowns that vanished put back to their guess; none did: 0.
+
+        What must be positive is an exponential: once it has all but vanished, nothing draws it back.
+        """
+        import torch
+
+        values = self.unknowns(free)[0][0].abs().median(dim=0).values  # (A,)
+        positive = torch.tensor([self.basis.model.positive[u] for _, u in self.active])
+        gone = positive & (values < _VANISHED * torch.stack([self.scale[m, 0, u] for m, u in self.active]))
+        if not gone.any():
+            return free[:0]
+        count = self.size - 2 * self.n_planes
+        own = free[0, 0, :count].unflatten(-1, (len(self.active), -1)) * ~gone[:, None]
+        return torch.cat([own.flatten(), free[0, 0, count:]])[None, None]
 
     # --- other data ----------------------------------------------------------------------------------
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from pipeline.comparison.result import Result
     from pipeline.identification.training import Progress
 
 StudyProgress = Callable[[int, "float | None"], None]
@@ -105,5 +106,30 @@ def study_progress(name: str, total: int) -> Iterator[StudyProgress]:
 
         def update(done: int, best: float | None) -> None:
             bar.update(task, completed=done, best="-" if best is None else f"{best:.3g}")
+
+        yield update
+
+
+@contextmanager
+def comparison_progress(name: str, total: int) -> Iterator[Callable[[int, int, Result], None]]:
+    """One bar for a comparison, with the newest result and the time left, on a terminal; nothing elsewhere."""
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as ProgressBar
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[newest]} left:"),
+        TimeRemainingColumn(elapsed_when_finished=True),
+    )
+    console = _console(True)
+    with ProgressBar(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(name, total=total, newest="")
+
+        def update(done: int, of: int, result: Result) -> None:
+            """Move the bar."""
+            newest = f"{result.method}, {result.sensors}, {100 * result.noise:g} % in {result.seconds:.1f} s,"
+            bar.update(task, completed=done, total=of, newest=newest)
 
         yield update

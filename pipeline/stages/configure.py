@@ -11,6 +11,7 @@ from pipeline.stages.run import StageOutput, workspace
 
 _HOW: Any = {
     **dict.fromkeys(("stage", "tracking", "check", "threads", "device", "output", "promoted"), True),
+    "comparison": {"workers"},
     "tuning": {"storage", "workers", "changed", "timeout_seconds", "heartbeat_seconds", "comparison"},
 }
 

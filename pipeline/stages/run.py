@@ -127,7 +127,8 @@ def execute(config: Config, run: Callable[[Config], StageOutput]) -> None:
     """Run a stage and record it. The files are complete before the first word to MLflow."""
     started = time.time()
     output = run(config)
-    parameters = config.model_dump(mode="json")
+    # The comparison's many settings are of its own stage alone.
+    parameters = config.model_dump(mode="json", exclude=None if config.stage == "compare" else {"comparison"})
     record = StageRecord(
         experiment=config.name if config.stage != "check" else "check",  # it looks at all of them
         stage=config.stage,
@@ -151,7 +152,9 @@ def execute(config: Config, run: Callable[[Config], StageOutput]) -> None:
 
 def _group(parameters: Mapping[str, object]) -> str:
     """Stages of one experiment with the same configuration share this tag."""
-    shared = {key: value for key, value in parameters.items() if key not in ("stage", "tracking", "check")}
+    shared = {
+        key: value for key, value in parameters.items() if key not in ("stage", "tracking", "check", "comparison")
+    }
     return hashlib.sha256(json.dumps(shared, sort_keys=True).encode()).hexdigest()[:12]
 
 

@@ -1,0 +1,1 @@
+"""The conventional methods beside the network: measurement, known rotor and unknowns in; coefficients out."""

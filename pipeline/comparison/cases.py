@@ -1,0 +1,97 @@
+"""The cases that every method is tried on: one modelled machine under several noises, sensors and numbers of speeds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.comparison.method import Task
+from pipeline.config.comparison import ComparisonConfig, SensorSet
+from pipeline.config.excitation import NoiseConfig
+from pipeline.config.identification import IdentifyConfig
+from pipeline.data.dataset import VibrationDataset
+from pipeline.data.sensors import Channels, Sensors, both_directions, measured
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.model import RotorModel
+from pipeline.unknowns import unknown_set
+
+ROUNDING = 1e-9
+"""What methods are told of the noise of clean data: weights need some, and arithmetic leaves less."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is measured, and how well."""
+
+    noise: float  # share of each reading
+    sensors: SensorSet
+    speeds: int  # how many
+    data_set: int = 0  # which noise
+
+
+def main_sensors(settings: ComparisonConfig) -> SensorSet:
+    """The sensors of the main case: those at the bearings, if they are asked for."""
+    return "bearings" if "bearings" in settings.sensors else settings.sensors[0]
+
+
+def main_case(settings: ComparisonConfig, n_speeds: int) -> Case:
+    """The largest noise at as many speeds as there are."""
+    return Case(max(settings.noise), main_sensors(settings), min(max(settings.speeds), n_speeds))
+
+
+def cases(settings: ComparisonConfig, n_speeds: int) -> tuple[Case, ...]:
+    """Every noise with every sensor set at all speeds, and the main case with fewer speeds and with other noise."""
+    main = main_case(settings, n_speeds)
+    made = [Case(noise, sensors, main.speeds) for sensors in settings.sensors for noise in settings.noise]
+    made += [replace(main, speeds=min(count, n_speeds)) for count in settings.speeds]
+    made += [replace(main, data_set=i) for i in range(settings.data_sets)]
+    return tuple(dict.fromkeys(made))
+
+
+@dataclass(frozen=True, eq=False)
+class Machine:
+    """The modelled machine: the truth, and its clean vibration at every node."""
+
+    rotor: RotorModel
+    modelled: BearingTable
+    vibration: VibrationDataset
+    noise_seed: int
+
+    def measured(self, case: Case, location: int | None) -> VibrationDataset:
+        """The data set of a case. The same noise, scaled, at every level of it."""
+        speeds = self.speeds(case)
+        own = self.vibration.own_frequencies
+        clean = replace(
+            self.vibration,
+            speeds=self.vibration.speeds[speeds],
+            displacement=self.vibration.displacement[speeds],
+            own_frequencies=None if own is None else own[speeds],
+        )
+        generator = np.random.default_rng([self.noise_seed, case.data_set])
+        return measured(clean, Sensors(self._channels(case.sensors, location), multiplicative=case.noise), generator)
+
+    def truth(self, case: Case) -> BearingTable:
+        """The modelled coefficients at the speeds of a case."""
+        return self.modelled.at(self.speeds(case))
+
+    def speeds(self, case: Case) -> np.ndarray:
+        """Indices of the speeds of a case, evenly spread from the first to the last."""
+        count = len(self.vibration.speeds)
+        return np.unique(np.linspace(0, count - 1, min(case.speeds, count)).round().astype(int))
+
+    def _channels(self, sensors: SensorSet, location: int | None) -> Channels | None:
+        if sensors == "all":
+            return None
+        if sensors == "bearings":
+            return both_directions(self.rotor.bearing_nodes)
+        return both_directions((self.rotor.n_nodes // 2 if location is None else location,))
+
+
+def task_of(machine: Machine, case: Case, identify: IdentifyConfig, settings: ComparisonConfig, seed: int) -> Task:
+    """What a method sees of a case: of the truth, what is known beforehand."""
+    unknowns = unknown_set({node: identify.at(node) for node in machine.rotor.bearing_nodes})
+    truth = machine.truth(case)
+    known = replace(truth, values=np.where(unknowns.identified[:, None], 0.0, truth.values))
+    noise = NoiseConfig(additive=0.0, multiplicative=max(case.noise, ROUNDING))
+    return Task(machine.rotor, machine.measured(case, settings.location), known, noise, identify, settings, seed)

@@ -1,0 +1,129 @@
+"""What a method made of a case: an answer with its errors, or the name of what it can't do."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.comparison.cases import Case, Machine, task_of
+from pipeline.comparison.catalogue import METHODS
+from pipeline.comparison.method import Estimate, Reason, Refusal, Task
+from pipeline.config.comparison import ComparisonConfig, MethodName, SensorSet
+from pipeline.config.identification import IdentifyConfig
+from pipeline.evaluation.errors import relative_errors
+from pipeline.evaluation.fit_quality import within
+
+
+class CoefficientResult(BaseModel):
+    """One coefficient of one bearing; percent."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    median_error: float
+    p95_error: float
+    median_deviation: float | None = None  # stated, over the modelled coefficient
+    within_interval: float | None = None  # of the speeds at which the modelled one is in the nominal 95 % interval
+
+
+class Result(BaseModel):
+    """One row of the comparison."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    method: MethodName
+    noise: float
+    sensors: SensorSet
+    speeds: int
+    data_set: int
+    outcome: str  # "answered", or the name of a Reason
+    words: str
+    doubt: str
+    seconds: float
+    coefficients: dict[str, dict[str, CoefficientResult]]  # node -> name; empty where there is no answer
+
+    @property
+    def case(self) -> Case:
+        """What was measured."""
+        return Case(self.noise, self.sensors, self.speeds, self.data_set)
+
+    @property
+    def answered(self) -> bool:
+        """Whether there are coefficients."""
+        return self.outcome == ANSWERED
+
+    def error(self, name: str) -> float:
+        """Median error over speed of a coefficient in percent, mean over the bearings that have it; NaN without one."""
+        of = [found[name].median_error for found in self.coefficients.values() if name in found]
+        return float(np.mean(of)) if of else float("nan")
+
+
+ANSWERED = "answered"
+
+
+def result_of(
+    machine: Machine, method: MethodName, case: Case, identify: IdentifyConfig, settings: ComparisonConfig, seed: int
+) -> Result:
+    """Let a method identify a case. The truth is looked at when it has answered."""
+    task = task_of(machine, case, identify, settings, seed)
+    started = time.perf_counter()
+    answer, outcome, words = _answered(method, task)
+    seconds = time.perf_counter() - started
+    found: dict[str, dict[str, CoefficientResult]] = {}
+    if answer is not None and np.isfinite(answer.coefficients.values).all():
+        found = _errors(task, answer, machine, case)
+    elif answer is not None:
+        outcome = Reason.NOT_FINITE.name.lower()
+    # Clean data have no noise that chi-square could be held against.
+    doubt = answer.doubt if answer is not None and case.noise else ""
+    return Result(
+        method=method,
+        noise=case.noise,
+        sensors=case.sensors,
+        speeds=case.speeds,
+        data_set=case.data_set,
+        outcome=outcome,
+        words=words,
+        doubt=doubt,
+        seconds=seconds,
+        coefficients=found,
+    )
+
+
+def _answered(method: MethodName, task: Task) -> tuple[Estimate | None, str, str]:
+    try:
+        answer = METHODS[method].identify(task)
+    except Refusal as refusal:
+        return None, refusal.reason.name.lower(), str(refusal)
+    except np.linalg.LinAlgError as error:
+        return None, Reason.SINGULAR.name.lower(), f"{Reason.SINGULAR.value}, but: {error}"
+    return answer, ANSWERED, answer.words
+
+
+def _errors(task: Task, answer: Estimate, machine: Machine, case: Case) -> dict[str, dict[str, CoefficientResult]]:
+    truth = machine.truth(case)
+    result: dict[str, dict[str, CoefficientResult]] = {}
+    for b, node in enumerate(truth.nodes):
+        for name in task.unknowns.coefficients(b):
+            relative = relative_errors(answer.coefficients, truth, name)[b]
+            relative = relative[~np.isnan(relative)]
+            if not len(relative):
+                continue
+            stated: Mapping[str, Any] = {}
+            if answer.deviation is not None:
+                c = COEFFICIENTS.index(name)
+                off = answer.coefficients.values[b, :, c] - truth.values[b, :, c]
+                deviation = answer.deviation[b, :, c]
+                median = float(100 * np.median(deviation / np.abs(truth.values[b, :, c])))
+                stated = {
+                    "median_deviation": median if np.isfinite(median) else None,
+                    "within_interval": float(within(off, deviation)),
+                }
+            result.setdefault(str(node), {})[name] = CoefficientResult(
+                median_error=float(np.median(relative)), p95_error=float(np.percentile(relative, 95)), **stated
+            )
+    return result

@@ -1,0 +1,120 @@
+"""The rows of a comparison as tables: error against noise, sensors and number of speeds, and against the best."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.comparison.cases import Case
+from pipeline.comparison.result import Result
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """All rows, and the case that the one-way tables go through."""
+
+    results: tuple[Result, ...]
+    main: Case
+    names: tuple[str, ...]  # coefficients that are identified
+
+    def of(self, method: str, case: Case) -> list[Result]:
+        """The rows of a method in a case, of all data sets."""
+        return [r for r in self.results if r.method == method and replace(r.case, data_set=0) == case]
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """In their order."""
+        return tuple(dict.fromkeys(r.method for r in self.results))
+
+    def error(self, method: str, case: Case, name: str | None = None) -> float:
+        """Median error over speed in percent, mean over bearings and data sets; of the worst coefficient, or ``name``.
+
+        NaN where there is no answer.
+        """
+        rows = [r for r in self.of(method, case) if r.answered]
+        if not rows:
+            return float("nan")
+        errors = [np.mean([r.error(of) for r in rows]) for of in ([name] if name else self.names)]
+        return float(np.max(errors))
+
+    def within(self, method: str, case: Case) -> float | None:
+        """Percent of speeds inside the nominal 95 % interval, mean over all; None where no deviation is stated."""
+        shares = [
+            of.within_interval
+            for r in self.of(method, case)
+            for found in r.coefficients.values()
+            for of in found.values()
+            if of.within_interval is not None
+        ]
+        return float(np.mean(shares)) if shares else None
+
+    def seconds(self, method: str, case: Case) -> float:
+        """Median over the data sets."""
+        return float(np.median([r.seconds for r in self.of(method, case)]))
+
+    def cell(self, method: str, case: Case) -> str:
+        """The error, with a question mark where a fit doubts itself, or the name of what the method can't do."""
+        rows = self.of(method, case)
+        if not rows:
+            return ""
+        error = self.error(method, case)
+        if np.isnan(error):
+            return rows[0].outcome.replace("_", " ")
+        return f"{error:.2g}" + (" ?" if any(r.doubt for r in rows) else "")
+
+    def along(self, key: str) -> list[Case]:
+        """The main case with every value of ``noise``, ``sensors`` or ``speeds`` that there is."""
+        values = list(dict.fromkeys(getattr(r.case, key) for r in self.results))
+        values = values if key == "sensors" else sorted(values)
+        made = [replace(self.main, **{key: value}) for value in values]
+        return [case for case in made if any(self.of(method, case) for method in self.methods)]
+
+    def best_other(self, method: str, case: Case, name: str) -> tuple[str, float]:
+        """The best of the other methods for a coefficient, and how many times its error that of ``method`` is."""
+        others = {other: self.error(other, case, name) for other in self.methods if other != method}
+        answered = {other: error for other, error in others.items() if not np.isnan(error)}
+        if not answered:
+            return "", float("nan")
+        best = min(answered, key=lambda other: answered[other])
+        return best, self.error(method, case, name) / answered[best]
+
+    def outcomes(self) -> dict[str, dict[str, str]]:
+        """Method -> outcome that is none -> its words."""
+        result: dict[str, dict[str, str]] = {}
+        for r in self.results:
+            if not r.answered:
+                result.setdefault(r.method, {}).setdefault(r.outcome, r.words)
+        return result
+
+
+def noise_text(noise: float) -> str:
+    """A share as percent."""
+    return f"{100 * noise:g} %"
+
+
+SENSOR_TEXT = {"all": "all nodes", "bearings": "bearings", "location": "one location"}
+
+
+def heading(key: str) -> Callable[[Case], str]:
+    """The head of a column of :meth:`Comparison.along`."""
+    texts: dict[str, Callable[[Case], str]] = {
+        "noise": lambda case: noise_text(case.noise),
+        "sensors": lambda case: SENSOR_TEXT[case.sensors],
+        "speeds": lambda case: f"{case.speeds} speeds",
+    }
+    return texts[key]
+
+
+def table_rows(comparison: Comparison, key: str) -> tuple[list[str], list[list[str]]]:
+    """Header without its first column, and a row a method."""
+    columns = comparison.along(key)
+    rows = [[comparison.cell(method, case) for case in columns] for method in comparison.methods]
+    return [heading(key)(case) for case in columns], rows
+
+
+def markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table in Markdown."""
+    lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
+    return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows)]) + "\n"

@@ -1,0 +1,164 @@
+"""All methods on all cases: in several processes, each result kept in a file, so that none is done again."""
+
+from __future__ import annotations
+
+import hashlib
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from pipeline.comparison.cases import Case, Machine
+from pipeline.comparison.result import Result, result_of
+from pipeline.config.comparison import ComparisonConfig, MethodName
+from pipeline.config.identification import IdentifyConfig
+from pipeline.errors import DataError, PipelineError
+from pipeline.files import read_json, write_json
+
+_THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+_PACKAGES = ("comparison", "data", "equations", "identification", "rotor")
+Done = Callable[[int, int, Result], None]
+"""(results so far, of how many, the newest one)."""
+
+
+@dataclass(frozen=True)
+class Item:
+    """One method on one case."""
+
+    method: MethodName
+    case: Case
+
+    @property
+    def file(self) -> str:
+        """Name of the file that keeps the result."""
+        case = self.case
+        return f"{self.method}-{case.sensors}-{case.noise:g}-{case.speeds}-{case.data_set}.json"
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """Everything that a result follows from, but the item."""
+
+    machine: Machine
+    identify: IdentifyConfig
+    settings: ComparisonConfig
+    seed: int
+
+    def result(self, item: Item) -> Result:
+        """Do the work."""
+        return result_of(self.machine, item.method, item.case, self.identify, self.settings, self.seed)
+
+    def fingerprint(self) -> str:
+        """Equal where results are: of machine, unknowns, settings and the program; not of which cases are asked for."""
+        machine = self.machine
+        parts = [
+            machine.rotor.fingerprint,
+            machine.vibration.fingerprint,
+            hashlib.sha256(machine.modelled.values.tobytes()).hexdigest(),
+            str(machine.noise_seed),
+            self.identify.model_dump_json(),
+            self.settings.model_dump_json(exclude={"methods", "noise", "sensors", "speeds", "data_sets", "workers"}),
+            str(self.seed),
+            _program(),
+        ]
+        return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
+
+
+def _program() -> str:
+    digest, root = hashlib.sha256(), Path(__file__).parents[1]
+    for package in _PACKAGES:
+        for path in sorted((root / package).glob("*.py")):
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def compared(bench: Bench, items: Sequence[Item], folder: Path, done: Done) -> list[Result]:
+    """The results in the order of the items; those that ``folder`` keeps are read.
+
+    Raises StorageError where they can't be kept, PipelineError where a process dies, KeyboardInterrupt.
+    """
+    fingerprint = bench.fingerprint()
+    results = {item: kept for item in items if (kept := _kept(folder / item.file, fingerprint)) is not None}
+    todo = [item for item in items if item not in results]
+    for item, result in _worked(bench, todo):
+        write_json(folder / item.file, {"fingerprint": fingerprint, "result": result.model_dump()})
+        results[item] = result
+        done(len(results), len(items), result)
+    return [results[item] for item in items]
+
+
+def _kept(path: Path, fingerprint: str) -> Result | None:
+    """A result that is there already; None where it is of another configuration or program, or damaged."""
+    if not path.exists():
+        return None
+    try:
+        content = read_json(path)
+        return Result.model_validate(content["result"]) if content["fingerprint"] == fingerprint else None
+    except (DataError, KeyError, ValidationError):
+        return None
+
+
+def _worked(bench: Bench, items: Sequence[Item]) -> Iterator[tuple[Item, Result]]:
+    workers = min(bench.settings.workers, len(items))
+    if workers <= 1:
+        yield from ((item, bench.result(item)) for item in items)
+        return
+    with _one_thread():
+        pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _begin, (bench,))
+        try:
+            futures = {pool.submit(_work, item): item for item in items}
+            while futures:
+                finished, _ = wait(futures, return_when=FIRST_COMPLETED)
+                for future in finished:
+                    yield futures.pop(future), future.result()
+        except BrokenProcessPool:
+            raise PipelineError(
+                "every process of the comparison must live, but one was killed (too little memory?): run the same "
+                "command again to go on, with comparison.workers=1 for less memory"
+            ) from None
+        except BaseException:
+            for process in multiprocessing.active_children():
+                process.terminate()
+            raise
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Processes that start meanwhile use one thread each: there are as many of them as are wanted."""
+    before = {name: os.environ.get(name) for name in _THREADS}
+    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+_bench: Bench | None = None
+"""Of a worker: sent once, not with every item."""
+
+
+def _begin(bench: Bench) -> None:
+    global _bench
+    import torch
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent says when it is over
+    torch.set_num_threads(1)
+    _bench = bench
+
+
+def _work(item: Item) -> Result:
+    assert _bench is not None
+    return _bench.result(item)

@@ -1,0 +1,85 @@
+"""What a configuration may say of the comparison of methods. SI; noise as a share of the reading."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, get_args
+
+from pydantic import Field, PositiveInt, model_validator
+
+from pipeline.config.identification import LossConfig, ModelConfig, OptimizerConfig, TrainingConfig
+from pipeline.config.quantities import Damping, Stiffness
+from pipeline.config.section import NonNegativeInt, Section
+
+MethodName = Literal[
+    "least_squares",
+    "tikhonov",
+    "total_least_squares",
+    "multi_frequency",
+    "kalman",
+    "kriging",
+    "critical_speeds",
+    "spline",
+    "residual",
+    "preconditioned",
+    "response",
+]
+METHOD_NAMES: tuple[str, ...] = get_args(MethodName)
+SensorSet = Literal["all", "bearings", "location"]
+"""x and y at every node, at the bearings, or at one node."""
+
+
+class PriorConfig(Section):
+    """Between which bounds the direct coefficients are known to lie before anything is measured."""
+
+    lowest_stiffness: Stiffness
+    highest_stiffness: Stiffness
+    lowest_damping: Damping
+    highest_damping: Damping
+
+    @model_validator(mode="after")
+    def _ascending(self) -> PriorConfig:
+        if self.lowest_stiffness >= self.highest_stiffness or self.lowest_damping >= self.highest_damping:
+            raise ValueError("must have lowest_stiffness < highest_stiffness and lowest_damping < highest_damping")
+        return self
+
+
+class FitConfig(Section):
+    """How a network is trained in the comparison."""
+
+    model: ModelConfig
+    loss: LossConfig
+    optimizer: OptimizerConfig
+    training: TrainingConfig
+
+
+class ComparisonConfig(Section):
+    """The methods, and the cases that each is tried on.
+
+    ``noise`` is the root mean square of each complex displacement's noise as a share of it; ``speeds`` how many of the
+    experiment's speeds are measured. Every noise is tried with every sensor set at all speeds; fewer speeds with the
+    sensors at the bearings (else the first set) and the largest noise. That case at all speeds has ``data_sets`` of
+    other noise, the others one. ``location`` is the node of the sensor set of that name, null for the middle one.
+    """
+
+    methods: tuple[MethodName, ...] = Field(min_length=1)
+    noise: tuple[Annotated[float, Field(ge=0, lt=1)], ...] = Field(min_length=1)
+    sensors: tuple[SensorSet, ...] = Field(min_length=1)
+    speeds: tuple[Annotated[int, Field(ge=2)], ...] = Field(min_length=1)
+    location: NonNegativeInt | None = None
+    data_sets: PositiveInt
+    workers: PositiveInt
+    prior: PriorConfig
+    residual: FitConfig
+    preconditioned: FitConfig
+    response: FitConfig
+
+    @model_validator(mode="after")
+    def _once(self) -> ComparisonConfig:
+        for key in ("methods", "noise", "sensors", "speeds"):
+            values = getattr(self, key)
+            if len(set(values)) != len(values):
+                raise ValueError(f"must name each of its {key} once, but got {list(values)}")
+        for name in ("residual", "preconditioned", "response"):
+            if getattr(self, name).loss.kind != name:
+                raise ValueError(f"{name} must have the loss of its name, but got {getattr(self, name).loss.kind}")
+        return self

@@ -1,0 +1,185 @@
+"""Every method on the same modelled data: error against noise, sensors and number of speeds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.comparison.cases import Machine, cases, main_case
+from pipeline.comparison.catalogue import METHODS
+from pipeline.comparison.result import Result
+from pipeline.comparison.summary import Comparison, heading, markdown, noise_text, table_rows
+from pipeline.comparison.work import Bench, Item, compared
+from pipeline.config.schema import Config
+from pipeline.data.simulate import simulate
+from pipeline.data.tables import write_table
+from pipeline.errors import ConfigError
+from pipeline.files import write_json, write_text
+from pipeline.reporting.comparison_figures import comparison_figure
+from pipeline.reporting.console import comparison_progress, say, table
+from pipeline.rotor.ross_adapter import assemble, bearing_table
+from pipeline.stages.generate import excitations, own_frequencies, residual_unbalances
+from pipeline.stages.inputs import known_coefficients, require_nodes
+from pipeline.stages.run import StageOutput, flat_metrics, workspace
+from pipeline.units import RAD_S_PER_RPM
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def run(config: Config) -> StageOutput:
+    """``comparison.csv`` (a row a method, case, bearing and coefficient), ``.json``, ``.md`` and a figure.
+
+    Raises ConfigError for measured data, whose truth nobody knows.
+    """
+    import torch
+
+    if config.ingest.format != "none":
+        raise ConfigError(
+            "compare must have a modelled machine, whose coefficients are known, but the data are measured: "
+            "use stage=evaluate, which shows least squares beside the fit"
+        )
+    torch.set_num_threads(config.threads)
+    machine = modelled_machine(config)
+    require_nodes(machine.rotor, "comparison.location", [config.comparison.location or 0])
+    bench = Bench(machine, config.identify, config.comparison, config.seed)
+    n_speeds = len(machine.vibration.speeds)
+    items = [Item(m, case) for case in cases(config.comparison, n_speeds) for m in config.comparison.methods]
+    folder = workspace(config).folder
+    try:
+        with comparison_progress(config.name, len(items)) as progress:
+            results = compared(bench, items, folder / "comparison", progress)
+    except KeyboardInterrupt:
+        say(f"{config.name}: interrupted; what is done is kept, and the same command goes on from there")
+        raise SystemExit(130) from None
+    names = tuple(config.identify.named())
+    comparison = Comparison(tuple(results), main_case(config.comparison, n_speeds), names)
+    summary = summary_of(comparison)
+    _print(config, comparison)
+    written: list[Path] = [
+        write_table(folder / "comparison.csv", _rows(results)),
+        write_json(folder / "comparison.json", summary),
+        write_text(folder / "comparison.md", _markdown(comparison)),
+        comparison_figure(workspace(config).figure("comparison"), comparison),
+    ]
+    tags = {"rotor_fingerprint": machine.rotor.fingerprint, "data_fingerprint": machine.vibration.fingerprint}
+    return StageOutput(flat_metrics(summary), tags, written)
+
+
+def modelled_machine(config: Config) -> Machine:
+    """The configured machine, and its vibration without noise at every node."""
+    speeds = np.array(config.excitation.speeds.rpm()) * RAD_S_PER_RPM
+    rotor = assemble(config.rotor)
+    known_coefficients(config, rotor.bearing_nodes)  # refuses exceptions without a bearing
+    bearings = bearing_table(config.rotor, config.bearing, speeds)
+    runs, residual = excitations(config), residual_unbalances(config)
+    require_nodes(rotor, "excitation.runs", [excitation.node for excitation in (*runs, *residual)])
+    require_nodes(rotor, "identify.unbalance_planes", config.identify.unbalance_planes)
+    complete = simulate(rotor, bearings, (*runs, *residual), own_frequencies(config, speeds))
+    # The residual unbalance is in the vibration and nobody knows of it.
+    return Machine(rotor, bearings, replace(complete, excitations=runs), config.sensors.seed)
+
+
+def summary_of(comparison: Comparison) -> dict[str, object]:
+    """Numbers by method, sensors and noise, and the response loss against the best other method in the main case."""
+    methods: dict[str, object] = {}
+    for method in comparison.methods:
+        errors: dict[str, dict[str, float]] = {}
+        for sensors in comparison.along("sensors"):
+            for noise in comparison.along("noise"):
+                error = comparison.error(method, replace(sensors, noise=noise.noise))
+                if np.isfinite(error):
+                    errors.setdefault(sensors.sensors, {})[_key(noise.noise)] = error
+        by_speeds = {
+            str(case.speeds): comparison.error(method, case)
+            for case in comparison.along("speeds")
+            if np.isfinite(comparison.error(method, case))
+        }
+        methods[method] = {
+            "median_error_percent": errors,
+            "median_error_percent_by_speeds": by_speeds,
+            "within_95_percent_interval": comparison.within(method, comparison.main),
+            "seconds": comparison.seconds(method, comparison.main),
+            "outcomes": comparison.outcomes().get(method, {}),
+        }
+    summary: dict[str, object] = {"methods": methods, "minutes_of_two_cores": _minutes(comparison.results)}
+    if "response" in comparison.methods:
+        ratios = {name: comparison.best_other("response", comparison.main, name) for name in comparison.names}
+        summary["response_over_best_other"] = {n: ratio for n, (_, ratio) in ratios.items() if np.isfinite(ratio)}
+        summary["best_other"] = {name: best for name, (best, _) in ratios.items() if best}
+    return summary
+
+
+def _minutes(results: tuple[Result, ...]) -> float:
+    return sum(r.seconds for r in results) / 2 / 60
+
+
+def _key(noise: float) -> str:
+    return f"{100 * noise:g}_percent".replace(".", "_")
+
+
+def _rows(results: list[Result]) -> pd.DataFrame:
+    """A row a coefficient, and one without coefficient where there is no answer."""
+    import pandas as pd
+
+    rows: list[dict[str, object]] = []
+    for r in results:
+        about = r.model_dump(exclude={"coefficients"})
+        found = [(node, name, of) for node, by_name in r.coefficients.items() for name, of in by_name.items()]
+        rows += [{**about, "bearing_node": node, "coefficient": name, **of.model_dump()} for node, name, of in found]
+        if not found:
+            rows.append(about)
+    columns = [*Result.model_fields, "bearing_node", "coefficient", *_COEFFICIENT_COLUMNS]
+    frame = pd.DataFrame(rows, columns=[name for name in columns if name != "coefficients"])
+    return frame.rename(columns={name: f"{name}_percent" for name in _COEFFICIENT_COLUMNS})
+
+
+_COEFFICIENT_COLUMNS = ("median_error", "p95_error", "median_deviation", "within_interval")
+
+
+def _tables(comparison: Comparison) -> list[tuple[str, list[str], list[list[str]]]]:
+    """(title, header, rows) of every table; the first column names the method."""
+    main = comparison.main
+    made = []
+    for key in ("noise", "sensors", "speeds"):
+        header, rows = table_rows(comparison, key)
+        fixed = {
+            "noise": noise_text(main.noise),
+            "sensors": heading("sensors")(main),
+            "speeds": heading("speeds")(main),
+        }
+        title = f"against {key}: " + ", ".join(text for other, text in fixed.items() if other != key)
+        named = [[METHODS[m].label, *cells] for m, cells in zip(comparison.methods, rows, strict=True)]
+        made.append((title, ["method", *header], named))
+    about = []
+    for method in comparison.methods:
+        held = comparison.within(method, main)
+        inside = "" if held is None else f"{held:.0f}"
+        seconds = f"{comparison.seconds(method, main):.2g}"
+        about.append([METHODS[method].label, METHODS[method].source, METHODS[method].beforehand, inside, seconds])
+    made.append(("the methods", ["method", "source", "needs beforehand", "inside 95 %, %", "seconds"], about))
+    return made
+
+
+def _print(config: Config, comparison: Comparison) -> None:
+    for title, header, rows in _tables(comparison):
+        words = "" if title == "the methods" else ", median error % of the worst coefficient"
+        table(f"{config.name}: {title}{words}", header, rows)
+    for method, outcomes in comparison.outcomes().items():
+        for words in outcomes.values():
+            say(f"{METHODS[method].label}: {words}")
+    if "response" in comparison.methods:
+        for name in comparison.names:
+            best, ratio = comparison.best_other("response", comparison.main, name)
+            if best:
+                say(
+                    f"{name}: FEM-NN, response has {ratio:.2f} times the error of the best other, {METHODS[best].label}"
+                )
+
+
+def _markdown(comparison: Comparison) -> str:
+    parts = [f"{title}\n\n{markdown(header, rows)}" for title, header, rows in _tables(comparison)]
+    return "\n".join(parts)

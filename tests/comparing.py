@@ -1,0 +1,49 @@
+"""What the tests of the comparison share: tasks of modelled machines, answered by a method, and the answer's error."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from pipeline.comparison.cases import Case, Machine, task_of
+from pipeline.comparison.catalogue import METHODS
+from pipeline.comparison.method import Estimate, Task
+from pipeline.config.compose import compose_config
+from pipeline.config.schema import Config
+from pipeline.stages.compare import modelled_machine
+
+
+@cache
+def composed(*overrides: str) -> Config:
+    """Composing takes longer than most methods."""
+    return compose_config(overrides)
+
+
+@cache
+def machine(*overrides: str) -> Machine:
+    """The modelled machine of an experiment."""
+    return modelled_machine(composed(*overrides))
+
+
+def task(case: Case, *overrides: str) -> Task:
+    """What a method sees of a case."""
+    config = composed(*overrides)
+    return task_of(machine(*overrides), case, config.identify, config.comparison, config.seed)
+
+
+def answer(method: str, case: Case, *overrides: str) -> Estimate:
+    """What a method makes of it."""
+    import torch
+
+    torch.set_num_threads(1)
+    return METHODS[method].identify(task(case, *overrides))
+
+
+def errors(estimate: Estimate, case: Case, *overrides: str) -> np.ndarray:
+    """(U,) median error over speed in percent of each unknown, the worst bearing's."""
+    truth, unknowns = machine(*overrides).truth(case), task(case, *overrides).unknowns
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relative = 100 * np.abs(estimate.coefficients.values / truth.values - 1)
+    found = [np.median(relative[b, :, c]) for b, c in np.argwhere(unknowns.identified) if truth.values[b, 0, c]]
+    return np.array(found)

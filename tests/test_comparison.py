@@ -1,0 +1,155 @@
+"""What every method of the comparison keeps: the right answer where it can give one, a named refusal where it can't."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from comparing import answer, composed, errors, machine, task
+
+from pipeline.comparison.cases import Case, cases, main_case
+from pipeline.comparison.catalogue import METHODS
+from pipeline.comparison.method import Reason, Refusal
+from pipeline.config.comparison import METHOD_NAMES
+
+EXACT = 1e-6  # percent
+FILM = ("experiment=hydrostatic_stiffness", "excitation.speeds.step_rpm=100")
+BALLS = ("experiment=ball_bearing",)
+BLOWS = ("experiment=impulses", "excitation.speeds.step_rpm=500")
+EIGHT = ("experiment=all_coefficients_backward", "excitation.speeds.step_rpm=200")
+FORWARD = ("experiment=all_coefficients", "excitation.speeds.step_rpm=200")
+
+
+@dataclass(frozen=True)
+class Good:
+    """A case that a method can do, and the error that it states or must keep there, percent."""
+
+    overrides: tuple[str, ...]
+    case: Case
+    error: float
+    loud: float = 0.01  # noise at which the error is larger
+
+
+GOOD = {
+    "least_squares": Good(FILM, Case(0.0, "all", 60), EXACT),
+    "tikhonov": Good(FILM, Case(0.0, "all", 60), EXACT),
+    "total_least_squares": Good(FILM, Case(0.0, "all", 60), EXACT),
+    "multi_frequency": Good(BLOWS, Case(0.0, "all", 12), EXACT),
+    "kalman": Good(FILM, Case(0.0, "location", 60), EXACT),
+    "kriging": Good(BALLS, Case(0.0, "all", 591), 0.5, loud=0.1),
+    "critical_speeds": Good(BALLS, Case(0.0, "all", 591), 5.0, loud=0.2),
+    "spline": Good(FILM, Case(0.0, "all", 60), EXACT),
+    "residual": Good(FILM, Case(0.0, "all", 60), 0.01),
+    "preconditioned": Good(FILM, Case(0.0, "all", 60), 0.01),
+    "response": Good(FILM, Case(0.0, "all", 60), 0.01),
+}
+
+
+@pytest.mark.parametrize("method", METHOD_NAMES)
+def test_the_right_answer_on_clean_data(method: str) -> None:
+    """To rounding, or to the accuracy that the method has."""
+    good = GOOD[method]
+    assert errors(answer(method, good.case, *good.overrides), good.case, *good.overrides).max() < good.error
+
+
+@pytest.mark.parametrize("method", METHOD_NAMES)
+def test_the_error_grows_with_the_noise(method: str) -> None:
+    """The mean of a few data sets: a single one may be lucky."""
+    good = GOOD[method]
+    noisy = [replace(good.case, noise=good.loud, data_set=i) for i in range(3)]
+    clean = errors(answer(method, good.case, *good.overrides), good.case, *good.overrides).mean()
+    assert clean < np.mean([errors(answer(method, case, *good.overrides), case, *good.overrides) for case in noisy])
+
+
+@pytest.mark.parametrize("method", METHOD_NAMES)
+def test_the_same_bits_from_the_same_seed(method: str) -> None:
+    """With noise, where iterations are longest."""
+    good = GOOD[method]
+    case = replace(good.case, noise=0.001)
+    first, second = (answer(method, case, *good.overrides) for _ in range(2))
+    np.testing.assert_array_equal(first.coefficients.values, second.coefficients.values)
+
+
+BALANCED = "identify.unbalance_planes=[2]"
+ONE_RUN = (*FORWARD, "excitation=one_unbalance", "excitation.speeds.step_rpm=200")
+BY_EQUATIONS = ("least_squares", "tikhonov", "total_least_squares", "residual", "preconditioned")
+REFUSED = [
+    *((m, Case(0.0, "location", 60), Reason.BEARINGS_NOT_MEASURED, FILM) for m in BY_EQUATIONS),
+    *((m, Case(0.0, "all", 30), Reason.NOT_DETERMINED, ONE_RUN) for m in BY_EQUATIONS),
+    *((m, Case(0.0, "all", 60), Reason.RESIDUAL_UNBALANCE, (*FILM, BALANCED)) for m in (*BY_EQUATIONS, "spline")),
+    *(
+        (m, Case(0.0, "location", 591), Reason.NOT_DETERMINED, BALLS)
+        for m in ("kalman", "kriging", "spline", "response")
+    ),
+    ("multi_frequency", Case(0.0, "all", 60), Reason.ONE_FREQUENCY, FILM),
+    ("multi_frequency", Case(0.0, "location", 12), Reason.BEARINGS_NOT_MEASURED, BLOWS),
+    ("kriging", Case(0.0, "all", 30), Reason.EITHER_SIGN, EIGHT),
+    ("kriging", Case(0.0, "all", 60), Reason.TOO_MANY_UNKNOWNS, (*FILM, "identify.unknowns=[kxx,kyy,cxx,cyy]")),
+    ("critical_speeds", Case(0.0, "all", 60), Reason.NOT_CONSTANT, FILM),
+    ("critical_speeds", Case(0.0, "all", 60), Reason.STIFFNESS_ALONE, (*FILM, "identify.unknowns=[kxx,cxx]")),
+    ("critical_speeds", Case(0.0, "all", 60), Reason.NO_CRITICAL_SPEED, (*BALLS, "excitation.speeds.stop_rpm=2000")),
+]
+
+
+@pytest.mark.parametrize(("method", "case", "reason", "overrides"), REFUSED)
+def test_what_a_method_cannot_do_it_refuses_by_name(
+    method: str, case: Case, reason: Reason, overrides: tuple[str, ...]
+) -> None:
+    """Never an answer that looks like one."""
+    with pytest.raises(Refusal) as refusal:
+        answer(method, case, *overrides)
+    assert refusal.value.reason is reason
+    assert ", but " in str(refusal.value)
+
+
+def test_every_method_refuses_something() -> None:
+    """The list above has them all."""
+    assert {method for method, *_ in REFUSED} == set(METHOD_NAMES) == set(METHODS)
+
+
+def test_cross_validation_needs_more_equations_than_unknowns() -> None:
+    """Eight unknowns of two runs are solved exactly: nothing is left to validate by."""
+    whole = task(Case(0.0, "all", 30), *EIGHT)
+    runs = np.array([0, 3])
+    dataset = whole.dataset
+    two = replace(
+        dataset,
+        runs=tuple(dataset.runs[r] for r in runs),
+        displacement=dataset.displacement[..., runs],
+        excitations=tuple(e for e in dataset.excitations if dataset.runs.index(e.run) in runs),
+    )
+    METHODS["least_squares"].identify(replace(whole, dataset=two))
+    with pytest.raises(Refusal, match="8 equations for 8 unknowns"):
+        METHODS["tikhonov"].identify(replace(whole, dataset=two))
+
+
+@pytest.mark.parametrize("method", ["least_squares", "total_least_squares", "kalman", "spline", "response"])
+@pytest.mark.parametrize("overrides", [FILM, (*FILM, "identify.tie_bearings=true")], ids=["each", "alike"])
+def test_stated_deviations_hold(method: str, overrides: tuple[str, ...]) -> None:
+    """Nominal 95 % intervals, over speeds, bearings and data sets."""
+    inside = []
+    for i in range(10):
+        case = Case(0.003, "bearings", 60, i)
+        found = answer(method, case, *overrides)
+        assert found.deviation is not None
+        off = np.abs(found.coefficients.values - machine(*overrides).truth(case).values)
+        stated = ~np.isnan(found.deviation)
+        inside.append((off[stated] <= 1.96 * found.deviation[stated]).mean())
+    assert 0.87 <= np.mean(inside) <= 1.0
+
+
+def test_the_cases_are_each_once_and_the_main_one_is_there() -> None:
+    """Fewer speeds than are asked for are all of them."""
+    settings = composed(*FILM).comparison
+    made = cases(settings, 60)
+    assert len(set(made)) == len(made)
+    assert main_case(settings, 60) == Case(0.01, "bearings", 60)
+    assert {case.speeds for case in made} == {10, 60}
+    assert sum(case == replace(main_case(settings, 60), data_set=case.data_set) for case in made) == settings.data_sets
+
+
+def test_noise_is_the_same_but_for_its_size() -> None:
+    """So that a line over the noise is no luck of the draw."""
+    clean, quiet, loud = (task(Case(noise, "bearings", 60), *FILM).dataset.displacement for noise in (0, 0.001, 0.01))
+    np.testing.assert_allclose(loud - clean, 10 * (quiet - clean), rtol=1e-9, atol=1e-18)

@@ -1,0 +1,270 @@
+"""The comparison as a user runs it: in processes, interrupted, resumed, misspelt; and the equations that it adds."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from comparing import composed, machine, task
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline.__main__ import main
+from pipeline.comparison import work
+from pipeline.comparison.cases import Case
+from pipeline.comparison.result import Result
+from pipeline.comparison.summary import Comparison, noise_text
+from pipeline.comparison.work import Bench, Item, compared
+from pipeline.equations.bearing_equations import bearing_equations
+from pipeline.equations.filtered import _gain
+from pipeline.equations.noise import bearing_rows, residual_sensitivity
+from pipeline.equations.unknown_system import unknown_system
+from pipeline.errors import PipelineError
+
+FEW = ("experiment=hydrostatic_stiffness", "excitation.speeds.step_rpm=500")
+FAST = [
+    "comparison.methods=[least_squares,kalman,multi_frequency]",
+    "comparison.noise=[0,0.01]",
+    "comparison.sensors=[bearings,location]",
+    "comparison.speeds=[4,12]",
+    "comparison.data_sets=2",
+]
+WRITTEN = {"comparison.csv", "comparison.json", "comparison.md", "figures/comparison.png"}
+
+
+def bench(**changed: Any) -> Bench:
+    """A bench of few speeds."""
+    config = composed(*FEW)
+    return Bench(machine(*FEW), config.identify, config.comparison.model_copy(update=changed), config.seed)
+
+
+ITEMS = [Item("least_squares", Case(noise, "bearings", 12)) for noise in (0.0, 0.001, 0.01)]
+
+
+def nothing(done: int, total: int, result: Result) -> None:
+    """No bar."""
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small comparison, as the command makes it."""
+    folder = tmp_path_factory.mktemp("a comparison") / "x"
+    arguments = ["stage=compare", *FEW, *FAST, f"output={folder}", "tracking=none", "comparison.workers=1"]
+    assert main(arguments) == 0
+    return folder
+
+
+def test_the_stage_writes_tables_numbers_and_a_figure(made: Path) -> None:
+    """And nothing else beside the folder of results."""
+    assert {str(p.relative_to(made)) for p in made.rglob("*.*") if p.parent.name != "comparison"} == WRITTEN
+    rows = pd.read_csv(made / "comparison.csv")
+    assert {"median_error_percent", "within_interval_percent", "seconds"} <= set(rows.columns)
+    summary = json.loads((made / "comparison.json").read_text())
+    assert summary["methods"]["kalman"]["median_error_percent"]["location"]["0_percent"] < 1e-6
+    assert "| per-speed least squares |" in (made / "comparison.md").read_text()
+
+
+def test_what_a_method_cannot_do_is_a_row_with_its_name(made: Path) -> None:
+    """Not a missing one."""
+    rows = pd.read_csv(made / "comparison.csv")
+    silent = rows[rows["coefficient"].isna()]
+    found = set(zip(silent["method"], silent["sensors"], silent["outcome"], strict=True))
+    assert ("least_squares", "location", "bearings_not_measured") in found
+    assert ("multi_frequency", "bearings", "one_frequency") in found
+    assert "bearings not measured" in (made / "comparison.md").read_text()
+
+
+def test_what_is_done_is_not_done_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An interrupted comparison goes on where it was."""
+    stopped = iter([None, KeyboardInterrupt()])
+
+    def stop(done: int, total: int, result: Result) -> None:
+        error = next(stopped)
+        if error is not None:
+            raise error
+
+    own = bench(workers=1)
+    with pytest.raises(KeyboardInterrupt):
+        compared(own, ITEMS, tmp_path, stop)
+    asked: list[Item] = []
+    real = Bench.result
+
+    def counted(self: Bench, item: Item) -> Result:
+        asked.append(item)
+        return real(self, item)
+
+    monkeypatch.setattr(Bench, "result", counted)
+    results = compared(own, ITEMS, tmp_path, nothing)
+    assert asked == ITEMS[2:]
+    assert [r.case for r in results] == [item.case for item in ITEMS]
+    assert compared(own, ITEMS, tmp_path, nothing) == results
+    assert asked == ITEMS[2:]
+
+
+def test_an_interrupted_stage_says_how_to_go_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exit code 130, as of all stages."""
+
+    def interrupted(*arguments: Any) -> list[Result]:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pipeline.stages.compare.compared", interrupted)
+    assert main(["stage=compare", *FEW, *FAST, f"output={tmp_path}", "tracking=none"]) == 130
+    assert "goes on from there" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("damage", ["{", '{"fingerprint": "0"}', "[]", '{"fingerprint": "0", "result": {}}'])
+def test_a_damaged_or_old_result_is_made_again(damage: str, tmp_path: Path) -> None:
+    """Of another program or configuration, cut off, or no result at all."""
+    own = bench(workers=1)
+    first = compared(own, ITEMS[:1], tmp_path, nothing)
+    path = tmp_path / ITEMS[0].file
+    path.write_text(damage)
+    again = compared(own, ITEMS[:1], tmp_path, nothing)
+    assert again[0].coefficients == first[0].coefficients
+    assert json.loads(path.read_text())["fingerprint"] == own.fingerprint()
+
+
+def test_results_are_of_their_settings_alone() -> None:
+    """Other methods and cases leave the others' results; another guess, noise or machine does not."""
+    own = bench()
+    assert bench(workers=7, methods=("kalman",), noise=(0.5,)).fingerprint() == own.fingerprint()
+    assert bench(location=2).fingerprint() != own.fingerprint()
+    assert replace(own, seed=1).fingerprint() != own.fingerprint()
+    assert replace(own, machine=replace(own.machine, noise_seed=1)).fingerprint() != own.fingerprint()
+
+
+@pytest.mark.slow
+def test_processes_give_the_bits_of_one(tmp_path: Path) -> None:
+    """What is sent to them is all that a result follows from."""
+    one, two = (compared(bench(workers=n), ITEMS, tmp_path / str(n), nothing) for n in (1, 2))
+    assert [r.coefficients for r in one] == [r.coefficients for r in two]
+
+
+def killed(item: Item) -> Result:
+    """What the operating system does to a process where the memory is spent."""
+    os._exit(1)
+
+
+@pytest.mark.slow
+def test_a_killed_process_is_said_in_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not waited for."""
+    monkeypatch.setattr(work, "_work", killed)
+    with pytest.raises(PipelineError, match="run the same command again to go on"):
+        compared(bench(workers=2), ITEMS, tmp_path, nothing)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ("comparison.methods=[krigging]", "kriging"),
+        ("comparison.methods=[kalman,kalman]", "once"),
+        ("comparison.noise=[2]", "less than 1"),
+        ("comparison.location=99", "nodes 0 to 6"),
+        ("comparison.prior.lowest_stiffness=1e10 N/m", "lowest_stiffness < highest_stiffness"),
+        ("comparison.response.loss.kind=residual", "loss of its name"),
+        ("experiment=measured_demo", "modelled machine"),
+    ],
+)
+def test_a_mistake_is_said_in_a_sentence(
+    given: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Before anything runs."""
+    assert main(["stage=compare", *FEW, given, f"output={tmp_path}", "tracking=none"]) == 2
+    said = capsys.readouterr().err
+    assert words in said, said
+    assert "Traceback" not in said
+
+
+# --- the summary ----------------------------------------------------------------------------------
+
+
+def row(method: str, noise: float, error: float | None, **changed: Any) -> Result:
+    """A result with one coefficient, or without an answer."""
+    found = {} if error is None else {"1": {"kxx": {"median_error": error, "p95_error": error}}}
+    values = {
+        "method": method,
+        "noise": noise,
+        "sensors": "bearings",
+        "speeds": 10,
+        "data_set": 0,
+        "outcome": "answered" if error is not None else "one_frequency",
+        "words": "",
+        "doubt": "",
+        "seconds": 1.0,
+        "coefficients": found,
+    }
+    return Result.model_validate(values | changed)
+
+
+def test_the_summary_takes_means_over_data_sets_and_names_refusals() -> None:
+    """And the best of the others is of those that answer."""
+    main_one = Case(0.01, "bearings", 10)
+    rows = (
+        row("response", 0.01, 1.0),
+        row("response", 0.01, 3.0, data_set=1),
+        row("spline", 0.01, 4.0),
+        row("kriging", 0.01, 0.5, doubt="chi-square"),
+        row("multi_frequency", 0.01, None),
+        row("response", 0.0, 0.1),
+    )
+    made = Comparison(rows, main_one, ("kxx",))
+    assert made.error("response", main_one) == 2.0
+    assert made.cell("multi_frequency", main_one) == "one frequency"
+    assert made.cell("kriging", main_one) == "0.5 ?"
+    assert made.best_other("response", main_one, "kxx") == ("kriging", 4.0)
+    assert [noise_text(case.noise) for case in made.along("noise")] == ["0 %", "1 %"]
+    assert made.outcomes() == {"multi_frequency": {"one_frequency": ""}}
+
+
+# --- equations ------------------------------------------------------------------------------------
+
+
+@given(seed=st.integers(0, 1000), n_channels=st.integers(1, 9))
+def test_both_forms_of_the_gain_are_one(seed: int, n_channels: int) -> None:
+    """The matrix inversion lemma."""
+    generator = np.random.default_rng(seed)
+    parts = generator.standard_normal((2, 3, n_channels, 4))
+    through, prior = parts[0] + 1j * parts[1], generator.uniform(0.5, 2, (3, 4))
+    deviation = generator.uniform(0.5, 2, (3, n_channels))
+    adjoint = through.conj().swapaxes(1, 2)
+    spread = prior[..., None] * adjoint
+    dense = spread @ np.linalg.inv(through @ spread + deviation[..., None] ** 2 * np.eye(n_channels))
+    np.testing.assert_allclose(_gain(through, prior, deviation), dense, rtol=1e-9, atol=1e-12)
+
+
+def test_the_derivative_of_the_equations_by_the_readings() -> None:
+    """What total least squares takes for the noise of A and y, against differences."""
+    own = task(Case(0.01, "bearings", 12), *FEW)
+    derivative = bearing_rows(own.rotor, own.dataset, own.unknowns)  # (S, R, 2 B, U, P)
+    zero = own.table(np.zeros((2, 12, 2)))
+    offset = residual_sensitivity(own.rotor, own.dataset, zero)
+    step = np.zeros_like(own.dataset.displacement)
+    step[:, 2, 1] = 1e-6 * (1 + 2j)
+    moved = replace(own.dataset, displacement=own.dataset.displacement + step)
+    before, after = (
+        unknown_system(bearing_equations(own.rotor, dataset), own.unknowns, own.known)
+        for dataset in (own.dataset, moved)
+    )
+
+    def complex_rows(values: np.ndarray) -> np.ndarray:
+        """(B, S, 2, R, ..) of (B, S, 4 R, ..)."""
+        half = values.reshape(2, 12, 2, 2, 3, *values.shape[3:])
+        return half[:, :, 0] + 1j * half[:, :, 1]
+
+    for b in range(2):
+        for direction in range(2):
+            rows = slice(2 * b + direction, 2 * b + direction + 1)
+            wanted = derivative[:, 1, rows, :, 2][:, 0] * step[:, 2, 1, None]
+            found = complex_rows(after.matrix - before.matrix)[b, :, direction, 1]
+            np.testing.assert_allclose(found, wanted, rtol=1e-6, atol=1e-15)
+            own_offset = complex_rows(after.offset - before.offset)[b, :, direction, 1]
+            size = np.abs(offset[:, 1, 2 * b + direction, 2] * step[:, 2, 1])
+            np.testing.assert_allclose(np.abs(own_offset), size, rtol=1e-4, atol=1e-9)
