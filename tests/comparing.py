@@ -34,9 +34,6 @@ def task(case: Case, *overrides: str) -> Task:
 
 def answer(method: str, case: Case, *overrides: str) -> Estimate:
     """What a method makes of it."""
-    import torch
-
-    torch.set_num_threads(1)
     return METHODS[method].identify(task(case, *overrides))
 
 

@@ -32,9 +32,10 @@ if TYPE_CHECKING:
 # The tests judge the checkout that they lie in, wherever they are started and whatever is installed.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-# The matrices are small: threads of numpy's BLAS wait for each other longer than they work, above all where
-# another program has the second core, and ROSS's side of a timing would be unfairly slow.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# The matrices are small: threads of numpy's BLAS and of torch wait for each other longer than they work, above all
+# where another program has the second core, and ROSS's side of a timing would be unfairly slow.
+for threads in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+    os.environ.setdefault(threads, "1")
 
 # The same examples each time: a random failure helps nobody who did not change anything.
 settings.register_profile("repeatable", derandomize=True, deadline=None, database=None)

@@ -18,14 +18,18 @@ from hypothesis import strategies as st
 from pipeline.__main__ import main
 from pipeline.comparison import work
 from pipeline.comparison.cases import Case
+from pipeline.comparison.catalogue import METHODS
+from pipeline.comparison.method import Reason
 from pipeline.comparison.result import Result
 from pipeline.comparison.summary import Comparison, noise_text
 from pipeline.comparison.work import Bench, Item, compared
+from pipeline.config.compose import compose_config
 from pipeline.equations.bearing_equations import bearing_equations
 from pipeline.equations.filtered import _gain
 from pipeline.equations.noise import bearing_rows, residual_sensitivity
 from pipeline.equations.unknown_system import unknown_system
 from pipeline.errors import PipelineError
+from pipeline.stages.compare import modelled_machine
 
 FEW = ("experiment=hydrostatic_stiffness", "excitation.speeds.step_rpm=500")
 FAST = [
@@ -181,6 +185,29 @@ def test_a_mistake_is_said_in_a_sentence(
     said = capsys.readouterr().err
     assert words in said, said
     assert "Traceback" not in said
+
+
+OTHERS = ["compressor_journal_and_isotropic", "compressor_two_journals"]
+FIVE_SPEEDS = [f"excitation.speeds.{key}" for key in ("start_rpm=800", "stop_rpm=4000", "step_rpm=800")]
+FEW_STEPS = [
+    f"comparison.{loss}.optimizer.levenberg_marquardt.steps=20" for loss in ("residual", "preconditioned", "response")
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("experiment", OTHERS)
+def test_every_method_says_something_of_other_machines(experiment: str, tmp_path: Path) -> None:
+    """An answer, or the name of what it can't do; never an error."""
+    config = compose_config([f"experiment={experiment}", *FIVE_SPEEDS, *FEW_STEPS, "comparison.workers=1"])
+    own = Bench(modelled_machine(config), config.identify, config.comparison, config.seed)
+    sensors = ("bearings", "location")
+    items = [Item(method, Case(0.01, where, 5)) for where in sensors for method in METHODS]  # type: ignore[arg-type]
+    results = compared(own, items, tmp_path, nothing)
+    names = {"answered", *(reason.name.lower() for reason in Reason)}
+    assert {result.outcome for result in results} <= names
+    for result in results:
+        assert result.answered == bool(result.coefficients)
+        assert result.answered or result.words
 
 
 # --- the summary ----------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ from pipeline.equations.identifiability import require_identifiable
 from pipeline.equations.response import expansion, response_equations
 from pipeline.errors import ConfigError, IdentifiabilityError
 from pipeline.identification.response_fit import ResponseFit, fit_response
-from pipeline.identification.response_preparation import MeasuredResponse, prepare_response
+from pipeline.identification.response_preparation import MeasuredResponse, prepare_response, start_at
 from pipeline.identification.training import setup_of
 from pipeline.stages.diagnose import diagnose
 from pipeline.stages.inputs import Inputs
@@ -309,3 +309,60 @@ def test_constant_coefficients(rotor_of: Machine) -> None:
     found = fit.batch.identified().table(table)
     np.testing.assert_allclose(found.coefficient("kxx"), 2e7, rtol=5e-3)
     np.testing.assert_allclose(found.coefficient("kyy"), 3e7, rtol=5e-3)
+
+
+# --- few sensors --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("planes", ["[]", "[4]"])
+def test_an_odd_number_of_outputs_before_the_planes(rotor_of: Machine, planes: str) -> None:
+    """One unknown alike at both bearings: the planes' pairs of numbers begin anywhere."""
+    dataset = noisy(rotor_of, 0.01, 0)
+    only = ("identify.tie_bearings=true", "identify.unknowns=[kxx]", f"identify.unbalance_planes={planes}")
+    fit = fit_of(rotor_of, dataset, 0.01, *only, "model.width=4")
+    assert fit.problem.size % 2 == 1
+    assert np.isfinite(fit.residual_unbalance()).all()
+    assert np.median(relative_errors(rotor_of, fit, ("kxx",))) < 0.02
+
+
+def located(machine: Machine, noise: float) -> VibrationDataset:
+    """x and y between the discs alone: two readings a run for four bearing forces."""
+    clean = simulate(machine.rotor, machine.bearings, machine.excitations)
+    return measured(clean, Sensors(both_directions((3,)), multiplicative=noise), np.random.default_rng(1))
+
+
+@pytest.mark.parametrize("guess", ["1e6 N/m", "1e7 N/m"])
+def test_one_location_starts_from_a_filter(rotor_of: Machine, guess: str) -> None:
+    """No linear start, and still no search: the filter's answer of each speed leads to the minimum."""
+    dataset = located(rotor_of, 1e-3)
+    fit = fit_of(rotor_of, dataset, 1e-3, f"model.initial_stiffness={guess}")
+    assert fit.prepared.from_guess
+    assert fit.prepared.rough is not None
+    assert abs(mean_square(fit) - 1) < 4 / np.sqrt(dataset.displacement.size)
+    assert np.median(relative_errors(rotor_of, fit, ("kxx", "kyy")), axis=-1).max() < 0.01
+
+
+def test_fewer_features_are_the_same_with_zeros(rotor_of: Machine) -> None:
+    """A short free vector predicts what the long one does whose other outputs are zero."""
+    import torch
+
+    problem = fit_of(rotor_of, noisy(rotor_of, 0.01, 0), 0.01).problem
+    short = problem.truncated(4)
+    free = 0.1 * torch.randn(1, 1, short.size, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    long = short.with_features(free, problem.features.shape[-1])
+    for one, other in zip(short.predicted(free), problem.predicted(long), strict=True):
+        torch.testing.assert_close(one, other)
+    torch.testing.assert_close(problem.with_features(long, 4), free)
+
+
+def test_an_unknown_that_vanished_is_put_back(rotor_of: Machine) -> None:
+    """And the others stay; where none did, there is no other start."""
+    problem = fit_of(rotor_of, noisy(rotor_of, 0.01, 0), 0.01).problem
+    values = np.full((2, len(rotor_of.speeds), 2), 2e7)
+    healthy = start_at(problem, values)
+    assert len(problem.revived(healthy)) == 0
+    values[1, :, 1] = 1e4
+    again = problem.revived(start_at(problem, values))
+    found = problem.unknowns(again)[0][0].median(dim=0).values.numpy()
+    np.testing.assert_allclose(found[:3], 2e7, rtol=0.05)
+    assert found[3] > 1e5

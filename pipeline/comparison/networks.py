@@ -48,10 +48,11 @@ def response(task: Task) -> Estimate:
     deviation = uncertainty_of(fit).deviation(identified, task.dataset.speeds)
     words = f"{fit.outcome.label} after {fit.steps} steps, {fit.problem.n_numbers} numbers"
     # Huber's shares out of the weights: what is far off must show.
-    plain = [
-        deviation[0].numpy() / np.sqrt(share)
-        for deviation, share in zip(fit.problem.deviations(fit.free), fit.weights, strict=True)
-    ]
+    with np.errstate(all="ignore"):  # of a fit that ran away
+        plain = [
+            deviation[0].numpy() / np.sqrt(share)
+            for deviation, share in zip(fit.problem.deviations(fit.free), fit.weights, strict=True)
+        ]
     doubt = doubt_of(sum(float((np.abs(of) ** 2).sum()) for of in plain), fit.problem.n_rows)
     return Estimate(identified.table(task.known), deviation, words, doubt)
 

@@ -166,7 +166,9 @@ def unknown_key(key: str, tree: Any) -> str:
         elif isinstance(node, dict):
             places = [place for place in paths(tree) if place.endswith(f".{key}")]
             if places:
-                return f"{law}there is no '{key}'; did you mean {' or '.join(map(repr, places[:3]))}?"
+                depth = min(place.count(".") for place in places)
+                near = [place for place in places if place.count(".") == depth]
+                return f"{law}there is no '{key}'; did you mean {' or '.join(map(repr, near[:3]))}?"
             names = (str(name) for name in node if owner or name != "hydra")
             return f"{law}{owner or 'it'} has no '{part}'{suggestion(part, names)}"
         elif isinstance(node, list):

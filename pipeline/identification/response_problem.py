@@ -79,7 +79,7 @@ class ResponseProblem:
         import torch
 
         pairs = free[:, 0, self.size - 2 * self.n_planes :].unflatten(-1, (self.n_planes, 2))
-        return self.plane_scale * torch.view_as_complex(pairs.contiguous())
+        return self.plane_scale * torch.complex(pairs[..., 0], pairs[..., 1])
 
     def unknowns(self, free: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """(G, S, A) active unknowns in N/m and N s/m, and their derivative by the network's outputs."""

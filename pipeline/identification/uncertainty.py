@@ -56,9 +56,9 @@ class Uncertainty:
 
     def deviation(self, identified: IdentifiedModel, speeds: np.ndarray) -> np.ndarray:
         """(B, S, 8) standard deviations, N/m and N s/m; NaN for coefficients that were not identified."""
-        moved = self.sensitivity(identified, speeds)
-        outer = moved.shape[-1]
         with np.errstate(over="ignore", invalid="ignore"):  # of coefficients that ran away
+            moved = self.sensitivity(identified, speeds)
+            outer = moved.shape[-1]
             variance = np.einsum("bscz,zy,bscy->bsc", moved, self.covariance[:outer, :outer], moved, optimize=True)
         known = ~identified.unknowns.identified[:, None]
         return np.where(known, np.nan, np.sqrt(np.maximum(variance, 0.0)))
