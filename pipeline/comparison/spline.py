@@ -30,6 +30,8 @@ _MOST_EVALUATIONS = 60
 _DENSE = 300
 """Up to so many numbers SciPy factorises the Jacobian; beyond, it is sparse and iterated on."""
 _KEPT_STARTS, _SMALL = 3, 4
+_VANISHED = 0.02
+"""Of its size: an unknown that is smaller has vanished."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +85,7 @@ def spline(task: Task) -> Estimate:
     fits = [_best_start(problem, starts)]
     n_speeds = len(task.dataset.speeds)
     for count in [] if task.constant else [*(k for k in GROWTH[1:] if k < n_speeds), n_speeds]:
-        fits.append(_fitted(problem, count, fits[-1].x))
+        fits.append(_improved(problem, count, fits[-1].x))
         best = min(fits, key=lambda fit: fit.criterion)
         if len(fits) - 1 - fits.index(best) >= _LOOK_AHEAD:
             break
@@ -99,14 +101,14 @@ def spline(task: Task) -> Estimate:
 
 def _best_start(problem: _Problem, starts: list[np.ndarray]) -> _Fit:
     """Constants; where there are several starts, the one that is best when it has become a small spline."""
-    made = sorted((_fitted(problem, 1, x) for x in starts), key=lambda fit: fit.chi_square)
+    made = sorted((_improved(problem, 1, x) for x in starts), key=lambda fit: fit.chi_square)
     if len(made) == 1 or problem.task.constant:
         return made[0]
 
     def promise(fit: _Fit) -> float:
         x = fit.x
         for count in GROWTH[1:_SMALL]:
-            x = _fitted(problem, count, x).x if count < len(x) else x
+            x = _improved(problem, count, x).x if count < len(x) else x
         return float((problem.deviations(x) ** 2).sum())
 
     return min(made[:_KEPT_STARTS], key=promise)
@@ -143,6 +145,16 @@ def basis(speeds: np.ndarray, count: int) -> np.ndarray:
     inner = (0.5 * (even + np.quantile(place, share)))[1:-1]
     knots = np.concatenate([[place[0]] * 4, inner, [place[-1]] * 4])
     return np.asarray(BSpline.design_matrix(place, knots, 3).toarray())
+
+
+def _improved(problem: _Problem, count: int, start: np.ndarray) -> _Fit:
+    """:func:`_fitted`, once more where an unknown has all but vanished: as an exponential, nothing draws it back."""
+    fit = _fitted(problem, count, start)
+    x = fit.x
+    gone = problem.parameters.positive & (np.median(x, axis=0) < np.log(_VANISHED))
+    if not gone.any():
+        return fit
+    return min(fit, _fitted(problem, count, np.where(gone, 0.0, x)), key=lambda one: one.chi_square)
 
 
 def _fitted(problem: _Problem, count: int, start: np.ndarray) -> _Fit:
