@@ -22,7 +22,7 @@ PACKAGE = ROOT / "pipeline"
 CONF = ROOT / "conf"
 
 STEPS = [
-    {"errors", "units", "files", "coefficients", "unknowns", "waiting"},
+    {"errors", "units", "files", "coefficients", "unknowns", "waiting", "processes"},
     {"config"},
     {"rotor"},
     {"data"},

@@ -6,12 +6,13 @@ import hashlib
 import multiprocessing
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from pydantic import ValidationError
 
@@ -21,8 +22,8 @@ from pipeline.config.comparison import ComparisonConfig, MethodName
 from pipeline.config.identification import IdentifyConfig
 from pipeline.errors import DataError, PipelineError
 from pipeline.files import read_json, write_json
+from pipeline.processes import later_interrupt, limited_threads
 
-_THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 _PACKAGES = ("comparison", "data", "equations", "identification", "rotor")
 Done = Callable[[int, int, Result], None]
 """(results so far, of how many, the newest one)."""
@@ -110,10 +111,11 @@ def _worked(bench: Bench, items: Sequence[Item]) -> Iterator[tuple[Item, Result]
     if workers <= 1:
         yield from ((item, bench.result(item)) for item in items)
         return
-    with _one_thread():
-        pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _begin, (bench,))
+    context = multiprocessing.get_context("spawn")  # torch and BLAS don't survive a fork
+    with ProcessPoolExecutor(workers, context, _begin, (bench,)) as pool:
         try:
-            futures = {pool.submit(_work, item): item for item in items}
+            with limited_threads(1), later_interrupt():
+                futures = {pool.submit(_work, item): item for item in items}
             while futures:
                 finished, _ = wait(futures, return_when=FIRST_COMPLETED)
                 for future in finished:
@@ -124,41 +126,45 @@ def _worked(bench: Bench, items: Sequence[Item]) -> Iterator[tuple[Item, Result]
                 "command again to go on, with comparison.workers=1 for less memory"
             ) from None
         except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
             for process in multiprocessing.active_children():
                 process.terminate()
             raise
-        finally:
-            pool.shutdown(cancel_futures=True)
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Processes that start meanwhile use one thread each: there are as many of them as are wanted."""
-    before = {name: os.environ.get(name) for name in _THREADS}
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
 
 
 _bench: Bench | None = None
 """Of a worker: sent once, not with every item."""
+_working = False
 
 
 def _begin(bench: Bench) -> None:
     global _bench
     import torch
 
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent says when it is over
+    # The parent gets Ctrl-C too, and says when it is over: what is at work then ends, and the process in its own time.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _leave)
+    threading.Thread(target=_end_with, args=(multiprocessing.parent_process(),), daemon=True).start()
     torch.set_num_threads(1)
     _bench = bench
 
 
+def _end_with(parent: Any) -> None:
+    """A process that was killed can't end those that it started."""
+    parent.join()
+    os._exit(1)
+
+
+def _leave(*_: object) -> None:
+    if _working:
+        raise SystemExit
+
+
 def _work(item: Item) -> Result:
+    global _working
     assert _bench is not None
-    return _bench.result(item)
+    _working = True
+    try:
+        return _bench.result(item)
+    finally:
+        _working = False

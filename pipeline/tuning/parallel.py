@@ -9,10 +9,10 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from multiprocessing import resource_tracker
 from typing import TYPE_CHECKING, Any
 
 from pipeline.errors import PipelineError
+from pipeline.processes import later_interrupt, let_interrupt_through, limited_threads, threads_each
 from pipeline.tuning.liveness import requeue_orphans
 from pipeline.tuning.storage import storage_errors
 from pipeline.tuning.study import StudyProblem, open_study
@@ -21,7 +21,6 @@ from pipeline.tuning.worker import Seen, work
 if TYPE_CHECKING:
     import optuna
 
-_THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 _PATIENCE_SECONDS = 15.0
 _ORPHAN_SECONDS = 3.0
 """How long a worker whose parent died may take to put its trial back itself."""
@@ -57,46 +56,6 @@ def run_study(problem: StudyProblem, seen: Seen) -> tuple[optuna.Study, list[str
     return study, [f"a worker ended with exit code {code}; the others took over its trial" for code in codes]
 
 
-def threads_each(threads: int, workers: int) -> int:
-    """Threads of each worker: together no more than the machine has cores."""
-    # Not every system can limit a process to some of its cores.
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return max(1, min(threads, cores // workers))
-
-
-@contextmanager
-def _limited(threads: int) -> Iterator[None]:
-    """Interpreters started in the block find the limit of their threads in the environment: BLAS reads it there."""
-    before = {name: os.environ.get(name) for name in _THREADS}
-    os.environ.update(dict.fromkeys(_THREADS, str(threads)))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
-
-
-@contextmanager
-def _later_interrupt() -> Iterator[None]:
-    """Ctrl-C waits until the end of the block, and in processes started in it until they let it through: one that
-    came while they import would end them with a traceback."""
-    if hasattr(signal, "pthread_sigmask"):
-        resource_tracker.ensure_running()  # it would let the signal through when the first process starts it
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        _let_interrupt_through()
-
-
-def _let_interrupt_through() -> None:
-    if hasattr(signal, "pthread_sigmask"):  # not on Windows
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-
-
 @contextmanager
 def pool(workers: int, threads: int) -> Iterator[Callable[..., Iterator[Any]]]:
     """``map`` over as many processes; one worker is this process. Ctrl-C ends the others at once."""
@@ -105,7 +64,7 @@ def pool(workers: int, threads: int) -> Iterator[Callable[..., Iterator[Any]]]:
         return
     each = threads_each(threads, workers)
     # New interpreters, since torch and BLAS don't survive a fork.
-    with _limited(each), _later_interrupt():
+    with limited_threads(each), later_interrupt():
         processes = multiprocessing.get_context("spawn").Pool(workers, _begin, (each,))
     with processes:  # terminates them at its end
         yield processes.imap
@@ -123,7 +82,7 @@ def _others(problem: StudyProblem, count: int, threads: int) -> Iterator[list[An
     """``count`` more workers."""
     context = multiprocessing.get_context("spawn")
     workers: list[Any] = []
-    with _limited(threads), _later_interrupt():
+    with limited_threads(threads), later_interrupt():
         for _ in range(count):
             worker = context.Process(target=_work_beside, args=(problem, threads), daemon=True)
             worker.start()
@@ -160,7 +119,7 @@ def _work_beside(problem: StudyProblem, threads: int) -> None:
             raise ParentGone
 
     try:
-        _let_interrupt_through()
+        let_interrupt_through()
         with storage_errors(problem.config.tuning):
             work(open_study(problem), problem, seen)
     except (KeyboardInterrupt, ParentGone):

@@ -1,0 +1,52 @@
+"""Starting other processes: how many threads each has, and Ctrl-C while they start."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from multiprocessing import resource_tracker
+
+_THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+
+
+def threads_each(threads: int, workers: int) -> int:
+    """Threads of each worker: together no more than the machine has cores."""
+    # Not every system can limit a process to some of its cores.
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, min(threads, cores // workers))
+
+
+@contextmanager
+def limited_threads(threads: int) -> Iterator[None]:
+    """Interpreters started in the block find the limit of their threads in the environment: BLAS reads it there."""
+    before = {name: os.environ.get(name) for name in _THREADS}
+    os.environ.update(dict.fromkeys(_THREADS, str(threads)))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+@contextmanager
+def later_interrupt() -> Iterator[None]:
+    """Ctrl-C waits until the end of the block, and in processes started in it until they let it through: one that
+    came while they import would end them with a traceback."""
+    if hasattr(signal, "pthread_sigmask"):
+        resource_tracker.ensure_running()  # it would let the signal through when the first process starts it
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        let_interrupt_through()
+
+
+def let_interrupt_through() -> None:
+    """End :func:`later_interrupt` in a process that was started in it."""
+    if hasattr(signal, "pthread_sigmask"):  # not on Windows
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
