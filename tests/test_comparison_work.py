@@ -21,7 +21,6 @@ from pipeline.comparison.cases import Case
 from pipeline.comparison.catalogue import METHODS
 from pipeline.comparison.method import Reason
 from pipeline.comparison.result import Result
-from pipeline.comparison.summary import Comparison, noise_text
 from pipeline.comparison.work import Bench, Item, compared
 from pipeline.config.compose import compose_config
 from pipeline.equations.bearing_equations import bearing_equations
@@ -29,6 +28,7 @@ from pipeline.equations.filtered import _gain
 from pipeline.equations.noise import bearing_rows, residual_sensitivity
 from pipeline.equations.unknown_system import unknown_system
 from pipeline.errors import PipelineError
+from pipeline.reporting.comparison_tables import Comparison, noise_text
 from pipeline.stages.compare import modelled_machine
 
 FEW = ("experiment=hydrostatic_stiffness", "excitation.speeds.step_rpm=500")

@@ -32,6 +32,8 @@ _ROUNDS = 8
 _SETTLED = 1e-3
 _CHOICE = 1
 """The round after which superfluous features are dropped: the weights are nearly right by then."""
+_NO_WORSE = 2.0
+"""So many times the loss before, dropping them may raise it to."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +122,10 @@ def fit_response(
         before = problem
         problem, weights = reweighted(prepared, problem, free, factor, robust)
         if turn == _CHOICE and not prepared.from_guess:
-            problem, free = features_that_count(problem, free, covariance(problem, free)[0])
+            chosen, start = features_that_count(problem, free, covariance(problem, free)[0])
+            # The choice takes the minimum for quadratic: where there is none yet, it may lead anywhere, or to NaN.
+            if float(chosen.loss(start)) <= _NO_WORSE * float(problem.loss(free)):
+                problem, free = chosen, start
         changes = [
             float((new.weight / old.weight).log().abs().max())
             for new, old in zip(problem.blocks, before.blocks, strict=True)

@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.comparison.cases import Case
 from pipeline.comparison.catalogue import METHODS
-from pipeline.comparison.summary import SENSOR_TEXT, Comparison, heading
+from pipeline.reporting.comparison_tables import SENSOR_TEXT, Comparison, heading
 from pipeline.reporting.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, figure
 
 _LEAST = 1e-4

@@ -11,7 +11,6 @@ import numpy as np
 from pipeline.comparison.cases import Machine, cases, main_case
 from pipeline.comparison.catalogue import METHODS
 from pipeline.comparison.result import Result
-from pipeline.comparison.summary import Comparison, heading, markdown, noise_text, table_rows
 from pipeline.comparison.work import Bench, Item, compared
 from pipeline.config.schema import Config
 from pipeline.data.simulate import simulate
@@ -19,6 +18,7 @@ from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError
 from pipeline.files import write_json, write_text
 from pipeline.reporting.comparison_figures import comparison_figure
+from pipeline.reporting.comparison_tables import Comparison, markdown, tables
 from pipeline.reporting.console import comparison_progress, say, table
 from pipeline.rotor.ross_adapter import assemble, bearing_table
 from pipeline.stages.generate import excitations, own_frequencies, residual_unbalances
@@ -62,7 +62,7 @@ def run(config: Config) -> StageOutput:
     written: list[Path] = [
         write_table(folder / "comparison.csv", _rows(results)),
         write_json(folder / "comparison.json", summary),
-        write_text(folder / "comparison.md", _markdown(comparison)),
+        write_text(folder / "comparison.md", markdown(comparison)),
         comparison_figure(workspace(config).figure("comparison"), comparison),
     ]
     tags = {"rotor_fingerprint": machine.rotor.fingerprint, "data_fingerprint": machine.vibration.fingerprint}
@@ -101,6 +101,7 @@ def summary_of(comparison: Comparison) -> dict[str, object]:
         methods[method] = {
             "median_error_percent": errors,
             "median_error_percent_by_speeds": by_speeds,
+            "median_error_percent_by_coefficient": comparison.by_coefficient(method),
             "within_95_percent_interval": comparison.within(method, comparison.main),
             "seconds": comparison.seconds(method, comparison.main),
             "outcomes": comparison.outcomes().get(method, {}),
@@ -140,34 +141,9 @@ def _rows(results: list[Result]) -> pd.DataFrame:
 _COEFFICIENT_COLUMNS = ("median_error", "p95_error", "median_deviation", "within_interval")
 
 
-def _tables(comparison: Comparison) -> list[tuple[str, list[str], list[list[str]]]]:
-    """(title, header, rows) of every table; the first column names the method."""
-    main = comparison.main
-    made = []
-    for key in ("noise", "sensors", "speeds"):
-        header, rows = table_rows(comparison, key)
-        fixed = {
-            "noise": noise_text(main.noise),
-            "sensors": heading("sensors")(main),
-            "speeds": heading("speeds")(main),
-        }
-        title = f"against {key}: " + ", ".join(text for other, text in fixed.items() if other != key)
-        named = [[METHODS[m].label, *cells] for m, cells in zip(comparison.methods, rows, strict=True)]
-        made.append((title, ["method", *header], named))
-    about = []
-    for method in comparison.methods:
-        held = comparison.within(method, main)
-        inside = "" if held is None else f"{held:.0f}"
-        seconds = f"{comparison.seconds(method, main):.2g}"
-        about.append([METHODS[method].label, METHODS[method].source, METHODS[method].beforehand, inside, seconds])
-    made.append(("the methods", ["method", "source", "needs beforehand", "inside 95 %, %", "seconds"], about))
-    return made
-
-
 def _print(config: Config, comparison: Comparison) -> None:
-    for title, header, rows in _tables(comparison):
-        words = "" if title == "the methods" else ", median error % of the worst coefficient"
-        table(f"{config.name}: {title}{words}", header, rows)
+    for title, header, rows in tables(comparison):
+        table(f"{config.name}: {title}", header, rows)
     for method, outcomes in comparison.outcomes().items():
         for words in outcomes.values():
             say(f"{METHODS[method].label}: {words}")
@@ -178,8 +154,3 @@ def _print(config: Config, comparison: Comparison) -> None:
                 say(
                     f"{name}: FEM-NN, response has {ratio:.2f} times the error of the best other, {METHODS[best].label}"
                 )
-
-
-def _markdown(comparison: Comparison) -> str:
-    parts = [f"{title}\n\n{markdown(header, rows)}" for title, header, rows in _tables(comparison)]
-    return "\n".join(parts)

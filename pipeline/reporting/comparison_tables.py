@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.comparison.cases import Case
+from pipeline.comparison.catalogue import METHODS
 from pipeline.comparison.result import Result
 
 
@@ -38,6 +39,11 @@ class Comparison:
             return float("nan")
         errors = [np.mean([r.error(of) for r in rows]) for of in ([name] if name else self.names)]
         return float(np.max(errors))
+
+    def by_coefficient(self, method: str) -> dict[str, float]:
+        """Coefficient -> error in the main case; empty where there is no answer."""
+        errors = {name: self.error(method, self.main, name) for name in self.names}
+        return {name: error for name, error in errors.items() if not np.isnan(error)}
 
     def within(self, method: str, case: Case) -> float | None:
         """Percent of speeds inside the nominal 95 % interval, mean over all; None where no deviation is stated."""
@@ -107,14 +113,37 @@ def heading(key: str) -> Callable[[Case], str]:
     return texts[key]
 
 
-def table_rows(comparison: Comparison, key: str) -> tuple[list[str], list[list[str]]]:
-    """Header without its first column, and a row a method."""
-    columns = comparison.along(key)
-    rows = [[comparison.cell(method, case) for case in columns] for method in comparison.methods]
-    return [heading(key)(case) for case in columns], rows
+def tables(comparison: Comparison) -> list[tuple[str, list[str], list[list[str]]]]:
+    """(title, header, rows) of every table; the first column names the method."""
+    main, made = comparison.main, []
+    fixed = {key: heading(key)(main) for key in ("noise", "sensors", "speeds")}
+    for key in fixed:
+        columns = comparison.along(key)
+        rows = [[METHODS[m].label, *(comparison.cell(m, case) for case in columns)] for m in comparison.methods]
+        others = ", ".join(text for other, text in fixed.items() if other != key)
+        title = f"median error % of the worst coefficient against {key}; {others}"
+        made.append((title, ["method", *(heading(key)(case) for case in columns)], rows))
+    each = []
+    for m in comparison.methods:
+        errors = comparison.by_coefficient(m)
+        each.append([METHODS[m].label, *(f"{errors[name]:.2g}" if name in errors else "" for name in comparison.names)])
+    made.append(
+        (f"median error % of each coefficient; {', '.join(fixed.values())}", ["method", *comparison.names], each)
+    )
+    about = []
+    for m in comparison.methods:
+        held = comparison.within(m, main)
+        inside, seconds = "" if held is None else f"{held:.0f}", f"{comparison.seconds(m, main):.2g}"
+        about.append([METHODS[m].label, METHODS[m].source, METHODS[m].beforehand, inside, seconds])
+    made.append(("the methods", ["method", "source", "needs beforehand", "inside 95 %, %", "seconds"], about))
+    return made
 
 
-def markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table in Markdown."""
+def markdown(comparison: Comparison) -> str:
+    """All tables."""
+    return "\n".join(f"{title}\n\n{_table(header, rows)}" for title, header, rows in tables(comparison))
+
+
+def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
     return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows)]) + "\n"
