@@ -29,6 +29,7 @@ from pipeline.equations.noise import bearing_rows, residual_sensitivity
 from pipeline.equations.unknown_system import unknown_system
 from pipeline.errors import PipelineError
 from pipeline.reporting.comparison_tables import Comparison, noise_text
+from pipeline.stages import run_stage
 from pipeline.stages.compare import modelled_machine
 
 FEW = ("experiment=hydrostatic_stiffness", "excitation.speeds.step_rpm=500")
@@ -295,3 +296,15 @@ def test_the_derivative_of_the_equations_by_the_readings() -> None:
             own_offset = complex_rows(after.offset - before.offset)[b, :, direction, 1]
             size = np.abs(offset[:, 1, 2 * b + direction, 2] * step[:, 2, 1])
             np.testing.assert_allclose(np.abs(own_offset), size, rtol=1e-4, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_impulses_give_all_coefficients_and_the_unbalance(tmp_path: Path) -> None:
+    """The experiment as committed: every coefficient within 0.8 % (median), the unbalance within one."""
+    config = compose_config(["experiment=impulses", f"output={tmp_path}", "tracking=none"])
+    run_stage(config.model_copy(update={"stage": "evaluate"}))
+    metrics = json.loads((tmp_path / "metrics.json").read_text())["coefficients"]
+    assert max(of["median_error_percent"] for found in metrics.values() for of in found.values()) < 0.8
+    found = pd.read_csv(tmp_path / "residual_unbalance.csv").set_index("node")["magnitude"]
+    hidden = {one.node: one.magnitude for one in config.excitation.residual}
+    assert all(abs(found[node] / size - 1) < 0.01 for node, size in hidden.items())

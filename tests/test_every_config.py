@@ -66,6 +66,20 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
+EXACT = "least_squares,tikhonov,total_least_squares,kalman,spline,response"
+COMPARED = {
+    "ball_bearing": f"comparison.methods=[{EXACT},kriging,critical_speeds]",
+    "hydrostatic_damping": f"comparison.methods=[{EXACT}]",
+    "hydrostatic_stiffness": f"comparison.methods=[{EXACT}]",
+    "impulses": "comparison.methods=[multi_frequency,total_least_squares,response]",
+}
+"""The methods that thresholds are set for."""
+FEW_CASES = [
+    *("comparison.workers=1", "comparison.data_sets=1", "comparison.speeds=[11]", "comparison.noise=[0,0.001]"),
+    "comparison.response.optimizer.levenberg_marquardt.steps=4",
+]
+
+
 def read(path: Path) -> Any:
     """JSON as the standard has it: NaN is none."""
 
@@ -417,7 +431,8 @@ def test_tables_have_the_columns_that_others_rely_on(experiment: str, made: Made
     folder, config = made(experiment), composed(experiment)
     speeds, nodes = config.excitation.speeds.rpm(), list(config.rotor.bearing_nodes)
     vibration = pd.read_parquet(folder / "vibration.parquet")
-    assert list(vibration) == ["run", "speed_rpm", "node", "direction", "amplitude_m", "phase_deg"]
+    own = ["frequency_hz"] if any(run.frequency_hz or run.frequency_ratio for run in config.excitation.runs) else []
+    assert list(vibration) == ["run", "speed_rpm", "node", "direction", "amplitude_m", "phase_deg", *own]
     assert sorted(set(vibration["speed_rpm"])) == speeds
     assert set(vibration["direction"]) == {"x", "y"}
     assert list(dict.fromkeys(vibration["run"])) == [r.name for r in config.excitation.runs]
@@ -613,6 +628,8 @@ def test_check_of_freshly_made_experiments(made: Made, capsys: pytest.CaptureFix
     """The committed thresholds find their metrics in the files that the stages write."""
     for experiment in EXPERIMENTS:
         made(experiment)
+        if experiment in COMPARED:
+            run("compare", experiment, made(experiment), *FEW_CASES, COMPARED[experiment])
     capsys.readouterr()
     with pytest.raises(SystemExit) as stop:  # few steps pass no accuracy bar
         run("check", "ball_bearing", made("ball_bearing"), f"check.experiments=[{','.join(EXPERIMENTS)}]")
@@ -624,4 +641,6 @@ def test_check_of_freshly_made_experiments(made: Made, capsys: pytest.CaptureFix
 
 def test_all_stages_are_tried_here() -> None:
     """A new stage is added to these tests, or tried in test_tuning.py, test_identifiability.py, test_ingest.py."""
-    assert set(LINE) | {"configure", "check", "tune", "samplers", "diagnose", "design", "ingest"} == set(STAGES)
+    assert set(LINE) | {"configure", "check", "tune", "samplers", "diagnose", "design", "ingest", "compare"} == set(
+        STAGES
+    )
