@@ -40,7 +40,9 @@ QUICK_FIRST = [
     *(pytest.param(name, marks=pytest.mark.slow) for name in EXPERIMENTS if name != "hydrostatic_stiffness"),
 ]
 # Of the noisy ones, which differ in their unknowns, one is tried with every option.
-WITH_OPTIONS = [name for name in EXPERIMENTS if name not in ("noisy_direct", "noisy_all", "noisy_stiffness_residual")]
+WITH_OPTIONS = [
+    name for name in EXPERIMENTS if name not in ("noisy_direct", "noisy_all", "noisy_stiffness_residual", "impulses")
+]
 GROUPS = sorted(p.name for p in CONF.iterdir() if p.is_dir() and p.name not in {"experiment", "thresholds"})
 COEFFICIENTS = ["kxx", "kxy", "kyx", "kyy", "cxx", "cxy", "cyx", "cyy"]
 FIGURES = [
