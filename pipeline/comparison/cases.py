@@ -60,14 +60,7 @@ class Machine:
 
     def measured(self, case: Case, location: int | None) -> VibrationDataset:
         """The data set of a case. The same noise, scaled, at every level of it."""
-        speeds = self.speeds(case)
-        own = self.vibration.own_frequencies
-        clean = replace(
-            self.vibration,
-            speeds=self.vibration.speeds[speeds],
-            displacement=self.vibration.displacement[speeds],
-            own_frequencies=None if own is None else own[speeds],
-        )
+        clean = self.vibration.at(self.speeds(case))
         generator = np.random.default_rng([self.noise_seed, case.data_set])
         return measured(clean, Sensors(self._channels(case.sensors, location), multiplicative=case.noise), generator)
 

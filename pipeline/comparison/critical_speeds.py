@@ -29,7 +29,7 @@ from pipeline.units import RAD_S_PER_RPM
 MODELLED = 400
 """Machines that the network learns from."""
 _HELD_OUT = 5
-"""Every so manieth of them is held out, to tell the network's error."""
+"""One of so many is held out, to tell the network's error."""
 _HIDDEN = (16, 16)
 _SPREAD = 64
 """Data sets with more of the stated noise, whose spread is the deviation."""

@@ -81,15 +81,7 @@ def _points(active: int) -> int:
 
 def _at(task: Task, speeds: np.ndarray) -> Task:
     """The task at some of its speeds (indices)."""
-    own = task.dataset.own_frequencies
-    dataset = replace(
-        task.dataset,
-        speeds=task.dataset.speeds[speeds],
-        displacement=task.dataset.displacement[speeds],
-        own_frequencies=None if own is None else own[speeds],
-        subtracted=None if task.dataset.subtracted is None else task.dataset.subtracted[speeds],
-    )
-    return replace(task, dataset=dataset, known=task.known.at(speeds))
+    return replace(task, dataset=task.dataset.at(speeds), known=task.known.at(speeds))
 
 
 def _between(speeds: np.ndarray, chosen: np.ndarray, values: np.ndarray) -> np.ndarray:

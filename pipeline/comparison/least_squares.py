@@ -12,6 +12,7 @@ from pipeline.equations.least_squares import per_speed_least_squares
 from pipeline.equations.noise import (
     bearing_rows,
     least_squares_deviation,
+    linear_deviation,
     member_rows,
     residual_covariance,
     residual_sensitivity,
@@ -31,7 +32,7 @@ def plain(task: Task) -> Estimate:
     task = task.without_unbalance()
     system = _members(task)
     values, _ = per_speed_least_squares(system)
-    return task.estimate(values, propagated(task, values, _inverse(system, np.zeros(system.matrix.shape[:2]))))
+    return task.estimate(values, _deviation(task, values, _inverse(system, np.zeros(system.matrix.shape[:2]))))
 
 
 def tikhonov(task: Task) -> Estimate:
@@ -48,7 +49,7 @@ def tikhonov(task: Task) -> Estimate:
         )
     inverse = _inverse(system, _validated_strength(system))
     values = -np.einsum("msur,msr->msu", inverse, system.offset)
-    return task.estimate(values, propagated(task, values, inverse))
+    return task.estimate(values, _deviation(task, values, inverse))
 
 
 def total(task: Task) -> Estimate:
@@ -105,21 +106,16 @@ _WEAKEST = 1e-8
 _STRENGTHS = 65
 
 
-def propagated(task: Task, values: np.ndarray, inverse: np.ndarray) -> np.ndarray:
+def _deviation(task: Task, values: np.ndarray, inverse: np.ndarray) -> np.ndarray:
     """(M, S, U) standard deviation that the stated noise implies for ``p = -inverse y``; (M, S, U, rows) inverse."""
     covariance = residual_covariance(task.rotor, task.dataset, task.table(values), task.deviation)
     members = member_rows(len(task.rotor.bearing_nodes), task.alike)
-    n_runs = len(task.dataset.runs)
-    result = np.empty(values.shape)
-    for m, own in enumerate(members):
-        # Rows are ordered as UnknownSystem has them: bearing, real or imaginary part, direction, run.
-        half = inverse[m].reshape(*inverse[m].shape[:2], -1, 2, 2, n_runs)
-        joined = half[:, :, :, 0] - 1j * half[:, :, :, 1]  # p moves by the real part of -joined * residual
-        joined = joined.reshape(*joined.shape[:2], len(own), n_runs)
-        spread = covariance[:, :, own[:, None], own]  # (S, R, rows, rows)
-        variance = np.einsum("suir,srij,sujr->su", joined, spread, joined.conj(), optimize=True).real / 2
-        result[m] = np.sqrt(np.maximum(variance, 0.0))
-    return result
+    return np.array(
+        [
+            linear_deviation(own, covariance[:, :, rows[:, None], rows])
+            for own, rows in zip(inverse, members, strict=True)
+        ]
+    )
 
 
 def _derivative(task: Task) -> np.ndarray:

@@ -127,8 +127,7 @@ class Task:
 
     def table(self, values: np.ndarray) -> BearingTable:
         """All eight coefficients, from unknowns (M, S, U) and the known ones."""
-        every = np.broadcast_to(values, (len(self.known.nodes), *values.shape[1:]))
-        return BearingTable(self.known.nodes, self.known.speeds, self.unknowns.expand(every, self.known.values))
+        return self.known.with_unknowns(self.unknowns, values)
 
     def leading(self, table: BearingTable) -> np.ndarray:
         """(M, S, U) the unknowns of a table, each the coefficient that leads it."""
@@ -170,15 +169,8 @@ class Task:
         dataset = self.dataset
         if not len(keep):
             raise Refusal(Reason.RESIDUAL_UNBALANCE, "every run turns with the rotor")
-        rest = replace(
-            dataset,
-            runs=tuple(dataset.runs[r] for r in keep),
-            displacement=dataset.displacement[..., keep],
-            excitations=tuple(one for one in dataset.excitations if dataset.runs.index(one.run) in keep),
-            own_frequencies=dataset.frequencies[:, keep],
-            subtracted=None if dataset.subtracted is None else dataset.subtracted[..., keep],
-        )
-        return replace(self, dataset=rest, identify=self.identify.model_copy(update={"unbalance_planes": ()}))
+        identify = self.identify.model_copy(update={"unbalance_planes": ()})
+        return replace(self, dataset=dataset.of_runs(keep), identify=identify)
 
     def synchronous(self) -> np.ndarray:
         """(R,) mask of the runs that turn with the rotor."""

@@ -19,7 +19,7 @@ from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.data.sensors import both_directions, seen_by
 from pipeline.equations.bearing_equations import BearingEquations, bearing_equations
 from pipeline.equations.identifiability import DEPENDENT
-from pipeline.equations.noise import residual_covariance
+from pipeline.equations.noise import linear_deviation, residual_covariance
 from pipeline.equations.unknown_system import unknown_system
 
 
@@ -43,7 +43,7 @@ def multi_frequency(task: Task) -> Estimate:
     answer = -np.einsum("svr,sr->sv", inverse, offset)  # (S, A + 2 N)
     values = task.active_values(answer)
     covariance = residual_covariance(task.rotor, dataset, task.table(values), _deviation(task, dataset))
-    deviation = task.active_values(_propagated(inverse, covariance))
+    deviation = task.active_values(linear_deviation(inverse, covariance))
     words = f"{min(frequencies)} frequencies a speed"
     if task.identify.unbalance_planes:
         pairs = answer[:, len(task.active) :].reshape(len(answer), -1, 2)
@@ -91,12 +91,3 @@ def _unit_unbalance(task: Task, dataset: VibrationDataset, node: int) -> np.ndar
         excitations=tuple(Excitation(run, "unbalance", node, 1.0, 0.0) for run in turning),
     )
     return bearing_equations(task.rotor, still).free_residual
-
-
-def _propagated(inverse: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """(S, A + 2 N) standard deviation from ``inverse`` (S, A + 2 N, rows) and ``covariance`` (S, R, 2 B, 2 B)."""
-    n_speeds, n_runs, n_forces, _ = covariance.shape
-    half = inverse.reshape(n_speeds, inverse.shape[1], n_forces // 2, 2, 2, n_runs)
-    joined = (half[:, :, :, 0] - 1j * half[:, :, :, 1]).reshape(n_speeds, inverse.shape[1], n_forces, n_runs)
-    variance = np.einsum("suir,srij,sujr->su", joined, covariance, joined.conj(), optimize=True).real / 2
-    return np.sqrt(np.maximum(variance, 0.0))

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -66,6 +66,30 @@ class VibrationDataset:
                 digest.update(np.ascontiguousarray(more).tobytes())
         return digest.hexdigest()[:16]
 
+    def at(self, speeds: np.ndarray) -> VibrationDataset:
+        """The same at the ``speeds`` (indices)."""
+        own, subtracted = self.own_frequencies, self.subtracted
+        return replace(
+            self,
+            speeds=self.speeds[speeds],
+            displacement=self.displacement[speeds],
+            own_frequencies=None if own is None else own[speeds],
+            subtracted=None if subtracted is None else subtracted[speeds],
+        )
+
+    def of_runs(self, runs: np.ndarray) -> VibrationDataset:
+        """The ``runs`` (indices) alone."""
+        names = tuple(self.runs[r] for r in runs)
+        own, subtracted = self.own_frequencies, self.subtracted
+        return replace(
+            self,
+            runs=names,
+            displacement=self.displacement[..., runs],
+            excitations=tuple(excitation for excitation in self.excitations if excitation.run in names),
+            own_frequencies=None if own is None else own[:, runs],
+            subtracted=None if subtracted is None else subtracted[..., runs],
+        )
+
     def sensor_matrix(self, n_dof: int) -> np.ndarray:
         """(P, n) what each channel shows of the rotor's lateral DOF."""
         matrix = np.zeros((len(self.channels), n_dof))
@@ -112,18 +136,10 @@ def direction_name(angle: float) -> str:
 def without_baseline(dataset: VibrationDataset, baseline: str) -> VibrationDataset:
     """The other runs; those that turn with the rotor less the ``baseline``, and so less any residual unbalance."""
     b = dataset.runs.index(baseline)
-    rest = [r for r in range(len(dataset.runs)) if r != b]
-    turning = np.isclose(dataset.frequencies, dataset.speeds[:, None], rtol=1e-9)[:, rest]  # (S, R)
+    rest = dataset.of_runs(np.delete(np.arange(len(dataset.runs)), b))
+    turning = np.isclose(rest.frequencies, rest.speeds[:, None], rtol=1e-9)  # (S, R)
     subtracted = dataset.displacement[..., [b]] * turning[:, None]
-    return VibrationDataset(
-        dataset.speeds,
-        tuple(dataset.runs[r] for r in rest),
-        dataset.channels,
-        dataset.displacement[..., rest] - subtracted,
-        dataset.excitations,
-        None if dataset.own_frequencies is None else dataset.own_frequencies[:, rest],
-        subtracted,
-    )
+    return replace(rest, displacement=rest.displacement - subtracted, subtracted=subtracted)
 
 
 def reading_deviation(

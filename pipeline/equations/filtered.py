@@ -63,8 +63,7 @@ class BearingFilter:
 
     def table(self, values: np.ndarray) -> BearingTable:
         """All eight coefficients, from unknowns (M, S, U)."""
-        every = np.broadcast_to(values, (len(self.known.nodes), *values.shape[1:]))
-        return BearingTable(self.known.nodes, self.known.speeds, self.unknowns.expand(every, self.known.values))
+        return self.known.with_unknowns(self.unknowns, values)
 
     def mean_square(self, values: np.ndarray) -> np.ndarray:
         """(S,) of what unknowns (M, S, U) leave over, in units of the noise."""

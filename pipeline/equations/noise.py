@@ -112,6 +112,19 @@ def member_rows(n_bearings: int, alike: bool) -> list[np.ndarray]:
     return [np.array([2 * b, 2 * b + 1]) for b in range(n_bearings)]
 
 
+def linear_deviation(inverse: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """(S, V) standard deviation of ``v = -inverse y`` for a residual of this covariance (S, R, 2 B, 2 B).
+
+    ``inverse`` is (S, V, rows) with the rows of :class:`UnknownSystem`: bearing, real or imaginary, direction, run.
+    """
+    n_speeds, n_runs, n_forces, _ = covariance.shape
+    half = inverse.reshape(n_speeds, inverse.shape[1], n_forces // 2, 2, 2, n_runs)
+    joined = (half[:, :, :, 0] - 1j * half[:, :, :, 1]).reshape(n_speeds, inverse.shape[1], n_forces, n_runs)
+    # v moves by the real part of -joined * residual, which has half of the power.
+    variance = np.einsum("svir,srij,svjr->sv", joined, covariance, joined.conj(), optimize=True).real / 2
+    return np.sqrt(np.maximum(variance, 0.0))
+
+
 def least_squares_deviation(white: UnknownSystem) -> np.ndarray:
     """(M, S, U) standard deviation of weighted least squares at each speed; infinite where the data say nothing.
 

@@ -47,7 +47,7 @@ class IdentifiedModel:
 
     def table(self, known: BearingTable) -> BearingTable:
         """All eight coefficients: the identified ones, and the known ones from ``known``."""
-        return BearingTable(known.nodes, known.speeds, self.unknowns.expand(self.values(known.speeds), known.values))
+        return known.with_unknowns(self.unknowns, self.values(known.speeds))
 
 
 @dataclass(frozen=True, eq=False)

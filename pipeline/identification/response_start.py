@@ -46,7 +46,7 @@ def linear_start(
     for _ in range(_ROUNDS):
         white = whitened(system, covariance, alike)
         values = _combination(white, features, scale)
-        covariance = expanded.residual_covariance(equations, _table(values, unknowns, known))
+        covariance = expanded.residual_covariance(equations, known.with_unknowns(unknowns, values))
     return values
 
 
@@ -101,8 +101,3 @@ def _combination(white: UnknownSystem, features: np.ndarray, scale: np.ndarray) 
 _NEGLIGIBLE = 1e-10
 _TINY = 1e-300
 _MEDIAN_OF_NORMAL = 0.6745
-
-
-def _table(values: np.ndarray, unknowns: UnknownSet, known: BearingTable) -> BearingTable:
-    every = np.broadcast_to(values, (len(known.nodes), *values.shape[1:]))
-    return BearingTable(known.nodes, known.speeds, unknowns.expand(every, known.values))

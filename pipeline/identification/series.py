@@ -27,8 +27,7 @@ class SeriesFit:
         """All eight coefficients: the identified ones, and the known ones from ``known``."""
         basis = _basis(self.prepared.model.scaled_inputs(known.speeds).numpy(), self.degree)
         values = np.array([basis @ series.T for series in self.series])  # (M, S, U)
-        values = np.broadcast_to(values, (len(known.nodes), *values.shape[1:]))
-        return BearingTable(known.nodes, known.speeds, self.prepared.unknowns.expand(values, known.values))
+        return known.with_unknowns(self.prepared.unknowns, values)
 
 
 def best_series(prepared: PreparedTraining) -> SeriesFit | None:

@@ -5,11 +5,12 @@ Legend: B bearings, S speeds, 8 coefficients in the order of :data:`pipeline.coe
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
+from pipeline.unknowns import UnknownSet
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,6 +24,11 @@ class BearingTable:
     def coefficient(self, name: str) -> np.ndarray:
         """(B, S) values of one coefficient."""
         return self.values[..., COEFFICIENTS.index(name)]
+
+    def with_unknowns(self, unknowns: UnknownSet, values: np.ndarray) -> BearingTable:
+        """These coefficients, with unknowns (B, S, U), or (1, S, U) of bearings that are alike, in their places."""
+        every = np.broadcast_to(values, (len(self.nodes), *values.shape[1:]))
+        return replace(self, values=unknowns.expand(every, self.values))
 
     def impedance(self, frequencies: np.ndarray | None = None) -> np.ndarray:
         """(B, S, 2, 2) complex ``K + j w C`` in N/m; (B, S, R, 2, 2) for ``frequencies`` (S, R).

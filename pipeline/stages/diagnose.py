@@ -100,8 +100,7 @@ def _by_response(config: Config, inputs: Inputs) -> Diagnosis:
     if expanded is None:
         found = response_account(prepared_response(config, inputs, setup), initial_guess(setup, unknowns.names, 1))
         table = known.at(np.flatnonzero(np.isin(known.speeds, found.account.speeds)))
-        values = np.broadcast_to(found.values, (len(known.nodes), *found.values.shape[1:]))
-        answer = BearingTable(table.nodes, table.speeds, unknowns.expand(values, table.values))
+        answer = table.with_unknowns(unknowns, found.values)
         return Diagnosis((found.account,), answer, _of_coefficients(found.deviation, unknowns, table), False)
     system = unknown_system(expanded.equations, unknowns, known)
     accounts = identifiability(expanded.equations, system, alike, config.model.kind == "constant")
@@ -113,8 +112,7 @@ def _by_response(config: Config, inputs: Inputs) -> Diagnosis:
 
 def _solved(solvable: UnknownSystem, known: BearingTable, system: UnknownSystem) -> BearingTable:
     values, _ = per_speed_least_squares(solvable)
-    values = np.broadcast_to(values, (len(known.nodes), *values.shape[1:]))
-    return BearingTable(known.nodes, known.speeds, system.unknowns.expand(values, known.values))
+    return known.with_unknowns(system.unknowns, values)
 
 
 def noise_words(config: Config) -> str:

@@ -195,9 +195,7 @@ def _least_squares(config: Config, inputs: Inputs, identified: IdentifiedModel) 
     known, unknowns = inputs.known, identified.unknowns
     system = unknown_system(inputs.equations, unknowns, known)
     values, condition = per_speed_least_squares(system.alike() if config.identify.tie_bearings else system)
-    values = np.broadcast_to(values, (len(known.nodes), *values.shape[1:]))
-    condition = np.broadcast_to(condition, values.shape[:2])
-    return BearingTable(known.nodes, known.speeds, unknowns.expand(values, known.values)), condition
+    return known.with_unknowns(unknowns, values), np.broadcast_to(condition, known.values.shape[:2])
 
 
 def _error_table(
