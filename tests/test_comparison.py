@@ -111,14 +111,7 @@ def test_every_method_refuses_something() -> None:
 def test_cross_validation_needs_more_equations_than_unknowns() -> None:
     """Eight unknowns of two runs are solved exactly: nothing is left to validate by."""
     whole = task(Case(0.0, "all", 30), *EIGHT)
-    runs = np.array([0, 3])
-    dataset = whole.dataset
-    two = replace(
-        dataset,
-        runs=tuple(dataset.runs[r] for r in runs),
-        displacement=dataset.displacement[..., runs],
-        excitations=tuple(e for e in dataset.excitations if dataset.runs.index(e.run) in runs),
-    )
+    two = whole.dataset.of_runs(np.array([0, 3]))
     METHODS["least_squares"].identify(replace(whole, dataset=two))
     with pytest.raises(Refusal, match="8 equations for 8 unknowns"):
         METHODS["tikhonov"].identify(replace(whole, dataset=two))
