@@ -154,6 +154,9 @@ def reading_deviation(
 
 def runs_by_frequency(frequencies: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Runs that share their frequencies (S, R), as (indices of the runs, their frequencies (S,))."""
+    if (frequencies == frequencies[:, :1]).all():  # as of unbalance; sorting them would take a while
+        yield np.arange(frequencies.shape[1]), frequencies[:, 0]
+        return
     columns, of = np.unique(frequencies, axis=1, return_inverse=True)
     for i in range(columns.shape[1]):
         yield np.flatnonzero(of.ravel() == i), columns[:, i]

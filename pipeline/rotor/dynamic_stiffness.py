@@ -71,7 +71,8 @@ def solve(
         (S, m, R) complex. Raises PipelineError where D is singular or the result is not finite.
     """
     size, width = len(system.dof), system.bandwidth
-    result = np.empty(right.shape, dtype=complex)
+    # Right-hand sides in Fortran order, too: LAPACK then leaves the solution in their place, and nothing is copied.
+    solution = np.array(right.swapaxes(1, 2), dtype=complex, order="C")
     # LAPACK's band storage in Fortran order, seen in C order as (speed, column, row), with u rows of room for
     # pivoting. A chunk of speeds is assembled at once: small enough to stay in the processor's cache.
     band = np.empty((min(_CHUNK, len(speeds)), size, 3 * width + 1), dtype=complex)
@@ -80,13 +81,13 @@ def solve(
         blocks = None if impedance is None else impedance[:, chunk]
         _assemble(system, frequencies[chunk], speeds[chunk], blocks, impedance_dof, band)
         for s in range(chunk.start, chunk.stop):
-            _, _, result[s], info = lapack.zgbsv(width, width, band[s - start].T, right[s], overwrite_ab=True)
+            *_, info = lapack.zgbsv(width, width, band[s - start].T, solution[s].T, overwrite_ab=True, overwrite_b=True)
             if info != 0:
                 raise _singular(speeds[s])
-    finite = np.isfinite(result).all(axis=(1, 2))
+    finite = np.isfinite(solution).all(axis=(1, 2))
     if not finite.all():
         raise _singular(speeds[~finite][0])
-    return result
+    return np.ascontiguousarray(solution.swapaxes(1, 2))
 
 
 _CHUNK = 16
