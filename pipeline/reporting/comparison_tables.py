@@ -116,20 +116,20 @@ def heading(key: str) -> Callable[[Case], str]:
 def tables(comparison: Comparison) -> list[tuple[str, list[str], list[list[str]]]]:
     """(title, header, rows) of every table; the first column names the method."""
     main, made = comparison.main, []
-    fixed = {key: heading(key)(main) for key in ("noise", "sensors", "speeds")}
-    for key in fixed:
-        columns = comparison.along(key)
+    by_noise = [
+        ("noise", [replace(one, sensors=case.sensors) for one in comparison.along("noise")])
+        for case in comparison.along("sensors")
+    ]
+    for key, columns in [*by_noise, ("speeds", comparison.along("speeds"))]:
         rows = [[METHODS[m].label, *(comparison.cell(m, case) for case in columns)] for m in comparison.methods]
-        others = ", ".join(text for other, text in fixed.items() if other != key)
-        title = f"median error % of the worst coefficient against {key}; {others}"
+        fixed = ", ".join(heading(other)(columns[0]) for other in ("noise", "sensors", "speeds") if other != key)
+        title = f"median error % of the worst coefficient against {key}; {fixed}"
         made.append((title, ["method", *(heading(key)(case) for case in columns)], rows))
-    each = []
+    fixed, each = ", ".join(heading(key)(main) for key in ("noise", "sensors", "speeds")), []
     for m in comparison.methods:
         errors = comparison.by_coefficient(m)
         each.append([METHODS[m].label, *(f"{errors[name]:.2g}" if name in errors else "" for name in comparison.names)])
-    made.append(
-        (f"median error % of each coefficient; {', '.join(fixed.values())}", ["method", *comparison.names], each)
-    )
+    made.append((f"median error % of each coefficient; {fixed}", ["method", *comparison.names], each))
     about = []
     for m in comparison.methods:
         held = comparison.within(m, main)
