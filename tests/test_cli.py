@@ -285,6 +285,18 @@ def test_every_error_of_the_schema_has_a_line_of_its_own() -> None:
     assert "these 3 values" in last
 
 
+@pytest.mark.parametrize(
+    "changes", [{"identify.unknowns": ["kxz"]}, {"comparison.methods": ["kalmann"]}, {"comparison.noise": [2]}]
+)
+def test_a_wrong_item_does_not_make_its_list_too_short(changes: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError) as caught:
+        validated(_changed(changes))
+    assert "at least 1 item" not in str(caught.value)
+    assert str(caught.value).endswith(
+        "Correct this value; `python -m pipeline --cfg job` prints the whole configuration."
+    )
+
+
 def test_a_broken_file_in_conf_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "config.yaml").write_text("defaults: [_self_]\nseed: [1\n")
     monkeypatch.setattr("pipeline.config.compose.CONF", tmp_path)

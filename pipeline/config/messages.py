@@ -23,8 +23,11 @@ _SUBJECT = re.compile(r"^[A-Z]\w*(?: \w+)? should (?=be |have |match |start |end
 
 def schema_errors(error: ValidationError, mapping: Mapping[str, Any], model: type[BaseModel]) -> str:
     """Every error of ``mapping`` against ``model`` as a line of its own, then the next step."""
-    lines = [_line(item, mapping, model) for item in error.errors(include_url=False)]
-    lines = list(dict.fromkeys(lines))
+    errors = error.errors(include_url=False)
+    wrong_inside = {item["loc"][:n] for item in errors for n in range(len(item["loc"]))}
+    # A list whose items are wrong is "too short", since none of them counts.
+    errors = [item for item in errors if item["type"] != "too_short" or item["loc"] not in wrong_inside]
+    lines = list(dict.fromkeys(_line(item, mapping, model) for item in errors))
     values = "this value" if len(lines) == 1 else f"these {len(lines)} values"
     return "\n".join([*lines, f"Correct {values}; `python -m pipeline --cfg job` prints the whole configuration."])
 
