@@ -628,6 +628,7 @@ def test_bad_data_leave_old_results_as_they_were(stage: str, base: Config, mine:
     assert contents(mine) == before
 
 
+@pytest.mark.slow
 def test_the_command_line_answers_with_a_sentence_and_2(mine: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Through the front door: exit code 2, one sentence, no traceback."""
     (mine / "vibration.parquet").write_bytes(b"PAR1")
@@ -683,6 +684,7 @@ def test_the_same_numbers_in_another_file_give_the_same_bits(way: str, base: Con
     assert _answers(output) == _answers(mine)
 
 
+@pytest.mark.slow
 def test_relative_paths_with_spaces_and_letters_of_any_script(mine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Files are found by any name, and from the folder the command was started in."""
     folder = mine.parent / "Прибор 測定"
@@ -836,6 +838,7 @@ def test_notes_of_pandas_in_a_parquet_file_do_not_matter(case: str, base: Config
         assert _dataset(small, base).fingerprint == before
 
 
+@pytest.mark.slow
 def test_a_threshold_file_with_any_bytes_wrong_is_read_or_refused(tmp_path: Path) -> None:
     """A damaged threshold file is a mistake in the configuration."""
     path = tmp_path / "x.yaml"

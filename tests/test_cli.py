@@ -136,6 +136,7 @@ def test_composing_leaves_hydra_as_it_was() -> None:
         VersionBase.instance().version_base = before
 
 
+@pytest.mark.slow
 def test_a_stage_may_compose_while_it_runs(
     runs: list[Config], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -307,6 +308,7 @@ def test_a_broken_file_in_conf_is_named(monkeypatch: pytest.MonkeyPatch, tmp_pat
         compose_config([])
 
 
+@pytest.mark.slow
 @settings(max_examples=12, deadline=None, derandomize=True)
 @given(
     key=st.sampled_from(["seed", "+seed", "~seed", "rotor", "model.kind", "stage", "experiment", "rotor.shaft.0", ""]),
@@ -317,6 +319,7 @@ def test_any_override_composes_or_is_refused_with_a_sentence(key: str, value: st
         compose_config([f"{key}={value}"])
 
 
+@pytest.mark.slow
 def test_what_only_hydra_can_see_is_a_sentence_too(runs: list[Config], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["hydra.run.dir=${nothing}"]) == 2
     assert "nothing" in capsys.readouterr().err
@@ -358,6 +361,7 @@ def test_exit_code_of_what_a_stage_raises(
     assert "Traceback" not in err
 
 
+@pytest.mark.slow
 def test_a_bug_keeps_its_traceback(
     runs: list[Config], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -369,6 +373,7 @@ def test_a_bug_keeps_its_traceback(
     assert "please report" in err
 
 
+@pytest.mark.slow
 def test_a_mistake_in_a_real_process(tmp_path: Path) -> None:
     answer = _process("experiment=ball_bearing", "stage=trian", cwd=tmp_path)
     assert (answer.returncode, answer.stdout) == (2, "")
@@ -426,6 +431,7 @@ def test_an_output_that_is_closed(tmp_path: Path) -> None:
 # --- single runs -----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_run_stays_in_its_folder_and_writes_nothing_of_its_own(runs: list[Config], tmp_path: Path) -> None:
     before = list(sys.argv), dict(os.environ), Path.cwd()
     assert main(["seed=5", "output=my folder/x"]) == 0
@@ -440,12 +446,14 @@ def test_the_configuration_is_printed(runs: list[Config], capsys: pytest.Capture
     assert runs == []
 
 
+@pytest.mark.slow
 def test_how_the_configuration_was_composed_is_printed(tmp_path: Path) -> None:
     answer = _process("seed=77", "--info", "config", cwd=tmp_path)  # it prints through a logger that would stay
     assert (answer.returncode, answer.stderr, list(tmp_path.iterdir())) == (0, "", [])
     assert "seed: 77" in answer.stdout
 
 
+@pytest.mark.slow
 def test_an_unknown_package_is_a_mistake(runs: list[Config]) -> None:
     assert main(["--cfg", "job", "--package", "nothing"]) == 2
 

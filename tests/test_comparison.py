@@ -46,13 +46,20 @@ GOOD = {
 }
 
 
-@pytest.mark.parametrize("method", METHOD_NAMES)
+LEARNT = ("kriging", "critical_speeds")
+"""Methods that model many machines first."""
+
+
+@pytest.mark.parametrize(
+    "method", [pytest.param(name, marks=[pytest.mark.slow] * (name in LEARNT)) for name in METHOD_NAMES]
+)
 def test_the_right_answer_on_clean_data(method: str) -> None:
     """To rounding, or to the accuracy that the method has."""
     good = GOOD[method]
     assert errors(answer(method, good.case, *good.overrides), good.case, *good.overrides).max() < good.error
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHOD_NAMES)
 def test_the_error_grows_with_the_noise(method: str) -> None:
     """The mean of a few data sets: a single one may be lucky."""
@@ -62,6 +69,7 @@ def test_the_error_grows_with_the_noise(method: str) -> None:
     assert clean < np.mean([errors(answer(method, case, *good.overrides), case, *good.overrides) for case in noisy])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHOD_NAMES)
 def test_the_same_bits_from_the_same_seed(method: str) -> None:
     """With noise, where iterations are longest."""
@@ -117,6 +125,7 @@ def test_cross_validation_needs_more_equations_than_unknowns() -> None:
         METHODS["tikhonov"].identify(replace(whole, dataset=two))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["least_squares", "total_least_squares", "kalman", "spline", "response"])
 @pytest.mark.parametrize("overrides", [FILM, (*FILM, "identify.tie_bearings=true")], ids=["each", "alike"])
 def test_stated_deviations_hold(method: str, overrides: tuple[str, ...]) -> None:

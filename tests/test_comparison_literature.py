@@ -17,6 +17,8 @@ from pipeline.data.sensors import both_directions
 from pipeline.data.simulate import forced_response
 from pipeline.rotor.model import RotorModel, translation_dof
 
+pytestmark = pytest.mark.slow
+
 BACKWARD = ("experiment=all_coefficients_backward", "excitation.speeds.step_rpm=200")
 FORWARD = ("experiment=all_coefficients", "excitation.speeds.step_rpm=200")
 FILM = ("experiment=hydrostatic_stiffness", "excitation.speeds.step_rpm=100")

@@ -65,6 +65,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_the_stage_writes_tables_numbers_and_a_figure(made: Path) -> None:
     """And nothing else beside the folder of results."""
     assert {str(p.relative_to(made)) for p in made.rglob("*.*") if p.parent.name != "comparison"} == WRITTEN
@@ -75,6 +76,7 @@ def test_the_stage_writes_tables_numbers_and_a_figure(made: Path) -> None:
     assert "| per-speed least squares |" in (made / "comparison.md").read_text()
 
 
+@pytest.mark.slow
 def test_what_a_method_cannot_do_is_a_row_with_its_name(made: Path) -> None:
     """Not a missing one."""
     rows = pd.read_csv(made / "comparison.csv")
@@ -112,6 +114,7 @@ def test_what_is_done_is_not_done_again(tmp_path: Path, monkeypatch: pytest.Monk
     assert asked == ITEMS[2:]
 
 
+@pytest.mark.slow
 def test_an_interrupted_stage_says_how_to_go_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -166,6 +169,7 @@ def test_a_killed_process_is_said_in_words(tmp_path: Path, monkeypatch: pytest.M
         compared(bench(workers=2), ITEMS, tmp_path, nothing)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("given", "words"),
     [

@@ -116,6 +116,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
 # --- every configuration runs ------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("experiment", QUICK_FIRST)
 def test_every_stage_of_an_experiment_again_gives_the_same_bits(experiment: str, made: Made, tmp_path: Path) -> None:
     """All stages run, and a second time, over their own files, they write the same bytes, figures too."""
@@ -338,6 +339,7 @@ def test_a_missing_file_is_made_again(
     assert contents(folder) == before
 
 
+@pytest.mark.slow
 def test_nothing_is_made_that_is_there(made: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """With its inputs in place, a stage neither generates nor trains, and writes only its own files."""
     folder = Path(shutil.copytree(made("ball_bearing"), tmp_path / "x"))
@@ -391,6 +393,7 @@ def test_initial_guesses_need_an_unknown_stiffness(tmp_path: Path) -> None:
 # --- what a run leaves ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("figure", FIGURES)
 @pytest.mark.parametrize("experiment", QUICK_FIRST)
 def test_figures_show_something(experiment: str, figure: str, made: Made) -> None:

@@ -152,6 +152,7 @@ def test_the_free_combination_changes_nothing_that_is_measured(rotor_of: Machine
 # --- verdicts ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_verdicts_of_the_compressor(machine: MachineFactory) -> None:
     """The journal bearing can't be identified; the isotropic one can, by its structure; a backward run cures."""
     made = machine("experiment=compressor_journal_and_isotropic", "excitation.speeds.step_rpm=200")
@@ -203,6 +204,7 @@ def trained(machine: Machine, table: BearingTable, acting: tuple[Excitation, ...
     return batch.identified().table(table)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("structure", "ties", "bearing"),
     [
@@ -258,6 +260,7 @@ def prepared_with(machine: Machine, *overrides: str) -> PreparedTraining:
     )
 
 
+@pytest.mark.slow
 def test_both_losses_have_the_same_minimiser_on_clean_data(rotor_of: Machine) -> None:
     """At the true coefficients both are zero to rounding, and their answers at each speed are the truth."""
     for loss in ("residual", "preconditioned"):
@@ -410,6 +413,7 @@ def test_diagnose_writes_its_account(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert (tmp_path / "my data" / "figures" / "diagnosis.png").stat().st_size > 20_000
 
 
+@pytest.mark.slow
 def test_training_of_what_is_not_identifiable(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """It stops with the sentence, and force=true goes on with the same sentence as a line."""
     chosen = ("experiment=compressor_journal_and_isotropic", "excitation.speeds.step_rpm=300")

@@ -954,6 +954,7 @@ def test_ingest_then_train(ball_tables: Path, capsys: pytest.CaptureFixture[str]
 FILES = {"vibration": "vibration.parquet", "excitation": "excitation.csv", "known": "known_coefficients.csv"}
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_figures")
 def test_ingest_in_place_is_what_training_takes_next(ball_tables: Path, machine: MachineFactory) -> None:
     """In the experiment's own folder training reads the measured data; generate does not replace them, ingest does."""
@@ -1041,6 +1042,7 @@ def test_known_coefficients_at_other_speeds(tmp_path: Path) -> None:
         read_known(tmp_path / "twice.csv", (0,), np.array([600.0]) * RPM, of)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_figures")
 def test_nothing_to_read_and_nodes_that_the_rotor_lacks(ball_tables: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The next step is named; exit code 2 on the command line."""

@@ -113,6 +113,7 @@ def full_problem(rotor_of: Machine) -> ResponseFit:
     )
 
 
+@pytest.mark.slow
 def test_the_jacobian_is_that_of_automatic_differentiation(full_problem: ResponseFit) -> None:
     """Closed-form derivatives against torch's."""
     import torch
@@ -167,6 +168,7 @@ def test_clean_data_give_the_modelled_coefficients(rotor_of: Machine) -> None:
     assert np.median(relative_errors(rotor_of, fit, ("kxx", "kyy")), axis=-1).max() < 1e-5
 
 
+@pytest.mark.slow
 def test_a_residual_unbalance_is_found_with_the_coefficients(rotor_of: Machine) -> None:
     """Of a third of the trial weights, at a disc; without the plane the coefficients are spoilt."""
     runs = dict.fromkeys(e.run for e in rotor_of.excitations)
@@ -228,6 +230,7 @@ def test_what_trains_by_the_residual_alone_is_refused(asked: list[str]) -> None:
         compose_config([*asked, "experiment=noisy_stiffness"])
 
 
+@pytest.mark.slow
 def test_bad_points_are_found_and_do_little(rotor_of: Machine) -> None:
     """One reading in fifty is ten per cent off."""
     dataset = noisy(rotor_of, 0.01, 3)
@@ -257,6 +260,7 @@ def test_the_noise_is_estimated_channel_by_channel(rotor_of: Machine) -> None:
     np.testing.assert_allclose(fit.factor, [3.0, 0.5, 0.5, 0.5], rtol=0.2)
 
 
+@pytest.mark.slow
 def test_the_noise_is_estimated_from_repeated_runs_whatever_the_model(rotor_of: Machine) -> None:
     """Stated at 1 %, it is 2 %; a residual unbalance that the model lacks is no noise, and shows as chi-square."""
     runs = dict.fromkeys(e.run for e in rotor_of.excitations)
@@ -270,6 +274,7 @@ def test_the_noise_is_estimated_from_repeated_runs_whatever_the_model(rotor_of: 
     assert mean_square(fit) > 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("structure", ["isotropic", "symmetric_damping"])
 def test_a_structure_is_respected_exactly(rotor_of: Machine, structure: str) -> None:
     """As with the residual losses."""
@@ -331,6 +336,7 @@ def located(machine: Machine, noise: float) -> VibrationDataset:
     return measured(clean, Sensors(both_directions((3,)), multiplicative=noise), np.random.default_rng(1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("guess", ["1e6 N/m", "1e7 N/m"])
 def test_one_location_starts_from_a_filter(rotor_of: Machine, guess: str) -> None:
     """No linear start, and still no search: the filter's answer of each speed leads to the minimum."""

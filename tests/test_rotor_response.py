@@ -96,6 +96,7 @@ def test_response_equals_ross(experiment: str, machine: MachineFactory) -> None:
     assert_equals_ross(machine(f"experiment={experiment}", f"excitation.speeds.step_rpm={step}"))
 
 
+@pytest.mark.slow
 def test_response_equals_ross_at_all_speeds(machine: MachineFactory) -> None:
     """Oracle: ROSS, at the 591 speeds of the default experiment."""
     made = machine("experiment=hydrostatic_stiffness")

@@ -62,6 +62,7 @@ FRISWELL_ROTOR = RotorConfig.model_validate(
 )
 
 
+@pytest.mark.slow
 def test_fluid_film_coefficients() -> None:
     """Friswell, example 5.5.1 at 1500 rpm: MN/m and kN s/m, all digits (of the damping, in ROSS's tests)."""
     speeds = np.array([1500.0, 2000.0]) * RAD_S_PER_RPM
