@@ -23,7 +23,8 @@ from pipeline.files import write_json, write_text
 from pipeline.reporting.console import say, table
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
-from pipeline.rotor.ross_adapter import assemble, bearing_table
+from pipeline.rotor.ross_adapter import bearing_table
+from pipeline.rotor.stored import assembled
 from pipeline.stages.diagnose import noise_words
 from pipeline.stages.generate import excitations, own_frequencies
 from pipeline.stages.inputs import require_nodes
@@ -117,7 +118,7 @@ def candidates(design: DesignConfig) -> tuple[tuple[Excitation, ...], ...]:
 
 def run(config: Config) -> StageOutput:
     """``design.json`` and ``designed_excitation.yaml``, which can be used at once."""
-    design, rotor = config.design, assemble(config.rotor)
+    design, rotor = config.design, assembled(config.rotor)
     possible = candidates(design)
     require_nodes(rotor, "design.candidates", [one.node for acting in possible for one in acting])
     if design.runs > len(possible):

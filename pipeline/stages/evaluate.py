@@ -37,10 +37,9 @@ if TYPE_CHECKING:
 def load_identified(config: Config, inputs: Inputs) -> IdentifiedModel:
     """The trained model, training first where it is missing. Raises DataError where other data trained it."""
     work = workspace(config)
-    make_missing(config, "train", work.folder / WEIGHTS, work.folder / ARCHITECTURE, work.training, work.history)
-    account = read_json(work.training)
     model_files = [work.folder / name for name in (WEIGHTS, ARCHITECTURE, UNCERTAINTY)]
-    model_files = [path for path in model_files if path.name != UNCERTAINTY or path.is_file()]
+    make_missing(config, "train", *model_files, work.training, work.history)
+    account = read_json(work.training)
     identified = load_model(work.folder)
     laws = {
         "the data at hand": account.get("data_fingerprint") == inputs.dataset.fingerprint,
