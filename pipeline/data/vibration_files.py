@@ -89,8 +89,7 @@ def read_dataset(vibration: Path, excitation: Path, rotor: RotorModel, baseline:
     Raises DataError with the law that a file breaks; see :func:`pipeline.data.tables.read_table` for those of
     the tables themselves.
     """
-    dataset = read_measured(vibration, excitation, baseline)
-    require_nodes_of(dataset, rotor.n_nodes, vibration, excitation)
+    dataset = read_measured(vibration, excitation, baseline, rotor.n_nodes)
     require_made_for(vibration, rotor)
     return dataset
 
@@ -115,11 +114,13 @@ def require_nodes_of(dataset: VibrationDataset, n_nodes: int, vibration: Path, e
                 raise DataError(f"'{path}' must use the rotor's nodes 0 to {n_nodes - 1}, but got node {node}")
 
 
-def read_measured(vibration: Path, excitation: Path, baseline: str | None = None) -> VibrationDataset:
-    """As :func:`read_dataset`, before anything is known of the rotor."""
+def read_measured(
+    vibration: Path, excitation: Path, baseline: str | None = None, n_nodes: int | None = None
+) -> VibrationDataset:
+    """As :func:`read_dataset`, before anything is known of the rotor but, perhaps, its number of nodes."""
     table = read_columns(vibration, _VIBRATION, {_FREQUENCY: "number or blank"})
-    excitations = _excitations(read_columns(excitation, _EXCITATION), excitation)
-    nodes = _nodes(table["node"], vibration)
+    excitations = _excitations(read_columns(excitation, _EXCITATION), excitation, n_nodes)
+    nodes = _nodes(table["node"], vibration, n_nodes)
     angles = _angles(table["direction"], vibration)
     rpm, amplitude = table["speed_rpm"], table["amplitude_m"]
     if (rpm <= 0).any():
@@ -227,10 +228,10 @@ def _check_synchronous(dataset: VibrationDataset, path: Path) -> None:
             )
 
 
-def _excitations(table: Columns, path: Path) -> tuple[Excitation, ...]:
+def _excitations(table: Columns, path: Path, n_nodes: int | None) -> tuple[Excitation, ...]:
     _check_words(table["kind"], ("unbalance", "force"), path, "kind")
     _check_words(table["whirl"], ("forward", "backward"), path, "whirl")
-    nodes, magnitudes = _nodes(table["node"], path), table["magnitude"]
+    nodes, magnitudes = _nodes(table["node"], path, n_nodes), table["magnitude"]
     if (magnitudes <= 0).any():
         raise DataError(f"'{path}' must have magnitudes above zero, but got {magnitudes.min():g}")
     rows = zip(
@@ -242,10 +243,12 @@ def _excitations(table: Columns, path: Path) -> tuple[Excitation, ...]:
     )
 
 
-def _nodes(values: np.ndarray, path: Path) -> np.ndarray:
-    bad = values[(values != np.round(values)) | (values < 0)]
+def _nodes(values: np.ndarray, path: Path, n_nodes: int | None) -> np.ndarray:
+    last = np.inf if n_nodes is None else n_nodes - 1
+    bad = values[(values != np.round(values)) | (values < 0) | (values > last)]
     if len(bad):
-        raise DataError(f"'{path}' must use nodes 0, 1, 2 and so on of the rotor, but got node {bad[0]:g}")
+        nodes = "nodes 0, 1, 2 and so on" if n_nodes is None else f"nodes 0 to {n_nodes - 1}"
+        raise DataError(f"'{path}' must use the rotor's {nodes}, but got node {bad[0]:g}")
     return values.astype(int)
 
 

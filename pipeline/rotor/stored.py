@@ -1,4 +1,4 @@
-"""An assembled rotor is kept in the cache, so that ROSS, whose import takes seconds, is needed for a new rotor only."""
+"""What ROSS made is kept in the cache: its import takes seconds, and is needed for a new rotor or bearing only."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.cache import identity, keep, look_up
-from pipeline.config.machine import RotorConfig
+from pipeline.config.machine import BearingConfig, RotorConfig
+from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 
 KIND = "rotors"
-_ASSEMBLED_BY = Path(__file__).with_name("ross_adapter.py")
+_BEARINGS = "bearings"
+_MADE_BY = [Path(__file__).with_name(f"{name}.py") for name in ("ross_adapter", "journal_table")]
 _ARRAYS = ("mass", "damping", "gyroscopic", "stiffness", "positions")
 _REST = ("bearing_nodes", "disc_nodes", "total_mass")
 _ENTRY = "rotor"
@@ -28,7 +30,7 @@ def made_from(config: RotorConfig) -> str:
         file.read_bytes() if file is not None and file.is_file() else b"",
         "" if file is None else file.suffix,
         importlib.metadata.version("ross-rotordynamics"),
-        _ASSEMBLED_BY.read_bytes(),
+        *(path.read_bytes() for path in _MADE_BY),
     )
 
 
@@ -47,25 +49,34 @@ def assembled(config: RotorConfig) -> RotorModel:
     return rotor
 
 
-def _written(rotor: RotorModel) -> bytes:
-    from safetensors.numpy import save
+def modelled_bearings(config: RotorConfig, bearing: BearingConfig, speeds: np.ndarray) -> BearingTable:
+    """The modelled coefficients at ``speeds`` (S,) rad/s: from the cache, or by ROSS.
 
+    Raises ConfigError where the rotor file can't be read, or the bearings give no finite coefficients.
+    """
+    speeds = np.ascontiguousarray(speeds, dtype=float)
+    key = identity(made_from(config), bearing.model_dump_json(), speeds.tobytes())
+    arrays = _arrays(look_up(_BEARINGS, key))
+    if arrays is not None and {"nodes", "values"} <= arrays.keys():
+        return BearingTable(tuple(arrays["nodes"].astype(int).tolist()), speeds, arrays["values"])
+    from pipeline.rotor.ross_adapter import bearing_table
+
+    table = bearing_table(config, bearing, speeds)
+    keep(_BEARINGS, key, _content({"nodes": np.array(table.nodes, dtype=float), "values": table.values}))
+    return table
+
+
+def _written(rotor: RotorModel) -> bytes:
     rest = {name: getattr(rotor, name) for name in _REST}
-    arrays = {name: np.ascontiguousarray(getattr(rotor, name)) for name in _ARRAYS}
-    return bytes(save(arrays, {_ENTRY: json.dumps(rest)}))
+    return _content({name: getattr(rotor, name) for name in _ARRAYS}, {_ENTRY: json.dumps(rest)})
 
 
 def _read(content: bytes | None) -> RotorModel | None:
     """The rotor, bit by bit; None where there is none, or a damaged one."""
-    from safetensors import SafetensorError, deserialize
-
-    if content is None:
+    arrays = _arrays(content)
+    if content is None or arrays is None:
         return None
     try:
-        arrays = {
-            name: np.frombuffer(entry["data"], dtype=np.float64).reshape(entry["shape"])
-            for name, entry in deserialize(content)
-        }
         header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
         rest = json.loads(header["__metadata__"][_ENTRY])
         return RotorModel(
@@ -74,5 +85,26 @@ def _read(content: bytes | None) -> RotorModel | None:
             disc_nodes=tuple(rest["disc_nodes"]),
             total_mass=rest["total_mass"],
         )
-    except (SafetensorError, KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError):
+        return None
+
+
+def _content(arrays: dict[str, np.ndarray], metadata: dict[str, str] | None = None) -> bytes:
+    from safetensors.numpy import save
+
+    return bytes(save({name: np.ascontiguousarray(array) for name, array in arrays.items()}, metadata))
+
+
+def _arrays(content: bytes | None) -> dict[str, np.ndarray] | None:
+    """Of double precision."""
+    from safetensors import SafetensorError, deserialize
+
+    if content is None:
+        return None
+    try:
+        return {
+            name: np.frombuffer(entry["data"], dtype=np.float64).reshape(entry["shape"])
+            for name, entry in deserialize(content)
+        }
+    except (SafetensorError, ValueError):
         return None

@@ -16,8 +16,7 @@ from pipeline.data.vibration_files import write_excitation, write_vibration
 from pipeline.errors import DataError
 from pipeline.reporting.console import say, warn
 from pipeline.rotor.model import RotorModel
-from pipeline.rotor.ross_adapter import bearing_table
-from pipeline.rotor.stored import assembled
+from pipeline.rotor.stored import assembled, modelled_bearings
 from pipeline.stages.inputs import known_coefficients, require_nodes
 from pipeline.stages.run import StageOutput, flat_metrics, input_files, origin_of_files, workspace
 from pipeline.twin.modes import StabilityMargin, stability_margin, whirl_modes
@@ -39,7 +38,7 @@ def run(config: Config) -> StageOutput:
         )
     speeds = np.array(config.excitation.speeds.rpm()) * RAD_S_PER_RPM
     rotor = assembled(config.rotor)
-    bearings = bearing_table(config.rotor, config.bearing, speeds)
+    bearings = modelled_bearings(config.rotor, config.bearing, speeds)
     runs, residual = excitations(config), residual_unbalances(config)
     require_nodes(rotor, "excitation.runs", [excitation.node for excitation in (*runs, *residual)])
     complete = simulate(rotor, bearings, (*runs, *residual), own_frequencies(config, speeds))

@@ -64,12 +64,13 @@ def load_inputs(config: Config) -> Inputs:
         source = "generate" if config.ingest.format == "none" else "ingest"
         make_missing(config, source, files.vibration, files.excitation, files.known)
         _require_generated_from(config, files)
-    dataset = read_measured(files.vibration, files.excitation, config.data.baseline)
-    if config.rotor.file is None:
-        require_nodes_of(dataset, config.rotor.n_nodes, files.vibration, files.excitation)
+    # A rotor file says itself how many nodes there are, and where the bearings stand.
+    n_nodes = config.rotor.n_nodes if config.rotor.file is None else None
+    dataset = read_measured(files.vibration, files.excitation, config.data.baseline, n_nodes)
+    if n_nodes is not None:
         known = _known(config, files, config.rotor.bearing_nodes, dataset)
         rotor = assembled(config.rotor)
-    else:  # the file says how many nodes there are, and where the bearings stand
+    else:
         rotor = assembled(config.rotor)
         require_nodes_of(dataset, rotor.n_nodes, files.vibration, files.excitation)
         known = _known(config, files, rotor.bearing_nodes, dataset)

@@ -20,7 +20,7 @@ from pipeline.identification.storage import save_model
 from pipeline.identification.training import TrainingSetup, initial_parameters, prepare, run_training, setup_of
 from pipeline.identification.uncertainty import Uncertainty, save_uncertainty, uncertainty_of
 from pipeline.reporting.console import say, training_progress, warn
-from pipeline.stages.diagnose import say_diagnosis
+from pipeline.stages.diagnosis import say_diagnosis
 from pipeline.stages.inputs import Inputs, load_inputs
 from pipeline.stages.response import account_of, fitted, no_bad_points, prepared_response, write_account
 from pipeline.stages.run import StageOutput, flat_metrics, use_threads, workspace
