@@ -1,20 +1,20 @@
 """MLflow in a process of its own, which imports it while the stage computes: the command then hardly waits for it.
 
-The two speak over a pipe, a record at a time; a process that is lost in between is done without.
+The two speak over a pipe, a line of JSON a record; a process that is lost in between is done without.
 """
 
 from __future__ import annotations
 
 import contextlib
+import json
 import os
-import pickle
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import asdict, dataclass
+from typing import IO
 
 from pipeline.tracking.record import StageRecord, TrackingSettings
 
@@ -31,10 +31,9 @@ class _Recorder:
         assert self.process.stdin is not None
         assert self.process.stdout is not None
         try:
-            pickle.dump((record, settings), self.process.stdin)
-            self.process.stdin.flush()
-            answer: list[str] = pickle.load(self.process.stdout)
-        except (OSError, EOFError, pickle.PickleError):
+            _send(self.process.stdin, [asdict(record), asdict(settings)])
+            answer: list[str] = json.loads(self.process.stdout.readline())
+        except (OSError, ValueError):
             return None
         except KeyboardInterrupt:
             self.process.send_signal(signal.SIGINT)
@@ -77,18 +76,21 @@ def log_beside(record: StageRecord, settings: TrackingSettings) -> list[str] | N
     return _running[-1].log(record, settings) if _running else None
 
 
-def _serve(requests: Any, answers: Any) -> None:
+def _send(stream: IO[bytes], value: object) -> None:
+    stream.write(json.dumps(value, default=str).encode() + b"\n")
+    stream.flush()
+
+
+def _serve(requests: IO[bytes], answers: IO[bytes]) -> None:
     """Log what comes until the pipe ends."""
+    from pydantic import TypeAdapter
+
     from pipeline.tracking.tracker import get_ready, track
 
     get_ready()
-    while True:
-        try:
-            record, settings = pickle.load(requests)
-        except EOFError:
-            return
-        pickle.dump(track(record, settings), answers)
-        answers.flush()
+    given = TypeAdapter(tuple[StageRecord, TrackingSettings])
+    for line in requests:
+        _send(answers, track(*given.validate_python(json.loads(line))))
 
 
 if __name__ == "__main__":

@@ -1,0 +1,271 @@
+"""What a command must not wait for: packages that it does not need, and what was made before."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import refused
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pipeline import cache
+from pipeline.__main__ import main
+from pipeline.config import compose
+from pipeline.config.compose import compose_config, compose_stages, options
+from pipeline.config.machine import RotorConfig
+from pipeline.data.columns import _well_formed, read_columns
+from pipeline.data.tables import read_table, write_table
+from pipeline.errors import ConfigError
+from pipeline.rotor import ross_adapter
+from pipeline.rotor.stored import KIND, assembled, made_from, modelled_bearings
+
+ROOT = Path(__file__).resolve().parents[1]
+FEW = [f"excitation.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=500")]
+BALL = ["experiment=ball_bearing", "tracking=none", "optimizer.adam.steps=3", *FEW]
+
+
+@pytest.fixture
+def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty cache for one test."""
+    monkeypatch.setattr(cache, "FOLDER", tmp_path / "cache")
+    return tmp_path / "cache"
+
+
+def imported_by(*arguments: str) -> tuple[int, str, set[str]]:
+    """Exit code, what was said on stderr, and the modules that a command imported, in a process of its own."""
+    program = (
+        "import json, sys\nfrom pipeline.__main__ import main\ncode = main(sys.argv[1:])\n"
+        "print('MODULES ' + json.dumps(sorted(sys.modules)))\nsys.exit(code)"
+    )
+    done = subprocess.run([sys.executable, "-c", program, *arguments], cwd=ROOT, capture_output=True, text=True)
+    listed = [line for line in done.stdout.splitlines() if line.startswith("MODULES ")]
+    assert listed, done.stderr
+    return done.returncode, done.stderr, set(json.loads(listed[0].removeprefix("MODULES ")))
+
+
+# --- imports ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_training_again_needs_torch_and_little_else(tmp_path: Path) -> None:
+    """Data there, rotor and configuration seen before: neither ROSS nor pandas nor Hydra nor torch's compiler."""
+    command = [*BALL, f"output='{tmp_path}'"]
+    assert main(["stage=train", *command]) == 0
+    code, _, modules = imported_by("stage=train", *command)
+    assert code == 0
+    assert "torch" in modules
+    unneeded = {"ross", "pandas", "hydra", "pint", "torch._dynamo", "matplotlib", "mlflow", "optuna", "pyarrow.dataset"}
+    assert unneeded & modules == set()
+
+
+@pytest.mark.slow
+def test_a_rotor_file_seen_before_needs_no_ross(tmp_path: Path) -> None:
+    """The same for a rotor that ROSS has saved."""
+    rotor = ROOT / "examples" / "measured_demo" / "rotor.toml"
+    command = [*BALL, f"rotor.file='{rotor}'", "rotor.bearing_nodes=[]", "bearing=rotor_file", f"output='{tmp_path}'"]
+    command.append("excitation.runs=[{name: one, unbalances: [{node: 2, magnitude: 1e-4}]}]")
+    assert main(["stage=train", *command]) == 0
+    code, _, modules = imported_by("stage=train", *command)
+    assert (code, "ross" in modules) == (0, False)
+
+
+VIBRATION = "run,speed_rpm,node,direction,amplitude_m"
+
+
+@pytest.mark.parametrize(
+    ("file", "header", "row", "words"),
+    [
+        ("vibration.csv", VIBRATION, "one,500,0,x,1e-6", "the column 'phase_deg'"),
+        (
+            "vibration.csv",
+            "run,speed_rpm,node,direction,amplitude_m,phase_deg",
+            "one,500,99,x,1e-6,0",
+            "but got node 99",
+        ),
+        ("excitation.csv", "run,kind,node,magnitude,phase_deg,whirl", "one,weight,1,1e-4,0,forward", "'unbalance' or"),
+        ("known.csv", "bearing_node,speed_rpm,kxx", "0,500,1e7", "the column"),
+    ],
+)
+def test_a_mistake_in_a_data_file_is_told_before_anything_heavy(
+    file: str, header: str, row: str, words: str, tmp_path: Path
+) -> None:
+    """Neither ROSS nor torch is imported for the sentence."""
+    texts = {
+        "vibration.csv": "run,speed_rpm,node,direction,amplitude_m,phase_deg\none,500,0,x,1e-6,0\none,500,0,y,1e-6,0\n",
+        "excitation.csv": "run,kind,node,magnitude,phase_deg,whirl\none,unbalance,1,1e-4,0,forward\n",
+        "known.csv": "bearing_node,speed_rpm,cxx,cyy\n0,500,1,1\n2,500,1,1\n",
+    } | {file: f"{header}\n{row}\n"}
+    for name, text in texts.items():
+        (tmp_path / name).write_text(text)
+    data = [f"data.{name}='{tmp_path / name}.csv'" for name in ("vibration", "excitation", "known")]
+    code, said, modules = imported_by("stage=train", *BALL, *data, f"output='{tmp_path / 'out'}'")
+    assert code == 2
+    assert words in said
+    assert {"ross", "torch"} & modules == set()
+
+
+# --- the cache ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("experiment", options("experiment"))
+def test_a_kept_configuration_is_the_composed_one(experiment: str, own_cache: Path) -> None:
+    """The second time from the cache, and equal to the last bit."""
+    overrides = [f"experiment={experiment}", "seed=3"]
+    first = compose_config(overrides)
+    assert len(list((own_cache / "configurations").iterdir())) == 1
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compose, "composed_mapping", None)  # must not be called
+        assert compose_config(overrides) == first
+
+
+def test_a_damaged_entry_is_made_anew(own_cache: Path) -> None:
+    """Whatever lies in the cache, the answer is the same."""
+    first = compose_config(BALL)
+    (entry,) = (own_cache / "configurations").iterdir()
+    for content in (b"", b"[]]", b'[{"stage": "train"}]', b"\xff\xfe"):
+        entry.write_bytes(content)
+        assert compose_config(BALL) == first
+
+
+def test_what_the_key_does_not_say_is_not_kept(own_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The environment may change between two commands."""
+    for seed in ("3", "4"):
+        monkeypatch.setenv("SEED_OF_THIS_TEST", seed)
+        assert compose_config([*BALL, "seed=${oc.env:SEED_OF_THIS_TEST}"]).seed == int(seed)
+    assert not own_cache.exists()
+
+
+def test_a_cache_that_cannot_be_written_costs_time_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file where the folder should be."""
+    (tmp_path / "cache").write_text("in the way")
+    monkeypatch.setattr(cache, "FOLDER", tmp_path / "cache")
+    assert compose_config(BALL) == compose_config(BALL)
+
+
+def test_the_oldest_entries_go(own_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The cache does not grow without end."""
+    monkeypatch.setattr(cache, "_MOST", 3)
+    for i in range(5):
+        cache.keep("things", f"entry{i}", b"x")
+    assert len(list((own_cache / "things").iterdir())) == 3
+    assert cache.look_up("things", "entry4") == b"x"
+
+
+def test_parts_of_an_identity_are_kept_apart() -> None:
+    """Two ways to cut the same bytes are two things."""
+    assert cache.identity("ab", "c") != cache.identity("a", "bc")
+    assert cache.identity("ab", b"c") == cache.identity(b"ab", "c")
+
+
+def test_a_kept_rotor_is_the_assembled_one(own_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bit by bit, without ROSS; a damaged entry is assembled anew."""
+    config = compose_config(BALL)
+    speeds = np.array([100.0, 200.0])
+    first, bearings = assembled(config.rotor), modelled_bearings(config.rotor, config.bearing, speeds)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ross_adapter, "assemble", None)
+        patch.setattr(ross_adapter, "bearing_table", None)
+        again, kept = assembled(config.rotor), modelled_bearings(config.rotor, config.bearing, speeds)
+    for name in ("mass", "damping", "gyroscopic", "stiffness", "positions"):
+        assert getattr(again, name).tobytes() == getattr(first, name).tobytes()
+    assert (again.bearing_nodes, again.disc_nodes) == (first.bearing_nodes, first.disc_nodes)
+    assert again.total_mass == first.total_mass
+    assert (kept.nodes, kept.values.tobytes()) == (bearings.nodes, bearings.values.tobytes())
+    cache.path_of(KIND, made_from(config.rotor)).write_bytes(b"damaged")
+    assert assembled(config.rotor).fingerprint == first.fingerprint
+
+
+def test_another_rotor_has_another_entry(tmp_path: Path) -> None:
+    """Configuration and bytes of the file count; where a file lies does not."""
+    config = compose_config(BALL).rotor
+    heavier = config.model_copy(update={"shear_effects": False})
+    assert made_from(config) != made_from(heavier)
+    places = [tmp_path / name for name in ("here.toml", "there.toml", "other.toml")]
+    for place, text in zip(places, ("rotor", "rotor", "another"), strict=True):
+        place.write_text(text)
+    here, there, other = (made_from(RotorConfig(file=str(place))) for place in places)
+    assert here == there != other
+
+
+# --- several stages ----------------------------------------------------------------------------------
+
+
+def test_stages_run_in_the_order_given(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """In one process, and each on the files of those before."""
+    assert main(["stage=[generate,train,evaluate]", *BALL, f"output='{tmp_path}'"]) == 0
+    said = capsys.readouterr().out
+    assert said.index("channels in") < said.index("coefficients in") < said.index("identified against modelled")
+    assert "is missing" not in said
+
+
+@pytest.mark.parametrize(
+    ("stages", "words"),
+    [
+        ("[train,evalaute]", "did you mean 'evaluate'"),
+        ("[train,train]", "each stage once"),
+        ("[]", "one of the stages"),
+        ("[train,[evaluate]]", "one of the stages"),
+    ],
+)
+def test_a_wrong_list_of_stages_is_refused_before_the_first_runs(stages: str, words: str, tmp_path: Path) -> None:
+    """A mistake in the last is told at once."""
+    with refused(words, kind=ConfigError):
+        compose_stages([f"stage={stages}", *BALL, f"output='{tmp_path / 'x'}'"])
+    assert not (tmp_path / "x").exists()
+
+
+# --- tables ------------------------------------------------------------------------------------------
+
+KINDS = {"run": "text", "speed_rpm": "number", "amplitude_m": "number"}
+OPTIONAL = {"frequency_hz": "number or blank"}
+NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
+MAYBE = NUMBERS | st.none()
+
+
+@settings(max_examples=30)
+@given(
+    rows=st.lists(
+        st.tuples(st.sampled_from(["one", "NA", "3", "a,b"]), NUMBERS, NUMBERS, NUMBERS | st.none()), min_size=1
+    ),
+    ending=st.sampled_from(["csv", "parquet"]),
+)
+def test_both_ways_read_the_same_bits(
+    rows: list[tuple[str, float, float, float | None]], ending: str, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """A well-formed table is read without pandas, and to the same numbers as with it."""
+    columns = {name: [row[i] for row in rows] for i, name in enumerate([*KINDS, *OPTIONAL])}
+    columns["frequency_hz"] = [np.nan if value is None else value for value in columns["frequency_hz"]]
+    path = write_table(tmp_path_factory.mktemp("table") / f"x.{ending}", columns)
+    fast = _well_formed(path, KINDS, OPTIONAL)
+    assert fast is not None
+    slow = read_table(path, KINDS, OPTIONAL)
+    for name in columns:
+        assert fast[name].tolist() == slow[name].tolist() or fast[name].tobytes() == slow[name].to_numpy().tobytes()
+
+
+@pytest.mark.parametrize(
+    "text", ["run,speed_rpm,amplitude_m\none,1_000,1\n", "run,speed_rpm,amplitude_m\none,1,\n", ""]
+)
+def test_what_is_not_well_formed_takes_the_other_way(text: str, tmp_path: Path) -> None:
+    """And is refused there, by name."""
+    (tmp_path / "x.csv").write_text(text)
+    assert _well_formed(tmp_path / "x.csv", KINDS, {}) is None
+    with refused("must"):
+        read_columns(tmp_path / "x.csv", KINDS)
+
+
+def test_a_table_is_written_as_pandas_would(tmp_path: Path, rng: np.random.Generator) -> None:
+    """The shortest text that reads back to the same bits, a blank for NaN, quotes where they are needed."""
+    columns = {
+        "run": ["a,b", 'say "x"', "plain"],
+        "count": np.array([1, 2, 3]),
+        "value": np.array([1e-5, np.nan, rng.normal()]),
+    }
+    ours = write_table(tmp_path / "x.csv", columns).read_text()
+    assert ours == pd.DataFrame(columns).to_csv(index=False, lineterminator="\n")
