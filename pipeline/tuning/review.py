@@ -168,7 +168,7 @@ def promoted(default: Finalist, others: Sequence[Finalist], config: TuningConfig
 
     A finalist must be better by ``least_gain``, and by more than luck: its median below the default's luckiest seed.
     """
-    best = min(others, key=lambda f: f.median, default=default)
+    best = min(others, key=lambda f: max(f.median, rounding), default=default)  # of equals the better trial
     gained = max(default.median, rounding) >= config.least_gain * max(best.median, rounding)
     luckiest = np.nanmin(default.losses) if np.isfinite(default.median) else np.inf
     return best if gained and best.median < luckiest else default
