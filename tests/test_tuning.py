@@ -428,11 +428,11 @@ def _finalist(trial: int, *losses: float) -> Any:
 @pytest.mark.parametrize(
     ("default", "others", "chosen"),
     [
-        ([1.0, 1.0, 1.0], [(7, 0.5, 0.5, 0.5)], 7),
-        ([1.0, 1.0, 1.0], [(7, 0.95, 0.95, 0.95)], 0),  # less than the least gain
+        ([1.0, 1.0, 1.0], [(7, 0.4, 0.4, 0.4)], 7),
+        ([1.0, 1.0, 1.0], [(7, 0.6, 0.6, 0.6)], 0),  # less than the least gain
         ([1.0, 1.0, 1.0], [(7, 0.01, 2.0, 2.0)], 0),  # one lucky seed
-        ([0.5, 1.0, 1.5], [(7, 0.8, 0.8, 0.8)], 0),  # within the luck of the default's seeds
-        ([1.0, 1.0, 1.0], [(7, 0.5, 0.5, 0.5), (8, 0.4, 0.4, 9.0)], 8),
+        ([0.3, 1.0, 1.5], [(7, 0.4, 0.4, 0.4)], 0),  # within the luck of the default's seeds
+        ([1.0, 1.0, 1.0], [(7, 0.4, 0.4, 0.4), (8, 0.3, 0.3, 9.0)], 8),
         ([1.0, 1.0, 1.0], [(7, math.nan, math.nan, 0.1)], 0),  # most seeds diverged
         ([math.nan, math.nan, 1.0], [(7, 3.0, 3.0, 3.0)], 7),
         ([1e-15, 1e-15, 1e-15], [(7, 1e-16, 1e-16, 1e-16)], 0),  # rounding

@@ -2,7 +2,8 @@
 
 A network with few features can't follow the coefficients, one with many follows the noise. The features are nested,
 from smooth to wavy, and the last of an unknown are dropped as long as that lowers Akaike's criterion: chi-square grows
-by less than 2 for each number less (Akaike 1974). So less noise keeps more of them, and no truth is needed.
+by less than 2 for each number less (Akaike 1974). So less noise keeps more of them, and no truth is needed. A tie
+goes to fewer features: what a criterion differs by from one processor to another decides nothing.
 
 Legend: A unknowns, K features, Z free numbers.
 """
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 
 AKAIKE = 2.0
 """Of his criterion: what a number must lower chi-square by, where a superfluous one lowers it by 1 on average."""
+TIE = 0.01
+"""Criteria closer than this are equal: processors differ by 1e-5, and single numbers of features by 0.3 and more."""
 
 
 def features_that_count(
@@ -42,8 +45,8 @@ def features_that_count(
             gain = spread[:, i] / spread[i, i]
             value = value - gain * value[i]
             spread = spread - np.outer(gain, spread[i])
-        if criterion < best[0]:
-            best = (criterion, order, value)
+        if criterion < best[0] + TIE:
+            best = (min(criterion, best[0]), order, value)
     kept = (torch.arange(count) < best[1]).repeat(n_active, 1)
     chosen = replace(problem, kept=kept)
     return chosen, torch.where(chosen.fitted(), torch.as_tensor(best[2]), 0.0)[None, None]

@@ -43,6 +43,10 @@ class LeastSquares(Protocol):
         """(G, M) a root mean square that falls with the squared rows."""
         ...
 
+    def rounding(self) -> torch.Tensor:
+        """(M,) what the rounding of the data may make of a loss of zero: losses below it are equal."""
+        ...
+
     def network(self, parameters: torch.Tensor, /) -> torch.Tensor:
         """(G, M, Q) parameters of the coefficient model."""
         ...
@@ -91,6 +95,10 @@ class ResidualProblem:
         The paper's ``|r|_2`` divided by the root of the number of its elements.
         """
         return (self.rows(parameters).square().sum(-1) + self.rest).sqrt()
+
+    def rounding(self) -> torch.Tensor:
+        """(M,) the loss that the data round to: that of no bearing force at all, times their precision."""
+        return _ROUNDING * (self.offset.square().sum((-2, -1)) + self.rest).sqrt()
 
     def member(self, m: int) -> ResidualProblem:
         """The problem of one member by itself."""

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.config.identification import LevenbergMarquardtConfig
-from pipeline.identification.feature_choice import AKAIKE, features_that_count
+from pipeline.identification.feature_choice import AKAIKE, TIE, features_that_count
 from pipeline.identification.optimizers import levenberg_marquardt, until_still
 from pipeline.identification.outcome import Outcome
 from pipeline.identification.response_preparation import PreparedResponse, robust_start
@@ -157,7 +157,7 @@ def grown(prepared: PreparedResponse, config: LevenbergMarquardtConfig) -> tuple
         losses = limited.loss(tried)[:, 0].nan_to_num(float("inf"))
         free, before = tried[_distinct(losses.tolist())], order
         criterion = float(losses.min()) ** 2 * limited.n_rows + AKAIKE * limited.n_numbers
-        if criterion < best[0]:
+        if criterion < best[0] - TIE:  # a tie stays with fewer
             best = (criterion, order, limited.with_features(free[:1], count))
         elif order >= best[1] + _LOOK_AHEAD:
             break
@@ -166,15 +166,17 @@ def grown(prepared: PreparedResponse, config: LevenbergMarquardtConfig) -> tuple
 
 
 def _distinct(losses: list[float]) -> list[int]:
-    """The best few that lie in valleys of their own, the best first."""
+    """The best few that lie in valleys of their own, the best first; of equals the one that was given first."""
     kept: list[int] = []
-    for i in sorted(range(len(losses)), key=lambda i: losses[i]):
-        if len(kept) < _KEPT_STARTS and (not kept or losses[i] > losses[kept[-1]] * (1 + _SAME_VALLEY)):
-            kept.append(i)
+    rest = sorted(range(len(losses)), key=lambda i: losses[i])
+    while rest and len(kept) < _KEPT_STARTS:
+        lowest = losses[rest[0]]
+        kept.append(min(i for i in rest if losses[i] <= lowest * (1 + _EQUAL)))
+        rest = [i for i in rest if losses[i] > lowest * (1 + _SAME_VALLEY)]
     return kept
 
 
-_KEPT_STARTS, _SAME_VALLEY = 3, 1e-2
+_KEPT_STARTS, _SAME_VALLEY, _EQUAL = 3, 1e-2, 1e-6
 _LOOK_AHEAD = 3
 _NEARLY = 1e-5
 """Share of the loss below which a step ends the search of a size: the fit itself goes on from there."""

@@ -26,6 +26,7 @@ from pipeline.identification.response_block import Block
 if TYPE_CHECKING:
     import torch
 
+_ROUNDING = 1e-13
 _VANISHED = 0.02
 """Of its guess: an unknown that is smaller has vanished."""
 
@@ -156,6 +157,13 @@ class ResponseProblem:
     def loss(self, free: torch.Tensor) -> torch.Tensor:
         """(G, 1) root mean square of the whitened deviations: 1 where nothing but the stated noise is left."""
         return (self.rows(free).square().sum(-1) / self.n_rows).sqrt()
+
+    def rounding(self) -> torch.Tensor:
+        """(1,) the loss that the readings round to: their size over their noise, times their precision."""
+        import torch
+
+        squared = [(b.measured * b.weight).abs().square().sum((1, 2, 3)).max() for b in self.blocks]
+        return _ROUNDING * (torch.stack(squared).sum() / self.n_rows).sqrt()[None]
 
     def _by_unknowns(self, free: torch.Tensor, block: Block) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Whitened deviation (G, S, P R), its derivatives by the outputs (.., A) and the planes' numbers (.., 2 N)."""

@@ -233,6 +233,7 @@ class _Monitor:
     last_loss: Any = None  # (G, M)
     reference: Any = None  # (G, M) loss that the next improvement is measured from
     stale: Any = None  # (G, M) steps since the last improvement of more than the tolerance
+    rounding: Any = None  # (M,) losses below it are equal, or the processor's rounding would count as improvement
 
     def begin(self, phase: str, total: int, patience: int) -> None:
         self.phase, self.total, self.patience, self.phase_start = phase, total, patience, self.step
@@ -248,10 +249,13 @@ class _Monitor:
         better = (score < self.best_score) | self.best_score.isnan()
         self.best = torch.where(better[..., None], parameters, self.best)
         self.best_score = torch.where(better, score, self.best_score)
+        if self.rounding is None:
+            self.rounding = self.problem.rounding()
+        known = torch.maximum(losses, self.rounding)  # NaN stays
         if self.reference is None:
-            self.reference, self.stale = losses.clone(), torch.zeros_like(losses)
-        improved = losses < self.reference * (1 - self.config.tolerance)
-        self.reference = torch.where(improved, losses, self.reference)
+            self.reference, self.stale = known, torch.zeros_like(losses)
+        improved = known < self.reference * (1 - self.config.tolerance)
+        self.reference = torch.where(improved, known, self.reference)
         self.stale = torch.where(improved, torch.zeros_like(self.stale), self.stale + 1)
         self._record(parameters, losses, score)
         self.step += 1

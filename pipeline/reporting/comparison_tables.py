@@ -68,7 +68,7 @@ class Comparison:
         error = self.error(method, case)
         if np.isnan(error):
             return rows[0].outcome.replace("_", " ")
-        return f"{error:.2g}" + (" ?" if any(r.doubt for r in rows) else "")
+        return error_text(error) + (" ?" if any(r.doubt for r in rows) else "")
 
     def along(self, key: str) -> list[Case]:
         """The main case with every value of ``noise``, ``sensors`` or ``speeds`` that there is."""
@@ -93,6 +93,15 @@ class Comparison:
             if not r.answered:
                 result.setdefault(r.method, {}).setdefault(r.outcome, r.words)
         return result
+
+
+ROUNDING_PERCENT = 1e-8
+"""Errors below it are rounding: their digits differ from one processor to another, and are not printed."""
+
+
+def error_text(error: float) -> str:
+    """An error in percent, to two digits where it has them."""
+    return f"{error:.2g}" if error >= ROUNDING_PERCENT else f"< {ROUNDING_PERCENT:g}".replace("e-0", "e-")
 
 
 def noise_text(noise: float) -> str:
@@ -128,7 +137,9 @@ def tables(comparison: Comparison) -> list[tuple[str, list[str], list[list[str]]
     fixed, each = ", ".join(heading(key)(main) for key in ("noise", "sensors", "speeds")), []
     for m in comparison.methods:
         errors = comparison.by_coefficient(m)
-        each.append([METHODS[m].label, *(f"{errors[name]:.2g}" if name in errors else "" for name in comparison.names)])
+        each.append(
+            [METHODS[m].label, *(error_text(errors[name]) if name in errors else "" for name in comparison.names)]
+        )
     made.append((f"median error % of each coefficient; {fixed}", ["method", *comparison.names], each))
     about = []
     for m in comparison.methods:

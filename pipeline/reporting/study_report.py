@@ -167,7 +167,8 @@ def verdict(report: StudyReport) -> str:
         )
     if default.median < ROUNDING_LEVEL:
         return (
-            f"the configured default stays: its held-out loss {default.median:.2g} is rounding, and tuning can't help"
+            f"the configured default stays: its held-out loss is below {ROUNDING_LEVEL:g}, which is rounding, and "
+            "tuning can't help"
         )
     return (
         f"the configured default stays: over {len(default.losses)} seeds no finalist lowers its median held-out loss "

@@ -166,9 +166,10 @@ def _setup(problem: StudyProblem, number: int, values: Mapping[str, Value]) -> T
 def promoted(default: Finalist, others: Sequence[Finalist], config: TuningConfig, rounding: float) -> Finalist:
     """The finalist with the lowest median loss, or the default.
 
-    A finalist must be better by ``least_gain``, and by more than luck: its median below the default's luckiest seed.
+    A finalist must be better by ``least_gain``, more than the sampler's path and the processor's kernels give, and by
+    more than the luck of seeds: its median below the default's luckiest seed.
     """
-    best = min(others, key=lambda f: f.median, default=default)
+    best = min(others, key=lambda f: max(f.median, rounding), default=default)  # of equals the better trial
     gained = max(default.median, rounding) >= config.least_gain * max(best.median, rounding)
     luckiest = np.nanmin(default.losses) if np.isfinite(default.median) else np.inf
     return best if gained and best.median < luckiest else default

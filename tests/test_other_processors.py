@@ -1,0 +1,231 @@
+"""Another processor rounds otherwise: outcomes, choices, steps and printed figures stay the same."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+# --- whole trainings -----------------------------------------------------------------------------------
+
+OLD_PROCESSOR = {
+    "OPENBLAS_CORETYPE": "Nehalem",
+    "MKL_CBWR": "COMPATIBLE",
+    "ATEN_CPU_CAPABILITY": "default",
+    "NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX512_ICL AVX512_SPR",
+}
+"""Kernels without AVX, which every x86-64 processor has. NumPy warns of features that the processor lacks anyway."""
+SPEEDS = [f"excitation.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=100")]
+SMALL = {
+    "ball_bearing": SPEEDS,
+    "hydrostatic_stiffness": [*SPEEDS, "model.width=8"],
+    "hydrostatic_damping": [*SPEEDS, "model.width=8"],
+    "noisy_direct": SPEEDS,
+    "impulses": [],
+}
+PROGRAM = """
+import json, sys
+from pipeline.config.compose import compose_config
+from pipeline.stages import run_stage
+import numpy as np
+folder, given = sys.argv[1], json.loads(sys.argv[2])
+for name, overrides in given.items():
+    for stage in ("generate", "train", "evaluate"):
+        places = [f"stage={stage}", f"experiment={name}", f"output={folder}/{name}", "tracking=none", "tuned=false"]
+        run_stage(compose_config([*places, *overrides]))
+print(np.random.default_rng(0).normal(size=(99, 99)).dot(np.ones((99, 99))).tobytes().hex()[:4000])
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Processor:
+    """What trainings came to under some kernels."""
+
+    folder: Path
+    bits: str  # of a matrix product
+
+    def training(self, name: str) -> dict[str, Any]:
+        """``training.json``."""
+        return dict(json.loads((self.folder / name / "training.json").read_text()))
+
+    def errors(self, name: str) -> dict[str, float]:
+        """The mean and median errors of every coefficient, in percent."""
+        found = json.loads((self.folder / name / "metrics.json").read_text())["coefficients"]
+        return {
+            f"{node} {coefficient} {kind}": of[f"{kind}_error_percent"]
+            for node, coefficients in found.items()
+            for coefficient, of in coefficients.items()
+            for kind in ("mean", "median")
+        }
+
+
+@pytest.fixture(scope="module")
+def processors(tmp_path_factory: pytest.TempPathFactory) -> tuple[Processor, Processor]:
+    """This one, and one without its vector instructions; data are generated on each."""
+    made = []
+    for name, kernels in {"this": {}, "old": OLD_PROCESSOR}.items():
+        folder = tmp_path_factory.mktemp(name)
+        root = str(Path(__file__).resolve().parents[1])
+        own = {key: value for key, value in os.environ.items() if key not in OLD_PROCESSOR}
+        environment = own | {"PYTHONPATH": root} | kernels
+        command = [sys.executable, "-c", PROGRAM, str(folder), json.dumps(SMALL)]
+        done = subprocess.run(command, env=environment, cwd=root, capture_output=True, text=True, timeout=600)
+        assert done.returncode == 0, done.stderr
+        made.append(Processor(folder, done.stdout.splitlines()[-1]))
+    return made[0], made[1]
+
+
+@pytest.mark.slow
+def test_the_kernels_differ(processors: tuple[Processor, Processor]) -> None:
+    """Otherwise the tests below compare a processor with itself."""
+    this, old = processors
+    if this.bits == old.bits:
+        pytest.skip("this processor has no kernels of its own")
+    assert this.training("impulses")["data_fingerprint"] != old.training("impulses")["data_fingerprint"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SMALL)
+def test_a_training_ends_the_same(processors: tuple[Processor, Processor], name: str) -> None:
+    """Outcome, number of features, steps within one, and every error to the digits that are printed."""
+    this, old = (one.training(name) for one in processors)
+    assert old["outcome"] == this["outcome"]
+    assert abs(old["steps"] - this["steps"]) <= 1
+    if "fit" in this:
+        assert old["fit"]["chi_square"]["numbers"] == this["fit"]["chi_square"]["numbers"]
+        assert old["fit"]["bad_points"] == this["fit"]["bad_points"]
+    errors, others = (one.errors(name) for one in processors)
+    for key, error in errors.items():
+        assert others[key] == pytest.approx(error, rel=1e-3, abs=1e-11), key
+
+
+# --- ties ------------------------------------------------------------------------------------------------
+
+
+def test_losses_below_rounding_are_no_improvement() -> None:
+    """A training at the precision of its data converges, however its losses go up and down there."""
+    import torch
+
+    from pipeline.config.identification import TrainingConfig
+    from pipeline.identification.training import _Monitor
+
+    def steps(losses: list[float]) -> int:
+        problem: Any = SimpleNamespace(rounding=lambda: torch.tensor([1e-13]))
+        monitor = _Monitor(
+            problem, None, TrainingConfig(holdout_every=0, holdout_runs=[], tolerance=0.1), None, False, None
+        )
+        monitor.begin("levenberg_marquardt", 100, 3)
+        for loss in losses:
+            if monitor(torch.zeros(1, 1, 2), torch.full((1, 1), loss, dtype=torch.float64)).all():
+                break
+        return monitor.step
+
+    falling = [1.0, 1e-3, 1e-9, 1e-15]
+    assert steps([*falling, 8e-16, 6e-16, 4e-16, 2e-16, 1e-16]) == steps([*falling, *[1e-15] * 5]) == 7
+    assert steps([1.0, 1e-3, 1e-9, 8e-10, 6e-10, 4e-10, 2e-10]) == 7, "above rounding they are"
+
+
+def test_the_rounding_of_a_loss_follows_the_size_of_the_data() -> None:
+    """1e-13 of the loss without any bearing force, whatever the unit of the rows."""
+    import torch
+
+    from pipeline.identification.problem import ResidualProblem
+
+    rng = np.random.default_rng(0)
+    offset = torch.as_tensor(rng.normal(size=(2, 5, 3)))
+    rest = torch.as_tensor(rng.uniform(size=2))
+    matrix = torch.zeros(2, 5, 3, 3, dtype=torch.float64)
+    found = [
+        ResidualProblem(None, None, size * matrix, size * offset, size**2 * rest, None).rounding()  # type: ignore[arg-type]
+        for size in (1.0, 1e3)
+    ]
+    np.testing.assert_allclose(found[0], 1e-13 * np.sqrt((offset.numpy() ** 2).sum((1, 2)) + rest.numpy()))
+    np.testing.assert_allclose(found[1], 1e3 * found[0])
+
+
+@dataclass(frozen=True)
+class _Features:
+    """As much of a response problem as the choice of its features reads: one unknown, three of them."""
+
+    kept: Any
+
+    @property
+    def basis(self) -> Any:
+        return SimpleNamespace(n_trend=1)
+
+    def fitted(self) -> Any:
+        return self.kept.flatten()
+
+
+@pytest.mark.parametrize(
+    ("last", "kept"),
+    [(2.0, 2), (2.0 + 1e-6, 2), (2.0 - 1e-6, 2), (2.5, 3), (1.5, 2)],
+)
+def test_a_tie_goes_to_fewer_features(last: float, kept: int) -> None:
+    """``last`` is what the third feature lowers chi-square by: 2 is Akaike's price of a number."""
+    import torch
+
+    from pipeline.identification.feature_choice import features_that_count
+
+    free = torch.tensor([[[9.0, 9.0, last**0.5]]], dtype=torch.float64)
+    problem: Any = _Features(torch.ones(1, 3, dtype=torch.bool))
+    chosen, start = features_that_count(problem, free, np.eye(3))
+    assert int(chosen.kept.sum()) == kept
+    assert bool((start[0, 0, kept:] == 0).all())
+
+
+def test_of_equal_minima_the_first_goes_on() -> None:
+    """Starts that ended in one valley differ by rounding; those of other valleys follow, the best first."""
+    from pipeline.identification.response_fit import _distinct
+
+    for tie in (1e-9, -1e-9):
+        assert _distinct([3.0, 1.0, 1.0 + tie, 2.0, 1.005]) == [1, 3, 0]
+    assert _distinct([1.00001, 1.0]) == [1], "the better of two that differ"
+    assert _distinct([float("inf"), 1.0]) == [1, 0]
+
+
+def test_of_equal_finalists_the_better_trial_is_promoted() -> None:
+    """At rounding seeds tell nothing: the order of the trials decides, and the default stays where it is there too."""
+    from pipeline.config.compose import compose_config
+    from pipeline.tuning.review import Finalist, promoted
+    from pipeline.tuning.worker import ROUNDING
+
+    config = compose_config(["experiment=ball_bearing", "tuned=false"]).tuning
+
+    def finalist(trial: int, loss: float) -> Finalist:
+        return Finalist(trial, {}, np.full(5, loss), None)  # type: ignore[arg-type]
+
+    for one, other in ((1e-15, 9e-16), (9e-16, 1e-15)):
+        assert promoted(finalist(0, 1e-3), [finalist(4, one), finalist(9, other)], config, ROUNDING).trial == 4
+        assert promoted(finalist(0, 1e-14), [finalist(4, one), finalist(9, other)], config, ROUNDING).trial == 0
+
+
+@pytest.mark.parametrize("name", ["ball_bearing", "hydrostatic_stiffness", "hydrostatic_damping"])
+def test_committed_studies_keep_the_default_with_room_to_spare(name: str) -> None:
+    """Kernels and the sampler's path move the best finalist: it must stay far from being promoted."""
+    import pandas as pd
+
+    from pipeline.config.compose import compose_config
+    from pipeline.tuning.worker import ROUNDING
+
+    root = Path(__file__).resolve().parents[1]
+    table = pd.read_csv(root / "studies" / name / "finalists.csv")
+    medians = table.groupby("trial")["held_out_loss"].median().clip(lower=ROUNDING)
+    least = compose_config([f"experiment={name}", "tuned=false"]).tuning.least_gain
+    assert medians[0] / medians.min() < 0.75 * least
+
+
+@pytest.mark.parametrize(("error", "text"), [(4.2e-12, "< 1e-8"), (0.0, "< 1e-8"), (1.234e-7, "1.2e-07"), (26.1, "26")])
+def test_digits_of_rounding_are_not_printed(error: float, text: str) -> None:
+    """They differ from processor to processor."""
+    from pipeline.reporting.comparison_tables import error_text
+
+    assert error_text(error) == text
