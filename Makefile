@@ -12,7 +12,7 @@ export DVC_NO_ANALYTICS := 1
 unexport PYTHONHOME PYTHONPATH
 
 .DEFAULT_GOAL := help
-.PHONY: help env reproduce test test-quick lint clean
+.PHONY: help env reproduce demo bench test test-quick lint clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' Makefile
@@ -21,6 +21,13 @@ env: .venv/.installed  ## make or update .venv (minutes the first time, nothing 
 
 reproduce: env  ## run every experiment whose inputs changed, then the check (dvc repro)
 	$(RUN) dvc repro
+
+demo: env  ## from recordings of a machine to its results on one screen and in one picture
+	$(RUN) pipeline 'stage=[ingest,train,evaluate,predict,summary]' experiment=measured_demo \
+		output=artifacts/demo tracking=none
+
+bench: env  ## measure ratios of speed and write docs/benchmarks.md; no time fails it
+	$(RUN) benchmarks --write docs/benchmarks.md
 
 test: env  ## run all tests, the slow ones too
 	$(RUN) pytest
