@@ -237,7 +237,9 @@ def _listed(things: Iterable[object]) -> str:
 
 
 def _nodes(nodes: Iterable[int]) -> str:
-    every = list(nodes)
+    every = sorted(nodes)
+    if len(every) > 3 and every == list(range(every[0], every[-1] + 1)):
+        return f"nodes {every[0]} to {every[-1]}"
     return f"node{'s' if len(every) != 1 else ''} {_listed(every)}"
 
 
