@@ -12,35 +12,66 @@ export DVC_NO_ANALYTICS := 1
 unexport PYTHONHOME PYTHONPATH
 
 .DEFAULT_GOAL := help
-.PHONY: help env reproduce demo bench test test-quick lint clean
+.PHONY: help env demo reproduce test test-quick test-nightly comparison studies promote bench lint clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' Makefile
 
 env: .venv/.installed  ## make or update .venv (minutes the first time, nothing after that)
 
-reproduce: env  ## run every experiment whose inputs changed, then the check (dvc repro)
-	$(RUN) dvc repro
+# Two processes: a file of tests stays in one of them.
+PYTEST = $(RUN) pytest -n 2 --dist loadfile
 
 demo: env  ## from recordings of a machine to its results on one screen and in one picture
 	$(RUN) pipeline 'stage=[ingest,train,evaluate,predict,summary]' experiment=measured_demo \
 		output=artifacts/demo tracking=none
 
-bench: env  ## measure ratios of speed and write docs/benchmarks.md; no time fails it
-	$(RUN) benchmarks --write docs/benchmarks.md
+reproduce: env  ## run every experiment whose inputs changed (dvc repro), then the check
+	$(RUN) dvc repro
+	$(RUN) pipeline stage=check tracking=none
 
-test: env  ## run all tests, the slow ones too
-	$(RUN) pytest
+test: env  ## make what changed, run the tests (all but the nightly ones), then the check
+	$(RUN) dvc repro
+	$(PYTEST)
+	$(RUN) pipeline stage=check tracking=none
 
 test-quick: env  ## run the tests that take no training
-	$(RUN) pytest -m "not slow"
+	$(PYTEST) -m "not slow and not nightly"
+
+test-nightly: env  ## run the tests that take long: every combination, kill and restart
+	$(RUN) dvc repro
+	$(PYTEST) -m nightly
+
+comparison: env  ## every method on every case, for docs/comparison.md (half an hour)
+	for name in ball_bearing hydrostatic_stiffness hydrostatic_damping impulses; do \
+		$(RUN) pipeline stage=compare experiment=$$name output=artifacts/comparison/$$name \
+			'comparison.methods=[$(EVERY_METHOD)]' 'comparison.noise=[0,0.0001,0.001,0.01]' \
+			'comparison.speeds=[10,60,591]' comparison.data_sets=10 || exit; \
+	done
+EVERY_METHOD = least_squares,tikhonov,total_least_squares,multi_frequency,kalman,kriging,critical_speeds,spline,$\
+	residual,preconditioned,response
+
+studies: env  ## repeat the hyperparameter studies, into artifacts/NAME/study (half an hour)
+	for name in $(STUDIED); do \
+		$(RUN) pipeline stage=tune experiment=$$name tuning.folder=artifacts/$$name/study \
+			tuning.changed=restart tuning.workers=2 || exit; \
+	done
+STUDIED = ball_bearing hydrostatic_stiffness hydrostatic_damping
+
+promote:  ## let training use a repeated study: make promote STUDY=NAME
+	@test -f "artifacts/$(STUDY)/study/best.yaml" || { \
+		echo "STUDY must name an experiment whose study was repeated, but got '$(STUDY)': run make studies first" >&2; exit 2; }
+	cp -R artifacts/$(STUDY)/study/. studies/$(STUDY)/
+
+bench: env  ## measure ratios of speed and write docs/benchmarks.md; no time fails it
+	$(RUN) benchmarks --write docs/benchmarks.md
 
 lint: env  ## ruff and mypy
 	$(RUN) ruff check .
 	$(RUN) mypy
 
 clean:  ## remove .venv, caches and Hydra's run folders; artifacts, studies and tracking stay
-	rm -rf .venv build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis outputs multirun dvc_plots
+	rm -rf .venv .cache build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis outputs multirun dvc_plots
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # The stamp is written last. Without one, what lies in .venv is an interrupted install and is made anew;

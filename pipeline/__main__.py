@@ -7,6 +7,7 @@ Every command is checked before anything runs. Exit codes: 0 done, 1 a threshold
 from __future__ import annotations
 
 import errno
+import gc
 import hashlib
 import os
 import re
@@ -52,8 +53,27 @@ def _command(arguments: list[str]) -> None:
         print(_help())
     elif "--version" in arguments:
         print(f"pipeline {__version__}")
+    elif all(map(_is_plain, arguments)):
+        _run_stages(arguments)
     else:
         _hydra(_parsed(arguments))
+
+
+def _is_plain(argument: str) -> bool:
+    """An override of the pipeline's own keys: a command of these alone needs nothing of Hydra's launchers."""
+    return "=" in argument and not argument.startswith("-") and not _key(argument).startswith("hydra")
+
+
+def _run_stages(overrides: list[str]) -> None:
+    """All stages are checked before the first one runs; the first that fails is the last that runs."""
+    from pipeline.config.compose import compose_stages
+    from pipeline.stages import run_stage
+    from pipeline.tracking import recorder_beside
+
+    configs = compose_stages(overrides)
+    with recorder_beside(configs[0].tracking.enabled):
+        for config in configs:
+            run_stage(config)
 
 
 # --- exit codes ----------------------------------------------------------------------------------
@@ -165,13 +185,13 @@ def _hydra(options: Namespace) -> None:
 
 def _checked(options: Namespace) -> Job:
     """The job that Hydra may start: all its configurations compose and fit the schema."""
-    from pipeline.config.compose import compose_config, composed_mapping, expanded
+    from pipeline.config.compose import compose_stages, composed_mapping, expanded
 
     if options.cfg or options.info:
         composed_mapping(options.overrides)
         return Job()
     if not options.multirun:
-        compose_config(options.overrides)
+        compose_stages(options.overrides)
         return Job()
     jobs, fixed = expanded(options.overrides)
     job = Job(multirun=True, fixed=fixed, count=len(jobs))
@@ -180,18 +200,18 @@ def _checked(options: Namespace) -> Job:
 
 
 def _refuse_shared_folders(job: Job, jobs: list[list[str]]) -> None:
-    from pipeline.config.compose import compose_config
+    from pipeline.config.compose import compose_stages
 
     stages_of: dict[str, set[str]] = {}
     for overrides in jobs:
-        config = compose_config(overrides)
-        folder = job.folder(config.output, overrides)
-        if config.stage in stages_of.setdefault(folder, set()):
+        configs = compose_stages(overrides)
+        folder, stages = job.folder(configs[0].output, overrides), {config.stage for config in configs}
+        if stages & stages_of.setdefault(folder, set()):
             raise ConfigError(
                 f"the jobs of a multirun must write to folders of their own, but two have '{folder}'; "
                 "give each value once, and leave output out or give 'output=FOLDER/${name}'"
             )
-        stages_of[folder].add(config.stage)
+        stages_of[folder] |= stages
     parallel = any(o.startswith("hydra/launcher=") and o != "hydra/launcher=basic" for o in jobs[0])
     if parallel and any(len(stages) > 1 for stages in stages_of.values()):
         raise ConfigError(
@@ -239,18 +259,21 @@ class Job:
     def _run(self, composed: DictConfig) -> None:
         from omegaconf import OmegaConf
 
-        from pipeline.config.compose import effective
+        from pipeline.config.compose import effective, stages_of
         from pipeline.stages import run_stage
 
         overrides = list(_job().overrides.task)
+        given = OmegaConf.to_container(composed.stage) if OmegaConf.is_list(composed.stage) else composed.stage
         if self.multirun:
             composed.output = self.folder(composed.output, overrides)
-            if composed.stage in ("tune", "samplers"):  # studies of different values are different studies
+            # Studies of different values are different studies.
+            if {"tune", "samplers"} & set(stages_of({"stage": given})):
                 composed.tuning.folder = self.folder(composed.tuning.folder, overrides)
                 composed.tuning.study = self.folder(composed.tuning.study, overrides)
             print(f"{self._which()} -> {composed.output}", flush=True)
         mapping: Any = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
-        run_stage(effective(mapping, overrides))
+        for config in effective(mapping, overrides):
+            run_stage(config)
 
     def _which(self) -> str:
         return f"[{_job().job.num + 1}/{self.count}] {' '.join(_job().overrides.task)}"
@@ -322,6 +345,7 @@ _SUMMARY = (
 _EXAMPLES = """\
   python -m pipeline                                         train the default experiment
   python -m pipeline stage=evaluate experiment=NAME          compare with the modelled coefficients
+  python -m pipeline stage=[train,evaluate,predict]          several stages, one after the other
   python -m pipeline optimizer.adam.steps=500 seed=3         change values
   python -m pipeline 'rotor.shaft.0.length=150 mm'           quantities carry their unit
   python -m pipeline -m seed=1,2,3                           one job for each value
@@ -350,4 +374,8 @@ if __name__ == "__main__":
     # The workers of a parallel multirun import Job by name, and `__main__` is another module there.
     from pipeline.__main__ import main as importable_main
 
+    # The systems are small: more threads of numpy's BLAS cost more than they give, as with torch's (`threads`).
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # The packages make a million objects that stay: looking through them again and again is a fifth of a start.
+    gc.set_threshold(100_000, 50, 100)
     sys.exit(importable_main())

@@ -19,7 +19,7 @@ from pipeline.errors import ConfigError, IdentifiabilityError
 from pipeline.identification.response_fit import ResponseFit, fit_response
 from pipeline.identification.response_preparation import MeasuredResponse, prepare_response, start_at
 from pipeline.identification.training import setup_of
-from pipeline.stages.diagnose import diagnose
+from pipeline.stages.diagnosis import diagnose
 from pipeline.stages.inputs import Inputs
 
 STIFFNESS = 2e7

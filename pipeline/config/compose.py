@@ -6,13 +6,16 @@ here as :class:`~pipeline.errors.ConfigError`: the law, what came, the next step
 
 from __future__ import annotations
 
+import importlib.metadata
 import itertools
+import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+from pipeline.cache import identity, keep, look_up
 from pipeline.config.messages import (
     bad_syntax,
     no_option,
@@ -36,15 +39,96 @@ VERSION_BASE = "1.3"
 
 
 def compose_config(overrides: Sequence[str] = ()) -> Config:
-    """The configuration that ``python -m pipeline OVERRIDES`` would run with."""
-    return effective(composed_mapping(overrides), overrides)
+    """The configuration that ``python -m pipeline OVERRIDES`` would run its only stage with."""
+    (config,) = compose_stages(overrides)
+    return config
 
 
-def effective(mapping: Mapping[str, Any], overrides: Sequence[str]) -> Config:
-    """``mapping`` as a Config with the promoted values of its study; ``overrides`` win over them."""
+def compose_stages(overrides: Sequence[str] = ()) -> list[Config]:
+    """The configurations, one a stage, that ``python -m pipeline OVERRIDES`` would run one after the other.
+
+    What was composed before comes from the cache, without Hydra and pint, which take a second.
+    """
     from pipeline.config.promotion import with_promoted
 
-    return with_promoted(validated(_with_excitation_file(mapping)), overrides)
+    key = _made_from(overrides)
+    configs = _kept(look_up(_KIND, key))
+    if configs is None:
+        mapping = composed_mapping(overrides)
+        configs = _validated_stages(mapping)
+        _keep(key, mapping, overrides, configs)
+    return [with_promoted(config, overrides) for config in configs]
+
+
+def effective(mapping: Mapping[str, Any], overrides: Sequence[str]) -> list[Config]:
+    """``mapping`` as a Config for each of its stages, with the promoted values of its study; ``overrides`` win over
+    them."""
+    from pipeline.config.promotion import with_promoted
+
+    return [with_promoted(config, overrides) for config in _validated_stages(mapping)]
+
+
+def _validated_stages(mapping: Mapping[str, Any]) -> list[Config]:
+    complete = _with_excitation_file(mapping)
+    return [validated(dict(complete) | {"stage": stage}) for stage in stages_of(mapping)]
+
+
+def stages_of(mapping: Mapping[str, Any]) -> list[str]:
+    """The stages of a command, in the order given. Raises ConfigError for an unknown one, and one given twice."""
+    from pipeline.config.stage_names import STAGES
+
+    given = mapping.get("stage")
+    stages: list[Any] = given if isinstance(given, list) and given else [given]
+    for stage in stages:
+        if not isinstance(stage, str) or stage not in STAGES:
+            raise ConfigError(
+                f"stage must be one of the stages, but got {shown(stage)}{suggestion(str(stage), STAGES)}"
+            )
+    if len(set(stages)) < len(stages):
+        raise ConfigError(f"stage must name each stage once, but got {shown(given)}")
+    return stages
+
+
+# --- the cache -----------------------------------------------------------------------------------
+
+_KIND = "configurations"
+
+
+def _made_from(overrides: Sequence[str]) -> str:
+    """Identity of all that a configuration is composed from: conf/, the schema, the packages, the overrides."""
+    sources = [*sorted(CONF.rglob("*.yaml")), *sorted(Path(__file__).parent.glob("*.py")), *_MORE_SOURCES]
+    packages = [importlib.metadata.version(name) for name in ("hydra-core", "pydantic", "pint")]
+    try:
+        contents = [part for path in sources for part in (str(path), path.read_bytes())]
+    except OSError:
+        contents = []  # Hydra says what is wrong with conf/
+    return identity(*contents, *packages, json.dumps(list(overrides)))
+
+
+_MORE_SOURCES = [Path(__file__).parents[1] / f"{name}.py" for name in ("coefficients", "unknowns")]
+
+
+def _kept(content: bytes | None) -> list[Config] | None:
+    from pydantic import ValidationError
+
+    from pipeline.config.schema import Config
+
+    if content is None:
+        return None
+    try:
+        return [Config.model_validate(mapping) for mapping in json.loads(content)]
+    except (ValueError, TypeError, ValidationError):
+        return None  # a damaged entry
+
+
+def _keep(key: str, mapping: Mapping[str, Any], overrides: Sequence[str], configs: list[Config]) -> None:
+    """Keep what the key says all of: not an excitation of another file, nor what the environment resolves."""
+    section = mapping.get("excitation")
+    if (isinstance(section, Mapping) and section.get("file")) or any("$" in override for override in overrides):
+        return
+    content = json.dumps([config.model_dump(mode="json") for config in configs]).encode()
+    if _kept(content) == configs:
+        keep(_KIND, key, content)
 
 
 def _with_excitation_file(mapping: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -80,11 +164,7 @@ def validated(mapping: Mapping[str, Any]) -> Config:
     from pydantic import ValidationError
 
     from pipeline.config.schema import Config
-    from pipeline.config.stage_names import STAGES
 
-    stage = mapping.get("stage")
-    if not isinstance(stage, str) or stage not in STAGES:
-        raise ConfigError(f"stage must be one of the stages, but got {shown(stage)}{suggestion(str(stage), STAGES)}")
     try:
         return Config.model_validate(mapping)
     except ValidationError as error:

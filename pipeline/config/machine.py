@@ -85,6 +85,11 @@ class RotorConfig(Section):
     bearing_nodes: tuple[NonNegativeInt, ...] = ()
     shear_effects: bool = True
 
+    @property
+    def n_nodes(self) -> int:
+        """Nodes of the shaft; a rotor of a file has its own."""
+        return sum(segment.elements for segment in self.shaft) + 1
+
     @model_validator(mode="after")
     def _nodes_exist(self) -> RotorConfig:
         if self.file is not None:

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from pipeline.config.schema import Config
 
 BEST = "best.yaml"
-UNTUNED_STAGES = ("configure", "tune", "samplers", "check")
-"""Stages that see the configured values: a study begins from them, and `dvc repro` compares them."""
+UNTUNED_STAGES = ("tune", "samplers", "check")
+"""Stages that see the configured values: a study begins from them."""
 
 
 class PromotedTrial(BaseModel):

@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.data.tables import read_table, write_table
+from pipeline.data.columns import read_columns
+from pipeline.data.tables import write_table
 from pipeline.data.vibration_files import to_rpm
 from pipeline.errors import DataError
 from pipeline.rotor.bearing_table import BearingTable
@@ -29,8 +30,6 @@ def write_coefficients(
 
     With standard deviations (B, S, 8) there are columns ``kxx_std`` and so on, blank where a coefficient was known.
     """
-    import pandas as pd
-
     n_bearings, n_speeds = len(table.nodes), len(table.speeds)
     columns = {
         "bearing_node": np.repeat(table.nodes, n_speeds),
@@ -42,7 +41,7 @@ def write_coefficients(
             columns[name] = np.where(written[:, None], table.coefficient(name), np.nan).ravel()
     if deviation is not None:
         columns |= {f"{name}_std": deviation[..., c].ravel() for c, name in enumerate(COEFFICIENTS)}
-    return write_table(path, pd.DataFrame(columns))
+    return write_table(path, columns)
 
 
 def read_coefficients(
@@ -55,32 +54,39 @@ def read_coefficients(
     """
     every = [name for name in COEFFICIENTS if of is None or any(name in of[node] for node in nodes)]
     kinds = {"bearing_node": "number", "speed_rpm": "number"}
-    table = read_table(
+    table = read_columns(
         path, kinds | {name: "number" if _by_all(name, nodes, of) else "number or blank" for name in every}
     )
     # Speeds of two files are the same where they agree to a millionth of an rpm.
-    table["speed_rpm"] = table["speed_rpm"].round(6)
+    rpm, at_node = np.round(table["speed_rpm"], 6), table["bearing_node"]
     wanted = np.round(to_rpm(speeds), 6)
-    if table.duplicated(["bearing_node", "speed_rpm"]).any():
+    if len(set(zip(at_node.tolist(), rpm.tolist(), strict=True))) < len(rpm):
         raise DataError(f"'{path}' must have one row a bearing and speed, but some are there twice")
     values = np.zeros((len(nodes), len(speeds), len(COEFFICIENTS)))
     for b, node in enumerate(nodes):
-        rows = table[table["bearing_node"] == node].set_index("speed_rpm")
-        if rows.empty:
-            has = sorted({int(n) for n in table["bearing_node"]})
+        rows = np.flatnonzero(at_node == node)
+        if not len(rows):
+            has = sorted({int(n) for n in at_node})
             raise DataError(f"'{path}' must have rows for the bearing at node {node}, but it has bearings at {has}")
-        found = rows.reindex(wanted)
         names = list(COEFFICIENTS if of is None else of[node])
-        missing: np.ndarray = np.flatnonzero(found[["bearing_node", *names]].isna().any(axis=1).to_numpy())
+        found = _at_speeds(rpm[rows], np.stack([at_node, *(table[name] for name in names)])[:, rows], wanted)
+        missing = np.flatnonzero(np.isnan(found).any(axis=0))
         if len(missing):
             raise DataError(
                 f"'{path}' must have every speed of the data, but {len(missing)} are missing for the bearing at node "
                 f"{node} "
                 f"(the first: {wanted[missing[0]]:g} rpm)"
             )
-        for name in names:
-            values[b, :, COEFFICIENTS.index(name)] = found[name].to_numpy()
+        for name, of_name in zip(names, found[1:], strict=True):
+            values[b, :, COEFFICIENTS.index(name)] = of_name
     return BearingTable(tuple(nodes), speeds, values)
+
+
+def _at_speeds(rpm: np.ndarray, values: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """(N, W) of ``values`` (N, V) at ``rpm`` (V,): those at the ``wanted`` (W,), NaN where there are none."""
+    order = np.argsort(rpm)
+    nearest = order[np.searchsorted(rpm, wanted, sorter=order).clip(max=len(rpm) - 1)]
+    return np.where(rpm[nearest] == wanted, values[:, nearest], np.nan)
 
 
 def _by_all(name: str, nodes: Sequence[int], of: Mapping[int, Sequence[str]] | None) -> bool:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -147,13 +148,19 @@ def _read_parquet(path: Path) -> pd.DataFrame:
             f"'{path}' must be a complete Parquet file, but it can't be read ({_first_line(error)}): make it "
             "again with stage=generate"
         ) from None
-    schema = (stored.schema.metadata or {}).get(_SCHEMA_KEY, SCHEMA.encode()).decode(errors="replace")
-    if schema != SCHEMA:
+    schema = schema_of(stored.schema.metadata)
+    if schema is not None:
         raise DataError(
             f"'{path}' must have the file schema {SCHEMA}, but it was written with schema {schema}: make it "
             "again with stage=generate"
         )
     return table
+
+
+def schema_of(metadata: Mapping[bytes, bytes] | None) -> str | None:
+    """The schema of a Parquet file's notes where it is another than the one read here; else None."""
+    schema = (metadata or {}).get(_SCHEMA_KEY, SCHEMA.encode()).decode(errors="replace")
+    return schema if schema != SCHEMA else None
 
 
 def _first_line(error: Exception) -> str:
@@ -204,25 +211,45 @@ def _stored(path: Path, key: bytes) -> str | None:
     return stored.decode(errors="replace") if stored is not None else None
 
 
-def write_table(path: Path, table: pd.DataFrame, rotor: str | None = None, origin: str | None = None) -> Path:
-    """Write CSV or Parquet, by the file's ending. Numbers keep every digit. Raises StorageError.
+def write_table(
+    path: Path, table: Mapping[str, Any] | pd.DataFrame, rotor: str | None = None, origin: str | None = None
+) -> Path:
+    """Write CSV or Parquet, by the file's ending. Numbers keep every digit; NaN is a blank. Raises StorageError.
 
-    ``rotor`` and ``origin`` are kept in a Parquet file, for :func:`rotor_of` and :func:`origin_of`.
+    ``table`` has a sequence of values by the name of each column. ``rotor`` and ``origin`` are kept in a Parquet file,
+    for :func:`rotor_of` and :func:`origin_of`.
     """
+    columns = {str(name): np.asarray(table[name]) for name in table}
 
     def write(beside: Path) -> None:
         """By the ending of ``path``: ``beside`` has another name."""
-        if path.suffix != ".parquet":
-            table.to_csv(beside, index=False)
-            return
-        import pyarrow as pa
-        import pyarrow.parquet as parquet
-
-        stored = pa.Table.from_pandas(table, preserve_index=False)
-        marks = {_ROTOR_KEY: rotor, _ORIGIN_KEY: origin, _SCHEMA_KEY: SCHEMA}
-        metadata = dict(stored.schema.metadata or {}) | {
-            key: mark.encode() for key, mark in marks.items() if mark is not None
-        }
-        parquet.write_table(stored.replace_schema_metadata(metadata), beside)
+        if path.suffix == ".parquet":
+            marks = {_ROTOR_KEY: rotor, _ORIGIN_KEY: origin, _SCHEMA_KEY: SCHEMA}
+            _write_parquet(beside, columns, {key: mark.encode() for key, mark in marks.items() if mark is not None})
+        else:
+            _write_csv(beside, columns)
 
     return write_beside(path, write)
+
+
+def _write_csv(path: Path, columns: Mapping[str, np.ndarray]) -> None:
+    texts = [[_written(value) for value in column.tolist()] for column in columns.values()]
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(zip(*texts, strict=True))
+
+
+def _written(value: object) -> str:
+    """A float as its shortest text that reads back to the same bits."""
+    return "" if value is None or value != value else str(value)
+
+
+def _write_parquet(path: Path, columns: Mapping[str, np.ndarray], marks: Mapping[bytes, bytes]) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as parquet
+
+    stored = pa.table(
+        {name: pa.array(column.tolist() if column.dtype == object else column) for name, column in columns.items()}
+    )
+    parquet.write_table(stored.replace_schema_metadata(dict(marks)), path)

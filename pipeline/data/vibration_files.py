@@ -10,18 +10,15 @@ Excitation: ``run, kind, node, magnitude, phase_deg, whirl``; kind ``unbalance``
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pipeline.data.columns import Columns, read_columns
 from pipeline.data.dataset import DIRECTIONS, Excitation, VibrationDataset, direction_name, without_baseline
-from pipeline.data.tables import read_table, rotor_of, write_table
+from pipeline.data.tables import rotor_of, write_table
 from pipeline.errors import DataError, nearest
 from pipeline.rotor.model import RotorModel
 from pipeline.units import RAD_S_PER_RPM
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 _VIBRATION = {
     "run": "text",
@@ -54,8 +51,6 @@ def write_vibration(
 
     Generated data say for which ``rotor`` and from what ``origin``; measured data belong to no model of it.
     """
-    import pandas as pd
-
     n_speeds, n_channels, n_runs = dataset.displacement.shape
     flat = dataset.displacement.transpose(2, 0, 1).ravel()  # run slowest, then speed, then channel
     nodes = np.array([node for node, _ in dataset.channels])
@@ -70,23 +65,19 @@ def write_vibration(
     }
     if dataset.own_frequencies is not None:
         columns[_FREQUENCY] = np.repeat(dataset.own_frequencies.T.ravel() / (2 * np.pi), n_channels)
-    return write_table(path, pd.DataFrame(columns), None if rotor is None else rotor.fingerprint, origin)
+    return write_table(path, columns, None if rotor is None else rotor.fingerprint, origin)
 
 
 def write_excitation(path: Path, dataset: VibrationDataset) -> Path:
     """Write what excited the runs; a run that nothing excites (the baseline) has no row. Raises StorageError."""
-    import pandas as pd
-
-    forces = pd.DataFrame(
-        {
-            "run": [e.run for e in dataset.excitations],
-            "kind": [e.kind for e in dataset.excitations],
-            "node": [e.node for e in dataset.excitations],
-            "magnitude": [e.magnitude for e in dataset.excitations],
-            "phase_deg": [float(np.degrees(e.phase)) for e in dataset.excitations],
-            "whirl": [e.whirl for e in dataset.excitations],
-        }
-    )
+    forces = {
+        "run": [e.run for e in dataset.excitations],
+        "kind": [e.kind for e in dataset.excitations],
+        "node": [e.node for e in dataset.excitations],
+        "magnitude": [e.magnitude for e in dataset.excitations],
+        "phase_deg": [float(np.degrees(e.phase)) for e in dataset.excitations],
+        "whirl": [e.whirl for e in dataset.excitations],
+    }
     return write_table(path, forces)
 
 
@@ -98,7 +89,13 @@ def read_dataset(vibration: Path, excitation: Path, rotor: RotorModel, baseline:
     Raises DataError with the law that a file breaks; see :func:`pipeline.data.tables.read_table` for those of
     the tables themselves.
     """
-    table = read_table(vibration, _VIBRATION, {_FREQUENCY: "number or blank"})
+    dataset = read_measured(vibration, excitation, baseline, rotor.n_nodes)
+    require_made_for(vibration, rotor)
+    return dataset
+
+
+def require_made_for(vibration: Path, rotor: RotorModel) -> None:
+    """Raise DataError where the file says that it was generated for another rotor."""
     made_for = rotor_of(vibration)
     if made_for is not None and made_for != rotor.fingerprint:
         raise DataError(
@@ -106,20 +103,37 @@ def read_dataset(vibration: Path, excitation: Path, rotor: RotorModel, baseline:
             f"({made_for}): "
             "make it again with stage=generate, or give the rotor that belongs to it"
         )
-    excitations = _excitations(read_table(excitation, _EXCITATION), excitation, rotor)
-    nodes = _nodes(table, vibration, rotor)
+
+
+def require_nodes_of(dataset: VibrationDataset, n_nodes: int, vibration: Path, excitation: Path) -> None:
+    """Raise DataError for a node of either file that a rotor of ``n_nodes`` lacks."""
+    used = {vibration: [node for node, _ in dataset.channels], excitation: [e.node for e in dataset.excitations]}
+    for path, nodes in used.items():
+        for node in nodes:
+            if node >= n_nodes:
+                raise DataError(f"'{path}' must use the rotor's nodes 0 to {n_nodes - 1}, but got node {node}")
+
+
+def read_measured(
+    vibration: Path, excitation: Path, baseline: str | None = None, n_nodes: int | None = None
+) -> VibrationDataset:
+    """As :func:`read_dataset`, before anything is known of the rotor but, perhaps, its number of nodes."""
+    table = read_columns(vibration, _VIBRATION, {_FREQUENCY: "number or blank"})
+    excitations = _excitations(read_columns(excitation, _EXCITATION), excitation, n_nodes)
+    nodes = _nodes(table["node"], vibration, n_nodes)
     angles = _angles(table["direction"], vibration)
-    if (table["speed_rpm"] <= 0).any():
-        raise DataError(f"'{vibration}' must have speeds above zero, but got {table['speed_rpm'].min():g} rpm")
-    strange = table["amplitude_m"][(table["amplitude_m"] < 0) | (table["amplitude_m"] > 1)]
+    rpm, amplitude = table["speed_rpm"], table["amplitude_m"]
+    if (rpm <= 0).any():
+        raise DataError(f"'{vibration}' must have speeds above zero, but got {rpm.min():g} rpm")
+    strange = amplitude[(amplitude < 0) | (amplitude > 1)]
     if len(strange):
-        raise DataError(f"'{vibration}' must have amplitudes of zero or more, up to 1 m, but got {strange.iloc[0]:g} m")
-    for run, rpm in table.groupby("run", sort=False)["speed_rpm"]:
-        if (np.diff(rpm.to_numpy()) < 0).any():
+        raise DataError(f"'{vibration}' must have amplitudes of zero or more, up to 1 m, but got {strange[0]:g} m")
+    runs = tuple(dict.fromkeys(table["run"].tolist()))
+    for run in runs:
+        if (np.diff(rpm[table["run"] == run]) < 0).any():
             raise DataError(
                 f"'{vibration}' must have ascending speeds in every run, but run '{run}' is not sorted by speed_rpm"
             )
-    runs = tuple(dict.fromkeys(table["run"]))
     acting = {e.run for e in excitations}
     if baseline is not None:
         _check_baseline(baseline, runs, acting, vibration, excitation)
@@ -131,7 +145,7 @@ def read_dataset(vibration: Path, excitation: Path, rotor: RotorModel, baseline:
             )
     for run in sorted(acting - set(runs)):
         raise DataError(f"'{vibration}' must have data of every run, but run '{run}' of '{excitation}' has none")
-    dataset = _assemble(table.assign(node=nodes, angle=angles), vibration, runs, excitations)
+    dataset = _assemble(table, nodes, angles, vibration, runs, excitations)
     if dataset.own_frequencies is not None:
         _check_synchronous(dataset, vibration)
     return dataset if baseline is None else without_baseline(dataset, baseline)
@@ -149,51 +163,56 @@ def _check_baseline(baseline: str, runs: tuple[str, ...], acting: set[str], vibr
 
 
 def _assemble(
-    table: pd.DataFrame, path: Path, runs: tuple[str, ...], excitations: tuple[Excitation, ...]
+    table: Columns,
+    nodes: np.ndarray,
+    angles: np.ndarray,
+    path: Path,
+    runs: tuple[str, ...],
+    excitations: tuple[Excitation, ...],
 ) -> VibrationDataset:
-    rpm = np.unique(table["speed_rpm"])
-    pairs = sorted({(int(n), float(a)) for n, a in zip(table["node"], table["angle"], strict=True)})
-    place = {pair: i for i, pair in enumerate(pairs)}
-    at_channel = [place[int(n), float(a)] for n, a in zip(table["node"], table["angle"], strict=True)]
-    at_run = table["run"].map({run: i for i, run in enumerate(runs)}).to_numpy()
-    at_speed = np.searchsorted(rpm, table["speed_rpm"])
-    displacement = np.full((len(rpm), len(pairs), len(runs)), np.nan, dtype=complex)
-    values = table["amplitude_m"].to_numpy() * np.exp(1j * np.radians(table["phase_deg"].to_numpy()))
-    displacement[at_speed, at_channel, at_run] = values
-    expected = displacement.size
-    if len(table) > expected or table.duplicated(["run", "speed_rpm", "node", "angle"]).any():
+    rpm, at_speed = np.unique(table["speed_rpm"], return_inverse=True)
+    places, at_channel = np.unique(np.stack([nodes.astype(float), angles], axis=1), axis=0, return_inverse=True)
+    pairs = [(int(node), float(angle)) for node, angle in places]
+    order = {run: r for r, run in enumerate(runs)}
+    at_run = np.array([order[run] for run in table["run"].tolist()])
+    shape = (len(rpm), len(pairs), len(runs))
+    counts = np.bincount(np.ravel_multi_index((at_speed, at_channel.ravel(), at_run), shape), minlength=np.prod(shape))
+    if counts.max() > 1:
         raise DataError(f"'{path}' must have one row a run, speed, node and direction, but some are there twice")
-    missing = np.argwhere(np.isnan(displacement))
+    missing = np.argwhere(counts.reshape(shape) == 0)
     if len(missing):
         s, p, r = missing[0]
         raise DataError(
-            f"'{path}' must have every channel at every speed of every run, but {len(missing)} of {expected} are "
+            f"'{path}' must have every channel at every speed of every run, but {len(missing)} of {counts.size} are "
             "missing "
             f"(the first: run '{runs[r]}', {rpm[s]:g} rpm, node {pairs[p][0]} {direction_name(pairs[p][1])})"
         )
+    displacement = np.empty(shape, dtype=complex)
+    values = table["amplitude_m"] * np.exp(1j * np.radians(table["phase_deg"]))
+    displacement[at_speed, at_channel.ravel(), at_run] = values
     speeds = rpm * RAD_S_PER_RPM
     own = None
-    if _FREQUENCY in table and table[_FREQUENCY].notna().any():
+    if _FREQUENCY in table and not np.isnan(table[_FREQUENCY]).all():
         own = _frequencies(table, path, speeds, runs, at_speed, at_run)
     return VibrationDataset(speeds, runs, tuple(pairs), displacement, excitations, own)
 
 
 def _frequencies(
-    table: pd.DataFrame, path: Path, speeds: np.ndarray, runs: tuple[str, ...], at_speed: np.ndarray, at_run: np.ndarray
+    table: Columns, path: Path, speeds: np.ndarray, runs: tuple[str, ...], at_speed: np.ndarray, at_run: np.ndarray
 ) -> np.ndarray:
     """(S, R) rad/s."""
-    given = 2 * np.pi * table[_FREQUENCY].to_numpy()
+    given = 2 * np.pi * table[_FREQUENCY]
     if (given <= 0).any():
-        raise DataError(f"'{path}' must have frequencies above zero, but got {table[_FREQUENCY].min():g} Hz")
+        raise DataError(f"'{path}' must have frequencies above zero, but got {np.nanmin(table[_FREQUENCY]):g} Hz")
     given = np.where(np.isnan(given), speeds[at_speed], given)
     frequencies = np.zeros((len(speeds), len(runs)))
     frequencies[at_speed, at_run] = given
     unequal = np.flatnonzero(frequencies[at_speed, at_run] != given)
     if len(unequal):
-        row = table.iloc[unequal[0]]
+        run, rpm = table["run"][unequal[0]], table["speed_rpm"][unequal[0]]
         raise DataError(
-            f"'{path}' must have one frequency for all channels of a run and speed, but run '{row['run']}' has several "
-            f"at {row['speed_rpm']:g} rpm: give every frequency a run of its own"
+            f"'{path}' must have one frequency for all channels of a run and speed, but run '{run}' has several "
+            f"at {rpm:g} rpm: give every frequency a run of its own"
         )
     return frequencies
 
@@ -209,51 +228,53 @@ def _check_synchronous(dataset: VibrationDataset, path: Path) -> None:
             )
 
 
-def _excitations(table: pd.DataFrame, path: Path, rotor: RotorModel) -> tuple[Excitation, ...]:
+def _excitations(table: Columns, path: Path, n_nodes: int | None) -> tuple[Excitation, ...]:
     _check_words(table["kind"], ("unbalance", "force"), path, "kind")
     _check_words(table["whirl"], ("forward", "backward"), path, "whirl")
-    nodes = _nodes(table, path, rotor)
-    if (table["magnitude"] <= 0).any():
-        raise DataError(f"'{path}' must have magnitudes above zero, but got {table['magnitude'].min():g}")
+    nodes, magnitudes = _nodes(table["node"], path, n_nodes), table["magnitude"]
+    if (magnitudes <= 0).any():
+        raise DataError(f"'{path}' must have magnitudes above zero, but got {magnitudes.min():g}")
+    rows = zip(
+        table["run"], table["kind"], nodes, magnitudes, np.radians(table["phase_deg"]), table["whirl"], strict=True
+    )
     return tuple(
-        Excitation(
-            str(row.run),
-            row.kind,
-            int(node),
-            float(row.magnitude),
-            float(np.radians(row.phase_deg)),
-            row.whirl,
-        )
-        for row, node in zip(table.itertuples(), nodes, strict=True)
+        Excitation(str(run), kind, int(node), float(magnitude), float(phase), whirl)
+        for run, kind, node, magnitude, phase, whirl in rows
     )
 
 
-def _nodes(table: pd.DataFrame, path: Path, rotor: RotorModel) -> np.ndarray:
-    values = table["node"].to_numpy()
-    bad = values[(values != np.round(values)) | (values < 0) | (values >= rotor.n_nodes)]
+def _nodes(values: np.ndarray, path: Path, n_nodes: int | None) -> np.ndarray:
+    last = np.inf if n_nodes is None else n_nodes - 1
+    bad = values[(values != np.round(values)) | (values < 0) | (values > last)]
     if len(bad):
-        raise DataError(f"'{path}' must use the rotor's nodes 0 to {rotor.n_nodes - 1}, but got node {bad[0]:g}")
+        nodes = "nodes 0, 1, 2 and so on" if n_nodes is None else f"nodes 0 to {n_nodes - 1}"
+        raise DataError(f"'{path}' must use the rotor's {nodes}, but got node {bad[0]:g}")
     return values.astype(int)
 
 
-def _angles(directions: pd.Series, path: Path) -> np.ndarray:
+def _angles(directions: np.ndarray, path: Path) -> np.ndarray:
     """Degrees from x towards y, 0 to 360."""
-    import pandas as pd
-
-    numbers = pd.to_numeric(directions, errors="coerce").to_numpy(dtype=float)
-    angles = directions.map(DIRECTIONS).to_numpy(dtype=float)
-    angles = np.where(np.isnan(angles), numbers % 360.0, angles)
-    bad = np.flatnonzero(~np.isfinite(angles))
-    if len(bad):
-        raise DataError(
-            f"'{path}' must have 'x', 'y' or an angle in degrees (from x towards y) in the column 'direction', but got "
-            f"{directions.iloc[bad[0]]!r}"
-        )
-    return angles
+    found = {direction: _angle(direction) for direction in set(directions.tolist())}
+    for direction in directions.tolist():
+        if not np.isfinite(found[direction]):
+            raise DataError(
+                f"'{path}' must have 'x', 'y' or an angle in degrees (from x towards y) in the column 'direction', but "
+                f"got {direction!r}"
+            )
+    return np.array([found[direction] for direction in directions.tolist()])
 
 
-def _check_words(values: pd.Series, allowed: tuple[str, ...], path: Path, column: str) -> None:
-    for value in values.unique():
+def _angle(direction: str) -> float:
+    if direction in DIRECTIONS:
+        return DIRECTIONS[direction]
+    try:
+        return float(direction) % 360.0
+    except ValueError:
+        return float("nan")
+
+
+def _check_words(values: np.ndarray, allowed: tuple[str, ...], path: Path, column: str) -> None:
+    for value in dict.fromkeys(values.tolist()):
         if value not in allowed:
             raise DataError(
                 f"'{path}' must have {' or '.join(map(repr, allowed))} in the column '{column}', but got {value!r}"

@@ -7,6 +7,7 @@ when to stop.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -21,24 +22,33 @@ Monitor = Callable[["torch.Tensor", "torch.Tensor"], "torch.Tensor"]
 
 
 def adam(problem: LeastSquares, parameters: torch.Tensor, config: AdamConfig, monitor: Monitor) -> torch.Tensor:
-    """Adam on the Euclidean norm of the residual (paper, Algorithm 1)."""
+    """Adam (Kingma & Ba 2015, Algorithm 1) on the Euclidean norm of the residual (paper, Algorithm 1)."""
     import torch
 
-    trained = parameters.clone().requires_grad_()
-    optimizer = torch.optim.Adam([trained], lr=config.learning_rate)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(
-        optimizer, config.steps, eta_min=config.learning_rate * config.final_rate_fraction
-    )
-    for _ in range(config.steps):
-        optimizer.zero_grad()
+    # Written out: torch.optim.Adam imports torch's compiler, which takes longer than many a fit.
+    current = parameters.clone()
+    mean, square = torch.zeros_like(current), torch.zeros_like(current)
+    for step in range(1, config.steps + 1):
+        trained = current.detach().requires_grad_()
         losses = problem.loss(trained)
-        losses.sum().backward()
-        before = trained.detach().clone()
-        optimizer.step()
-        schedule.step()
-        if monitor(before, losses.detach()).all():
-            return before
-    return trained.detach()
+        (gradient,) = torch.autograd.grad(losses.sum(), trained)
+        if monitor(current, losses.detach()).all():
+            return current
+        mean = _MEAN_DECAY * mean + (1 - _MEAN_DECAY) * gradient
+        square = _SQUARE_DECAY * square + (1 - _SQUARE_DECAY) * gradient.square()
+        size = (square / (1 - _SQUARE_DECAY**step)).sqrt() + _ADAM_EPSILON
+        rate = config.learning_rate * _cosine_fraction((step - 1) / config.steps, config.final_rate_fraction)
+        current = current - rate * mean / (1 - _MEAN_DECAY**step) / size
+    return current
+
+
+# Of Adam (Kingma & Ba 2015), as they propose.
+_MEAN_DECAY, _SQUARE_DECAY, _ADAM_EPSILON = 0.9, 0.999, 1e-8
+
+
+def _cosine_fraction(done: float, last: float) -> float:
+    """Share of the first learning rate when a part ``done`` of the steps is over, falling to ``last`` as a cosine."""
+    return last + (1 - last) * (1 + math.cos(math.pi * done)) / 2
 
 
 def lbfgs(problem: LeastSquares, parameters: torch.Tensor, config: LBFGSConfig, monitor: Monitor) -> torch.Tensor:

@@ -82,11 +82,17 @@ def uncertainty_of(fit: ResponseFit, inflation: float = 1.0) -> Uncertainty:
     )
 
 
-def save_uncertainty(folder: Path, uncertainty: Uncertainty) -> Path:
-    """Write ``uncertainty.safetensors``. Raises StorageError."""
+def save_uncertainty(folder: Path, uncertainty: Uncertainty | None) -> Path:
+    """Write ``uncertainty.safetensors``, empty for a loss that states no deviations. Raises StorageError."""
     from safetensors.numpy import save
 
-    parts = {
+    parts = {} if uncertainty is None else _parts(uncertainty)
+    content = save({name: np.ascontiguousarray(part) for name, part in parts.items()})
+    return write_beside(folder / UNCERTAINTY, lambda beside: _write(beside, content))
+
+
+def _parts(uncertainty: Uncertainty) -> dict[str, np.ndarray]:
+    return {
         "weights": uncertainty.weights,
         "active": uncertainty.active,
         "covariance": uncertainty.covariance,
@@ -94,8 +100,6 @@ def save_uncertainty(folder: Path, uncertainty: Uncertainty) -> Path:
         "planes": uncertainty.planes,
         "plane_scale": np.array([uncertainty.plane_scale]),
     }
-    content = save({name: np.ascontiguousarray(part) for name, part in parts.items()})
-    return write_beside(folder / UNCERTAINTY, lambda beside: _write(beside, content))
 
 
 def _write(path: Path, content: bytes) -> None:
@@ -103,15 +107,15 @@ def _write(path: Path, content: bytes) -> None:
 
 
 def load_uncertainty(folder: Path, identified: IdentifiedModel) -> Uncertainty | None:
-    """Read what :func:`save_uncertainty` wrote; None where there is none. Raises DataError for a damaged file."""
+    """Read what :func:`save_uncertainty` wrote; None where it states none. Raises DataError for a damaged file."""
     from safetensors import SafetensorError
     from safetensors.numpy import load_file
 
     path = folder / UNCERTAINTY
-    if not path.is_file():
-        return None
     try:
         parts = load_file(path)
+        if not parts:
+            return None
         unbalance = parts["residual_unbalance"][0] + 1j * parts["residual_unbalance"][1]
         found = Uncertainty(
             parts["weights"],

@@ -13,7 +13,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import lapack
 
 from pipeline.errors import PipelineError
 from pipeline.rotor.model import RotorModel
@@ -70,6 +69,8 @@ def solve(
     Returns:
         (S, m, R) complex. Raises PipelineError where D is singular or the result is not finite.
     """
+    from scipy.linalg import lapack
+
     size, width = len(system.dof), system.bandwidth
     # Right-hand sides in Fortran order, too: LAPACK then leaves the solution in their place, and nothing is copied.
     solution = np.array(right.swapaxes(1, 2), dtype=complex, order="C")

@@ -1,60 +1,110 @@
-"""An assembled rotor as a file, so that stages after the first need not import ROSS, which takes seconds."""
+"""What ROSS made is kept in the cache: its import takes seconds, and is needed for a new rotor or bearing only."""
 
 from __future__ import annotations
 
-import hashlib
 import importlib.metadata
 import json
 from pathlib import Path
 
 import numpy as np
 
-from pipeline.config.machine import RotorConfig
-from pipeline.files import write_beside
+from pipeline.cache import identity, keep, look_up
+from pipeline.config.machine import BearingConfig, RotorConfig
+from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 
+KIND = "rotors"
+_BEARINGS = "bearings"
+_MADE_BY = [Path(__file__).with_name(f"{name}.py") for name in ("ross_adapter", "journal_table")]
 _ARRAYS = ("mass", "damping", "gyroscopic", "stiffness", "positions")
 _REST = ("bearing_nodes", "disc_nodes", "total_mass")
 _ENTRY = "rotor"
 
 
 def made_from(config: RotorConfig) -> str:
-    """Identity of what a rotor is assembled from: its configuration, its file's bytes, the version of ROSS."""
-    digest = hashlib.sha256(json.dumps(config.model_dump(mode="json"), sort_keys=True).encode())
-    digest.update(importlib.metadata.version("ross-rotordynamics").encode())
-    if config.file is not None and Path(config.file).is_file():
-        digest.update(Path(config.file).read_bytes())
-    return digest.hexdigest()[:16]
+    """Identity of what a rotor is assembled from: configuration, its file's bytes, ROSS's version, and our own code."""
+    file = Path(config.file) if config.file is not None else None
+    return identity(
+        # Where a rotor file lies makes no other rotor.
+        json.dumps(config.model_dump(mode="json", exclude={"file"}), sort_keys=True),
+        file.read_bytes() if file is not None and file.is_file() else b"",
+        "" if file is None else file.suffix,
+        importlib.metadata.version("ross-rotordynamics"),
+        *(path.read_bytes() for path in _MADE_BY),
+    )
 
 
-def write_rotor(path: Path, rotor: RotorModel, config: RotorConfig) -> Path:
-    """Write the matrices, bit by bit, as safetensors. Raises StorageError."""
+def assembled(config: RotorConfig) -> RotorModel:
+    """Shaft and discs as matrices: from the cache, or by ROSS where this rotor is new.
+
+    Raises ConfigError where ``config.file`` can't be read.
+    """
+    key = made_from(config)
+    rotor = _read(look_up(KIND, key))
+    if rotor is None:
+        from pipeline.rotor.ross_adapter import assemble
+
+        rotor = assemble(config)
+        keep(KIND, key, _written(rotor))
+    return rotor
+
+
+def modelled_bearings(config: RotorConfig, bearing: BearingConfig, speeds: np.ndarray) -> BearingTable:
+    """The modelled coefficients at ``speeds`` (S,) rad/s: from the cache, or by ROSS.
+
+    Raises ConfigError where the rotor file can't be read, or the bearings give no finite coefficients.
+    """
+    speeds = np.ascontiguousarray(speeds, dtype=float)
+    key = identity(made_from(config), bearing.model_dump_json(), speeds.tobytes())
+    arrays = _arrays(look_up(_BEARINGS, key))
+    if arrays is not None and {"nodes", "values"} <= arrays.keys():
+        return BearingTable(tuple(arrays["nodes"].astype(int).tolist()), speeds, arrays["values"])
+    from pipeline.rotor.ross_adapter import bearing_table
+
+    table = bearing_table(config, bearing, speeds)
+    keep(_BEARINGS, key, _content({"nodes": np.array(table.nodes, dtype=float), "values": table.values}))
+    return table
+
+
+def _written(rotor: RotorModel) -> bytes:
+    rest = {name: getattr(rotor, name) for name in _REST}
+    return _content({name: getattr(rotor, name) for name in _ARRAYS}, {_ENTRY: json.dumps(rest)})
+
+
+def _read(content: bytes | None) -> RotorModel | None:
+    """The rotor, bit by bit; None where there is none, or a damaged one."""
+    arrays = _arrays(content)
+    if content is None or arrays is None:
+        return None
+    try:
+        header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
+        rest = json.loads(header["__metadata__"][_ENTRY])
+        return RotorModel(
+            **{name: arrays[name] for name in _ARRAYS},
+            bearing_nodes=tuple(rest["bearing_nodes"]),
+            disc_nodes=tuple(rest["disc_nodes"]),
+            total_mass=rest["total_mass"],
+        )
+    except (KeyError, TypeError, ValueError):
+        return None
+
+
+def _content(arrays: dict[str, np.ndarray], metadata: dict[str, str] | None = None) -> bytes:
     from safetensors.numpy import save
 
-    # One entry: safetensors writes several in any order, and equal rotors should have equal bytes.
-    rest = {"made_from": made_from(config)} | {name: getattr(rotor, name) for name in _REST}
-    content = save({name: np.ascontiguousarray(getattr(rotor, name)) for name in _ARRAYS}, {_ENTRY: json.dumps(rest)})
-
-    def write(beside: Path) -> None:
-        beside.write_bytes(content)
-
-    return write_beside(path, write)
+    return bytes(save({name: np.ascontiguousarray(array) for name, array in arrays.items()}, metadata))
 
 
-def read_rotor(path: Path, config: RotorConfig) -> RotorModel | None:
-    """What :func:`write_rotor` wrote; None where there is no such file, a damaged one, or one of another rotor."""
-    from safetensors import SafetensorError, safe_open
+def _arrays(content: bytes | None) -> dict[str, np.ndarray] | None:
+    """Of double precision."""
+    from safetensors import SafetensorError, deserialize
 
+    if content is None:
+        return None
     try:
-        with safe_open(path, framework="np") as stored:
-            rest = json.loads((stored.metadata() or {})[_ENTRY])
-            if rest["made_from"] != made_from(config):
-                return None
-            return RotorModel(
-                **{name: stored.get_tensor(name) for name in _ARRAYS},
-                bearing_nodes=tuple(rest["bearing_nodes"]),
-                disc_nodes=tuple(rest["disc_nodes"]),
-                total_mass=rest["total_mass"],
-            )
-    except (OSError, SafetensorError, KeyError, TypeError, ValueError):
-        return None  # ROSS assembles the rotor anew
+        return {
+            name: np.frombuffer(entry["data"], dtype=np.float64).reshape(entry["shape"])
+            for name, entry in deserialize(content)
+        }
+    except (SafetensorError, ValueError):
+        return None

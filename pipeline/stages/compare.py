@@ -20,7 +20,7 @@ from pipeline.files import write_json, write_text
 from pipeline.reporting.comparison_figures import comparison_figure
 from pipeline.reporting.comparison_tables import Comparison, markdown, tables
 from pipeline.reporting.console import comparison_progress, say, table
-from pipeline.rotor.ross_adapter import assemble, bearing_table
+from pipeline.rotor.stored import assembled, modelled_bearings
 from pipeline.stages.generate import excitations, own_frequencies, residual_unbalances
 from pipeline.stages.inputs import known_coefficients, require_nodes
 from pipeline.stages.run import StageOutput, flat_metrics, workspace
@@ -72,9 +72,9 @@ def run(config: Config) -> StageOutput:
 def modelled_machine(config: Config) -> Machine:
     """The configured machine, and its vibration without noise at every node."""
     speeds = np.array(config.excitation.speeds.rpm()) * RAD_S_PER_RPM
-    rotor = assemble(config.rotor)
+    rotor = assembled(config.rotor)
     known_coefficients(config, rotor.bearing_nodes)  # refuses exceptions without a bearing
-    bearings = bearing_table(config.rotor, config.bearing, speeds)
+    bearings = modelled_bearings(config.rotor, config.bearing, speeds)
     runs, residual = excitations(config), residual_unbalances(config)
     require_nodes(rotor, "excitation.runs", [excitation.node for excitation in (*runs, *residual)])
     require_nodes(rotor, "identify.unbalance_planes", config.identify.unbalance_planes)

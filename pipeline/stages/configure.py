@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from pipeline.config.schema import Config
+from pipeline.data.tables import fingerprint_of
 from pipeline.files import write_text
 from pipeline.reporting.console import say
 from pipeline.stages.run import StageOutput, workspace
@@ -17,10 +19,14 @@ _HOW: Any = {
 
 
 def run(config: Config) -> StageOutput:
-    """``config.yaml``, in SI units, without the keys that say how rather than what."""
+    """``config.yaml``, in SI units, without the keys that say how rather than what.
+
+    Values that a study promoted are in their places, and ``rotor_file`` is the identity of the rotor file's bytes.
+    """
     import yaml
 
     mapping = config.model_dump(mode="json", exclude=_HOW)
+    mapping["rotor_file"] = fingerprint_of(Path(config.rotor.file)) if config.rotor.file else ""
     path = write_text(workspace(config).config, yaml.safe_dump(mapping, sort_keys=False))
     say(f"{config.name}: configuration in '{path}'")
     return StageOutput(files=[path])

@@ -23,8 +23,8 @@ from pipeline.files import write_json, write_text
 from pipeline.reporting.console import say, table
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
-from pipeline.rotor.ross_adapter import assemble, bearing_table
-from pipeline.stages.diagnose import noise_words
+from pipeline.rotor.stored import assembled, modelled_bearings
+from pipeline.stages.diagnosis import noise_words
 from pipeline.stages.generate import excitations, own_frequencies
 from pipeline.stages.inputs import require_nodes
 from pipeline.stages.run import StageOutput, flat_metrics, workspace
@@ -117,14 +117,14 @@ def candidates(design: DesignConfig) -> tuple[tuple[Excitation, ...], ...]:
 
 def run(config: Config) -> StageOutput:
     """``design.json`` and ``designed_excitation.yaml``, which can be used at once."""
-    design, rotor = config.design, assemble(config.rotor)
+    design, rotor = config.design, assembled(config.rotor)
     possible = candidates(design)
     require_nodes(rotor, "design.candidates", [one.node for acting in possible for one in acting])
     if design.runs > len(possible):
         raise ConfigError(f"design.runs must be at most the {len(possible)} candidates, but got {design.runs}")
     every = np.array(config.excitation.speeds.rpm()) * RAD_S_PER_RPM
     speeds = every[np.unique(np.linspace(0, len(every) - 1, min(design.speeds, len(every))).round().astype(int))]
-    prior = bearing_table(config.rotor, config.bearing, speeds)
+    prior = modelled_bearings(config.rotor, config.bearing, speeds)
     unknowns = unknown_set({node: config.identify.at(node) for node in rotor.bearing_nodes})
 
     def plan(acting: Sequence[Excitation], own: np.ndarray | None = None) -> Plan:

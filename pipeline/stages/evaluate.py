@@ -25,7 +25,7 @@ from pipeline.identification.uncertainty import UNCERTAINTY, load_uncertainty
 from pipeline.reporting.console import say, table
 from pipeline.reporting.figures import coefficient_figure, history_figure
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.stages.diagnose import diagnose
+from pipeline.stages.diagnosis import diagnose
 from pipeline.stages.inputs import Inputs, load_inputs
 from pipeline.stages.run import StageOutput, flat_metrics, input_files, make_missing, workspace
 from pipeline.unknowns import unknown_set
@@ -37,10 +37,9 @@ if TYPE_CHECKING:
 def load_identified(config: Config, inputs: Inputs) -> IdentifiedModel:
     """The trained model, training first where it is missing. Raises DataError where other data trained it."""
     work = workspace(config)
-    make_missing(config, "train", work.folder / WEIGHTS, work.folder / ARCHITECTURE, work.training, work.history)
-    account = read_json(work.training)
     model_files = [work.folder / name for name in (WEIGHTS, ARCHITECTURE, UNCERTAINTY)]
-    model_files = [path for path in model_files if path.name != UNCERTAINTY or path.is_file()]
+    make_missing(config, "train", *model_files, work.training, work.history)
+    account = read_json(work.training)
     identified = load_model(work.folder)
     laws = {
         "the data at hand": account.get("data_fingerprint") == inputs.dataset.fingerprint,
@@ -92,6 +91,8 @@ def run(config: Config) -> StageOutput:
     written: list[Path] = []
     if conventional is not None:
         written.append(write_coefficients(work.folder / "least_squares_coefficients.csv", conventional))
+    errors: CoefficientErrors | None = None
+    beside: CoefficientErrors | None = None
     if modelled is not None:
         errors = coefficient_errors(answer, modelled, names)
         beside = None if conventional is None else coefficient_errors(conventional, modelled, names)
@@ -101,9 +102,9 @@ def run(config: Config) -> StageOutput:
             metrics["least_squares"] = as_metrics(beside)
         if deviation is not None:
             metrics["within_95_percent_interval"] = _within(answer, modelled, deviation, names)
-        error_table = _error_table(answer, modelled, errors, beside, deviation)
-        written.append(write_table(work.folder / "coefficient_errors.csv", error_table))
-        _print_table(config.name, error_table)
+    error_table = _error_table(answer, names, modelled, errors, beside, deviation)
+    written.append(write_table(work.folder / "coefficient_errors.csv", error_table))
+    _print_table(config.name, error_table)
     if modelled is None or config.loss.kind == "response":
         say(f"{config.name}: {left_over.words}")
     written += [
@@ -200,23 +201,27 @@ def _least_squares(config: Config, inputs: Inputs, identified: IdentifiedModel) 
 
 def _error_table(
     answer: BearingTable,
-    modelled: BearingTable,
-    errors: CoefficientErrors,
+    names: Sequence[Sequence[str]],
+    modelled: BearingTable | None,
+    errors: CoefficientErrors | None,
     beside: CoefficientErrors | None,
     deviation: np.ndarray | None,
 ) -> pd.DataFrame:
-    """Paper, Table 1: one row a bearing and coefficient, values as means over the speeds, errors in percent."""
+    """Paper, Table 1: one row a bearing and coefficient, values as means over the speeds, errors in percent.
+
+    Measured data have no modelled coefficients, and so neither these columns nor errors.
+    """
     import pandas as pd
 
     rows = []
     for b, node in enumerate(answer.nodes):
-        for name, error in errors[node].items():
+        for name in names[b]:
             row: dict[str, object] = {"bearing_node": node, "coefficient": name}
-            row |= {
-                "modelled": modelled.coefficient(name)[b].mean(),
-                "identified": answer.coefficient(name)[b].mean(),
-            }
-            row |= asdict(error)
+            if modelled is not None:
+                row["modelled"] = modelled.coefficient(name)[b].mean()
+            row["identified"] = answer.coefficient(name)[b].mean()
+            if errors is not None:
+                row |= asdict(errors[node][name])
             if beside is not None:
                 row["least_squares_mean_error_percent"] = beside[node][name].mean_error_percent
             if deviation is not None:
@@ -227,16 +232,27 @@ def _error_table(
 
 
 def _print_table(name: str, errors: pd.DataFrame) -> None:
-    header = ["bearing and coefficient", "modelled (mean)", "identified (mean)"]
-    header += ["mean error %", "median", "95 %", "max", "L2"]
-    more = {"least_squares_mean_error_percent": "least squares mean error %", "median_std_percent": "median std %"}
-    header += [words for column, words in more.items() if column in errors]
+    columns = [column for column in _SHOWN if column in errors]
     rows = [
-        [
-            f"node {node} {coefficient}",
-            *(f"{v / 1e5:.5f}e5" for v in values[:2]),
-            *(f"{v:.2g}" for v in values[2:]),
-        ]
-        for node, coefficient, *values in errors.itertuples(index=False)
+        [f"node {row['bearing_node']} {row['coefficient']}", *(_shown(column, row[column]) for column in columns)]
+        for _, row in errors.iterrows()
     ]
-    table(f"{name}: identified against modelled", header, rows)
+    what = "identified against modelled" if "modelled" in errors else "identified"
+    table(f"{name}: {what}", ["bearing and coefficient", *(_SHOWN[column] for column in columns)], rows)
+
+
+_SHOWN = {
+    "modelled": "modelled (mean)",
+    "identified": "identified (mean)",
+    "mean_error_percent": "mean error %",
+    "median_error_percent": "median",
+    "p95_error_percent": "95 %",
+    "max_error_percent": "max",
+    "l2_error_percent": "L2",
+    "least_squares_mean_error_percent": "least squares mean error %",
+    "median_std_percent": "median std %",
+}
+
+
+def _shown(column: str, value: float) -> str:
+    return f"{value / 1e5:.5f}e5" if column in ("modelled", "identified") else f"{value:.2g}"

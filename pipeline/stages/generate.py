@@ -16,8 +16,7 @@ from pipeline.data.vibration_files import write_excitation, write_vibration
 from pipeline.errors import DataError
 from pipeline.reporting.console import say, warn
 from pipeline.rotor.model import RotorModel
-from pipeline.rotor.ross_adapter import assemble, bearing_table
-from pipeline.rotor.stored import write_rotor
+from pipeline.rotor.stored import assembled, modelled_bearings
 from pipeline.stages.inputs import known_coefficients, require_nodes
 from pipeline.stages.run import StageOutput, flat_metrics, input_files, origin_of_files, workspace
 from pipeline.twin.modes import StabilityMargin, stability_margin, whirl_modes
@@ -38,8 +37,8 @@ def run(config: Config) -> StageOutput:
             "give it as data.vibration=..., or choose another folder with output=FOLDER"
         )
     speeds = np.array(config.excitation.speeds.rpm()) * RAD_S_PER_RPM
-    rotor = assemble(config.rotor)
-    bearings = bearing_table(config.rotor, config.bearing, speeds)
+    rotor = assembled(config.rotor)
+    bearings = modelled_bearings(config.rotor, config.bearing, speeds)
     runs, residual = excitations(config), residual_unbalances(config)
     require_nodes(rotor, "excitation.runs", [excitation.node for excitation in (*runs, *residual)])
     complete = simulate(rotor, bearings, (*runs, *residual), own_frequencies(config, speeds))
@@ -47,7 +46,6 @@ def run(config: Config) -> StageOutput:
     generator = np.random.default_rng(config.sensors.seed)
     dataset = measured(replace(complete, excitations=runs), sensors(config, rotor), generator)
     modelled = workspace(config).modelled
-    write_rotor(workspace(config).rotor, rotor, config.rotor)
     write_excitation(files.excitation, dataset)
     write_coefficients(modelled, bearings)
     write_coefficients(files.known, bearings, known_coefficients(config, rotor.bearing_nodes))

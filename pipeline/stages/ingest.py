@@ -27,8 +27,7 @@ from pipeline.reporting.console import say, table, warn
 from pipeline.reporting.ingest_figures import bode_figure, measured_orbit_figure
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
-from pipeline.rotor.ross_adapter import assemble
-from pipeline.rotor.stored import read_rotor, write_rotor
+from pipeline.rotor.stored import assembled
 from pipeline.stages.inputs import known_coefficients, require_nodes
 from pipeline.stages.run import InputFiles, StageOutput, input_files, workspace
 
@@ -45,7 +44,7 @@ def run(config: Config) -> StageOutput:
             "ingest must say what to read, but ingest.format is none: choose ingest=table, ingest=uff58 or "
             "ingest=waveform, or a file of your own in conf/ingest (docs/ingest.md)"
         )
-    rotor = read_rotor(work.rotor, config.rotor) or assemble(config.rotor)
+    rotor = assembled(config.rotor)
     require_nodes(rotor, "ingest.probes", [probe.node for probe in ingest.probes.values()])
     for measured_run in ingest.runs:
         acting = [*(one.node for one in measured_run.unbalances), *(one.node for one in measured_run.forces)]
@@ -55,7 +54,6 @@ def run(config: Config) -> StageOutput:
     known = _known(config, ingest, rotor, dataset.speeds)
     notes = [*measured.notes, *whirl_notes(dataset)]
     notes += size_notes(dataset, rotor, config.model.initial_stiffness, config.model.initial_damping)
-    write_rotor(work.rotor, rotor, config.rotor)
     written = [write_excitation(files.excitation, dataset)]
     if known is not None:
         written.append(write_coefficients(files.known, known, known_coefficients(config, rotor.bearing_nodes)))

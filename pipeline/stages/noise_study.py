@@ -21,7 +21,7 @@ from pipeline.identification.training import setup_of
 from pipeline.reporting.console import table, training_progress
 from pipeline.reporting.noise_figures import noise_figure
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.stages.diagnose import say_diagnosis
+from pipeline.stages.diagnosis import say_diagnosis
 from pipeline.stages.evaluate import load_modelled
 from pipeline.stages.inputs import Inputs, load_inputs
 from pipeline.stages.response import fitted, prepared_response

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
@@ -21,9 +21,6 @@ from pipeline.identification.response_problem import ResponseProblem
 from pipeline.identification.training import Progress, TrainingSetup
 from pipeline.identification.uncertainty import Uncertainty
 from pipeline.stages.inputs import Inputs, require_nodes
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 
 def equations_of(config: Config, inputs: Inputs) -> ResponseEquations:
@@ -57,7 +54,7 @@ class FitAccount:
     """What the fit leaves over. Deviations are in units of the readings' noise, complex."""
 
     summary: dict[str, object]
-    bad_points: pd.DataFrame
+    bad_points: dict[str, list[Any]]
     inflation: float  # of the variances, where neighbouring speeds deviate together
 
 
@@ -75,7 +72,7 @@ def account_of(fit: ResponseFit, dataset: VibrationDataset) -> FitAccount:
     summary: dict[str, object] = {
         "chi_square": {"value": value, "expected": readings - used / 2, "readings": readings, "numbers": used},
         "whiteness": {"autocorrelation": correlation, "over_its_deviation": significance},
-        "bad_points": len(bad),
+        "bad_points": len(bad["run"]),
     }
     for name, other in (("held_out_speeds", prepared.held_out_speeds), ("held_out_runs", prepared.held_out_runs)):
         if other is not None:
@@ -101,29 +98,24 @@ def _held_out(fit: ResponseFit, other: ResponseProblem) -> dict[str, float]:
     return {"mean_square_over_noise": squares / count, "error_percent": 100.0 * float(np.sqrt(errors / size))}
 
 
-def _bad_points(fit: ResponseFit, dataset: VibrationDataset, plain: list[np.ndarray]) -> pd.DataFrame:
-    import pandas as pd
-
-    speeds, rows = to_rpm(dataset.speeds[fit.prepared.keep]), []
+def _bad_points(fit: ResponseFit, dataset: VibrationDataset, plain: list[np.ndarray]) -> dict[str, list[Any]]:
+    speeds, columns = to_rpm(dataset.speeds[fit.prepared.keep]), no_bad_points()
     for block, off in zip(fit.problem.blocks, plain, strict=True):
         for s, p, r in np.argwhere(np.abs(off) > BAD_POINT):
             node, angle = dataset.channels[p]
-            rows.append(
-                {
-                    "run": dataset.runs[block.runs[r]],
-                    "speed_rpm": speeds[s],
-                    "node": node,
-                    "direction": direction_name(angle),
-                    "deviations": float(np.abs(off[s, p, r])),
-                }
-            )
-    return pd.DataFrame(rows, columns=["run", "speed_rpm", "node", "direction", "deviations"])
+            row = (dataset.runs[block.runs[r]], speeds[s], node, direction_name(angle), float(np.abs(off[s, p, r])))
+            for column, value in zip(columns.values(), row, strict=True):
+                column.append(value)
+    return columns
+
+
+def no_bad_points() -> dict[str, list[Any]]:
+    """``bad_points.csv`` without a row: readings, and how many deviations they are off."""
+    return {name: [] for name in ("run", "speed_rpm", "node", "direction", "deviations")}
 
 
 def write_account(folder: Path, account: FitAccount, uncertainty: Uncertainty) -> list[Path]:
     """``bad_points.csv`` and, where planes were given, ``residual_unbalance.csv`` (kg m). Raises StorageError."""
-    import pandas as pd
-
     written = [write_table(folder / "bad_points.csv", account.bad_points)]
     if len(uncertainty.planes):
         found = uncertainty.residual_unbalance
@@ -133,5 +125,5 @@ def write_account(folder: Path, account: FitAccount, uncertainty: Uncertainty) -
             "phase_deg": np.degrees(np.angle(found)),
             "magnitude_std": uncertainty.unbalance_deviation(),
         }
-        written.append(write_table(folder / "residual_unbalance.csv", pd.DataFrame(columns)))
+        written.append(write_table(folder / "residual_unbalance.csv", columns))
     return written

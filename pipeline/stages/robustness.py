@@ -25,7 +25,7 @@ from pipeline.identification.training import (
 from pipeline.reporting.console import say, table, training_progress
 from pipeline.reporting.figures import robustness_figure
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.stages.diagnose import say_diagnosis
+from pipeline.stages.diagnosis import say_diagnosis
 from pipeline.stages.evaluate import load_modelled
 from pipeline.stages.inputs import load_inputs
 from pipeline.stages.run import StageOutput, flat_metrics, workspace

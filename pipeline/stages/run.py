@@ -32,11 +32,6 @@ class Workspace:
         return self.folder / "modelled_coefficients.csv"
 
     @property
-    def rotor(self) -> Path:
-        """The assembled rotor; made again where it does not fit."""
-        return self.folder / "rotor.safetensors"
-
-    @property
     def identified(self) -> Path:
         """The answer of training."""
         return self.folder / "identified_coefficients.csv"
@@ -108,6 +103,13 @@ def make_missing(config: Config, stage: str, *needed: Path) -> None:
     if missing:
         say(f"'{missing[0]}' is missing: running stage={stage} first")
         run_stage(config.model_copy(update={"stage": stage}))
+
+
+def use_threads(config: Config) -> None:
+    """Let torch use the configured number of threads."""
+    import torch
+
+    torch.set_num_threads(config.threads)
 
 
 @dataclass(frozen=True)

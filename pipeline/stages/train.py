@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +18,12 @@ from pipeline.identification.outcome import Outcome
 from pipeline.identification.response_fit import ResponseFit
 from pipeline.identification.storage import save_model
 from pipeline.identification.training import TrainingSetup, initial_parameters, prepare, run_training, setup_of
-from pipeline.identification.uncertainty import UNCERTAINTY, Uncertainty, save_uncertainty, uncertainty_of
+from pipeline.identification.uncertainty import Uncertainty, save_uncertainty, uncertainty_of
 from pipeline.reporting.console import say, training_progress, warn
-from pipeline.stages.diagnose import say_diagnosis
+from pipeline.stages.diagnosis import say_diagnosis
 from pipeline.stages.inputs import Inputs, load_inputs
-from pipeline.stages.response import account_of, fitted, prepared_response, write_account
-from pipeline.stages.run import StageOutput, flat_metrics, workspace
+from pipeline.stages.response import account_of, fitted, no_bad_points, prepared_response, write_account
+from pipeline.stages.run import StageOutput, flat_metrics, use_threads, workspace
 
 
 def say_promoted(config: Config) -> None:
@@ -49,10 +49,8 @@ def _listed(values: Mapping[str, object]) -> str:
 
 def run(config: Config) -> StageOutput:
     """Train, keep the best state, and write model, coefficients, history and account."""
-    import torch
-
-    torch.set_num_threads(config.threads)
     inputs, setup = load_inputs(config), setup_of(config)
+    use_threads(config)  # torch is imported when the data have been found sound
     say_promoted(config)
     if config.loss.kind == "response":
         result, fit = _by_response(config, inputs, setup)
@@ -62,7 +60,8 @@ def run(config: Config) -> StageOutput:
         files = write_account(workspace(config).folder, left_over, uncertainty)
     else:
         result = _by_residual(config, inputs, setup)
-        account, uncertainty, files = _account(result), None, []
+        account, uncertainty = _account(result), None
+        files = [write_table(workspace(config).folder / "bad_points.csv", no_bad_points())]
     files += _save(config, inputs, result, account, uncertainty)
     _report(config, result, account)
     return StageOutput(
@@ -115,16 +114,10 @@ def _save(
     account: Mapping[str, object],
     uncertainty: Uncertainty | None,
 ) -> list[Path]:
-    import pandas as pd
-
     work = workspace(config)
     table = result.identified.table(inputs.known)
-    model, deviation = save_model(work.folder, result.identified), None
-    if uncertainty is None:
-        (work.folder / UNCERTAINTY).unlink(missing_ok=True)  # of an earlier fit
-    else:
-        deviation = uncertainty.deviation(result.identified, inputs.dataset.speeds)
-        model.append(save_uncertainty(work.folder, uncertainty))
+    model = [*save_model(work.folder, result.identified), save_uncertainty(work.folder, uncertainty)]
+    deviation = None if uncertainty is None else uncertainty.deviation(result.identified, inputs.dataset.speeds)
     about = {
         "outcome": result.outcome.label,
         "data_fingerprint": inputs.dataset.fingerprint,
@@ -133,9 +126,14 @@ def _save(
     }
     return [
         write_coefficients(work.identified, table, deviation=deviation),
-        write_table(work.history, pd.DataFrame(list(result.history)).drop(columns="seconds")),
+        write_table(work.history, _columns(result.history)),
         write_json(work.training, about | dict(account)),
     ]
+
+
+def _columns(history: Sequence[Mapping[str, float | str]]) -> dict[str, list[float | str]]:
+    """The history without its clock."""
+    return {name: [row[name] for row in history] for name in history[0] if name != "seconds"}
 
 
 def _left_over(result: IdentificationResult, account: Mapping[str, Any]) -> str:

@@ -22,7 +22,7 @@ from pipeline.reporting.study_report import (
     summary_of,
     trial_table,
 )
-from pipeline.stages.diagnose import say_diagnosis
+from pipeline.stages.diagnosis import say_diagnosis
 from pipeline.stages.evaluate import load_modelled
 from pipeline.stages.inputs import Inputs, load_inputs
 from pipeline.stages.run import StageOutput, flat_metrics

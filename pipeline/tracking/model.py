@@ -9,8 +9,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 if TYPE_CHECKING:
     from mlflow import MlflowClient
     from mlflow.entities import LoggedModel, Run
@@ -81,10 +79,10 @@ def _signature(folder: Path) -> ModelSignature:
     from mlflow.models import ModelSignature
     from mlflow.types import ColSpec, Schema
 
-    from pipeline.identification.storage import load_model
-    from pipeline.tracking.table import NODE, SPEED, coefficient_table
+    from pipeline.identification.storage import identified_names
+    from pipeline.tracking.table import NODE, SPEED
 
-    columns = coefficient_table(load_model(folder), np.array([_EXAMPLE_RPM])).columns
+    columns = [NODE, SPEED, *identified_names(folder)]
     return ModelSignature(
         inputs=Schema([ColSpec("double", SPEED)]),
         outputs=Schema([ColSpec("long" if name == NODE else "double", name) for name in columns]),

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from pipeline.errors import without_password
+from pipeline.tracking.beside import log_beside
 from pipeline.tracking.database import DatabaseProblem
 from pipeline.tracking.entries import (
     MetricValue,
@@ -45,6 +46,9 @@ def track(record: StageRecord, settings: TrackingSettings) -> list[str]:
     """
     if not settings.enabled:
         return []
+    told = log_beside(record, settings)
+    if told is not None:
+        return told
     try:
         with quiet_mlflow(settings.timeout_seconds):
             return _log(record, settings)
@@ -54,6 +58,13 @@ def track(record: StageRecord, settings: TrackingSettings) -> list[str]:
             f"Stage '{record.stage}' of '{record.experiment}' is not in MLflow ({place}): {_reason(error)}. "
             "Its files are kept. Check tracking.uri, or switch tracking off with tracking.enabled=false."
         ]
+
+
+def get_ready() -> None:
+    """Import what :func:`track` uses, which takes seconds."""
+    with suppress(Exception), quiet_mlflow(1.0):
+        from mlflow import MlflowClient, pyfunc  # noqa: F401
+        from mlflow.store.tracking.sqlalchemy_store import SqlAlchemyStore  # noqa: F401
 
 
 def _log(record: StageRecord, settings: TrackingSettings) -> list[str]:
