@@ -12,7 +12,7 @@ export DVC_NO_ANALYTICS := 1
 unexport PYTHONHOME PYTHONPATH
 
 .DEFAULT_GOAL := help
-.PHONY: help env reproduce test test-quick test-nightly comparison studies promote lint clean
+.PHONY: help env demo reproduce test test-quick test-nightly comparison studies promote bench lint clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' Makefile
@@ -21,6 +21,10 @@ env: .venv/.installed  ## make or update .venv (minutes the first time, nothing 
 
 # Two processes: a file of tests stays in one of them.
 PYTEST = $(RUN) pytest -n 2 --dist loadfile
+
+demo: env  ## from recordings of a machine to its results on one screen and in one picture
+	$(RUN) pipeline 'stage=[ingest,train,evaluate,predict,summary]' experiment=measured_demo \
+		output=artifacts/demo tracking=none
 
 reproduce: env  ## run every experiment whose inputs changed (dvc repro), then the check
 	$(RUN) dvc repro
@@ -58,6 +62,9 @@ promote:  ## let training use a repeated study: make promote STUDY=NAME
 	@test -f "artifacts/$(STUDY)/study/best.yaml" || { \
 		echo "STUDY must name an experiment whose study was repeated, but got '$(STUDY)': run make studies first" >&2; exit 2; }
 	cp -R artifacts/$(STUDY)/study/. studies/$(STUDY)/
+
+bench: env  ## measure ratios of speed and write docs/benchmarks.md; no time fails it
+	$(RUN) benchmarks --write docs/benchmarks.md
 
 lint: env  ## ruff and mypy
 	$(RUN) ruff check .

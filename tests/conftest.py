@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 # The matrices are small: threads of numpy's BLAS and of torch wait for each other longer than they work, above all
-# where another program has the second core, and ROSS's side of a timing would be unfairly slow.
+# where another program has the second core.
 for threads in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ.setdefault(threads, "1")
 

@@ -286,9 +286,7 @@ def test_deleted_experiment(settings: TrackingSettings) -> None:
 
 @pytest.mark.parametrize("uri", ["http://127.0.0.1:9", "http://anna:secret@127.0.0.1:9"])
 def test_unreachable_server(uri: str) -> None:
-    begin = time.monotonic()
     (problem,) = track(record(), TrackingSettings(True, uri, timeout_seconds=2.0))
-    assert time.monotonic() - begin < 6.0
     assert problem.startswith("Stage 'train' of 'rotor rig' is not in MLflow (http://")
     assert "can't be reached (connection refused)" in problem
     assert "tracking.enabled=false" in problem
@@ -298,10 +296,8 @@ def test_unreachable_server(uri: str) -> None:
 @pytest.mark.usefixtures("quiet")
 def test_server_that_never_answers() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
-        begin = time.monotonic()
         uri = f"http://127.0.0.1:{server.getsockname()[1]}"
         (problem,) = track(record(), TrackingSettings(True, uri, timeout_seconds=1.0))
-        assert time.monotonic() - begin < 2.0
     assert "no answer within 1 s" in problem
 
 
@@ -340,9 +336,7 @@ def test_unusable_database(spoil, reason: str, tmp_path: Path) -> None:
 def test_locked_database(settings: TrackingSettings) -> None:
     with closing(sqlite3.connect(settings.uri.removeprefix("sqlite:///"), isolation_level=None)) as other:
         other.execute("BEGIN IMMEDIATE")
-        begin = time.monotonic()
         (problem,) = track(record(), TrackingSettings(True, settings.uri, timeout_seconds=0.2))
-        assert time.monotonic() - begin < 2.0
     assert "database is locked" in problem
 
 

@@ -103,19 +103,14 @@ def summary_of(comparison: Comparison) -> dict[str, object]:
             "median_error_percent_by_speeds": by_speeds,
             "median_error_percent_by_coefficient": comparison.by_coefficient(method),
             "within_95_percent_interval": comparison.within(method, comparison.main),
-            "seconds": comparison.seconds(method, comparison.main),
             "outcomes": comparison.outcomes().get(method, {}),
         }
-    summary: dict[str, object] = {"methods": methods, "minutes_of_two_cores": _minutes(comparison.results)}
+    summary: dict[str, object] = {"methods": methods}
     if "response" in comparison.methods:
         ratios = {name: comparison.best_other("response", comparison.main, name) for name in comparison.names}
         summary["response_over_best_other"] = {n: ratio for n, (_, ratio) in ratios.items() if np.isfinite(ratio)}
         summary["best_other"] = {name: best for name, (best, _) in ratios.items() if best}
     return summary
-
-
-def _minutes(results: tuple[Result, ...]) -> float:
-    return sum(r.seconds for r in results) / 2 / 60
 
 
 def _key(noise: float) -> str:

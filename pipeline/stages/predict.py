@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,29 +15,39 @@ from pipeline.data.tables import write_table
 from pipeline.data.vibration_files import to_rpm
 from pipeline.errors import ConfigError
 from pipeline.files import write_json
-from pipeline.identification.uncertainty import load_uncertainty
+from pipeline.identification.identified import IdentifiedModel
+from pipeline.identification.uncertainty import Uncertainty, load_uncertainty
 from pipeline.reporting.console import say, table
 from pipeline.reporting.twin_figures import orbit_figure, response_figure, time_figure
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.model import RotorModel
 from pipeline.stages.evaluate import load_identified, load_modelled
-from pipeline.stages.inputs import load_inputs, require_nodes
+from pipeline.stages.inputs import Inputs, load_inputs, require_nodes
 from pipeline.stages.run import StageOutput, flat_metrics, workspace
-from pipeline.twin.modes import critical_speeds, stability_margin, whirl_modes
+from pipeline.twin.modes import CriticalSpeed, StabilityMargin, critical_speeds, stability_margin, whirl_modes
 from pipeline.twin.prediction import PredictedVibration, predict, with_deviation
 from pipeline.units import RAD_S_PER_RPM
 
 
-def run(config: Config) -> StageOutput:
-    """``prediction.json``, ``prediction.csv`` and Figure 6."""
-    inputs = load_inputs(config)
+@dataclass(frozen=True, eq=False)
+class Twin:
+    """What the identified system does, and the modelled one where there is a truth: everything by the system's name."""
+
+    identified: IdentifiedModel
+    uncertainty: Uncertainty | None
+    systems: Mapping[str, BearingTable]
+    vibration: Mapping[str, PredictedVibration]  # under the unbalance that no run has
+    critical: Mapping[str, list[CriticalSpeed]]
+    margin: Mapping[str, StabilityMargin]
+    at: int  # index of the prediction's speed
+
+
+def twin_of(config: Config, inputs: Inputs) -> Twin:
+    """The twin, training first where its model is missing. Raises ConfigError for an unbalance that a run has."""
     model = load_identified(config, inputs)
     uncertainty = load_uncertainty(workspace(config).folder, model)
     identified = model.table(inputs.known)
-    systems = {"identified": identified}
     modelled = load_modelled(config, inputs)
-    if modelled is not None:
-        systems = {"modelled": modelled, "identified": identified}
+    systems = {"identified": identified} if modelled is None else {"modelled": modelled, "identified": identified}
     nodes = [config.prediction.node, *(unbalance.node for unbalance in config.prediction.unbalances)]
     require_nodes(inputs.rotor, "prediction", nodes)
     at = _speed_index(config, inputs.dataset.speeds)
@@ -51,8 +62,19 @@ def run(config: Config) -> StageOutput:
         vibration["identified"] = with_deviation(
             vibration["identified"], inputs.rotor, identified, unseen, model, uncertainty
         )
-    summary: dict[str, Any] = {name: _modal_summary(inputs.rotor, system) for name, system in systems.items()}
-    if modelled is not None:
+    modes = {name: whirl_modes(inputs.rotor, system) for name, system in systems.items()}
+    critical = {name: critical_speeds(of) for name, of in modes.items()}
+    margin = {name: stability_margin(of) for name, of in modes.items()}
+    return Twin(model, uncertainty, systems, vibration, critical, margin, at)
+
+
+def run(config: Config) -> StageOutput:
+    """``prediction.json``, ``prediction.csv`` and Figure 6."""
+    inputs = load_inputs(config)
+    twin = twin_of(config, inputs)
+    vibration, at = dict(twin.vibration), twin.at
+    summary: dict[str, Any] = {name: _modal_summary(twin.critical[name], twin.margin[name]) for name in twin.systems}
+    if "modelled" in vibration:
         error = vibration["identified"].error_percent(vibration["modelled"])
         summary["displacement"] = {
             direction: {"mean_error_percent": float(e.mean()), "max_error_percent": float(e.max())}
@@ -92,16 +114,14 @@ def _refuse_seen(unseen: tuple[Excitation, ...], seen: tuple[Excitation, ...]) -
             )
 
 
-def _modal_summary(rotor: RotorModel, bearings: BearingTable) -> dict[str, object]:
-    modes = whirl_modes(rotor, bearings)
-    margin = stability_margin(modes)
+def _modal_summary(found: list[CriticalSpeed], margin: StabilityMargin) -> dict[str, object]:
     return {
         "critical_speeds": {
             f"{i + 1}": {
                 "rpm": critical.speed / RAD_S_PER_RPM,
                 "logarithmic_decrement": critical.logarithmic_decrement,
             }
-            for i, critical in enumerate(critical_speeds(modes))
+            for i, critical in enumerate(found)
         },
         "stability": {
             "stable": margin.stable,

@@ -1,0 +1,89 @@
+"""Modelled machines to measure on, made without files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache, cached_property
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from pipeline.config.schema import Config
+    from pipeline.data.dataset import Excitation, VibrationDataset
+    from pipeline.equations.bearing_equations import BearingEquations
+    from pipeline.rotor.bearing_table import BearingTable
+    from pipeline.rotor.model import RotorModel
+
+
+@dataclass(frozen=True, eq=False)
+class Machine:
+    """A modelled machine and its configuration."""
+
+    config: Config
+    rotor: RotorModel
+    bearings: BearingTable
+    excitations: tuple[Excitation, ...]
+
+    @property
+    def speeds(self) -> np.ndarray:
+        """(S,) rad/s."""
+        return self.bearings.speeds
+
+    @property
+    def runs(self) -> tuple[str, ...]:
+        """Names of the R runs."""
+        return tuple(dict.fromkeys(excitation.run for excitation in self.excitations))
+
+    @cached_property
+    def dataset(self) -> VibrationDataset:
+        """x and y of every node, without noise."""
+        from pipeline.data.simulate import simulate
+
+        return simulate(self.rotor, self.bearings, self.excitations)
+
+    @cached_property
+    def equations(self) -> BearingEquations:
+        """The small system at the bearings."""
+        from pipeline.equations.bearing_equations import bearing_equations
+
+        return bearing_equations(self.rotor, self.dataset)
+
+    def respond(self) -> np.ndarray:
+        """(S, n, R) complex response of every lateral DOF, m and rad, computed each time."""
+        from pipeline.data.simulate import forced_response
+
+        return forced_response(self.rotor, self.bearings, self.excitations, self.runs)
+
+
+@cache
+def machine(*overrides: str) -> Machine:
+    """The machine of these overrides, made once."""
+    import numpy as np
+
+    from pipeline.config.compose import compose_config
+    from pipeline.rotor.ross_adapter import assemble, bearing_table
+    from pipeline.stages.generate import excitations
+    from pipeline.units import RAD_S_PER_RPM
+
+    config = compose_config(overrides)
+    speeds = np.array(config.excitation.speeds.rpm()) * RAD_S_PER_RPM
+    bearings = bearing_table(config.rotor, config.bearing, speeds)
+    return Machine(config, assemble(config.rotor), bearings, excitations(config))
+
+
+def refined(experiment: str, factor: int) -> Machine:
+    """The same machine with ``factor`` times the elements."""
+    from pipeline.config.compose import compose_config
+
+    config = compose_config([f"experiment={experiment}"])
+    made = [f"experiment={experiment}"]
+    made.append(f"rotor.bearing_nodes={[factor * node for node in config.rotor.bearing_nodes]}")
+    for i, segment in enumerate(config.rotor.shaft):
+        made.append(f"rotor.shaft.{i}.elements={factor * segment.elements}")
+    for i, disc in enumerate(config.rotor.discs):
+        made.append(f"rotor.discs.{i}.node={factor * disc.node}")
+    for i, run in enumerate(config.excitation.runs):
+        for j, force in enumerate(run.unbalances):
+            made.append(f"excitation.runs.{i}.unbalances.{j}.node={factor * force.node}")
+    return machine(*made)

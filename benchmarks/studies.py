@@ -1,0 +1,76 @@
+"""Hyperparameter studies: what they spend beside training, and what a second worker gains."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+from benchmarks.machines import machine
+from benchmarks.measure import BENCHMARKS, Aim, Times, seconds
+
+if TYPE_CHECKING:
+    from pipeline.tuning.review import TrialAccount
+
+_EXPERIMENT = "experiment=hydrostatic_stiffness"
+
+
+@BENCHMARKS.add(
+    "study_overhead",
+    "sampling, storage and tracking of a study of 12 trials",
+    "the whole study",
+    Aim(0.05),
+)
+def study_overhead() -> Times:
+    """What is not training, as a share."""
+    from pipeline.stages.tune import child_record
+    from pipeline.tracking import StageRecord, TrackingSettings, track
+
+    overhead, whole = [], []
+    for _ in range(3):
+        with TemporaryDirectory() as folder:
+            trials, wall = _studied(Path(folder), "tuning.n_trials=12")
+            settings = TrackingSettings(True, f"sqlite:///{folder}/mlflow.db", 30.0)
+            children = [child_record(trial) for trial in trials]
+            record = StageRecord("x", "tune", time.time() - 1, time.time(), {}, {}, {}, children=children)
+            track(replace(record, children=()), settings)  # makes the database
+            tracking = seconds(partial(track, record, settings))
+        overhead.append(wall - sum(trial.seconds or 0.0 for trial in trials) + tracking)
+        whole.append(wall + tracking)
+    return Times(overhead, whole)
+
+
+@BENCHMARKS.add(
+    "two_workers",
+    "a study of 20 trials by two workers, random search without pruning",
+    "the same trials by one worker",
+    Aim(1.7, "at least"),
+)
+def two_workers() -> Times:
+    """Not of fewer trials: at the end one worker waits for the last trial of the other."""
+    one, two = [], []
+    for _ in range(3):
+        with TemporaryDirectory() as folder:
+            alike = ("tuning.sampler=random", "tuning.pruner=none", "tuning.n_trials=20")
+            two.append(_studied(Path(folder) / "two", "tuning.workers=2", *alike)[1])
+            one.append(_studied(Path(folder) / "one", *alike)[1])
+    return Times(two, one)
+
+
+def _studied(folder: Path, *overrides: str) -> tuple[list[TrialAccount], float]:
+    """The trials of a study, and its time in seconds."""
+    from pipeline.config.compose import compose_config
+    from pipeline.tuning.parallel import run_study
+    from pipeline.tuning.review import accounts
+    from pipeline.tuning.study import StudyProblem
+
+    made = machine(_EXPERIMENT)
+    config = compose_config(["stage=tune", f"tuning.storage={folder}/optuna.log", *overrides])
+    problem = StudyProblem(config, made.equations, made.bearings, "the same data")
+    start = time.perf_counter()
+    study, _ = run_study(problem, lambda _: None)
+    wall = time.perf_counter() - start
+    return accounts(study), wall

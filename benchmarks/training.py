@@ -1,0 +1,119 @@
+"""Training: it depends neither on the mesh nor on the number of runs, and many guesses cost little more than one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from benchmarks.machines import Machine, machine, refined
+from benchmarks.measure import BENCHMARKS, Action, Aim, Times, in_turns
+
+if TYPE_CHECKING:
+    from pipeline.config.schema import Config
+    from pipeline.identification.training import TrainingSetup
+
+_EXPERIMENT = "hydrostatic_stiffness"
+
+
+@BENCHMARKS.add("adam_step_at_97_nodes", "10 steps of Adam on 97 nodes", "10 steps of Adam on 7 nodes", Aim(1.2))
+def adam_step_at_97_nodes() -> Times:
+    """The small system at the bearings has the same size on every mesh."""
+    return _steps("adam", 10)
+
+
+@BENCHMARKS.add(
+    "levenberg_marquardt_step_at_97_nodes",
+    "4 steps of Levenberg-Marquardt on 97 nodes",
+    "4 steps of Levenberg-Marquardt on 7 nodes",
+    Aim(1.2),
+)
+def levenberg_marquardt_step_at_97_nodes() -> Times:
+    """The small system at the bearings has the same size on every mesh."""
+    return _steps("levenberg_marquardt", 4)
+
+
+def _steps(optimizer: str, count: int) -> Times:
+    coarse, fine = (_optimisation(refined(_EXPERIMENT, factor), optimizer, count) for factor in (1, 16))
+    coarse()
+    fine()
+    return in_turns(fine, coarse, 9, inner=5)
+
+
+def _optimisation(made: Machine, optimizer: str, count: int) -> Action:
+    """``count`` steps of an optimiser on the machine's own problem, without the monitor's account."""
+    import torch
+
+    from pipeline.config.identification import AdamConfig, LevenbergMarquardtConfig
+    from pipeline.identification import optimizers
+    from pipeline.identification.training import initial_parameters, prepare, setup_of
+
+    setup = setup_of(made.config)
+    prepared = prepare(made.equations, made.bearings, setup)
+    start = initial_parameters(prepared, setup, made.config.seed)
+    go_on = torch.zeros(start.shape[:2], dtype=torch.bool)
+    if optimizer == "adam":
+        adam = AdamConfig(steps=count, patience=count, learning_rate=1e-3, final_rate_fraction=1.0)
+        return lambda: optimizers.adam(prepared.train, start, adam, lambda *_: go_on)
+    marquardt = LevenbergMarquardtConfig(steps=count, patience=count, initial_damping=1e6)  # accepted at once
+    return lambda: optimizers.levenberg_marquardt(prepared.train, start, marquardt, lambda *_: go_on)
+
+
+@BENCHMARKS.add("guesses_at_once", "81 initial guesses trained together", "one of them alone, as many steps", Aim(3))
+def guesses_at_once() -> Times:
+    """Without early stopping both take every step."""
+    import torch
+
+    from pipeline.identification.training import initial_parameters, prepare, run_training
+    from pipeline.stages.robustness import starting_points
+
+    made = machine("experiment=ball_bearing")
+    setup = endless(made.config)
+    prepared = prepare(made.equations, made.bearings, setup)
+    guesses = starting_points(made.config)
+    together = torch.cat([initial_parameters(prepared, setup, made.config.seed, float(guess)) for guess in guesses])
+    alone = together[40:41]
+    return in_turns(
+        lambda: run_training(prepared, together, setup), lambda: run_training(prepared, alone, setup), turns=5
+    )
+
+
+def endless(config: Config) -> TrainingSetup:
+    """The configured training without early stopping: tolerance 0 and endless patience."""
+    from pipeline.identification.training import setup_of
+
+    phases = ("adam", "lbfgs", "levenberg_marquardt")
+    patient = {name: getattr(config.optimizer, name).model_copy(update={"patience": 10**9}) for name in phases}
+    return setup_of(
+        config.model_copy(
+            update={
+                "optimizer": config.optimizer.model_copy(update=patient),
+                "training": config.training.model_copy(update={"tolerance": 0.0}),
+            }
+        )
+    )
+
+
+@BENCHMARKS.add("ten_times_the_runs", "3 Jacobians with 30 runs", "3 Jacobians with 3 runs", Aim(1.2))
+def ten_times_the_runs() -> Times:
+    """QR leaves as many rows as unknowns, whatever the number of runs."""
+    import numpy as np
+
+    from pipeline.equations.bearing_equations import BearingEquations
+    from pipeline.identification.training import initial_parameters, prepare, setup_of
+
+    made = machine(f"experiment={_EXPERIMENT}")
+    few = made.equations
+    many = replace(
+        few,
+        frequencies=np.tile(few.frequencies, 10),
+        free_residual=np.tile(few.free_residual, 10),
+        displacement=np.tile(few.displacement, 10),
+    )
+
+    def jacobians(data: BearingEquations) -> Action:
+        setup = setup_of(made.config)
+        prepared = prepare(data, made.bearings, setup)
+        start = initial_parameters(prepared, setup, made.config.seed)
+        return lambda: [prepared.train.jacobian(start) for _ in range(3)]
+
+    return in_turns(jacobians(many), jacobians(few), 9, inner=5)

@@ -1,0 +1,247 @@
+"""The results of an experiment on one screen: at most 40 lines of 100 columns (a path is never cut)."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.coefficients import COEFFICIENTS, unit
+from pipeline.config.schema import Config
+from pipeline.data.dataset import VibrationDataset, direction_name
+from pipeline.data.vibration_files import to_rpm
+from pipeline.evaluation.errors import relative_errors
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.model import RotorModel
+from pipeline.twin.modes import CriticalSpeed, StabilityMargin
+from pipeline.twin.prediction import PredictedVibration
+from pipeline.units import RAD_S_PER_RPM
+
+WIDTH = 100
+_INDENT = " " * 13
+_MOST_ROWS = 16
+"""Of coefficients: all eight of two bearings."""
+
+
+@dataclass(frozen=True, eq=False)
+class ShownRun:
+    """One run as it was measured and as the twin has it. Legend: S speeds, P channels."""
+
+    name: str
+    held_out: bool  # not fitted
+    probe: int  # index of the channel that moves most
+    measured: np.ndarray  # (S, P) complex, m
+    predicted: np.ndarray  # (S, P) complex, m
+
+    @property
+    def error_percent(self) -> float:
+        """Root mean square of the difference over that of the measurement, all speeds and channels."""
+        return float(100 * np.linalg.norm(self.predicted - self.measured) / np.linalg.norm(self.measured))
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """What the screen and the picture show. Legend: B bearings, S speeds."""
+
+    rotor: RotorModel
+    dataset: VibrationDataset
+    identified: BearingTable
+    modelled: BearingTable | None  # the truth of modelled data
+    unknowns: Sequence[Sequence[str]]  # of each bearing
+    deviation: np.ndarray | None  # (B, S, 8), N/m and N s/m; None where the fit states none
+    training: Mapping[str, Any]  # training.json
+    shown: ShownRun
+    vibration: Mapping[str, PredictedVibration]  # of the unbalance that no run has, by system
+    critical: list[CriticalSpeed]
+    margin: StabilityMargin
+    at: int  # index of the prediction's speed
+
+
+def summary_text(config: Config, results: Results, picture: Path) -> str:
+    """The whole screen, with a last newline."""
+    head = _wrapped(f"{config.name}: {config.description}", "", 1)
+    parts = [
+        *_entry("machine", _machine(config, results)),
+        *_entry("data", _data(config, results)),
+        "",
+        *_coefficients(config, results),
+        "",
+        *_entry("fit", _fit(results.training)),
+        *_entry("", _run(results)),
+        *_entry("critical", _critical(results)),
+        *_entry("stability", _stability(results.margin)),
+        *_entry("prediction", _prediction(config, results)),
+        f"{'picture':<{len(_INDENT)}}{picture}",
+    ]
+    return "\n".join([*head, "", *parts]) + "\n"
+
+
+def _entry(name: str, text: str) -> list[str]:
+    return _wrapped(text, f"{name:<{len(_INDENT)}}", 3)
+
+
+def _wrapped(text: str, first: str, lines: int) -> list[str]:
+    return textwrap.wrap(
+        text, WIDTH, initial_indent=first, subsequent_indent=_INDENT, max_lines=lines, placeholder=" ..."
+    )
+
+
+def _machine(config: Config, results: Results) -> str:
+    rotor = results.rotor
+    source = f", from '{config.rotor.file}'" if config.rotor.file else ""
+    return (
+        f"{rotor.n_nodes} nodes, {rotor.total_mass:.4g} kg, bearings at {_nodes(rotor.bearing_nodes)}, "
+        f"discs at {_nodes(rotor.disc_nodes)}{source}"
+    )
+
+
+def _data(config: Config, results: Results) -> str:
+    data = results.dataset
+    rpm, nodes = to_rpm(data.speeds), dict.fromkeys(node for node, _ in data.channels)
+    less = f", less the run {config.data.baseline}" if config.data.baseline else ""
+    kind = "measured" if results.modelled is None else "modelled"
+    return (
+        f"{kind}, {_count(len(data.runs), 'run')} ({_listed(data.runs)}){less}; {_count(len(rpm), 'speed')} from "
+        f"{rpm[0]:g} to {rpm[-1]:g} rpm; {_count(len(data.channels), 'channel')} at {_nodes(nodes)}"
+    )
+
+
+def _coefficients(config: Config, results: Results) -> list[str]:
+    """A row a bearing and coefficient, at up to three speeds; constants have one value."""
+    rpm = to_rpm(results.identified.speeds)
+    at = [0] if config.model.kind == "constant" else sorted({0, results.at, len(rpm) - 1})
+    heads = ["at every speed"] if config.model.kind == "constant" else [f"at {rpm[s]:g} rpm" for s in at]
+    known = "" if results.deviation is None else " +- one standard deviation"
+    against = ", and the median error over the speeds" if results.modelled is not None else ""
+    lines = [f"identified{known}{against}", f"{'':20}" + "".join(f"{head:>22}" for head in heads)]
+    if results.modelled is not None:
+        lines[-1] += f"{'error %':>12}"
+    rows = [(b, name) for b, names in enumerate(results.unknowns) for name in names]
+    for b, name in rows[:_MOST_ROWS]:
+        row = f"  {f'node {results.identified.nodes[b]} {name}, {unit(name)}':<18}"
+        row += "".join(f"{_value(results, b, s, name):>22}" for s in at)
+        if results.modelled is not None:
+            row += f"{np.median(relative_errors(results.identified, results.modelled, name)[b]):>12.2g}"
+        lines.append(row)
+    if len(rows) > _MOST_ROWS:
+        lines.append(f"  and {len(rows) - _MOST_ROWS} more in 'identified_coefficients.csv'")
+    return lines
+
+
+def _value(results: Results, b: int, s: int, name: str) -> str:
+    c = COEFFICIENTS.index(name)
+    deviation = None if results.deviation is None else float(results.deviation[b, s, c])
+    return engineering(float(results.identified.values[b, s, c]), deviation)
+
+
+def engineering(value: float, deviation: float | None = None) -> str:
+    """Such as ``(12.34 +- 0.05)e6``, by powers of 1000."""
+    size = max(abs(value), deviation or 0.0)
+    if not math.isfinite(size) or size == 0:
+        return _plus_minus(value, deviation)
+    power = 3 * math.floor(math.log10(size) / 3)
+    shown = _plus_minus(value / 10**power, None if deviation is None else deviation / 10**power)
+    if power == 0:
+        return shown
+    return f"{shown}e{power}" if deviation is None else f"({shown})e{power}"
+
+
+def _plus_minus(value: float, deviation: float | None) -> str:
+    """Two digits of the deviation, five of a value without one."""
+    size = max(abs(value), deviation or 0.0)
+    if not math.isfinite(size) or size == 0:
+        return f"{value:g}" if deviation is None else f"{value:g} +- {deviation:g}"
+    whole = math.floor(math.log10(size))
+    if not deviation:
+        return f"{value:.{max(4 - whole, 0)}f}" + ("" if deviation is None else " +- 0")
+    decimals = min(max(1 - math.floor(math.log10(deviation)), 0), max(_MOST_DIGITS - whole, 0))
+    return f"{value:.{decimals}f} +- {deviation:.{decimals}f}"
+
+
+_MOST_DIGITS = 5
+"""After the first one, however small the deviation is."""
+
+
+def _fit(training: Mapping[str, Any]) -> str:
+    """What is left over, and what was held out."""
+    if "fit" not in training:
+        loss, held_out = training.get("loss"), training.get("held_out_loss")
+        words = "the loss overflowed" if loss is None else f"residual {loss:.2g} of the bearing force"
+        return words + (f", {held_out:.2g} at held-out speeds" if held_out is not None else "")
+    fit = training["fit"]
+    square = fit["chi_square"]
+    words = (
+        f"chi-square {square['value']:.0f}, where {square['expected']:.0f} is expected: the readings lie "
+        f"{math.sqrt(square['value'] / square['expected']):.2f} times as far off as their noise"
+    )
+    if "held_out_speeds" in fit:
+        words += f"; held-out speeds predicted to {fit['held_out_speeds']['error_percent']:.2g} %"
+    return words
+
+
+def _run(results: Results) -> str:
+    shown = results.shown
+    words = f"{shown.error_percent:.2g} % (root mean square, {_count(shown.measured.shape[1], 'channel')})"
+    if shown.held_out:
+        return f"held-out run {shown.name} predicted to {words}"
+    return f"run {shown.name}, which was fitted, reproduced to {words}"
+
+
+def _critical(results: Results) -> str:
+    rpm = to_rpm(results.dataset.speeds)
+    found = [
+        f"{one.speed / RAD_S_PER_RPM:.1f} rpm (logarithmic decrement {one.logarithmic_decrement:.3g})"
+        for one in results.critical
+    ]
+    return f"{_listed(found)}, between {rpm[0]:g} and {rpm[-1]:g} rpm"
+
+
+def _stability(margin: StabilityMargin) -> str:
+    verdict = "stable at all speeds" if margin.stable else f"UNSTABLE, growth {margin.largest_growth:.3g} 1/s"
+    if margin.smallest_logarithmic_decrement is None or margin.at_speed is None:
+        return f"{verdict}; no whirling mode below twice the top speed"
+    at = margin.at_speed / RAD_S_PER_RPM
+    return f"{verdict}; smallest logarithmic decrement {margin.smallest_logarithmic_decrement:.3g} at {at:g} rpm"
+
+
+def _prediction(config: Config, results: Results) -> str:
+    """The vibration at the prediction's speed, and the largest of all speeds."""
+    found = results.vibration["identified"]
+    rpm, size = to_rpm(found.speeds), 1e6 * np.abs(found.displacement)
+    acting = _listed(f"{1e6 * one.magnitude:g} g mm at node {one.node}" for one in config.prediction.unbalances)
+    words = []
+    for d, direction in enumerate("xy"):
+        deviation = None if found.deviation is None else float(1e6 * found.deviation[results.at, d])
+        words.append(f"{direction} {_plus_minus(float(size[results.at, d]), deviation)} um")
+    s, d = np.unravel_index(size.argmax(), size.shape)
+    return (
+        f"node {found.node} at {rpm[results.at]:g} rpm: {', '.join(words)} (zero-to-peak); at most {size[s, d]:.4g} um "
+        f"in {'xy'[d]} at {rpm[s]:g} rpm; under {acting}"
+    )
+
+
+def channel_words(channel: tuple[int, float]) -> str:
+    """Such as ``x at node 3``, or ``45 deg at node 3``."""
+    node, angle = channel
+    name = direction_name(angle)
+    return f"{name if name in 'xy' else f'{name} deg'} at node {node}"
+
+
+def _listed(things: Iterable[object]) -> str:
+    return ", ".join(map(str, things)) or "none"
+
+
+def _nodes(nodes: Iterable[int]) -> str:
+    every = sorted(nodes)
+    if len(every) > 3 and every == list(range(every[0], every[-1] + 1)):
+        return f"nodes {every[0]} to {every[-1]}"
+    return f"node{'s' if len(every) != 1 else ''} {_listed(every)}"
+
+
+def _count(number: int, name: str) -> str:
+    return f"{number} {name}{'s' if number != 1 else ''}"

@@ -1,0 +1,128 @@
+"""The benchmarks do what they say and no time fails them; what is compared there does the same work."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from conftest import MachineFactory
+
+from benchmarks import __main__ as command
+from benchmarks.measure import Aim, Benchmark, Measured, Times, in_turns
+from benchmarks.report import surroundings
+
+
+def one(aim: Aim, ours: float = 3.0, peer: float = 1.0, scale: float = 1.0) -> Measured:
+    """A benchmark of three turns, the middle one with the times given."""
+    times = Times([ours / 2, ours, 2 * ours], [peer, peer, peer], scale)
+    return Measured(Benchmark("x", "this", "that", aim, lambda: times), times)
+
+
+@pytest.mark.parametrize(
+    ("measured", "median", "met"),
+    [
+        (one(Aim(3.0)), 3.0, True),
+        (one(Aim(2.9)), 3.0, False),
+        (one(Aim(0.4), scale=0.1), 0.3, True),
+        (one(Aim(2.0, "at least"), ours=1.0, peer=2.0), 2.0, True),
+        (one(Aim(2.1, "at least"), ours=1.0, peer=2.0), 2.0, False),
+        (one(Aim(3.5, "below"), ours=3.0, peer=0.1), 30.0, True),
+        (one(Aim(3.0, "below")), 3.0, False),
+    ],
+)
+def test_the_median_is_held_against_the_aim(measured: Measured, median: float, met: bool) -> None:
+    """Ours over the peer's, or how many times as fast, or our seconds alone."""
+    assert measured.median == pytest.approx(median)
+    assert measured.met is met
+
+
+def test_both_sides_take_turns() -> None:
+    """What slows the machine for a while slows both."""
+    said: list[str] = []
+    times = in_turns(lambda: said.append("ours"), lambda: said.append("peer"), 3)
+    assert said == ["ours", "peer"] * 3
+    assert (len(times.ours), len(times.peer)) == (3, 3)
+
+
+@pytest.fixture
+def found(monkeypatch: pytest.MonkeyPatch) -> dict[str, Benchmark]:
+    """Two benchmarks in the place of all: one misses its aim, the other breaks."""
+
+    def breaks() -> Times:
+        raise RuntimeError("no such thing")
+
+    made = {"x": one(Aim(0.1)).benchmark, "broken": Benchmark("broken", "this", "that", Aim(1), breaks)}
+    monkeypatch.setattr(command, "benchmarks", lambda: made)
+    return made
+
+
+@pytest.mark.usefixtures("found")
+def test_no_time_and_no_breakdown_fails_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Exit code 0 where an aim is missed, and where a benchmark breaks; the page says both."""
+    assert command.main(["--write", str(tmp_path / "page.md")]) == 0
+    page = (tmp_path / "page.md").read_text(encoding="utf-8")
+    assert "| x | 3 | 1.5 to 6 | at most 0.1 | no | 3.00 s | 1.00 s |" in page
+    assert "`broken` could not be measured: RuntimeError: no such thing" in page
+    assert "torch 2" in page
+    assert max(len(line) for line in page.splitlines()) <= 100
+    assert "no such thing" in capsys.readouterr().err
+
+
+def test_the_page_says_whether_the_machine_was_quiet() -> None:
+    """By the load when the measurement began."""
+    assert "other programs ran beside it" in surroundings(1.9)
+    assert "the machine was quiet" in surroundings(0.1)
+
+
+def test_an_unknown_name_is_a_mistake(capsys: pytest.CaptureFixture[str]) -> None:
+    """The names are said."""
+    with pytest.raises(SystemExit) as stop:
+        command.main(["no_such_benchmark"])
+    assert stop.value.code == 2
+    assert "guesses_at_once" in capsys.readouterr().err
+
+
+def test_every_benchmark_is_on_the_committed_page() -> None:
+    """`make bench` was run after the last one was added."""
+    page = (Path(__file__).parents[1] / "docs" / "benchmarks.md").read_text(encoding="utf-8")
+    assert [name for name in command.benchmarks() if f"`{name}`" not in page] == []
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("one_thread")
+def test_81_guesses_at_once_take_the_steps_of_one(machine: MachineFactory) -> None:
+    """Without early stopping, so that the benchmark compares the same phases."""
+    import torch
+
+    from benchmarks.training import endless
+    from pipeline.identification.training import initial_parameters, prepare, run_training
+    from pipeline.stages.robustness import starting_points
+
+    made = machine("experiment=ball_bearing")
+    setup, guesses = endless(made.config), starting_points(made.config)
+    assert (len(guesses), guesses[0], guesses[-1]) == (81, 1.0, pytest.approx(1e8))
+    prepared = prepare(made.equations, made.bearings, setup)
+    together = torch.cat([initial_parameters(prepared, setup, made.config.seed, float(guess)) for guess in guesses])
+    batches = [run_training(prepared, start, setup) for start in (together[40:41], together)]
+    assert batches[0].steps == batches[1].steps
+
+
+@pytest.mark.slow
+def test_two_workers_do_the_trials_of_one(machine: MachineFactory, tmp_path: Path) -> None:
+    """Random search without pruning: the very same trials, all of them accounted for, and nothing to complain of."""
+    from pipeline.config.compose import compose_config
+    from pipeline.tuning.parallel import run_study
+    from pipeline.tuning.review import accounts
+    from pipeline.tuning.study import StudyProblem
+
+    made, trials = machine("experiment=hydrostatic_stiffness"), []
+    for workers in (1, 2):
+        storage = f"tuning.storage={tmp_path}/{workers}.log"
+        alike = ["tuning.sampler=random", "tuning.pruner=none", "tuning.n_trials=4", f"tuning.workers={workers}"]
+        config = compose_config(["stage=tune", storage, *alike])
+        problem = StudyProblem(config, made.equations, made.bearings, "the same data")
+        study, sentences = run_study(problem, lambda _: None)
+        assert sentences == []
+        trials.append([trial.parameters for trial in accounts(study)])
+    assert len(trials[0]) == 4
+    assert trials[0] == trials[1]

@@ -1,0 +1,95 @@
+"""The stage `summary`: the results on one screen and in one picture, of modelled and of measured machines."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from pipeline.config.compose import compose_config
+from pipeline.reporting.summary_text import WIDTH, engineering
+from pipeline.stages import run_stage
+
+LINES = 40
+FEW = [
+    *("excitation.speeds.start_rpm=500", "excitation.speeds.stop_rpm=5500", "excitation.speeds.step_rpm=250"),
+    *("optimizer.adam.steps=5", "optimizer.lbfgs.steps=2", "optimizer.levenberg_marquardt.steps=8"),
+]
+EXPERIMENTS = {
+    "ball_bearing": FEW,  # constants, without deviations, two critical speeds
+    "hydrostatic_damping": FEW,  # a network
+    "noisy_all": FEW,  # sixteen coefficients with deviations
+    "measured_demo": ["ingest=measured_demo_table"],  # no truth, a run that is not fitted
+}
+
+
+@pytest.fixture(scope="module", params=EXPERIMENTS)
+def experiment(request: pytest.FixtureRequest) -> str:
+    """The experiment's name."""
+    return str(request.param)
+
+
+@pytest.fixture(scope="module")
+def folder(experiment: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The artifacts after ``stage=summary`` alone."""
+    made = tmp_path_factory.mktemp(experiment)
+    summarise(experiment, made)
+    return made
+
+
+def summarise(experiment: str, folder: Path) -> None:
+    """Run the stage."""
+    overrides = ["stage=summary", f"experiment={experiment}", "tracking=none", f"output='{folder}'"]
+    run_stage(compose_config([*overrides, *EXPERIMENTS[experiment]]))
+
+
+def test_the_results_fit_on_a_screen(experiment: str, folder: Path) -> None:
+    """40 lines of 100 columns; only a path may be longer, for it must be whole."""
+    lines = (folder / "summary.txt").read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= LINES
+    *others, last = lines
+    assert max(len(line) for line in others) <= WIDTH
+    assert last == f"picture      {folder / 'figures' / 'summary.png'}"
+    assert all(line.isascii() for line in others)
+
+
+def test_the_screen_says_what_an_engineer_asks(experiment: str, folder: Path) -> None:
+    """Machine, data, every coefficient of both bearings, fit, critical speeds, stability, vibration."""
+    text = (folder / "summary.txt").read_text(encoding="utf-8")
+    for word in ("machine ", "data ", "identified", "fit ", "critical ", "stability ", "prediction ", "run"):
+        assert word in text
+    config = compose_config([f"experiment={experiment}", *EXPERIMENTS[experiment]])
+    rows = [line.split(",")[0].split()[2] for line in text.splitlines() if line.startswith("  node ")]
+    assert sorted(rows) == sorted(2 * config.identify.named())
+    stated = config.loss.kind == "response"
+    assert ("+- one standard deviation" in text) == stated
+    assert ("chi-square" in text) == stated
+    assert ("error %" in text) == (experiment != "measured_demo")
+    assert ("held-out run both_discs predicted" in text) == (experiment == "measured_demo")
+
+
+def test_the_same_again(experiment: str, folder: Path) -> None:
+    """Over its own files it writes the same bytes, the picture too."""
+    files = [folder / "summary.txt", folder / "figures" / "summary.png"]
+    first = [file.read_bytes() for file in files]
+    assert first[1].startswith(b"\x89PNG")
+    summarise(experiment, folder)
+    assert [file.read_bytes() for file in files] == first
+
+
+@pytest.mark.parametrize(
+    ("value", "deviation", "text"),
+    [
+        (23994100.0, 7100.0, "(23.9941 +- 0.0071)e6"),
+        (-553.2, 9.7, "-553.2 +- 9.7"),
+        (12.5e3, 20e3, "(12 +- 20)e3"),
+        (20.468e6, None, "20.468e6"),
+        (-1.25e-7, None, "-125.00e-9"),
+        (5.0, 1e-12, "5.00000 +- 0.00000"),
+        (0.0, None, "0"),
+        (float("inf"), 1.0, "inf +- 1"),
+    ],
+)
+def test_engineering_notation(value: float, deviation: float | None, text: str) -> None:
+    """Powers of 1000, and as many digits as are known."""
+    assert engineering(value, deviation) == text
