@@ -67,6 +67,11 @@ def examples(count: int) -> settings:
     return settings(max_examples=count * settings().max_examples // 100)
 
 
+def at_night(*values: object) -> list[Any]:
+    """Parameters that `-m nightly` tries, beside those of every day."""
+    return [pytest.param(value, marks=pytest.mark.nightly) for value in values]
+
+
 DATA = {
     *("rotor.safetensors", "vibration.parquet", "excitation.csv"),
     *("known_coefficients.csv", "modelled_coefficients.csv"),

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import psutil
 import pytest
+from conftest import at_night
 
 from pipeline.__main__ import main
 from pipeline.config.compose import compose_config, composed_mapping, validated
@@ -441,7 +442,7 @@ def test_a_study_that_is_undisturbed_has_trials_of_every_kind(
     assert all(curve for *_, curve, _ in trials)
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT], ids=["SIGKILL", "SIGINT"])
+@pytest.mark.parametrize("number", [signal.SIGKILL, *at_night(signal.SIGINT)], ids=["SIGKILL", "SIGINT"])
 def test_a_study_that_is_stopped_at_random_moments_ends_as_if_it_had_not_been(
     number: int, start: Forks, make: Make, in_one_go: Callable[..., list[Told]], rng: np.random.Generator
 ) -> None:
@@ -464,6 +465,7 @@ def died_again_and_again(start: Forks, problem: StudyProblem, rng: np.random.Gen
     raise AssertionError("it was never through")
 
 
+@pytest.mark.nightly
 def test_a_study_that_dies_while_it_writes_its_journal(
     start: Forks, make: Make, in_one_go: Callable[..., list[Told]], rng: np.random.Generator
 ) -> None:
@@ -473,6 +475,7 @@ def test_a_study_that_dies_while_it_writes_its_journal(
     assert finished(problem) == in_one_go()[:4]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("sampler", ["tpe", "random", "gp"])
 def test_every_sampler_goes_on_where_it_died(
     sampler: str, start: Forks, make: Make, in_one_go: Callable[..., list[Told]]
@@ -484,6 +487,7 @@ def test_every_sampler_goes_on_where_it_died(
     assert finished(problem) == in_one_go(sampler=sampler, n_trials=8)
 
 
+@pytest.mark.nightly
 def test_startup_points_are_not_drawn_twice(make: Make, in_one_go: Callable[..., list[Told]]) -> None:
     """A study resumed after each trial draws the points that it would have drawn without: no point comes again."""
     for total in range(1, 6):
@@ -524,7 +528,7 @@ def journal(cheap: StudyProblem, start: Forks, tmp_path_factory: pytest.TempPath
     return path.read_bytes()
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", [0, *at_night(*range(1, 6))])
 def test_a_last_line_that_is_torn_is_repaired(
     seed: int, journal: bytes, make: Make, in_one_go: Callable[..., list[Told]]
 ) -> None:
@@ -538,7 +542,7 @@ def test_a_last_line_that_is_torn_is_repaired(
     assert Path(problem.config.tuning.storage).read_bytes().startswith(journal[:last])
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", [0, *at_night(*range(1, 8))])
 def test_a_journal_that_ends_anywhere_is_gone_on_with(
     seed: int, journal: bytes, make: Make, in_one_go: Callable[..., list[Told]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -551,6 +555,7 @@ def test_a_journal_that_ends_anywhere_is_gone_on_with(
     assert finished(problem) == in_one_go()[:4]
 
 
+@pytest.mark.nightly
 def test_a_line_that_another_worker_tears_while_a_study_runs(make: Make, in_one_go: Callable[..., list[Told]]) -> None:
     """The half record of a worker that died is not glued to the next one of those that live."""
     problem, calls = make(n_trials=3), []
@@ -595,11 +600,14 @@ def test_a_corrupted_line_in_the_middle(junk: bytes, journal: bytes, make: Make)
     assert path.read_bytes() == b"".join(lines)
 
 
-def test_flipped_bits_never_look_like_a_bug_of_ours(journal: bytes, make: Make, rng: np.random.Generator) -> None:
+@pytest.mark.parametrize("count", [20, *at_night(80)])
+def test_flipped_bits_never_look_like_a_bug_of_ours(
+    count: int, journal: bytes, make: Make, rng: np.random.Generator
+) -> None:
     """A byte that changed is refused by a sentence, or is one that the study can live with."""
     problem = make(n_trials=4)
     path, refusals = Path(problem.config.tuning.storage), []
-    for _ in range(80):
+    for _ in range(count):
         raw = bytearray(journal)
         raw[int(rng.integers(0, len(raw)))] ^= 1 << int(rng.integers(0, 8))
         path.write_bytes(raw)
@@ -607,7 +615,7 @@ def test_flipped_bits_never_look_like_a_bug_of_ours(journal: bytes, make: Make, 
             run_study(problem, silent)
         except (StorageError, ConfigError) as error:
             refusals.append(str(error))
-    assert len(refusals) > 10
+    assert len(refusals) > count // 8
     assert [sentence for sentence in refusals if f"'{path}'" not in sentence] == []
 
 
@@ -734,7 +742,7 @@ def test_what_is_done_with_the_trials_may_change(journal: bytes, make: Make) -> 
     assert set(taken(problem).values()) == {1}
 
 
-@pytest.mark.parametrize("change", ["a range", "the data", "the seed"])
+@pytest.mark.parametrize("change", ["the data", *at_night("a range", "the seed")])
 def test_restart_begins_a_changed_study_again(change: str, journal: bytes, make: Make) -> None:
     """Its old trials are gone and its new ones are those of a new study; other studies of the journal stay."""
     changed, _ = CHANGES[change]
@@ -752,6 +760,7 @@ def test_restart_begins_a_changed_study_again(change: str, journal: bytes, make:
     assert finished(problem) == restarted
 
 
+@pytest.mark.nightly
 def test_a_worker_with_another_search_space_may_not_join(start: Forks, make: Make) -> None:
     """While a study runs, a worker of another version is refused, and the study does not notice."""
     problem = make(n_trials=6)
@@ -772,6 +781,7 @@ def in_any_order(**tuning: Any) -> dict[str, Any]:
     return {"sampler": "random", "pruner": "none"} | tuning
 
 
+@pytest.mark.nightly
 def test_two_processes_that_make_one_study_at_once(
     start: Forks, make: Make, in_one_go: Callable[..., list[Told]], tmp_path: Path
 ) -> None:
@@ -792,6 +802,7 @@ def test_two_processes_that_make_one_study_at_once(
     assert max(workers) == 2
 
 
+@pytest.mark.nightly
 def test_three_processes_of_which_any_dies_at_any_time(
     start: Forks, make: Make, in_one_go: Callable[..., list[Told]], rng: np.random.Generator
 ) -> None:
@@ -825,7 +836,7 @@ def at_work(problem: StudyProblem, pids: set[int]) -> optuna.trial.FrozenTrial |
     return None
 
 
-@pytest.mark.parametrize("workers", [2, 3])
+@pytest.mark.parametrize("workers", [2, *at_night(3)])
 def test_the_trial_of_a_worker_that_dies_is_taken_over(workers: int, start: Forks, make: Make) -> None:
     """The others go on with it under its number and with its parameters, and the run says that a worker ended."""
     problem = lengthy(make(**in_any_order(n_trials=5, workers=workers)))
@@ -851,6 +862,7 @@ def ended(processes: list[psutil.Process]) -> bool:
     return not any(p.is_running() and p.status() != psutil.STATUS_ZOMBIE for p in processes)
 
 
+@pytest.mark.nightly
 def test_workers_end_with_the_process_that_started_them(start: Forks, make: Make) -> None:
     """After SIGKILL of the parent they are gone within seconds, and another process goes on with the study."""
     problem = lengthy(make(**in_any_order(n_trials=4, workers=2)))
@@ -868,6 +880,7 @@ def test_workers_end_with_the_process_that_started_them(start: Forks, make: Make
     assert [number for number in complete if taken(problem)[number] > 1] == []
 
 
+@pytest.mark.nightly
 def test_a_worker_ends_with_its_parent_in_the_middle_of_a_long_phase(start: Forks, make: Make) -> None:
     """Also where no point of a learning curve is due for minutes; its trial is taken over."""
     problem = lengthy(make(**in_any_order(n_trials=2, workers=2)), 10**6, last=2)
@@ -886,8 +899,8 @@ def test_a_worker_ends_with_its_parent_in_the_middle_of_a_long_phase(start: Fork
     assert [t.params for t in trials_of(problem)] == before
 
 
-@pytest.mark.parametrize("whole_group", [True, False], ids=["the group", "the parent alone"])
-@pytest.mark.parametrize("moment", ["at the start", "in a trial"])
+@pytest.mark.parametrize("whole_group", [True, *at_night(False)], ids=["the group", "the parent alone"])
+@pytest.mark.parametrize("moment", ["in a trial", *at_night("at the start")])
 def test_ctrl_c_stops_every_worker(moment: str, whole_group: bool, start: Forks, make: Make) -> None:
     """Whoever gets the signal, all end without a word of Python's, and every trial is finished or in the queue."""
     count = 2 if moment == "in a trial" else 3
@@ -1273,6 +1286,7 @@ def test_mistakes_on_the_command_line(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.nightly
 def test_a_host_that_does_not_answer(tune: Callable[..., tuple[int, str]]) -> None:
     """With the configured patience, a host that no packet comes back from is named within ten seconds."""
     began = time.monotonic()
