@@ -5,9 +5,11 @@ Nothing heavy is imported here: most tests of the command line run without numpy
 
 from __future__ import annotations
 
+import json
 import os
+import shutil
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -38,8 +40,36 @@ for threads in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ.setdefault(threads, "1")
 
 # The same examples each time: a random failure helps nobody who did not change anything.
-settings.register_profile("repeatable", derandomize=True, deadline=None, database=None)
+settings.register_profile("repeatable", derandomize=True, deadline=None, database=None, max_examples=100)
+settings.register_profile("nightly", parent=settings.get_profile("repeatable"), max_examples=1000)
 settings.load_profile("repeatable")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """`-m nightly` tries ten times the examples."""
+    chosen = str(config.option.markexpr)
+    if "nightly" in chosen and "not nightly" not in chosen:
+        settings.load_profile("nightly")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """With more examples, a test of examples is one of the nightly ones."""
+    if settings.get_current_profile_name() != "nightly":
+        return
+    for item in items:
+        if getattr(getattr(item, "obj", None), "is_hypothesis_test", False):
+            item.add_marker("nightly")
+
+
+def examples(count: int) -> settings:
+    """``count`` examples, and ten times as many where the profile is the nightly one."""
+    return settings(max_examples=count * settings().max_examples // 100)
+
+
+def at_night(*values: object) -> list[Any]:
+    """Parameters that `-m nightly` tries, beside those of every day."""
+    return [pytest.param(value, marks=pytest.mark.nightly) for value in values]
 
 
 DATA = {
@@ -211,6 +241,45 @@ def one_thread() -> Iterator[None]:
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(before)
+
+
+# --- what the graph made ---------------------------------------------------------------------------
+
+ARTIFACTS = Path(__file__).resolve().parents[1] / "artifacts"
+
+
+@dataclass(frozen=True)
+class Artifacts:
+    """What `make reproduce` made: a folder for each experiment. Tests read it and write nothing there."""
+
+    root: Path
+
+    def __call__(self, experiment: str, *files: str) -> Path:
+        """The folder of an experiment, in which ``files`` must be."""
+        folder = self.root / experiment
+        for name in files or ("config.yaml",):
+            if not (folder / name).exists():
+                pytest.fail(f"run `make reproduce` first: artifacts/{experiment}/{name} is missing", pytrace=False)
+        return folder
+
+    def read(self, experiment: str, name: str) -> Any:
+        """A JSON file of an experiment, such as ``metrics``."""
+        return json.loads((self(experiment, f"{name}.json") / f"{name}.json").read_text(encoding="utf-8"))
+
+    def copied(self, experiment: str, files: Iterable[str], folder: Path) -> Path:
+        """``folder``, with copies of ``files`` of an experiment."""
+        folder.mkdir(parents=True, exist_ok=True)
+        names = sorted(files)
+        source = self(experiment, *names)
+        for name in names:
+            shutil.copy(source / name, folder / name)
+        return folder
+
+
+@pytest.fixture(scope="session")
+def artifacts() -> Artifacts:
+    """``artifacts(experiment, files)``: the folder of what the graph made for an experiment."""
+    return Artifacts(ARTIFACTS)
 
 
 # --- global state --------------------------------------------------------------------------------

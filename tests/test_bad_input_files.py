@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import known_names, refused
+from conftest import examples, known_names, refused
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -737,10 +737,7 @@ EDITS = st.lists(
     max_size=6,
 )
 FUZZ = settings(
-    max_examples=150,
-    deadline=None,
-    derandomize=True,
-    database=None,
+    examples(150),
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 

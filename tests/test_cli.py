@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from conftest import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.__main__ import Job, main
@@ -303,7 +304,7 @@ def test_a_broken_file_in_conf_is_named(monkeypatch: pytest.MonkeyPatch, tmp_pat
 
 
 @pytest.mark.slow
-@settings(max_examples=12, deadline=None, derandomize=True)
+@examples(12)
 @given(
     key=st.sampled_from(["seed", "+seed", "~seed", "rotor", "model.kind", "stage", "experiment", "rotor.shaft.0", ""]),
     value=st.sampled_from(["", "null", "[]", "[1]", "{a: 1}", "${rotor}", "${"]) | st.text(max_size=8),
@@ -535,8 +536,8 @@ def test_workers_find_the_job_by_name() -> None:
 
 
 @pytest.mark.slow
-def test_a_parallel_multirun(tmp_path: Path) -> None:
+def test_a_parallel_multirun(runs: list[Config], capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
-    answer = _process("-m", "hydra/launcher=joblib", "stage=train,evaluate", cwd=tmp_path)
-    assert answer.returncode == 2
-    assert "one after the other" in answer.stderr
+    assert main(["-m", "hydra/launcher=joblib", "stage=train,evaluate"]) == 2
+    assert "one after the other" in capsys.readouterr().err
+    assert runs == []

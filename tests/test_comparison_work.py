@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from comparing import composed, machine, task
+from conftest import Artifacts
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -29,7 +30,6 @@ from pipeline.equations.noise import bearing_rows, residual_sensitivity
 from pipeline.equations.unknown_system import unknown_system
 from pipeline.errors import PipelineError
 from pipeline.reporting.comparison_tables import Comparison, noise_text
-from pipeline.stages import run_stage
 from pipeline.stages.compare import modelled_machine
 
 FEW = ("experiment=hydrostatic_stiffness", "excitation.speeds.step_rpm=500")
@@ -303,12 +303,12 @@ def test_the_derivative_of_the_equations_by_the_readings() -> None:
 
 
 @pytest.mark.slow
-def test_impulses_give_all_coefficients_and_the_unbalance(tmp_path: Path) -> None:
+def test_impulses_give_all_coefficients_and_the_unbalance(artifacts: Artifacts) -> None:
     """The experiment as committed: every coefficient within 0.8 % (median), the unbalance within one."""
-    config = compose_config(["experiment=impulses", f"output={tmp_path}", "tracking=none"])
-    run_stage(config.model_copy(update={"stage": "evaluate"}))
-    metrics = json.loads((tmp_path / "metrics.json").read_text())["coefficients"]
+    config = compose_config(["experiment=impulses", "tracking=none"])
+    metrics = artifacts.read("impulses", "metrics")["coefficients"]
     assert max(of["median_error_percent"] for found in metrics.values() for of in found.values()) < 0.8
-    found = pd.read_csv(tmp_path / "residual_unbalance.csv").set_index("node")["magnitude"]
+    table = artifacts("impulses", "residual_unbalance.csv") / "residual_unbalance.csv"
+    found = pd.read_csv(table).set_index("node")["magnitude"]
     hidden = {one.node: one.magnitude for one in config.excitation.residual}
     assert all(abs(found[node] / size - 1) < 0.01 for node, size in hidden.items())

@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from conftest import Machine, unknown_at_all
-from hypothesis import given, settings
+from conftest import Machine, examples, unknown_at_all
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.coefficients import COEFFICIENTS, column, is_stiffness, row
@@ -345,7 +345,7 @@ def test_least_squares_of_all_eight(hydrostatic: Machine) -> None:
     assert condition.min() > 100
 
 
-@settings(max_examples=15)
+@examples(15)
 @given(exponents=st.lists(st.floats(-9, 9), min_size=4, max_size=4), rows=st.floats(-6, 6))
 def test_condition_number_does_not_depend_on_units(hydrostatic: Machine, exponents: list[float], rows: float) -> None:
     """The condition number speaks of the orbits: other units of a coefficient or of force leave it alone."""

@@ -7,6 +7,7 @@ import re
 import shutil
 from collections.abc import Callable
 from functools import cache
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,10 @@ FEW = [
 QUICK_FIRST = [
     "hydrostatic_stiffness",
     *(pytest.param(name, marks=pytest.mark.slow) for name in EXPERIMENTS if name != "hydrostatic_stiffness"),
+]
+ONE_BY_DAY = [
+    "hydrostatic_stiffness",
+    *(pytest.param(name, marks=pytest.mark.nightly) for name in EXPERIMENTS if name != "hydrostatic_stiffness"),
 ]
 # Of the noisy ones, which differ in their unknowns, one is tried with every option.
 WITH_OPTIONS = [
@@ -117,7 +122,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("experiment", QUICK_FIRST)
+@pytest.mark.parametrize("experiment", ONE_BY_DAY)
 def test_every_stage_of_an_experiment_again_gives_the_same_bits(experiment: str, made: Made, tmp_path: Path) -> None:
     """All stages run, and a second time, over their own files, they write the same bytes, figures too."""
     first = contents(made(experiment))
@@ -129,7 +134,32 @@ def test_every_stage_of_an_experiment_again_gives_the_same_bits(experiment: str,
     assert [name for name in first if again[name] != first[name]] == []
 
 
-CHOICES = [(group, option) for group in GROUPS for option in options(group)]
+DEFAULT = "hydrostatic_stiffness"
+
+
+def _defaults() -> dict[str, str]:
+    """The option of each group that the default experiment has."""
+    import yaml
+
+    listed = yaml.safe_load((CONF / "config.yaml").read_text(encoding="utf-8"))["defaults"]
+    return {group: option for one in listed if isinstance(one, dict) for group, option in one.items()}
+
+
+def home(group: str, option: str) -> str:
+    """The experiment that an option is tried with by day: one that it fits, and where it changes something."""
+    if "compressor" in option:
+        return "compressor_two_journals"
+    if _defaults()[group] != option:
+        return DEFAULT
+    return "noisy_stiffness" if group in ("sensors", "loss", "training") else "ball_bearing"
+
+
+CHOICES = [
+    pytest.param(group, option, name, marks=[] if name == home(group, option) else pytest.mark.nightly)
+    for group in GROUPS
+    for option in options(group)
+    for name in WITH_OPTIONS
+]
 MORE = [
     "loss.scaling=none",
     "identify.tie_bearings=true",
@@ -185,8 +215,7 @@ def _runs_or_says_why_not(experiment: str, folder: Path, *overrides: str) -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("experiment", WITH_OPTIONS)
-@pytest.mark.parametrize(("group", "option"), CHOICES)
+@pytest.mark.parametrize(("group", "option", "experiment"), CHOICES)
 def test_every_option_of_every_group(group: str, option: str, experiment: str, tmp_path: Path) -> None:
     """Any option with any experiment composes and trains, or is refused for nodes or a file."""
     chosen = [f"{group}={option}"]
@@ -217,10 +246,25 @@ def test_every_network(change: str, tmp_path: Path) -> None:
     _runs_or_says_why_not("hydrostatic_stiffness", tmp_path / "x", "model.width=5", change)
 
 
+BY_DAY = {
+    ("constant", "adam", "initial_guesses"),
+    ("network", "adam_lbfgs", "initial_guesses"),
+    ("network", "adam_levenberg_marquardt", "seeds"),
+    ("constant", "levenberg_marquardt", "seeds"),
+}
+"""Each optimiser once, and each model with each robustness."""
+COMBINATIONS = [
+    pytest.param(*chosen, marks=[] if chosen in BY_DAY else pytest.mark.nightly)
+    for chosen in product(
+        ("constant", "network"),
+        options("optimizer"),
+        ("initial_guesses", "seeds"),  # noise_seeds is of another loss
+    )
+]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("robustness", ["initial_guesses", "seeds"])  # noise_seeds is of another loss
-@pytest.mark.parametrize("optimizer", options("optimizer"))
-@pytest.mark.parametrize("model", ["constant", "network"])
+@pytest.mark.parametrize(("model", "optimizer", "robustness"), COMBINATIONS)
 def test_all_stages_of_all_combinations(model: str, optimizer: str, robustness: str, tmp_path: Path) -> None:
     """Model, optimiser and robustness in every combination go through all stages."""
     experiment = "ball_bearing" if robustness == "seeds" else "hydrostatic_damping"  # the other's robustness
@@ -395,7 +439,7 @@ def test_initial_guesses_need_an_unknown_stiffness(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("figure", FIGURES)
-@pytest.mark.parametrize("experiment", QUICK_FIRST)
+@pytest.mark.parametrize("experiment", ONE_BY_DAY)
 def test_figures_show_something(experiment: str, figure: str, made: Made) -> None:
     """Each figure is a picture of some size with curves in it: neither blank nor a few pixels."""
     from matplotlib import image
@@ -629,6 +673,7 @@ def test_check_of_some_experiments(checking: Checking) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.nightly  # by day, test_experiments.py holds every threshold against what the graph made
 def test_check_of_freshly_made_experiments(made: Made, capsys: pytest.CaptureFixture[str]) -> None:
     """The committed thresholds find their metrics in the files that the stages write."""
     for experiment in EXPERIMENTS:
@@ -642,6 +687,13 @@ def test_check_of_freshly_made_experiments(made: Made, capsys: pytest.CaptureFix
     said = capsys.readouterr()
     assert "missing" not in said.out + said.err
     assert all(name in said.out for name in EXPERIMENTS)
+
+
+def test_every_option_is_tried_by_day() -> None:
+    """With one experiment, and each optimiser through all stages."""
+    tried = [tuple(choice.values[:2]) for choice in CHOICES if not choice.marks]
+    assert sorted(tried) == [(group, option) for group in GROUPS for option in options(group)]
+    assert sorted(optimizer for _, optimizer, _ in BY_DAY) == options("optimizer")
 
 
 def test_all_stages_are_tried_here() -> None:

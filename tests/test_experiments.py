@@ -1,26 +1,23 @@
-"""The paper's experiments in full: the bars of their accuracy, from what the stages write. Slow."""
+"""The paper's experiments in full: the bars of their accuracy, from what the graph's stages wrote. Slow."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import Artifacts
 
 from pipeline.config.compose import compose_config, options
-from pipeline.data.dataset import Excitation
-from pipeline.stages import check, inputs, robustness, run_stage
-from pipeline.stages.evaluate import load_modelled
-from pipeline.twin.prediction import predict
+from pipeline.evaluation.thresholds import check_experiment, read_rules
+from pipeline.stages import check, run_stage
 
 pytestmark = pytest.mark.slow
 
 EXPERIMENTS = ["ball_bearing", "hydrostatic_damping", "hydrostatic_stiffness"]
-LINE = ["generate", "train", "evaluate", "robustness", "predict"]
 COMMITTED = 0
 SEEDS = [COMMITTED, 1, 2, 3, 4, 5]
 
@@ -39,64 +36,19 @@ ALL_EIGHT = [
 ]
 NOISY = ["impulses", "noisy_all", "noisy_direct", "noisy_stiffness", "noisy_stiffness_residual"]
 DISPLACEMENT = 1e-3
-EXACT = "least_squares,tikhonov,total_least_squares,spline,response"
-COMPARED = {
-    "ball_bearing": f"{EXACT},kriging,critical_speeds",
-    "hydrostatic_damping": EXACT,
-    "hydrostatic_stiffness": f"{EXACT},kalman",
-}
-"""The methods that thresholds are set for."""
-FEW_CASES = ["comparison.data_sets=4", "comparison.speeds=[591]", "comparison.noise=[0,0.001,0.01]"]
 COEFFICIENTS = [(experiment, name) for experiment, of in BARS.items() for name in of]
 
 
-@dataclass(frozen=True)
-class Finished:
-    """An experiment of which every stage has run, and what robustness trained."""
-
-    name: str
-    folder: Path
-    batch: Any
-
-    def read(self, name: str) -> Any:
-        """One of its JSON files."""
-        return json.loads((self.folder / f"{name}.json").read_text(encoding="utf-8"))
+THRESHOLDS = options("thresholds")
+"""Experiments that are held to something."""
+DATA_OF = ("vibration.parquet", "excitation.csv", "known_coefficients.csv", "rotor.safetensors")
+"""What training reads."""
 
 
-class Runs:
-    """The experiments, each run once a session, when it is first asked for."""
-
-    def __init__(self, root: Path) -> None:
-        self.root = root
-        self.finished: dict[str, Finished] = {}
-
-    def __call__(self, experiment: str) -> Finished:
-        """All stages with the default configuration; the folders lie beside each other, as check expects."""
-        if experiment not in self.finished:
-            folder, batches = self.root / experiment, []
-            real = robustness.run_training
-
-            def spy(*arguments: Any, **choices: Any) -> Any:
-                batches.append(real(*arguments, **choices))
-                return batches[-1]
-
-            with pytest.MonkeyPatch.context() as patch:
-                patch.setattr(robustness, "run_training", spy)
-                for stage in LINE:
-                    self.stage(stage, experiment)
-            self.finished[experiment] = Finished(experiment, folder, batches[-1])
-        return self.finished[experiment]
-
-    def stage(self, stage: str, experiment: str, *overrides: str) -> None:
-        """One stage of an experiment in its folder."""
-        given = [f"experiment={experiment}", f"stage={stage}", "tracking=none"]
-        run_stage(compose_config([*given, f"output='{self.root / experiment}'", *overrides]))
-
-
-@pytest.fixture(scope="session")
-def experiments(tmp_path_factory: pytest.TempPathFactory) -> Runs:
-    """``experiments(name)``: the finished experiment."""
-    return Runs(tmp_path_factory.mktemp("fresh artifacts"))
+def run(stage: str, experiment: str, folder: Path, *overrides: str) -> None:
+    """One stage of an experiment in ``folder``."""
+    given = [f"experiment={experiment}", f"stage={stage}", "tracking=none", f"output='{folder}'"]
+    run_stage(compose_config([*given, *overrides]))
 
 
 def shown(what: str, values: dict[str, float], bar: float) -> float:
@@ -121,19 +73,19 @@ def test_every_experiment_has_a_bar() -> None:
 
 
 @pytest.mark.parametrize(("experiment", "coefficient"), COEFFICIENTS)
-def test_the_committed_seed_reaches_the_bar(experiment: str, coefficient: str, experiments: Runs) -> None:
+def test_the_committed_seed_reaches_the_bar(experiment: str, coefficient: str, artifacts: Artifacts) -> None:
     """Mean error over all speeds of each bearing, with the committed seed, from metrics.json."""
-    metrics = experiments(experiment).read("metrics")["coefficients"]
+    metrics = artifacts.read(experiment, "metrics")["coefficients"]
     bar = BARS[experiment][coefficient]
     values = {f"node {node}": of[coefficient]["mean_error_percent"] for node, of in metrics.items()}
     assert shown(f"{experiment} {coefficient}", values, bar) <= bar
 
 
 @pytest.mark.parametrize(("experiment", "coefficient"), COEFFICIENTS)
-def test_every_other_start_reaches_the_bar(experiment: str, coefficient: str, experiments: Runs) -> None:
+def test_every_other_start_reaches_the_bar(experiment: str, coefficient: str, artifacts: Artifacts) -> None:
     """The same bar for five other seeds (hydrostatic) and for 81 initial guesses (ball bearings)."""
-    finished, bar = experiments(experiment), BARS[experiment][coefficient]
-    table = pd.read_csv(finished.folder / "robustness.csv")
+    bar = BARS[experiment][coefficient]
+    table = pd.read_csv(artifacts(experiment, "robustness.csv") / "robustness.csv")
     over = table.columns[0]
     table = table[table["coefficient"] == coefficient]
     if over == "seed":
@@ -147,62 +99,49 @@ def test_every_other_start_reaches_the_bar(experiment: str, coefficient: str, ex
     values = table.groupby(over)["mean_error_percent"].max()
     worst = {f"{over} {values.idxmax():g}": float(values.max()), "median": float(values.median())}
     assert shown(f"{experiment} {coefficient} from {len(values)} starts", worst, bar) <= bar
-    summary = finished.read("robustness")["coefficients"]
+    summary = artifacts.read(experiment, "robustness")["coefficients"]
     told = max(of[coefficient]["worst_mean_error_percent"] for of in summary.values())
     assert told == pytest.approx(values.max())
 
 
-def test_constants_do_not_depend_on_the_seed(experiments: Runs) -> None:
+def test_constants_do_not_depend_on_the_seed(artifacts: Artifacts, tmp_path: Path) -> None:
     """Ball bearings have no random start: another seed trains the same bits."""
-    runs = experiments
-    folder = runs("ball_bearing").folder
-    other = runs.root / "ball_bearing_5"
-    runs.stage("train", "ball_bearing", "seed=5", f"output='{other}'")
-    for name in ("model.safetensors", "identified_coefficients.csv"):
+    other = artifacts.copied("ball_bearing", DATA_OF, tmp_path / "x")
+    run("train", "ball_bearing", other, "seed=5")
+    names = ("model.safetensors", "identified_coefficients.csv")
+    folder = artifacts("ball_bearing", *names)
+    for name in names:
         assert (other / name).read_bytes() == (folder / name).read_bytes()
 
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
-def test_the_twin_predicts_vibration_never_seen(experiment: str, experiments: Runs) -> None:
+def test_the_twin_predicts_vibration_never_seen(experiment: str, artifacts: Artifacts) -> None:
     """Displacement at the disc over all speeds, amplitude and phase together, from prediction.json."""
-    displacement = experiments(experiment).read("prediction")["displacement"]
+    displacement = artifacts.read(experiment, "prediction")["displacement"]
     values = {direction: of["mean_error_percent"] for direction, of in displacement.items()}
     assert shown(f"{experiment} displacement", values, DISPLACEMENT) <= DISPLACEMENT
 
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
-def test_the_twin_of_every_start_predicts_vibration_never_seen(experiment: str, experiments: Runs) -> None:
-    """The same for the models of the other seeds and guesses."""
-    finished = experiments(experiment)
-    config = compose_config([f"experiment={experiment}", "tracking=none", f"output='{finished.folder}'"])
-    given = inputs.load_inputs(config)
-    modelled = load_modelled(config, given)
-    assert modelled is not None
-    unbalances = tuple(
-        Excitation("unseen", "unbalance", u.node, u.magnitude, u.phase) for u in config.prediction.unbalances
-    )
-    node = config.prediction.node
-    true = predict(given.rotor, modelled, unbalances, node)
-    starts = robustness.starting_points(config)
-    values = {}
-    for g in range(0, len(starts), 1 if len(starts) < 10 else 8):
-        found = predict(given.rotor, finished.batch.identified(g).table(given.known), unbalances, node)
-        values[f"start {starts[g]:g}"] = float(found.error_percent(true).mean(axis=0).max())
+def test_the_twin_of_every_start_predicts_vibration_never_seen(experiment: str, artifacts: Artifacts) -> None:
+    """The same for the models of all seeds and guesses, from robustness.json."""
+    robustness = artifacts.read(experiment, "robustness")
+    assert robustness["starts"] >= len(SEEDS)
+    values = {f"{robustness['starts']} starts": robustness["displacement"]["worst_mean_error_percent"]}
     assert shown(f"{experiment} displacement", values, DISPLACEMENT) <= DISPLACEMENT
 
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
-def test_training_converged(experiment: str, experiments: Runs) -> None:
+def test_training_converged(experiment: str, artifacts: Artifacts) -> None:
     """The default training ends by itself, not by its budget, and no other start diverges."""
-    finished = experiments(experiment)
-    assert finished.read("training")["outcome"] == "converged"
-    assert set(finished.read("robustness")["outcomes"]) <= {"converged", "budget_spent"}
+    assert artifacts.read(experiment, "training")["outcome"] == "converged"
+    assert set(artifacts.read(experiment, "robustness")["outcomes"]) <= {"converged", "budget_spent"}
 
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
-def test_the_modelled_rotor_is_stable_and_so_is_the_identified_one(experiment: str, experiments: Runs) -> None:
+def test_the_modelled_rotor_is_stable_and_so_is_the_identified_one(experiment: str, artifacts: Artifacts) -> None:
     """An unstable machine can't be measured; the twin has the modelled critical speeds and decrements."""
-    prediction = experiments(experiment).read("prediction")
+    prediction = artifacts.read(experiment, "prediction")
     modelled, identified = prediction["modelled"], prediction["identified"]
     assert modelled["stability"]["stable"]
     assert identified["stability"]["stable"]
@@ -214,60 +153,89 @@ def test_the_modelled_rotor_is_stable_and_so_is_the_identified_one(experiment: s
         assert found["logarithmic_decrement"] == pytest.approx(decrement, rel=1e-3, abs=1e-6)
 
 
-def test_table_1_is_the_papers(experiments: Runs) -> None:
+def test_table_1_is_the_papers(artifacts: Artifacts) -> None:
     """Modelled and identified ball bearings are those of Table 1, to all its digits."""
-    folder = experiments("ball_bearing").folder
-    for name in ("modelled_coefficients.csv", "identified_coefficients.csv"):
+    names = ("modelled_coefficients.csv", "identified_coefficients.csv")
+    folder = artifacts("ball_bearing", *names)
+    for name in names:
         table = pd.read_csv(folder / name)
         assert table["kxx"].to_numpy() / 1e5 == pytest.approx(464.16883847697654, rel=1e-6)
         assert table["kyy"].to_numpy() / 1e5 == pytest.approx(1009.0626923412538, rel=1e-6)
 
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
-def test_training_again_gives_the_same_bits(experiment: str, experiments: Runs) -> None:
-    """The full training, once more from its data, writes the same model and coefficients."""
-    folder = experiments(experiment).folder
+def test_training_again_gives_the_same_bits(experiment: str, artifacts: Artifacts, tmp_path: Path) -> None:
+    """The full training, once more from its data and in another process, writes the same model and coefficients."""
     names = ["model.safetensors", "model.json", "identified_coefficients.csv", "training.json", "history.csv"]
-    before = {name: (folder / name).read_bytes() for name in names}
-    experiments.stage("train", experiment)
-    assert [name for name in names if (folder / name).read_bytes() != before[name]] == []
+    folder, again = artifacts(experiment, *names), artifacts.copied(experiment, DATA_OF, tmp_path / "x")
+    run("train", experiment, again)
+    assert [name for name in names if (again / name).read_bytes() != (folder / name).read_bytes()] == []
 
 
-def test_check_passes_on_freshly_trained_experiments(experiments: Runs, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.fixture
+def judged(artifacts: Artifacts, tmp_path: Path) -> Path:
+    """A folder with copies of all files that thresholds are set for, where they lie as in `artifacts`."""
+    for experiment in THRESHOLDS:
+        files = {rule.file for rule in read_rules(check.THRESHOLDS / f"{experiment}.yaml")}
+        artifacts.copied(experiment, files, tmp_path / "judged" / experiment)
+    return tmp_path / "judged"
+
+
+def test_check_passes_on_what_the_graph_made(
+    judged: Path, artifacts: Artifacts, capsys: pytest.CaptureFixture[str]
+) -> None:
     """`stage=check`: no committed threshold is passed. This is what fails CI when accuracy gets worse."""
-    for experiment in EXPERIMENTS:
-        experiments(experiment)
-        experiments.stage("compare", experiment, *FEW_CASES, f"comparison.methods=[{COMPARED[experiment]}]")
-    capsys.readouterr()
-    experiments.stage(
-        "check", "ball_bearing", f"check.experiments=[{','.join(EXPERIMENTS)}]"
-    )  # SystemExit(1) otherwise
+    run("check", "ball_bearing", judged / "ball_bearing")  # SystemExit(1) otherwise
     said = capsys.readouterr().out
     print(said)
     assert "metrics hold" in said
     assert "FAILED" not in said
+    assert all(experiment in said for experiment in THRESHOLDS)
+    assert json.loads((judged / "check.json").read_text(encoding="utf-8")) == artifacts.read(".", "check")
 
 
-def test_check_fails_where_one_metric_got_worse(
-    experiments: Runs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """With any threshold ten thousand times as strict as its measured value, the same check exits with 1."""
-    for experiment in EXPERIMENTS:
-        experiments(experiment)
-    (tmp_path / "hydrostatic_damping.yaml").write_text(
-        "- {metric: coefficients.*.cxx.mean_error_percent, max: 1.0e-9, why: stricter than anything reached here}\n"
-    )
-    monkeypatch.setattr(check, "THRESHOLDS", tmp_path)
+def test_check_fails_where_one_metric_got_worse(judged: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """With one metric ten thousand times as large, the same check names it and exits with 1."""
+    path = judged / "hydrostatic_damping" / "metrics.json"
+    metrics = json.loads(path.read_text(encoding="utf-8"))
+    node, of = next(iter(metrics["coefficients"].items()))
+    of["cxx"]["mean_error_percent"] *= 1e4
+    path.write_text(json.dumps(metrics), encoding="utf-8")
     with pytest.raises(SystemExit) as stop:
-        experiments.stage("check", "ball_bearing")
+        run("check", "ball_bearing", judged / "ball_bearing")
     assert stop.value.code == 1
+    said = capsys.readouterr()
+    assert said.out.count("FAILED") == 1
+    assert f"hydrostatic_damping: coefficients.{node}.cxx.mean_error_percent must be at most" in said.err
+    assert json.loads((judged / "check.json").read_text(encoding="utf-8"))["failed"] == 1
+
+
+@pytest.mark.parametrize("experiment", THRESHOLDS)
+def test_no_rule_holds_without_its_metric(experiment: str, judged: Path) -> None:
+    """Each rule of each threshold file holds what the graph made, and would not hold an infinite error or none."""
+    rules, folder = read_rules(check.THRESHOLDS / f"{experiment}.yaml"), judged / experiment
+    for rule in rules:
+        assert all(found.passed for found in check_experiment(experiment, [rule], folder)), rule
+        path = folder / rule.file
+        before = path.read_text(encoding="utf-8")
+        worse = 1e300 if rule.max is not None else -1e300
+        path.write_text(json.dumps(_with_all_numbers(json.loads(before), worse)), encoding="utf-8")
+        found = check_experiment(experiment, [rule], folder)
+        assert not any(one.passed for one in found), rule
+        path.write_text("{}", encoding="utf-8")
+        assert not any(one.passed for one in check_experiment(experiment, [rule], folder)), rule
+        path.write_text(before, encoding="utf-8")
+
+
+def _with_all_numbers(value: Any, number: float) -> Any:
+    if isinstance(value, dict):
+        return {key: _with_all_numbers(each, number) for key, each in value.items()}
+    return number if isinstance(value, int | float) and not isinstance(value, bool) else value
 
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
 def test_thresholds_are_no_laxer_than_the_bars(experiment: str) -> None:
     """What CI holds is at least what the bars above ask."""
-    from pipeline.evaluation.thresholds import read_rules
-
     rules = read_rules(check.THRESHOLDS / f"{experiment}.yaml")
     for name, bar in BARS[experiment].items():
         for file, metric in (("metrics.json", "mean"), ("robustness.json", "worst_mean")):

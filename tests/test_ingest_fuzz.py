@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, settings
+from conftest import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from measured_files import (
     CONVENTIONS,
@@ -77,7 +78,7 @@ def measured(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray, dict[str, tuple[i
 
 
 @given(data=measured(), said=SAID, layout=st.sampled_from(["wide", "long"]), shuffle=st.integers(0, 99))
-@settings(max_examples=60)
+@examples(60)
 def test_a_table_in_any_convention_is_read_back(
     data: tuple[np.ndarray, np.ndarray, dict[str, tuple[int, float]]], said: dict[str, str], layout: str, shuffle: int
 ) -> None:
@@ -208,7 +209,7 @@ def test_any_bytes(kind: str) -> None:
     head = original(kind)[0][:80]
 
     @given(content=st.binary(max_size=300), begins=st.integers(0, 80))
-    @settings(max_examples=12 if kind in FEWER else 25)
+    @examples(12 if kind in FEWER else 25)
     def check(content: bytes, begins: int) -> None:
         assert read_bytes(kind, head[:begins] + content) is None
 
@@ -221,7 +222,7 @@ def test_a_file_that_was_cut(kind: str) -> None:
     content, true = original(kind)
 
     @given(share=st.floats(0, 1, exclude_max=True))
-    @settings(max_examples=12 if kind in FEWER else 40)
+    @examples(12 if kind in FEWER else 40)
     def check(share: float) -> None:
         found = read_bytes(kind, content[: int(share * len(content))])
         if found is None:
@@ -242,7 +243,7 @@ def test_a_file_with_other_bytes_in_it(kind: str) -> None:
     content = original(kind)[0]
 
     @given(places=st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.integers(0, 255)), min_size=1, max_size=8))
-    @settings(max_examples=12 if kind in FEWER else 40)
+    @examples(12 if kind in FEWER else 40)
     def check(places: list[tuple[float, int]]) -> None:
         changed = bytearray(content)
         for share, byte in places:
@@ -266,7 +267,7 @@ CELLS = st.one_of(
     rows=st.lists(st.lists(CELLS, min_size=9, max_size=9), min_size=0, max_size=6),
     header=st.permutations(["speed", *(f"{name} {what}" for name in "ABCD" for what in ("amp", "ph"))]),
 )
-@settings(max_examples=40)
+@examples(40)
 def test_any_table(rows: list[list[Any]], header: list[str]) -> None:
     """Cells of any kind: refused, or read as the numbers that they are."""
     table = pd.DataFrame(rows, columns=header, dtype=object)
@@ -286,7 +287,7 @@ def test_any_table(rows: list[list[Any]], header: list[str]) -> None:
 
 
 @given(said=st.dictionaries(st.sampled_from([*CONVENTIONS, "other"]), st.one_of(st.none(), st.text(max_size=6))))
-@settings(max_examples=60)
+@examples(60)
 def test_any_conventions(said: dict[str, Any]) -> None:
     """What is not the five conventions in full is refused by pydantic, in words that name a key of them."""
     from pydantic import ValidationError

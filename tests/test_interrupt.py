@@ -278,6 +278,7 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
+@pytest.mark.nightly
 def test_an_interrupt_without_a_terminal(tmp_path: Path) -> None:
     """SIGINT to a process in the background while it trains: the same, on pipes."""
     arguments = _command(tmp_path / "x", *LONG)[5:]
@@ -304,6 +305,7 @@ def test_an_interrupt_without_a_terminal(tmp_path: Path) -> None:
     assert np.isfinite(load_model(tmp_path / "x").values(np.array([100.0]))).all()
 
 
+@pytest.mark.nightly
 def test_two_trainings_of_one_experiment_at_once(tmp_path: Path) -> None:
     """Both end well, whoever is last, and the files are complete and fit each other."""
     folder = tmp_path / "x"

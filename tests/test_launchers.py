@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import ANSWER, DATA
+from conftest import ANSWER, DATA, at_night
 
 from pipeline.__main__ import main
 from pipeline.identification.storage import load_model
@@ -44,7 +44,9 @@ def one_by_one(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "out"
 
 
-@pytest.mark.parametrize("launcher", [["joblib", "hydra.launcher.n_jobs=2"], ["submitit_local"]], ids="-".join)
+@pytest.mark.parametrize(
+    "launcher", [["joblib", "hydra.launcher.n_jobs=2"], *at_night(["submitit_local"])], ids="-".join
+)
 def test_jobs_side_by_side(launcher: list[str], one_by_one: Path, tmp_path: Path) -> None:
     """Three seeds: a folder each, complete, with the numbers of the jobs that ran one by one."""
     done = command(*SEEDS, f"hydra/launcher={launcher[0]}", *launcher[1:], "output=out", cwd=tmp_path)
@@ -71,6 +73,7 @@ def test_jobs_side_by_side(launcher: list[str], one_by_one: Path, tmp_path: Path
     assert not np.allclose(answers[0], answers[1], rtol=1e-3), "each seed has its own answer"
 
 
+@pytest.mark.nightly
 def test_experiments_side_by_side(tmp_path: Path) -> None:
     """Two experiments of different machines, models and optimisers: each in the folder of its name."""
     names = ("ball_bearing", "hydrostatic_stiffness")
@@ -86,7 +89,7 @@ def test_experiments_side_by_side(tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == {"artifacts"}
 
 
-@pytest.mark.parametrize("launcher", ["joblib", "submitit_local"])
+@pytest.mark.parametrize("launcher", ["submitit_local", *at_night("joblib")])
 def test_a_job_that_fails_is_named(launcher: str, tmp_path: Path) -> None:
     """The others are done, the command's exit code is that of the mistake, and its reason is found."""
     (tmp_path / "out").mkdir()

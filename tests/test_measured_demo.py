@@ -10,6 +10,7 @@ from types import ModuleType
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import Artifacts
 
 from pipeline.config.compose import compose_config
 from pipeline.stages import run_stage
@@ -31,16 +32,14 @@ def recordings() -> ModuleType:
 
 
 @pytest.fixture(scope="module", params=["recordings", "tables"])
-def folder(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The artifacts, from the recordings and from the tables of a balancing instrument (mil peak-to-peak)."""
+def folder(request: pytest.FixtureRequest, artifacts: Artifacts, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the graph made of the recordings; and of the tables of a balancing instrument (mil peak-to-peak)."""
+    if request.param == "recordings":
+        return artifacts("measured_demo", "identified_coefficients.csv", "metrics.json", "prediction.json")
     made = tmp_path_factory.mktemp(request.param)
-    table = ["ingest=measured_demo_table"] if request.param == "tables" else []
     for stage in ("ingest", "train", "evaluate", "predict"):
-        run_stage(
-            compose_config(
-                [f"stage={stage}", "experiment=measured_demo", "tracking=none", f"output='{made}'", *table],
-            )
-        )
+        given = [f"stage={stage}", "experiment=measured_demo", "tracking=none", f"output='{made}'"]
+        run_stage(compose_config([*given, "ingest=measured_demo_table"]))
     return made
 
 

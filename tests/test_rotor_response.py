@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.linalg
-from conftest import Machine, MachineFactory, bearings_of
-from hypothesis import given, settings
+from conftest import Machine, MachineFactory, bearings_of, examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.coefficients import COEFFICIENTS
@@ -201,7 +201,7 @@ AMPLITUDES = st.floats(1e-6, 1e-2)
 PHASES = st.floats(-math.pi, math.pi)
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(first=AMPLITUDES, second=AMPLITUDES, phase=PHASES, other=PHASES)
 def test_linear_in_the_unbalance(hydrostatic: Machine, first: float, second: float, phase: float, other: float) -> None:
     """Superposition (paper, eq. 1 is linear in F): two unbalances together give the sum of responses."""
@@ -212,7 +212,7 @@ def test_linear_in_the_unbalance(hydrostatic: Machine, first: float, second: flo
     assert np.abs(q[..., 2] - q[..., 0] - q[..., 1]).max() <= 1e-10 * np.abs(q[..., :2]).max()
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(turn=PHASES, phase=PHASES, scale=st.floats(1e-3, 1e3))
 def test_turning_the_unbalance_turns_the_response(
     hydrostatic: Machine, turn: float, phase: float, scale: float

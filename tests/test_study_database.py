@@ -23,6 +23,7 @@ from typing import Any
 
 import psutil
 import pytest
+from conftest import at_night
 
 from pipeline.config.compose import compose_config
 from pipeline.errors import StorageError
@@ -389,7 +390,7 @@ def check_complete(problem: StudyProblem) -> list[Any]:
     return trials[:total]
 
 
-@pytest.fixture(params=["postgresql", "sqlite"])
+@pytest.fixture(params=["postgresql", *at_night("sqlite")])
 def database(request: pytest.FixtureRequest, tmp_path: Path) -> str:
     """The URL of an empty database of each kind."""
     if request.param == "sqlite":
@@ -418,6 +419,7 @@ def test_a_killed_worker_loses_no_trial(database: str, problem: StudyProblem, cr
     assert len({json.dumps(trial.params, sort_keys=True) for trial in trials}) == len(trials)
 
 
+@pytest.mark.nightly
 def test_a_machine_that_died_is_found_by_its_silence(server: Server, problem: StudyProblem, crew: Crew) -> None:
     """A worker on another machine keeps its trial as long as it gives heartbeats, however slow; then it is replaced."""
     shared = stored_in(problem, server.database(), n_trials=4)
@@ -436,6 +438,7 @@ def test_a_machine_that_died_is_found_by_its_silence(server: Server, problem: St
     assert {trial.user_attrs["worker"].split(":")[0] for trial in trials} == {socket.gethostname()}
 
 
+@pytest.mark.nightly
 def test_a_machine_that_slept_wakes_up_to_a_finished_study(server: Server, problem: StudyProblem, crew: Crew) -> None:
     """A worker that stood still was taken for dead; when it goes on, its result changes nothing and it ends well."""
     shared = stored_in(problem, server.database(), n_trials=3)
@@ -452,6 +455,7 @@ def test_a_machine_that_slept_wakes_up_to_a_finished_study(server: Server, probl
     assert [(trial.params, trial.value, trial.user_attrs) for trial in check_complete(shared)] == finished
 
 
+@pytest.mark.nightly
 def test_a_trial_that_was_just_taken_again_is_not_that_of_a_dead_worker(server: Server, problem: StudyProblem) -> None:
     """Before its new worker has written its name, a trial has no old name and no old heartbeat to be judged by."""
     from optuna.trial import TrialState
@@ -539,6 +543,7 @@ def test_a_server_that_never_answers(problem: StudyProblem) -> None:
     assert PASSWORD not in str(caught.value)
 
 
+@pytest.mark.nightly
 def test_a_server_that_stops_in_the_middle(server: Server, problem: StudyProblem, crew: Crew) -> None:
     """Both workers of a command end with one sentence; when the server is back, the study goes on where it was."""
     shared = stored_in(problem, server.database(), n_trials=6, workers=2, timeout_seconds=3.0)

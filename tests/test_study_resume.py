@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import psutil
 import pytest
+from conftest import at_night
 
 from pipeline.__main__ import main
 from pipeline.config.compose import compose_config, composed_mapping, validated
@@ -441,7 +442,7 @@ def test_a_study_that_is_undisturbed_has_trials_of_every_kind(
     assert all(curve for *_, curve, _ in trials)
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT], ids=["SIGKILL", "SIGINT"])
+@pytest.mark.parametrize("number", [signal.SIGKILL, *at_night(signal.SIGINT)], ids=["SIGKILL", "SIGINT"])
 def test_a_study_that_is_stopped_at_random_moments_ends_as_if_it_had_not_been(
     number: int, start: Forks, make: Make, in_one_go: Callable[..., list[Told]], rng: np.random.Generator
 ) -> None:
@@ -464,6 +465,7 @@ def died_again_and_again(start: Forks, problem: StudyProblem, rng: np.random.Gen
     raise AssertionError("it was never through")
 
 
+@pytest.mark.nightly
 def test_a_study_that_dies_while_it_writes_its_journal(
     start: Forks, make: Make, in_one_go: Callable[..., list[Told]], rng: np.random.Generator
 ) -> None:
@@ -473,6 +475,7 @@ def test_a_study_that_dies_while_it_writes_its_journal(
     assert finished(problem) == in_one_go()[:4]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("sampler", ["tpe", "random", "gp"])
 def test_every_sampler_goes_on_where_it_died(
     sampler: str, start: Forks, make: Make, in_one_go: Callable[..., list[Told]]
@@ -752,6 +755,7 @@ def test_restart_begins_a_changed_study_again(change: str, journal: bytes, make:
     assert finished(problem) == restarted
 
 
+@pytest.mark.nightly
 def test_a_worker_with_another_search_space_may_not_join(start: Forks, make: Make) -> None:
     """While a study runs, a worker of another version is refused, and the study does not notice."""
     problem = make(n_trials=6)
@@ -772,6 +776,7 @@ def in_any_order(**tuning: Any) -> dict[str, Any]:
     return {"sampler": "random", "pruner": "none"} | tuning
 
 
+@pytest.mark.nightly
 def test_two_processes_that_make_one_study_at_once(
     start: Forks, make: Make, in_one_go: Callable[..., list[Told]], tmp_path: Path
 ) -> None:
@@ -792,6 +797,7 @@ def test_two_processes_that_make_one_study_at_once(
     assert max(workers) == 2
 
 
+@pytest.mark.nightly
 def test_three_processes_of_which_any_dies_at_any_time(
     start: Forks, make: Make, in_one_go: Callable[..., list[Told]], rng: np.random.Generator
 ) -> None:
@@ -825,7 +831,7 @@ def at_work(problem: StudyProblem, pids: set[int]) -> optuna.trial.FrozenTrial |
     return None
 
 
-@pytest.mark.parametrize("workers", [2, 3])
+@pytest.mark.parametrize("workers", [2, *at_night(3)])
 def test_the_trial_of_a_worker_that_dies_is_taken_over(workers: int, start: Forks, make: Make) -> None:
     """The others go on with it under its number and with its parameters, and the run says that a worker ended."""
     problem = lengthy(make(**in_any_order(n_trials=5, workers=workers)))
@@ -851,6 +857,7 @@ def ended(processes: list[psutil.Process]) -> bool:
     return not any(p.is_running() and p.status() != psutil.STATUS_ZOMBIE for p in processes)
 
 
+@pytest.mark.nightly
 def test_workers_end_with_the_process_that_started_them(start: Forks, make: Make) -> None:
     """After SIGKILL of the parent they are gone within seconds, and another process goes on with the study."""
     problem = lengthy(make(**in_any_order(n_trials=4, workers=2)))
@@ -868,6 +875,7 @@ def test_workers_end_with_the_process_that_started_them(start: Forks, make: Make
     assert [number for number in complete if taken(problem)[number] > 1] == []
 
 
+@pytest.mark.nightly
 def test_a_worker_ends_with_its_parent_in_the_middle_of_a_long_phase(start: Forks, make: Make) -> None:
     """Also where no point of a learning curve is due for minutes; its trial is taken over."""
     problem = lengthy(make(**in_any_order(n_trials=2, workers=2)), 10**6, last=2)
@@ -886,8 +894,8 @@ def test_a_worker_ends_with_its_parent_in_the_middle_of_a_long_phase(start: Fork
     assert [t.params for t in trials_of(problem)] == before
 
 
-@pytest.mark.parametrize("whole_group", [True, False], ids=["the group", "the parent alone"])
-@pytest.mark.parametrize("moment", ["at the start", "in a trial"])
+@pytest.mark.parametrize("whole_group", [True, *at_night(False)], ids=["the group", "the parent alone"])
+@pytest.mark.parametrize("moment", ["in a trial", *at_night("at the start")])
 def test_ctrl_c_stops_every_worker(moment: str, whole_group: bool, start: Forks, make: Make) -> None:
     """Whoever gets the signal, all end without a word of Python's, and every trial is finished or in the queue."""
     count = 2 if moment == "in a trial" else 3
@@ -1271,6 +1279,7 @@ def test_mistakes_on_the_command_line(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.nightly
 def test_a_host_that_does_not_answer(tune: Callable[..., tuple[int, str]]) -> None:
     """A host that no packet comes back from is given up, and named."""
     code, err = tune("tuning.storage='postgresql+psycopg://u:secret@10.255.255.1/x'")

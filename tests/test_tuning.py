@@ -14,8 +14,8 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from conftest import examples
 from hypothesis import given
-from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from pipeline.config.compose import compose_config
@@ -72,7 +72,7 @@ class Draws:
 
 @pytest.mark.parametrize("name", EXPERIMENTS)
 @given(data=st.data())
-@hypothesis_settings(max_examples=60)
+@examples(60)
 def test_every_point_of_the_space_is_a_configuration(name: str, data: st.DataObject) -> None:
     """Whatever is drawn fits the schema, changes nothing else, and leaves out what has no meaning."""
     config = untuned(f"experiment={name}")

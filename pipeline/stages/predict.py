@@ -51,10 +51,11 @@ def twin_of(config: Config, inputs: Inputs) -> Twin:
     nodes = [config.prediction.node, *(unbalance.node for unbalance in config.prediction.unbalances)]
     require_nodes(inputs.rotor, "prediction", nodes)
     at = _speed_index(config, inputs.dataset.speeds)
-    unseen = tuple(
-        Excitation("prediction", "unbalance", u.node, u.magnitude, u.phase) for u in config.prediction.unbalances
-    )
-    _refuse_seen(unseen, inputs.dataset.excitations)
+    unseen = unseen_excitations(config)
+    if (run := run_alike(unseen, inputs.dataset.excitations)) is not None:
+        raise ConfigError(
+            f"prediction.unbalances must be an unbalance that training never saw, but run '{run}' is the same"
+        )
     vibration = {
         name: predict(inputs.rotor, system, unseen, config.prediction.node) for name, system in systems.items()
     }
@@ -103,15 +104,21 @@ def _speed_index(config: Config, speeds: np.ndarray) -> int:
     return nearest
 
 
-def _refuse_seen(unseen: tuple[Excitation, ...], seen: tuple[Excitation, ...]) -> None:
+def unseen_excitations(config: Config) -> tuple[Excitation, ...]:
+    """The unbalances that the twin is judged by, as one run."""
+    return tuple(
+        Excitation("prediction", "unbalance", u.node, u.magnitude, u.phase) for u in config.prediction.unbalances
+    )
+
+
+def run_alike(unseen: tuple[Excitation, ...], seen: tuple[Excitation, ...]) -> str | None:
+    """The run of ``seen`` whose excitation is ``unseen``; None where training never saw it."""
+
     def shape(forces: list[Excitation]) -> set[tuple[object, ...]]:
         return {(e.kind, e.node, e.magnitude, e.phase, e.whirl) for e in forces}
 
-    for run in dict.fromkeys(e.run for e in seen):
-        if shape([e for e in seen if e.run == run]) == shape(list(unseen)):
-            raise ConfigError(
-                f"prediction.unbalances must be an unbalance that training never saw, but run '{run}' is the same"
-            )
+    runs = dict.fromkeys(e.run for e in seen)
+    return next((run for run in runs if shape([e for e in seen if e.run == run]) == shape(list(unseen))), None)
 
 
 def _modal_summary(found: list[CriticalSpeed], margin: StabilityMargin) -> dict[str, object]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
-from pipeline.errors import ConfigError
+from pipeline.errors import ConfigError, PipelineError
 from pipeline.evaluation.errors import CoefficientErrors, coefficient_errors
 from pipeline.files import write_json
 from pipeline.identification.outcome import Outcome
@@ -27,9 +27,11 @@ from pipeline.reporting.figures import robustness_figure
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.diagnosis import say_diagnosis
 from pipeline.stages.evaluate import load_modelled
-from pipeline.stages.inputs import load_inputs
+from pipeline.stages.inputs import Inputs, load_inputs
+from pipeline.stages.predict import run_alike, unseen_excitations
 from pipeline.stages.run import StageOutput, flat_metrics, workspace
 from pipeline.stages.train import say_promoted
+from pipeline.twin.prediction import predict
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -70,6 +72,9 @@ def run(config: Config) -> StageOutput:
     work = workspace(config)
     rows = _rows(batch, starts, inputs.known, modelled, config.robustness.over)
     summary = _summary(batch, rows)
+    error = None if modelled is None else _displacement_error(config, inputs, batch, modelled)
+    if error is not None:
+        summary["displacement"] = {"worst_mean_error_percent": error}
     _print(config, summary, batch)
     written = [
         write_json(work.folder / "robustness.json", summary),
@@ -124,7 +129,7 @@ def _error(errors: CoefficientErrors | None, node: int, name: str, kind: str) ->
     return float("nan") if found is None else float(getattr(found, f"{kind}_error_percent"))
 
 
-def _summary(batch: TrainedBatch, rows: pd.DataFrame) -> dict[str, object]:
+def _summary(batch: TrainedBatch, rows: pd.DataFrame) -> dict[str, Any]:
     labels = [outcome.label for outcome in batch.outcomes]
     coefficients: dict[str, dict[str, dict[str, float]]] = {}
     for (node, name), group in rows.groupby(["bearing_node", "coefficient"], sort=False):
@@ -143,6 +148,28 @@ def _summary(batch: TrainedBatch, rows: pd.DataFrame) -> dict[str, object]:
         "worst_loss": float(batch.loss.max()),
         "coefficients": coefficients,
     }
+
+
+def _displacement_error(config: Config, inputs: Inputs, batch: TrainedBatch, modelled: BearingTable) -> float | None:
+    """Of the vibration never seen, percent: the mean over speed, of the worst start and direction.
+
+    None where this rotor lacks the prediction's nodes, a run has the very unbalance, or a start has no finite answer.
+    """
+    unseen, node, rotor = unseen_excitations(config), config.prediction.node, inputs.rotor
+    if max(node, *(force.node for force in unseen)) >= rotor.n_nodes or run_alike(unseen, inputs.dataset.excitations):
+        return None
+    worst = 0.0
+    try:
+        true = predict(rotor, modelled, unseen, node)
+        for g in range(len(batch.outcomes)):
+            answer = batch.identified(g).table(inputs.known)
+            if not np.isfinite(answer.values).all():
+                return None
+            error = predict(rotor, answer, unseen, node).error_percent(true).mean(axis=0).max()
+            worst = max(worst, float(error))
+    except PipelineError:  # a diverged start may have a singular machine
+        return None
+    return worst if np.isfinite(worst) else None
 
 
 def _print(config: Config, summary: Mapping[str, Any], batch: TrainedBatch) -> None:
