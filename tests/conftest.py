@@ -72,12 +72,12 @@ def at_night(*values: object) -> list[Any]:
     return [pytest.param(value, marks=pytest.mark.nightly) for value in values]
 
 
-DATA = {
-    *("rotor.safetensors", "vibration.parquet", "excitation.csv"),
-    *("known_coefficients.csv", "modelled_coefficients.csv"),
-}
+DATA = {"vibration.parquet", "excitation.csv", "known_coefficients.csv", "modelled_coefficients.csv"}
 """What ``generate`` writes into an experiment's folder."""
-ANSWER = {"model.safetensors", "model.json", "identified_coefficients.csv", "history.csv", "training.json"}
+ANSWER = {
+    *("model.safetensors", "model.json", "uncertainty.safetensors", "identified_coefficients.csv"),
+    *("bad_points.csv", "history.csv", "training.json"),
+}
 """What ``train`` adds."""
 
 

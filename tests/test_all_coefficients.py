@@ -57,7 +57,7 @@ def test_the_compressor_on_one_journal_bearing(artifacts: Artifacts, tmp_path: P
     """Refused by training with the verdict of the diagnosis."""
     told = artifacts.read(NEGATIVE, "diagnosis")["bearings"]
     print(told)
-    data = ("vibration.parquet", "excitation.csv", "known_coefficients.csv", "rotor.safetensors")
+    data = ("vibration.parquet", "excitation.csv", "known_coefficients.csv")
     artifacts.copied(NEGATIVE, data, tmp_path / NEGATIVE)
     with pytest.raises(IdentifiabilityError, match=r"bearing at node 8: not identifiable, .*4 of 8 .*rank 1 of 2"):
         staged("train", NEGATIVE, tmp_path)

@@ -41,7 +41,7 @@ COEFFICIENTS = [(experiment, name) for experiment, of in BARS.items() for name i
 
 THRESHOLDS = options("thresholds")
 """Experiments that are held to something."""
-DATA_OF = ("vibration.parquet", "excitation.csv", "known_coefficients.csv", "rotor.safetensors")
+DATA_OF = ("vibration.parquet", "excitation.csv", "known_coefficients.csv")
 """What training reads."""
 
 

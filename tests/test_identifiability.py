@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +27,6 @@ from pipeline.equations.unknown_system import UnknownSystem, unknown_system
 from pipeline.errors import ConfigError, IdentifiabilityError
 from pipeline.identification.training import PreparedTraining, initial_parameters, prepare, run_training, setup_of
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.stored import read_rotor, write_rotor
 from pipeline.stages import run_stage
 from pipeline.unknowns import BearingUnknowns, UnknownSet, unknown_set
 
@@ -473,21 +472,3 @@ def test_the_best_set_of_runs_is_found(rng: np.random.Generator) -> None:
         assert merit(information[:4].sum(axis=0), present, criterion) < merit(
             information[:3].sum(axis=0), present, criterion
         )
-
-
-# --- the files of the rotor --------------------------------------------------------------------------
-
-
-def test_a_stored_rotor_is_the_assembled_one(rotor_of: Machine, tmp_path: Path) -> None:
-    """Bit by bit; one of another configuration, a damaged one and none are not used."""
-    config = rotor_of.config.rotor
-    path = write_rotor(tmp_path / "rotor.safetensors", rotor_of.rotor, config)
-    read = read_rotor(path, config)
-    assert read is not None
-    for field in fields(read):
-        assert np.array_equal(getattr(read, field.name), getattr(rotor_of.rotor, field.name)), field.name
-    assert read.fingerprint == rotor_of.rotor.fingerprint
-    assert read_rotor(path, config.model_copy(update={"shear_effects": False})) is None
-    path.write_bytes(path.read_bytes()[:500])
-    assert read_rotor(path, config) is None
-    assert read_rotor(tmp_path / "none.safetensors", config) is None

@@ -938,7 +938,7 @@ def test_ingest_then_train(ball_tables: Path, capsys: pytest.CaptureFixture[str]
     assert "A (node 0, 45 deg)" in said.out
     assert "warning" not in said.err
     assert {p.name for p in out.iterdir()} == {
-        *("vibration.parquet", "excitation.csv", "known_coefficients.csv", "rotor.safetensors", "ingest.json"),
+        *("vibration.parquet", "excitation.csv", "known_coefficients.csv", "ingest.json"),
         "figures",
     }
     assert json.loads((out / "ingest.json").read_text())["runs"]["two"]["speeds"] == 25
