@@ -220,6 +220,42 @@ def test_a_wrong_list_of_stages_is_refused_before_the_first_runs(stages: str, wo
     assert not (tmp_path / "x").exists()
 
 
+# --- MLflow beside the stage ---------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("killed", [False, True])
+def test_a_record_is_complete_also_where_the_process_beside_is_lost(killed: bool, tmp_path: Path) -> None:
+    """Logged once, by the process beside or, where that was killed, by the command itself."""
+    import sqlite3
+
+    from pipeline.tracking import StageRecord, TrackingSettings, beside, recorder_beside, track
+
+    settings = TrackingSettings(True, f"sqlite:///{tmp_path}/mlflow.db", 30.0)
+    history = [{"step": 0, "loss": 2.0}, {"step": 1, "loss": float("nan")}]
+    record = StageRecord("x", "train", 1.0, 2.0, {"seed": 3}, {"outcome": "converged"}, {"error": 0.5}, history)
+    with recorder_beside(True):
+        if killed:
+            beside._running[0].process.kill()
+            beside._running[0].process.wait()
+        told = track(record, settings)
+    assert len(told) == 1
+    assert "loss" in told[0]
+    with sqlite3.connect(tmp_path / "mlflow.db") as database:
+        assert database.execute("SELECT name, status FROM runs").fetchall() == [("train", "FINISHED")]
+        assert sorted(database.execute("SELECT key, value FROM metrics")) == [("error", 0.5), ("loss", 2.0)]
+        assert database.execute("SELECT key, value FROM params").fetchall() == [("seed", "3")]
+    database.close()
+
+
+def test_without_tracking_no_process_is_started() -> None:
+    """`tracking=none` costs nothing."""
+    from pipeline.tracking import beside, recorder_beside
+
+    with recorder_beside(False):
+        assert beside._running == []
+
+
 # --- tables ------------------------------------------------------------------------------------------
 
 KINDS = {"run": "text", "speed_rpm": "number", "amplitude_m": "number"}
