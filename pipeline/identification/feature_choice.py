@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 AKAIKE = 2.0
 """Of his criterion: what a number must lower chi-square by, where a superfluous one lowers it by 1 on average."""
 TIE = 0.01
-"""Criteria closer than this are equal: processors differ by 1e-5, and single numbers of features by 0.3 and more."""
+"""Criteria closer than this are equal: between processors they differ by 1e-7, between the best two choices by 0.3."""
 
 
 def features_that_count(
