@@ -18,10 +18,12 @@ from conftest import known_names
 
 from pipeline.config.compose import CONF, compose_config, options
 from pipeline.config.schema import Config
+from pipeline.data.dataset import Excitation
 from pipeline.errors import ConfigError, DataError, IdentifiabilityError
 from pipeline.rotor.ross_adapter import ross_rotor
-from pipeline.stages import STAGES, check, evaluate, run_stage
+from pipeline.stages import STAGES, check, evaluate, robustness, run_stage
 from pipeline.stages.inputs import load_inputs
+from pipeline.twin.prediction import predict
 from pipeline.units import RAD_S_PER_RPM
 
 REFUSED = "compressor_journal_and_isotropic"  # not identifiable: no stage after diagnose
@@ -426,6 +428,45 @@ def test_a_prediction_between_the_speeds_is_refused(made: Made, tmp_path: Path) 
             Path(shutil.copytree(made("ball_bearing"), tmp_path / "x")),
             "prediction.speed_rpm=1510",
         )
+
+
+@pytest.mark.slow
+def test_the_twin_of_every_start_is_held_against_the_modelled_machine(
+    made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """robustness.json: the worst mean error of the vibration never seen, computed here start by start."""
+    folder = Path(shutil.copytree(made("hydrostatic_stiffness"), tmp_path / "x"))
+    batches, real = [], robustness.run_training
+
+    def spy(*arguments: Any, **choices: Any) -> Any:
+        batches.append(real(*arguments, **choices))
+        return batches[-1]
+
+    monkeypatch.setattr(robustness, "run_training", spy)
+    run("robustness", "hydrostatic_stiffness", folder)
+    (batch,) = batches
+    config = composed("hydrostatic_stiffness").model_copy(update={"output": str(folder)})
+    inputs = load_inputs(config)
+    modelled = evaluate.load_modelled(config, inputs)
+    assert modelled is not None
+    unseen = tuple(Excitation("new", "unbalance", u.node, u.magnitude, u.phase) for u in config.prediction.unbalances)
+    true, *found = (
+        predict(inputs.rotor, table, unseen, config.prediction.node).displacement
+        for table in (modelled, *(batch.identified(g).table(inputs.known) for g in range(2)))
+    )
+    errors = [100 * np.mean(np.abs(one - true) / np.abs(true), axis=0).max() for one in found]
+    assert errors[0] != errors[1]
+    told = read(folder / "robustness.json")["displacement"]["worst_mean_error_percent"]
+    assert told == pytest.approx(max(errors), rel=1e-9)
+
+
+@pytest.mark.slow
+def test_a_run_of_the_data_is_no_vibration_never_seen(made: Made, tmp_path: Path) -> None:
+    """Where the prediction's unbalance is that of a run, robustness does not hold the twin against it."""
+    folder = Path(shutil.copytree(made("ball_bearing"), tmp_path / "x"))
+    assert "displacement" in read(folder / "robustness.json")
+    run("robustness", "ball_bearing", folder, "prediction.unbalances=[{node: 1, magnitude: 100 g mm}]")
+    assert "displacement" not in read(folder / "robustness.json")
 
 
 def test_initial_guesses_need_an_unknown_stiffness(tmp_path: Path) -> None:
