@@ -20,7 +20,7 @@ _EXPERIMENT = "experiment=hydrostatic_stiffness"
 
 @BENCHMARKS.add(
     "study_overhead",
-    "sampling, storage and tracking of a study of 12 trials",
+    "sampling, storage and tracking of a study of 24 trials",
     "the whole study",
     Aim(0.05),
 )
@@ -32,7 +32,7 @@ def study_overhead() -> Times:
     overhead, whole = [], []
     for _ in range(3):
         with TemporaryDirectory() as folder:
-            trials, wall = _studied(Path(folder), "tuning.n_trials=12")
+            trials, wall = _studied(Path(folder), "tuning.n_trials=24")
             settings = TrackingSettings(True, f"sqlite:///{folder}/mlflow.db", 30.0)
             children = [child_record(trial) for trial in trials]
             record = StageRecord("x", "tune", time.time() - 1, time.time(), {}, {}, {}, children=children)
