@@ -378,6 +378,31 @@ def test_seeds_of_a_network_trained_together(hydrostatic: Machine) -> None:
         torch.testing.assert_close(together.parameters[g], alone.parameters[0], rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.parametrize("phases", [optimizer(lm=60), optimizer(adam=40, lm=60)])
+def test_a_training_that_is_over_stays_while_others_go_on(phases: OptimizerConfig, hydrostatic: Machine) -> None:
+    """Each seed stops by its own loss, at another step, and ends where it ends alone."""
+    setup = setup_of(hydrostatic, phases)
+    setup = replace(
+        setup,
+        model=setup.model.model_copy(update={"width": 4}),
+        training=setup.training.model_copy(update={"tolerance": 0.2}),
+        optimizer=setup.optimizer.model_copy(
+            update={"levenberg_marquardt": setup.optimizer.levenberg_marquardt.model_copy(update={"patience": 2})}
+        ),
+    )
+    prepared = prepare(hydrostatic.equations, hydrostatic.bearings, setup)
+    parts = [initial_parameters(prepared, setup, seed) for seed in range(3)]
+    together = run_training(prepared, torch.cat(parts), setup)
+    steps = set()
+    for g, part in enumerate(parts):
+        alone = run_training(prepared, part, setup)
+        steps.add(alone.steps)
+        assert together.outcomes[g] is alone.outcomes[0]
+        assert together.loss[g] == pytest.approx(alone.loss[0], rel=1e-6)
+    assert len(steps) > 1
+    assert together.steps == max(steps)
+
+
 def test_same_seed_same_bits(hydrostatic: Machine) -> None:
     """A training repeats itself to the last bit; another seed is another network with a near answer."""
     setup = setup_of(hydrostatic, optimizer(adam=10, lm=40), holdout_every=10)

@@ -1,8 +1,8 @@
 """Minimisers of a :class:`~pipeline.identification.problem.LeastSquares` problem.
 
-Each takes parameters (G, M, P) and returns better ones; members do not influence each other, so that
-81 initial guesses trained together take the same steps as one alone. ``monitor`` sees every step and says
-when to stop.
+Each takes parameters (G, M, P) and returns better ones; the G trainings do not influence each other, so that
+each of 81 initial guesses trained together takes the same steps as alone, and stays where it ended while others go on.
+``monitor`` sees every step and says when to stop.
 """
 
 from __future__ import annotations
@@ -28,17 +28,19 @@ def adam(problem: LeastSquares, parameters: torch.Tensor, config: AdamConfig, mo
     # Written out: torch.optim.Adam imports torch's compiler, which takes longer than many a fit.
     current = parameters.clone()
     mean, square = torch.zeros_like(current), torch.zeros_like(current)
+    over = torch.zeros(len(current), 1, 1, dtype=torch.bool)
     for step in range(1, config.steps + 1):
         trained = current.detach().requires_grad_()
         losses = problem.loss(trained)
         (gradient,) = torch.autograd.grad(losses.sum(), trained)
-        if monitor(current, losses.detach()).all():
+        over |= monitor(current, losses.detach()).all(dim=1)[:, None, None]
+        if over.all():
             return current
         mean = _MEAN_DECAY * mean + (1 - _MEAN_DECAY) * gradient
         square = _SQUARE_DECAY * square + (1 - _SQUARE_DECAY) * gradient.square()
         size = (square / (1 - _SQUARE_DECAY**step)).sqrt() + _ADAM_EPSILON
         rate = config.learning_rate * _cosine_fraction((step - 1) / config.steps, config.final_rate_fraction)
-        current = current - rate * mean / (1 - _MEAN_DECAY**step) / size
+        current = torch.where(over, current, current - rate * mean / (1 - _MEAN_DECAY**step) / size)
     return current
 
 
@@ -123,33 +125,48 @@ def levenberg_marquardt(
     current = parameters.clone()
     squared = problem.rows(current).square().sum(-1)
     damping = torch.full_like(squared, config.initial_damping)
-    identity = torch.eye(current.shape[-1], dtype=current.dtype)
+    over = torch.zeros(len(current), dtype=torch.bool)
     for _ in range(config.steps):
-        gradient, normal = problem.normal(current)
-        diagonal = normal.diagonal(dim1=-2, dim2=-1)
-        size = diagonal.mean(-1, keepdim=True).clamp(min=1e-300)
-        size = diagonal.clamp(min=_SMALLEST_DIAGONAL * size) if by_diagonal else size
-        accepted = torch.zeros_like(squared, dtype=torch.bool)
-        for _ in range(_DAMPING_TRIES):
-            factor, info = torch.linalg.cholesky_ex(normal + (damping[..., None] * size)[..., None] * identity)
-            step = -torch.cholesky_solve(gradient[..., None], factor)[..., 0]
-            tried = problem.rows(current + step).square().sum(-1)
-            # NaN compares false: an overflowing step is refused like one that climbs.
-            better = (tried < squared) & (info == 0) & ~accepted
-            current = torch.where(better[..., None], current + step, current)
-            squared = torch.where(better, tried, squared)
-            factors = torch.where(better, _DAMPING_DOWN, _DAMPING_UP)
-            damping = torch.where(accepted, damping, damping * factors).clamp(_DAMPING_FLOOR, _DAMPING_CEILING)
-            accepted |= better
-            if accepted.all():
-                break
-        if monitor(current, problem.loss(current)).all():
+        own = torch.nonzero(~over)[:, 0]
+        current[own], squared[own], damping[own] = _damped_step(
+            problem, current[own], squared[own], damping[own], by_diagonal
+        )
+        over |= monitor(current, problem.loss(current)).all(dim=1)
+        if over.all():
             break
     return current
 
 
+def _damped_step(
+    problem: LeastSquares, current: torch.Tensor, squared: torch.Tensor, damping: torch.Tensor, by_diagonal: bool
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Parameters (G, M, P), squared residuals and dampings (G, M) after a step that climbs for no member."""
+    import torch
+
+    gradient, normal = problem.normal(current)
+    identity = torch.eye(current.shape[-1], dtype=current.dtype)
+    diagonal = normal.diagonal(dim1=-2, dim2=-1)
+    size = diagonal.mean(-1, keepdim=True).clamp(min=1e-300)
+    size = diagonal.clamp(min=_SMALLEST_DIAGONAL * size) if by_diagonal else size
+    accepted = torch.zeros_like(squared, dtype=torch.bool)
+    for _ in range(_DAMPING_TRIES):
+        factor, info = torch.linalg.cholesky_ex(normal + (damping[..., None] * size)[..., None] * identity)
+        step = -torch.cholesky_solve(gradient[..., None], factor)[..., 0]
+        tried = problem.rows(current + step).square().sum(-1)
+        # NaN compares false: an overflowing step is refused like one that climbs.
+        better = (tried < squared) & (info == 0) & ~accepted
+        current = torch.where(better[..., None], current + step, current)
+        squared = torch.where(better, tried, squared)
+        factors = torch.where(better, _DAMPING_DOWN, _DAMPING_UP)
+        damping = torch.where(accepted, damping, damping * factors).clamp(_DAMPING_FLOOR, _DAMPING_CEILING)
+        accepted |= better
+        if accepted.all():
+            break
+    return current, squared, damping
+
+
 def until_still(share: float = 1e-8) -> Monitor:
-    """Ends a fit once a step lowers no loss by more than this ``share`` of it."""
+    """Ends all fits once a step lowers no loss by more than this ``share`` of it."""
     import torch
 
     last: list[torch.Tensor] = []
@@ -157,6 +174,7 @@ def until_still(share: float = 1e-8) -> Monitor:
     def monitor(parameters: torch.Tensor, losses: torch.Tensor) -> torch.Tensor:
         before = last.pop() if last else losses + torch.inf
         last.append(losses)
-        return (before - losses).abs() < share * losses
+        still = (before - losses).abs() < share * losses
+        return torch.full_like(still, bool(still.all()))
 
     return monitor
