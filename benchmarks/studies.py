@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from dataclasses import replace
 from functools import partial
@@ -51,6 +52,7 @@ def study_overhead() -> Times:
 )
 def two_workers() -> Times:
     """Not of fewer trials: at the end one worker waits for the last trial of the other."""
+    _require_a_free_core()
     one, two = [], []
     for _ in range(3):
         with TemporaryDirectory() as folder:
@@ -58,6 +60,13 @@ def two_workers() -> Times:
             two.append(_studied(Path(folder) / "two", "tuning.workers=2", *alike)[1])
             one.append(_studied(Path(folder) / "one", *alike)[1])
     return Times(two, one)
+
+
+def _require_a_free_core() -> None:
+    """Raises RuntimeError where a second worker could gain nothing."""
+    cores, load = os.cpu_count() or 1, os.getloadavg()[0]
+    if load > cores - 0.5:  # this process alone makes a load of 1
+        raise RuntimeError(f"it needs a free core, but the load of the {cores} cores is {load:.1f}: run it again later")
 
 
 def _studied(folder: Path, *overrides: str) -> tuple[list[TrialAccount], float]:
