@@ -30,8 +30,7 @@ reproduce: env  ## run every experiment whose inputs changed (dvc repro), then t
 	$(RUN) dvc repro
 	$(RUN) pipeline stage=check tracking=none
 
-test: env  ## make what changed, run the tests (all but the nightly ones), then the check
-	$(RUN) dvc repro
+test: reproduce  ## make what changed and check it, run the tests (all but the nightly ones), and check again
 	$(PYTEST)
 	$(RUN) pipeline stage=check tracking=none
 
@@ -49,7 +48,8 @@ comparison: env  ## every method on every case, for docs/comparison.md (half an 
 	for name in ball_bearing hydrostatic_stiffness hydrostatic_damping impulses; do \
 		$(RUN) pipeline stage=compare experiment=$$name output=artifacts/comparison/$$name \
 			'comparison.methods=[$(EVERY_METHOD)]' 'comparison.noise=[0,0.0001,0.001,0.01]' \
-			'comparison.speeds=[10,60,591]' comparison.data_sets=10 || exit; \
+			'comparison.sensors=[all,bearings,location]' 'comparison.speeds=[10,60,591]' \
+			comparison.data_sets=10 || exit; \
 	done
 EVERY_METHOD = least_squares,tikhonov,total_least_squares,multi_frequency,kalman,kriging,critical_speeds,spline,$\
 	residual,preconditioned,response

@@ -99,7 +99,7 @@ def _held_out(fit: ResponseFit, other: ResponseProblem) -> dict[str, float]:
 
 
 def _bad_points(fit: ResponseFit, dataset: VibrationDataset, plain: list[np.ndarray]) -> dict[str, list[Any]]:
-    speeds, columns = to_rpm(dataset.speeds[fit.prepared.keep]), no_bad_points()
+    speeds, columns = to_rpm(dataset.speeds[fit.prepared.keep]), _no_bad_points()
     for block, off in zip(fit.problem.blocks, plain, strict=True):
         for s, p, r in np.argwhere(np.abs(off) > BAD_POINT):
             node, angle = dataset.channels[p]
@@ -109,21 +109,22 @@ def _bad_points(fit: ResponseFit, dataset: VibrationDataset, plain: list[np.ndar
     return columns
 
 
-def no_bad_points() -> dict[str, list[Any]]:
+def _no_bad_points() -> dict[str, list[Any]]:
     """``bad_points.csv`` without a row: readings, and how many deviations they are off."""
     return {name: [] for name in ("run", "speed_rpm", "node", "direction", "deviations")}
 
 
-def write_account(folder: Path, account: FitAccount, uncertainty: Uncertainty) -> list[Path]:
-    """``bad_points.csv`` and, where planes were given, ``residual_unbalance.csv`` (kg m). Raises StorageError."""
-    written = [write_table(folder / "bad_points.csv", account.bad_points)]
-    if len(uncertainty.planes):
-        found = uncertainty.residual_unbalance
-        columns = {
-            "node": uncertainty.planes,
-            "magnitude": np.abs(found),
-            "phase_deg": np.degrees(np.angle(found)),
-            "magnitude_std": uncertainty.unbalance_deviation(),
-        }
-        written.append(write_table(folder / "residual_unbalance.csv", columns))
-    return written
+def write_account(folder: Path, account: FitAccount | None, uncertainty: Uncertainty | None) -> list[Path]:
+    """``bad_points.csv`` and ``residual_unbalance.csv`` (kg m), without a row where the loss says nothing of them.
+
+    Raises StorageError.
+    """
+    bad_points = _no_bad_points() if account is None else account.bad_points
+    found = np.zeros(0, dtype=complex) if uncertainty is None else uncertainty.residual_unbalance
+    columns = {
+        "node": [] if uncertainty is None else uncertainty.planes,
+        "magnitude": np.abs(found),
+        "phase_deg": np.degrees(np.angle(found)),
+        "magnitude_std": [] if uncertainty is None else uncertainty.unbalance_deviation(),
+    }
+    return [write_table(folder / "bad_points.csv", bad_points), write_table(folder / "residual_unbalance.csv", columns)]

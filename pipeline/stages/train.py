@@ -22,7 +22,7 @@ from pipeline.identification.uncertainty import Uncertainty, save_uncertainty, u
 from pipeline.reporting.console import say, training_progress, warn
 from pipeline.stages.diagnosis import say_diagnosis
 from pipeline.stages.inputs import Inputs, load_inputs
-from pipeline.stages.response import account_of, fitted, no_bad_points, prepared_response, write_account
+from pipeline.stages.response import account_of, fitted, prepared_response, write_account
 from pipeline.stages.run import StageOutput, flat_metrics, use_threads, workspace
 
 
@@ -61,7 +61,7 @@ def run(config: Config) -> StageOutput:
     else:
         result = _by_residual(config, inputs, setup)
         account, uncertainty = _account(result), None
-        files = [write_table(workspace(config).folder / "bad_points.csv", no_bad_points())]
+        files = write_account(workspace(config).folder, None, None)
     files += _save(config, inputs, result, account, uncertainty)
     _report(config, result, account)
     return StageOutput(
