@@ -39,9 +39,6 @@ test-quick: env  ## run the tests that take no training
 
 test-nightly: env  ## run the tests that take long: every combination, kill and restart
 	$(RUN) dvc repro
-	for name in all_coefficients all_coefficients_backward compressor_two_journals; do \
-		$(RUN) pipeline stage=robustness experiment=$$name || exit; \
-	done
 	$(PYTEST) -m nightly
 
 comparison: env  ## every method on every case, for docs/comparison.md (half an hour)

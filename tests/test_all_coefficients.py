@@ -28,7 +28,6 @@ def staged(stage: str, experiment: str, folder: Path, *overrides: str) -> None:
     run_stage(compose_config([*given, *overrides]))
 
 
-@pytest.mark.nightly  # `make test-nightly` trains the six seeds
 @pytest.mark.parametrize(("experiment", "metric"), [(name, metric) for name, bars in BARS.items() for metric in bars])
 def test_six_seeds_reach_the_bar(experiment: str, metric: str, artifacts: Artifacts) -> None:
     """Every one of the sixteen coefficients, in double precision."""
