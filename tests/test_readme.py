@@ -73,9 +73,7 @@ ROWS: dict[str, list[Figure]] = {
     "| | cyy | 0.054 |": paper_row("hydrostatic_damping", "cyy"),
     "from `hydrostatic_stiffness` | x, y at the disc | a curve |": [displacement("hydrostatic_stiffness")],
     "from `hydrostatic_damping` | x, y at the disc | a curve |": [displacement("hydrostatic_damping")],
-    "| three unbalances, the paper's Adam on the residual |": median(
-        "all_coefficients_paper"
-    ),
+    "| three unbalances, the paper's Adam on the residual |": median("all_coefficients_paper"),
     "| `all_coefficients` | three unbalances |": seeds("all_coefficients"),
     "| `all_coefficients_backward` | and a force that turns backward |": seeds("all_coefficients_backward"),
     "| `compressor_two_journals` | three unbalances, a published compressor rotor |": seeds("compressor_two_journals"),

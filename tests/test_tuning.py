@@ -181,13 +181,13 @@ def study(tmp_path: Path) -> Path:
 
 
 def test_promoted_values_are_in_force_where_training_is(study: Path) -> None:
-    """train and what reads its answer use them; a study itself and the written configuration do not."""
-    for stage in ("generate", "train", "evaluate", "robustness", "predict"):
+    """train, what reads its answer, and the written configuration use them; a study itself does not."""
+    for stage in ("configure", "generate", "train", "evaluate", "robustness", "predict"):
         config = compose_config([f"stage={stage}", f"tuning.folder={study}"])
         assert (config.model.width, config.model.activation, config.training.tolerance) == (17, "silu", 0.03)
         assert config.promoted is not None
         assert (config.promoted.trial, len(config.promoted.in_force)) == (5, 3)
-    for stage in ("tune", "samplers", "configure"):
+    for stage in ("tune", "samplers"):
         config = compose_config([f"stage={stage}", f"tuning.folder={study}"])
         assert (config.model.width, config.promoted) == (48, None)
 

@@ -75,18 +75,20 @@ def _validated_stages(mapping: Mapping[str, Any]) -> list[Config]:
 
 def stages_of(mapping: Mapping[str, Any]) -> list[str]:
     """The stages of a command, in the order given. Raises ConfigError for an unknown one, and one given twice."""
-    from pipeline.config.stage_names import STAGES
-
     given = mapping.get("stage")
     stages: list[Any] = given if isinstance(given, list) and given else [given]
     for stage in stages:
-        if not isinstance(stage, str) or stage not in STAGES:
-            raise ConfigError(
-                f"stage must be one of the stages, but got {shown(stage)}{suggestion(str(stage), STAGES)}"
-            )
+        _require_stage(stage)
     if len(set(stages)) < len(stages):
         raise ConfigError(f"stage must name each stage once, but got {shown(given)}")
     return stages
+
+
+def _require_stage(stage: object) -> None:
+    from pipeline.config.stage_names import STAGES
+
+    if not isinstance(stage, str) or stage not in STAGES:
+        raise ConfigError(f"stage must be one of the stages, but got {shown(stage)}{suggestion(str(stage), STAGES)}")
 
 
 # --- the cache -----------------------------------------------------------------------------------
@@ -165,6 +167,7 @@ def validated(mapping: Mapping[str, Any]) -> Config:
 
     from pipeline.config.schema import Config
 
+    _require_stage(mapping.get("stage"))
     try:
         return Config.model_validate(mapping)
     except ValidationError as error:

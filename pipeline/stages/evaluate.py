@@ -216,6 +216,8 @@ def _error_table(
     rows = []
     for b, node in enumerate(answer.nodes):
         for name in names[b]:
+            if errors is not None and name not in errors[node]:
+                continue  # a modelled coefficient of zero has no relative error
             row: dict[str, object] = {"bearing_node": node, "coefficient": name}
             if modelled is not None:
                 row["modelled"] = modelled.coefficient(name)[b].mean()
