@@ -1,4 +1,4 @@
-"""Modelled machines to measure on, made without files."""
+"""Modelled machines to measure on, made without files; the tests use them too."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Machine:
-    """A modelled machine and its configuration."""
+    """A modelled machine: its configuration, and what the straight line of data makes of it."""
 
     config: Config
     rotor: RotorModel
@@ -35,12 +35,24 @@ class Machine:
         """Names of the R runs."""
         return tuple(dict.fromkeys(excitation.run for excitation in self.excitations))
 
+    @property
+    def frequencies(self) -> np.ndarray | None:
+        """(S, R) rad/s of the excitation; None where it turns with the rotor."""
+        from pipeline.stages.generate import own_frequencies
+
+        return own_frequencies(self.config, self.speeds)
+
+    @cached_property
+    def response(self) -> np.ndarray:
+        """(S, n, R) complex response of every lateral DOF, m and rad."""
+        return self.respond()
+
     @cached_property
     def dataset(self) -> VibrationDataset:
         """x and y of every node, without noise."""
         from pipeline.data.simulate import simulate
 
-        return simulate(self.rotor, self.bearings, self.excitations)
+        return simulate(self.rotor, self.bearings, self.excitations, self.frequencies)
 
     @cached_property
     def equations(self) -> BearingEquations:
@@ -50,10 +62,10 @@ class Machine:
         return bearing_equations(self.rotor, self.dataset)
 
     def respond(self) -> np.ndarray:
-        """(S, n, R) complex response of every lateral DOF, m and rad, computed each time."""
+        """:attr:`response`, computed each time."""
         from pipeline.data.simulate import forced_response
 
-        return forced_response(self.rotor, self.bearings, self.excitations, self.runs)
+        return forced_response(self.rotor, self.bearings, self.excitations, self.runs, self.frequencies)
 
 
 @cache
@@ -72,8 +84,8 @@ def machine(*overrides: str) -> Machine:
     return Machine(config, assemble(config.rotor), bearings, excitations(config))
 
 
-def refined(experiment: str, factor: int) -> Machine:
-    """The same machine with ``factor`` times the elements."""
+def refined(experiment: str, factor: int, *overrides: str) -> Machine:
+    """The machine of an experiment with ``factor`` times the elements."""
     from pipeline.config.compose import compose_config
 
     config = compose_config([f"experiment={experiment}"])
@@ -86,4 +98,4 @@ def refined(experiment: str, factor: int) -> Machine:
     for i, run in enumerate(config.excitation.runs):
         for j, force in enumerate(run.unbalances):
             made.append(f"excitation.runs.{i}.unbalances.{j}.node={factor * force.node}")
-    return machine(*made)
+    return machine(*made, *overrides)

@@ -63,7 +63,7 @@ class Measured:
 
     @property
     def median(self) -> float:
-        """Of the ratios."""
+        """The median ratio."""
         return statistics.median(self.ratios)
 
     @property

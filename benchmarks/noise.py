@@ -68,7 +68,7 @@ class _Ready:
     modelled: BearingTable
 
     def fit(self, inputs: Inputs) -> ResponseFit:
-        """Of some data of the experiment."""
+        """A fit of some data of the experiment."""
         from pipeline.identification.training import setup_of
         from pipeline.stages.response import fitted, prepared_response
 

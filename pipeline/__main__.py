@@ -12,13 +12,12 @@ import hashlib
 import os
 import re
 import sys
-import textwrap
 import traceback
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn, cast
 
 from pipeline import __version__
 from pipeline.errors import ConfigError, PipelineError
@@ -50,7 +49,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _command(arguments: list[str]) -> None:
     if {"-h", "--help"} & set(arguments):
-        print(_help())
+        from pipeline.usage import usage
+
+        print(usage())
     elif "--version" in arguments:
         print(f"pipeline {__version__}")
     elif all(map(_is_plain, arguments)):
@@ -263,11 +264,10 @@ class Job:
         from pipeline.stages import run_stage
 
         overrides = list(_job().overrides.task)
-        given = OmegaConf.to_container(composed.stage) if OmegaConf.is_list(composed.stage) else composed.stage
         if self.multirun:
             composed.output = self.folder(composed.output, overrides)
             # Studies of different values are different studies.
-            if {"tune", "samplers"} & set(stages_of({"stage": given})):
+            if {"tune", "samplers"} & set(stages_of(cast("dict[str, Any]", OmegaConf.to_container(composed)))):
                 composed.tuning.folder = self.folder(composed.tuning.folder, overrides)
                 composed.tuning.study = self.folder(composed.tuning.study, overrides)
             print(f"{self._which()} -> {composed.output}", flush=True)
@@ -309,86 +309,13 @@ def _leave(code: int) -> NoReturn:
     import atexit
     import threading
 
-    alone = threading.active_count() == 1
-    if alone:
-        atexit._run_exitfuncs()
-        for stream in (sys.stdout, sys.stderr):
-            try:
-                stream.flush()
-            except OSError:
-                alone = False
-    if alone:
-        os._exit(code)
-    sys.exit(code)
-
-
-# --- help ----------------------------------------------------------------------------------------
-
-
-def _help() -> str:
-    from pipeline.config.compose import options
-    from pipeline.config.stage_names import STAGES
-
-    experiments = {name: _description(name) for name in options("experiment")}
-    return f"""\
-usage: python -m pipeline stage=STAGE experiment=NAME [KEY=VALUE ...] [-m]
-
-{textwrap.fill(_SUMMARY, 100)}
-
-stages (default: train; a stage whose input is missing makes it first):
-{_table(STAGES)}
-
-experiments:
-{_table(experiments)}
-
-examples:
-{_EXAMPLES}
-
-options:
-  -m, --multirun   one job for every combination of values such as seed=1,2,3
-  --cfg job        print the whole configuration and run nothing
-  --info           print how Hydra composed it
-  -h, --help       this help
-  --version        the version
-
-Results of an experiment go to artifacts/NAME/ (output=FOLDER for another place); the jobs of a
-multirun to a folder of their own each, named by what was swept, such as
-artifacts/NAME/optimizer.adam.steps-500/.
-Exit codes: 0 done, 1 a threshold passed (stage=check), 2 a mistake in what was given, 70 a bug,
-130 interrupted."""
-
-
-_SUMMARY = (
-    "Identifies the bearing coefficients of rotating machines from their measured vibration and a model of "
-    "shaft and discs. The bearings' stiffness and damping are trained so that the equation of motion holds "
-    "at the bearings (FEM-NN)."
-)
-_EXAMPLES = """\
-  python -m pipeline                                         train the default experiment
-  python -m pipeline stage=evaluate experiment=NAME          compare with the modelled coefficients
-  python -m pipeline stage=[train,evaluate,predict]          several stages, one after the other
-  python -m pipeline optimizer.adam.steps=500 seed=3         change values
-  python -m pipeline 'rotor.shaft.0.length=150 mm'           quantities carry their unit
-  python -m pipeline -m seed=1,2,3                           one job for each value
-  python -m pipeline --cfg job experiment=NAME               see the whole configuration"""
-
-
-def _table(rows: dict[str, str]) -> str:
-    width = max(map(len, rows), default=0) + 2
-    indent = " " * (width + 2)
-    return "\n".join(
-        textwrap.fill(words or "-", 100, initial_indent=f"  {name:<{width}}", subsequent_indent=indent)
-        for name, words in rows.items()
-    )
-
-
-def _description(experiment: str) -> str:
-    """The experiment's ``description``, read without the cost of a YAML parser."""
-    from pipeline.config.compose import CONF
-
-    text = (CONF / "experiment" / f"{experiment}.yaml").read_text(encoding="utf-8")
-    found = re.search(r"^description: *[>|]?-?\s*(.+)$", text, re.MULTILINE)
-    return found[1].strip().strip("'\"") if found else ""
+    if threading.active_count() > 1:
+        sys.exit(code)
+    atexit._run_exitfuncs()
+    with suppress(OSError):
+        sys.stdout.flush()
+        sys.stderr.flush()
+    os._exit(code)
 
 
 if __name__ == "__main__":

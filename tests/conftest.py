@@ -12,7 +12,6 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache, cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,15 +23,15 @@ if TYPE_CHECKING:
     import torch
 
     from pipeline.config.schema import Config
-    from pipeline.data.dataset import Excitation, VibrationDataset
-    from pipeline.equations.bearing_equations import BearingEquations
     from pipeline.errors import PipelineError
     from pipeline.rotor.bearing_table import BearingTable
-    from pipeline.rotor.model import RotorModel
     from pipeline.unknowns import UnknownSet
 
 # The tests judge the checkout that they lie in, wherever they are started and whatever is installed.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.machines import Machine
+from benchmarks.machines import machine as modelled_machine
 
 # The matrices are small: threads of numpy's BLAS and of torch wait for each other longer than they work, above all
 # where another program has the second core.
@@ -81,50 +80,6 @@ ANSWER = {
 """What ``train`` adds."""
 
 
-@dataclass(frozen=True, eq=False)
-class Machine:
-    """A modelled machine: its configuration, and what the straight line of data makes of it."""
-
-    config: Config
-    rotor: RotorModel
-    bearings: BearingTable
-    excitations: tuple[Excitation, ...]
-
-    @property
-    def speeds(self) -> np.ndarray:
-        """(S,) rad/s."""
-        return self.bearings.speeds
-
-    @property
-    def runs(self) -> tuple[str, ...]:
-        """Names of the R runs."""
-        return tuple(dict.fromkeys(excitation.run for excitation in self.excitations))
-
-    @cached_property
-    def response(self) -> np.ndarray:
-        """(S, n, R) complex response of every lateral DOF."""
-        from pipeline.data.simulate import forced_response
-        from pipeline.stages.generate import own_frequencies
-
-        frequencies = own_frequencies(self.config, self.speeds)
-        return forced_response(self.rotor, self.bearings, self.excitations, self.runs, frequencies)
-
-    @cached_property
-    def dataset(self) -> VibrationDataset:
-        """x and y of every node, without noise."""
-        from pipeline.data.simulate import simulate
-        from pipeline.stages.generate import own_frequencies
-
-        return simulate(self.rotor, self.bearings, self.excitations, own_frequencies(self.config, self.speeds))
-
-    @cached_property
-    def equations(self) -> BearingEquations:
-        """The small system at the bearings."""
-        from pipeline.equations.bearing_equations import bearing_equations
-
-        return bearing_equations(self.rotor, self.dataset)
-
-
 MachineFactory = Callable[..., Machine]
 
 
@@ -155,53 +110,10 @@ def known_names(config: Config) -> tuple[str, ...]:
     return tuple(name for name in COEFFICIENTS if name not in config.identify.named())
 
 
-@cache
-def _machine(*overrides: str) -> Machine:
-    import numpy as np
-
-    from pipeline.config.compose import compose_config
-    from pipeline.rotor.ross_adapter import assemble, bearing_table
-    from pipeline.stages.generate import excitations
-    from pipeline.units import RAD_S_PER_RPM
-
-    config = compose_config(overrides)
-    speeds = np.array(config.excitation.speeds.rpm()) * RAD_S_PER_RPM
-    return Machine(
-        config,
-        assemble(config.rotor),
-        bearing_table(config.rotor, config.bearing, speeds),
-        excitations(config),
-    )
-
-
 @pytest.fixture(scope="session")
 def machine() -> MachineFactory:
     """``machine("experiment=NAME", ...)``: the machine of these overrides, made once a session."""
-    return _machine
-
-
-@pytest.fixture(scope="session")
-def refined() -> Callable[[str, int], list[str]]:
-    """``refined(experiment, factor)``: overrides for the same rotor with ``factor`` times the elements."""
-
-    def overrides(experiment: str, factor: int) -> list[str]:
-        from pipeline.config.compose import compose_config
-
-        config = compose_config([f"experiment={experiment}"])
-        made = [
-            f"experiment={experiment}",
-            f"rotor.bearing_nodes={[factor * node for node in config.rotor.bearing_nodes]}",
-        ]
-        for i, segment in enumerate(config.rotor.shaft):
-            made.append(f"rotor.shaft.{i}.elements={factor * segment.elements}")
-        for i, disc in enumerate(config.rotor.discs):
-            made.append(f"rotor.discs.{i}.node={factor * disc.node}")
-        for i, run in enumerate(config.excitation.runs):
-            for j, force in enumerate(run.unbalances):
-                made.append(f"excitation.runs.{i}.unbalances.{j}.node={factor * force.node}")
-        return made
-
-    return overrides
+    return modelled_machine
 
 
 @pytest.fixture(scope="session")

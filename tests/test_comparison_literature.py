@@ -74,7 +74,7 @@ def test_kriging_and_differential_evolution_find_constant_bearings() -> None:
 @pytest.mark.parametrize("sensors", ["all", "location"])
 def test_critical_speeds_give_the_stiffness(sensors: str) -> None:
     """Pavlenko et al. (2018): within 5 %, also from one location."""
-    case = Case(0.0, sensors, 591)  # type: ignore[arg-type]
+    case = Case(0.0, sensors, 591)
     assert errors(answer("critical_speeds", case, *BALLS), case, *BALLS).max() < 5
 
 
@@ -146,7 +146,7 @@ def test_impulse_records_give_all_coefficients_and_the_unbalance() -> None:
             turn = 0.0 if direction == 0 else np.pi / 2
             for whirl, sign in (("forward", 1), ("backward", -1)):
                 phase = np.angle(size) + sign * turn
-                acting.append(Excitation(name, "force", 2, abs(size) / 2, phase, whirl))  # type: ignore[arg-type]
+                acting.append(Excitation(name, "force", 2, abs(size) / 2, phase, whirl))
     runs.append("weight")
     known = Excitation("weight", "unbalance", 4, 1e-4, 0.3)
     hidden = Excitation("weight", "unbalance", 2, abs(UNBALANCE), float(np.angle(UNBALANCE)))

@@ -206,7 +206,7 @@ def test_every_method_says_something_of_other_machines(experiment: str, tmp_path
     config = compose_config([f"experiment={experiment}", *FIVE_SPEEDS, *FEW_STEPS, "comparison.workers=1"])
     own = Bench(modelled_machine(config), config.identify, config.comparison, config.seed)
     sensors = ("bearings", "location")
-    items = [Item(method, Case(0.01, where, 5)) for where in sensors for method in METHODS]  # type: ignore[arg-type]
+    items = [Item(method, Case(0.01, where, 5)) for where in sensors for method in METHODS]
     results = compared(own, items, tmp_path, nothing)
     names = {"answered", *(reason.name.lower() for reason in Reason)}
     assert {result.outcome for result in results} <= names

@@ -46,7 +46,7 @@ ONE_BY_DAY = [
     "hydrostatic_stiffness",
     *(pytest.param(name, marks=pytest.mark.nightly) for name in EXPERIMENTS if name != "hydrostatic_stiffness"),
 ]
-# Of the noisy ones, which differ in their unknowns, one is tried with every option.
+# One of the noisy ones, which differ in their unknowns, is tried with every option.
 WITH_OPTIONS = [
     name for name in EXPERIMENTS if name not in ("noisy_direct", "noisy_all", "noisy_stiffness_residual", "impulses")
 ]

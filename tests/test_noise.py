@@ -66,7 +66,7 @@ class Ready:
     setup: TrainingSetup
 
     def fit(self, inputs: Inputs | None = None) -> ResponseFit:
-        """Of its own data, or of others."""
+        """The fit of its own data, or of others."""
         prepared = prepared_response(self.config, inputs or self.inputs, self.setup)
         return fitted(self.config, prepared, self.setup, None)
 

@@ -144,7 +144,7 @@ def test_the_rounding_of_a_loss_follows_the_size_of_the_data() -> None:
     rest = torch.as_tensor(rng.uniform(size=2))
     matrix = torch.zeros(2, 5, 3, 3, dtype=torch.float64)
     found = [
-        ResidualProblem(None, None, size * matrix, size * offset, size**2 * rest, None).rounding()  # type: ignore[arg-type]
+        ResidualProblem(None, None, size * matrix, size * offset, size**2 * rest, None).rounding()
         for size in (1.0, 1e3)
     ]
     np.testing.assert_allclose(found[0], 1e-13 * np.sqrt((offset.numpy() ** 2).sum((1, 2)) + rest.numpy()))
@@ -201,7 +201,7 @@ def test_of_equal_finalists_the_better_trial_is_promoted() -> None:
     config = compose_config(["experiment=ball_bearing", "tuned=false"]).tuning
 
     def finalist(trial: int, loss: float) -> Finalist:
-        return Finalist(trial, {}, np.full(5, loss), None)  # type: ignore[arg-type]
+        return Finalist(trial, {}, np.full(5, loss), None)
 
     for one, other in ((1e-15, 9e-16), (9e-16, 1e-15)):
         assert promoted(finalist(0, 1e-3), [finalist(4, one), finalist(9, other)], config, ROUNDING).trial == 4

@@ -38,7 +38,7 @@ def held_out_run(experiment: str) -> Figure:
 
 
 def paper_row(experiment: str, name: str) -> list[Figure]:
-    """Of the first table: the committed seed, and the worst start."""
+    """A row of the first table: the committed seed, and the worst start."""
     return [
         worst(experiment, "metrics", "mean_error_percent", (name,)),
         worst(experiment, "robustness", "worst_mean_error_percent", (name,)),
@@ -46,7 +46,7 @@ def paper_row(experiment: str, name: str) -> list[Figure]:
 
 
 def noisy_row(experiment: str) -> list[Figure]:
-    """Of the table of noisy data: the data set at hand, a typical one, the bound."""
+    """A row of noisy data: the data set at hand, a typical one, the bound."""
     return [
         worst(experiment, "metrics", "median_error_percent"),
         worst(experiment, "robustness", "median_error_percent"),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +12,7 @@ from conftest import Machine, MachineFactory, bearings_of, examples
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.machines import refined
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.compose import options
 from pipeline.config.machine import RotorConfig
@@ -106,12 +106,10 @@ def test_response_equals_ross_at_all_speeds(machine: MachineFactory) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("experiment", ["ball_bearing", "hydrostatic_stiffness"])
-def test_response_equals_ross_on_finer_meshes(
-    experiment: str, machine: MachineFactory, refined: Callable[[str, int], list[str]]
-) -> None:
+def test_response_equals_ross_on_finer_meshes(experiment: str) -> None:
     """Oracle: ROSS, at 25 nodes: the band solve pivots far more often than at seven."""
     factor = {"ball_bearing": 12, "hydrostatic_stiffness": 4}[experiment]
-    made = machine(*refined(experiment, factor), "excitation.speeds.step_rpm=590")
+    made = refined(experiment, factor, "excitation.speeds.step_rpm=590")
     assert made.rotor.n_nodes == 25
     assert_equals_ross(made)
 

@@ -260,15 +260,13 @@ def test_without_tracking_no_process_is_started() -> None:
 
 KINDS = {"run": "text", "speed_rpm": "number", "amplitude_m": "number"}
 OPTIONAL = {"frequency_hz": "number or blank"}
+RUNS = st.sampled_from(["one", "NA", "3", "a,b", 'say "x"', "two\nlines"])
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
-MAYBE = NUMBERS | st.none()
 
 
 @settings(max_examples=30)
 @given(
-    rows=st.lists(
-        st.tuples(st.sampled_from(["one", "NA", "3", "a,b"]), NUMBERS, NUMBERS, NUMBERS | st.none()), min_size=1
-    ),
+    rows=st.lists(st.tuples(RUNS, NUMBERS, NUMBERS, NUMBERS | st.none()), min_size=1),
     ending=st.sampled_from(["csv", "parquet"]),
 )
 def test_both_ways_read_the_same_bits(

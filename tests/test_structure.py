@@ -35,6 +35,7 @@ STEPS = [
     {"tuning"},
     {"reporting"},
     {"tracking"},
+    {"usage"},
     {"stages"},
     {"__main__"},
 ]

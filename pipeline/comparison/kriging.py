@@ -33,7 +33,7 @@ _POINTS = 15
 """Points a hypercube for each unknown, of which there are at least four."""
 _ROUNDS = 14
 _SHRINK = 0.4
-"""Of those sides of the hypercube that the best point moved along by less than this share: """
+"""A side of the hypercube shrinks to this share where the best point moved by less than ``_NEAR`` of it."""
 _NEAR = 0.3
 _COMPONENTS = 12
 _GENERATIONS = 60
@@ -107,7 +107,7 @@ def _found(task: Task, parameters: Parameters, speeds: np.ndarray, generator: np
 
 
 def _chi_square(task: Task, parameters: Parameters, speeds: np.ndarray, x: np.ndarray) -> float:
-    """Of the readings at ``speeds`` (indices), for one point (A,)."""
+    """Chi-square of the readings at ``speeds`` (indices), for one point (A,)."""
     part = _at(task, speeds)
     own = replace(parameters, task=part)
     predicted = part.response().predict(part.table(own.values(np.repeat(x[None], len(speeds), axis=0))))

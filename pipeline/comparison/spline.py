@@ -31,7 +31,7 @@ _DENSE = 300
 """Up to so many numbers SciPy factorises the Jacobian; beyond, it is sparse and iterated on."""
 _KEPT_STARTS, _SMALL = 3, 4
 _VANISHED = 0.02
-"""Of its size: an unknown that is smaller has vanished."""
+"""An unknown below this share of its size has vanished."""
 
 
 @dataclass(frozen=True, eq=False)

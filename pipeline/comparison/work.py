@@ -133,7 +133,7 @@ def _worked(bench: Bench, items: Sequence[Item]) -> Iterator[tuple[Item, Result]
 
 
 _bench: Bench | None = None
-"""Of a worker: sent once, not with every item."""
+"""A worker has its own: sent once, not with every item."""
 _working = False
 
 

@@ -6,16 +6,14 @@ here as :class:`~pipeline.errors.ConfigError`: the law, what came, the next step
 
 from __future__ import annotations
 
-import importlib.metadata
 import itertools
-import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from pipeline.cache import identity, keep, look_up
+from pipeline.config.kept import keep_configurations, kept, made_from
 from pipeline.config.messages import (
     bad_syntax,
     no_option,
@@ -51,12 +49,13 @@ def compose_stages(overrides: Sequence[str] = ()) -> list[Config]:
     """
     from pipeline.config.promotion import with_promoted
 
-    key = _made_from(overrides)
-    configs = _kept(look_up(_KIND, key))
+    key = made_from(CONF, overrides)
+    configs = kept(key)
     if configs is None:
         mapping = composed_mapping(overrides)
         configs = _validated_stages(mapping)
-        _keep(key, mapping, overrides, configs)
+        if _is_all_in_the_key(mapping, overrides):
+            keep_configurations(key, configs)
     return [with_promoted(config, overrides) for config in configs]
 
 
@@ -91,46 +90,11 @@ def _require_stage(stage: object) -> None:
         raise ConfigError(f"stage must be one of the stages, but got {shown(stage)}{suggestion(str(stage), STAGES)}")
 
 
-# --- the cache -----------------------------------------------------------------------------------
-
-_KIND = "configurations"
-
-
-def _made_from(overrides: Sequence[str]) -> str:
-    """Identity of all that a configuration is composed from: conf/, the schema, the packages, the overrides."""
-    sources = [*sorted(CONF.rglob("*.yaml")), *sorted(Path(__file__).parent.glob("*.py")), *_MORE_SOURCES]
-    packages = [importlib.metadata.version(name) for name in ("hydra-core", "pydantic", "pint")]
-    try:
-        contents = [part for path in sources for part in (str(path), path.read_bytes())]
-    except OSError:
-        contents = []  # Hydra says what is wrong with conf/
-    return identity(*contents, *packages, json.dumps(list(overrides)))
-
-
-_MORE_SOURCES = [Path(__file__).parents[1] / f"{name}.py" for name in ("coefficients", "unknowns")]
-
-
-def _kept(content: bytes | None) -> list[Config] | None:
-    from pydantic import ValidationError
-
-    from pipeline.config.schema import Config
-
-    if content is None:
-        return None
-    try:
-        return [Config.model_validate(mapping) for mapping in json.loads(content)]
-    except (ValueError, TypeError, ValidationError):
-        return None  # a damaged entry
-
-
-def _keep(key: str, mapping: Mapping[str, Any], overrides: Sequence[str], configs: list[Config]) -> None:
-    """Keep what the key says all of: not an excitation of another file, nor what the environment resolves."""
+def _is_all_in_the_key(mapping: Mapping[str, Any], overrides: Sequence[str]) -> bool:
+    """Whether nothing comes from an excitation of another file, or from what the environment resolves."""
     section = mapping.get("excitation")
-    if (isinstance(section, Mapping) and section.get("file")) or any("$" in override for override in overrides):
-        return
-    content = json.dumps([config.model_dump(mode="json") for config in configs]).encode()
-    if _kept(content) == configs:
-        keep(_KIND, key, content)
+    from_file = isinstance(section, Mapping) and bool(section.get("file"))
+    return not from_file and not any("$" in override for override in overrides)
 
 
 def _with_excitation_file(mapping: Mapping[str, Any]) -> Mapping[str, Any]:

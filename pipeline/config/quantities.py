@@ -132,4 +132,4 @@ ShaftAngle = Annotated[float, BeforeValidator(_shaft_angle)]
 LengthUnit = Annotated[str, BeforeValidator(lambda value: _unit(value, ("m",), "um, mil or mm"))]
 SignalUnit = Annotated[str, BeforeValidator(lambda value: _unit(value, ("V", "m"), "V, mV or um"))]
 Sensitivity = Annotated[str, BeforeValidator(lambda value: _with_unit(value, "V / m", "7.87 V/mm or 200 mV/mil"))]
-"""Of a displacement probe; negative where the voltage falls when the shaft comes nearer."""
+"""A displacement probe has it; negative where the voltage falls when the shaft comes nearer."""

@@ -7,6 +7,7 @@ is wrong. Both ways give the same numbers.
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -48,7 +49,7 @@ def _plain_csv(path: Path, columns: Mapping[str, str], optional: Mapping[str, st
         text = path.read_text(encoding="utf-8")
         if not text.isascii() or "\0" in text:
             return None
-        header, *rows = [row for row in csv.reader(text.splitlines(), strict=True) if row]
+        header, *rows = [row for row in csv.reader(io.StringIO(text, newline=""), strict=True) if row]
     except (OSError, ValueError, csv.Error):
         return None
     kinds = _kinds(header, columns, optional)

@@ -17,7 +17,7 @@ def chi_square(deviations: Sequence[np.ndarray]) -> tuple[float, int]:
 
 
 def autocorrelation(deviations: Sequence[np.ndarray]) -> tuple[float, float]:
-    """Of complex deviations (S, P, R) at neighbouring speeds: its value, and that over its standard deviation.
+    """Correlation of complex deviations (S, P, R) at neighbouring speeds, and that over its standard deviation.
 
     White deviations have a value about zero with the variance of one over twice the number of neighbours.
     """

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import torch
 
 AKAIKE = 2.0
-"""Of his criterion: what a number must lower chi-square by, where a superfluous one lowers it by 1 on average."""
+"""A number must lower chi-square by this in his criterion; a superfluous one lowers it by 1 on average."""
 TIE = 0.01
 """Criteria closer than this are equal: between processors they differ by 1e-7, between the best two choices by 0.3."""
 

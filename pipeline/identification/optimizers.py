@@ -44,7 +44,7 @@ def adam(problem: LeastSquares, parameters: torch.Tensor, config: AdamConfig, mo
     return current
 
 
-# Of Adam (Kingma & Ba 2015), as they propose.
+# As Kingma & Ba (2015) propose.
 _MEAN_DECAY, _SQUARE_DECAY, _ADAM_EPSILON = 0.9, 0.999, 1e-8
 
 

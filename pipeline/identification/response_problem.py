@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 _ROUNDING = 1e-13
 _VANISHED = 0.02
-"""Of its guess: an unknown that is smaller has vanished."""
+"""An unknown below this share of its guess has vanished."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -223,7 +223,10 @@ def _answers(
 
 
 def _inverse(gram: np.ndarray, where: str) -> np.ndarray:
-    """Of the sums, scaled: powers of x in a short window are small. Raises DataError where orders are not apart."""
+    """Inverse of the sums, scaled: powers of x in a short window are small.
+
+    Raises DataError where orders are not apart.
+    """
     scale = 1 / np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
     scaled = gram * scale * scale[:, None]
     try:

@@ -15,7 +15,7 @@ _MICROMETRES = 1e6
 _COLOURS = (BLUE, ORANGE, GREEN, PURPLE, SKY, "#000000")
 _LINES = ("-", "--", "-.", ":")
 _ORBIT = np.linspace(0.0, 0.94, 200)
-"""Of a turn, from the tacho pulse: the gap shows in which sense the orbit is run through."""
+"""Parts of a turn, from the tacho pulse: the gap shows in which sense the orbit is run through."""
 
 
 def _looks(dataset: VibrationDataset, baseline: str | None) -> list[dict[str, Any]]:

@@ -25,7 +25,7 @@ from pipeline.units import RAD_S_PER_RPM
 WIDTH = 100
 _INDENT = " " * 13
 _MOST_ROWS = 16
-"""Of coefficients: all eight of two bearings."""
+"""All eight coefficients of two bearings."""
 
 
 @dataclass(frozen=True, eq=False)

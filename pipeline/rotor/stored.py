@@ -96,7 +96,7 @@ def _content(arrays: dict[str, np.ndarray], metadata: dict[str, str] | None = No
 
 
 def _arrays(content: bytes | None) -> dict[str, np.ndarray] | None:
-    """Of double precision."""
+    """The arrays of double precision; None where the content is damaged."""
     from safetensors import SafetensorError, deserialize
 
     if content is None:

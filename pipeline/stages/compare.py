@@ -23,7 +23,7 @@ from pipeline.reporting.console import comparison_progress, say, table
 from pipeline.rotor.stored import assembled, modelled_bearings
 from pipeline.stages.generate import excitations, own_frequencies, residual_unbalances
 from pipeline.stages.inputs import known_coefficients, require_nodes
-from pipeline.stages.run import StageOutput, flat_metrics, workspace
+from pipeline.stages.run import StageOutput, flat_metrics, use_threads, workspace
 from pipeline.units import RAD_S_PER_RPM
 
 if TYPE_CHECKING:
@@ -35,14 +35,12 @@ def run(config: Config) -> StageOutput:
 
     Raises ConfigError for measured data, whose truth nobody knows.
     """
-    import torch
-
     if config.ingest.format != "none":
         raise ConfigError(
             "compare must have a modelled machine, whose coefficients are known, but the data are measured: "
             "use stage=evaluate, which shows least squares beside the fit"
         )
-    torch.set_num_threads(config.threads)
+    use_threads(config)
     machine = modelled_machine(config)
     require_nodes(machine.rotor, "comparison.location", [config.comparison.location or 0])
     bench = Bench(machine, config.identify, config.comparison, config.seed)

@@ -25,7 +25,7 @@ from pipeline.stages.diagnosis import say_diagnosis
 from pipeline.stages.evaluate import load_modelled
 from pipeline.stages.inputs import Inputs, load_inputs
 from pipeline.stages.response import fitted, prepared_response
-from pipeline.stages.run import StageOutput, flat_metrics, workspace
+from pipeline.stages.run import StageOutput, flat_metrics, use_threads, workspace
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -36,10 +36,8 @@ def run(config: Config) -> StageOutput:
 
     Raises ConfigError where the loss is another, or where there is no truth to make other noise for.
     """
-    import torch
-
-    torch.set_num_threads(config.threads)
     inputs, setup = load_inputs(config), setup_of(config)
+    use_threads(config)
     modelled = load_modelled(config, inputs)
     if config.loss.kind != "response" or modelled is None:
         raise ConfigError(

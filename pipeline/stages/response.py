@@ -86,7 +86,7 @@ def account_of(fit: ResponseFit, dataset: VibrationDataset) -> FitAccount:
 
 
 def _held_out(fit: ResponseFit, other: ResponseProblem) -> dict[str, float]:
-    """Of readings that were not fitted: mean square over the noise (1 where all is well), and the error in percent."""
+    """Readings that were not fitted: their mean square over the noise (1 where all is well), the error in percent."""
     squares, count, errors, size = 0.0, 0, 0.0, 0.0
     for predicted, block in zip(other.predicted(fit.free), other.blocks, strict=True):
         measured, reached = block.measured[0].numpy(), predicted[0].numpy()

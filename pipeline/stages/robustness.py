@@ -29,7 +29,7 @@ from pipeline.stages.diagnosis import say_diagnosis
 from pipeline.stages.evaluate import load_modelled
 from pipeline.stages.inputs import Inputs, load_inputs
 from pipeline.stages.predict import run_alike, unseen_excitations
-from pipeline.stages.run import StageOutput, flat_metrics, workspace
+from pipeline.stages.run import StageOutput, flat_metrics, use_threads, workspace
 from pipeline.stages.train import say_promoted
 from pipeline.twin.prediction import predict
 
@@ -48,14 +48,12 @@ def starting_points(config: Config) -> np.ndarray:
 
 def run(config: Config) -> StageOutput:
     """``robustness.json``, a table with the final error of every start, and Figure 2."""
-    import torch
-
     if config.robustness.over == "noise":
         from pipeline.stages import noise_study  # it imports what this module has
 
         return noise_study.run(config)
-    torch.set_num_threads(config.threads)
     inputs, setup = load_inputs(config), setup_of(config)
+    use_threads(config)
     say_promoted(config)
     if config.robustness.over == "initial_guess" and not any(name.startswith("k") for name in setup.identify.named()):
         raise ConfigError(
@@ -65,7 +63,7 @@ def run(config: Config) -> StageOutput:
     prepared = prepare(inputs.equations, inputs.known, setup)
     say_diagnosis(config, inputs)
     starts = starting_points(config)
-    parameters = torch.cat([_start(config, setup, prepared, value) for value in starts])
+    parameters = _starts(config, setup, prepared, starts)
     with training_progress(f"{config.name}: {len(starts)} at once") as progress:
         batch = run_training(prepared, parameters, setup, progress, record_trajectory=prepared.model.hidden is None)
     modelled = load_modelled(config, inputs)  # read when training is over
@@ -90,10 +88,13 @@ def run(config: Config) -> StageOutput:
     )
 
 
-def _start(config: Config, setup: TrainingSetup, prepared: PreparedTraining, value: float) -> torch.Tensor:
+def _starts(config: Config, setup: TrainingSetup, prepared: PreparedTraining, values: np.ndarray) -> torch.Tensor:
+    """(G, M, P) parameters of every seed or guess."""
+    import torch
+
     if config.robustness.over == "seed":
-        return initial_parameters(prepared, setup, int(value))
-    return initial_parameters(prepared, setup, config.seed, float(value))
+        return torch.cat([initial_parameters(prepared, setup, int(value)) for value in values])
+    return torch.cat([initial_parameters(prepared, setup, config.seed, float(value)) for value in values])
 
 
 def _rows(
@@ -151,7 +152,7 @@ def _summary(batch: TrainedBatch, rows: pd.DataFrame) -> dict[str, Any]:
 
 
 def _displacement_error(config: Config, inputs: Inputs, batch: TrainedBatch, modelled: BearingTable) -> float | None:
-    """Of the vibration never seen, percent: the mean over speed, of the worst start and direction.
+    """Error of the vibration never seen, percent: the mean over speed, of the worst start and direction.
 
     None where this rotor lacks the prediction's nodes, a run has the very unbalance, or a start has no finite answer.
     """

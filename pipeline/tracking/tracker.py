@@ -62,9 +62,9 @@ def track(record: StageRecord, settings: TrackingSettings) -> list[str]:
 
 def get_ready() -> None:
     """Import what :func:`track` uses, which takes seconds."""
-    with suppress(Exception), quiet_mlflow(1.0):
-        from mlflow import MlflowClient, pyfunc  # noqa: F401
-        from mlflow.store.tracking.sqlalchemy_store import SqlAlchemyStore  # noqa: F401
+    with suppress(Exception), quiet_mlflow(1.0):  # what can't be imported is told with the record
+        from mlflow import MlflowClient, pyfunc  # noqa: F401  # so that `track` finds them imported
+        from mlflow.store.tracking.sqlalchemy_store import SqlAlchemyStore  # noqa: F401  # behind the client
 
 
 def _log(record: StageRecord, settings: TrackingSettings) -> list[str]:

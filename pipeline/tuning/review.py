@@ -59,7 +59,7 @@ class Finalist:
 
     @property
     def median(self) -> float:
-        """Of the losses; infinite where most seeds diverged."""
+        """The median loss; infinite where most seeds diverged."""
         return float(np.median(np.where(np.isfinite(self.losses), self.losses, math.inf)))
 
 

@@ -1,0 +1,73 @@
+"""What ``python -m pipeline --help`` prints."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+
+
+def usage() -> str:
+    """The whole help."""
+    from pipeline.config.compose import options
+    from pipeline.config.stage_names import STAGES
+
+    experiments = {name: _description(name) for name in options("experiment")}
+    return f"""\
+usage: python -m pipeline stage=STAGE experiment=NAME [KEY=VALUE ...] [-m]
+
+{textwrap.fill(_SUMMARY, 100)}
+
+stages (default: train; a stage whose input is missing makes it first):
+{_table(STAGES)}
+
+experiments:
+{_table(experiments)}
+
+examples:
+{_EXAMPLES}
+
+options:
+  -m, --multirun   one job for every combination of values such as seed=1,2,3
+  --cfg job        print the whole configuration and run nothing
+  --info           print how Hydra composed it
+  -h, --help       this help
+  --version        the version
+
+Results of an experiment go to artifacts/NAME/ (output=FOLDER for another place); the jobs of a
+multirun to a folder of their own each, named by what was swept, such as
+artifacts/NAME/optimizer.adam.steps-500/.
+Exit codes: 0 done, 1 a threshold passed (stage=check), 2 a mistake in what was given, 70 a bug,
+130 interrupted."""
+
+
+_SUMMARY = (
+    "Identifies the bearing coefficients of rotating machines from their measured vibration and a model of "
+    "shaft and discs. The bearings' stiffness and damping are trained so that the equation of motion holds "
+    "at the bearings (FEM-NN)."
+)
+_EXAMPLES = """\
+  python -m pipeline                                         train the default experiment
+  python -m pipeline stage=evaluate experiment=NAME          compare with the modelled coefficients
+  python -m pipeline stage=[train,evaluate,predict]          several stages, one after the other
+  python -m pipeline optimizer.adam.steps=500 seed=3         change values
+  python -m pipeline 'rotor.shaft.0.length=150 mm'           quantities carry their unit
+  python -m pipeline -m seed=1,2,3                           one job for each value
+  python -m pipeline --cfg job experiment=NAME               see the whole configuration"""
+
+
+def _table(rows: dict[str, str]) -> str:
+    width = max(map(len, rows), default=0) + 2
+    indent = " " * (width + 2)
+    return "\n".join(
+        textwrap.fill(words or "-", 100, initial_indent=f"  {name:<{width}}", subsequent_indent=indent)
+        for name, words in rows.items()
+    )
+
+
+def _description(experiment: str) -> str:
+    """The experiment's ``description``, read without the cost of a YAML parser."""
+    from pipeline.config.compose import CONF
+
+    text = (CONF / "experiment" / f"{experiment}.yaml").read_text(encoding="utf-8")
+    found = re.search(r"^description: *[>|]?-?\s*(.+)$", text, re.MULTILINE)
+    return found[1].strip().strip("'\"") if found else ""
