@@ -34,14 +34,18 @@ _LOOKS: dict[str, tuple[str, str, str]] = {
 
 
 def comparison_figure(path: Path, comparison: Comparison) -> Path:
-    """Median error of the worst coefficient, one line a method; those that give no answer are named below."""
+    """Median error of the worst coefficient, one line a method; those that give no answer are named below.
+
+    The number of speeds has a panel where there are several.
+    """
     panels: list[tuple[str, list[Case], str]] = []
     noise = comparison.along("noise")
     for case in comparison.along("sensors"):
         cases = [Case(one.noise, case.sensors, case.speeds) for one in noise]
         panels.append((f"sensors: {SENSOR_TEXT[case.sensors]}, {case.speeds} speeds", cases, "noise"))
     text = f"sensors: {SENSOR_TEXT[comparison.main.sensors]}, {100 * comparison.main.noise:g} % noise"
-    panels.append((text, comparison.along("speeds"), "speeds"))
+    if len(by_speeds := comparison.along("speeds")) > 1:
+        panels.append((text, by_speeds, "speeds"))
     columns = 2 if len(panels) > 1 else 1
     rows = (len(panels) + columns - 1) // columns
     with figure(path, rows, columns, 6.0 * columns, 1.2 + 3.9 * rows, sharey=True) as axes:

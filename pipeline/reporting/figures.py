@@ -20,6 +20,7 @@ from pipeline.rotor.bearing_table import BearingTable
 if TYPE_CHECKING:
     import pandas as pd
 
+    from pipeline.config.identification import LossConfig
     from pipeline.identification.training import TrainedBatch
 
 # Okabe and Ito's palette.
@@ -161,8 +162,16 @@ def _coefficients(
         ax.set_yscale("log")
 
 
-def history_figure(path: Path, history: Path) -> Path:
-    """Loss over the steps of training, on training and held-out speeds."""
+_LOSS_LABELS = {
+    "residual": "root mean square residual\nover bearing force (-)",
+    "preconditioned": "root mean square distance of the unknowns\nover their scale (-)",
+    "response": "root mean square deviation of the readings\nover their noise (-)",
+}
+
+
+def history_figure(path: Path, history: Path, loss: LossConfig) -> Path:
+    """The ``loss`` over the steps of training, on training and held-out speeds."""
+    unscaled = loss.kind == "residual" and loss.scaling == "none"
     table = read_table(history, {"step": "number", "phase": "text", "loss": "number"})
     with figure(path, 1, 1, 7.5, 4.2) as axes:
         ax = axes[0, 0]
@@ -181,7 +190,7 @@ def history_figure(path: Path, history: Path) -> Path:
                     color=GREY,
                 )
         ax.set_xlabel("training step")
-        ax.set_ylabel("root mean square residual\nover bearing force (-)")
+        ax.set_ylabel("root mean square residual (N)" if unscaled else _LOSS_LABELS[loss.kind])
         ax.legend(loc="center right")
     return path
 

@@ -108,7 +108,7 @@ def run(config: Config) -> StageOutput:
     if modelled is None or config.loss.kind == "response":
         say(f"{config.name}: {left_over.words}")
     written += [
-        history_figure(work.figure("training"), work.history),
+        history_figure(work.figure("training"), work.history, config.loss),
         coefficient_figure(work.figure("stiffness"), "k", answer, modelled, names, deviation),
         coefficient_figure(work.figure("damping"), "c", answer, modelled, names, deviation),
         write_json(work.metrics, metrics),
