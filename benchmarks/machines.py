@@ -11,7 +11,8 @@ if TYPE_CHECKING:
 
     from pipeline.config.schema import Config
     from pipeline.data.dataset import Excitation, VibrationDataset
-    from pipeline.equations.bearing_equations import BearingEquations
+    from pipeline.problem.measurement import Measurement
+    from pipeline.problem.residual import BearingEquations
     from pipeline.rotor.bearing_table import BearingTable
     from pipeline.rotor.model import RotorModel
 
@@ -57,9 +58,18 @@ class Machine:
     @cached_property
     def equations(self) -> BearingEquations:
         """The small system at the bearings."""
-        from pipeline.equations.bearing_equations import bearing_equations
+        return self.measurement.equations
 
-        return bearing_equations(self.rotor, self.dataset)
+    @cached_property
+    def measurement(self) -> Measurement:
+        """The clean data, as the configuration asks about them."""
+        return self.measured(self.dataset, self.config)
+
+    def measured(self, dataset: VibrationDataset, config: Config) -> Measurement:
+        """Other data of the machine, as another configuration asks about them; the bearings are the known ones."""
+        from pipeline.stages.measurement import measurement_of
+
+        return measurement_of(config, self.rotor, dataset, self.bearings)
 
     def respond(self) -> np.ndarray:
         """:attr:`response`, computed each time."""

@@ -14,9 +14,9 @@ from benchmarks.modelling import ross_seconds
 
 if TYPE_CHECKING:
     from pipeline.config.schema import Config
-    from pipeline.identification.response_fit import ResponseFit
+    from pipeline.identification.output_error_fit import OutputErrorFit
+    from pipeline.problem.measurement import Measurement
     from pipeline.rotor.bearing_table import BearingTable
-    from pipeline.stages.inputs import Inputs
 
 
 @BENCHMARKS.add(
@@ -30,7 +30,7 @@ def sixteen_unknowns() -> Times:
     with TemporaryDirectory() as folder:
         one = _ready("noisy_all", Path(folder))
         simulated = machine("experiment=noisy_all")
-        times = [(seconds(lambda: one.fit(one.inputs)), ross_seconds(simulated)) for _ in range(5)]
+        times = [(seconds(lambda: one.fit(one.measurement)), ross_seconds(simulated)) for _ in range(5)]
     return Times([pair[0] for pair in times], [pair[1] for pair in times])
 
 
@@ -48,8 +48,8 @@ def a_hundred_data_sets() -> Times:
 
     with TemporaryDirectory() as folder:
         one = _ready("noisy_stiffness", Path(folder))
-        fit, again, few = one.fit(one.inputs), one.measured_again(), 10
-        clean = fit.prepared.data.equations.predict(one.modelled)
+        fit, again, few = one.fit(one.measurement), one.measured_again(), 10
+        clean = one.measurement.response.predict(one.modelled)
         marquardt = one.config.optimizer.levenberg_marquardt
         times = in_turns(
             lambda: monte_carlo(fit, clean, 100, np.random.default_rng(0), marquardt),
@@ -64,38 +64,37 @@ class _Ready:
     """An experiment before its fit, and the machine that its data were made of."""
 
     config: Config
-    inputs: Inputs
+    measurement: Measurement
     modelled: BearingTable
 
-    def fit(self, inputs: Inputs) -> ResponseFit:
+    def fit(self, measurement: Measurement) -> OutputErrorFit:
         """A fit of some data of the experiment."""
+        from pipeline.identification.output_error_fit import fit_output_error
         from pipeline.identification.training import setup_of
-        from pipeline.stages.response import fitted, prepared_response
 
-        setup = setup_of(self.config)
-        return fitted(self.config, prepared_response(self.config, inputs, setup), setup, None)
+        return fit_output_error(measurement, setup_of(self.config))
 
-    def measured_again(self) -> Callable[[], Inputs]:
+    def measured_again(self) -> Callable[[], Measurement]:
         """A function that measures the machine once more, with other noise of 1 %."""
         import numpy as np
 
-        from pipeline.data.sensors import Sensors, both_directions, measured
+        from pipeline.data.sensors import Sensors, both_directions, measure
         from pipeline.data.simulate import simulate
         from pipeline.stages.generate import excitations
 
-        clean = simulate(self.inputs.rotor, self.modelled, excitations(self.config))
-        sensors = Sensors(both_directions(self.inputs.rotor.bearing_nodes), multiplicative=0.01)
+        clean = simulate(self.measurement.rotor, self.modelled, excitations(self.config))
+        sensors = Sensors(both_directions(self.measurement.rotor.bearing_nodes), multiplicative=0.01)
         generator = np.random.default_rng(0)
-        return lambda: replace(self.inputs, dataset=measured(clean, sensors, generator))
+        return lambda: replace(self.measurement, dataset=measure(clean, sensors, generator))
 
 
 def _ready(experiment: str, folder: Path) -> _Ready:
     from pipeline.config.compose import compose_config
-    from pipeline.stages.evaluate import load_modelled
-    from pipeline.stages.inputs import load_inputs
+    from pipeline.stages.measurement import load_measurement
+    from pipeline.stages.results import load_modelled
 
     config = compose_config([f"experiment={experiment}", f"output='{folder}'", "tracking=none"])
-    inputs = load_inputs(config)
-    modelled = load_modelled(config, inputs)
+    measurement = load_measurement(config)
+    modelled = load_modelled(config, measurement)
     assert modelled is not None
-    return _Ready(config, inputs, modelled)
+    return _Ready(config, measurement, modelled)

@@ -75,7 +75,7 @@ def _refused_study(place: str, patience: float) -> Callable[[], None]:
     made = machine("experiment=ball_bearing")
     storage = f"tuning.storage='postgresql+psycopg://me@{place}/x'"
     config = compose_config(["stage=tune", "experiment=ball_bearing", storage, f"tuning.timeout_seconds={patience}"])
-    problem = StudyProblem(config, made.equations, made.bearings, "the same data")
+    problem = StudyProblem(config, made.measurement)
 
     def run() -> None:
         try:

@@ -78,7 +78,7 @@ def _studied(folder: Path, *overrides: str) -> tuple[list[TrialAccount], float]:
 
     made = machine(_EXPERIMENT)
     config = compose_config(["stage=tune", f"tuning.storage={folder}/optuna.log", *overrides])
-    problem = StudyProblem(config, made.equations, made.bearings, "the same data")
+    problem = StudyProblem(config, made.measurement)
     start = time.perf_counter()
     study, _ = run_study(problem, lambda _: None)
     wall = time.perf_counter() - start

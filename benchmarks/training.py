@@ -10,7 +10,8 @@ from benchmarks.measure import BENCHMARKS, Action, Aim, Times, in_turns
 
 if TYPE_CHECKING:
     from pipeline.config.schema import Config
-    from pipeline.identification.training import TrainingSetup
+    from pipeline.identification.training import FitSetup
+    from pipeline.problem.measurement import Measurement
 
 _EXPERIMENT = "hydrostatic_stiffness"
 
@@ -45,17 +46,18 @@ def _optimisation(made: Machine, optimizer: str, count: int) -> Action:
 
     from pipeline.config.identification import AdamConfig, LevenbergMarquardtConfig
     from pipeline.identification import optimizers
-    from pipeline.identification.training import initial_parameters, prepare, setup_of
+    from pipeline.identification.residual_loss import initial_parameters, prepare_residual
+    from pipeline.identification.training import setup_of
 
     setup = setup_of(made.config)
-    prepared = prepare(made.equations, made.bearings, setup)
+    prepared = prepare_residual(made.measurement, setup)
     start = initial_parameters(prepared, setup, made.config.seed)
     go_on = torch.zeros(start.shape[:2], dtype=torch.bool)
     if optimizer == "adam":
         adam = AdamConfig(steps=count, patience=count, learning_rate=1e-3, final_rate_fraction=1.0)
-        return lambda: optimizers.adam(prepared.train, start, adam, lambda *_: go_on)
+        return lambda: optimizers.adam(prepared.problem, start, adam, lambda *_: go_on)
     marquardt = LevenbergMarquardtConfig(steps=count, patience=count, initial_damping=1e6)  # accepted at once
-    return lambda: optimizers.levenberg_marquardt(prepared.train, start, marquardt, lambda *_: go_on)
+    return lambda: optimizers.levenberg_marquardt(prepared.problem, start, marquardt, lambda *_: go_on)
 
 
 @BENCHMARKS.add("guesses_at_once", "81 initial guesses trained together", "one of them alone, as many steps", Aim(3))
@@ -63,21 +65,24 @@ def guesses_at_once() -> Times:
     """Without early stopping both take every step."""
     import torch
 
-    from pipeline.identification.training import initial_parameters, prepare, run_training
+    from pipeline.identification.residual_loss import initial_parameters, prepare_residual
+    from pipeline.identification.training import minimise
     from pipeline.stages.robustness import starting_points
 
     made = machine("experiment=ball_bearing")
     setup = endless(made.config)
-    prepared = prepare(made.equations, made.bearings, setup)
+    prepared = prepare_residual(made.measurement, setup)
     guesses = starting_points(made.config)
     together = torch.cat([initial_parameters(prepared, setup, made.config.seed, float(guess)) for guess in guesses])
     alone = together[40:41]
     return in_turns(
-        lambda: run_training(prepared, together, setup), lambda: run_training(prepared, alone, setup), turns=5
+        lambda: minimise(prepared.problem, together, setup, held_out=prepared.held_out),
+        lambda: minimise(prepared.problem, alone, setup, held_out=prepared.held_out),
+        turns=5,
     )
 
 
-def endless(config: Config) -> TrainingSetup:
+def endless(config: Config) -> FitSetup:
     """The configured training without early stopping: tolerance 0 and endless patience."""
     from pipeline.identification.training import setup_of
 
@@ -98,22 +103,24 @@ def ten_times_the_runs() -> Times:
     """QR leaves as many rows as unknowns, whatever the number of runs."""
     import numpy as np
 
-    from pipeline.equations.bearing_equations import BearingEquations
-    from pipeline.identification.training import initial_parameters, prepare, setup_of
+    from pipeline.identification.residual_loss import initial_parameters, prepare_residual
+    from pipeline.identification.training import setup_of
 
     made = machine(f"experiment={_EXPERIMENT}")
-    few = made.equations
-    many = replace(
-        few,
-        frequencies=np.tile(few.frequencies, 10),
-        free_residual=np.tile(few.free_residual, 10),
-        displacement=np.tile(few.displacement, 10),
+    few, data = made.measurement, made.dataset
+    again = [tuple(replace(e, run=f"{e.run} {i}") for e in data.excitations) for i in range(10)]
+    dataset = replace(
+        data,
+        runs=tuple(f"{run} {i}" for i in range(10) for run in data.runs),
+        displacement=np.tile(data.displacement, 10),
+        excitations=tuple(e for copy in again for e in copy),
     )
+    many = made.measured(dataset, made.config)
 
-    def jacobians(data: BearingEquations) -> Action:
+    def jacobians(measurement: Measurement) -> Action:
         setup = setup_of(made.config)
-        prepared = prepare(data, made.bearings, setup)
+        prepared = prepare_residual(measurement, setup)
         start = initial_parameters(prepared, setup, made.config.seed)
-        return lambda: [prepared.train.jacobian(start) for _ in range(3)]
+        return lambda: [prepared.problem.jacobian(start) for _ in range(3)]
 
     return in_turns(jacobians(many), jacobians(few), 9, inner=5)

@@ -1,19 +1,20 @@
 """Which coefficients are unknown, and what ties them together.
 
-An unknown is a free number; a coefficient is what it stands for. Without a structure each unknown is one
+An unknown is a number to be found; a coefficient is what it stands for. Without a structure each unknown is one
 coefficient. A structure lets one unknown stand for two, so that the identified coefficients obey it exactly:
 
     symmetric_damping   cxy = cyx
     isotropic           kxx = kyy, kxy = -kyx, cxx = cyy, cxy = -cyx
 
-Legend: B bearings, U unknowns (of all bearings together), 8 coefficients in the order of
-:data:`pipeline.coefficients.COEFFICIENTS`.
+Legend: B bearings, M members (B, or 1 where all bearings share their coefficients), U unknowns, A those of them that
+members have, S speeds, 8 coefficients in the order of :data:`pipeline.coefficients.COEFFICIENTS`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -54,15 +55,31 @@ class BearingUnknowns:
 
 @dataclass(frozen=True, eq=False)
 class UnknownSet:
-    """The unknowns of all bearings, and how coefficients follow from them: ``coefficients = expansion @ unknowns``."""
+    """What is identified: the unknowns of all bearings, and how coefficients follow from them.
+
+    ``coefficients = expansion @ unknowns``. A member has unknowns of its own: each bearing, or all of them together
+    where they share their coefficients.
+    """
 
     names: tuple[CoefficientName, ...]  # U, each by the coefficient that leads it
     expansion: np.ndarray  # (B, 8, U) of 0, 1 and -1; a row of zeros is a known coefficient
+    shared: bool = False  # all bearings share their coefficients
+    planes: tuple[int, ...] = ()  # nodes whose residual unbalance is identified too
+
+    @property
+    def n_members(self) -> int:
+        """M."""
+        return 1 if self.shared else len(self.expansion)
 
     @property
     def present(self) -> np.ndarray:
-        """(B, U) mask: False where a bearing does not have an unknown."""
-        return (self.expansion != 0).any(axis=1)
+        """(M, U) mask: False where a member does not have an unknown."""
+        return (self.expansion != 0).any(axis=1)[: self.n_members]
+
+    @cached_property
+    def active(self) -> tuple[tuple[int, int], ...]:
+        """The unknowns that members have, A of (member, unknown)."""
+        return tuple((int(m), int(u)) for m, u in np.argwhere(self.present))
 
     @property
     def identified(self) -> np.ndarray:
@@ -71,20 +88,49 @@ class UnknownSet:
 
     def coefficients(self, b: int) -> tuple[str, ...]:
         """Names of what is identified at bearing b."""
-        return tuple(name for name, free in zip(COEFFICIENTS, self.identified[b], strict=True) if free)
+        return tuple(name for name, found in zip(COEFFICIENTS, self.identified[b], strict=True) if found)
 
     @property
     def by_bearing(self) -> tuple[tuple[str, ...], ...]:
         """Names of what is identified, bearing by bearing."""
         return tuple(self.coefficients(b) for b in range(len(self.expansion)))
 
+    @cached_property
+    def influence(self) -> np.ndarray:
+        """(B, 8, A) which coefficients each active unknown moves, and with what sign."""
+        result = np.zeros((*self.expansion.shape[:2], len(self.active)))
+        for a, (m, u) in enumerate(self.active):
+            own = slice(None) if self.shared else slice(m, m + 1)
+            result[own, :, a] = self.expansion[own, :, u]
+        return result
+
     def expand(self, values: np.ndarray, known: np.ndarray) -> np.ndarray:
-        """(B, S, 8) coefficients from unknowns (B, S, U) and, where nothing is identified, ``known`` (B, S, 8)."""
-        found = np.einsum("bcu,bsu->bsc", self.expansion, values)
+        """(B, S, 8) coefficients from unknowns (M, S, U) and, where nothing is identified, ``known`` (B, S, 8)."""
+        every = np.broadcast_to(values, (len(self.expansion), *values.shape[1:]))
+        found = np.einsum("bcu,bsu->bsc", self.expansion, every)
         return np.where(self.identified[:, None], found, known)
 
+    def expand_deviation(self, deviation: np.ndarray) -> np.ndarray:
+        """(B, S, 8) standard deviations from those of the unknowns (M, S, U); NaN where nothing is identified."""
+        every = np.broadcast_to(deviation, (len(self.expansion), *deviation.shape[1:]))
+        # Each coefficient follows one unknown, with a sign that no deviation has. 0 x inf would be NaN.
+        follows = np.abs(self.expansion).argmax(axis=2)  # (B, 8)
+        return np.where(self.identified[:, None], np.take_along_axis(every, follows[:, None, :], axis=2), np.nan)
 
-def unknown_set(of: Mapping[int, BearingUnknowns]) -> UnknownSet:
+    def leading(self, values: np.ndarray) -> np.ndarray:
+        """(M, S, U) unknowns from coefficients (B, S, 8): each is the coefficient that leads it; zero where absent."""
+        leaders = [COEFFICIENTS.index(name) for name in self.names]
+        return values[: self.n_members][..., leaders] * self.present[:, None]
+
+    def from_active(self, columns: np.ndarray) -> np.ndarray:
+        """(M, S, U) from the active unknowns (S, A); zero where a member lacks an unknown."""
+        result = np.zeros((self.n_members, len(columns), len(self.names)))
+        for a, (m, u) in enumerate(self.active):
+            result[m, :, u] = columns[:, a]
+        return result
+
+
+def unknown_set(of: Mapping[int, BearingUnknowns], shared: bool = False, planes: tuple[int, ...] = ()) -> UnknownSet:
     """The unknowns of the bearings at these nodes, in the order of the mapping."""
     places = [bearing.places() for bearing in of.values()]
     asked = dict.fromkeys(name for bearing in of.values() for name in bearing.coefficients)
@@ -94,4 +140,4 @@ def unknown_set(of: Mapping[int, BearingUnknowns]) -> UnknownSet:
     for b, place in enumerate(places):
         for coefficient, (leader, sign) in place.items():
             expansion[b, COEFFICIENTS.index(coefficient), names.index(leader)] = sign
-    return UnknownSet(names, expansion)
+    return UnknownSet(names, expansion, shared, planes)

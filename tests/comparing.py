@@ -6,11 +6,12 @@ from functools import cache
 
 import numpy as np
 
-from pipeline.comparison.cases import Case, Machine, task_of
-from pipeline.comparison.catalogue import METHODS
-from pipeline.comparison.method import Estimate, Task
+from pipeline.comparison.cases import Case, Machine, measurement_of
 from pipeline.config.compose import compose_config
 from pipeline.config.schema import Config
+from pipeline.methods.catalogue import METHODS
+from pipeline.methods.method import Estimate, MethodOptions
+from pipeline.problem.measurement import Measurement
 from pipeline.stages.compare import modelled_machine
 
 
@@ -26,15 +27,21 @@ def machine(*overrides: str) -> Machine:
     return modelled_machine(composed(*overrides))
 
 
-def task(case: Case, *overrides: str) -> Task:
+def task(case: Case, *overrides: str) -> Measurement:
     """What a method sees of a case."""
     config = composed(*overrides)
-    return task_of(machine(*overrides), case, config.identify, config.comparison, config.seed)
+    return measurement_of(machine(*overrides), case, config.identify, config.comparison)
+
+
+def options(*overrides: str) -> MethodOptions:
+    """What a method may know beside it."""
+    config = composed(*overrides)
+    return MethodOptions(config.comparison, config.seed)
 
 
 def answer(method: str, case: Case, *overrides: str) -> Estimate:
     """What a method makes of it."""
-    return METHODS[method].identify(task(case, *overrides))
+    return METHODS[method].identify(task(case, *overrides), options(*overrides))
 
 
 def errors(estimate: Estimate, case: Case, *overrides: str) -> np.ndarray:

@@ -96,11 +96,11 @@ def bearings_of(nodes: tuple[int, ...], speeds: np.ndarray, **coefficients: floa
     return BearingTable(nodes, np.asarray(speeds, dtype=float), values)
 
 
-def unknown_at_all(nodes: tuple[int, ...], names: Sequence[str]) -> UnknownSet:
+def unknown_at_all(nodes: tuple[int, ...], names: Sequence[str], shared: bool = False) -> UnknownSet:
     """The same coefficients unknown at every bearing, without a structure."""
     from pipeline.unknowns import BearingUnknowns, unknown_set
 
-    return unknown_set(dict.fromkeys(nodes, BearingUnknowns(tuple(names))))
+    return unknown_set(dict.fromkeys(nodes, BearingUnknowns(tuple(names))), shared)
 
 
 def known_names(config: Config) -> tuple[str, ...]:

@@ -35,8 +35,8 @@ from pipeline.reporting.figures import figure
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.ross_adapter import assemble
 from pipeline.stages import run_stage
-from pipeline.stages.evaluate import load_identified
-from pipeline.stages.inputs import load_inputs
+from pipeline.stages.measurement import load_measurement
+from pipeline.stages.results import load_identified
 
 SMALL = [
     "experiment=ball_bearing",
@@ -990,8 +990,8 @@ def test_a_read_only_folder(stage: str, base: Config, mine: Path, monkeypatch: p
 def identified(base: Config, folder: Path, **sections: object) -> bytes:
     """The coefficients that evaluate and predict work with."""
     config = base.model_copy(update={"stage": "evaluate", "output": str(folder)} | sections)
-    inputs = load_inputs(config)
-    return load_identified(config, inputs).table(inputs.known).values.tobytes()
+    measurement = load_measurement(config)
+    return load_identified(config, measurement).table(measurement.known).values.tobytes()
 
 
 @pytest.fixture

@@ -95,15 +95,18 @@ def test_81_guesses_at_once_take_the_steps_of_one(machine: MachineFactory) -> No
     import torch
 
     from benchmarks.training import endless
-    from pipeline.identification.training import initial_parameters, prepare, run_training
+    from pipeline.identification.residual_loss import initial_parameters, prepare_residual
+    from pipeline.identification.training import minimise
     from pipeline.stages.robustness import starting_points
 
     made = machine("experiment=ball_bearing")
     setup, guesses = endless(made.config), starting_points(made.config)
     assert (len(guesses), guesses[0], guesses[-1]) == (81, 1.0, pytest.approx(1e8))
-    prepared = prepare(made.equations, made.bearings, setup)
+    prepared = prepare_residual(made.measurement, setup)
     together = torch.cat([initial_parameters(prepared, setup, made.config.seed, float(guess)) for guess in guesses])
-    batches = [run_training(prepared, start, setup) for start in (together[40:41], together)]
+    batches = [
+        minimise(prepared.problem, start, setup, held_out=prepared.held_out) for start in (together[40:41], together)
+    ]
     assert batches[0].steps == batches[1].steps
 
 
@@ -120,7 +123,7 @@ def test_two_workers_do_the_trials_of_one(machine: MachineFactory, tmp_path: Pat
         storage = f"tuning.storage={tmp_path}/{workers}.log"
         alike = ["tuning.sampler=random", "tuning.pruner=none", "tuning.n_trials=4", f"tuning.workers={workers}"]
         config = compose_config(["stage=tune", storage, *alike])
-        problem = StudyProblem(config, made.equations, made.bearings, "the same data")
+        problem = StudyProblem(config, made.measurement)
         study, sentences = run_study(problem, lambda _: None)
         assert sentences == []
         trials.append([trial.parameters for trial in accounts(study)])

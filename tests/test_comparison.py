@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from comparing import answer, composed, errors, machine, task
+from comparing import answer, composed, errors, machine, options, task
 
 from pipeline.comparison.cases import Case, cases, main_case
-from pipeline.comparison.catalogue import METHODS
-from pipeline.comparison.method import Reason, Refusal
 from pipeline.config.comparison import METHOD_NAMES
+from pipeline.methods.catalogue import METHODS
+from pipeline.methods.method import Reason, Refusal
 
 EXACT = 1e-6  # percent
 FILM = ("experiment=hydrostatic_stiffness", "excitation.speeds.step_rpm=100")
@@ -120,9 +120,9 @@ def test_cross_validation_needs_more_equations_than_unknowns() -> None:
     """Eight unknowns of two runs are solved exactly: nothing is left to validate by."""
     whole = task(Case(0.0, "all", 30), *EIGHT)
     two = whole.dataset.of_runs(np.array([0, 3]))
-    METHODS["least_squares"].identify(replace(whole, dataset=two))
+    METHODS["least_squares"].identify(replace(whole, dataset=two), options(*EIGHT))
     with pytest.raises(Refusal, match="8 equations for 8 unknowns"):
-        METHODS["tikhonov"].identify(replace(whole, dataset=two))
+        METHODS["tikhonov"].identify(replace(whole, dataset=two), options(*EIGHT))
 
 
 @pytest.mark.slow

@@ -6,15 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from comparing import answer, errors, machine, task
+from comparing import answer, errors, machine, options, task
 from scipy.linalg import expm
 
 from pipeline.comparison.cases import Case
-from pipeline.comparison.catalogue import METHODS
-from pipeline.comparison.method import Task
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.data.sensors import both_directions
 from pipeline.data.simulate import forced_response
+from pipeline.methods.catalogue import METHODS
+from pipeline.problem.measurement import Measurement
 from pipeline.rotor.model import RotorModel, translation_dof
 
 pytestmark = pytest.mark.slow
@@ -162,15 +162,14 @@ def test_impulse_records_give_all_coefficients_and_the_unbalance() -> None:
         np.array([frequencies]),
     )
     template = task(Case(0.001, "bearings", 12), *BLOWS)
-    own = Task(
+    own = Measurement(
         rotor,
         dataset,
         replace(truth, values=np.zeros_like(truth.values)),
         template.noise,
-        template.identify.model_copy(update={"unbalance_planes": (2,)}),
-        template.settings,
-        0,
+        replace(template.unknowns, planes=(2,)),
+        template.guess,
     )
-    found = METHODS["multi_frequency"].identify(own)
+    found = METHODS["multi_frequency"].identify(own, options(*BLOWS))
     np.testing.assert_allclose(found.coefficients.values, truth.values, rtol=0.01)
     assert "40 g mm at node 2" in found.words

@@ -17,18 +17,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.__main__ import main
-from pipeline.comparison import work
+from pipeline.comparison import runner
 from pipeline.comparison.cases import Case
-from pipeline.comparison.catalogue import METHODS
-from pipeline.comparison.method import Reason
 from pipeline.comparison.result import Result
-from pipeline.comparison.work import Bench, Item, compared
+from pipeline.comparison.runner import ComparisonSetup, MethodRun, compare
 from pipeline.config.compose import compose_config
-from pipeline.equations.bearing_equations import bearing_equations
-from pipeline.equations.filtered import _gain
-from pipeline.equations.noise import bearing_rows, residual_sensitivity
-from pipeline.equations.unknown_system import unknown_system
 from pipeline.errors import PipelineError
+from pipeline.methods.catalogue import METHODS
+from pipeline.methods.method import Reason
+from pipeline.problem.kalman_filter import _gain
+from pipeline.problem.noise import bearing_rows, residual_sensitivity
+from pipeline.problem.residual import bearing_equations, linear_residual
 from pipeline.reporting.comparison_tables import Comparison, noise_text
 from pipeline.stages.compare import modelled_machine
 
@@ -43,13 +42,13 @@ FAST = [
 WRITTEN = {"comparison.csv", "comparison.json", "comparison.md", "figures/comparison.png"}
 
 
-def bench(**changed: Any) -> Bench:
-    """A bench of few speeds."""
+def setup_of(**changed: Any) -> ComparisonSetup:
+    """A comparison at few speeds."""
     config = composed(*FEW)
-    return Bench(machine(*FEW), config.identify, config.comparison.model_copy(update=changed), config.seed)
+    return ComparisonSetup(machine(*FEW), config.identify, config.comparison.model_copy(update=changed), config.seed)
 
 
-ITEMS = [Item("least_squares", Case(noise, "bearings", 12)) for noise in (0.0, 0.001, 0.01)]
+RUNS = [MethodRun("least_squares", Case(noise, "bearings", 12)) for noise in (0.0, 0.001, 0.01)]
 
 
 def nothing(done: int, total: int, result: Result) -> None:
@@ -96,22 +95,22 @@ def test_what_is_done_is_not_done_again(tmp_path: Path, monkeypatch: pytest.Monk
         if error is not None:
             raise error
 
-    own = bench(workers=1)
+    own = setup_of(workers=1)
     with pytest.raises(KeyboardInterrupt):
-        compared(own, ITEMS, tmp_path, stop)
-    asked: list[Item] = []
-    real = Bench.result
+        compare(own, RUNS, tmp_path, stop)
+    asked: list[MethodRun] = []
+    real = ComparisonSetup.result
 
-    def counted(self: Bench, item: Item) -> Result:
+    def counted(self: ComparisonSetup, item: MethodRun) -> Result:
         asked.append(item)
         return real(self, item)
 
-    monkeypatch.setattr(Bench, "result", counted)
-    results = compared(own, ITEMS, tmp_path, nothing)
-    assert asked == ITEMS[2:]
-    assert [r.case for r in results] == [item.case for item in ITEMS]
-    assert compared(own, ITEMS, tmp_path, nothing) == results
-    assert asked == ITEMS[2:]
+    monkeypatch.setattr(ComparisonSetup, "result", counted)
+    results = compare(own, RUNS, tmp_path, nothing)
+    assert asked == RUNS[2:]
+    assert [r.case for r in results] == [item.case for item in RUNS]
+    assert compare(own, RUNS, tmp_path, nothing) == results
+    assert asked == RUNS[2:]
 
 
 @pytest.mark.slow
@@ -123,7 +122,7 @@ def test_an_interrupted_stage_says_how_to_go_on(
     def interrupted(*arguments: Any) -> list[Result]:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("pipeline.stages.compare.compared", interrupted)
+    monkeypatch.setattr("pipeline.stages.compare.compare", interrupted)
     assert main(["stage=compare", *FEW, *FAST, f"output={tmp_path}", "tracking=none"]) == 130
     assert "goes on from there" in capsys.readouterr().out
 
@@ -131,20 +130,20 @@ def test_an_interrupted_stage_says_how_to_go_on(
 @pytest.mark.parametrize("damage", ["{", '{"fingerprint": "0"}', "[]", '{"fingerprint": "0", "result": {}}'])
 def test_a_damaged_or_old_result_is_made_again(damage: str, tmp_path: Path) -> None:
     """Of another program or configuration, cut off, or no result at all."""
-    own = bench(workers=1)
-    first = compared(own, ITEMS[:1], tmp_path, nothing)
-    path = tmp_path / ITEMS[0].file
+    own = setup_of(workers=1)
+    first = compare(own, RUNS[:1], tmp_path, nothing)
+    path = tmp_path / RUNS[0].file
     path.write_text(damage)
-    again = compared(own, ITEMS[:1], tmp_path, nothing)
+    again = compare(own, RUNS[:1], tmp_path, nothing)
     assert again[0].coefficients == first[0].coefficients
     assert json.loads(path.read_text())["fingerprint"] == own.fingerprint()
 
 
 def test_results_are_of_their_settings_alone() -> None:
     """Other methods and cases leave the others' results; another guess, noise or machine does not."""
-    own = bench()
-    assert bench(workers=7, methods=("kalman",), noise=(0.5,)).fingerprint() == own.fingerprint()
-    assert bench(location=2).fingerprint() != own.fingerprint()
+    own = setup_of()
+    assert setup_of(workers=7, methods=("kalman",), noise=(0.5,)).fingerprint() == own.fingerprint()
+    assert setup_of(location=2).fingerprint() != own.fingerprint()
     assert replace(own, seed=1).fingerprint() != own.fingerprint()
     assert replace(own, machine=replace(own.machine, noise_seed=1)).fingerprint() != own.fingerprint()
 
@@ -152,11 +151,11 @@ def test_results_are_of_their_settings_alone() -> None:
 @pytest.mark.slow
 def test_processes_give_the_bits_of_one(tmp_path: Path) -> None:
     """What is sent to them is all that a result follows from."""
-    one, two = (compared(bench(workers=n), ITEMS, tmp_path / str(n), nothing) for n in (1, 2))
+    one, two = (compare(setup_of(workers=n), RUNS, tmp_path / str(n), nothing) for n in (1, 2))
     assert [r.coefficients for r in one] == [r.coefficients for r in two]
 
 
-def killed(item: Item) -> Result:
+def killed(item: MethodRun) -> Result:
     """What the operating system does to a process where the memory is spent."""
     os._exit(1)
 
@@ -164,9 +163,9 @@ def killed(item: Item) -> Result:
 @pytest.mark.slow
 def test_a_killed_process_is_said_in_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Not waited for."""
-    monkeypatch.setattr(work, "_work", killed)
+    monkeypatch.setattr(runner, "_work", killed)
     with pytest.raises(PipelineError, match="run the same command again to go on"):
-        compared(bench(workers=2), ITEMS, tmp_path, nothing)
+        compare(setup_of(workers=2), RUNS, tmp_path, nothing)
 
 
 @pytest.mark.slow
@@ -178,7 +177,7 @@ def test_a_killed_process_is_said_in_words(tmp_path: Path, monkeypatch: pytest.M
         ("comparison.noise=[2]", "less than 1"),
         ("comparison.location=99", "nodes 0 to 6"),
         ("comparison.prior.lowest_stiffness=1e10 N/m", "lowest_stiffness < highest_stiffness"),
-        ("comparison.response.loss.kind=residual", "loss of its name"),
+        ("comparison.response.loss.kind=residual", "must have loss=response"),
         ("experiment=measured_demo", "modelled machine"),
     ],
 )
@@ -204,10 +203,10 @@ FEW_STEPS = [
 def test_every_method_says_something_of_other_machines(experiment: str, tmp_path: Path) -> None:
     """An answer, or the name of what it can't do; never an error."""
     config = compose_config([f"experiment={experiment}", *FIVE_SPEEDS, *FEW_STEPS, "comparison.workers=1"])
-    own = Bench(modelled_machine(config), config.identify, config.comparison, config.seed)
+    own = ComparisonSetup(modelled_machine(config), config.identify, config.comparison, config.seed)
     sensors = ("bearings", "location")
-    items = [Item(method, Case(0.01, where, 5)) for where in sensors for method in METHODS]
-    results = compared(own, items, tmp_path, nothing)
+    items = [MethodRun(method, Case(0.01, where, 5)) for where in sensors for method in METHODS]
+    results = compare(own, items, tmp_path, nothing)
     names = {"answered", *(reason.name.lower() for reason in Reason)}
     assert {result.outcome for result in results} <= names
     for result in results:
@@ -282,7 +281,7 @@ def test_the_derivative_of_the_equations_by_the_readings() -> None:
     step[:, 2, 1] = 1e-6 * (1 + 2j)
     moved = replace(own.dataset, displacement=own.dataset.displacement + step)
     before, after = (
-        unknown_system(bearing_equations(own.rotor, dataset), own.unknowns, own.known)
+        linear_residual(bearing_equations(own.rotor, dataset), own.unknowns, own.known)
         for dataset in (own.dataset, moved)
     )
 

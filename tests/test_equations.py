@@ -1,6 +1,6 @@
 """The small system at the bearings holds at the truth, and equals the full matrices in value and gradient.
 
-Legend as in pipeline.equations: S speeds, R runs, B bearings, U unknowns.
+Legend as in pipeline.problem: S speeds, R runs, B bearings, U unknowns.
 """
 
 from __future__ import annotations
@@ -18,25 +18,31 @@ from hypothesis import strategies as st
 from pipeline.coefficients import COEFFICIENTS, column, is_stiffness, row
 from pipeline.config.identification import ConstantModelConfig, ModelConfig, NetworkModelConfig
 from pipeline.data.dataset import VibrationDataset, force_vectors
-from pipeline.equations import unknown_system as systems
-from pipeline.equations.bearing_equations import BearingEquations, bearing_equations
-from pipeline.equations.identifiability import identifiability, require_identifiable
-from pipeline.equations.least_squares import per_speed_least_squares
 from pipeline.errors import DataError, IdentifiabilityError
-from pipeline.identification.coefficient_model import CoefficientModel, coefficient_model
-from pipeline.identification.problem import ResidualProblem, data_scale, residual_problem, speed_scaling
+from pipeline.identification.model import CoefficientModel, coefficient_model
+from pipeline.identification.residual_loss import ResidualProblem, data_scale, residual_problem, speed_scaling
+from pipeline.problem.identifiability import judge_identifiability, require_identifiable
+from pipeline.problem.residual import (
+    BearingEquations,
+    LinearResidual,
+    bearing_equations,
+    linear_residual,
+    per_speed_least_squares,
+)
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import bearing_dof
 
 
-def unknown_system(equations: BearingEquations, names: Sequence[str], known: BearingTable) -> systems.UnknownSystem:
+def residual_in(
+    equations: BearingEquations, names: Sequence[str], known: BearingTable, shared: bool = False
+) -> LinearResidual:
     """The same unknowns at every bearing."""
-    return systems.unknown_system(equations, unknown_at_all(equations.bearing_nodes, names), known)
+    return linear_residual(equations, unknown_at_all(equations.bearing_nodes, names, shared), known)
 
 
-def require(equations: BearingEquations, system: systems.UnknownSystem) -> None:
+def require(equations: BearingEquations, residual: LinearResidual) -> None:
     """Raise where some bearing's unknowns are determined at no speed."""
-    require_identifiable(identifiability(equations, system, alike=False, constant=False))
+    require_identifiable(judge_identifiability(equations, residual, constant=False))
 
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -119,15 +125,10 @@ def test_missing_probe_at_a_bearing_is_refused(hydrostatic: Machine) -> None:
 def test_subset_of_speeds(hydrostatic: Machine) -> None:
     """The equations of some speeds are those of all speeds there: speeds do not mix (eq. 1)."""
     keep = np.arange(60) % 7 == 3
-    few = replace(
-        hydrostatic.dataset,
-        speeds=hydrostatic.speeds[keep],
-        displacement=hydrostatic.dataset.displacement[keep],
-    )
-    made, cut = bearing_equations(hydrostatic.rotor, few), hydrostatic.equations.subset(keep)
-    np.testing.assert_allclose(made.free_residual, cut.free_residual, rtol=1e-9, atol=1e-12)
-    np.testing.assert_array_equal(made.displacement, cut.displacement)
-    np.testing.assert_array_equal(made.speeds, cut.speeds)
+    part, whole = hydrostatic.measurement.select(keep).equations, hydrostatic.equations
+    np.testing.assert_allclose(part.free_residual, whole.free_residual[:, keep], rtol=1e-9, atol=1e-12)
+    np.testing.assert_array_equal(part.displacement, whole.displacement[:, keep])
+    np.testing.assert_array_equal(part.speeds, hydrostatic.speeds[keep])
 
 
 # --- the small system and the full matrices ------------------------------------------------------
@@ -188,7 +189,7 @@ def test_rows_are_linear_in_the_unknowns(hydrostatic: Machine, rng: np.random.Ge
     residual = hydrostatic.equations.residual(table.impedance())
     wanted = np.concatenate([f(residual).reshape(2, 60, -1) for f in (np.real, np.imag)], axis=2)
     for unknowns in (("kxx",), ("kxx", "kyy", "cxx", "cyy"), ("cyx", "kxy"), COEFFICIENTS):
-        system = unknown_system(hydrostatic.equations, unknowns, table)
+        system = residual_in(hydrostatic.equations, unknowns, table)
         p = np.stack([table.coefficient(name) for name in unknowns], axis=-1)
         rows = (system.matrix @ p[..., None])[..., 0] + system.offset
         np.testing.assert_allclose(rows, wanted, rtol=0, atol=1e-11 * np.abs(wanted).max())
@@ -251,10 +252,10 @@ def problem_of(
     keep: np.ndarray | None = None,
 ) -> tuple[ResidualProblem, CoefficientModel]:
     """What training minimises, at the speeds ``keep``; the known coefficients are the modelled ones."""
-    system = unknown_system(machine.equations, unknowns, machine.bearings if known is None else known)
-    model = coefficient_model(config, unknowns, machine.speeds, data_scale(system, members))
+    residual = residual_in(machine.equations, unknowns, machine.bearings if known is None else known, members == 1)
+    model = coefficient_model(config, unknowns, machine.speeds, data_scale(residual))
     keep = np.ones(len(machine.speeds), dtype=bool) if keep is None else keep
-    return residual_problem(model, machine.equations, system, keep, factors), model
+    return residual_problem(model, machine.speeds[keep], residual.at(keep), factors[:, keep]), model
 
 
 @pytest.mark.parametrize("members", [1, 2], ids=["tied", "separate"])
@@ -290,7 +291,7 @@ def test_member_is_the_problem_of_one_bearing(hydrostatic: Machine, generator: t
     together = problem.loss(parameters)
     for m in range(2):
         torch.testing.assert_close(
-            problem.member(m).loss(parameters[:, m : m + 1])[:, 0], together[:, m], rtol=1e-13, atol=0
+            problem.members()[m].loss(parameters[:, m : m + 1])[:, 0], together[:, m], rtol=1e-13, atol=0
         )
 
 
@@ -315,7 +316,7 @@ def test_least_squares_is_exact_on_clean_data(unknowns: tuple[str, ...], probes:
     """Tiwari, Lees, Friswell (2002): independent equations, as many as unknowns, give them, here to 1e-9."""
     data = hydrostatic.dataset if probes == "all nodes" else at_bearings(hydrostatic)
     equations = bearing_equations(hydrostatic.rotor, data)
-    found, condition = per_speed_least_squares(unknown_system(equations, unknowns, hydrostatic.bearings))
+    found, condition = per_speed_least_squares(residual_in(equations, unknowns, hydrostatic.bearings))
     true = np.stack([hydrostatic.bearings.coefficient(name) for name in unknowns], axis=-1)
     assert np.isfinite(condition).all()
     # Coefficients of one kind are measured by the largest of them: some pass zero.
@@ -325,7 +326,7 @@ def test_least_squares_is_exact_on_clean_data(unknowns: tuple[str, ...], probes:
 def test_least_squares_on_ball_bearings(ball: Machine) -> None:
     """One run gives four real equations a bearing and speed: enough for kxx and kyy, and for damping too."""
     for unknowns in (("kxx", "kyy"), ("kxx", "kyy", "cxx", "cyy")):
-        found, _ = per_speed_least_squares(unknown_system(ball.equations, unknowns, ball.bearings))
+        found, _ = per_speed_least_squares(residual_in(ball.equations, unknowns, ball.bearings))
         for u, name in enumerate(unknowns):
             w = 1.0 if is_stiffness(name) else ball.speeds
             error = np.abs(found[..., u] - ball.bearings.coefficient(name)) * w
@@ -336,7 +337,7 @@ def test_least_squares_of_all_eight(hydrostatic: Machine) -> None:
     """method.md, section 3: unbalance runs on two journal bearings have rank 2 and a condition number of 1e3
     to 1e5, which clean data in double precision bear: 1e-3 is asked, and what is reached is printed.
     """
-    system = unknown_system(hydrostatic.equations, COEFFICIENTS, nothing_known(hydrostatic))
+    system = residual_in(hydrostatic.equations, COEFFICIENTS, nothing_known(hydrostatic))
     found, condition = per_speed_least_squares(system)
     true = hydrostatic.bearings.values
     error = float((np.linalg.norm(found - true, axis=-1) / np.linalg.norm(true, axis=-1)).max())
@@ -349,7 +350,7 @@ def test_least_squares_of_all_eight(hydrostatic: Machine) -> None:
 @given(exponents=st.lists(st.floats(-9, 9), min_size=4, max_size=4), rows=st.floats(-6, 6))
 def test_condition_number_does_not_depend_on_units(hydrostatic: Machine, exponents: list[float], rows: float) -> None:
     """The condition number speaks of the orbits: other units of a coefficient or of force leave it alone."""
-    system = unknown_system(hydrostatic.equations, SUBSETS[1], hydrostatic.bearings)
+    system = residual_in(hydrostatic.equations, SUBSETS[1], hydrostatic.bearings)
     factors = 10.0 ** np.array(exponents)
     other = replace(system, matrix=system.matrix * factors * 10.0**rows, offset=system.offset * 10.0**rows)
     (found, condition), (scaled, again) = per_speed_least_squares(system), per_speed_least_squares(other)
@@ -367,13 +368,13 @@ def test_condition_number_of_a_rank_one_system(hydrostatic: Machine) -> None:
         displacement=equations.displacement[..., [0, 0]],
     )
     unknowns = ("kxx", "kxy", "cxx", "cxy")
-    system = unknown_system(twice, unknowns, hydrostatic.bearings)
+    system = residual_in(twice, unknowns, hydrostatic.bearings)
     found, condition = per_speed_least_squares(system)
     assert (condition > 1e13).all()
     assert np.isfinite(found).all()
     with pytest.raises(IdentifiabilityError, match="orbits are multiples of each other"):
         require(twice, system)
-    require(equations, unknown_system(equations, COEFFICIENTS, hydrostatic.bearings))
+    require(equations, residual_in(equations, COEFFICIENTS, hydrostatic.bearings))
 
 
 @pytest.mark.parametrize(
@@ -392,7 +393,7 @@ def test_too_few_runs_are_refused(unknowns: tuple[str, ...], runs: int, hydrosta
     with pytest.raises(
         IdentifiabilityError, match=f"the 1 run determine . of {len(unknowns)} unknowns: a run gives 2 real"
     ):
-        require(few, unknown_system(few, unknowns, hydrostatic.bearings))
+        require(few, residual_in(few, unknowns, hydrostatic.bearings))
 
 
 def test_enough_runs_are_taken(hydrostatic: Machine) -> None:
@@ -405,7 +406,7 @@ def test_enough_runs_are_taken(hydrostatic: Machine) -> None:
             free_residual=equations.free_residual[..., :runs],
             displacement=equations.displacement[..., :runs],
         )
-        assert unknown_system(few, unknowns, hydrostatic.bearings).matrix.shape == (
+        assert residual_in(few, unknowns, hydrostatic.bearings).matrix.shape == (
             2,
             60,
             4 * runs,

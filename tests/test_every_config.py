@@ -22,7 +22,8 @@ from pipeline.data.dataset import Excitation
 from pipeline.errors import ConfigError, DataError, IdentifiabilityError
 from pipeline.rotor.ross_adapter import ross_rotor
 from pipeline.stages import STAGES, check, evaluate, robustness, run_stage
-from pipeline.stages.inputs import load_inputs
+from pipeline.stages.measurement import load_measurement
+from pipeline.stages.results import load_identified, load_modelled
 from pipeline.twin.prediction import predict
 from pipeline.units import RAD_S_PER_RPM
 
@@ -409,7 +410,7 @@ def test_a_model_trained_on_other_data_is_refused(stage: str, made: Made, tmp_pa
     assert contents(folder) == before
     run("train", "ball_bearing", folder, other)
     config = composed("ball_bearing", other).model_copy(update={"output": str(folder)})
-    evaluate.load_identified(config, load_inputs(config))
+    load_identified(config, load_measurement(config))
 
 
 def test_a_prediction_of_what_training_saw_is_refused(made: Made, tmp_path: Path) -> None:
@@ -436,23 +437,22 @@ def test_the_twin_of_every_start_is_held_against_the_modelled_machine(
 ) -> None:
     """robustness.json: the worst mean error of the vibration never seen, computed here start by start."""
     folder = Path(shutil.copytree(made("hydrostatic_stiffness"), tmp_path / "x"))
-    batches, real = [], robustness.run_training
+    answers: list[Any] = []
+    real = robustness._rows
 
-    def spy(*arguments: Any, **choices: Any) -> Any:
-        batches.append(real(*arguments, **choices))
-        return batches[-1]
+    def spy(config: Any, found: Any, tables: Any, *others: Any) -> Any:
+        answers.extend(tables)
+        return real(config, found, tables, *others)
 
-    monkeypatch.setattr(robustness, "run_training", spy)
+    monkeypatch.setattr(robustness, "_rows", spy)
     run("robustness", "hydrostatic_stiffness", folder)
-    (batch,) = batches
     config = composed("hydrostatic_stiffness").model_copy(update={"output": str(folder)})
-    inputs = load_inputs(config)
-    modelled = evaluate.load_modelled(config, inputs)
+    measurement = load_measurement(config)
+    modelled = load_modelled(config, measurement)
     assert modelled is not None
     unseen = tuple(Excitation("new", "unbalance", u.node, u.magnitude, u.phase) for u in config.prediction.unbalances)
     true, *found = (
-        predict(inputs.rotor, table, unseen, config.prediction.node).displacement
-        for table in (modelled, *(batch.identified(g).table(inputs.known) for g in range(2)))
+        predict(measurement.rotor, table, unseen, config.prediction.node).displacement for table in (modelled, *answers)
     )
     errors = [100 * np.mean(np.abs(one - true) / np.abs(true), axis=0).max() for one in found]
     assert errors[0] != errors[1]

@@ -17,15 +17,22 @@ from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.compose import compose_config
 from pipeline.config.schema import Config
 from pipeline.data.dataset import Excitation, VibrationDataset
+from pipeline.data.noise import NoiseModel
 from pipeline.data.simulate import simulate, with_noise
-from pipeline.equations.bearing_equations import BearingEquations, bearing_equations
-from pipeline.equations.design import choose, merit
-from pipeline.equations.identifiability import Identifiability, Verdict, identifiability
-from pipeline.equations.least_squares import per_speed_least_squares
-from pipeline.equations.noise import least_squares_deviation, residual_covariance, sensor_deviation, whitened
-from pipeline.equations.unknown_system import UnknownSystem, unknown_system
 from pipeline.errors import ConfigError, IdentifiabilityError
-from pipeline.identification.training import PreparedTraining, initial_parameters, prepare, run_training, setup_of
+from pipeline.identification.fit import fit
+from pipeline.identification.residual_loss import ResidualTraining, initial_parameters, prepare_residual
+from pipeline.identification.training import setup_of
+from pipeline.problem.design import choose, merit
+from pipeline.problem.identifiability import Identifiability, Verdict, judge_identifiability
+from pipeline.problem.noise import least_squares_deviation, residual_covariance, whiten
+from pipeline.problem.residual import (
+    BearingEquations,
+    LinearResidual,
+    bearing_equations,
+    linear_residual,
+    per_speed_least_squares,
+)
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages import run_stage
 from pipeline.unknowns import BearingUnknowns, UnknownSet, unknown_set
@@ -65,8 +72,13 @@ def accounts_of(
 ) -> tuple[Identifiability, ...]:
     """What the runs determine of all eight coefficients of both bearings."""
     equations = bearing_equations(machine.rotor, simulate(machine.rotor, table, acting, own))
-    system = unknown_system(equations, everything(table.nodes), table)
-    return identifiability(equations, system, alike=False, constant=False)
+    system = linear_residual(equations, everything(table.nodes), table)
+    return judge_identifiability(equations, system, constant=False)
+
+
+def reports_of(machine: Machine) -> tuple[Identifiability, ...]:
+    """What the machine's own runs determine of its own unknowns."""
+    return judge_identifiability(machine.equations, machine.measurement.residual, constant=False)
 
 
 # --- the rank theorem (shared by every axisymmetric rotor) -------------------------------------------
@@ -139,8 +151,8 @@ def test_the_free_combination_changes_nothing_that_is_measured(rotor_of: Machine
     """Adding the combination that the account names to the true coefficients leaves the residual at zero."""
     table = table_of(rotor_of, ANISOTROPIC, ISOTROPIC)
     equations = bearing_equations(rotor_of.rotor, simulate(rotor_of.rotor, table, UNBALANCES))
-    system = unknown_system(equations, everything(table.nodes), table)
-    account = identifiability(equations, system, alike=False, constant=False)[0]
+    system = linear_residual(equations, everything(table.nodes), table)
+    account = judge_identifiability(equations, system, constant=False)[0]
     length = np.linalg.norm(system.matrix[0], axis=1)
     size = np.linalg.norm(equations.free_residual[0], axis=(1, 2))[:, None]
     moved = np.einsum("sru,su->sr", system.matrix[0], account.free / length * size)
@@ -159,8 +171,9 @@ def test_verdicts_of_the_compressor(machine: MachineFactory) -> None:
     with pytest.raises(
         IdentifiabilityError, match=r"bearing at node 8: not identifiable, because .*rank 1 of 2.*backward"
     ):
-        prepare(made.equations, made.bearings, setup)
-    journal, isotropic = prepare(made.equations, made.bearings, replace(setup, force=True)).identifiability
+        prepare_residual(made.measurement, setup)
+    assert prepare_residual(made.measurement, replace(setup, force=True))
+    journal, isotropic = reports_of(made)
     assert (set(journal.rank), set(journal.orbit_rank)) == ({4}, {1})
     assert isotropic.verdict is Verdict.IDENTIFIABLE
     cured = machine(
@@ -168,7 +181,7 @@ def test_verdicts_of_the_compressor(machine: MachineFactory) -> None:
         "excitation=compressor_backward",
         "excitation.speeds.step_rpm=200",
     )
-    for account in prepare(cured.equations, cured.bearings, setup_of(cured.config)).identifiability:
+    for account in reports_of(cured):
         assert account.verdict is Verdict.IDENTIFIABLE
 
 
@@ -176,9 +189,9 @@ def test_a_constant_is_identifiable_across_speeds(rotor_of: Machine) -> None:
     """One run determines half of eight unknowns at each speed; that they are the same at all speeds does the rest."""
     table = table_of(rotor_of, ANISOTROPIC, ANISOTROPIC)
     equations = bearing_equations(rotor_of.rotor, simulate(rotor_of.rotor, table, UNBALANCES[:1]))
-    system = unknown_system(equations, everything(table.nodes), table)
-    constant = identifiability(equations, system, alike=False, constant=True)
-    free = identifiability(equations, system, alike=False, constant=False)
+    system = linear_residual(equations, everything(table.nodes), table)
+    constant = judge_identifiability(equations, system, constant=True)
+    free = judge_identifiability(equations, system, constant=False)
     assert [one.verdict for one in constant] == [Verdict.ACROSS_SPEEDS] * 2
     assert [one.verdict for one in free] == [Verdict.NOT_IDENTIFIABLE] * 2
     assert "2 real equations" in free[0].reason
@@ -189,7 +202,6 @@ def test_a_constant_is_identifiable_across_speeds(rotor_of: Machine) -> None:
 
 def trained(machine: Machine, table: BearingTable, acting: tuple[Excitation, ...], *overrides: str) -> BearingTable:
     """The table that a short training gives."""
-    equations = bearing_equations(machine.rotor, simulate(machine.rotor, table, acting))
     config = compose_config(
         [
             "experiment=all_coefficients",
@@ -198,9 +210,8 @@ def trained(machine: Machine, table: BearingTable, acting: tuple[Excitation, ...
             *overrides,
         ]
     )
-    prepared = prepare(equations, table, setup_of(config))
-    batch = run_training(prepared, initial_parameters(prepared, setup_of(config), 1), setup_of(config))
-    return batch.identified().table(table)
+    data = replace(machine, bearings=table).measured(simulate(machine.rotor, table, acting), config)
+    return fit(data, replace(setup_of(config), seed=1)).table(table)
 
 
 @pytest.mark.slow
@@ -252,18 +263,17 @@ def test_a_structure_needs_both_of_a_pair() -> None:
 # --- the preconditioned loss -------------------------------------------------------------------------
 
 
-def prepared_with(machine: Machine, *overrides: str) -> PreparedTraining:
+def prepared_with(machine: Machine, *overrides: str) -> ResidualTraining:
     """The training of all eight coefficients of a machine."""
-    return prepare(
-        machine.equations, machine.bearings, setup_of(compose_config(["experiment=all_coefficients", *overrides]))
-    )
+    config = compose_config(["experiment=all_coefficients", *overrides])
+    return prepare_residual(machine.measured(machine.dataset, config), setup_of(config))
 
 
 @pytest.mark.slow
 def test_both_losses_have_the_same_minimiser_on_clean_data(rotor_of: Machine) -> None:
     """At the true coefficients both are zero to rounding, and their answers at each speed are the truth."""
     for loss in ("residual", "preconditioned"):
-        problem = prepared_with(rotor_of, f"loss={loss}", "training.holdout_every=0").train
+        problem = prepared_with(rotor_of, f"loss={loss}", "training.holdout_every=0").problem
         _, answer = problem.per_speed(0.0)
         np.testing.assert_allclose(answer * problem.scale.numpy(), rotor_of.bearings.values, rtol=1e-5, atol=1.0)
         rows = (problem.matrix @ torch.as_tensor(rotor_of.bearings.values)[..., None])[..., 0] + problem.offset
@@ -272,7 +282,7 @@ def test_both_losses_have_the_same_minimiser_on_clean_data(rotor_of: Machine) ->
 
 def test_the_preconditioned_loss_is_the_distance_from_the_answer_of_each_speed(rotor_of: Machine) -> None:
     """Without regularisation its rows are the relative distance itself; with it, no direction is weighed more."""
-    problem = prepared_with(rotor_of, "loss=residual").train
+    problem = prepared_with(rotor_of, "loss=residual").problem
     plain, damped = problem.preconditioned(0.0), problem.preconditioned(1e-3)
     size = np.sqrt(plain.offset.shape[1] * plain.offset.shape[2])
     for m in range(2):
@@ -289,19 +299,17 @@ def test_the_start_from_least_squares_is_near_the_answer(rotor_of: Machine) -> N
     losses = []
     for initialisation in ("guess", "per_speed"):
         config = compose_config(["experiment=all_coefficients", f"model.initialisation={initialisation}"])
-        prepared = prepare(rotor_of.equations, rotor_of.bearings, setup_of(config))
-        losses.append(float(prepared.train.loss(initial_parameters(prepared, setup_of(config), 0)).max()))
+        prepared = prepare_residual(rotor_of.measured(rotor_of.dataset, config), setup_of(config))
+        losses.append(float(prepared.problem.loss(initial_parameters(prepared, setup_of(config), 0)).max()))
     assert losses[1] < 0.01 * losses[0]
 
 
 # --- noise -------------------------------------------------------------------------------------------
 
 
-def fits(machine: Machine, dataset: VibrationDataset, unknowns: UnknownSet, covariance: np.ndarray) -> UnknownSystem:
+def fits(machine: Machine, dataset: VibrationDataset, unknowns: UnknownSet, covariance: np.ndarray) -> LinearResidual:
     """The weighted equations of a data set."""
-    return whitened(
-        unknown_system(bearing_equations(machine.rotor, dataset), unknowns, machine.bearings), covariance, False
-    )
+    return whiten(linear_residual(bearing_equations(machine.rotor, dataset), unknowns, machine.bearings), covariance)
 
 
 @pytest.mark.parametrize("sensors", ["every node", "bearings alone"])
@@ -315,7 +323,7 @@ def test_the_predicted_deviation_is_the_spread_of_noisy_fits(
         channels = tuple(dataset.channels[p] for p in kept)
         dataset = replace(dataset, channels=channels, displacement=dataset.displacement[:, kept])
     unknowns = everything((1, 5))
-    deviation = sensor_deviation(dataset, 0.0, 1e-4)
+    deviation = NoiseModel(0.0, 1e-4).deviation(dataset.displacement)
     covariance = residual_covariance(rotor_of.rotor, dataset, rotor_of.bearings, deviation)
     predicted = least_squares_deviation(fits(rotor_of, dataset, unknowns, covariance))
     found = np.array(
@@ -334,10 +342,12 @@ def test_what_is_free_has_an_infinite_deviation(rotor_of: Machine) -> None:
     """No number is given for what the data do not determine."""
     table = table_of(rotor_of, ANISOTROPIC, ISOTROPIC)
     dataset = simulate(rotor_of.rotor, table, UNBALANCES)
-    covariance = residual_covariance(rotor_of.rotor, dataset, table, sensor_deviation(dataset, 0.0, 1e-3))
+    covariance = residual_covariance(
+        rotor_of.rotor, dataset, table, NoiseModel(0.0, 1e-3).deviation(dataset.displacement)
+    )
     equations = bearing_equations(rotor_of.rotor, dataset)
-    system = unknown_system(equations, everything(table.nodes), table)
-    assert np.isinf(least_squares_deviation(whitened(system, covariance, False))[0]).all()
+    system = linear_residual(equations, everything(table.nodes), table)
+    assert np.isinf(least_squares_deviation(whiten(system, covariance))[0]).all()
 
 
 # --- excitation at a frequency of its own ------------------------------------------------------------
@@ -353,7 +363,7 @@ def test_asynchronous_data_are_identified(machine: MachineFactory) -> None:
     made = machine("experiment=all_coefficients", *FEW, f"excitation.runs={runs}")
     assert made.dataset.frequencies.shape == (len(made.speeds), 3)
     np.testing.assert_allclose(made.dataset.frequencies[:, 2], 60 * np.pi)
-    system = unknown_system(made.equations, everything((1, 5)), made.bearings)
+    system = linear_residual(made.equations, everything((1, 5)), made.bearings)
     values, _ = per_speed_least_squares(system)
     np.testing.assert_allclose(values, made.bearings.values, rtol=1e-6, atol=1.0)
     residual: BearingEquations = made.equations

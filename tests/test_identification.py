@@ -21,7 +21,6 @@ from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.compose import compose_config, options
 from pipeline.config.identification import (
     AdamConfig,
-    IdentifyConfig,
     LBFGSConfig,
     LevenbergMarquardtConfig,
     LossConfig,
@@ -30,20 +29,21 @@ from pipeline.config.identification import (
     TrainingConfig,
 )
 from pipeline.errors import DataError, IdentifiabilityError
-from pipeline.identification.coefficient_model import CoefficientModel, coefficient_model
+from pipeline.identification.fit import fit
 from pipeline.identification.identified import IdentifiedModel
+from pipeline.identification.model import CoefficientModel, coefficient_model
 from pipeline.identification.outcome import Outcome
+from pipeline.identification.residual_loss import ResidualTraining, initial_parameters, prepare_residual
 from pipeline.identification.storage import ARCHITECTURE, WEIGHTS, load_model, save_model
 from pipeline.identification.training import (
-    PreparedTraining,
-    TrainedBatch,
-    TrainingSetup,
+    FitSetup,
+    Minimum,
+    Progress,
     held_out_speeds,
     initial_guess,
-    initial_parameters,
-    prepare,
-    run_training,
+    minimise,
 )
+from pipeline.problem.measurement import Measurement
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -70,15 +70,12 @@ def setup_of(
     machine: Machine,
     phases: OptimizerConfig,
     parametrisation: str = "log",
-    unknowns: tuple[str, ...] = ("kxx", "kyy"),
-    tied: bool = False,
     scaling: str = "per_speed",
     holdout_every: int = 0,
     tolerance: float = 0.0,
-) -> TrainingSetup:
+) -> FitSetup:
     """The experiment's model, trained by ``phases``."""
-    return TrainingSetup(
-        IdentifyConfig(unknowns=unknowns, structure="none", tie_bearings=tied),
+    return FitSetup(
         machine.config.model.model_copy(update={"parametrisation": parametrisation}),
         LossConfig(kind="residual", scaling=scaling, regularisation=0.0),
         phases,
@@ -86,24 +83,48 @@ def setup_of(
     )
 
 
-def starts(prepared: PreparedTraining, setup: TrainingSetup, guesses: list[float]) -> torch.Tensor:
+def asked(machine: Machine, *unknowns: str, shared: bool = False) -> Measurement:
+    """The machine's clean data, with these coefficients unknown (kxx and kyy)."""
+    names = unknowns or ("kxx", "kyy")
+    return replace(machine.measurement, unknowns=unknown_at_all(machine.rotor.bearing_nodes, names, shared))
+
+
+def starts(training: ResidualTraining, setup: FitSetup, guesses: list[float]) -> torch.Tensor:
     """(G, M, P) one training a guess, N/m."""
-    return torch.cat([initial_parameters(prepared, setup, 0, guess) for guess in guesses])
+    return torch.cat([initial_parameters(training, setup, 0, guess) for guess in guesses])
 
 
-def trained(machine: Machine, setup: TrainingSetup, guesses: list[float]) -> TrainedBatch:
+def run(
+    training: ResidualTraining,
+    start: torch.Tensor,
+    setup: FitSetup,
+    progress: Progress | None = None,
+    record_trajectory: bool = False,
+) -> Minimum:
+    """Train from there."""
+    return minimise(
+        training.problem,
+        start,
+        setup,
+        held_out=training.held_out,
+        progress=progress,
+        record_trajectory=record_trajectory,
+    )
+
+
+def trained(measurement: Measurement, setup: FitSetup, guesses: list[float]) -> tuple[ResidualTraining, Minimum]:
     """All guesses at once."""
-    prepared = prepare(machine.equations, machine.bearings, setup)
-    return run_training(prepared, starts(prepared, setup, guesses), setup)
+    training = prepare_residual(measurement, setup)
+    return training, run(training, starts(training, setup, guesses), setup)
 
 
-def errors(machine: Machine, batch: TrainedBatch) -> np.ndarray:
+def errors(machine: Machine, training: ResidualTraining, found: Minimum) -> np.ndarray:
     """(G,) the largest relative error of any coefficient and speed."""
     worst = []
-    for g in range(len(batch.parameters)):
-        found = batch.identified(g).values(machine.speeds)
-        true = np.stack([machine.bearings.coefficient(n) for n in batch.prepared.model.unknowns], axis=-1)
-        worst.append(np.abs(found / true - 1).max())
+    for parameters in found.parameters:
+        values = training.identified(parameters).values(machine.speeds)
+        true = np.stack([machine.bearings.coefficient(n) for n in training.model.unknowns], axis=-1)
+        worst.append(np.abs(values / true - 1).max())
     return np.array(worst)
 
 
@@ -155,17 +176,18 @@ def test_problem_jacobian_equals_autograd(
     parametrisation: str, depth: int | None, tied: bool, hydrostatic: Machine, generator: torch.Generator
 ) -> None:
     """What Levenberg-Marquardt steps by is the derivative of the rows that the loss squares."""
-    setup = setup_of(hydrostatic, optimizer(lm=1), parametrisation, ("kxx", "kyy", "cxx"), tied)
+    setup = setup_of(hydrostatic, optimizer(lm=1), parametrisation)
     kind: dict[str, object] = {"width": 3, "depth": depth}
     model = hydrostatic.config.model.model_copy(update=kind | {"parametrisation": parametrisation})
     if depth is None:
         model = compose_config(["experiment=ball_bearing", f"model.parametrisation={parametrisation}"]).model
     few = np.arange(0, 60, 9)
-    prepared = prepare(hydrostatic.equations.subset(few), hydrostatic.bearings.at(few), replace(setup, model=model))
+    measurement = asked(hydrostatic, "kxx", "kyy", "cxx", shared=tied).select(few)
+    prepared = prepare_residual(measurement, replace(setup, model=model))
     shape = (1, 1 if tied else 2, prepared.model.n_parameters)
     parameters = 0.3 * torch.randn(*shape, generator=generator, dtype=torch.float64)
-    found = prepared.train.jacobian(parameters)
-    wanted = torch.autograd.functional.jacobian(prepared.train.rows, parameters)  # (1, M, rows, 1, M, P)
+    found = prepared.problem.jacobian(parameters)
+    wanted = torch.autograd.functional.jacobian(prepared.problem.rows, parameters)  # (1, M, rows, 1, M, P)
     for m in range(shape[1]):
         torch.testing.assert_close(found[0, m], wanted[0, m, :, 0, m], rtol=1e-9, atol=1e-11)
         others = [other for other in range(shape[1]) if other != m]
@@ -190,8 +212,8 @@ def test_slope_of_the_parametrisation(raw: float, scale: float) -> None:
 def test_constants_start_at_the_guess(parametrisation: str, guess: float, ball: Machine) -> None:
     """Paper, Figure 2: a training starts at its initial guess, here to rounding, from 1 to 1e8 N/m."""
     setup = setup_of(ball, optimizer(lm=1), parametrisation)
-    prepared = prepare(ball.equations, ball.bearings, setup)
-    start = IdentifiedModel(prepared.model, prepared.unknowns, (0, 2), starts(prepared, setup, [guess])[0])
+    prepared = prepare_residual(asked(ball), setup)
+    start = prepared.identified(starts(prepared, setup, [guess])[0])
     np.testing.assert_allclose(start.values(ball.speeds), guess, rtol=1e-13)
 
 
@@ -201,21 +223,18 @@ def test_networks_start_near_the_guess(depth: int, guess: float, hydrostatic: Ma
     """Paper, Figure 2, for a network: at every speed and with any seed within a factor four of the guess."""
     setup = setup_of(hydrostatic, optimizer(lm=1))
     setup = replace(setup, model=setup.model.model_copy(update={"depth": depth}))
-    prepared = prepare(hydrostatic.equations, hydrostatic.bearings, setup)
+    prepared = prepare_residual(asked(hydrostatic), setup)
     for seed in range(5):
-        start = IdentifiedModel(
-            prepared.model, prepared.unknowns, (1, 5), initial_parameters(prepared, setup, seed, guess)[0]
-        )
+        start = prepared.identified(initial_parameters(prepared, setup, seed, guess)[0])
         assert np.abs(np.log(start.values(hydrostatic.speeds) / guess)).max() < np.log(4)
 
 
 def test_configured_guess_and_seed(hydrostatic: Machine) -> None:
     """Stiffness and damping start where the configuration says; another seed gives another network."""
-    setup = setup_of(hydrostatic, optimizer(lm=1), unknowns=("kxx", "cyy"))
-    names = ("kxx", "cyy", "kxy")
-    np.testing.assert_array_equal(initial_guess(setup, names, 2), [[1e6, 1e4, 0.0]] * 2)
-    np.testing.assert_array_equal(initial_guess(setup, names, 1, 7.0), [[7.0, 1e4, 0.0]])
-    prepared = prepare(hydrostatic.equations, hydrostatic.bearings, setup)
+    setup, names = setup_of(hydrostatic, optimizer(lm=1)), ("kxx", "cyy", "kxy")
+    np.testing.assert_array_equal(initial_guess(setup, unknown_at_all((1, 5), names)), [[1e6, 1e4, 0.0]] * 2)
+    np.testing.assert_array_equal(initial_guess(setup, unknown_at_all((1, 5), names, True), 7.0), [[7.0, 1e4, 0.0]])
+    prepared = prepare_residual(asked(hydrostatic, "kxx", "cyy"), setup)
     first, again, other = (initial_parameters(prepared, setup, seed) for seed in (3, 3, 4))
     assert torch.equal(first, again)
     assert not torch.equal(first, other)
@@ -259,8 +278,7 @@ def test_known_truth_is_recovered(chain: str, parametrisation: str, ball: Machin
     """
     phases, bar = CHAINS[chain]
     guesses = [1.0, 1e8] if parametrisation == "log" and chain != "lbfgs" else [1e4, 1e6, 1e8]
-    batch = trained(ball, setup_of(ball, phases, parametrisation), guesses)
-    assert errors(ball, batch).max() < bar
+    assert errors(ball, *trained(asked(ball), setup_of(ball, phases, parametrisation), guesses)).max() < bar
 
 
 @pytest.mark.slow
@@ -270,7 +288,7 @@ def test_optimizers_of_conf_recover_the_truth(name: str, guess: float, ball: Mac
     """Paper, Figure 2: with every file of conf/optimizer, as it is, the guess does not matter."""
     config = compose_config(["experiment=ball_bearing", f"optimizer={name}"])
     setup = replace(setup_of(ball, config.optimizer), training=config.training)
-    assert errors(ball, trained(ball, setup, [guess])).max() < (1e-3 if name == "adam" else 1e-9)
+    assert errors(ball, *trained(asked(ball), setup, [guess])).max() < (1e-3 if name == "adam" else 1e-9)
 
 
 def test_four_unknowns_without_scaling(ball: Machine) -> None:
@@ -278,9 +296,9 @@ def test_four_unknowns_without_scaling(ball: Machine) -> None:
 
     A ball bearing's damping force is 1e-6 of its stiffness force at these speeds, which bounds its accuracy.
     """
-    setup = setup_of(ball, optimizer(lm=80), unknowns=("kxx", "kyy", "cxx", "cyy"), scaling="none")
-    batch = trained(ball, setup, [1e6])
-    found, true = batch.identified().table(ball.bearings), ball.bearings
+    setup = setup_of(ball, optimizer(lm=80), scaling="none")
+    training, minimum = trained(asked(ball, "kxx", "kyy", "cxx", "cyy"), setup, [1e6])
+    found, true = training.identified(minimum.parameters[0]).table(ball.bearings), ball.bearings
     np.testing.assert_allclose(found.values[..., [0, 3]], true.values[..., [0, 3]], rtol=1e-10)
     np.testing.assert_allclose(found.values[..., [4, 7]], true.values[..., [4, 7]], rtol=1e-6)
     np.testing.assert_array_equal(found.values[..., [1, 2, 5, 6]], true.values[..., [1, 2, 5, 6]])
@@ -290,64 +308,65 @@ def test_small_network_beats_a_constant(hydrostatic: Machine) -> None:
     """Paper, section 4.2, in small: a network of the speed follows what a constant can't, held out or not."""
     setup = setup_of(hydrostatic, optimizer(lm=60), holdout_every=10)
     setup = replace(setup, model=setup.model.model_copy(update={"width": 8}))
-    batch = trained(hydrostatic, setup, [1e7])
+    training, batch = trained(asked(hydrostatic), setup, [1e7])
     true = np.stack([hydrostatic.bearings.coefficient(name) for name in ("kxx", "kyy")], axis=-1)
     constant = np.abs(true.mean(axis=1, keepdims=True) / true - 1).mean()
-    error = np.abs(batch.identified().values(hydrostatic.speeds) / true - 1).mean()
+    error = np.abs(training.identified(batch.parameters[0]).values(hydrostatic.speeds) / true - 1).mean()
     assert error < 1e-2 * constant
     assert batch.held_out_loss[0] < 1e-2
 
 
 def test_tied_bearings_are_identical(ball: Machine) -> None:
     """method.md, section 3, both bearings alike: one set of coefficients for both, and the true one."""
-    batch = trained(ball, setup_of(ball, optimizer(lm=40), tied=True), [1.0, 1e8])
+    training, batch = trained(asked(ball, shared=True), setup_of(ball, optimizer(lm=40)), [1.0, 1e8])
     assert batch.parameters.shape == (2, 1, 2)
     for g in range(2):
-        values = batch.identified(g).values(ball.speeds)
+        values = training.identified(batch.parameters[g]).values(ball.speeds)
         assert values.shape == (2, 25, 2)
         np.testing.assert_array_equal(values[0], values[1])
-    assert errors(ball, batch).max() < 1e-12
+    assert errors(ball, training, batch).max() < 1e-12
 
 
 def test_tied_fit_of_unlike_bearings_is_a_compromise(hydrostatic: Machine) -> None:
     """The two journals of a rotor move differently; a tied model has both bearings' residual in one norm."""
-    tied = prepare(hydrostatic.equations, hydrostatic.bearings, setup_of(hydrostatic, optimizer(lm=1), tied=True))
-    single = prepare(hydrostatic.equations, hydrostatic.bearings, setup_of(hydrostatic, optimizer(lm=1)))
+    setup = setup_of(hydrostatic, optimizer(lm=1))
+    tied, single = (prepare_residual(asked(hydrostatic, shared=shared), setup) for shared in (True, False))
     assert (len(tied.model.scale), len(single.model.scale)) == (1, 2)
     parameters = torch.zeros(1, 2, single.model.n_parameters, dtype=torch.float64)
-    same = replace(single.train, scale=tied.train.scale.expand(2, -1, -1))
+    same = replace(single.problem, scale=tied.problem.scale.expand(2, -1, -1))
     both = same.loss(parameters).square().mean(dim=1).sqrt()
-    torch.testing.assert_close(tied.train.loss(parameters[:, :1])[:, 0], both, rtol=1e-12, atol=0)
+    torch.testing.assert_close(tied.problem.loss(parameters[:, :1])[:, 0], both, rtol=1e-12, atol=0)
 
 
 def test_known_answer_has_zero_gradient(ball: Machine) -> None:
     """At the modelled coefficients J^T r is 1e-9 of what it is 1 % away, and the loss is rounding."""
-    setup = setup_of(ball, optimizer(lm=1), unknowns=("kxx", "kyy", "cxx", "cyy"))
-    prepared = prepare(ball.equations, ball.bearings, setup)
-    true = np.stack([ball.bearings.coefficient(name)[:, 0] for name in setup.identify.unknowns], axis=-1)
+    names = ("kxx", "kyy", "cxx", "cyy")
+    prepared = prepare_residual(asked(ball, *names), setup_of(ball, optimizer(lm=1)))
+    true = np.stack([ball.bearings.coefficient(name)[:, 0] for name in names], axis=-1)
     generator = torch.Generator().manual_seed(0)
     gradients = []
     for guess in (true, 1.01 * true):
         at = prepared.model.initial_parameters(guess, generator)[None]
-        rows, jacobian = prepared.train.rows(at), prepared.train.jacobian(at)
+        rows, jacobian = prepared.problem.rows(at), prepared.problem.jacobian(at)
         gradients.append(float((jacobian.mT @ rows[..., None]).abs().max()))
         if guess is true:
-            assert float(prepared.train.loss(at).max()) < 1e-10
+            assert float(prepared.problem.loss(at).max()) < 1e-10
     assert gradients[0] < 1e-9 * gradients[1]
 
 
 def test_second_order_answer_is_the_least_squares_one(hydrostatic: Machine, rng: np.random.Generator) -> None:
     """On noisy data constants have a closed form: the p of least |A p + y| over all speeds."""
-    data = hydrostatic.equations.displacement
+    data = hydrostatic.dataset.displacement
     noise = rng.normal(size=data.shape) + 1j * rng.normal(size=data.shape)
-    noisy = replace(hydrostatic.equations, displacement=data + 1e-2 * np.abs(data) * noise)
+    noisy = replace(hydrostatic.dataset, displacement=data + 1e-5 * np.abs(data) * noise)
     setup = setup_of(hydrostatic, optimizer(lm=60))
     constant = compose_config(["experiment=ball_bearing"]).model
-    prepared = prepare(noisy, hydrostatic.bearings, replace(setup, model=constant))
-    batch = run_training(prepared, starts(prepared, setup, [1e6]), setup)
-    problem = prepared.train
+    measurement = replace(asked(hydrostatic), dataset=noisy)
+    prepared, batch = trained(measurement, replace(setup, model=constant), [1e6])
+    problem = prepared.problem
     wanted = [np.linalg.lstsq(problem.matrix[b, 0].numpy(), -problem.offset[b, 0].numpy())[0] for b in range(2)]
-    np.testing.assert_allclose(batch.identified().values(hydrostatic.speeds[:1])[:, 0], wanted, rtol=1e-9)
+    found = prepared.identified(batch.parameters[0]).values(hydrostatic.speeds[:1])[:, 0]
+    np.testing.assert_allclose(found, wanted, rtol=1e-9)
     assert batch.loss[0] > 1e-3  # noise remains
 
 
@@ -359,9 +378,9 @@ def test_guesses_trained_together_do_not_influence_each_other(phases: OptimizerC
     """Five guesses at once end where each ends alone (1e-12; steps forced equal, no early stopping)."""
     guesses = [1.0, 1e2, 1e4, 1e6, 1e8]
     setup = setup_of(ball, phases)
-    together = trained(ball, setup, guesses)
+    _, together = trained(asked(ball), setup, guesses)
     for g, guess in enumerate(guesses):
-        alone = trained(ball, setup, [guess])
+        _, alone = trained(asked(ball), setup, [guess])
         torch.testing.assert_close(together.parameters[g], alone.parameters[0], rtol=1e-12, atol=1e-12)
         assert together.loss[g] == pytest.approx(alone.loss[0], rel=1e-12, abs=1e-14)
 
@@ -370,11 +389,11 @@ def test_seeds_of_a_network_trained_together(hydrostatic: Machine) -> None:
     """The same for networks from several seeds, where members share no numbers but the data."""
     setup = setup_of(hydrostatic, optimizer(adam=15))
     setup = replace(setup, model=setup.model.model_copy(update={"width": 6}))
-    prepared = prepare(hydrostatic.equations, hydrostatic.bearings, setup)
+    prepared = prepare_residual(asked(hydrostatic), setup)
     parts = [initial_parameters(prepared, setup, seed) for seed in range(3)]
-    together = run_training(prepared, torch.cat(parts), setup)
+    together = run(prepared, torch.cat(parts), setup)
     for g, part in enumerate(parts):
-        alone = run_training(prepared, part, setup)
+        alone = run(prepared, part, setup)
         torch.testing.assert_close(together.parameters[g], alone.parameters[0], rtol=1e-12, atol=1e-12)
 
 
@@ -390,12 +409,12 @@ def test_a_training_that_is_over_stays_while_others_go_on(phases: OptimizerConfi
             update={"levenberg_marquardt": setup.optimizer.levenberg_marquardt.model_copy(update={"patience": 2})}
         ),
     )
-    prepared = prepare(hydrostatic.equations, hydrostatic.bearings, setup)
+    prepared = prepare_residual(asked(hydrostatic), setup)
     parts = [initial_parameters(prepared, setup, seed) for seed in range(3)]
-    together = run_training(prepared, torch.cat(parts), setup)
+    together = run(prepared, torch.cat(parts), setup)
     steps = set()
     for g, part in enumerate(parts):
-        alone = run_training(prepared, part, setup)
+        alone = run(prepared, part, setup)
         steps.add(alone.steps)
         assert together.outcomes[g] is alone.outcomes[0]
         assert together.loss[g] == pytest.approx(alone.loss[0], rel=1e-6)
@@ -407,14 +426,12 @@ def test_same_seed_same_bits(hydrostatic: Machine) -> None:
     """A training repeats itself to the last bit; another seed is another network with a near answer."""
     setup = setup_of(hydrostatic, optimizer(adam=10, lm=40), holdout_every=10)
     setup = replace(setup, model=setup.model.model_copy(update={"width": 8}))
-    prepared = prepare(hydrostatic.equations, hydrostatic.bearings, setup)
-    first, again, other = (
-        run_training(prepared, initial_parameters(prepared, setup, seed), setup) for seed in (1, 1, 2)
-    )
+    prepared = prepare_residual(asked(hydrostatic), setup)
+    first, again, other = (run(prepared, initial_parameters(prepared, setup, seed), setup) for seed in (1, 1, 2))
     assert torch.equal(first.parameters, again.parameters)
     assert [row["loss"] for row in first.history] == [row["loss"] for row in again.history]
     assert not torch.equal(first.parameters, other.parameters)
-    values = [batch.identified().values(hydrostatic.speeds) for batch in (first, other)]
+    values = [prepared.identified(one.parameters[0]).values(hydrostatic.speeds) for one in (first, other)]
     assert np.abs(values[0] / values[1] - 1).mean() < 0.05
 
 
@@ -423,7 +440,7 @@ def test_same_seed_same_bits(hydrostatic: Machine) -> None:
 
 def test_converged(ball: Machine) -> None:
     """No improvement above the tolerance for `patience` steps: converged, before the budget is spent."""
-    batch = trained(ball, setup_of(ball, optimizer(lm=500, patience=5), tolerance=0.1), [1e6])
+    _, batch = trained(asked(ball), setup_of(ball, optimizer(lm=500, patience=5), tolerance=0.1), [1e6])
     assert batch.outcomes == (Outcome.CONVERGED,)
     assert batch.steps < 100
     assert batch.loss[0] < 1e-14
@@ -431,7 +448,7 @@ def test_converged(ball: Machine) -> None:
 
 def test_budget_spent(ball: Machine) -> None:
     """The loss still falls at the last step."""
-    batch = trained(ball, setup_of(ball, optimizer(adam=20, patience=5), tolerance=0.0), [1.0])
+    _, batch = trained(asked(ball), setup_of(ball, optimizer(adam=20, patience=5), tolerance=0.0), [1.0])
     assert batch.outcomes == (Outcome.BUDGET_SPENT,)
     assert batch.steps == 21  # and the start
 
@@ -440,21 +457,21 @@ def test_budget_spent(ball: Machine) -> None:
 def test_diverged(rate: float, parametrisation: str, ball: Machine) -> None:
     """A learning rate far too large: diverged (in the log case by overflow); the best state is kept."""
     setup = setup_of(ball, optimizer(adam=10, rate=rate, final=1.0), parametrisation)
-    prepared = prepare(ball.equations, ball.bearings, setup)
+    prepared = prepare_residual(asked(ball), setup)
     start = starts(prepared, setup, [1e6])
-    batch = run_training(prepared, start, setup)
+    batch = run(prepared, start, setup)
     assert batch.outcomes == (Outcome.DIVERGED,)
     assert batch.parameters.isfinite().all()
-    assert batch.loss[0] <= float(prepared.train.loss(start).square().mean().sqrt()) * (1 + 1e-12)
+    assert batch.loss[0] <= float(prepared.problem.loss(start).square().mean().sqrt()) * (1 + 1e-12)
 
 
 def test_one_diverged_member_leaves_the_others_alone(ball: Machine) -> None:
     """A training that starts at NaN is called diverged, by itself."""
     setup = setup_of(ball, optimizer(lm=40))
-    prepared = prepare(ball.equations, ball.bearings, setup)
+    prepared = prepare_residual(asked(ball), setup)
     start = starts(prepared, setup, [1e6, 1e6])
     start[0] = float("nan")
-    batch = run_training(prepared, start, setup)
+    batch = run(prepared, start, setup)
     assert batch.outcomes[0] is Outcome.DIVERGED
     assert batch.outcomes[1] is not Outcome.DIVERGED
     assert batch.loss[1] < 1e-12
@@ -475,7 +492,7 @@ def test_interrupted_training_keeps_the_best_state(
 ) -> None:
     """Ctrl-C in any phase: the best state so far, called interrupted, is no worse than the start."""
     setup = setup_of(ball, phases, holdout_every=holdout_every)
-    prepared = prepare(ball.equations, ball.bearings, setup)
+    prepared = prepare_residual(asked(ball), setup)
     start = starts(prepared, setup, [1e6])
     calls = 0
 
@@ -485,10 +502,10 @@ def test_interrupted_training_keeps_the_best_state(
         if calls == after:
             raise KeyboardInterrupt
 
-    batch = run_training(prepared, start, setup, interrupt)
+    batch = run(prepared, start, setup, interrupt)
     assert batch.outcomes == (Outcome.INTERRUPTED,)
     assert calls == after == len(batch.history)
-    assert batch.loss[0] < float(prepared.train.loss(start).square().mean().sqrt())
+    assert batch.loss[0] < float(prepared.problem.loss(start).square().mean().sqrt())
     score = "held_out_loss" if holdout_every else "loss"
     reached = batch.held_out_loss if holdout_every else batch.loss
     assert reached[0] <= min(row[score] for row in batch.history) * (1 + 1e-12)
@@ -502,15 +519,15 @@ def test_progress_and_history(ball: Machine) -> None:
         seen.append((phase, step, total))
 
     setup = setup_of(ball, optimizer(adam=3, lbfgs=2, lm=2))
-    prepared = prepare(ball.equations, ball.bearings, setup)
-    batch = run_training(prepared, starts(prepared, setup, [1e6]), setup, progress, record_trajectory=True)
+    prepared = prepare_residual(asked(ball), setup)
+    batch = run(prepared, starts(prepared, setup, [1e6]), setup, progress, record_trajectory=True)
     phases = [("adam", 3), ("lbfgs", 2), ("levenberg_marquardt", 2)]
     wanted = [("start", 1, 1)] + [(phase, k + 1, total) for phase, total in phases for k in range(total)]
     assert seen == wanted
     assert [row["phase"] for row in batch.history] == [phase for phase, _, _ in wanted]
     assert [row["step"] for row in batch.history] == list(range(8))
     assert [step for step, _ in batch.trajectory] == list(range(8))
-    assert batch.result().steps == batch.steps == 8
+    assert batch.steps == 8
 
 
 @pytest.mark.parametrize("chain", CHAINS)
@@ -520,18 +537,18 @@ def test_loss_never_ends_above_its_start(chain: str, hydrostatic: Machine) -> No
     short = {name: {"steps": min(getattr(phases, name).steps, 3)} for name in OptimizerConfig.model_fields}
     parts = {name: getattr(phases, name).model_copy(update=part) for name, part in short.items()}
     setup = setup_of(hydrostatic, OptimizerConfig(**parts))
-    prepared = prepare(hydrostatic.equations, hydrostatic.bearings, setup)
+    prepared = prepare_residual(asked(hydrostatic), setup)
     start = initial_parameters(prepared, setup, 0)
-    batch = run_training(prepared, start, setup)
-    assert batch.loss[0] <= float(prepared.train.loss(start).square().mean().sqrt())
+    batch = run(prepared, start, setup)
+    assert batch.loss[0] <= float(prepared.problem.loss(start).square().mean().sqrt())
 
 
 def test_too_few_runs_are_refused_before_training(ball: Machine) -> None:
     """method.md, section 3: one run cannot tell four coefficients of a row."""
     network = compose_config(["experiment=hydrostatic_stiffness"]).model
-    setup = replace(setup_of(ball, optimizer(lm=1), unknowns=COEFFICIENTS), model=network)
+    setup = replace(setup_of(ball, optimizer(lm=1)), model=network)
     with pytest.raises(IdentifiabilityError, match="the 1 run determine 4 of 8 unknowns"):
-        prepare(ball.equations, ball.bearings, setup)
+        fit(asked(ball, *COEFFICIENTS), setup)
 
 
 # --- held-out speeds -----------------------------------------------------------------------------
@@ -554,14 +571,14 @@ def test_held_out_speeds_are_not_trained_on(hydrostatic: Machine) -> None:
     """A spoiled measurement at a held-out speed leaves the trained problem alone, and shows in the other."""
     setup = setup_of(hydrostatic, optimizer(lm=1), holdout_every=10)
     mask = held_out_speeds(60, 10)
-    equations = hydrostatic.equations
-    spoiled = replace(equations, displacement=equations.displacement * np.where(mask, 1.3, 1.0)[:, None, None])
-    clean, other = (prepare(data, hydrostatic.bearings, setup) for data in (equations, spoiled))
+    data = hydrostatic.dataset
+    spoiled = replace(data, displacement=data.displacement * np.where(mask, 1.3, 1.0)[:, None, None])
+    clean, other = (prepare_residual(replace(asked(hydrostatic), dataset=one), setup) for one in (data, spoiled))
     parameters = initial_parameters(clean, setup, 0)
-    other_train = replace(other.train, scale=clean.train.scale)
+    other_train = replace(other.problem, scale=clean.problem.scale)
     assert other.held_out is not None
-    other_held = replace(other.held_out, scale=clean.train.scale)
-    torch.testing.assert_close(other_train.loss(parameters), clean.train.loss(parameters), rtol=1e-14, atol=0)
+    other_held = replace(other.held_out, scale=clean.problem.scale)
+    torch.testing.assert_close(other_train.loss(parameters), clean.problem.loss(parameters), rtol=1e-14, atol=0)
     assert not torch.equal(other_held.loss(parameters), clean.held_out.loss(parameters))
 
 

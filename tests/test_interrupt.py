@@ -165,7 +165,7 @@ def test_ctrl_c_before_training_leaves_nothing(tmp_path: Path, monkeypatch: pyte
     def interrupted(config: Config) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(train, "load_inputs", interrupted)
+    monkeypatch.setattr(train, "load_measurement", interrupted)
     with pytest.raises(KeyboardInterrupt):
         run(compose_config(COARSE), "train", tmp_path / "x")
     assert files(tmp_path / "x") == set()

@@ -13,16 +13,17 @@ from conftest import DATA, Artifacts
 
 from pipeline.config.compose import compose_config
 from pipeline.config.schema import Config
-from pipeline.data.sensors import Sensors, both_directions, measured
+from pipeline.data.sensors import Sensors, both_directions, measure
 from pipeline.data.simulate import simulate
+from pipeline.identification.fit import fit
 from pipeline.identification.monte_carlo import MonteCarlo, monte_carlo
-from pipeline.identification.response_fit import ResponseFit
-from pipeline.identification.training import TrainingSetup, initial_parameters, prepare, run_training, setup_of
+from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
+from pipeline.identification.training import FitSetup, setup_of
+from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.stages.evaluate import load_modelled
 from pipeline.stages.generate import excitations
-from pipeline.stages.inputs import Inputs, load_inputs
-from pipeline.stages.response import fitted, prepared_response
+from pipeline.stages.measurement import load_measurement
+from pipeline.stages.results import load_modelled
 
 pytestmark = pytest.mark.slow
 
@@ -61,36 +62,35 @@ class Ready:
     """An experiment before its fit, and the machine that its data were made of."""
 
     config: Config
-    inputs: Inputs
+    measurement: Measurement
     modelled: BearingTable
-    setup: TrainingSetup
+    setup: FitSetup
 
-    def fit(self, inputs: Inputs | None = None) -> ResponseFit:
+    def fit(self, measurement: Measurement | None = None) -> OutputErrorFit:
         """The fit of its own data, or of others."""
-        prepared = prepared_response(self.config, inputs or self.inputs, self.setup)
-        return fitted(self.config, prepared, self.setup, None)
+        return fit_output_error(measurement or self.measurement, self.setup)
 
-    def others(self, fit: ResponseFit, count: int) -> MonteCarlo:
+    def others(self, fit: OutputErrorFit, count: int) -> MonteCarlo:
         """Fits of data sets with other noise."""
-        clean = fit.prepared.data.equations.predict(self.modelled)
+        clean = self.measurement.response.predict(self.modelled)
         config = self.setup.optimizer.levenberg_marquardt
         return monte_carlo(fit, clean, count, np.random.default_rng(0), config)
 
-    def measured_again(self) -> Callable[[], Inputs]:
+    def measured_again(self) -> Callable[[], Measurement]:
         """A function that measures the machine once more, with other noise of 1 %."""
-        machine = simulate(self.inputs.rotor, self.modelled, excitations(self.config))
-        sensors = Sensors(both_directions(self.inputs.rotor.bearing_nodes), multiplicative=0.01)
+        machine = simulate(self.measurement.rotor, self.modelled, excitations(self.config))
+        sensors = Sensors(both_directions(self.measurement.rotor.bearing_nodes), multiplicative=0.01)
         generator = np.random.default_rng(0)
-        return lambda: replace(self.inputs, dataset=measured(machine, sensors, generator))
+        return lambda: replace(self.measurement, dataset=measure(machine, sensors, generator))
 
 
 def ready(experiment: str, folder: Path, *overrides: str) -> Ready:
     """The experiment, its data in ``folder``."""
     config = compose_config([f"experiment={experiment}", f"output='{folder}'", "tracking=none", *overrides])
-    inputs = load_inputs(config)
-    modelled = load_modelled(config, inputs)
+    measurement = load_measurement(config)
+    modelled = load_modelled(config, measurement)
     assert modelled is not None
-    return Ready(config, inputs, modelled, setup_of(config))
+    return Ready(config, measurement, modelled, setup_of(config))
 
 
 def test_the_residual_on_the_same_data_is_several_times_worse(artifacts: Artifacts, tmp_path: Path) -> None:
@@ -101,9 +101,7 @@ def test_the_residual_on_the_same_data_is_several_times_worse(artifacts: Artifac
     again = ours.measured_again()
     for _ in range(12):
         data = again()
-        prepared = prepare(data.equations, data.known, paper)
-        batch = run_training(prepared, initial_parameters(prepared, paper, ours.config.seed), paper, None)
-        found = {"response": ours.fit(data).batch.identified(), "residual": batch.result().identified}
+        found = {"response": ours.fit(data).identified, "residual": fit(data, paper).model}
         for name, identified in found.items():
             relative = np.abs(identified.table(data.known).values / ours.modelled.values - 1)[..., [0, 3]]
             errors[name].append([np.median(relative, axis=1).ravel(), np.sqrt((relative**2).mean(axis=1)).ravel()])

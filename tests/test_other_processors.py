@@ -137,7 +137,7 @@ def test_the_rounding_of_a_loss_follows_the_size_of_the_data() -> None:
     """1e-13 of the loss without any bearing force, whatever the unit of the rows."""
     import torch
 
-    from pipeline.identification.problem import ResidualProblem
+    from pipeline.identification.residual_loss import ResidualProblem
 
     rng = np.random.default_rng(0)
     offset = torch.as_tensor(rng.normal(size=(2, 5, 3)))
@@ -153,7 +153,7 @@ def test_the_rounding_of_a_loss_follows_the_size_of_the_data() -> None:
 
 @dataclass(frozen=True)
 class _Features:
-    """As much of a response problem as the choice of its features reads: one unknown, three of them."""
+    """As much of an output error as the choice of its features reads: one unknown, three of them."""
 
     kept: Any
 
@@ -173,18 +173,18 @@ def test_a_tie_goes_to_fewer_features(last: float, kept: int) -> None:
     """``last`` is what the third feature lowers chi-square by: 2 is Akaike's price of a number."""
     import torch
 
-    from pipeline.identification.feature_choice import features_that_count
+    from pipeline.identification.selection import drop_features
 
     free = torch.tensor([[[9.0, 9.0, last**0.5]]], dtype=torch.float64)
     problem: Any = _Features(torch.ones(1, 3, dtype=torch.bool))
-    chosen, start = features_that_count(problem, free, np.eye(3))
+    chosen, start = drop_features(problem, free, np.eye(3))
     assert int(chosen.kept.sum()) == kept
     assert bool((start[0, 0, kept:] == 0).all())
 
 
 def test_of_equal_minima_the_first_goes_on() -> None:
     """Starts that ended in one valley differ by rounding; those of other valleys follow, the best first."""
-    from pipeline.identification.response_fit import _distinct
+    from pipeline.identification.selection import _distinct
 
     for tie in (1e-9, -1e-9):
         assert _distinct([3.0, 1.0, 1.0 + tie, 2.0, 1.005]) == [1, 3, 0]
@@ -201,7 +201,7 @@ def test_of_equal_finalists_the_better_trial_is_promoted() -> None:
     config = compose_config(["experiment=ball_bearing", "tuned=false"]).tuning
 
     def finalist(trial: int, loss: float) -> Finalist:
-        return Finalist(trial, {}, np.full(5, loss), None)
+        return Finalist(trial, {}, np.full(5, loss), None, None)
 
     for one, other in ((1e-15, 9e-16), (9e-16, 1e-15)):
         assert promoted(finalist(0, 1e-3), [finalist(4, one), finalist(9, other)], config, ROUNDING).trial == 4

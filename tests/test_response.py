@@ -9,18 +9,16 @@ import pytest
 from conftest import Machine, MachineFactory, bearings_of
 
 from pipeline.config.compose import compose_config
-from pipeline.config.excitation import NoiseConfig
 from pipeline.data.dataset import Excitation, VibrationDataset, without_baseline
-from pipeline.data.sensors import Sensors, both_directions, measured, seen_by
+from pipeline.data.noise import NoiseModel
+from pipeline.data.sensors import Sensors, both_directions, measure, project
 from pipeline.data.simulate import simulate
-from pipeline.equations.identifiability import require_identifiable
-from pipeline.equations.response import expansion, response_equations
 from pipeline.errors import ConfigError, IdentifiabilityError
-from pipeline.identification.response_fit import ResponseFit, fit_response
-from pipeline.identification.response_preparation import MeasuredResponse, prepare_response, start_at
+from pipeline.identification.fit import fit
+from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
+from pipeline.identification.output_error_start import start_at
 from pipeline.identification.training import setup_of
-from pipeline.stages.diagnosis import diagnose
-from pipeline.stages.inputs import Inputs
+from pipeline.problem.response import expand, response_equations
 
 STIFFNESS = 2e7
 PROBES = ((0, 45.0), (1, 45.0), (1, 135.0), (3, 0.0), (5, 30.0), (5, 120.0))
@@ -37,19 +35,14 @@ def noisy(machine: Machine, noise: float, seed: int, *more: Excitation) -> Vibra
     """Probes at the bearings with multiplicative noise."""
     clean = simulate(machine.rotor, machine.bearings, (*machine.excitations, *more))
     sensors = Sensors(both_directions(machine.rotor.bearing_nodes), multiplicative=noise)
-    return measured(clean, sensors, np.random.default_rng(seed))
+    return measure(clean, sensors, np.random.default_rng(seed))
 
 
-def fit_of(machine: Machine, dataset: VibrationDataset, noise: float, *overrides: str) -> ResponseFit:
+def fit_of(machine: Machine, dataset: VibrationDataset, noise: float, *overrides: str) -> OutputErrorFit:
     """The fit that the experiment's configuration makes."""
     config = compose_config(["experiment=noisy_stiffness", *overrides])
-    planes = config.identify.unbalance_planes
-    equations = response_equations(machine.rotor, dataset, STIFFNESS, planes)
-    stated = NoiseConfig(additive=0.0, multiplicative=noise)
-    setup = setup_of(config)
-    data = MeasuredResponse(equations, dataset.displacement, stated, dataset.subtracted)
-    prepared = prepare_response(data, machine.bearings, setup, 0, np.array([], dtype=int))
-    return fit_response(prepared, setup, None, config.loss.noise == "estimated", config.loss.robust)
+    measurement = replace(machine.measured(dataset, config), noise=NoiseModel(0.0, noise))
+    return fit_output_error(measurement, setup_of(config))
 
 
 # --- the equations -----------------------------------------------------------------------------------
@@ -59,7 +52,7 @@ def fit_of(machine: Machine, dataset: VibrationDataset, noise: float, *overrides
 def test_the_response_is_that_of_the_whole_system(rotor_of: Machine, stiffness: float) -> None:
     """Any reference bearing gives the displacements that the full equation of motion has, at probes of any angle."""
     clean = simulate(rotor_of.rotor, rotor_of.bearings, rotor_of.excitations)
-    dataset = seen_by(clean, PROBES)
+    dataset = project(clean, PROBES)
     predicted = response_equations(rotor_of.rotor, dataset, stiffness).predict(rotor_of.bearings)
     np.testing.assert_allclose(predicted, dataset.displacement, rtol=1e-8, atol=1e-10 * np.abs(predicted).max())
 
@@ -83,9 +76,9 @@ def test_asynchronous_runs_and_a_residual_unbalance(rotor_of: Machine) -> None:
 def test_the_expansion_finds_force_and_motion(rotor_of: Machine, channels: tuple[tuple[int, float], ...]) -> None:
     """On clean data the residual at the bearings vanishes, whatever the sensors are."""
     clean = simulate(rotor_of.rotor, rotor_of.bearings, rotor_of.excitations)
-    dataset = seen_by(clean, channels)
+    dataset = project(clean, channels)
     equations = response_equations(rotor_of.rotor, dataset, STIFFNESS)
-    made = expansion(equations, dataset.displacement, np.full(dataset.displacement.shape, 1e-9))
+    made = expand(equations, dataset.displacement, np.full(dataset.displacement.shape, 1e-9))
     assert made is not None
     residual = made.equations.residual(rotor_of.bearings.impedance())
     assert np.abs(residual).max() < 1e-6 * np.abs(made.equations.free_residual).max()
@@ -94,39 +87,41 @@ def test_the_expansion_finds_force_and_motion(rotor_of: Machine, channels: tuple
 def test_too_few_sensors_have_no_expansion(rotor_of: Machine) -> None:
     """Three probes can't tell four forces."""
     clean = simulate(rotor_of.rotor, rotor_of.bearings, rotor_of.excitations)
-    dataset = seen_by(clean, PROBES[:3])
+    dataset = project(clean, PROBES[:3])
     equations = response_equations(rotor_of.rotor, dataset, STIFFNESS)
-    assert expansion(equations, dataset.displacement, np.full(dataset.displacement.shape, 1e-9)) is None
+    assert expand(equations, dataset.displacement, np.full(dataset.displacement.shape, 1e-9)) is None
 
 
 # --- the problem -------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
-def full_problem(rotor_of: Machine) -> ResponseFit:
+def full_problem(rotor_of: Machine) -> OutputErrorFit:
     """A problem with cross-coupled coefficients, a shaker's own frequency and a balance plane."""
     own = np.stack([*[rotor_of.speeds] * 3, np.full(len(rotor_of.speeds), 200.0)], axis=1)
     clean = simulate(rotor_of.rotor, rotor_of.bearings, (*rotor_of.excitations, BACKWARD), own)
-    dataset = measured(clean, Sensors(PROBES, multiplicative=0.01), np.random.default_rng(1))
+    dataset = measure(clean, Sensors(PROBES, multiplicative=0.01), np.random.default_rng(1))
     return fit_of(
         rotor_of, dataset, 0.01, "identify.unknowns=[kxx,kxy,kyx,kyy]", "identify.unbalance_planes=[2]", "model.width=5"
     )
 
 
 @pytest.mark.slow
-def test_the_jacobian_is_that_of_automatic_differentiation(full_problem: ResponseFit) -> None:
+def test_the_jacobian_is_that_of_automatic_differentiation(full_problem: OutputErrorFit) -> None:
     """Closed-form derivatives against torch's."""
     import torch
 
     problem = full_problem.problem
-    free = full_problem.free + 0.01 * torch.randn(full_problem.free.shape, generator=torch.Generator().manual_seed(0))
+    free = full_problem.weights + 0.01 * torch.randn(
+        full_problem.weights.shape, generator=torch.Generator().manual_seed(0)
+    )
     wanted = torch.autograd.functional.jacobian(lambda z: problem.rows(z)[0, 0], free)[:, 0, 0]
     assert float((problem.jacobian(free)[0, 0] - wanted).abs().max()) < 1e-10 * float(wanted.abs().max())
 
 
-def test_the_normal_equations_are_those_of_the_dense_jacobian(full_problem: ResponseFit) -> None:
+def test_the_normal_equations_are_those_of_the_dense_jacobian(full_problem: OutputErrorFit) -> None:
     """The sum over speeds against its dense twin."""
-    problem, free = full_problem.problem, full_problem.free
+    problem, free = full_problem.problem, full_problem.weights
     jacobian, rows = problem.jacobian(free)[0, 0], problem.rows(free)[0, 0]
     gradient, matrix = problem.normal(free)
     wanted = jacobian.T @ jacobian
@@ -136,11 +131,11 @@ def test_the_normal_equations_are_those_of_the_dense_jacobian(full_problem: Resp
     assert float((gradient[0, 0] - jacobian.T @ rows).abs().max()) < 1e-10 * scale
 
 
-def test_everything_can_be_moved_to_another_device(full_problem: ResponseFit) -> None:
+def test_everything_can_be_moved_to_another_device(full_problem: OutputErrorFit) -> None:
     """Torch refuses to mix devices: `meta`, which computes shapes alone, tells what would stay behind."""
     import torch
 
-    problem, free = full_problem.problem.to("meta"), full_problem.free.to("meta")
+    problem, free = full_problem.problem.to("meta"), full_problem.weights.to("meta")
     with torch.device("meta"):
         gradient, matrix = problem.normal(free)
         assert gradient.shape == (1, 1, problem.size)
@@ -148,17 +143,17 @@ def test_everything_can_be_moved_to_another_device(full_problem: ResponseFit) ->
         assert problem.loss(free).device.type == "meta"
 
 
-def mean_square(fit: ResponseFit) -> float:
+def mean_square(fit: OutputErrorFit) -> float:
     """Of the deviations over their noise: 1 where nothing but noise is left."""
-    return float(fit.problem.loss(fit.free)) ** 2
+    return float(fit.problem.loss(fit.weights)) ** 2
 
 
 # --- the fit -----------------------------------------------------------------------------------------
 
 
-def relative_errors(machine: Machine, fit: ResponseFit, names: tuple[str, ...]) -> np.ndarray:
+def relative_errors(machine: Machine, fit: OutputErrorFit, names: tuple[str, ...]) -> np.ndarray:
     """(B, names, S)."""
-    found = fit.batch.identified().table(machine.bearings)
+    found = fit.identified.table(machine.bearings)
     return np.stack([np.abs(found.coefficient(n) / machine.bearings.coefficient(n) - 1) for n in names], axis=1)
 
 
@@ -175,7 +170,7 @@ def test_a_residual_unbalance_is_found_with_the_coefficients(rotor_of: Machine) 
     hidden = tuple(Excitation(run, "unbalance", 4, 3e-5, 1.0) for run in runs)
     complete = simulate(rotor_of.rotor, rotor_of.bearings, (*rotor_of.excitations, *hidden))
     sensors = Sensors(both_directions(rotor_of.rotor.bearing_nodes), multiplicative=1e-3)
-    dataset = measured(replace(complete, excitations=rotor_of.excitations), sensors, np.random.default_rng(0))
+    dataset = measure(replace(complete, excitations=rotor_of.excitations), sensors, np.random.default_rng(0))
     with_plane = fit_of(rotor_of, dataset, 1e-3, "identify.unbalance_planes=[4]")
     found = with_plane.residual_unbalance()[0]
     assert abs(found - 3e-5 * np.exp(1j)) < 0.01 * 3e-5
@@ -189,9 +184,9 @@ def test_a_baseline_cancels_the_residual_unbalance(rotor_of: Machine) -> None:
     runs = tuple(dict.fromkeys(e.run for e in rotor_of.excitations))
     hidden = tuple(Excitation(run, "unbalance", 2, 8e-5, 2.0) for run in (*runs, "as_found"))
     complete = simulate(rotor_of.rotor, rotor_of.bearings, (*rotor_of.excitations, *hidden))
-    seen = seen_by(replace(complete, excitations=rotor_of.excitations), both_directions((1, 5)))
+    seen = project(replace(complete, excitations=rotor_of.excitations), both_directions((1, 5)))
     less = without_baseline(seen, "as_found")
-    wanted = seen_by(simulate(rotor_of.rotor, rotor_of.bearings, rotor_of.excitations), both_directions((1, 5)))
+    wanted = project(simulate(rotor_of.rotor, rotor_of.bearings, rotor_of.excitations), both_directions((1, 5)))
     assert less.runs == runs
     size = np.abs(seen.displacement).max()
     np.testing.assert_allclose(less.displacement, wanted.displacement, rtol=0, atol=1e-9 * size)
@@ -204,11 +199,9 @@ def test_a_baseline_cancels_the_residual_unbalance(rotor_of: Machine) -> None:
 def test_sensors_too_few_for_the_forces_find_the_same_answer_from_any_guess(rotor_of: Machine, guess: str) -> None:
     """Three probes, four bearing forces: there is no linear start."""
     clean = simulate(rotor_of.rotor, rotor_of.bearings, rotor_of.excitations)
-    dataset = measured(
-        clean, Sensors(((1, 45.0), (1, 135.0), (5, 10.0)), multiplicative=0.01), np.random.default_rng(0)
-    )
+    dataset = measure(clean, Sensors(((1, 45.0), (1, 135.0), (5, 10.0)), multiplicative=0.01), np.random.default_rng(0))
     fit = fit_of(rotor_of, dataset, 0.01, f"model.initial_stiffness={guess}")
-    assert fit.prepared.from_guess
+    assert fit.start.from_guess
     assert abs(mean_square(fit) - 1) < 4 / np.sqrt(dataset.displacement.size)
     assert np.median(relative_errors(rotor_of, fit, ("kxx", "kyy")), axis=-1).max() < 0.05
 
@@ -216,11 +209,10 @@ def test_sensors_too_few_for_the_forces_find_the_same_answer_from_any_guess(roto
 def test_one_probe_cannot_tell_all_coefficients(rotor_of: Machine) -> None:
     """It is said by name before a fit."""
     clean = simulate(rotor_of.rotor, rotor_of.bearings, rotor_of.excitations)
-    dataset = measured(clean, Sensors(((2, 0.0),), multiplicative=0.01), np.random.default_rng(0))
+    dataset = measure(clean, Sensors(((2, 0.0),), multiplicative=0.01), np.random.default_rng(0))
     config = compose_config(["experiment=noisy_stiffness", "identify.unknowns=[kxx,kxy,kyx,kyy,cxx,cxy,cyx,cyy]"])
-    inputs = Inputs(rotor_of.rotor, dataset, rotor_of.bearings)
     with pytest.raises(IdentifiabilityError, match="more than 4 of 16 unknowns at a speed"):
-        require_identifiable(diagnose(config, inputs).accounts)
+        fit(rotor_of.measured(dataset, config), setup_of(config))
 
 
 @pytest.mark.parametrize("asked", [["stage=tune"], ["stage=robustness", "robustness=seeds"]])
@@ -239,19 +231,16 @@ def test_bad_points_are_found_and_do_little(rotor_of: Machine) -> None:
     shifted = np.where(spoilt, 1.1 * dataset.displacement, dataset.displacement)
     fit = fit_of(rotor_of, replace(dataset, displacement=shifted), 0.01)
     clean = fit_of(rotor_of, dataset, 0.01)
-    listed = np.concatenate([w.ravel() for w in fit.weights]) < 0.5
+    listed = np.concatenate([w.ravel() for w in fit.shares]) < 0.5
     assert listed.sum() >= 0.9 * spoilt.sum()
-    change = np.abs(
-        fit.batch.identified().table(rotor_of.bearings).values
-        - clean.batch.identified().table(rotor_of.bearings).values
-    )
+    change = np.abs(fit.identified.table(rotor_of.bearings).values - clean.identified.table(rotor_of.bearings).values)
     assert np.median(change[..., [0, 3]] / rotor_of.bearings.values[..., [0, 3]]) < 0.005
 
 
 def test_the_noise_is_estimated_channel_by_channel(rotor_of: Machine) -> None:
     """Stated at 1 %, it is 3 % in one channel and 0.5 % in the others."""
     clean = simulate(rotor_of.rotor, rotor_of.bearings, rotor_of.excitations)
-    seen = seen_by(clean, both_directions((1, 5)))
+    seen = project(clean, both_directions((1, 5)))
     generator = np.random.default_rng(0)
     size = np.array([0.03, 0.005, 0.005, 0.005])[:, None] * np.abs(seen.displacement)
     parts = generator.standard_normal((2, *seen.displacement.shape)) / np.sqrt(2)
@@ -269,7 +258,7 @@ def test_the_noise_is_estimated_from_repeated_runs_whatever_the_model(rotor_of: 
     hidden = tuple(Excitation(run, "unbalance", 2, 3e-5, 2.0) for run in (*runs, *(f"{run}_again" for run in runs)))
     clean = replace(simulate(rotor_of.rotor, rotor_of.bearings, (*every, *hidden)), excitations=every)
     sensors = Sensors(both_directions((1, 5)), multiplicative=0.02)
-    fit = fit_of(rotor_of, measured(clean, sensors, np.random.default_rng(0)), 0.01, "loss.noise=estimated")
+    fit = fit_of(rotor_of, measure(clean, sensors, np.random.default_rng(0)), 0.01, "loss.noise=estimated")
     np.testing.assert_allclose(fit.factor, 2.0, rtol=0.15)
     assert mean_square(fit) > 2
 
@@ -281,7 +270,7 @@ def test_a_structure_is_respected_exactly(rotor_of: Machine, structure: str) -> 
     table = bearings_of(
         (1, 5), rotor_of.speeds, kxx=2e7, kyy=2e7, kxy=5e6, kyx=-5e6, cxx=4e4, cyy=4e4, cxy=0.0, cyx=0.0
     )
-    dataset = measured(
+    dataset = measure(
         simulate(rotor_of.rotor, table, rotor_of.excitations),
         Sensors(both_directions((1, 5)), multiplicative=0.01),
         np.random.default_rng(0),
@@ -289,7 +278,7 @@ def test_a_structure_is_respected_exactly(rotor_of: Machine, structure: str) -> 
     machine = replace(rotor_of, bearings=table)
     names = "[kxx,kxy,kyx,kyy]" if structure == "isotropic" else "[cxx,cxy,cyx,cyy]"
     fit = fit_of(machine, dataset, 0.01, f"identify.unknowns={names}", f"identify.structure={structure}")
-    found = fit.batch.identified().table(table)
+    found = fit.identified.table(table)
     if structure == "isotropic":
         assert np.array_equal(found.coefficient("kxx"), found.coefficient("kyy"))
         assert np.array_equal(found.coefficient("kxy"), -found.coefficient("kyx"))
@@ -300,7 +289,7 @@ def test_a_structure_is_respected_exactly(rotor_of: Machine, structure: str) -> 
 def test_bearings_alike_share_their_coefficients(rotor_of: Machine) -> None:
     """``tie_bearings`` halves the unknowns."""
     fit = fit_of(rotor_of, noisy(rotor_of, 0.01, 0), 0.01, "identify.tie_bearings=true")
-    table = fit.batch.identified().table(rotor_of.bearings)
+    table = fit.identified.table(rotor_of.bearings)
     assert np.array_equal(table.values[0, :, 0], table.values[1, :, 0])
     assert len(fit.problem.active) == 2
 
@@ -309,9 +298,9 @@ def test_constant_coefficients(rotor_of: Machine) -> None:
     """A constant has no features but one."""
     table = bearings_of((1, 5), rotor_of.speeds, kxx=2e7, kyy=3e7, cxx=4e4, cyy=4e4)
     clean = simulate(rotor_of.rotor, table, rotor_of.excitations)
-    dataset = measured(clean, Sensors(both_directions((1, 5)), multiplicative=0.01), np.random.default_rng(0))
+    dataset = measure(clean, Sensors(both_directions((1, 5)), multiplicative=0.01), np.random.default_rng(0))
     fit = fit_of(replace(rotor_of, bearings=table), dataset, 0.01, "model=constant")
-    found = fit.batch.identified().table(table)
+    found = fit.identified.table(table)
     np.testing.assert_allclose(found.coefficient("kxx"), 2e7, rtol=5e-3)
     np.testing.assert_allclose(found.coefficient("kyy"), 3e7, rtol=5e-3)
 
@@ -333,7 +322,7 @@ def test_an_odd_number_of_outputs_before_the_planes(rotor_of: Machine, planes: s
 def located(machine: Machine, noise: float) -> VibrationDataset:
     """x and y between the discs alone: two readings a run for four bearing forces."""
     clean = simulate(machine.rotor, machine.bearings, machine.excitations)
-    return measured(clean, Sensors(both_directions((3,)), multiplicative=noise), np.random.default_rng(1))
+    return measure(clean, Sensors(both_directions((3,)), multiplicative=noise), np.random.default_rng(1))
 
 
 @pytest.mark.slow
@@ -342,8 +331,8 @@ def test_one_location_starts_from_a_filter(rotor_of: Machine, guess: str) -> Non
     """No linear start, and still no search: the filter's answer of each speed leads to the minimum."""
     dataset = located(rotor_of, 1e-3)
     fit = fit_of(rotor_of, dataset, 1e-3, f"model.initial_stiffness={guess}")
-    assert fit.prepared.from_guess
-    assert fit.prepared.rough is not None
+    assert fit.start.from_guess
+    assert fit.start.filtered is not None
     assert abs(mean_square(fit) - 1) < 4 / np.sqrt(dataset.displacement.size)
     assert np.median(relative_errors(rotor_of, fit, ("kxx", "kyy")), axis=-1).max() < 0.01
 

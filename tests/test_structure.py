@@ -27,10 +27,11 @@ STEPS = [
     {"rotor"},
     {"data"},
     {"ingest"},
-    {"equations"},
+    {"problem"},
     {"identification"},
     {"evaluation"},
     {"twin"},
+    {"methods"},
     {"comparison"},
     {"tuning"},
     {"reporting"},
@@ -51,7 +52,7 @@ HOMES = {
     "h5py": ["ingest/recordings.py"],
     "nptdms": ["ingest/recordings.py"],
     "pyuff": ["ingest/uff.py"],
-    "sklearn": ["comparison/"],
+    "sklearn": ["methods/"],
 }
 """Where alone a package may be imported."""
 
@@ -231,7 +232,7 @@ HEAVY = [
     [
         (["pipeline.config.schema"], [*HEAVY, "hydra", "pint"]),
         (["pipeline.stages"], [*HEAVY, "hydra", "pydantic", "numpy"]),
-        (["pipeline.config.compose", "pipeline.stages.run", "pipeline.stages.inputs"], HEAVY),
+        (["pipeline.config.compose", "pipeline.stages.execution", "pipeline.stages.measurement"], HEAVY),
         (["pipeline.stages.ingest"], HEAVY),
         (["pipeline.stages.train", "pipeline.stages.evaluate", "pipeline.stages.check"], HEAVY),
         (["pipeline.tracking", "pipeline.reporting.figures", "pipeline.twin.modes"], HEAVY),
@@ -303,7 +304,7 @@ def test_every_module_says_what_it_is_for(file: str) -> None:
 
 def test_rpm_and_degrees_are_converted_at_the_edge() -> None:
     """SI inside: the factors of rpm and degrees appear at the config, the files and what a person sees."""
-    inner = {"equations", "identification", "rotor", "twin"}
+    inner = {"problem", "identification", "rotor", "twin"}
     strangers = []
     for file, tree in sources().items():
         if Path(file).parts[0] in inner:

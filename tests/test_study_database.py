@@ -175,12 +175,12 @@ def server() -> Iterator[Server]:
 @pytest.fixture(scope="module")
 def problem(tmp_path_factory: pytest.TempPathFactory) -> StudyProblem:
     """A study with trials of a tenth of a second; its storage is each test's own."""
-    from pipeline.stages.inputs import load_inputs
+    from pipeline.stages.measurement import load_measurement
     from pipeline.stages.tune import study_problem
 
     folder = tmp_path_factory.mktemp("data")
     config = compose_config([*STUDY, f"output='{folder}'", f"tuning.folder='{folder / 'study'}'"])
-    return study_problem(config, load_inputs(config))
+    return study_problem(config, load_measurement(config))
 
 
 def stored_in(problem: StudyProblem, storage: str, **others: object) -> StudyProblem:

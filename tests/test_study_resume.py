@@ -30,7 +30,7 @@ from pipeline.config.compose import compose_config, composed_mapping, validated
 from pipeline.config.schema import Config
 from pipeline.errors import ConfigError, PipelineError, StorageError
 from pipeline.identification.outcome import Outcome
-from pipeline.stages.inputs import load_inputs
+from pipeline.stages.measurement import load_measurement
 from pipeline.stages.tune import study_problem
 from pipeline.tuning import liveness, study, worker
 from pipeline.tuning.liveness import is_dead, requeue_orphans, this_worker
@@ -79,7 +79,7 @@ CHEAP = [
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the generated data; not to be written to."""
     folder = tmp_path_factory.mktemp("study") / "data"
-    load_inputs(compose_config([*CHEAP, f"output='{folder}'"]))
+    load_measurement(compose_config([*CHEAP, f"output='{folder}'"]))
     return folder
 
 
@@ -87,7 +87,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def cheap(data: Path) -> StudyProblem:
     """The problem of all studies here, without a storage of its own."""
     config = compose_config([*CHEAP, f"output='{data}'"])
-    return study_problem(config, load_inputs(config))
+    return study_problem(config, load_measurement(config))
 
 
 Make = Callable[..., StudyProblem]
@@ -919,14 +919,14 @@ def test_ctrl_c_stops_every_worker(moment: str, whole_group: bool, start: Forks,
 
 def failing(monkeypatch: pytest.MonkeyPatch, at: int, fail: Callable[[Any], Any]) -> None:
     """The ``at``-th training returns what ``fail`` makes of its result, or raises."""
-    real, calls = worker.run_training, []
+    real, calls = worker.minimise, []
 
-    def run_training(*arguments: Any, **options: Any) -> Any:
+    def minimise(*arguments: Any, **options: Any) -> Any:
         calls.append(1)
         batch = real(*arguments, **options)
         return fail(batch) if len(calls) == at + 1 else batch
 
-    monkeypatch.setattr(worker, "run_training", run_training)
+    monkeypatch.setattr(worker, "minimise", minimise)
 
 
 def _raises(error: BaseException) -> Callable[[Any], Any]:
@@ -987,7 +987,7 @@ def test_a_bug_is_not_swallowed(
 
 def test_a_study_in_which_every_trial_fails(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     """It ends at its total."""
-    monkeypatch.setattr(worker, "run_training", lambda *_, **__: _raises(RuntimeError("no"))(None))
+    monkeypatch.setattr(worker, "minimise", lambda *_, **__: _raises(RuntimeError("no"))(None))
     problem = make(n_trials=4)
     run_study(problem, silent)
     assert [state for _, state, *_ in finished(problem)] == ["FAIL"] * 4

@@ -412,8 +412,8 @@ def model_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A network with two bearings of its own, saved as the train stage saves it."""
     import torch
 
-    from pipeline.identification.coefficient_model import CoefficientModel
     from pipeline.identification.identified import IdentifiedModel
+    from pipeline.identification.model import CoefficientModel
     from pipeline.identification.storage import save_model
 
     model = CoefficientModel(

@@ -19,8 +19,8 @@ from pipeline.config.compose import compose_config
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import read_coefficients
 from pipeline.errors import DataError
+from pipeline.problem.measurement import Measurement
 from pipeline.stages import robustness, run_stage
-from pipeline.stages.inputs import Inputs
 
 pytestmark = pytest.mark.slow  # it trains, or starts processes
 
@@ -51,14 +51,14 @@ def config(request: pytest.FixtureRequest) -> Config:
 def watched() -> Iterator[list[Any]]:
     """What robustness trains in the block, in the order of the calls."""
     made: list[Any] = []
-    real = robustness.run_training
+    real = robustness.minimise
 
     def spy(*arguments: Any, **options: Any) -> Any:
         made.append(real(*arguments, **options))
         return made[-1]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(robustness, "run_training", spy)
+        patch.setattr(robustness, "minimise", spy)
         yield made
 
 
@@ -157,16 +157,18 @@ def test_what_training_is_given_holds_no_unknown(
     """The known table that reaches the equations is zero where a coefficient is unknown."""
     from pipeline.stages import train
 
-    seen: list[Inputs] = []
-    real = train.load_inputs
-    monkeypatch.setattr(train, "load_inputs", lambda given: seen.append(real(given)) or seen[-1])
+    seen: list[Measurement] = []
+    real = train.load_measurement
+    monkeypatch.setattr(train, "load_measurement", lambda given: seen.append(real(given)) or seen[-1])
     run(config, "train", Path(shutil.copytree(trained, tmp_path / "x")))
-    (inputs,) = seen
+    (measurement,) = seen
     for name in config.identify.unknowns:
-        assert not inputs.known.coefficient(name).any()
-    truth = read_coefficients(trained / "modelled_coefficients.csv", inputs.rotor.bearing_nodes, inputs.dataset.speeds)
+        assert not measurement.known.coefficient(name).any()
+    truth = read_coefficients(
+        trained / "modelled_coefficients.csv", measurement.rotor.bearing_nodes, measurement.dataset.speeds
+    )
     for name in known_names(config):
-        np.testing.assert_array_equal(inputs.known.coefficient(name), truth.coefficient(name))
+        np.testing.assert_array_equal(measurement.known.coefficient(name), truth.coefficient(name))
 
 
 class Opened:
@@ -210,14 +212,14 @@ def test_robustness_opens_the_truth_after_training(
 ) -> None:
     """The errors of robustness need the truth: it is opened when the last step is done, not before."""
     at_the_end: list[bool] = []
-    real = robustness.run_training
+    real = robustness.minimise
 
     def spy(*arguments: Any, **options: Any) -> Any:
         batch = real(*arguments, **options)
         at_the_end.append(any("modelled_coefficients" in path for path in opened))
         return batch
 
-    monkeypatch.setattr(robustness, "run_training", spy)
+    monkeypatch.setattr(robustness, "minimise", spy)
     folder = Path(shutil.copytree(trained, tmp_path / "x"))
     opened.clear()
     run(config, "robustness", folder)

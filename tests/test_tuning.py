@@ -6,6 +6,7 @@ import json
 import math
 import re
 import shutil
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -264,9 +265,8 @@ def test_a_series_finds_coefficients_that_are_one(hydrostatic: Machine) -> None:
     """Stiffness that is a polynomial of the logarithm of the speed is identified to rounding."""
     from pipeline.coefficients import COEFFICIENTS
     from pipeline.data.simulate import simulate
-    from pipeline.equations.bearing_equations import bearing_equations
-    from pipeline.identification.series import best_series
-    from pipeline.identification.training import prepare, setup_of
+    from pipeline.identification.chebyshev import fit_chebyshev
+    from pipeline.identification.training import setup_of
     from pipeline.rotor.bearing_table import BearingTable
 
     x = np.log(hydrostatic.speeds / hydrostatic.speeds[0]) / np.log(hydrostatic.speeds[-1] / hydrostatic.speeds[0])
@@ -275,9 +275,9 @@ def test_a_series_finds_coefficients_that_are_one(hydrostatic: Machine) -> None:
         values[b, :, COEFFICIENTS.index("kxx")] = 1e7 * (1 + b + x - 0.5 * x**3)
         values[b, :, COEFFICIENTS.index("kyy")] = 2e7 * (1 - 0.4 * x**2 + 0.1 * x**4)
     truth = BearingTable(hydrostatic.bearings.nodes, hydrostatic.speeds, values)
-    equations = bearing_equations(hydrostatic.rotor, simulate(hydrostatic.rotor, truth, hydrostatic.excitations))
-    prepared = prepare(equations, truth, setup_of(untuned("training.holdout_every=5")))
-    fit = best_series(prepared)
+    dataset = simulate(hydrostatic.rotor, truth, hydrostatic.excitations)
+    measurement = replace(hydrostatic.measurement, dataset=dataset, known=truth)
+    fit = fit_chebyshev(measurement, setup_of(untuned("training.holdout_every=5")))
     assert fit is not None
     assert fit.held_out_loss < 1e-11
     for name in ("kxx", "kyy"):
@@ -287,17 +287,16 @@ def test_a_series_finds_coefficients_that_are_one(hydrostatic: Machine) -> None:
 def test_the_held_out_loss_is_the_residual_of_the_equation_of_motion(hydrostatic: Machine) -> None:
     """The same number from the equations themselves, without the reduced rows, whatever the trained loss is."""
 
-    from pipeline.identification.identified import IdentifiedModel
-    from pipeline.identification.training import held_out_speeds, initial_parameters, prepare, setup_of
+    from pipeline.identification.residual_loss import initial_parameters, prepare_residual
+    from pipeline.identification.training import held_out_speeds, setup_of
 
     numbers = []
     for scaling in ("per_speed", "none"):
         setup = setup_of(untuned(f"loss.scaling={scaling}", "training.holdout_every=5"))
-        prepared = prepare(hydrostatic.equations, hydrostatic.bearings, setup)
+        prepared = prepare_residual(hydrostatic.measurement, setup)
         parameters = initial_parameters(prepared, setup, 3)
         numbers.append(float(prepared.per_speed_held_out_loss(parameters)[0]))
-    model = IdentifiedModel(prepared.model, prepared.unknowns, prepared.bearing_nodes, parameters[0])
-    table = model.table(hydrostatic.bearings)
+    table = prepared.identified(parameters[0]).table(hydrostatic.bearings)
     kept = held_out_speeds(len(hydrostatic.speeds), 5)
     residual = hydrostatic.equations.residual(table.impedance())[:, kept]
     force = hydrostatic.equations.free_residual[:, kept]

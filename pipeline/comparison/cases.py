@@ -6,15 +6,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.comparison.method import Task
 from pipeline.config.comparison import ComparisonConfig, SensorSet
-from pipeline.config.excitation import NoiseConfig
 from pipeline.config.identification import IdentifyConfig
 from pipeline.data.dataset import VibrationDataset
-from pipeline.data.sensors import Channels, Sensors, both_directions, measured
+from pipeline.data.noise import NoiseModel
+from pipeline.data.sensors import Channels, Sensors, both_directions, measure
+from pipeline.problem.measurement import Guess, Measurement
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
-from pipeline.unknowns import unknown_set
 
 ROUNDING = 1e-9
 """What methods are told of the noise of clean data: weights need some, and arithmetic leaves less."""
@@ -58,11 +57,11 @@ class Machine:
     vibration: VibrationDataset
     noise_seed: int
 
-    def measured(self, case: Case, location: int | None) -> VibrationDataset:
+    def measure(self, case: Case, location: int | None) -> VibrationDataset:
         """The data set of a case. The same noise, scaled, at every level of it."""
         clean = self.vibration.at(self.speeds(case))
         generator = np.random.default_rng([self.noise_seed, case.data_set])
-        return measured(clean, Sensors(self._channels(case.sensors, location), multiplicative=case.noise), generator)
+        return measure(clean, Sensors(self._channels(case.sensors, location), multiplicative=case.noise), generator)
 
     def truth(self, case: Case) -> BearingTable:
         """The modelled coefficients at the speeds of a case."""
@@ -81,10 +80,15 @@ class Machine:
         return both_directions((self.rotor.n_nodes // 2 if location is None else location,))
 
 
-def task_of(machine: Machine, case: Case, identify: IdentifyConfig, settings: ComparisonConfig, seed: int) -> Task:
+def measurement_of(machine: Machine, case: Case, identify: IdentifyConfig, settings: ComparisonConfig) -> Measurement:
     """What a method sees of a case: of the truth, what is known beforehand."""
-    unknowns = unknown_set({node: identify.at(node) for node in machine.rotor.bearing_nodes})
-    truth = machine.truth(case)
-    known = replace(truth, values=np.where(unknowns.identified[:, None], 0.0, truth.values))
-    noise = NoiseConfig(additive=0.0, multiplicative=max(case.noise, ROUNDING))
-    return Task(machine.rotor, machine.measured(case, settings.location), known, noise, identify, settings, seed)
+    unknowns = identify.unknowns_of(machine.rotor.bearing_nodes)
+    truth, model = machine.truth(case), settings.response.model
+    return Measurement(
+        rotor=machine.rotor,
+        dataset=machine.measure(case, settings.location),
+        known=replace(truth, values=np.where(unknowns.identified[:, None], 0.0, truth.values)),
+        noise=NoiseModel(0.0, max(case.noise, ROUNDING)),
+        unknowns=unknowns,
+        guess=Guess(model.initial_stiffness, model.initial_damping),
+    )

@@ -10,13 +10,13 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.comparison.cases import Case, Machine, task_of
-from pipeline.comparison.catalogue import METHODS
-from pipeline.comparison.method import Estimate, Reason, Refusal, Task
+from pipeline.comparison.cases import Case, Machine, measurement_of
 from pipeline.config.comparison import ComparisonConfig, MethodName, SensorSet
 from pipeline.config.identification import IdentifyConfig
-from pipeline.evaluation.errors import relative_errors
-from pipeline.evaluation.fit_quality import within
+from pipeline.evaluation.errors import relative_errors, within
+from pipeline.methods.catalogue import METHODS
+from pipeline.methods.method import Estimate, MethodOptions, Reason, Refusal
+from pipeline.problem.measurement import Measurement
 
 
 class CoefficientResult(BaseModel):
@@ -69,13 +69,13 @@ def result_of(
     machine: Machine, method: MethodName, case: Case, identify: IdentifyConfig, settings: ComparisonConfig, seed: int
 ) -> Result:
     """Let a method identify a case. The truth is looked at when it has answered."""
-    task = task_of(machine, case, identify, settings, seed)
+    data = measurement_of(machine, case, identify, settings)
     started = time.process_time()
-    answer, outcome, words = _answered(method, task)
+    answer, outcome, words = _ask(method, data, MethodOptions(settings, seed))
     seconds = time.process_time() - started  # of the processor: what else runs does not count
     found: dict[str, dict[str, CoefficientResult]] = {}
     if answer is not None and np.isfinite(answer.coefficients.values).all():
-        found = _errors(task, answer, machine, case)
+        found = _errors(data, answer, machine, case)
     elif answer is not None:
         outcome = Reason.NOT_FINITE.name.lower()
     # Clean data have no noise that chi-square could be held against.
@@ -94,9 +94,9 @@ def result_of(
     )
 
 
-def _answered(method: MethodName, task: Task) -> tuple[Estimate | None, str, str]:
+def _ask(method: MethodName, data: Measurement, options: MethodOptions) -> tuple[Estimate | None, str, str]:
     try:
-        answer = METHODS[method].identify(task)
+        answer = METHODS[method].identify(data, options)
     except Refusal as refusal:
         return None, refusal.reason.name.lower(), str(refusal)
     except np.linalg.LinAlgError as error:
@@ -104,11 +104,13 @@ def _answered(method: MethodName, task: Task) -> tuple[Estimate | None, str, str
     return answer, ANSWERED, answer.words
 
 
-def _errors(task: Task, answer: Estimate, machine: Machine, case: Case) -> dict[str, dict[str, CoefficientResult]]:
+def _errors(
+    data: Measurement, answer: Estimate, machine: Machine, case: Case
+) -> dict[str, dict[str, CoefficientResult]]:
     truth = machine.truth(case)
     result: dict[str, dict[str, CoefficientResult]] = {}
     for b, node in enumerate(truth.nodes):
-        for name in task.unknowns.coefficients(b):
+        for name in data.unknowns.coefficients(b):
             relative = relative_errors(answer.coefficients, truth, name)[b]
             relative = relative[~np.isnan(relative)]
             if not len(relative):

@@ -72,6 +72,7 @@ class ComparisonConfig(Section):
     residual: FitConfig
     preconditioned: FitConfig
     response: FitConfig
+    spline: FitConfig
 
     @model_validator(mode="after")
     def _once(self) -> ComparisonConfig:
@@ -79,7 +80,8 @@ class ComparisonConfig(Section):
             values = getattr(self, key)
             if len(set(values)) != len(values):
                 raise ValueError(f"must name each of its {key} once, but got {list(values)}")
-        for name in ("residual", "preconditioned", "response"):
-            if getattr(self, name).loss.kind != name:
-                raise ValueError(f"{name} must have the loss of its name, but got {getattr(self, name).loss.kind}")
+        for name in ("residual", "preconditioned", "response", "spline"):
+            wanted, got = "response" if name == "spline" else name, getattr(self, name).loss.kind
+            if got != wanted:
+                raise ValueError(f"{name} must have loss={wanted}, but got {got}")
         return self

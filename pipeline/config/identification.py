@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
@@ -9,7 +10,7 @@ from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 from pipeline.coefficients import CoefficientName
 from pipeline.config.quantities import Damping, Stiffness
 from pipeline.config.section import NonNegativeInt, Section
-from pipeline.unknowns import BearingUnknowns, Structure
+from pipeline.unknowns import BearingUnknowns, Structure, UnknownSet, unknown_set
 
 
 class OneBearingConfig(Section):
@@ -51,6 +52,10 @@ class IdentifyConfig(Section):
         one = self.bearings.get(node, OneBearingConfig())
         return BearingUnknowns(self.unknowns if one.unknowns is None else one.unknowns, one.structure or self.structure)
 
+    def unknowns_of(self, nodes: Sequence[int]) -> UnknownSet:
+        """What is unknown of the bearings at these nodes."""
+        return unknown_set({node: self.at(node) for node in nodes}, self.tie_bearings, self.unbalance_planes)
+
     def named(self) -> tuple[str, ...]:
         """Every coefficient that is unknown at some bearing, in the order of the configuration."""
         return tuple(
@@ -63,6 +68,19 @@ class _CoefficientModelConfig(Section):
     initialisation: Literal["guess", "per_speed"]
     initial_stiffness: Stiffness
     initial_damping: Damping
+
+    def as_chebyshev(self, degree: int) -> FunctionsModelConfig:
+        """The Chebyshev series of this degree, linear in its parameters."""
+        return FunctionsModelConfig(
+            kind="chebyshev",
+            count=degree,
+            input_scaling=getattr(self, "input_scaling", "rpm"),
+            trend=False,
+            parametrisation="scaled",
+            initialisation="guess",
+            initial_stiffness=self.initial_stiffness,
+            initial_damping=self.initial_damping,
+        )
 
 
 class ConstantModelConfig(_CoefficientModelConfig):
@@ -85,7 +103,25 @@ class NetworkModelConfig(_CoefficientModelConfig):
     trend: bool
 
 
-ModelConfig = Annotated[ConstantModelConfig | NetworkModelConfig, Field(discriminator="kind")]
+class FunctionsModelConfig(_CoefficientModelConfig):
+    """A linear combination of ``count`` fixed functions of the rotor speed: cubic B-splines, or Chebyshev polynomials.
+
+    With ``trend`` the speed and its logarithm are among them.
+    """
+
+    kind: Literal["b_spline", "chebyshev"]
+    count: Annotated[int, Field(ge=2, le=512)]
+    input_scaling: Literal["rpm", "log_rpm"]
+    trend: bool
+
+    @model_validator(mode="after")
+    def _cubic(self) -> FunctionsModelConfig:
+        if self.kind == "b_spline" and self.count < 4:
+            raise ValueError(f"must have count of at least 4 for cubic B-splines, but got {self.count}")
+        return self
+
+
+ModelConfig = Annotated[ConstantModelConfig | NetworkModelConfig | FunctionsModelConfig, Field(discriminator="kind")]
 
 
 class LossConfig(Section):
@@ -103,6 +139,11 @@ class LossConfig(Section):
     regularisation: Annotated[float, Field(ge=0, lt=1)]
     noise: Literal["stated", "estimated"] = "stated"
     robust: bool = True
+
+    @property
+    def preconditioned(self) -> bool:
+        """Whether the residual is multiplied by the pseudo-inverse of its derivative."""
+        return self.kind == "preconditioned"
 
 
 class _PhaseConfig(Section):

@@ -142,16 +142,6 @@ def without_baseline(dataset: VibrationDataset, baseline: str) -> VibrationDatas
     return replace(rest, displacement=rest.displacement - subtracted, subtracted=subtracted)
 
 
-def reading_deviation(
-    displacement: np.ndarray, subtracted: np.ndarray | None, additive: float, multiplicative: float
-) -> np.ndarray:
-    """(.., S, P, R) m, root mean square of each complex displacement's noise, that of a baseline taken off included."""
-    if subtracted is None:
-        return np.hypot(additive, multiplicative * np.abs(displacement))
-    read = np.hypot(additive, multiplicative * np.abs(displacement + subtracted))
-    return np.hypot(read, np.where(subtracted != 0, np.hypot(additive, multiplicative * np.abs(subtracted)), 0.0))
-
-
 def runs_by_frequency(frequencies: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Runs that share their frequencies (S, R), as (indices of the runs, their frequencies (S,))."""
     if (frequencies == frequencies[:, :1]).all():  # as of unbalance; sorting them would take a while

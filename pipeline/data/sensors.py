@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.data.dataset import DIRECTIONS, VibrationDataset, direction_cosines, reading_deviation
+from pipeline.data.dataset import DIRECTIONS, VibrationDataset, direction_cosines
+from pipeline.data.noise import NoiseModel
 from pipeline.data.simulate import with_noise
 
 Channels = tuple[tuple[int, float], ...]
@@ -28,7 +29,7 @@ def both_directions(nodes: tuple[int, ...]) -> Channels:
     return tuple((node, angle) for node in nodes for angle in DIRECTIONS.values())
 
 
-def seen_by(dataset: VibrationDataset, channels: Channels) -> VibrationDataset:
+def project(dataset: VibrationDataset, channels: Channels) -> VibrationDataset:
     """The displacements along the channels, of a data set that has x and y at their nodes."""
     place = {channel: p for p, channel in enumerate(dataset.channels)}
     readings = []
@@ -38,13 +39,13 @@ def seen_by(dataset: VibrationDataset, channels: Channels) -> VibrationDataset:
     return replace(dataset, channels=channels, displacement=np.stack(readings, axis=1))
 
 
-def measured(dataset: VibrationDataset, sensors: Sensors, generator: np.random.Generator) -> VibrationDataset:
+def measure(dataset: VibrationDataset, sensors: Sensors, generator: np.random.Generator) -> VibrationDataset:
     """What the sensors make of a data set with x and y at every node."""
-    seen = dataset if sensors.channels is None else seen_by(dataset, sensors.channels)
+    seen = dataset if sensors.channels is None else project(dataset, sensors.channels)
     # Noise comes first from the generator: with other runout, the same noise.
     if sensors.additive or sensors.multiplicative:
-        deviation = reading_deviation(seen.displacement, None, sensors.additive, sensors.multiplicative)
-        seen = with_noise(seen, deviation, generator)
+        noise = NoiseModel(sensors.additive, sensors.multiplicative)
+        seen = with_noise(seen, noise.deviation(seen.displacement), generator)
     readings = seen.displacement
     if sensors.runout:
         phase = generator.uniform(0, 2 * np.pi, len(seen.channels))

@@ -62,3 +62,11 @@ def as_metrics(errors: CoefficientErrors) -> dict[str, dict[str, dict[str, float
 def worst_mean_error(errors: CoefficientErrors, name: str) -> float:
     """The largest mean error of one coefficient among the bearings, percent."""
     return max((of[name].mean_error_percent for of in errors.values() if name in of), default=0.0)
+
+
+def within(errors: np.ndarray, deviation: np.ndarray) -> np.ndarray:
+    """Percent (over the last axis) of errors inside the nominal 95 % interval, 1.96 standard deviations."""
+    return np.asarray(100.0 * (np.abs(errors) <= NOMINAL_95 * deviation).mean(axis=-1))
+
+
+NOMINAL_95 = 1.959964

@@ -1,4 +1,4 @@
-"""What training hands on: the trained model, and the account of how it was trained."""
+"""What a fit hands on: the trained model, its uncertainty, and how well it explains the readings."""
 
 from __future__ import annotations
 
@@ -9,13 +9,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.identification.coefficient_model import CoefficientModel
+from pipeline.identification.model import CoefficientModel
 from pipeline.identification.outcome import Outcome
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.unknowns import UnknownSet
 
 if TYPE_CHECKING:
     import torch
+
+    from pipeline.identification.quality import Quality
+    from pipeline.identification.uncertainty import Uncertainty
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +28,7 @@ class IdentifiedModel:
     model: CoefficientModel
     unknowns: UnknownSet
     bearing_nodes: tuple[int, ...]
-    parameters: torch.Tensor  # (M, P); M = 1 where the bearings are tied
+    parameters: torch.Tensor  # (M, P)
 
     def values(self, speeds: np.ndarray) -> np.ndarray:
         """(B, S, U) unknowns at ``speeds`` (S,) rad/s, N/m and N s/m."""
@@ -50,14 +53,24 @@ class IdentifiedModel:
         return known.with_unknowns(self.unknowns, self.values(known.speeds))
 
 
-@dataclass(frozen=True, eq=False)
-class IdentificationResult:
-    """The answer of a training."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Fit:
+    """The answer of a fit, of whatever loss."""
 
-    identified: IdentifiedModel
+    model: IdentifiedModel
     outcome: Outcome
     loss: float
     held_out_loss: float | None
     steps: int
     seconds: float
     history: tuple[Mapping[str, float | str], ...]
+    uncertainty: Uncertainty | None  # None for a loss that states no deviations
+    quality: Quality
+
+    def table(self, known: BearingTable) -> BearingTable:
+        """All eight coefficients at the speeds of ``known``, N/m and N s/m."""
+        return self.model.table(known)
+
+    def deviation(self, speeds: np.ndarray) -> np.ndarray | None:
+        """(B, S, 8) standard deviations, see :meth:`pipeline.identification.uncertainty.Uncertainty.deviation`."""
+        return None if self.uncertainty is None else self.uncertainty.deviation(self.model, speeds)

@@ -3,7 +3,7 @@
 They start at the fit of the data at hand, keep its weights and its choice of features, and differ in the noise alone:
 their spread is that of the parametrisation, to be held against its Cramer-Rao bound.
 
-Legend: G data sets, S speeds, P channels, R runs, A unknowns, Z free numbers.
+Legend: G data sets, S speeds, P channels, R runs, A unknowns, Z weights.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ import numpy as np
 from pipeline.config.identification import LevenbergMarquardtConfig
 from pipeline.errors import ConfigError
 from pipeline.identification.optimizers import levenberg_marquardt, until_still
-from pipeline.identification.response_fit import ResponseFit, unknown_deviation
-from pipeline.identification.response_problem import ResponseProblem
+from pipeline.identification.output_error import OutputError
+from pipeline.identification.output_error_fit import OutputErrorFit, unknown_deviation
 
 if TYPE_CHECKING:
     import torch
@@ -30,20 +30,20 @@ _CHUNK = 25
 class MonteCarlo:
     """The fits of all data sets."""
 
-    problem: ResponseProblem
-    free: torch.Tensor  # (G, 1, Z)
+    problem: OutputError
+    weights: torch.Tensor  # (G, 1, Z)
 
     def unknowns(self) -> np.ndarray:
         """(G, S, A) N/m and N s/m."""
-        return np.asarray(self.problem.unknowns(self.free)[0].numpy())
+        return np.asarray(self.problem.unknowns(self.weights)[0].numpy())
 
     def deviations(self) -> np.ndarray:
         """(G, S, A) the standard deviations that each fit states."""
-        return np.concatenate([unknown_deviation(self.problem, part) for part in self.free.split(_CHUNK)])
+        return np.concatenate([unknown_deviation(self.problem, part) for part in self.weights.split(_CHUNK)])
 
 
 def monte_carlo(
-    fit: ResponseFit,
+    fit: OutputErrorFit,
     clean: np.ndarray,
     count: int,
     generator: np.random.Generator,
@@ -58,18 +58,17 @@ def monte_carlo(
 
     if device != "cpu" and not torch.cuda.is_available():
         raise ConfigError(f"device must be one that torch finds, but it finds no '{device}' here: use device=cpu")
-    problem, start_free = fit.problem.to(device), fit.free.to(device)
-    kept = clean[fit.prepared.keep]
-    deviation = fit.prepared.data.deviation_of(kept, None, fit.factor)
+    problem, start = fit.problem.to(device), fit.weights.to(device)
+    kept = clean[fit.start.keep]
+    deviation = fit.start.measurement.deviation_of(kept, None, fit.factor)
     answers = []
-    for start in range(0, count, _CHUNK):
-        n = min(_CHUNK, count - start)
+    for first in range(0, count, _CHUNK):
+        n = min(_CHUNK, count - first)
         parts = generator.standard_normal((2, n, *kept.shape)) / np.sqrt(2.0)
         noisy = kept + deviation * (parts[0] + 1j * parts[1])
         with torch.device(device):
-            own = problem.with_measured(
-                [torch.as_tensor(noisy[..., block.runs]).to(device) for block in problem.blocks]
-            )
-            found = levenberg_marquardt(own, start_free.repeat(n, 1, 1), config, until_still())
+            readings = [torch.as_tensor(noisy[..., block.runs]).to(device) for block in problem.sensors.blocks]
+            own = problem.with_sensors(problem.sensors.with_measured(readings))
+            found = levenberg_marquardt(own, start.repeat(n, 1, 1), config, until_still())
         answers.append(found.cpu())
     return MonteCarlo(fit.problem, torch.cat(answers))

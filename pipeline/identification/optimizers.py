@@ -1,4 +1,4 @@
-"""Minimisers of a :class:`~pipeline.identification.problem.LeastSquares` problem.
+"""Minimisers of a least-squares problem.
 
 Each takes parameters (G, M, P) and returns better ones; the G trainings do not influence each other, so that
 each of 81 initial guesses trained together takes the same steps as alone, and stays where it ended while others go on.
@@ -9,13 +9,37 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from pipeline.config.identification import AdamConfig, LBFGSConfig, LevenbergMarquardtConfig
-from pipeline.identification.problem import LeastSquares
 
 if TYPE_CHECKING:
     import torch
+
+
+class LeastSquares(Protocol):
+    """What is minimised: the squares of rows of parameters (G, M, P)."""
+
+    def rows(self, parameters: torch.Tensor, /) -> torch.Tensor:
+        """(G, M, rows)."""
+        ...
+
+    def normal(self, parameters: torch.Tensor, /) -> tuple[torch.Tensor, torch.Tensor]:
+        """Gradient J'r (G, M, P) and J'J (G, M, P, P)."""
+        ...
+
+    def loss(self, parameters: torch.Tensor, /) -> torch.Tensor:
+        """(G, M) a root mean square that falls with the squared rows."""
+        ...
+
+    def rounding(self) -> torch.Tensor:
+        """(M,) what the rounding of the data may make of a loss of zero: losses below it are equal."""
+        ...
+
+    def members(self) -> tuple[LeastSquares, ...]:
+        """M problems, each of one member by itself."""
+        ...
+
 
 Monitor = Callable[["torch.Tensor", "torch.Tensor"], "torch.Tensor"]
 """(parameters, losses (G, M)) after a step -> which members (G, M) need no further step."""
@@ -58,8 +82,9 @@ def lbfgs(problem: LeastSquares, parameters: torch.Tensor, config: LBFGSConfig, 
     import torch
 
     result = parameters.clone()
+    alone = problem.members()
     members = [(g, m) for g in range(parameters.shape[0]) for m in range(parameters.shape[1])]
-    steppers = {(g, m): _lbfgs_stepper(problem.member(m), parameters[g, m], config.history) for g, m in members}
+    steppers = {(g, m): _lbfgs_stepper(alone[m], parameters[g, m], config.history) for g, m in members}
     done = torch.zeros(parameters.shape[:2], dtype=torch.bool)
     for _ in range(config.steps):
         for g, m in members:

@@ -10,8 +10,8 @@ import numpy as np
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.errors import DataError
 from pipeline.files import read_json, write_beside, write_json
-from pipeline.identification.coefficient_model import CoefficientModel
 from pipeline.identification.identified import IdentifiedModel
+from pipeline.identification.model import CoefficientModel
 from pipeline.unknowns import UnknownSet
 
 SCHEMA = 2
@@ -75,4 +75,5 @@ def load_model(folder: Path) -> IdentifiedModel:
         raise DataError(
             f"'{folder}' must hold a complete trained model, but it does not ({error}): train again with stage=train"
         ) from None
-    return IdentifiedModel(model, UnknownSet(model.unknowns, expansion), nodes, parameters)
+    shared = len(model.scale) < len(nodes)
+    return IdentifiedModel(model, UnknownSet(model.unknowns, expansion, shared), nodes, parameters)

@@ -1,37 +1,28 @@
-"""Training (paper, Algorithm 1): phases of an optimiser, held-out speeds, the best state, a named outcome."""
+"""Training (paper, Algorithm 1): phases of an optimiser, held-out speeds, the best state, a named outcome.
+
+Legend: G trainings done at once, M members of each, P parameters.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from pipeline.coefficients import is_direct, is_stiffness
-from pipeline.config.identification import (
-    IdentifyConfig,
-    LossConfig,
-    ModelConfig,
-    NetworkModelConfig,
-    OptimizerConfig,
-    TrainingConfig,
-)
-from pipeline.config.schema import Config
-from pipeline.equations.bearing_equations import BearingEquations
-from pipeline.equations.identifiability import Identifiability, identifiability, require_identifiable
-from pipeline.equations.unknown_system import unknown_system
+from pipeline.config.identification import LossConfig, ModelConfig, OptimizerConfig, TrainingConfig
 from pipeline.identification import optimizers
-from pipeline.identification.coefficient_model import CoefficientModel, coefficient_model
-from pipeline.identification.identified import IdentificationResult, IdentifiedModel
+from pipeline.identification.optimizers import LeastSquares
 from pipeline.identification.outcome import Outcome
-from pipeline.identification.problem import LeastSquares, ResidualProblem, data_scale, residual_problem, speed_scaling
-from pipeline.rotor.bearing_table import BearingTable
-from pipeline.unknowns import UnknownSet, unknown_set
+from pipeline.unknowns import UnknownSet
 
 if TYPE_CHECKING:
     import torch
+
+    from pipeline.config.schema import Config
 
 _DIVERGED_FACTOR = 10.0
 """A final loss this far above the first one is a divergence, not a slow start."""
@@ -50,115 +41,30 @@ class Progress(Protocol):
 
 
 @dataclass(frozen=True)
-class TrainingSetup:
-    """What is trained, and how: the sections of the configuration that training reads."""
+class FitSetup:
+    """How a measurement is fitted: the sections of the configuration that a fit reads."""
 
-    identify: IdentifyConfig
     model: ModelConfig
     loss: LossConfig
     optimizer: OptimizerConfig
     training: TrainingConfig
-    force: bool = False
+    seed: int = 0
+    force: bool = False  # fit what the data do not determine, too
+
+    @property
+    def constant(self) -> bool:
+        """Whether the coefficients are the same at every speed."""
+        return self.model.kind == "constant"
 
 
-def setup_of(config: Config) -> TrainingSetup:
-    """The sections of a configuration that training reads."""
-    return TrainingSetup(config.identify, config.model, config.loss, config.optimizer, config.training, config.force)
+def setup_of(config: Config) -> FitSetup:
+    """The sections of a configuration that a fit reads."""
+    return FitSetup(config.model, config.loss, config.optimizer, config.training, config.seed, config.force)
 
 
 def phases(config: OptimizerConfig) -> tuple[str, ...]:
     """The optimiser's phases that have steps, in their order."""
     return tuple(name for name in type(config).model_fields if getattr(config, name).steps)
-
-
-@dataclass(frozen=True, eq=False)
-class PreparedTraining:
-    """The problem on the training speeds and, where some are held out, on those."""
-
-    model: CoefficientModel
-    unknowns: UnknownSet
-    train: LeastSquares
-    held_out: LeastSquares | None
-    held_out_per_speed: ResidualProblem | None  # the residual scaled per speed, whatever ``loss`` is
-    bearing_nodes: tuple[int, ...]
-    identifiability: tuple[Identifiability, ...]
-
-    def per_speed_held_out_loss(self, parameters: torch.Tensor) -> np.ndarray:
-        """(G,) what trainings of any loss are compared by; ``parameters`` (G, M, P).
-
-        Root mean square, over bearings and held-out speeds, of the residual divided by the bearing force of its speed.
-        """
-        assert self.held_out_per_speed is not None, "no speed is held out"
-        return _root_mean_square(self.held_out_per_speed.loss(parameters))
-
-
-@dataclass(frozen=True, eq=False)
-class TrainedBatch:
-    """G trainings done at once. Losses are (G,), over the members of each."""
-
-    prepared: PreparedTraining
-    parameters: torch.Tensor  # (G, M, P), the best state of every member
-    outcomes: tuple[Outcome, ...]
-    loss: np.ndarray
-    held_out_loss: np.ndarray | None
-    steps: int
-    seconds: float
-    history: tuple[Mapping[str, float | str], ...]
-    trajectory: tuple[tuple[int, torch.Tensor], ...]  # (step, parameters), where it was asked for
-
-    def per_speed_held_out_loss(self) -> np.ndarray:
-        """(G,) see :meth:`PreparedTraining.per_speed_held_out_loss`."""
-        return self.prepared.per_speed_held_out_loss(self.parameters)
-
-    def identified(self, g: int = 0) -> IdentifiedModel:
-        """The model of training g."""
-        prepared = self.prepared
-        network = prepared.train.network(self.parameters)[g]
-        return IdentifiedModel(prepared.model, prepared.unknowns, prepared.bearing_nodes, network)
-
-    def result(self) -> IdentificationResult:
-        """The only training of a batch of one."""
-        held_out = None if self.held_out_loss is None else float(self.held_out_loss[0])
-        return IdentificationResult(
-            self.identified(),
-            self.outcomes[0],
-            float(self.loss[0]),
-            held_out,
-            self.steps,
-            self.seconds,
-            self.history,
-        )
-
-
-def prepare(equations: BearingEquations, known: BearingTable, setup: TrainingSetup) -> PreparedTraining:
-    """Everything before the first step.
-
-    Raises IdentifiabilityError where the runs determine the unknowns of a bearing at no speed, unless ``setup.force``.
-    """
-    unknowns = unknown_set({node: setup.identify.at(node) for node in equations.bearing_nodes})
-    system = unknown_system(equations, unknowns, known)
-    alike, constant = setup.identify.tie_bearings, not isinstance(setup.model, NetworkModelConfig)
-    accounts = identifiability(equations, system, alike, constant)
-    if not setup.force:
-        require_identifiable(accounts)
-    members = 1 if alike else len(equations.bearing_nodes)
-    model = coefficient_model(setup.model, unknowns.names, equations.speeds, data_scale(system, members))
-    held_out = held_out_speeds(len(equations.speeds), setup.training.holdout_every)
-
-    def problem(keep: np.ndarray, loss: LossConfig) -> ResidualProblem:
-        made = residual_problem(model, equations, system, keep, speed_scaling(loss.scaling, equations))
-        return made.preconditioned(loss.regularisation) if loss.kind == "preconditioned" else made
-
-    some, judge = bool(held_out.any()), LossConfig(kind="residual", scaling="per_speed", regularisation=0.0)
-    return PreparedTraining(
-        model,
-        unknowns,
-        problem(~held_out, setup.loss),
-        problem(held_out, setup.loss) if some else None,
-        problem(held_out, judge) if some else None,
-        equations.bearing_nodes,
-        accounts,
-    )
 
 
 def held_out_speeds(count: int, every: int) -> np.ndarray:
@@ -170,9 +76,7 @@ def held_out_speeds(count: int, every: int) -> np.ndarray:
     return mask
 
 
-def initial_guess(
-    setup: TrainingSetup, names: Sequence[str], members: int, stiffness: float | None = None
-) -> np.ndarray:
+def initial_guess(setup: FitSetup, unknowns: UnknownSet, stiffness: float | None = None) -> np.ndarray:
     """(M, U) starting values, N/m and N s/m: as configured, or ``stiffness`` for every direct stiffness.
 
     Cross-coupled coefficients, which have either sign, start at zero.
@@ -184,29 +88,23 @@ def initial_guess(
         else (stiffness or model.initial_stiffness)
         if is_stiffness(name)
         else model.initial_damping
-        for name in names
+        for name in unknowns.names
     ]
-    return np.tile(values, (members, 1))
+    return np.tile(values, (unknowns.n_members, 1))
 
 
-def initial_parameters(
-    prepared: PreparedTraining, setup: TrainingSetup, seed: int, stiffness: float | None = None
-) -> torch.Tensor:
-    """(1, M, P) starting parameters from a seed and, if given, a guess of the stiffness.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Minimum:
+    """Where G trainings, done at once, ended. Losses are (G,), over the members of each."""
 
-    With ``model.initialisation`` of ``per_speed`` and no guess, the last layer is fitted to the regularised least
-    squares of each training speed.
-    """
-    import torch
-
-    model = prepared.model
-    guess = initial_guess(setup, model.unknowns, len(model.scale), stiffness)
-    start = model.initial_parameters(guess, torch.Generator().manual_seed(seed))
-    if setup.model.initialisation == "per_speed" and stiffness is None:
-        assert isinstance(prepared.train, ResidualProblem), "the response has a start of its own"
-        _, answer = prepared.train.per_speed(setup.loss.regularisation)
-        start = model.with_output_at(start, prepared.train.inputs, torch.as_tensor(answer) * prepared.train.scale)
-    return start[None]
+    parameters: torch.Tensor  # (G, M, P), the best state of every member
+    outcomes: tuple[Outcome, ...]
+    loss: np.ndarray
+    held_out_loss: np.ndarray | None
+    steps: int
+    seconds: float
+    history: tuple[Mapping[str, float | str], ...]
+    trajectory: tuple[tuple[int, torch.Tensor], ...]  # (step, parameters), where it was asked for
 
 
 @dataclass
@@ -287,47 +185,43 @@ _MINIMISERS: dict[str, Callable[..., torch.Tensor]] = {
 }
 
 
-def run_training(
-    prepared: PreparedTraining,
+def minimise(
+    problem: LeastSquares,
     parameters: torch.Tensor,
-    setup: TrainingSetup,
+    setup: FitSetup,
+    *,
+    held_out: LeastSquares | None = None,
     progress: Progress | None = None,
     record_trajectory: bool = False,
     watch: Watch | None = None,
-) -> TrainedBatch:
-    """Train G starting points (G, M, P) at once. Ctrl-C ends it with the best state so far."""
-    monitor = _Monitor(prepared.train, prepared.held_out, setup.training, progress, record_trajectory, watch)
+) -> Minimum:
+    """Train G starting points (G, M, P) at once; ``held_out`` chooses the best state. Ctrl-C ends it with that."""
+    monitor = _Monitor(problem, held_out, setup.training, progress, record_trajectory, watch)
     interrupted = False
     monitor.begin("start", 1, 1)
-    monitor(parameters, prepared.train.loss(parameters))
+    monitor(parameters, problem.loss(parameters))
     try:
         for name in phases(setup.optimizer):
             section = getattr(setup.optimizer, name)
             monitor.begin(name, section.steps, section.patience)
-            parameters = _MINIMISERS[name](prepared.train, parameters, section, monitor)
+            parameters = _MINIMISERS[name](problem, parameters, section, monitor)
     except KeyboardInterrupt:
         interrupted = True
-    return _finish(prepared, monitor, interrupted)
-
-
-def _finish(prepared: PreparedTraining, monitor: _Monitor, interrupted: bool) -> TrainedBatch:
-    losses = prepared.train.loss(monitor.best)
-    held_out = None if prepared.held_out is None else prepared.held_out.loss(monitor.best)
-    return TrainedBatch(
-        prepared,
-        monitor.best,
-        _outcomes(monitor, interrupted),
-        _root_mean_square(losses),
-        None if held_out is None else _root_mean_square(held_out),
-        monitor.step,
-        time.perf_counter() - monitor.started,
-        tuple(monitor.history),
-        tuple(monitor.trajectory),
+    return Minimum(
+        parameters=monitor.best,
+        outcomes=_outcomes(monitor, interrupted),
+        loss=root_mean_square(problem.loss(monitor.best)),
+        held_out_loss=None if held_out is None else root_mean_square(held_out.loss(monitor.best)),
+        steps=monitor.step,
+        seconds=time.perf_counter() - monitor.started,
+        history=tuple(monitor.history),
+        trajectory=tuple(monitor.trajectory),
     )
 
 
-def _root_mean_square(losses: torch.Tensor) -> np.ndarray:
-    return losses.square().mean(dim=1).sqrt().numpy()
+def root_mean_square(losses: torch.Tensor) -> np.ndarray:
+    """(G,) over the members of losses (G, M)."""
+    return np.asarray(losses.square().mean(dim=1).sqrt().numpy())
 
 
 def _outcomes(monitor: _Monitor, interrupted: bool) -> tuple[Outcome, ...]:

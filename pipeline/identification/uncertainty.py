@@ -1,8 +1,8 @@
-"""How well the coefficients are known: the covariance of the free vector, carried to whatever follows from it.
+"""How well the coefficients are known: the covariance of the weights, carried to whatever follows from it.
 
 The covariance is the inverse of the information, so the deviations are the Cramer-Rao bound of the network's output
 layer. Legend: M members, S speeds, B bearings, F features, K members of their basis, A active unknowns, N balance
-planes, Z = A K + 2 N free numbers.
+planes, Z = A K + 2 N weights.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pipeline.files import write_beside
 from pipeline.identification.identified import IdentifiedModel
 
 if TYPE_CHECKING:
-    from pipeline.identification.response_fit import ResponseFit
+    from pipeline.identification.output_error_fit import OutputErrorFit
 
 UNCERTAINTY = "uncertainty.safetensors"
 
@@ -33,10 +33,10 @@ class Uncertainty:
     covariance: np.ndarray  # (Z, Z)
     residual_unbalance: np.ndarray  # (N,) complex, kg m
     planes: np.ndarray  # (N,) nodes
-    plane_scale: float  # kg m of a free number of 1
+    plane_scale: float  # kg m of a weight of 1
 
     def sensitivity(self, identified: IdentifiedModel, speeds: np.ndarray) -> np.ndarray:
-        """(B, S, 8, A K) derivative of the coefficients by the free numbers of the network."""
+        """(B, S, 8, A K) derivative of the coefficients by the weights of the model."""
         import torch
 
         model, parameters = identified.model, identified.parameters
@@ -69,7 +69,7 @@ class Uncertainty:
         return np.asarray(self.plane_scale * np.sqrt(variance))
 
 
-def uncertainty_of(fit: ResponseFit, inflation: float = 1.0) -> Uncertainty:
+def uncertainty_of(fit: OutputErrorFit, inflation: float = 1.0) -> Uncertainty:
     """The uncertainty of a fit; ``inflation`` of the variances is for readings that do not deviate independently."""
     problem = fit.problem
     return Uncertainty(
@@ -77,8 +77,8 @@ def uncertainty_of(fit: ResponseFit, inflation: float = 1.0) -> Uncertainty:
         np.array(problem.active, dtype=np.int64).reshape(-1, 2),
         inflation * fit.covariance(),
         fit.residual_unbalance(),
-        np.array(fit.prepared.data.equations.planes, dtype=np.int64),
-        problem.plane_scale,
+        np.array(problem.measurement.unknowns.planes, dtype=np.int64),
+        problem.sensors.plane_scale,
     )
 
 

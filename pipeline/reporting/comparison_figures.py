@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.comparison.cases import Case
-from pipeline.comparison.catalogue import METHODS
+from pipeline.methods.catalogue import METHODS
 from pipeline.reporting.comparison_tables import SENSOR_TEXT, Comparison, heading
 from pipeline.reporting.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, figure
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.comparison.cases import Case
-from pipeline.comparison.catalogue import METHODS
 from pipeline.comparison.result import Result
+from pipeline.methods.catalogue import METHODS
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.data.vibration_files import to_rpm
-from pipeline.equations.identifiability import Identifiability
+from pipeline.problem.identifiability import Identifiability
 from pipeline.reporting.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, figure
 
 _CEILING = 1e16
@@ -18,19 +18,19 @@ _CEILING = 1e16
 
 def diagnosis_figure(
     path: Path,
-    accounts: Sequence[Identifiability],
+    reports: Sequence[Identifiability],
     relative: Callable[[int], Mapping[str, np.ndarray]],
     noise: str,
 ) -> Path:
     """Condition number over speed, and below it the deviation of each coefficient that the stated noise implies."""
-    with figure(path, 2, len(accounts), 5.4 * len(accounts), 6.6, sharex=True, sharey="row") as axes:
-        for a, account in enumerate(accounts):
-            rpm = to_rpm(account.speeds)
+    with figure(path, 2, len(reports), 5.4 * len(reports), 6.6, sharex=True, sharey="row") as axes:
+        for a, report in enumerate(reports):
+            rpm = to_rpm(report.speeds)
             above, below = axes[0, a], axes[1, a]
-            above.semilogy(rpm, np.minimum(account.condition, _CEILING), color=BLUE, label="unknowns")
-            above.semilogy(rpm, np.minimum(account.orbit_condition, _CEILING), color=GREY, ls="--", label="orbits")
-            above.set_title(f"{account.where}:\n{account.verdict.value}")
-            for name, values in relative(account.nodes[0]).items():
+            above.semilogy(rpm, np.minimum(report.condition, _CEILING), color=BLUE, label="unknowns")
+            above.semilogy(rpm, np.minimum(report.orbit_condition, _CEILING), color=GREY, ls="--", label="orbits")
+            above.set_title(f"{report.where}:\n{report.verdict.value}")
+            for name, values in relative(report.nodes[0]).items():
                 colour = (BLUE, ORANGE, GREEN, PURPLE)[COEFFICIENTS.index(name) % 4]
                 drawn = np.where(np.isfinite(values), 100 * values, np.nan)
                 if not np.isnan(drawn).all():

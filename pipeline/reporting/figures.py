@@ -20,8 +20,8 @@ from pipeline.rotor.bearing_table import BearingTable
 if TYPE_CHECKING:
     import pandas as pd
 
-    from pipeline.config.identification import LossConfig
-    from pipeline.identification.training import TrainedBatch
+    from pipeline.identification.residual_loss import ResidualTraining
+    from pipeline.identification.training import Minimum
 
 # Okabe and Ito's palette.
 BLUE, ORANGE, GREEN, PURPLE, SKY, GREY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#555555"
@@ -162,16 +162,8 @@ def _coefficients(
         ax.set_yscale("log")
 
 
-_LOSS_LABELS = {
-    "residual": "root mean square residual\nover bearing force (-)",
-    "preconditioned": "root mean square distance of the unknowns\nover their scale (-)",
-    "response": "root mean square deviation of the readings\nover their noise (-)",
-}
-
-
-def history_figure(path: Path, history: Path, loss: LossConfig) -> Path:
-    """The ``loss`` over the steps of training, on training and held-out speeds."""
-    unscaled = loss.kind == "residual" and loss.scaling == "none"
+def history_figure(path: Path, history: Path, label: str) -> Path:
+    """The loss, which ``label`` names, over the steps of training, on training and held-out speeds."""
     table = read_table(history, {"step": "number", "phase": "text", "loss": "number"})
     with figure(path, 1, 1, 7.5, 4.2) as axes:
         ax = axes[0, 0]
@@ -190,26 +182,26 @@ def history_figure(path: Path, history: Path, loss: LossConfig) -> Path:
                     color=GREY,
                 )
         ax.set_xlabel("training step")
-        ax.set_ylabel("root mean square residual (N)" if unscaled else _LOSS_LABELS[loss.kind])
+        ax.set_ylabel(label)
         ax.legend(loc="center right")
     return path
 
 
 def robustness_figure(
     path: Path,
-    batch: TrainedBatch,
-    starts: np.ndarray,
+    training: ResidualTraining,
+    found: Minimum,
     over: str,
     rows: pd.DataFrame,
     modelled: BearingTable | None,
 ) -> Path:
     """Paper, Figure 2: the stiffnesses on their way from every guess; final errors over guesses or seeds."""
-    unknowns = batch.prepared.model.unknowns
-    if not batch.trajectory:
+    unknowns = training.model.unknowns
+    if not found.trajectory:
         return _final_errors(path, rows, over)
-    steps = np.array([step for step, _ in batch.trajectory])
-    paths = np.stack([_values(batch, parameters) for _, parameters in batch.trajectory])  # (T, G, M, U)
-    nodes = batch.prepared.bearing_nodes
+    steps = np.array([step for step, _ in found.trajectory])
+    paths = np.stack([_values(training, parameters) for _, parameters in found.trajectory])  # (T, G, M, U)
+    nodes = training.measurement.rotor.bearing_nodes
     members = paths.shape[2]
     with figure(path, members, len(unknowns), 5.2 * len(unknowns), 3.4 * members, sharex=True) as axes:
         for m in range(members):
@@ -220,15 +212,15 @@ def robustness_figure(
                 ax.set_title(f"({ascii_lowercase[m * len(unknowns) + u]}) {name}, {where}")
                 if modelled is not None:
                     ax.axhline(modelled.coefficient(name)[m, 0], color=ORANGE, lw=1.5, ls="--", label="modelled")
-                ax.plot([], [], color=BLUE, lw=0.7, label=f"{len(starts)} initial guesses")
+                ax.plot([], [], color=BLUE, lw=0.7, label=f"{len(found.outcomes)} initial guesses")
                 ax.set_ylabel(f"{name} ({unit(name)})")
                 ax.set_xlabel("training step" if m == members - 1 else "")
         axes[0, 0].legend(loc="lower right")
     return path
 
 
-def _values(batch: TrainedBatch, parameters: Any) -> np.ndarray:
-    model = batch.prepared.model
+def _values(training: ResidualTraining, parameters: Any) -> np.ndarray:
+    model = training.model
     return model.physical(parameters, model.scale_tensor()[:, 0]).detach().numpy()
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from pipeline.config.promotion import value_at
 from pipeline.config.schema import Config
 from pipeline.evaluation.errors import coefficient_errors, worst_mean_error
-from pipeline.identification.series import SeriesFit
+from pipeline.identification.chebyshev import ChebyshevFit
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.tuning.review import Finalist, TrialAccount
 
@@ -32,7 +32,7 @@ class StudyReport:
     trials: Sequence[TrialAccount]
     finalists: Sequence[Finalist]
     best: Finalist
-    series: SeriesFit | None
+    chebyshev: ChebyshevFit | None
     importances: Mapping[str, float]
     known: BearingTable
     modelled: BearingTable | None
@@ -51,22 +51,21 @@ class StudyReport:
 
     def _errors(self, finalist: Finalist) -> dict[str, np.ndarray]:
         assert self.modelled is not None
-        names = finalist.batch.prepared.unknowns.by_bearing
+        names = finalist.training.measurement.unknowns.by_bearing
         each = [
-            coefficient_errors(finalist.batch.identified(g).table(self.known), self.modelled, names)
+            coefficient_errors(finalist.identified(g).table(self.known), self.modelled, names)
             for g in range(len(finalist.losses))
         ]
         unknowns = self.config.identify.named()
         return {name: np.array([worst_mean_error(errors, name) for errors in each]) for name in unknowns}
 
     @cached_property
-    def series_errors(self) -> dict[str, float]:
+    def chebyshev_errors(self) -> dict[str, float]:
         """The same of the Chebyshev series."""
-        if self.modelled is None or self.series is None:
+        if self.modelled is None or self.chebyshev is None:
             return {}
-        errors = coefficient_errors(
-            self.series.table(self.known), self.modelled, self.series.prepared.unknowns.by_bearing
-        )
+        found = self.chebyshev.identified
+        errors = coefficient_errors(found.table(self.known), self.modelled, found.unknowns.by_bearing)
         return {name: worst_mean_error(errors, name) for name in self.config.identify.named()}
 
 
@@ -101,7 +100,7 @@ def finalist_table(report: StudyReport) -> pd.DataFrame:
     rows = []
     for f in report.finalists:
         for g, seed in enumerate(report.config.tuning.seeds):
-            row = {"trial": f.trial, "seed": seed, "held_out_loss": f.losses[g], "outcome": f.batch.outcomes[g].label}
+            row = {"trial": f.trial, "seed": seed, "held_out_loss": f.losses[g], "outcome": f.minimum.outcomes[g].label}
             for name, errors in report.errors.get(f.trial, {}).items():
                 row[f"{name}_mean_error_percent"] = errors[g]
             rows.append(row)
@@ -122,11 +121,11 @@ def summary_of(report: StudyReport) -> dict[str, object]:
         "default": _finalist_summary(report, report.default),
         "tuned": _finalist_summary(report, report.best),
     }
-    if report.series is not None:
+    if report.chebyshev is not None:
         summary["chebyshev_series"] = {
-            "degree": report.series.degree,
-            "held_out_loss": report.series.held_out_loss,
-            "mean_error_percent": report.series_errors,
+            "degree": report.chebyshev.degree,
+            "held_out_loss": report.chebyshev.held_out_loss,
+            "mean_error_percent": report.chebyshev_errors,
         }
     if report.errors:
         summary["error_gain"] = {name: _ratio(*_medians(report, name)) for name in report.config.identify.named()}
@@ -235,14 +234,14 @@ def _comparison(report: StudyReport) -> str:
         span = f"{f.median:.3g} ({losses.min():.2g} to {losses.max():.2g})" if len(losses) else "diverged"
         errors = [report.errors[f.trial][name] for name in names]
         cells = [f"{np.median(e):.2g} ({e.min():.2g} to {e.max():.2g})" for e in errors]
-        seconds = f.batch.seconds / len(f.losses)
+        seconds = f.minimum.seconds / len(f.losses)
         if f is report.best:
             title = f"**{title}, {'promoted' if f.trial else 'which stays'}**"
         rows.append([title, span, *cells, f"{seconds:.1f} s"])
-    if report.series is not None:
-        cells = [f"{report.series_errors[name]:.2g}" for name in names]
+    if report.chebyshev is not None:
+        cells = [f"{report.chebyshev_errors[name]:.2g}" for name in names]
         rows.append(
-            [f"Chebyshev series, degree {report.series.degree}", f"{report.series.held_out_loss:.3g}", *cells, ""]
+            [f"Chebyshev series, degree {report.chebyshev.degree}", f"{report.chebyshev.held_out_loss:.3g}", *cells, ""]
         )
     lines = [" | ".join(row) for row in (head, ["---"] * len(head), *rows)]
     seeds = len(report.config.tuning.seeds)
@@ -254,9 +253,9 @@ def _comparison(report: StudyReport) -> str:
 
 def _limits(report: StudyReport) -> list[str]:
     """How much there was to gain."""
-    if report.series is None:
+    if report.chebyshev is None:
         return []
-    series, best = report.series, report.best
+    series, best = report.chebyshev, report.best
     room = report.default.median / series.held_out_loss
     text = (
         "**What limits it.** A Chebyshev series of the speed, fitted by linear least squares (one answer, no "
@@ -274,7 +273,7 @@ def _limits(report: StudyReport) -> list[str]:
         gains = []
         for name in unknowns:
             before, after = _medians(report, name)
-            limit = report.series_errors[name]
+            limit = report.chebyshev_errors[name]
             gains.append(f"{name} {before:.2g} to {after:.2g} % ({before / after:.2g} times; series {limit:.2g} %)")
         sentences.append(f"Median errors, default to promoted: {', '.join(gains)}.")
         worse = [name for name in unknowns if _medians(report, name)[1] > _medians(report, name)[0]]

@@ -26,9 +26,8 @@ class BearingTable:
         return self.values[..., COEFFICIENTS.index(name)]
 
     def with_unknowns(self, unknowns: UnknownSet, values: np.ndarray) -> BearingTable:
-        """These coefficients, with unknowns (B, S, U), or (1, S, U) of bearings that are alike, in their places."""
-        every = np.broadcast_to(values, (len(self.nodes), *values.shape[1:]))
-        return replace(self, values=unknowns.expand(every, self.values))
+        """These coefficients, with unknowns (M, S, U) in their places."""
+        return replace(self, values=unknowns.expand(values, self.values))
 
     def impedance(self, frequencies: np.ndarray | None = None) -> np.ndarray:
         """(B, S, 2, 2) complex ``K + j w C`` in N/m; (B, S, R, 2, 2) for ``frequencies`` (S, R).

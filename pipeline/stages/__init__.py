@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 def run_stage(config: Config) -> None:
     """Run ``config.stage``. Raises PipelineError for a user's mistake, SystemExit for an exit code."""
-    from pipeline.stages.run import execute
+    from pipeline.stages.execution import execute
 
     execute(config, importlib.import_module(f"pipeline.stages.{config.stage}").run)
 

@@ -10,7 +10,7 @@ from pipeline.errors import ConfigError, nearest
 from pipeline.evaluation.thresholds import Check, check_experiment, read_rules
 from pipeline.files import write_json
 from pipeline.reporting.console import say, table, warn
-from pipeline.stages.run import StageOutput, flat_metrics
+from pipeline.stages.execution import StageOutput, flat_metrics
 
 THRESHOLDS = Path(__file__).parents[2] / "conf" / "thresholds"
 

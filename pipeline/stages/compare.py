@@ -9,21 +9,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.comparison.cases import Machine, cases, main_case
-from pipeline.comparison.catalogue import METHODS
 from pipeline.comparison.result import Result
-from pipeline.comparison.work import Bench, Item, compared
+from pipeline.comparison.runner import ComparisonSetup, MethodRun, compare
 from pipeline.config.schema import Config
 from pipeline.data.simulate import simulate
 from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError
 from pipeline.files import write_json, write_text
+from pipeline.methods.catalogue import METHODS
 from pipeline.reporting.comparison_figures import comparison_figure
 from pipeline.reporting.comparison_tables import Comparison, markdown, tables
 from pipeline.reporting.console import comparison_progress, say, table
 from pipeline.rotor.stored import assembled, modelled_bearings
+from pipeline.stages.execution import StageOutput, flat_metrics, use_threads
 from pipeline.stages.generate import excitations, own_frequencies, residual_unbalances
-from pipeline.stages.inputs import known_coefficients, require_nodes
-from pipeline.stages.run import StageOutput, flat_metrics, use_threads, workspace
+from pipeline.stages.nodes import known_coefficients, require_nodes
+from pipeline.stages.workspace import workspace
 from pipeline.units import RAD_S_PER_RPM
 
 if TYPE_CHECKING:
@@ -43,13 +44,13 @@ def run(config: Config) -> StageOutput:
     use_threads(config)
     machine = modelled_machine(config)
     require_nodes(machine.rotor, "comparison.location", [config.comparison.location or 0])
-    bench = Bench(machine, config.identify, config.comparison, config.seed)
+    setup = ComparisonSetup(machine, config.identify, config.comparison, config.seed)
     n_speeds = len(machine.vibration.speeds)
-    items = [Item(m, case) for case in cases(config.comparison, n_speeds) for m in config.comparison.methods]
+    runs = [MethodRun(m, case) for case in cases(config.comparison, n_speeds) for m in config.comparison.methods]
     folder = workspace(config).folder
     try:
-        with comparison_progress(config.name, len(items)) as progress:
-            results = compared(bench, items, folder / "comparison", progress)
+        with comparison_progress(config.name, len(runs)) as progress:
+            results = compare(setup, runs, folder / "comparison", progress)
     except KeyboardInterrupt:
         say(f"{config.name}: interrupted; what is done is kept, and the same command goes on from there")
         raise SystemExit(130) from None

@@ -9,7 +9,8 @@ from pipeline.config.schema import Config
 from pipeline.data.tables import fingerprint_of
 from pipeline.files import write_text
 from pipeline.reporting.console import say
-from pipeline.stages.run import StageOutput, workspace
+from pipeline.stages.execution import StageOutput
+from pipeline.stages.workspace import workspace
 
 _HOW: Any = {
     **dict.fromkeys(("stage", "tracking", "check", "threads", "device", "output", "promoted"), True),

@@ -4,97 +4,34 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.excitation import DesignConfig
 from pipeline.config.schema import Config
-from pipeline.data.dataset import Excitation, VibrationDataset
-from pipeline.data.simulate import simulate, with_noise
-from pipeline.equations.bearing_equations import bearing_equations
-from pipeline.equations.design import choose, run_information
-from pipeline.equations.least_squares import per_speed_least_squares
-from pipeline.equations.noise import least_squares_deviation, residual_covariance, sensor_deviation, whitened
-from pipeline.equations.unknown_system import UnknownSystem, unknown_system
+from pipeline.data.dataset import Excitation
+from pipeline.data.simulate import simulate
 from pipeline.errors import ConfigError
 from pipeline.files import write_json, write_text
+from pipeline.problem.design import (
+    choose,
+    plan_covariance,
+    predict_deviations,
+    run_information,
+    simulate_deviations,
+    unknown_sizes,
+    whiten_plan,
+)
+from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, table
-from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import assembled, modelled_bearings
-from pipeline.stages.diagnosis import noise_words
+from pipeline.stages.diagnose import noise_words
+from pipeline.stages.execution import StageOutput, flat_metrics
 from pipeline.stages.generate import excitations, own_frequencies
-from pipeline.stages.inputs import require_nodes
-from pipeline.stages.run import StageOutput, flat_metrics, workspace
+from pipeline.stages.measurement import measurement_of
+from pipeline.stages.nodes import require_nodes
+from pipeline.stages.workspace import workspace
 from pipeline.units import RAD_S_PER_RPM
-from pipeline.unknowns import UnknownSet, unknown_set
-
-
-@dataclass(frozen=True, eq=False)
-class Plan:
-    """A set of runs on the machine as the configuration models it, and what it would give."""
-
-    config: Config
-    rotor: RotorModel
-    prior: BearingTable
-    dataset: VibrationDataset
-    unknowns: UnknownSet
-
-    @property
-    def alike(self) -> bool:
-        """Whether all bearings share their coefficients."""
-        return self.config.identify.tie_bearings
-
-    def covariance(self) -> tuple[np.ndarray, np.ndarray]:
-        """(S, P, R) deviation of the sensors and (S, R, 2 B, 2 B) covariance of the residual."""
-        noise = self.config.stated_noise
-        deviation = sensor_deviation(self.dataset, noise.additive, noise.multiplicative)
-        return deviation, residual_covariance(self.rotor, self.dataset, self.prior, deviation)
-
-    def white(self, dataset: VibrationDataset, covariance: np.ndarray) -> UnknownSystem:
-        """The weighted equations of a data set of these runs."""
-        system = unknown_system(bearing_equations(self.rotor, dataset), self.unknowns, self.prior)
-        return whitened(system, covariance, self.alike)
-
-    def sizes(self) -> np.ndarray:
-        """(M, S, U) sizes of the unknowns; some cross zero: no less than a hundredth of the largest of their kind."""
-        values = np.abs(self.prior.values)
-        kinds = values.reshape(*values.shape[:2], 2, 4)
-        floor = np.repeat(_FLOOR * kinds.max(axis=-1), 4, axis=-1)
-        leaders = [COEFFICIENTS.index(name) for name in self.unknowns.names]
-        sizes = np.maximum(values, floor)[..., leaders]
-        return sizes[:1] if self.alike else sizes
-
-    def deviations(self) -> dict[str, float]:
-        """Unknown -> predicted standard deviation over size, median over speed."""
-        _, covariance = self.covariance()
-        return self._medians(least_squares_deviation(self.white(self.dataset, covariance)))
-
-    def simulated(self, count: int, generator: np.random.Generator) -> dict[str, float]:
-        """The same, as the spread of ``count`` weighted least-squares fits to noisy data."""
-        deviation, covariance = self.covariance()
-        fits = np.array(
-            [
-                per_speed_least_squares(self.white(with_noise(self.dataset, deviation, generator), covariance))[0]
-                for _ in range(count)
-            ]
-        )
-        return self._medians(fits.std(axis=0, ddof=1))
-
-    def _medians(self, deviation: np.ndarray) -> dict[str, float]:
-        relative = deviation / self.sizes()
-        nodes = ["all bearings"] if self.alike else [f"node {node}" for node in self.rotor.bearing_nodes]
-        return {
-            f"{nodes[m]} {name}": float(np.median(relative[m, :, u]))
-            for m in range(len(relative))
-            for u, name in enumerate(self.unknowns.names)
-            if self.unknowns.present[m, u]
-        }
-
-
-_FLOOR = 0.01
 
 
 def candidates(design: DesignConfig) -> tuple[tuple[Excitation, ...], ...]:
@@ -125,15 +62,14 @@ def run(config: Config) -> StageOutput:
     every = np.array(config.excitation.speeds.rpm()) * RAD_S_PER_RPM
     speeds = every[np.unique(np.linspace(0, len(every) - 1, min(design.speeds, len(every))).round().astype(int))]
     prior = modelled_bearings(config.rotor, config.bearing, speeds)
-    unknowns = unknown_set({node: config.identify.at(node) for node in rotor.bearing_nodes})
 
-    def plan(acting: Sequence[Excitation], own: np.ndarray | None = None) -> Plan:
-        return Plan(config, rotor, prior, simulate(rotor, prior, tuple(acting), own), unknowns)
+    def plan(acting: Sequence[Excitation], own: np.ndarray | None = None) -> Measurement:
+        return measurement_of(config, rotor, simulate(rotor, prior, tuple(acting), own), prior)
 
     everything = plan(list(itertools.chain.from_iterable(possible)))
-    white = everything.white(everything.dataset, everything.covariance()[1])
-    information = run_information(white, len(possible), everything.sizes())
-    present = unknowns.present[: len(white.matrix)]
+    white = whiten_plan(everything, everything.dataset, plan_covariance(everything))
+    information = run_information(white, len(possible), unknown_sizes(everything))
+    present = everything.unknowns.present
     chosen = [possible[c] for c in choose(information, present, design.runs, design.criterion)]
     plans = {
         "configured": plan(excitations(config), own_frequencies(config, speeds)),
@@ -153,14 +89,16 @@ def run(config: Config) -> StageOutput:
     return StageOutput(flat_metrics(summary), {"rotor_fingerprint": rotor.fingerprint}, written)
 
 
-def _summary(config: Config, plans: Mapping[str, Plan]) -> dict[str, object]:
-    predicted = {name: plan.deviations() for name, plan in plans.items()}
+def _summary(config: Config, plans: Mapping[str, Measurement]) -> dict[str, object]:
+    predicted = {name: predict_deviations(plan) for name, plan in plans.items()}
     summary: dict[str, object] = {"stated_noise": config.stated_noise.model_dump(), "predicted": _finite(predicted)}
     summary["worst"] = {name: _number(max(of.values())) for name, of in predicted.items()}
     summary["gain"] = _number(max(predicted["configured"].values()) / max(predicted["designed"].values()))
     if config.design.simulations > 1:
         generator = np.random.default_rng(config.seed)
-        simulated = {name: plan.simulated(config.design.simulations, generator) for name, plan in plans.items()}
+        simulated = {
+            name: simulate_deviations(plan, config.design.simulations, generator) for name, plan in plans.items()
+        }
         summary["simulated"] = _finite(simulated)
         summary["simulated_gain"] = _number(max(simulated["configured"].values()) / max(simulated["designed"].values()))
     return summary

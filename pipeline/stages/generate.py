@@ -9,7 +9,7 @@ import numpy as np
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import write_coefficients
 from pipeline.data.dataset import Excitation
-from pipeline.data.sensors import Channels, Sensors, both_directions, measured
+from pipeline.data.sensors import Channels, Sensors, both_directions, measure
 from pipeline.data.simulate import simulate
 from pipeline.data.tables import is_foreign
 from pipeline.data.vibration_files import write_excitation, write_vibration
@@ -17,8 +17,9 @@ from pipeline.errors import DataError
 from pipeline.reporting.console import say, warn
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import assembled, modelled_bearings
-from pipeline.stages.inputs import known_coefficients, require_nodes
-from pipeline.stages.run import StageOutput, flat_metrics, input_files, origin_of_files, workspace
+from pipeline.stages.execution import StageOutput, flat_metrics
+from pipeline.stages.nodes import known_coefficients, require_nodes
+from pipeline.stages.workspace import input_files, origin_of_files, workspace
 from pipeline.twin.modes import StabilityMargin, stability_margin, whirl_modes
 from pipeline.units import RAD_S_PER_RPM
 
@@ -44,7 +45,7 @@ def run(config: Config) -> StageOutput:
     complete = simulate(rotor, bearings, (*runs, *residual), own_frequencies(config, speeds))
     # The residual unbalance is in the vibration and nobody knows of it.
     generator = np.random.default_rng(config.sensors.seed)
-    dataset = measured(replace(complete, excitations=runs), sensors(config, rotor), generator)
+    dataset = measure(replace(complete, excitations=runs), sensors(config, rotor), generator)
     modelled = workspace(config).modelled
     write_excitation(files.excitation, dataset)
     write_coefficients(modelled, bearings)

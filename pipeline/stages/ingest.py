@@ -28,8 +28,9 @@ from pipeline.reporting.ingest_figures import bode_figure, measured_orbit_figure
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import assembled
-from pipeline.stages.inputs import known_coefficients, require_nodes
-from pipeline.stages.run import InputFiles, StageOutput, input_files, workspace
+from pipeline.stages.execution import StageOutput
+from pipeline.stages.nodes import known_coefficients, require_nodes
+from pipeline.stages.workspace import InputFiles, input_files, workspace
 
 
 def run(config: Config) -> StageOutput:

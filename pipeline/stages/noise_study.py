@@ -7,25 +7,25 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError
-from pipeline.evaluation.fit_quality import within
+from pipeline.evaluation.errors import within
 from pipeline.files import write_json
+from pipeline.identification.losses import loss_of
 from pipeline.identification.monte_carlo import MonteCarlo, monte_carlo
 from pipeline.identification.outcome import Outcome
-from pipeline.identification.response_fit import ResponseFit, unknown_deviation
-from pipeline.identification.response_preparation import start_at
+from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error, unknown_deviation
+from pipeline.identification.output_error_start import start_at
 from pipeline.identification.training import setup_of
 from pipeline.reporting.console import table, training_progress
 from pipeline.reporting.noise_figures import noise_figure
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.stages.diagnosis import say_diagnosis
-from pipeline.stages.evaluate import load_modelled
-from pipeline.stages.inputs import Inputs, load_inputs
-from pipeline.stages.response import fitted, prepared_response
-from pipeline.stages.run import StageOutput, flat_metrics, use_threads, workspace
+from pipeline.stages.diagnose import say_diagnosis
+from pipeline.stages.execution import StageOutput, flat_metrics, use_threads
+from pipeline.stages.measurement import load_measurement
+from pipeline.stages.results import load_modelled
+from pipeline.stages.workspace import workspace
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -36,25 +36,24 @@ def run(config: Config) -> StageOutput:
 
     Raises ConfigError where the loss is another, or where there is no truth to make other noise for.
     """
-    inputs, setup = load_inputs(config), setup_of(config)
+    measurement, setup = load_measurement(config), setup_of(config)
     use_threads(config)
-    modelled = load_modelled(config, inputs)
-    if config.loss.kind != "response" or modelled is None:
+    modelled = load_modelled(config, measurement)
+    if not loss_of(config.loss).weighs_noise or modelled is None:
         raise ConfigError(
             "robustness over noise must have loss=response and modelled data, but "
             + ("the data are measured" if modelled is None else f"the loss is {config.loss.kind}")
             + ": use robustness=seeds loss=residual"
         )
-    say_diagnosis(config, inputs)
-    prepared = prepared_response(config, inputs, setup)
+    say_diagnosis(config, measurement)
     with training_progress(config.name) as progress:
-        fit = fitted(config, prepared, setup, progress)
+        fit = fit_output_error(measurement, setup, progress)
     generator = np.random.default_rng([config.sensors.seed, 1])
-    clean = prepared.data.equations.predict(modelled)
+    clean = measurement.response.predict(modelled)
     study = monte_carlo(
         fit, clean, config.robustness.count, generator, setup.optimizer.levenberg_marquardt, config.device
     )
-    rows, summary = _judged(inputs, fit, study, modelled)
+    rows, summary = _judge(fit, study, modelled)
     _print(config, rows, summary)
     work = workspace(config)
     written = [
@@ -62,34 +61,27 @@ def run(config: Config) -> StageOutput:
         write_table(work.folder / "robustness.csv", rows),
         noise_figure(work.figure("robustness"), rows),
     ]
-    interrupted = fit.outcome is Outcome.INTERRUPTED
+    interrupted = fit.minimum.outcomes[0] is Outcome.INTERRUPTED
     return StageOutput(
-        flat_metrics(summary), {"data_fingerprint": inputs.dataset.fingerprint}, written, exit_code=130 * interrupted
+        flat_metrics(summary),
+        {"data_fingerprint": measurement.dataset.fingerprint},
+        written,
+        exit_code=130 * interrupted,
     )
 
 
-def _truth(fit: ResponseFit, modelled: BearingTable) -> np.ndarray:
-    """(M, S, U) the modelled unknowns at the training speeds."""
-    unknowns = fit.prepared.training.unknowns
-    members = len(fit.problem.scale)
-    values = modelled.values[:members, fit.prepared.keep]
-    leaders = [COEFFICIENTS.index(name) for name in unknowns.names]
-    return np.asarray(values[..., leaders])
-
-
-def _judged(
-    inputs: Inputs, fit: ResponseFit, study: MonteCarlo, modelled: BearingTable
-) -> tuple[pd.DataFrame, dict[str, object]]:
+def _judge(fit: OutputErrorFit, study: MonteCarlo, modelled: BearingTable) -> tuple[pd.DataFrame, dict[str, object]]:
     """The bound is that of the modelled coefficients, as the network comes nearest to them."""
     import pandas as pd
 
-    truth = _truth(fit, modelled)
+    unknowns, nodes = fit.start.measurement.unknowns, fit.start.measurement.rotor.bearing_nodes
+    truth = unknowns.leading(modelled.values[:, fit.start.keep])  # (M, S, U)
     bound = unknown_deviation(fit.problem, start_at(fit.problem, truth))[0]  # (S, A)
     found, stated = study.unknowns(), study.deviations()  # (G, S, A)
     rows: list[dict[str, object]] = []
     coefficients: dict[str, dict[str, dict[str, float]]] = {}
     for a, (m, u) in enumerate(fit.problem.active):
-        name, node = fit.prepared.training.unknowns.names[u], fit.prepared.training.bearing_nodes[m]
+        name, node = unknowns.names[u], nodes[m]
         error = found[..., a] - truth[m, :, u]
         relative = 100.0 * np.abs(error / truth[m, :, u])
         held = within(error, stated[..., a])  # (G,)

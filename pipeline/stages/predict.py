@@ -17,12 +17,15 @@ from pipeline.errors import ConfigError
 from pipeline.files import write_json
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.uncertainty import Uncertainty, load_uncertainty
+from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, table
 from pipeline.reporting.twin_figures import orbit_figure, response_figure, time_figure
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.stages.evaluate import load_identified, load_modelled
-from pipeline.stages.inputs import Inputs, load_inputs, require_nodes
-from pipeline.stages.run import StageOutput, flat_metrics, workspace
+from pipeline.stages.execution import StageOutput, flat_metrics
+from pipeline.stages.measurement import load_measurement
+from pipeline.stages.nodes import require_nodes
+from pipeline.stages.results import load_identified, load_modelled
+from pipeline.stages.workspace import workspace
 from pipeline.twin.modes import CriticalSpeed, StabilityMargin, critical_speeds, stability_margin, whirl_modes
 from pipeline.twin.prediction import PredictedVibration, predict, with_deviation
 from pipeline.units import RAD_S_PER_RPM
@@ -41,29 +44,29 @@ class Twin:
     at: int  # index of the prediction's speed
 
 
-def twin_of(config: Config, inputs: Inputs) -> Twin:
+def twin_of(config: Config, measurement: Measurement) -> Twin:
     """The twin, training first where its model is missing. Raises ConfigError for an unbalance that a run has."""
-    model = load_identified(config, inputs)
+    model = load_identified(config, measurement)
     uncertainty = load_uncertainty(workspace(config).folder, model)
-    identified = model.table(inputs.known)
-    modelled = load_modelled(config, inputs)
+    identified = model.table(measurement.known)
+    modelled = load_modelled(config, measurement)
     systems = {"identified": identified} if modelled is None else {"modelled": modelled, "identified": identified}
     nodes = [config.prediction.node, *(unbalance.node for unbalance in config.prediction.unbalances)]
-    require_nodes(inputs.rotor, "prediction", nodes)
-    at = _speed_index(config, inputs.dataset.speeds)
+    require_nodes(measurement.rotor, "prediction", nodes)
+    at = _speed_index(config, measurement.dataset.speeds)
     unseen = unseen_excitations(config)
-    if (run := run_alike(unseen, inputs.dataset.excitations)) is not None:
+    if (run := same_run(unseen, measurement.dataset.excitations)) is not None:
         raise ConfigError(
             f"prediction.unbalances must be an unbalance that training never saw, but run '{run}' is the same"
         )
     vibration = {
-        name: predict(inputs.rotor, system, unseen, config.prediction.node) for name, system in systems.items()
+        name: predict(measurement.rotor, system, unseen, config.prediction.node) for name, system in systems.items()
     }
     if uncertainty is not None:
         vibration["identified"] = with_deviation(
-            vibration["identified"], inputs.rotor, identified, unseen, model, uncertainty
+            vibration["identified"], measurement.rotor, identified, unseen, model, uncertainty
         )
-    modes = {name: whirl_modes(inputs.rotor, system) for name, system in systems.items()}
+    modes = {name: whirl_modes(measurement.rotor, system) for name, system in systems.items()}
     critical = {name: critical_speeds(of) for name, of in modes.items()}
     margin = {name: stability_margin(of) for name, of in modes.items()}
     return Twin(model, uncertainty, systems, vibration, critical, margin, at)
@@ -71,8 +74,8 @@ def twin_of(config: Config, inputs: Inputs) -> Twin:
 
 def run(config: Config) -> StageOutput:
     """``prediction.json``, ``prediction.csv`` and Figure 6."""
-    inputs = load_inputs(config)
-    twin = twin_of(config, inputs)
+    measurement = load_measurement(config)
+    twin = twin_of(config, measurement)
     vibration, at = dict(twin.vibration), twin.at
     summary: dict[str, Any] = {name: _modal_summary(twin.critical[name], twin.margin[name]) for name in twin.systems}
     if "modelled" in vibration:
@@ -90,7 +93,7 @@ def run(config: Config) -> StageOutput:
         orbit_figure(work.figure("prediction_orbit"), vibration, at),
         response_figure(work.figure("prediction_response"), vibration),
     ]
-    return StageOutput(flat_metrics(summary), {"data_fingerprint": inputs.dataset.fingerprint}, written)
+    return StageOutput(flat_metrics(summary), {"data_fingerprint": measurement.dataset.fingerprint}, written)
 
 
 def _speed_index(config: Config, speeds: np.ndarray) -> int:
@@ -111,7 +114,7 @@ def unseen_excitations(config: Config) -> tuple[Excitation, ...]:
     )
 
 
-def run_alike(unseen: tuple[Excitation, ...], seen: tuple[Excitation, ...]) -> str | None:
+def same_run(unseen: tuple[Excitation, ...], seen: tuple[Excitation, ...]) -> str | None:
     """The run of ``seen`` whose excitation is ``unseen``; None where training never saw it."""
 
     def shape(forces: list[Excitation]) -> set[tuple[object, ...]]:

@@ -13,24 +13,19 @@ from pipeline.errors import ConfigError, PipelineError
 from pipeline.evaluation.errors import CoefficientErrors, coefficient_errors
 from pipeline.files import write_json
 from pipeline.identification.outcome import Outcome
-from pipeline.identification.training import (
-    PreparedTraining,
-    TrainedBatch,
-    TrainingSetup,
-    initial_parameters,
-    prepare,
-    run_training,
-    setup_of,
-)
+from pipeline.identification.residual_loss import ResidualTraining, initial_parameters, prepare_residual
+from pipeline.identification.training import FitSetup, Minimum, minimise, setup_of
+from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, table, training_progress
 from pipeline.reporting.figures import robustness_figure
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.stages.diagnosis import say_diagnosis
-from pipeline.stages.evaluate import load_modelled
-from pipeline.stages.inputs import Inputs, load_inputs
-from pipeline.stages.predict import run_alike, unseen_excitations
-from pipeline.stages.run import StageOutput, flat_metrics, use_threads, workspace
+from pipeline.stages.diagnose import say_diagnosis
+from pipeline.stages.execution import StageOutput, flat_metrics, use_threads
+from pipeline.stages.measurement import load_measurement
+from pipeline.stages.predict import same_run, unseen_excitations
+from pipeline.stages.results import load_modelled
 from pipeline.stages.train import say_promoted
+from pipeline.stages.workspace import workspace
 from pipeline.twin.prediction import predict
 
 if TYPE_CHECKING:
@@ -52,74 +47,84 @@ def run(config: Config) -> StageOutput:
         from pipeline.stages import noise_study  # it imports what this module has
 
         return noise_study.run(config)
-    inputs, setup = load_inputs(config), setup_of(config)
+    measurement, setup = load_measurement(config), setup_of(config)
     use_threads(config)
     say_promoted(config)
-    if config.robustness.over == "initial_guess" and not any(name.startswith("k") for name in setup.identify.named()):
+    if config.robustness.over == "initial_guess" and not any(name.startswith("k") for name in config.identify.named()):
         raise ConfigError(
             "robustness over initial guesses must have an unknown stiffness, but identify.unknowns has none: use "
             "robustness=seeds"
         )
-    prepared = prepare(inputs.equations, inputs.known, setup)
-    say_diagnosis(config, inputs)
+    training = prepare_residual(measurement, setup)
+    say_diagnosis(config, measurement)
     starts = starting_points(config)
-    parameters = _starts(config, setup, prepared, starts)
     with training_progress(f"{config.name}: {len(starts)} at once") as progress:
-        batch = run_training(prepared, parameters, setup, progress, record_trajectory=prepared.model.hidden is None)
-    modelled = load_modelled(config, inputs)  # read when training is over
-    work = workspace(config)
-    rows = _rows(batch, starts, inputs.known, modelled, config.robustness.over)
-    summary = _summary(batch, rows)
-    error = None if modelled is None else _displacement_error(config, inputs, batch, modelled)
+        found = minimise(
+            training.problem,
+            _starts(config, setup, training, starts),
+            setup,
+            held_out=training.held_out,
+            progress=progress,
+            record_trajectory=setup.constant,
+        )
+    modelled = load_modelled(config, measurement)  # read when training is over
+    work, answers = workspace(config), [training.identified(one).table(measurement.known) for one in found.parameters]
+    rows = _rows(config, found, answers, starts, modelled, measurement)
+    summary = _summary(found, rows)
+    error = None if modelled is None else _displacement_error(config, measurement, answers, modelled)
     if error is not None:
         summary["displacement"] = {"worst_mean_error_percent": error}
-    _print(config, summary, batch)
+    _print(config, summary, found)
     written = [
         write_json(work.folder / "robustness.json", summary),
         write_table(work.folder / "robustness.csv", rows),
-        robustness_figure(work.figure("robustness"), batch, starts, config.robustness.over, rows, modelled),
+        robustness_figure(work.figure("robustness"), training, found, config.robustness.over, rows, modelled),
     ]
-    exit_code = 130 if Outcome.INTERRUPTED in batch.outcomes else 0
+    exit_code = 130 if Outcome.INTERRUPTED in found.outcomes else 0
     return StageOutput(
-        flat_metrics(summary | {"seconds": batch.seconds}),
-        {"data_fingerprint": inputs.dataset.fingerprint},
+        flat_metrics(summary | {"seconds": found.seconds}),
+        {"data_fingerprint": measurement.dataset.fingerprint},
         written,
         exit_code=exit_code,
     )
 
 
-def _starts(config: Config, setup: TrainingSetup, prepared: PreparedTraining, values: np.ndarray) -> torch.Tensor:
+def _starts(config: Config, setup: FitSetup, training: ResidualTraining, values: np.ndarray) -> torch.Tensor:
     """(G, M, P) parameters of every seed or guess."""
     import torch
 
     if config.robustness.over == "seed":
-        return torch.cat([initial_parameters(prepared, setup, int(value)) for value in values])
-    return torch.cat([initial_parameters(prepared, setup, config.seed, float(value)) for value in values])
+        return torch.cat([initial_parameters(training, setup, int(value)) for value in values])
+    return torch.cat([initial_parameters(training, setup, config.seed, float(value)) for value in values])
 
 
 def _rows(
-    batch: TrainedBatch, starts: np.ndarray, known: BearingTable, modelled: BearingTable | None, over: str
+    config: Config,
+    found: Minimum,
+    answers: list[BearingTable],
+    starts: np.ndarray,
+    modelled: BearingTable | None,
+    measurement: Measurement,
 ) -> pd.DataFrame:
     """One row a start, bearing and coefficient; the error is NaN where there is no truth."""
     import pandas as pd
 
-    rows = []
-    for g, start in enumerate(starts):
-        answer = batch.identified(g).table(known)
-        errors = None if modelled is None else coefficient_errors(answer, modelled, batch.prepared.unknowns.by_bearing)
+    rows, names = [], measurement.unknowns.by_bearing
+    for g, (start, answer) in enumerate(zip(starts, answers, strict=True)):
+        errors = None if modelled is None else coefficient_errors(answer, modelled, names)
         for b, node in enumerate(answer.nodes):
-            for name in batch.prepared.unknowns.coefficients(b):
+            for name in names[b]:
                 rows.append(
                     {
-                        over: start,
+                        config.robustness.over: start,
                         "bearing_node": node,
                         "coefficient": name,
                         "mean_value": float(answer.coefficient(name)[b].mean()),
                         "mean_error_percent": _error(errors, node, name, "mean"),
                         "median_error_percent": _error(errors, node, name, "median"),
                         "p95_error_percent": _error(errors, node, name, "p95"),
-                        "loss": float(batch.loss[g]),
-                        "outcome": batch.outcomes[g].label,
+                        "loss": float(found.loss[g]),
+                        "outcome": found.outcomes[g].label,
                     }
                 )
     return pd.DataFrame(rows)
@@ -130,8 +135,8 @@ def _error(errors: CoefficientErrors | None, node: int, name: str, kind: str) ->
     return float("nan") if found is None else float(getattr(found, f"{kind}_error_percent"))
 
 
-def _summary(batch: TrainedBatch, rows: pd.DataFrame) -> dict[str, Any]:
-    labels = [outcome.label for outcome in batch.outcomes]
+def _summary(found: Minimum, rows: pd.DataFrame) -> dict[str, Any]:
+    labels = [outcome.label for outcome in found.outcomes]
     coefficients: dict[str, dict[str, dict[str, float]]] = {}
     for (node, name), group in rows.groupby(["bearing_node", "coefficient"], sort=False):
         errors = group["mean_error_percent"]
@@ -146,24 +151,27 @@ def _summary(batch: TrainedBatch, rows: pd.DataFrame) -> dict[str, Any]:
     return {
         "starts": len(labels),
         "outcomes": {label: labels.count(label) for label in sorted(set(labels))},
-        "worst_loss": float(batch.loss.max()),
+        "worst_loss": float(found.loss.max()),
         "coefficients": coefficients,
     }
 
 
-def _displacement_error(config: Config, inputs: Inputs, batch: TrainedBatch, modelled: BearingTable) -> float | None:
+def _displacement_error(
+    config: Config, measurement: Measurement, answers: list[BearingTable], modelled: BearingTable
+) -> float | None:
     """Error of the vibration never seen, percent: the mean over speed, of the worst start and direction.
 
     None where this rotor lacks the prediction's nodes, a run has the very unbalance, or a start has no finite answer.
     """
-    unseen, node, rotor = unseen_excitations(config), config.prediction.node, inputs.rotor
-    if max(node, *(force.node for force in unseen)) >= rotor.n_nodes or run_alike(unseen, inputs.dataset.excitations):
+    unseen, node, rotor = unseen_excitations(config), config.prediction.node, measurement.rotor
+    if max(node, *(force.node for force in unseen)) >= rotor.n_nodes or same_run(
+        unseen, measurement.dataset.excitations
+    ):
         return None
     worst = 0.0
     try:
         true = predict(rotor, modelled, unseen, node)
-        for g in range(len(batch.outcomes)):
-            answer = batch.identified(g).table(inputs.known)
+        for answer in answers:
             if not np.isfinite(answer.values).all():
                 return None
             error = predict(rotor, answer, unseen, node).error_percent(true).mean(axis=0).max()
@@ -173,10 +181,10 @@ def _displacement_error(config: Config, inputs: Inputs, batch: TrainedBatch, mod
     return worst if np.isfinite(worst) else None
 
 
-def _print(config: Config, summary: Mapping[str, Any], batch: TrainedBatch) -> None:
+def _print(config: Config, summary: Mapping[str, Any], found: Minimum) -> None:
     outcomes = ", ".join(f"{count} {label.replace('_', ' ')}" for label, count in summary["outcomes"].items())
     varied = {"seed": "seeds", "initial_guess": "initial guesses"}[config.robustness.over]
-    say(f"{config.name}: {summary['starts']} {varied} trained at once in {batch.seconds:.1f} s ({outcomes})")
+    say(f"{config.name}: {summary['starts']} {varied} trained at once in {found.seconds:.1f} s ({outcomes})")
     rows = [
         [
             f"node {node} {name}",

@@ -12,8 +12,8 @@ from pipeline.data.tables import write_table
 from pipeline.files import write_json
 from pipeline.reporting.console import say, study_progress, table, warn
 from pipeline.reporting.study_figures import samplers_figure
-from pipeline.stages.inputs import load_inputs
-from pipeline.stages.run import StageOutput, flat_metrics
+from pipeline.stages.execution import StageOutput, flat_metrics
+from pipeline.stages.measurement import load_measurement
 from pipeline.stages.tune import progress_of, study_problem
 from pipeline.tuning.parallel import run_study
 from pipeline.tuning.review import TrialAccount, accounts, sampler_study
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 def run(config: Config) -> StageOutput:
     """``samplers.csv``, ``samplers.json`` and a figure in ``studies/NAME/``: the best loss after each trial."""
-    problem = study_problem(config, load_inputs(config))
+    problem = study_problem(config, load_measurement(config))
     folder, spec = Path(config.tuning.folder), config.tuning.comparison
     best: dict[str, list[np.ndarray]] = {sampler: [] for sampler in spec.samplers}
     seconds: dict[str, float] = dict.fromkeys(spec.samplers, 0.0)
@@ -58,7 +58,7 @@ def run(config: Config) -> StageOutput:
         samplers_figure(folder / "figures" / "samplers.png", curves),
         write_json(folder / "samplers.json", summary),
     ]
-    return StageOutput(flat_metrics(summary), {"data_fingerprint": problem.data_fingerprint}, written)
+    return StageOutput(flat_metrics(summary), {"data_fingerprint": problem.measurement.dataset.fingerprint}, written)
 
 
 def best_so_far(trials: list[TrialAccount]) -> np.ndarray:

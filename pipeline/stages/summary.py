@@ -10,39 +10,42 @@ from pipeline.config.schema import Config
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.data.simulate import forced_response
 from pipeline.files import read_json, write_text
+from pipeline.identification.losses import loss_of
 from pipeline.identification.uncertainty import Uncertainty
+from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say
 from pipeline.reporting.summary_figure import summary_figure
 from pipeline.reporting.summary_text import Results, ShownRun, summary_text
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.stages.inputs import Inputs, load_inputs
+from pipeline.stages.execution import StageOutput
+from pipeline.stages.measurement import load_measurement
 from pipeline.stages.predict import Twin, twin_of
-from pipeline.stages.run import StageOutput, workspace
+from pipeline.stages.workspace import workspace
 
 
 def run(config: Config) -> StageOutput:
     """``summary.txt``, which is printed too, and ``figures/summary.png``."""
-    work, inputs = workspace(config), load_inputs(config)
-    twin = twin_of(config, inputs)
-    results = _results(config, inputs, twin, read_json(work.training, "train again with stage=train"))
+    work, measurement = workspace(config), load_measurement(config)
+    twin = twin_of(config, measurement)
+    results = _results(config, measurement, twin, read_json(work.training, "train again with stage=train"))
     picture = summary_figure(work.figure("summary"), results, config.name)
     text = summary_text(config, results, picture)
     written = [write_text(work.folder / "summary.txt", text), picture]
     say(text.rstrip("\n"))
-    return StageOutput(tags={"data_fingerprint": inputs.dataset.fingerprint}, files=written)
+    return StageOutput(tags={"data_fingerprint": measurement.dataset.fingerprint}, files=written)
 
 
-def _results(config: Config, inputs: Inputs, twin: Twin, training: dict[str, object]) -> Results:
-    speeds, uncertainty = inputs.dataset.speeds, twin.uncertainty
+def _results(config: Config, measurement: Measurement, twin: Twin, training: dict[str, object]) -> Results:
+    speeds, uncertainty = measurement.dataset.speeds, twin.uncertainty
     return Results(
-        inputs.rotor,
-        inputs.dataset,
+        measurement.rotor,
+        measurement.dataset,
         twin.systems["identified"],
         twin.systems.get("modelled"),
         twin.identified.unknowns.by_bearing,
         None if uncertainty is None else uncertainty.deviation(twin.identified, speeds),
         training,
-        _shown_run(config, inputs, twin.systems["identified"], uncertainty),
+        _shown_run(config, measurement, twin.systems["identified"], uncertainty),
         twin.vibration,
         twin.critical["identified"],
         twin.margin["identified"],
@@ -50,13 +53,15 @@ def _results(config: Config, inputs: Inputs, twin: Twin, training: dict[str, obj
     )
 
 
-def _shown_run(config: Config, inputs: Inputs, bearings: BearingTable, uncertainty: Uncertainty | None) -> ShownRun:
+def _shown_run(
+    config: Config, measurement: Measurement, bearings: BearingTable, uncertainty: Uncertainty | None
+) -> ShownRun:
     """The first run that was not fitted, else the first of all, at the probe that moves most."""
-    data = inputs.dataset
-    held_out = config.training.holdout_runs if config.loss.kind == "response" else ()
+    data = measurement.dataset
+    held_out = config.training.holdout_runs if loss_of(config.loss).weighs_noise else ()
     r = data.runs.index(held_out[0] if held_out else data.runs[0])
     one = data.of_runs(np.array([r]))
-    reached = _at_probes(inputs, _with_residual(one, uncertainty), bearings)
+    reached = _at_probes(measurement, _with_residual(one, uncertainty), bearings)
     probe = int(np.abs(one.displacement).max(axis=(0, 2)).argmax())
     return ShownRun(data.runs[r], bool(held_out), probe, one.displacement[..., 0], reached)
 
@@ -72,7 +77,7 @@ def _with_residual(one: VibrationDataset, uncertainty: Uncertainty | None) -> Vi
     return replace(one, excitations=(*one.excitations, *found))
 
 
-def _at_probes(inputs: Inputs, one: VibrationDataset, bearings: BearingTable) -> np.ndarray:
+def _at_probes(measurement: Measurement, one: VibrationDataset, bearings: BearingTable) -> np.ndarray:
     """(S, P) complex, m: what the probes would read in the only run of ``one``."""
-    response = forced_response(inputs.rotor, bearings, one.excitations, one.runs, one.own_frequencies)
-    return response[..., 0] @ one.sensor_matrix(inputs.rotor.n_dof).T
+    response = forced_response(measurement.rotor, bearings, one.excitations, one.runs, one.own_frequencies)
+    return response[..., 0] @ one.sensor_matrix(measurement.rotor.n_dof).T

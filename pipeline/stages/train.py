@@ -4,26 +4,31 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import astuple
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from pipeline.config.promotion import has_value, value_at
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import write_coefficients
 from pipeline.data.tables import fingerprint_of, write_table
-from pipeline.equations.identifiability import require_identifiable
+from pipeline.data.vibration_files import to_rpm
 from pipeline.files import write_json
-from pipeline.identification.identified import IdentificationResult
+from pipeline.identification.fit import fit
+from pipeline.identification.identified import Fit
 from pipeline.identification.outcome import Outcome
-from pipeline.identification.response_fit import ResponseFit
+from pipeline.identification.quality import FAR_FROM_EXPECTED
 from pipeline.identification.storage import save_model
-from pipeline.identification.training import TrainingSetup, initial_parameters, prepare, run_training, setup_of
-from pipeline.identification.uncertainty import Uncertainty, save_uncertainty, uncertainty_of
+from pipeline.identification.training import setup_of
+from pipeline.identification.uncertainty import Uncertainty, save_uncertainty
+from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, training_progress, warn
-from pipeline.stages.diagnosis import say_diagnosis
-from pipeline.stages.inputs import Inputs, load_inputs
-from pipeline.stages.response import account_of, fitted, prepared_response, write_account
-from pipeline.stages.run import StageOutput, flat_metrics, use_threads, workspace
+from pipeline.stages.diagnose import say_diagnosis
+from pipeline.stages.execution import StageOutput, flat_metrics, use_threads
+from pipeline.stages.measurement import load_measurement
+from pipeline.stages.workspace import workspace
 
 
 def say_promoted(config: Config) -> None:
@@ -48,87 +53,77 @@ def _listed(values: Mapping[str, object]) -> str:
 
 
 def run(config: Config) -> StageOutput:
-    """Train, keep the best state, and write model, coefficients, history and account."""
-    inputs, setup = load_inputs(config), setup_of(config)
+    """Fit, keep the best state, and write model, coefficients, history and quality."""
+    measurement = load_measurement(config)
     use_threads(config)  # torch is imported when the data have been found sound
     say_promoted(config)
-    if config.loss.kind == "response":
-        result, fit = _by_response(config, inputs, setup)
-        left_over = account_of(fit, inputs.dataset)
-        account = _account(result) | {"fit": left_over.summary}
-        uncertainty = uncertainty_of(fit, left_over.inflation if config.loss.noise == "estimated" else 1.0)
-        files = write_account(workspace(config).folder, left_over, uncertainty)
-    else:
-        result = _by_residual(config, inputs, setup)
-        account, uncertainty = _account(result), None
-        files = write_account(workspace(config).folder, None, None)
-    files += _save(config, inputs, result, account, uncertainty)
-    _report(config, result, account)
-    return StageOutput(
-        metrics=flat_metrics({"training": account | {"seconds": result.seconds}}),
-        tags={"data_fingerprint": inputs.dataset.fingerprint, "outcome": result.outcome.label},
-        files=files,
-        history=[{key: value for key, value in row.items() if not isinstance(value, str)} for row in result.history],
-        model=workspace(config).folder,
-        exit_code=130 if result.outcome is Outcome.INTERRUPTED else 0,
-    )
-
-
-def _by_residual(config: Config, inputs: Inputs, setup: TrainingSetup) -> IdentificationResult:
-    prepared = prepare(inputs.equations, inputs.known, setup)
-    say_diagnosis(config, inputs)
-    start = initial_parameters(prepared, setup, config.seed)
-    with training_progress(config.name) as progress:
-        return run_training(prepared, start, setup, progress).result()
-
-
-def _by_response(config: Config, inputs: Inputs, setup: TrainingSetup) -> tuple[IdentificationResult, ResponseFit]:
-    diagnosis = say_diagnosis(config, inputs)
-    if not config.force:
-        require_identifiable(diagnosis.accounts)
-    prepared = prepared_response(config, inputs, setup)
-    if prepared.from_guess:
+    diagnosis = say_diagnosis(config, measurement)
+    if not diagnosis.by_least_squares:
         warn(
             f"{config.name}: the sensors are too few to tell the force at every bearing, so the fit starts at "
             "several sizes of model.initial_stiffness and model.initial_damping, and may end beside the best answer"
         )
     with training_progress(config.name) as progress:
-        fit = fitted(config, prepared, setup, progress)
-    loss = float(fit.problem.loss(fit.free))
-    result = IdentificationResult(fit.batch.identified(), fit.outcome, loss, None, fit.steps, fit.seconds, fit.history)
-    return result, fit
+        found = fit(measurement, setup_of(config), progress, diagnosis)
+    summary = _summary(found)
+    files = _write(config, measurement, found, summary)
+    _report(config, found)
+    return StageOutput(
+        metrics=flat_metrics({"training": summary | {"seconds": found.seconds}}),
+        tags={"data_fingerprint": measurement.dataset.fingerprint, "outcome": found.outcome.label},
+        files=files,
+        history=[{key: value for key, value in row.items() if not isinstance(value, str)} for row in found.history],
+        model=workspace(config).folder,
+        exit_code=130 if found.outcome is Outcome.INTERRUPTED else 0,
+    )
 
 
-def _account(result: IdentificationResult) -> dict[str, object]:
+def _summary(found: Fit) -> dict[str, object]:
     # A loss that overflowed is no JSON number.
-    account: dict[str, object] = {"loss": result.loss if math.isfinite(result.loss) else None, "steps": result.steps}
-    if result.held_out_loss is not None:
-        account["held_out_loss"] = result.held_out_loss if math.isfinite(result.held_out_loss) else None
-    return account
+    summary: dict[str, object] = {"loss": found.loss if math.isfinite(found.loss) else None, "steps": found.steps}
+    if found.held_out_loss is not None:
+        summary["held_out_loss"] = found.held_out_loss if math.isfinite(found.held_out_loss) else None
+    return summary | dict(found.quality.summary)
 
 
-def _save(
-    config: Config,
-    inputs: Inputs,
-    result: IdentificationResult,
-    account: Mapping[str, object],
-    uncertainty: Uncertainty | None,
-) -> list[Path]:
+def _write(config: Config, measurement: Measurement, found: Fit, summary: Mapping[str, object]) -> list[Path]:
+    """Every file of the fit; tables without a row where the loss says nothing of them. Raises StorageError."""
     work = workspace(config)
-    table = result.identified.table(inputs.known)
-    model = [*save_model(work.folder, result.identified), save_uncertainty(work.folder, uncertainty)]
-    deviation = None if uncertainty is None else uncertainty.deviation(result.identified, inputs.dataset.speeds)
+    model = [*save_model(work.folder, found.model), save_uncertainty(work.folder, found.uncertainty)]
     about = {
-        "outcome": result.outcome.label,
-        "data_fingerprint": inputs.dataset.fingerprint,
+        "outcome": found.outcome.label,
+        "data_fingerprint": measurement.dataset.fingerprint,
         "seed": config.seed,
         "model": " ".join(fingerprint_of(path) for path in model),
     }
+    table, deviation = found.table(measurement.known), found.deviation(measurement.dataset.speeds)
     return [
+        *model,
         write_coefficients(work.identified, table, deviation=deviation),
-        write_table(work.history, _columns(result.history)),
-        write_json(work.training, about | dict(account)),
+        write_table(work.folder / "bad_points.csv", _bad_points(found)),
+        write_table(work.folder / "residual_unbalance.csv", _residual_unbalance(found.uncertainty)),
+        write_table(work.history, _columns(found.history)),
+        write_json(work.training, about | dict(summary)),
     ]
+
+
+def _bad_points(found: Fit) -> dict[str, list[Any]]:
+    """Readings, and how many deviations they are off."""
+    names = ("run", "speed_rpm", "node", "direction", "deviations")
+    rows = [astuple(point) for point in found.quality.bad_points]
+    columns: dict[str, list[Any]] = {name: [row[i] for row in rows] for i, name in enumerate(names)}
+    return columns | {"speed_rpm": to_rpm(np.array(columns["speed_rpm"])).tolist()}
+
+
+def _residual_unbalance(uncertainty: Uncertainty | None) -> dict[str, Any]:
+    """kg m and degrees."""
+    found = np.zeros(0, dtype=complex) if uncertainty is None else uncertainty.residual_unbalance
+    return {
+        "node": [] if uncertainty is None else uncertainty.planes,
+        "magnitude": np.abs(found),
+        "phase_deg": np.degrees(np.angle(found)),
+        "magnitude_std": [] if uncertainty is None else uncertainty.unbalance_deviation(),
+    }
 
 
 def _columns(history: Sequence[Mapping[str, float | str]]) -> dict[str, list[float | str]]:
@@ -136,35 +131,32 @@ def _columns(history: Sequence[Mapping[str, float | str]]) -> dict[str, list[flo
     return {name: [row[name] for row in history] for name in history[0] if name != "seconds"}
 
 
-def _left_over(result: IdentificationResult, account: Mapping[str, Any]) -> str:
+def _left_over(found: Fit) -> str:
     """The loss in words."""
-    if "fit" not in account:
-        held_out = "" if result.held_out_loss is None else f", on held-out speeds {result.held_out_loss:.3g}"
-        return f"residual {result.loss:.3g} of the bearing force{held_out}"
-    square, bad = account["fit"]["chi_square"], account["fit"]["bad_points"]
+    if found.quality.misfit is None:
+        held_out = "" if found.held_out_loss is None else f", on held-out speeds {found.held_out_loss:.3g}"
+        return f"residual {found.loss:.3g} of the bearing force{held_out}"
+    square, bad = found.quality.summary["fit"]["chi_square"], len(found.quality.bad_points)
     left = (
         f"chi-square {square['value']:.0f}, where {square['expected']:.0f} is expected of {square['readings']} readings"
     )
     return left + (f" ({bad} of them far off, in 'bad_points.csv')" if bad else "")
 
 
-def _report(config: Config, result: IdentificationResult, account: Mapping[str, Any]) -> None:
+def _report(config: Config, found: Fit) -> None:
     say(
-        f"{config.name}: {result.outcome.value}\n"
-        f"{_left_over(result, account)}, "
-        f"{result.steps} steps in {result.seconds:.1f} s\n"
+        f"{config.name}: {found.outcome.value}\n"
+        f"{_left_over(found)}, "
+        f"{found.steps} steps in {found.seconds:.1f} s\n"
         f"coefficients in '{workspace(config).identified}'"
     )
-    square = account["fit"]["chi_square"] if "fit" in account else None
+    misfit = found.quality.misfit
     # NaN compares false.
-    if square is not None and not square["value"] < _FAR_FROM_EXPECTED * square["expected"]:
+    if misfit is not None and not misfit < FAR_FROM_EXPECTED:
         warn(
-            f"{config.name}: the readings lie {math.sqrt(square['value'] / square['expected']):.2g} times as far from "
+            f"{config.name}: the readings lie {math.sqrt(misfit):.2g} times as far from "
             "the fit as their noise; state the noise as it is (stated_noise.additive is its floor), or check units, "
             "conventions, rotor and excitation"
         )
-    if result.outcome in (Outcome.DIVERGED, Outcome.BUDGET_SPENT):
-        warn(f"{config.name}: training {result.outcome.label}")
-
-
-_FAR_FROM_EXPECTED = 3.0
+    if found.outcome in (Outcome.DIVERGED, Outcome.BUDGET_SPENT):
+        warn(f"{config.name}: training {found.outcome.label}")

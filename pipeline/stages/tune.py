@@ -11,8 +11,10 @@ from pipeline.config.promotion import BEST, PromotedTrial
 from pipeline.config.schema import Config
 from pipeline.errors import ConfigError
 from pipeline.files import read_json, write_json, write_text
-from pipeline.identification.series import best_series
-from pipeline.identification.training import TrainingSetup, prepare, setup_of
+from pipeline.identification.chebyshev import fit_chebyshev
+from pipeline.identification.residual_loss import prepare_residual
+from pipeline.identification.training import FitSetup, setup_of
+from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import StudyProgress, say, study_progress, warn
 from pipeline.reporting.study_figures import study_figures
 from pipeline.reporting.study_report import (
@@ -22,10 +24,10 @@ from pipeline.reporting.study_report import (
     summary_of,
     trial_table,
 )
-from pipeline.stages.diagnosis import say_diagnosis
-from pipeline.stages.evaluate import load_modelled
-from pipeline.stages.inputs import Inputs, load_inputs
-from pipeline.stages.run import StageOutput, flat_metrics
+from pipeline.stages.diagnose import say_diagnosis
+from pipeline.stages.execution import StageOutput, flat_metrics
+from pipeline.stages.measurement import load_measurement
+from pipeline.stages.results import load_modelled
 from pipeline.tracking import ChildRecord
 from pipeline.tuning.parallel import run_study
 from pipeline.tuning.review import TrialAccount, accounts, finalists, fingerprint, importances, promoted
@@ -36,14 +38,14 @@ from pipeline.tuning.worker import ROUNDING, Seen
 SUMMARY = "summary.json"
 
 
-def study_problem(config: Config, inputs: Inputs) -> StudyProblem:
+def study_problem(config: Config, measurement: Measurement) -> StudyProblem:
     """What a study of ``config`` searches on. Raises ConfigError where no speed is held out."""
     if not config.training.holdout_every:
         raise ConfigError(
             "a study must judge its trials on held-out speeds, but training.holdout_every is 0: give it 10, or another "
             "number from 2"
         )
-    return StudyProblem(config, inputs.equations, inputs.known, inputs.dataset.fingerprint)
+    return StudyProblem(config, measurement)
 
 
 def run(config: Config) -> StageOutput:
@@ -52,10 +54,10 @@ def run(config: Config) -> StageOutput:
 
     if is_shared(config.tuning):
         open_storage(config.tuning)  # one that can't be reached is said at once, before the data are read
-    inputs = load_inputs(config)
-    problem, folder = study_problem(config, inputs), Path(config.tuning.folder)
-    prepare(problem.equations, problem.known, setup_of(config))  # what is not identifiable needs no study
-    say_diagnosis(config, inputs)
+    measurement = load_measurement(config)
+    problem, folder = study_problem(config, measurement), Path(config.tuning.folder)
+    prepare_residual(measurement, setup_of(config))  # what is not identifiable needs no study
+    say_diagnosis(config, measurement)
     started = time.perf_counter()
     try:
         with study_progress(config.name, config.tuning.n_trials) as shown:
@@ -65,13 +67,13 @@ def run(config: Config) -> StageOutput:
             warn(f"{config.name}: {sentence}")
         folder.mkdir(parents=True, exist_ok=True)
         with FileLock(folder / ".lock"):  # of several processes that end a study together, one makes the report
-            return _reported(config, problem, study, inputs, searched)
+            return _reported(config, problem, study, searched)
     except KeyboardInterrupt:
         warn(f"{config.name}: study interrupted; no finished trial is lost, and the same command goes on")
         raise SystemExit(130) from None
 
 
-def _reported(config: Config, problem: StudyProblem, study: Any, inputs: Inputs, searched: float) -> StageOutput:
+def _reported(config: Config, problem: StudyProblem, study: Any, searched: float) -> StageOutput:
     """The finalists, the choice, and the files of ``studies/NAME/``; nothing where they are up to date."""
     folder, trials, mark = Path(config.tuning.folder), accounts(study), fingerprint(study, problem)
     if _is_current(folder, mark):
@@ -84,10 +86,10 @@ def _reported(config: Config, problem: StudyProblem, study: Any, inputs: Inputs,
         trials,
         (default, *others),
         best,
-        best_series(prepare(problem.equations, problem.known, _judged(config))),
+        fit_chebyshev(problem.measurement, _judged(config)),
         importances(study),
-        inputs.known,
-        load_modelled(config, inputs),  # read when the choice is made
+        problem.measurement.known,
+        load_modelled(config, problem.measurement),  # read when the choice is made
     )
     summary = summary_of(report) | {"study_fingerprint": mark}
     written = _write(config, report, summary, folder)
@@ -97,13 +99,13 @@ def _reported(config: Config, problem: StudyProblem, study: Any, inputs: Inputs,
     )
     return StageOutput(
         flat_metrics(summary) | {"search_seconds": searched},
-        {"data_fingerprint": inputs.dataset.fingerprint, "study": config.tuning.study},
+        {"data_fingerprint": problem.measurement.dataset.fingerprint, "study": config.tuning.study},
         written,
         children=[child_record(trial) for trial in trials],
     )
 
 
-def _judged(config: Config) -> TrainingSetup:
+def _judged(config: Config) -> FitSetup:
     """Training with the loss that trials are compared by, whatever they are trained with."""
     setup = setup_of(config)
     return replace(setup, loss=setup.loss.model_copy(update={"scaling": "per_speed"}))

@@ -14,15 +14,10 @@ import numpy as np
 
 from pipeline.config.promotion import with_values
 from pipeline.config.tuning import TuningConfig, Value
+from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.outcome import Outcome
-from pipeline.identification.training import (
-    TrainedBatch,
-    TrainingSetup,
-    initial_parameters,
-    prepare,
-    run_training,
-    setup_of,
-)
+from pipeline.identification.residual_loss import ResidualTraining, initial_parameters, prepare_residual
+from pipeline.identification.training import FitSetup, Minimum, minimise, setup_of
 from pipeline.tuning.parallel import pool
 from pipeline.tuning.space import values_of
 from pipeline.tuning.study import StudyProblem
@@ -55,7 +50,12 @@ class Finalist:
     trial: int
     values: Mapping[str, Value]
     losses: np.ndarray
-    batch: TrainedBatch
+    training: ResidualTraining
+    minimum: Minimum  # of all seeds
+
+    def identified(self, g: int) -> IdentifiedModel:
+        """The model of seed g."""
+        return self.training.identified(self.minimum.parameters[g])
 
     @property
     def median(self) -> float:
@@ -132,34 +132,34 @@ class _Answer:
 def _train_seed(given: tuple[StudyProblem, int, Mapping[str, Value], int]) -> _Answer:
     problem, number, values, seed = given
     setup = _setup(problem, number, values)
-    prepared = prepare(problem.equations, problem.known, setup)
-    batch = run_training(prepared, initial_parameters(prepared, setup, seed), setup)
-    if Outcome.INTERRUPTED in batch.outcomes:
+    training = prepare_residual(problem.measurement, setup)
+    start = initial_parameters(training, setup, seed)
+    found = minimise(training.problem, start, setup, held_out=training.held_out)
+    if Outcome.INTERRUPTED in found.outcomes:
         raise KeyboardInterrupt
-    state = batch.parameters.numpy()
-    return _Answer(state, batch.outcomes, batch.loss, batch.held_out_loss, batch.steps, batch.seconds)
+    state = found.parameters.numpy()
+    return _Answer(state, found.outcomes, found.loss, found.held_out_loss, found.steps, found.seconds)
 
 
 def _finalist(problem: StudyProblem, number: int, values: Mapping[str, Value], answers: Sequence[_Answer]) -> Finalist:
     import torch
 
-    prepared = prepare(problem.equations, problem.known, _setup(problem, number, values))
+    training = prepare_residual(problem.measurement, _setup(problem, number, values))
     held_out = [answer.held_out_loss for answer in answers if answer.held_out_loss is not None]
-    batch = TrainedBatch(
-        prepared,
-        torch.from_numpy(np.concatenate([answer.parameters for answer in answers])),
-        tuple(outcome for answer in answers for outcome in answer.outcomes),
-        np.concatenate([answer.loss for answer in answers]),
-        np.concatenate(held_out) if held_out else None,
-        max(answer.steps for answer in answers),
-        sum(answer.seconds for answer in answers),
-        (),
-        (),
+    found = Minimum(
+        parameters=torch.from_numpy(np.concatenate([answer.parameters for answer in answers])),
+        outcomes=tuple(outcome for answer in answers for outcome in answer.outcomes),
+        loss=np.concatenate([answer.loss for answer in answers]),
+        held_out_loss=np.concatenate(held_out) if held_out else None,
+        steps=max(answer.steps for answer in answers),
+        seconds=sum(answer.seconds for answer in answers),
+        history=(),
+        trajectory=(),
     )
-    return Finalist(number, dict(values), batch.per_speed_held_out_loss(), batch)
+    return Finalist(number, dict(values), training.per_speed_held_out_loss(found.parameters), training, found)
 
 
-def _setup(problem: StudyProblem, number: int, values: Mapping[str, Value]) -> TrainingSetup:
+def _setup(problem: StudyProblem, number: int, values: Mapping[str, Value]) -> FitSetup:
     return setup_of(with_values(problem.config, values, f"trial {number}"))
 
 
@@ -202,7 +202,7 @@ def sampler_study(problem: StudyProblem, sampler: str, seed: int) -> StudyProble
         }
     )
     config = problem.config.model_copy(update={"tuning": tuning})
-    return StudyProblem(config, problem.equations, problem.known, problem.data_fingerprint)
+    return StudyProblem(config, problem.measurement)
 
 
 def fingerprint(study: optuna.Study, problem: StudyProblem) -> str:

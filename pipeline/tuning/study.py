@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.config.schema import Config
-from pipeline.equations.bearing_equations import BearingEquations
 from pipeline.errors import ConfigError
-from pipeline.rotor.bearing_table import BearingTable
+from pipeline.problem.measurement import Measurement
+from pipeline.problem.residual import BearingEquations
 from pipeline.tuning.samplers import pruner, sampler
 from pipeline.tuning.space import default_parameters
 from pipeline.tuning.storage import open_storage, place
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 OBJECTIVE = "log10 of the held-out loss"
 INPUTS = "made_from"
 _CREATION_SECONDS = 5.0
-_CODE = ("equations", "identification")
+_CODE = ("problem", "identification")
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,9 +36,7 @@ class StudyProblem:
     """What a study searches on: the same in every worker."""
 
     config: Config
-    equations: BearingEquations
-    known: BearingTable
-    data_fingerprint: str
+    measurement: Measurement
 
     def made_from(self) -> dict[str, dict[str, str]]:
         """Parts and the fingerprints of their pieces; a study of other ones is another study."""
@@ -48,9 +46,9 @@ class StudyProblem:
             "the search space": {name: _hash(d.model_dump(mode="json")) for name, d in tuning.space.items()}
             | {"its order": _hash(list(tuning.space))},
             "the data": {
-                "vibration, excitation and rotor": self.data_fingerprint,
-                "known coefficients": _hash(self.known.values.tobytes().hex()),
-                "equations": _hash(np.round(_size(self.equations), 12).tolist()),
+                "vibration, excitation and rotor": self.measurement.dataset.fingerprint,
+                "known coefficients": _hash(self.measurement.known.values.tobytes().hex()),
+                "equations": _hash(np.round(_size(self.measurement.equations), 12).tolist()),
             },
             "the configuration": {name: _hash(getattr(config, name).model_dump(mode="json")) for name in sections}
             | {"seed": str(config.seed)},

@@ -12,15 +12,8 @@ from typing import TYPE_CHECKING, Any
 from pipeline.config.promotion import with_values
 from pipeline.errors import PipelineError
 from pipeline.identification.outcome import Outcome
-from pipeline.identification.training import (
-    PreparedTraining,
-    TrainedBatch,
-    initial_parameters,
-    phases,
-    prepare,
-    run_training,
-    setup_of,
-)
+from pipeline.identification.residual_loss import ResidualTraining, initial_parameters, prepare_residual
+from pipeline.identification.training import Minimum, minimise, phases, setup_of
 from pipeline.tuning.liveness import requeue, requeue_orphans, working_on
 from pipeline.tuning.space import suggest, values_of
 from pipeline.tuning.study import StudyProblem
@@ -101,10 +94,11 @@ def run_trial(study: optuna.Study, trial: optuna.trial.Trial, problem: StudyProb
         values = values_of(config.tuning.space, suggest(trial, config.tuning.space))
         started = time.perf_counter()  # sampling is no training; where it fails, the time of that is all there is
         setup = setup_of(with_values(config, values, f"trial {trial.number}"))
-        prepared = prepare(problem.equations, problem.known, setup)
-        curve = _Curve(study, trial, prepared, phases(setup.optimizer)[-1], seen)
-        batch = run_training(prepared, initial_parameters(prepared, setup, config.seed), setup, watch=curve)
-        state, value, account = _finished(curve, batch)
+        training = prepare_residual(problem.measurement, setup)
+        curve = _Curve(study, trial, training, phases(setup.optimizer)[-1], seen)
+        start = initial_parameters(training, setup, config.seed)
+        found = minimise(training.problem, start, setup, held_out=training.held_out, watch=curve)
+        state, value, account = _finished(curve, found)
     except optuna.TrialPruned:
         assert curve is not None
         state, value = TrialState.PRUNED, None
@@ -122,18 +116,18 @@ def run_trial(study: optuna.Study, trial: optuna.trial.Trial, problem: StudyProb
         return  # another worker took this one for dead, and finished it or put it back to the queue
 
 
-def _finished(curve: _Curve, batch: TrainedBatch) -> tuple[Any, float | None, dict[str, Any]]:
+def _finished(curve: _Curve, found: Minimum) -> tuple[Any, float | None, dict[str, Any]]:
     from optuna.trial import TrialState
 
-    outcome = batch.outcomes[0]
+    outcome = found.outcomes[0]
     if outcome is Outcome.INTERRUPTED:
         raise KeyboardInterrupt
-    account: dict[str, Any] = {"outcome": outcome.label, "epochs": batch.steps}
-    loss = float(batch.per_speed_held_out_loss()[0])
+    account: dict[str, Any] = {"outcome": outcome.label, "epochs": found.steps}
+    loss = float(curve.training.per_speed_held_out_loss(found.parameters)[0])
     if outcome is Outcome.DIVERGED or not math.isfinite(loss):
         return TrialState.FAIL, None, account | {"outcome": "diverged", "reason": Outcome.DIVERGED.value}
     curve.carry_to_the_end(loss)
-    account |= {"held_out_loss": loss, "training_loss": float(batch.loss[0])}
+    account |= {"held_out_loss": loss, "training_loss": float(found.loss[0])}
     return TrialState.COMPLETE, objective(loss), account
 
 
@@ -146,7 +140,7 @@ class _Curve:
 
     study: optuna.Study
     trial: optuna.trial.Trial
-    prepared: PreparedTraining
+    training: ResidualTraining
     phase: str
     seen: Seen
     steps: int = 0
@@ -166,7 +160,7 @@ class _Curve:
             return
         while self.due and 100 * step >= self.due[0] * total:
             percent = self.due.pop(0)
-        self.report(percent, float(self.prepared.per_speed_held_out_loss(best)[0]))
+        self.report(percent, float(self.training.per_speed_held_out_loss(best)[0]))
         self.seen(self.study)
         # Optuna judges the latest step it knows: on a second attempt, wait until that is reached again.
         if percent >= max(self.known, default=0) and self.trial.should_prune():

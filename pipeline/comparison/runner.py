@@ -1,0 +1,170 @@
+"""All methods on all cases: in several processes, each result kept in a file, so that none is done again."""
+
+from __future__ import annotations
+
+import hashlib
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from pipeline.comparison.cases import Case, Machine
+from pipeline.comparison.result import Result, result_of
+from pipeline.config.comparison import ComparisonConfig, MethodName
+from pipeline.config.identification import IdentifyConfig
+from pipeline.errors import DataError, PipelineError
+from pipeline.files import read_json, write_json
+from pipeline.processes import later_interrupt, limited_threads
+
+_PACKAGES = ("comparison", "data", "identification", "methods", "problem", "rotor")
+Done = Callable[[int, int, Result], None]
+"""(results so far, of how many, the newest one)."""
+
+
+@dataclass(frozen=True)
+class MethodRun:
+    """One method on one case."""
+
+    method: MethodName
+    case: Case
+
+    @property
+    def file(self) -> str:
+        """Name of the file that keeps the result."""
+        case = self.case
+        return f"{self.method}-{case.sensors}-{case.noise:g}-{case.speeds}-{case.data_set}.json"
+
+
+@dataclass(frozen=True, eq=False)
+class ComparisonSetup:
+    """Everything that a result follows from, but the run."""
+
+    machine: Machine
+    identify: IdentifyConfig
+    settings: ComparisonConfig
+    seed: int
+
+    def result(self, run: MethodRun) -> Result:
+        """Do the work."""
+        return result_of(self.machine, run.method, run.case, self.identify, self.settings, self.seed)
+
+    def fingerprint(self) -> str:
+        """Equal where results are: of machine, unknowns, settings and the program; not of which cases are asked for."""
+        machine = self.machine
+        parts = [
+            machine.rotor.fingerprint,
+            machine.vibration.fingerprint,
+            hashlib.sha256(machine.modelled.values.tobytes()).hexdigest(),
+            str(machine.noise_seed),
+            self.identify.model_dump_json(),
+            self.settings.model_dump_json(exclude={"methods", "noise", "sensors", "speeds", "data_sets", "workers"}),
+            str(self.seed),
+            _program(),
+        ]
+        return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
+
+
+def _program() -> str:
+    digest, root = hashlib.sha256(), Path(__file__).parents[1]
+    for package in _PACKAGES:
+        for path in sorted((root / package).glob("*.py")):
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def compare(setup: ComparisonSetup, runs: Sequence[MethodRun], folder: Path, done: Done) -> list[Result]:
+    """The results in the order of the runs; those that ``folder`` keeps are read.
+
+    Raises StorageError where they can't be kept, PipelineError where a process dies, KeyboardInterrupt.
+    """
+    fingerprint = setup.fingerprint()
+    results = {run: kept for run in runs if (kept := _read_kept(folder / run.file, fingerprint)) is not None}
+    todo = [run for run in runs if run not in results]
+    for run, result in _run_all(setup, todo):
+        write_json(folder / run.file, {"fingerprint": fingerprint, "result": result.model_dump()})
+        results[run] = result
+        done(len(results), len(runs), result)
+    return [results[run] for run in runs]
+
+
+def _read_kept(path: Path, fingerprint: str) -> Result | None:
+    """A result that is there already; None where it is of another configuration or program, or damaged."""
+    if not path.exists():
+        return None
+    try:
+        content = read_json(path)
+        return Result.model_validate(content["result"]) if content["fingerprint"] == fingerprint else None
+    except (DataError, KeyError, ValidationError):
+        return None
+
+
+def _run_all(setup: ComparisonSetup, runs: Sequence[MethodRun]) -> Iterator[tuple[MethodRun, Result]]:
+    workers = min(setup.settings.workers, len(runs))
+    if workers <= 1:
+        yield from ((run, setup.result(run)) for run in runs)
+        return
+    context = multiprocessing.get_context("spawn")  # torch and BLAS don't survive a fork
+    with ProcessPoolExecutor(workers, context, _begin, (setup,)) as pool:
+        try:
+            with limited_threads(1), later_interrupt():
+                futures = {pool.submit(_work, run): run for run in runs}
+            while futures:
+                finished, _ = wait(futures, return_when=FIRST_COMPLETED)
+                for future in finished:
+                    yield futures.pop(future), future.result()
+        except BrokenProcessPool:
+            raise PipelineError(
+                "every process of the comparison must live, but one was killed (too little memory?): run the same "
+                "command again to go on, with comparison.workers=1 for less memory"
+            ) from None
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in multiprocessing.active_children():
+                process.terminate()
+            raise
+
+
+_setup: ComparisonSetup | None = None
+"""A worker has its own: sent once, not with every run."""
+_working = False
+
+
+def _begin(setup: ComparisonSetup) -> None:
+    global _setup
+    import torch
+
+    # The parent gets Ctrl-C too, and says when it is over: what is at work then ends, and the process in its own time.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _leave)
+    threading.Thread(target=_end_with, args=(multiprocessing.parent_process(),), daemon=True).start()
+    torch.set_num_threads(1)
+    _setup = setup
+
+
+def _end_with(parent: Any) -> None:
+    """A process that was killed can't end those that it started."""
+    parent.join()
+    os._exit(1)
+
+
+def _leave(*_: object) -> None:
+    if _working:
+        raise SystemExit
+
+
+def _work(run: MethodRun) -> Result:
+    global _working
+    assert _setup is not None
+    _working = True
+    try:
+        return _setup.result(run)
+    finally:
+        _working = False

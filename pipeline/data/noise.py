@@ -1,0 +1,26 @@
+"""How far a reading may lie from the displacement that it is of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Circular noise of each measured complex displacement: a floor, and a share of the reading's size."""
+
+    additive: float  # m, root mean square
+    multiplicative: float  # share of the reading, root mean square
+
+    def deviation(self, displacement: np.ndarray, subtracted: np.ndarray | None = None) -> np.ndarray:
+        """(.., S, P, R) m, root mean square of the noise of each reading.
+
+        The noise of a baseline that was ``subtracted`` (zero where none was) is still there.
+        """
+        if subtracted is None:
+            return np.hypot(self.additive, self.multiplicative * np.abs(displacement))
+        read = np.hypot(self.additive, self.multiplicative * np.abs(displacement + subtracted))
+        baseline = np.hypot(self.additive, self.multiplicative * np.abs(subtracted))
+        return np.hypot(read, np.where(subtracted != 0, baseline, 0.0))

@@ -1,1 +1,0 @@
-"""The small linear system at the bearings, computed once before training."""

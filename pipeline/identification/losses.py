@@ -1,0 +1,145 @@
+"""The losses behind one protocol; nothing else asks which one a configuration names.
+
+``residual``: the residual of the equation of motion (paper, eq. 6). ``preconditioned``: the same, multiplied at each
+speed by the pseudo-inverse of its derivative by the unknowns. ``response``: the output error, predicted less measured
+displacements over the sensors' noise.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from pipeline.config.identification import LossConfig
+from pipeline.identification.identified import Fit
+from pipeline.identification.training import FitSetup, Progress, minimise
+from pipeline.problem.diagnosis import Diagnosis, diagnose_residual, diagnose_response
+from pipeline.problem.identifiability import require_identifiable
+from pipeline.problem.measurement import Guess, Measurement
+
+
+class Loss(Protocol):
+    """What a fit minimises, and what follows from that."""
+
+    @property
+    def label(self) -> str:
+        """The axis of a figure of the loss, with its unit."""
+        ...
+
+    @property
+    def weighs_noise(self) -> bool:
+        """Whether readings are weighed by their noise, so that deviations are stated and any sensors will do."""
+        ...
+
+    def diagnose(self, measurement: Measurement, setup: FitSetup) -> Diagnosis:
+        """What the measurement determines, before the fit. Raises DataError for sensors that do not suffice."""
+        ...
+
+    def fit(
+        self,
+        measurement: Measurement,
+        setup: FitSetup,
+        progress: Progress | None = None,
+        diagnosis: Diagnosis | None = None,
+    ) -> Fit:
+        """The fit; a ``diagnosis`` at hand is not made again. Raises as :func:`pipeline.identification.fit.fit`."""
+        ...
+
+
+class ResidualLoss:
+    """The residual at the bearings, preconditioned or not: it asks for x and y at every bearing."""
+
+    weighs_noise = False
+
+    def __init__(self, config: LossConfig) -> None:
+        unscaled = config.kind == "residual" and config.scaling == "none"
+        self.label = "root mean square residual (N)" if unscaled else _LABELS[config.kind]
+
+    def diagnose(self, measurement: Measurement, setup: FitSetup) -> Diagnosis:
+        """By least squares at each speed."""
+        return diagnose_residual(measurement, setup.constant)
+
+    def fit(
+        self,
+        measurement: Measurement,
+        setup: FitSetup,
+        progress: Progress | None = None,
+        diagnosis: Diagnosis | None = None,
+    ) -> Fit:
+        """Training, from a guess or from least squares."""
+        from pipeline.identification.quality import residual_quality
+        from pipeline.identification.residual_loss import initial_parameters, prepare_residual
+
+        training = prepare_residual(measurement, setup)
+        start = initial_parameters(training, setup, setup.seed)
+        found = minimise(training.problem, start, setup, held_out=training.held_out, progress=progress)
+        model = training.identified(found.parameters[0])
+        return Fit(
+            model=model,
+            outcome=found.outcomes[0],
+            loss=float(found.loss[0]),
+            held_out_loss=None if found.held_out_loss is None else float(found.held_out_loss[0]),
+            steps=found.steps,
+            seconds=found.seconds,
+            history=found.history,
+            uncertainty=None,
+            quality=residual_quality(measurement, model),
+        )
+
+
+class OutputErrorLoss:
+    """The maximum-likelihood loss under the sensors' noise, from whatever sensors there are."""
+
+    weighs_noise = True
+    label = "root mean square deviation of the readings\nover their noise (-)"
+
+    def diagnose(self, measurement: Measurement, setup: FitSetup) -> Diagnosis:
+        """By least squares of the forces at the bearings, or by the model's own features where sensors are few."""
+
+        def features(data: Measurement) -> np.ndarray:
+            from pipeline.identification.output_error_start import drawn_basis
+
+            sizes = Guess(setup.model.initial_stiffness, setup.model.initial_damping).sizes(data.unknowns)
+            return np.asarray(drawn_basis(setup, data, data.dataset.speeds, sizes).at(data.dataset.speeds).numpy())
+
+        return diagnose_response(measurement, setup.constant, features)
+
+    def fit(
+        self,
+        measurement: Measurement,
+        setup: FitSetup,
+        progress: Progress | None = None,
+        diagnosis: Diagnosis | None = None,
+    ) -> Fit:
+        """The fit by its rounds of precisions."""
+        from pipeline.identification.output_error_fit import fit_output_error
+        from pipeline.identification.quality import output_error_quality
+        from pipeline.identification.uncertainty import uncertainty_of
+
+        if not setup.force:
+            require_identifiable((diagnosis or self.diagnose(measurement, setup)).reports)
+        found = fit_output_error(measurement, setup, progress)
+        quality = output_error_quality(found)
+        return Fit(
+            model=found.identified,
+            outcome=found.minimum.outcomes[0],
+            loss=float(found.problem.loss(found.weights)),
+            held_out_loss=None,
+            steps=found.minimum.steps,
+            seconds=found.minimum.seconds,
+            history=found.minimum.history,
+            uncertainty=uncertainty_of(found, quality.inflation if setup.loss.noise == "estimated" else 1.0),
+            quality=quality,
+        )
+
+
+_LABELS = {
+    "residual": "root mean square residual\nover bearing force (-)",
+    "preconditioned": "root mean square distance of the unknowns\nover their scale (-)",
+}
+
+
+def loss_of(config: LossConfig) -> Loss:
+    """The loss that a configuration names."""
+    return OutputErrorLoss() if config.kind == "response" else ResidualLoss(config)

@@ -1,0 +1,297 @@
+"""Unknown coefficients as functions of named inputs (the rotor speed today), with a flat parameter vector.
+
+A network, a constant, or a linear combination of fixed functions of the speed (B-splines, Chebyshev polynomials), which
+is a network whose only layer is fed by these functions in place of the speed.
+
+A flat vector lets any number of copies - bearings, initial guesses, seeds - be evaluated and trained at once
+as leading dimensions of one tensor. Legend: ``...`` batch, P parameters, N speeds, U unknowns, F functions.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from pipeline.coefficients import CoefficientName, is_direct
+from pipeline.config.identification import ConstantModelConfig, ModelConfig, NetworkModelConfig
+from pipeline.identification.functions import evaluate_functions
+
+if TYPE_CHECKING:
+    import torch
+
+_FIRST_LAYER_GAIN = 3.0
+"""Inputs lie in [-1, 1]; first-layer weights of this size spread the bends of the units over that range."""
+_SPREAD_GAIN = 1.0
+_REACH = 1.2
+_SMALLEST = 1e-3
+_OUTPUT_RIDGE = 1e-9
+"""Keeps the weights of a fitted last layer small enough to train on from."""
+_OUTPUT_GAIN = 0.1
+"""Small, so that an untrained network starts near its initial guess at every speed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CoefficientModel:
+    """Architecture and scaling; everything but the trained numbers."""
+
+    unknowns: tuple[CoefficientName, ...]
+    inputs: tuple[str, ...]
+    parametrisation: Literal["log", "scaled"]
+    scale: tuple[tuple[float, ...], ...]  # (bearings or 1) x U, N/m and N s/m
+    hidden: tuple[int, ...] | None  # widths; None for constants, empty for fixed functions
+    activation: Literal["tanh", "silu", "sine"] = "tanh"
+    input_scaling: Literal["rpm", "log_rpm"] = "rpm"
+    input_range: tuple[float, float] = (0.0, 1.0)  # rad/s, mapped to [-1, 1]
+    trend: bool = False  # the output layer also sees the speed and its logarithm
+    functions: Literal["b_spline", "chebyshev"] | None = None  # what the only layer is fed by
+    n_functions: int = 0  # F
+
+    @property
+    def positive(self) -> tuple[bool, ...]:
+        """Which unknowns are ``scale * exp(output)``; the others, of either sign, are ``scale * output``."""
+        return tuple(self.parametrisation == "log" and is_direct(name) for name in self.unknowns)
+
+    @property
+    def sizes(self) -> list[tuple[int, int]]:
+        """(inputs, outputs) of every layer; empty for constants."""
+        if self.hidden is None:
+            return []
+        widths = [self.n_functions if self.functions else len(self.inputs), *self.hidden, len(self.unknowns)]
+        layers = list(itertools.pairwise(widths))
+        return [*layers[:-1], (layers[-1][0] + self.n_trend, layers[-1][1])]
+
+    @property
+    def n_trend(self) -> int:
+        """Inputs of the output layer beside the hidden units."""
+        return 2 if self.trend else 0
+
+    def _with_trend(self, hidden: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:
+        """(..., N, n_in) what the output layer is fed: power laws and straight lines need no hidden units."""
+        import torch
+
+        if not self.trend:
+            return hidden
+        low, high = self.input_range
+        ratio = high / low
+        if self.input_scaling == "log_rpm":
+            other = 2 * (ratio ** ((inputs + 1) / 2) - 1) / max(ratio - 1, _SMALLEST) - 1
+        else:
+            other = 2 * (1 + (ratio - 1) * (inputs + 1) / 2).log() / max(math.log(ratio), _SMALLEST) - 1
+        terms = torch.cat([inputs, other], dim=-1)
+        return torch.cat([hidden, terms.expand(*hidden.shape[:-1], 2)], dim=-1)
+
+    @property
+    def n_parameters(self) -> int:
+        """P."""
+        return sum((i + 1) * o for i, o in self.sizes) or len(self.unknowns)
+
+    def scaled_inputs(self, speeds: np.ndarray) -> torch.Tensor:
+        """(N, 1) inputs in [-1, 1] over the trained range, from speeds (N,) rad/s."""
+        import torch
+
+        transform = np.log if self.input_scaling == "log_rpm" else np.asarray
+        low, high = (float(transform(edge)) for edge in self.input_range)
+        half = (high - low) / 2 or 1.0
+        return torch.as_tensor((transform(np.asarray(speeds, dtype=float)) - low) / half - 1.0, dtype=torch.float64)[
+            :, None
+        ]
+
+    def _first_fed(self, inputs: torch.Tensor) -> torch.Tensor:
+        """(N, n_in) what the first layer is fed by: the inputs (N, 1), or functions of them."""
+        if self.functions is None:
+            return inputs
+        import torch
+
+        return torch.as_tensor(evaluate_functions(self.functions, self.n_functions, inputs[:, 0].numpy()))
+
+    def raw(self, parameters: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:
+        """Network output (..., N, U) from parameters (..., P) and scaled inputs (N, 1)."""
+        if self.hidden is None:
+            return parameters[..., None, :].expand(*parameters.shape[:-1], len(inputs), len(self.unknowns))
+        value, layers = self._first_fed(inputs), self._layers(parameters)
+        for weight, bias in layers[:-1]:
+            value = _activation(self.activation, value @ weight + bias)[0]
+        weight, bias = layers[-1]
+        return self._with_trend(value, inputs) @ weight + bias
+
+    def raw_jacobian(self, parameters: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:
+        """(..., N, U, P) derivative of :meth:`raw` by the parameters, back-propagated layer by layer.
+
+        Ten times faster than nested vmap and jacrev, which a test compares it with.
+        """
+        import torch
+
+        n_unknowns = len(self.unknowns)
+        identity = torch.eye(n_unknowns, dtype=parameters.dtype)
+        if self.hidden is None:
+            return identity.expand(*parameters.shape[:-1], len(inputs), n_unknowns, n_unknowns)
+        layers = self._layers(parameters)
+        first = self._first_fed(inputs)
+        fed = [first.expand(*parameters.shape[:-1], *first.shape)]  # (..., N, n_in) into each layer
+        slopes: list[torch.Tensor] = []
+        for weight, bias in layers[:-1]:
+            value, slope = _activation(self.activation, fed[-1] @ weight + bias)
+            fed.append(value)
+            slopes.append(slope)
+        fed[-1] = self._with_trend(fed[-1], inputs)
+        blocks: list[torch.Tensor] = []
+        sensitivity = identity.expand(*fed[-1].shape[:-1], n_unknowns, n_unknowns)  # of U outputs to a layer's sums
+        for layer in range(len(layers) - 1, -1, -1):
+            weights = (fed[layer][..., None, :, None] * sensitivity[..., None, :]).flatten(-2)
+            blocks = [weights, sensitivity, *blocks]
+            if layer:
+                weight = layers[layer][0][..., : slopes[layer - 1].shape[-1], :]  # the trend has nothing before it
+                sensitivity = (sensitivity @ weight.mT[..., None, :, :]) * slopes[layer - 1][..., None, :]
+        return torch.cat(blocks, dim=-1)
+
+    def _layers(self, parameters: torch.Tensor) -> list[tuple[torch.Tensor, torch.Tensor]]:
+        """Weights (..., n_in, n_out) and biases (..., 1, n_out) of every layer: views of the flat vector."""
+        layers, start = [], 0
+        for n_in, n_out in self.sizes:
+            weight = parameters[..., start : start + n_in * n_out].unflatten(-1, (n_in, n_out))
+            bias = parameters[..., None, start + n_in * n_out : start + (n_in + 1) * n_out]
+            layers.append((weight, bias))
+            start += (n_in + 1) * n_out
+        return layers
+
+    def physical(self, raw: torch.Tensor, scale: torch.Tensor) -> torch.Tensor:
+        """Coefficients in N/m and N s/m from network output; ``scale`` broadcasts over (..., N, U)."""
+        if all(self.positive):
+            return scale * raw.exp()
+        return scale * (self._where_positive(lambda positive: positive.exp(), raw, raw) if any(self.positive) else raw)
+
+    def physical_slope(self, raw: torch.Tensor, scale: torch.Tensor) -> torch.Tensor:
+        """Derivative of :meth:`physical` with respect to ``raw``."""
+        if all(self.positive):
+            return self.physical(raw, scale)
+        return self._where_positive(lambda positive: scale * positive.exp(), raw, scale.expand_as(raw))
+
+    def _where_positive(
+        self, function: Callable[[torch.Tensor], torch.Tensor], raw: torch.Tensor, otherwise: torch.Tensor
+    ) -> torch.Tensor:
+        import torch
+
+        mask = torch.tensor(self.positive)
+        # The function sees zeros in place of the others: an overflow there would spoil their gradient.
+        return torch.where(mask, function(torch.where(mask, raw, torch.zeros_like(raw))), otherwise)
+
+    def raw_from(self, values: torch.Tensor, scale: torch.Tensor) -> torch.Tensor:
+        """The network output that gives ``values`` (..., U); what must be positive is kept above a floor."""
+        import torch
+
+        relative = values / scale
+        return torch.where(torch.tensor(self.positive), relative.clamp(min=_SMALLEST).log(), relative)
+
+    def scale_tensor(self) -> torch.Tensor:
+        """(bearings or 1, 1, U)."""
+        import torch
+
+        return torch.tensor(self.scale, dtype=torch.float64)[:, None, :]
+
+    def initial_parameters(self, guess: np.ndarray, generator: torch.Generator) -> torch.Tensor:
+        """Parameters (M, P) that start at ``guess`` (M, U), N/m and N s/m; M members."""
+        import torch
+
+        start = torch.as_tensor(guess, dtype=torch.float64) / torch.tensor(self.scale, dtype=torch.float64)
+        start = torch.where(torch.tensor(self.positive), start.clamp(min=0.0).log(), start)
+        if self.hidden is None:
+            return start
+        members = len(start)
+        pieces = []
+        for layer, (n_in, n_out) in enumerate(self.sizes):
+            weight = torch.randn(members, n_in * n_out, generator=generator, dtype=torch.float64) / math.sqrt(n_in)
+            bias = torch.randn(members, n_out, generator=generator, dtype=torch.float64)
+            if layer == len(self.sizes) - 1:
+                pieces += [_OUTPUT_GAIN * weight, start]
+            elif layer == 0:
+                pieces += [_FIRST_LAYER_GAIN * weight, bias]
+            else:
+                pieces += [weight, 0.1 * bias]
+        return torch.cat(pieces, dim=1)
+
+    def spread_parameters(self, guess: np.ndarray, generator: torch.Generator) -> torch.Tensor:
+        """As :meth:`initial_parameters`, with the bends of the first hidden units spread evenly over the inputs.
+
+        For hidden layers that are not trained: drawn freely, some leave gaps that no output layer fills.
+        """
+        import torch
+
+        parameters = self.initial_parameters(guess, generator)
+        if not self.hidden or len(self.inputs) > 1:
+            return parameters
+        members, width = len(parameters), self.hidden[0]
+        jitter = torch.rand(members, width, generator=generator, dtype=torch.float64)
+        places = _REACH * (2 * (torch.arange(width, dtype=torch.float64) + jitter) / width - 1)
+        slopes = _SPREAD_GAIN * (0.5 + torch.rand(members, width, generator=generator, dtype=torch.float64))
+        parameters[:, :width], parameters[:, width : 2 * width] = slopes, -slopes * places
+        return parameters
+
+    def features(self, parameters: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:
+        """(M, N, K) what the output layer is linear in, the last hidden units and 1, for (M, P) and inputs (N, 1)."""
+        import torch
+
+        first = self._first_fed(inputs)
+        fed = first.expand(len(parameters), *first.shape)
+        for weight, bias in self._layers(parameters)[:-1]:
+            fed = _activation(self.activation, fed @ weight + bias)[0]
+        one = torch.ones_like(inputs).expand(len(parameters), *inputs.shape)
+        return one if self.hidden is None else torch.cat([self._with_trend(fed, inputs), one], dim=-1)
+
+    def with_output_at(self, parameters: torch.Tensor, inputs: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
+        """Parameters (M, P) whose last layer is fitted, by linear least squares, to give ``values`` (M, N, U).
+
+        The hidden layers stay as they are: a start near an answer that is known roughly.
+        """
+        import torch
+
+        targets = self.raw_from(values, self.scale_tensor())
+        if self.hidden is None:
+            return targets.mean(dim=1)
+        fed = self.features(parameters, inputs)
+        ridge = _OUTPUT_RIDGE * len(inputs) * torch.eye(fed.shape[-1], dtype=fed.dtype)
+        factor = torch.linalg.cholesky(fed.mT @ fed + ridge)
+        output = torch.cholesky_solve(fed.mT @ targets, factor)  # (M, h + 1, U)
+        n_in, n_out = self.sizes[-1]
+        return torch.cat([parameters[:, : -(n_in + 1) * n_out], output.flatten(1)], dim=1)
+
+
+def _activation(name: str, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Value and slope of an activation."""
+    import torch
+
+    if name == "tanh":
+        value = torch.tanh(x)
+        return value, 1.0 - value.square()
+    if name == "silu":
+        gate = torch.sigmoid(x)
+        return x * gate, gate * (1.0 + x * (1.0 - gate))
+    return torch.sin(x), torch.cos(x)
+
+
+def coefficient_model(
+    config: ModelConfig, unknowns: tuple[CoefficientName, ...], speeds: np.ndarray, scale: np.ndarray
+) -> CoefficientModel:
+    """The model that a configuration describes, for data at ``speeds`` (S,) rad/s; ``scale`` (M, U) is the size of each
+    unknown, N/m and N s/m.
+    """
+    rows = tuple(tuple(float(v) for v in row) for row in scale)
+    constant = CoefficientModel(
+        unknowns=unknowns, inputs=("speed",), parametrisation=config.parametrisation, scale=rows, hidden=None
+    )
+    if isinstance(config, ConstantModelConfig):
+        return constant
+    varying = replace(
+        constant,
+        hidden=(),
+        input_scaling=config.input_scaling,
+        input_range=(float(speeds.min()), float(speeds.max())),
+        trend=config.trend,
+    )
+    if isinstance(config, NetworkModelConfig):
+        return replace(varying, hidden=(config.width,) * config.depth, activation=config.activation)
+    return replace(varying, functions=config.kind, n_functions=config.count)

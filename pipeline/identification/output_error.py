@@ -1,0 +1,233 @@
+"""The output error: what the sensors measured against what the coefficients predict, over the sensors' noise.
+
+Under noise of the sensors its minimum is the maximum-likelihood estimate; the residual instead multiplies the noise by
+the shaft's dynamic stiffness. The rows are whitened: with the right coefficients they have unit variance.
+
+The hidden layer of a network stays as it was drawn (random features; Rahimi and Recht 2007): the output layer is
+linear, the estimate is then close to normal, and its covariance is that of the whole parametrisation. Trained hidden
+layers have directions that the data leave undetermined, along which no linearised covariance holds. The weights z that
+are fitted are the output weights in an orthonormal basis of the features over the training speeds, of which each
+unknown has as many as the data determine (:mod:`pipeline.identification.selection`); the others stay zero.
+
+Legend: G data sets or starts, M members (bearings, or 1 where they share their coefficients), S speeds, P channels, R
+runs, B bearings, U unknowns, A those of them that members have, K features, N balance planes, Z = A K + 2 N weights.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from pipeline.identification.basis import Basis
+from pipeline.identification.sensor_deviations import SensorDeviations, sensor_deviations
+from pipeline.problem.measurement import Measurement
+
+if TYPE_CHECKING:
+    import torch
+
+COLLAPSED = 0.02
+"""Below this fraction of its initial guess a coefficient counts as collapsed."""
+
+
+@dataclass(frozen=True, eq=False)
+class OutputError:
+    """Least squares of the weights z, (G, 1, Z), at the speeds and runs of a measurement."""
+
+    sensors: SensorDeviations
+    basis: Basis
+    features: torch.Tensor  # (M, S, K) at the speeds of the measurement
+    kept: torch.Tensor  # (A, K) bool: the features that an unknown has
+
+    @property
+    def measurement(self) -> Measurement:
+        """Where the readings are from."""
+        return self.sensors.measurement
+
+    @property
+    def active(self) -> tuple[tuple[int, int], ...]:
+        """A of (member, unknown)."""
+        return self.sensors.active
+
+    @property
+    def n_planes(self) -> int:
+        """N."""
+        return self.sensors.n_planes
+
+    @property
+    def n_rows(self) -> int:
+        """Real numbers that were measured."""
+        return self.sensors.n_rows
+
+    @property
+    def n_outer(self) -> int:
+        """A K: how many weights come before those of the balance planes."""
+        return len(self.active) * int(self.features.shape[-1])
+
+    @property
+    def size(self) -> int:
+        """Z."""
+        return self.n_outer + 2 * self.n_planes
+
+    @property
+    def n_fitted(self) -> int:
+        """How many weights are fitted: Z less the features that are not kept."""
+        return int(self.kept.sum()) + 2 * self.n_planes
+
+    def fitted(self) -> torch.Tensor:
+        """(Z,) bool: which weights are fitted."""
+        import torch
+
+        return torch.cat([self.kept.flatten(), torch.ones(2 * self.n_planes, dtype=torch.bool)])
+
+    # --- from weights to coefficients ---------------------------------------------------------------
+
+    def unbalance(self, weights: torch.Tensor) -> torch.Tensor:
+        """(G, N) complex residual unbalance, kg m."""
+        import torch
+
+        pairs = weights[:, 0, self.n_outer :].unflatten(-1, (self.n_planes, 2))
+        return self.sensors.plane_scale * torch.complex(pairs[..., 0], pairs[..., 1])
+
+    def outputs(self, weights: torch.Tensor) -> torch.Tensor:
+        """(G, M, S, U) outputs of the model."""
+        return self.features @ self.coordinates(weights).mT
+
+    def unknowns(self, weights: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """(G, S, A) active unknowns in N/m and N s/m, and their derivative by the model's outputs."""
+        return self.sensors.unknowns(self.outputs(weights))
+
+    def coordinates(self, weights: torch.Tensor) -> torch.Tensor:
+        """(G, M, U, K) outputs of every member; zero where a member does not have an unknown."""
+        import torch
+
+        own = weights[:, 0, : self.n_outer].unflatten(-1, (len(self.active), -1)) * self.kept  # (G, A, K)
+        members, n_unknowns = len(self.sensors.scale), self.sensors.scale.shape[-1]
+        full = torch.zeros(len(weights), members, n_unknowns, self.features.shape[-1], dtype=weights.dtype)
+        for a, (m, u) in enumerate(self.active):
+            full[:, m, u] = own[:, a]
+        return full
+
+    def parameters(self, weights: torch.Tensor) -> torch.Tensor:
+        """(G, M, Q) parameters of the coefficient model."""
+        return self.basis.parameters_of(self.coordinates(weights))
+
+    # --- from coefficients to the sensors -----------------------------------------------------------
+
+    def predicted(self, weights: torch.Tensor) -> list[torch.Tensor]:
+        """(G, S, P, R) m of every block."""
+        return self.sensors.predicted(self.outputs(weights), self.unbalance(weights))
+
+    def deviations(self, weights: torch.Tensor) -> list[torch.Tensor]:
+        """(G, S, P, R) complex, whitened: predicted minus measured, of unit variance in each part."""
+        return self.sensors.deviations(self.outputs(weights), self.unbalance(weights))
+
+    def rows(self, weights: torch.Tensor) -> torch.Tensor:
+        """(G, 1, rows), whitened."""
+        import torch
+
+        parts = [torch.view_as_real(d).reshape(len(weights), -1) for d in self.deviations(weights)]
+        return torch.cat(parts, dim=-1)[:, None]
+
+    def loss(self, weights: torch.Tensor) -> torch.Tensor:
+        """(G, 1) root mean square of the whitened deviations: 1 where nothing but the stated noise is left."""
+        return (self.rows(weights).square().sum(-1) / self.n_rows).sqrt()
+
+    def rounding(self) -> torch.Tensor:
+        """(1,) the loss that the readings round to."""
+        return self.sensors.rounding()
+
+    def jacobian(self, weights: torch.Tensor) -> torch.Tensor:
+        """(G, 1, rows, Z) derivative of :meth:`rows`, block by block real parts first: large; :meth:`normal` does
+        without it.
+        """
+        import torch
+
+        own, outputs, parts = self._own_features(), self.outputs(weights), []
+        for b in range(len(self.sensors.blocks)):
+            _, by_output, by_plane = self.sensors.derivatives(outputs, self.unbalance(weights), b)
+            full = torch.cat([torch.einsum("gsda,ask->gsdak", by_output, own).flatten(-2), by_plane], dim=-1)
+            both = full.unflatten(2, (2, -1)).movedim(2, 3)  # (G, S, P R, 2, Z): as view_as_real orders the rows
+            parts.append(both.flatten(1, 3))
+        return torch.cat(parts, dim=1)[:, None]
+
+    def _own_features(self) -> torch.Tensor:
+        """(A, S, K), zero where not kept."""
+        return self.features[[m for m, _ in self.active]] * self.kept[:, None]
+
+    def normal(self, weights: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Gradient J'r (G, 1, Z) and J'J (G, 1, Z, Z), summed speed by speed: the features are the same in all rows.
+
+        Weights that are not fitted have a gradient of 0 and 1 on the diagonal, so that a step leaves them.
+        """
+        import torch
+
+        own, outer, outputs = self._own_features(), self.n_outer, self.outputs(weights)
+        gradient = torch.zeros(len(weights), self.size, dtype=weights.dtype)
+        matrix = torch.diag((~self.fitted()).to(weights.dtype)).repeat(len(weights), 1, 1)
+        for b in range(len(self.sensors.blocks)):
+            right, by_output, by_plane = self.sensors.derivatives(outputs, self.unbalance(weights), b)
+            local = by_output.mT @ by_output  # (G, S, A, A)
+            gradient[:, :outer] += torch.einsum("gsa,ask->gak", (by_output.mT @ right)[..., 0], own).flatten(1)
+            for a in range(len(self.active)):
+                weighted = own[a][None, :, :, None] * local[:, :, a, None, :]  # (G, S, K, A)
+                rows = slice(a * own.shape[-1], (a + 1) * own.shape[-1])
+                matrix[:, rows, :outer] += torch.einsum("gskc,csl->gkcl", weighted, own).flatten(2)
+            if self.n_planes:
+                mixed = torch.einsum("gsan,ask->gakn", by_output.mT @ by_plane, own).flatten(1, 2)
+                matrix[:, :outer, outer:] += mixed
+                matrix[:, outer:, :outer] += mixed.mT
+                matrix[:, outer:, outer:] += (by_plane.mT @ by_plane).sum(1)
+                gradient[:, outer:] += (by_plane.mT @ right).sum(1)[..., 0]
+        return gradient[:, None], matrix[:, None]
+
+    def members(self) -> tuple[OutputError, ...]:
+        """What is minimised by itself: all bearings together, since they speak through the same sensors."""
+        return (self,)
+
+    # --- fewer features ------------------------------------------------------------------------------
+
+    def truncated(self, order: int) -> OutputError:
+        """The same with the first ``order`` features alone, and weights that are as many fewer."""
+        return replace(self, features=self.features[..., :order], kept=self.kept[:, :order])
+
+    def with_features(self, weights: torch.Tensor, order: int) -> torch.Tensor:
+        """The weights (G, 1, ..) of this problem as those of ``order`` features: cut, or filled up with zeros."""
+        import torch
+
+        own = weights[..., : self.n_outer].unflatten(-1, (len(self.active), -1))
+        padded = torch.nn.functional.pad(own, (0, order - own.shape[-1])).flatten(-2)
+        return torch.cat([padded, weights[..., self.n_outer :]], dim=-1)
+
+    def revived(self, weights: torch.Tensor) -> torch.Tensor:
+        """(0 or 1, 1, Z) the weights (1, 1, Z) with collapsed unknowns put back to their guess; none is collapsed: 0.
+
+        What must be positive is an exponential: once it has all but vanished, nothing draws it back.
+        """
+        import torch
+
+        values = self.unknowns(weights)[0][0].abs().median(dim=0).values  # (A,)
+        positive = torch.tensor([self.basis.model.positive[u] for _, u in self.active])
+        gone = positive & (values < COLLAPSED * torch.stack([self.sensors.scale[m, 0, u] for m, u in self.active]))
+        if not gone.any():
+            return weights[:0]
+        own = weights[0, 0, : self.n_outer].unflatten(-1, (len(self.active), -1)) * ~gone[:, None]
+        return torch.cat([own.flatten(), weights[0, 0, self.n_outer :]])[None, None]
+
+    # --- other data ----------------------------------------------------------------------------------
+
+    def to(self, device: str) -> OutputError:
+        """The same on another device, to be used under ``torch.device(device)``; the basis stays where it is."""
+        return OutputError(self.sensors.to(device), self.basis, self.features.to(device), self.kept.to(device))
+
+    def with_sensors(self, sensors: SensorDeviations) -> OutputError:
+        """The same for other readings or precisions."""
+        return replace(self, sensors=sensors)
+
+
+def output_error(measurement: Measurement, basis: Basis, plane_scale: float) -> OutputError:
+    """The problem at the speeds and runs of the measurement; ``plane_scale`` kg m is a weight of 1."""
+    import torch
+
+    sensors = sensor_deviations(measurement, basis.model, plane_scale)
+    kept = torch.ones(len(sensors.active), basis.n_features, dtype=torch.bool)
+    return OutputError(sensors, basis, basis.at(measurement.dataset.speeds), kept)

@@ -1,0 +1,198 @@
+"""The fit by the output error: Levenberg-Marquardt, precisions from the noise, as many features as the data determine.
+
+The deviation of a reading follows from the predicted amplitude, not from the measured one, whose noise would bias the
+fit; so precisions and coefficients are found in turn. Readings far off (bad points) count less (Huber 1964).
+
+Legend: G fits, S speeds, P channels, R runs, U unknowns, A those of them that members have, Z weights.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.identification.identified import IdentifiedModel
+from pipeline.identification.outcome import Outcome
+from pipeline.identification.output_error import OutputError
+from pipeline.identification.output_error_start import OutputErrorStart, prepare_output_error
+from pipeline.identification.selection import add_features, drop_features
+from pipeline.identification.training import FitSetup, Minimum, Progress, minimise
+from pipeline.problem.measurement import Measurement
+
+if TYPE_CHECKING:
+    import torch
+
+HUBER = 2.5
+"""Readings beyond so many deviations (complex) count less; of good ones that is one in five hundred."""
+_ROUNDS = 8
+_SETTLED = 1e-3
+_CHOICE = 1
+"""The round after which superfluous features are dropped: the precisions are nearly right by then."""
+_NO_WORSE = 2.0
+"""So many times the loss before, dropping them may raise it to."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OutputErrorFit:
+    """The minimum, and what it rests on."""
+
+    start: OutputErrorStart
+    problem: OutputError  # with the final precisions
+    minimum: Minimum  # of the last round; its history and steps are those of all rounds
+    shares: tuple[np.ndarray, ...]  # Huber's weights, (S, P, R of the block)
+    factor: np.ndarray  # (P,) deviation of each channel over the stated one
+
+    @property
+    def weights(self) -> torch.Tensor:
+        """(1, 1, Z)."""
+        return self.minimum.parameters
+
+    @property
+    def identified(self) -> IdentifiedModel:
+        """The coefficients."""
+        unknowns = self.start.measurement.unknowns
+        nodes, parameters = self.start.measurement.rotor.bearing_nodes, self.problem.parameters(self.weights)[0]
+        return IdentifiedModel(self.problem.basis.model, unknowns, nodes, parameters)
+
+    def covariance(self) -> np.ndarray:
+        """(Z, Z) of the weights: the inverse of the information, the Cramer-Rao bound of the parametrisation."""
+        return invert_information(self.problem, self.weights)[0]
+
+    def residual_unbalance(self) -> np.ndarray:
+        """(N,) complex, kg m."""
+        return np.asarray(self.problem.unbalance(self.weights)[0].numpy())
+
+
+def invert_information(problem: OutputError, weights: torch.Tensor) -> np.ndarray:
+    """(G, Z, Z) inverse of the information at the weights (G, 1, Z); zero for those that are not fitted."""
+    fitted = problem.fitted().numpy()
+    return invert(problem.normal(weights)[1][:, 0]) * (fitted[:, None] & fitted)
+
+
+def invert(information: torch.Tensor) -> np.ndarray:
+    """(.., Z, Z) inverse of (.., Z, Z), whatever the sizes of the weights; large where nothing is known."""
+    import torch
+
+    size = information.diagonal(dim1=-2, dim2=-1).clamp(min=1e-300).sqrt()
+    scaled = information / size[..., :, None] / size[..., None, :]
+    values, vectors = torch.linalg.eigh(scaled)
+    values = values.clamp(min=float(np.finfo(float).eps) * 10)
+    inverse = (vectors / values[..., None, :]) @ vectors.mT
+    return np.asarray((inverse / size[..., :, None] / size[..., None, :]).numpy())
+
+
+def unknown_deviation(problem: OutputError, weights: torch.Tensor) -> np.ndarray:
+    """(G, S, A) standard deviation of the active unknowns, N/m and N s/m, see :func:`invert_information`."""
+    spread, count = invert_information(problem, weights), problem.features.shape[-1]
+    _, slope = problem.unknowns(weights)
+    parts = []
+    for a, (m, _) in enumerate(problem.active):
+        own, part = problem.features[m].numpy(), slice(a * count, (a + 1) * count)
+        parts.append(np.sqrt(np.einsum("sk,gkl,sl->gs", own, spread[:, part, part], own, optimize=True)))
+    return np.stack(parts, axis=-1) * np.abs(slope.numpy())
+
+
+def fit_output_error(measurement: Measurement, setup: FitSetup, progress: Progress | None = None) -> OutputErrorFit:
+    """Fit, weigh the readings anew, and fit again until the precisions stay.
+
+    Ctrl-C ends it with the best state so far. Raises ConfigError as :func:`prepare_output_error`.
+    """
+    return fit_from(prepare_output_error(measurement, setup), setup, progress)
+
+
+def fit_from(start: OutputErrorStart, setup: FitSetup, progress: Progress | None = None) -> OutputErrorFit:
+    """:func:`fit_output_error` from a start that is prepared."""
+    problem, weights = start.problem, start.weights
+    if start.from_guess:
+        problem, weights = add_features(start, setup.optimizer.levenberg_marquardt)
+    factor = np.ones(len(start.measurement.dataset.channels))
+    history: list[dict[str, float | str]] = []
+    steps, seconds = 0, 0.0
+    for turn in range(_ROUNDS):
+        found = minimise(problem, weights, setup, progress=progress)
+        weights = found.parameters
+        history += [dict(row) | {"step": steps + int(row["step"])} for row in found.history]
+        steps, seconds = steps + found.steps, seconds + found.seconds
+        if found.outcomes[0] is Outcome.INTERRUPTED:
+            shares = tuple(np.ones(precision.shape[1:]) for precision in problem.sensors.precision)
+            break
+        if setup.loss.noise == "estimated":
+            repeated = estimate_by_repeats(problem, weights)
+            factor = estimate_by_residuals(problem, weights) if repeated is None else repeated
+        before = problem
+        problem, shares = reweigh(problem, weights, factor, setup.loss.robust)
+        if turn == _CHOICE and not start.from_guess:
+            chosen, from_there = drop_features(problem, weights, invert_information(problem, weights)[0])
+            # The choice takes the minimum for quadratic: where there is none yet, it may lead anywhere, or to NaN.
+            if float(chosen.loss(from_there)) <= _NO_WORSE * float(problem.loss(weights)):
+                problem, weights = chosen, from_there
+        pairs = zip(problem.sensors.precision, before.sensors.precision, strict=True)
+        if turn > _CHOICE and max(float((new / old).log().abs().max()) for new, old in pairs) < _SETTLED:
+            break
+    whole = replace(found, history=tuple(history), steps=steps, seconds=seconds)
+    return OutputErrorFit(start=start, problem=problem, minimum=whole, shares=shares, factor=factor)
+
+
+# --- what the readings' noise is -------------------------------------------------------------------------
+
+
+def reweigh(
+    problem: OutputError, weights: torch.Tensor, factor: np.ndarray, robust: bool
+) -> tuple[OutputError, tuple[np.ndarray, ...]]:
+    """Precisions from the predicted amplitudes and, if ``robust``, Huber's for readings far off."""
+    import torch
+
+    precisions, shares = [], []
+    for b, predicted in enumerate(problem.predicted(weights)):
+        deviation = torch.as_tensor(_deviation(problem, b, predicted.numpy(), factor))
+        off = (predicted - problem.sensors.measured[b]).abs() / deviation
+        share = (HUBER / off.clamp(min=HUBER)) if robust else torch.ones_like(off)
+        precisions.append(np.sqrt(2.0) / deviation * share.sqrt())
+        shares.append(share[0].numpy())
+    sensors = replace(problem.sensors, precision=tuple(precisions))
+    return problem.with_sensors(sensors), tuple(shares)
+
+
+def _deviation(problem: OutputError, b: int, predicted: np.ndarray, factor: np.ndarray | None) -> np.ndarray:
+    """(.., S, P, R) m of the ``predicted`` readings of block b; ``factor`` (P,) over the stated noise."""
+    subtracted = problem.measurement.dataset.subtracted
+    taken = None if subtracted is None else subtracted[..., problem.sensors.blocks[b].runs]
+    return problem.measurement.deviation_of(predicted, taken, factor)
+
+
+def estimate_by_residuals(problem: OutputError, weights: torch.Tensor) -> np.ndarray:
+    """(P,) deviation of each channel over the stated one, from the medians of what the fit leaves over.
+
+    The squared modulus of circular noise has the median ln 2; the weights took their share of the rest.
+    """
+    left = []
+    for b, predicted in enumerate(problem.predicted(weights)):
+        stated = _deviation(problem, b, predicted[0].numpy(), None)
+        off = (predicted - problem.sensors.measured[b]).abs()[0].numpy() / stated
+        left.append(np.moveaxis(off, 1, 0).reshape(off.shape[1], -1))
+    squared = np.median(np.concatenate(left, axis=1) ** 2, axis=1) / np.log(2.0)
+    rest = max(1.0 - problem.n_fitted / problem.n_rows, 0.05)
+    return np.asarray(np.sqrt(squared / rest))
+
+
+def estimate_by_repeats(problem: OutputError, weights: torch.Tensor) -> np.ndarray | None:
+    """(P,) as :func:`estimate_by_residuals`, from runs of the same excitation; None where no run repeats another.
+
+    What differs between them is noise whatever the model is: half the squared difference of two has their variance.
+    """
+    squares = []
+    for b, predicted in enumerate(problem.predicted(weights)):
+        block, measured = problem.sensors.blocks[b], problem.sensors.measured[b][0].numpy()
+        subtracted = problem.measurement.dataset.subtracted
+        # All runs had the same baseline taken off: its noise cancels.
+        read = predicted[0].numpy() + (0.0 if subtracted is None else subtracted[..., block.runs])
+        deviation = problem.measurement.deviation_of(read)
+        forced, last = block.forced_sensors.numpy(), {}  # type: ignore[var-annotated]
+        for r in range(measured.shape[-1]):
+            before = last.get(key := forced[..., r].tobytes())
+            if before is not None:
+                squares.append(np.abs((measured[..., r] - measured[..., before]) / deviation[..., r]) ** 2 / 2)
+            last[key] = r
+    return np.sqrt(np.median(np.concatenate(squares), axis=0) / np.log(2.0)) if squares else None

@@ -1,0 +1,236 @@
+"""Where the fit by the output error starts: weighted linear least squares of the residual, in the model's features.
+
+From a random start the output error may stick; the residual, linear in the coefficients, has one answer. Where the
+sensors are too few to tell the forces at the bearings, the start is the configured guess in several sizes, and what a
+Kalman filter makes of each speed by itself.
+
+Legend: G starts, S speeds, P channels, R runs, M members, U unknowns, A those of them that members have, K features, Z
+weights.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.errors import ConfigError
+from pipeline.identification.basis import Basis, orthonormal_basis
+from pipeline.identification.model import CoefficientModel, coefficient_model
+from pipeline.identification.output_error import OutputError, output_error
+from pipeline.identification.training import FitSetup, held_out_speeds, initial_guess
+from pipeline.problem.kalman_filter import filter_bearings
+from pipeline.problem.measurement import Guess, Measurement
+from pipeline.problem.noise import whiten
+from pipeline.problem.residual import LinearResidual, linear_residual
+from pipeline.problem.response import expand
+
+if TYPE_CHECKING:
+    import torch
+
+_GUESSES = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
+"""Where the sensors are too few for a linear start, the configured guess is tried in these sizes."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OutputErrorStart:
+    """Everything before the first step."""
+
+    measurement: Measurement  # all speeds and runs
+    keep: np.ndarray  # (S,) mask of the training speeds
+    problem: OutputError  # of the training speeds and runs
+    weights: torch.Tensor  # (G, 1, Z); several where they are guesses
+    held_out_speeds: OutputError | None
+    held_out_runs: OutputError | None
+    from_guess: bool  # the sensors were too few for a linear start
+    filtered: np.ndarray | None  # (M, S, U) at the training speeds: what a filter made of few sensors
+
+
+def prepare_output_error(measurement: Measurement, setup: FitSetup) -> OutputErrorStart:
+    """The problem on the training speeds and runs, and where it starts.
+
+    Raises ConfigError for held-out runs that the data lack, or that leave no other.
+    """
+    import torch
+
+    unknowns, speeds = measurement.unknowns, measurement.dataset.speeds
+    held_out = _held_out_runs(measurement, setup)
+    keep = ~held_out_speeds(len(speeds), setup.training.holdout_every)
+    runs = np.setdiff1d(np.arange(len(measurement.dataset.runs)), held_out)
+    plane_scale = _plane_scale(measurement)  # solves the response, of which all problems are parts
+    training = measurement.select(keep, runs)
+    sizes = Guess(setup.model.initial_stiffness, setup.model.initial_damping).sizes(unknowns)
+    basis = drawn_basis(setup, training, speeds, sizes)
+    values = _linear_start(training, basis.at(training.dataset.speeds).numpy(), np.array(basis.model.scale))
+    starts, filtered = [values], None
+    if values is None:
+        shape = (unknowns.n_members, len(training.dataset.speeds), len(unknowns.names))
+        guess = initial_guess(setup, unknowns)
+        starts = [np.broadcast_to(size * guess[:, None], shape) for size in _GUESSES]
+        filtered = _filter(training)
+    else:
+        basis = replace(basis, model=_scaled_by(basis.model, values))
+    problem = output_error(training, basis, plane_scale)
+    return OutputErrorStart(
+        measurement=measurement,
+        keep=keep,
+        problem=problem,
+        weights=torch.cat([start_at(problem, start) for start in starts if start is not None]),
+        held_out_speeds=None if keep.all() else output_error(measurement.select(~keep, runs), basis, plane_scale),
+        held_out_runs=output_error(measurement.select(None, held_out), basis, plane_scale) if len(held_out) else None,
+        from_guess=values is None,
+        filtered=filtered,
+    )
+
+
+def drawn_basis(setup: FitSetup, training: Measurement, speeds: np.ndarray, sizes: np.ndarray) -> Basis:
+    """The features of the configured model over ``speeds`` (S,) rad/s, orthonormal at those of ``training``.
+
+    ``sizes`` (M, U), N/m and N s/m, are what an output of 1 stands for.
+    """
+    import torch
+
+    model = coefficient_model(setup.model, training.unknowns.names, speeds, sizes)
+    generator = torch.Generator().manual_seed(setup.seed)
+    drawn = model.spread_parameters(initial_guess(setup, training.unknowns), generator)
+    return orthonormal_basis(model, drawn, training.dataset.speeds)
+
+
+def _held_out_runs(measurement: Measurement, setup: FitSetup) -> np.ndarray:
+    """Indices of the runs that are predicted rather than fitted."""
+    runs = measurement.dataset.runs
+    for name in setup.training.holdout_runs:
+        if name not in runs:
+            raise ConfigError(f"training.holdout_runs must name runs of the data ({', '.join(runs)}), but got '{name}'")
+    held_out = np.array([runs.index(name) for name in setup.training.holdout_runs], dtype=int)
+    if len(held_out) == len(runs):
+        raise ConfigError("training.holdout_runs must leave a run to train on, but it names all of them")
+    return np.sort(held_out)
+
+
+def _filter(training: Measurement) -> np.ndarray | None:
+    """Unknowns (M, S, U) of each training speed by itself; None where the sensors are too few for that, too."""
+    less = training.subtract_unbalance()
+    if 2 * less.dataset.displacement[0].size < len(less.unknowns.active):
+        return None
+    values, settled = filter_bearings(less)
+    if settled.mean() < _LEAST_SETTLED:
+        return None
+    order = np.flatnonzero(settled)
+    nearest = order[np.abs(np.arange(len(settled))[:, None] - order).argmin(axis=1)]
+    return values[:, nearest]
+
+
+_LEAST_SETTLED = 0.5
+"""Share of the speeds at which the filter must have settled to be a start."""
+
+
+def _scaled_by(model: CoefficientModel, values: np.ndarray) -> CoefficientModel:
+    """The model with the sizes of unknowns (M, S, U) found in the data in place of guessed ones."""
+    found = np.median(np.abs(values), axis=1)
+    return replace(model, scale=tuple(map(tuple, np.where(found > 0, found, model.scale).tolist())))
+
+
+def _plane_scale(measurement: Measurement) -> float:
+    """kg m that moves the sensors about as much as what was measured."""
+    units = [np.abs(block.unit_sensors) for block in measurement.response.blocks if block.unit_sensors.shape[-1]]
+    if not units:
+        return 1.0
+    return float(np.median(np.abs(measurement.dataset.displacement)) / np.median(units[0]))
+
+
+# --- weights near given coefficients -------------------------------------------------------------------
+
+
+def start_at(problem: OutputError, values: np.ndarray) -> torch.Tensor:
+    """(1, 1, Z) the weights that come nearest to unknowns (M, S, U), without residual unbalance.
+
+    ``problem`` is that of the training speeds, where the features are orthonormal: their coordinates are projections.
+    """
+    import torch
+
+    raw = _raw(problem, values)
+    own = torch.stack([problem.features[m].T @ raw[m, :, u] for m, u in problem.active]) * problem.kept  # (A, K)
+    planes = torch.zeros(2 * problem.n_planes, dtype=own.dtype)
+    return torch.cat([own.flatten(), planes])[None, None]
+
+
+def robust_start(problem: OutputError, values: np.ndarray) -> torch.Tensor:
+    """As :func:`start_at`, of rough unknowns (M, S, U): single speeds that are far off count less (Huber 1964)."""
+    import torch
+
+    raw = _raw(problem, values)
+    rows: list[torch.Tensor] = []
+    for m, u in problem.active:
+        features, target = problem.features[m], raw[m, :, u]
+        weight, found = torch.ones_like(target), torch.zeros(features.shape[-1], dtype=target.dtype)
+        for _ in range(_ROBUST_ROUNDS):
+            weighted = features * weight[:, None]
+            ridge = _RIDGE * torch.eye(len(found), dtype=target.dtype)
+            found = torch.linalg.solve(features.T @ weighted + ridge, weighted.T @ target)
+            off = (target - features @ found).abs()
+            weight = 1 / (off / off.median().clamp(min=_SMALLEST)).clamp(min=1.0)
+        rows.append(found * problem.kept[len(rows)])
+    planes = torch.zeros(2 * problem.n_planes, dtype=raw.dtype)
+    return torch.cat([torch.stack(rows).flatten(), planes])[None, None]
+
+
+_ROBUST_ROUNDS, _RIDGE, _SMALLEST = 20, 1e-12, 1e-12
+
+
+def _raw(problem: OutputError, values: np.ndarray) -> torch.Tensor:
+    """(M, S, U) outputs of the model that give unknowns (M, S, U)."""
+    import torch
+
+    return problem.basis.model.raw_from(torch.as_tensor(np.ascontiguousarray(values)), problem.sensors.scale)
+
+
+# --- the linear start ----------------------------------------------------------------------------------
+
+_ROUNDS = 3
+"""The noise of the residual depends on the coefficients: so often the weights are made again."""
+_OUTLIER = 3.0
+"""Rows beyond so many standard deviations count less."""
+
+
+def _linear_start(training: Measurement, features: np.ndarray, scale: np.ndarray) -> np.ndarray | None:
+    """Unknowns (M, S, U) as combinations of the ``features`` (M, S, K); None for too few sensors.
+
+    ``scale`` (M, U) are sizes of the unknowns, N/m and N s/m.
+    """
+    less = training.subtract_unbalance()
+    expansion = expand(less.response, less.dataset.displacement, less.deviation)
+    if expansion is None:
+        return None
+    residual = linear_residual(expansion.equations, less.unknowns, less.known)
+    covariance, values = expansion.force_covariance, None
+    for _ in range(_ROUNDS):
+        values = _combine(whiten(residual, covariance), features, scale)
+        covariance = expansion.residual_covariance(less.response, less.table(values))
+    return values
+
+
+def _combine(white: LinearResidual, features: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """(M, S, U) least squares of ``A (Phi a) + y``, robust against single bad rows."""
+    members, n_speeds, _, n_unknowns = white.matrix.shape
+    values = np.zeros((members, n_speeds, n_unknowns))
+    for m in range(members):
+        present = white.unknowns.present[m]
+        matrix = white.matrix[m][..., present] * scale[m, present]
+        weight = np.ones(matrix.shape[:2])
+        for _ in range(_ROUNDS):
+            rows = np.einsum("sru,sk->sruk", matrix * weight[..., None], features[m])
+            flat = rows.reshape(-1, rows.shape[2] * rows.shape[3])
+            found = np.linalg.lstsq(flat, -(white.offset[m] * weight).ravel(), rcond=_NEGLIGIBLE)[0]
+            outputs = features[m] @ found.reshape(rows.shape[2], rows.shape[3]).T
+            rest = np.einsum("sru,su->sr", matrix, outputs) + white.offset[m]
+            size = _OUTLIER * max(np.median(np.abs(rest)) / _MEDIAN_OF_NORMAL, _TINY)
+            weight = np.sqrt(np.minimum(1.0, size / np.maximum(np.abs(rest), _TINY)))
+        values[m][:, present] = outputs * scale[m, present]
+    return values
+
+
+_NEGLIGIBLE = 1e-10
+_TINY = 1e-300
+_MEDIAN_OF_NORMAL = 0.6745

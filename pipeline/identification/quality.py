@@ -1,0 +1,164 @@
+"""How well a fit explains its readings, be there a truth to compare with or not.
+
+With the right model and the right noise the readings lie about the prediction by their noise: each complex one adds 1
+to chi-square, less half of one for each number that was fitted, and neighbouring speeds deviate independently.
+
+Legend: S speeds, P channels, R runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from pipeline.data.dataset import direction_name
+from pipeline.identification.identified import IdentifiedModel
+from pipeline.identification.output_error import OutputError
+from pipeline.identification.output_error_fit import OutputErrorFit
+from pipeline.problem.measurement import Measurement
+from pipeline.problem.residual import per_speed_least_squares
+
+BAD_POINT = 4.0
+"""Readings beyond so many deviations are listed: of good ones, one in ten million."""
+FAR_FROM_EXPECTED = 3.0
+"""Chi-square beyond so many times what is expected speaks against the model or the stated noise."""
+
+
+@dataclass(frozen=True)
+class BadPoint:
+    """A reading far off."""
+
+    run: str
+    speed: float  # rad/s
+    node: int
+    direction: str
+    deviations: float  # how many standard deviations it lies from the fit
+
+
+@dataclass(frozen=True)
+class Quality:
+    """What a fit leaves over, by its own loss."""
+
+    summary: Mapping[str, Any]  # part of metrics.json
+    bad_points: tuple[BadPoint, ...] = field(default=())
+    inflation: float = 1.0  # of the variances, where neighbouring speeds deviate together
+
+    @property
+    def misfit(self) -> float | None:
+        """Chi-square over what is expected; None for a loss that knows of no noise."""
+        square = self.summary.get("fit", {}).get("chi_square")
+        return None if square is None else square["value"] / square["expected"]
+
+
+def residual_quality(measurement: Measurement, identified: IdentifiedModel) -> Quality:
+    """The residual over the bearing force, and the condition number of each bearing."""
+    equations = measurement.equations
+    impedance = identified.table(measurement.known).impedance(measurement.dataset.frequencies)
+    size = np.abs(equations.free_residual).mean()
+    _, condition = per_speed_least_squares(measurement.residual)
+    every = np.broadcast_to(condition, (len(equations.bearing_nodes), condition.shape[1]))
+    return Quality(
+        {
+            "residual": {"mean_over_bearing_force": float(np.abs(equations.residual(impedance)).mean() / size)},
+            "condition_number": {
+                str(node): {"median": finite(np.median(c)), "max": finite(c.max())}
+                for node, c in zip(equations.bearing_nodes, every, strict=True)
+            },
+        }
+    )
+
+
+def finite(value: float) -> float | None:
+    """JSON has no infinity."""
+    return float(value) if np.isfinite(value) else None
+
+
+def output_error_quality(fit: OutputErrorFit) -> Quality:
+    """Chi-square, whiteness, held-out speeds and runs, and the readings far off."""
+    plain = _plain_deviations(fit)
+    value, readings = chi_square(plain)
+    used = fit.problem.n_fitted
+    correlation, significance = autocorrelation(plain)
+    bad = _bad_points(fit, plain)
+    summary: dict[str, object] = {
+        "chi_square": {"value": value, "expected": readings - used / 2, "readings": readings, "numbers": used},
+        "whiteness": {"autocorrelation": correlation, "over_its_deviation": significance},
+        "bad_points": len(bad),
+    }
+    for name, other in (("held_out_speeds", fit.start.held_out_speeds), ("held_out_runs", fit.start.held_out_runs)):
+        if other is not None:
+            summary[name] = _held_out(fit, other)
+    if not np.allclose(fit.factor, 1.0):
+        channels = fit.start.measurement.dataset.channels
+        summary["noise_factor"] = {
+            f"node {node} {direction_name(angle)}": float(f)
+            for (node, angle), f in zip(channels, fit.factor, strict=True)
+        }
+    return Quality({"fit": summary}, bad, variance_inflation(correlation))
+
+
+def _plain_deviations(fit: OutputErrorFit) -> list[np.ndarray]:
+    """(S, P, R) of each block, in units of the readings' noise, complex, without Huber's shares."""
+    pairs = zip(fit.problem.deviations(fit.weights), fit.shares, strict=True)
+    with np.errstate(all="ignore"):  # of a fit that ran away
+        return [np.asarray(deviation[0].numpy()) / np.sqrt(2.0 * share) for deviation, share in pairs]
+
+
+def _held_out(fit: OutputErrorFit, other: OutputError) -> dict[str, float]:
+    """Readings that were not fitted: their mean square over the noise (1 where all is well), the error in percent."""
+    squares, count, errors, size = 0.0, 0, 0.0, 0.0
+    subtracted = other.measurement.dataset.subtracted
+    for b, predicted in enumerate(other.predicted(fit.weights)):
+        measured, reached = other.sensors.measured[b][0].numpy(), predicted[0].numpy()
+        taken = None if subtracted is None else subtracted[..., other.sensors.blocks[b].runs]
+        noise = other.measurement.deviation_of(reached, taken, fit.factor)
+        squares += float((np.abs(reached - measured) ** 2 / noise**2).sum())
+        count += measured.size
+        errors += float((np.abs(reached - measured) ** 2).sum())
+        size += float((np.abs(measured) ** 2).sum())
+    return {"mean_square_over_noise": squares / count, "error_percent": 100.0 * float(np.sqrt(errors / size))}
+
+
+def _bad_points(fit: OutputErrorFit, plain: list[np.ndarray]) -> tuple[BadPoint, ...]:
+    dataset, found = fit.problem.measurement.dataset, []
+    for block, off in zip(fit.problem.sensors.blocks, plain, strict=True):
+        for s, p, r in np.argwhere(np.abs(off) > BAD_POINT):
+            node, angle = dataset.channels[p]
+            run, size = dataset.runs[block.runs[r]], float(np.abs(off[s, p, r]))
+            found.append(BadPoint(run, float(dataset.speeds[s]), node, direction_name(angle), size))
+    return tuple(found)
+
+
+def chi_square(deviations: Sequence[np.ndarray]) -> tuple[float, int]:
+    """Sum of the squared deviations over their root mean square, complex, and how many there are."""
+    return float(sum((np.abs(d) ** 2).sum() for d in deviations)), int(sum(d.size for d in deviations))
+
+
+def autocorrelation(deviations: Sequence[np.ndarray]) -> tuple[float, float]:
+    """Correlation of complex deviations (S, P, R) at neighbouring speeds, and that over its standard deviation.
+
+    White deviations have a value about zero with the variance of one over twice the number of neighbours.
+    """
+    products = sum(float((d[:-1] * d[1:].conj()).real.sum()) for d in deviations)
+    power = sum(float((np.abs(d) ** 2).sum()) for d in deviations)
+    neighbours = sum(d[:-1].size for d in deviations)
+    if power == 0 or neighbours == 0:
+        return 0.0, 0.0
+    value = products / power
+    return value, value * float(np.sqrt(2 * neighbours))
+
+
+def variance_inflation(correlation: float) -> float:
+    """How much larger the variance of a mean is where neighbours correlate (first-order autoregression); 1 or more.
+
+    Windows of a run-up that overlap, and a model that is a little off, make neighbouring speeds deviate together: they
+    then are worth fewer readings than they are.
+    """
+    bounded = min(max(correlation, 0.0), _STRONGEST)
+    return (1 + bounded) / (1 - bounded)
+
+
+_STRONGEST = 0.99

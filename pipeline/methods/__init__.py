@@ -1,0 +1,1 @@
+"""The conventional methods beside the network: a measurement in; coefficients with their deviations out."""

@@ -1,0 +1,90 @@
+"""All methods by name, and what a reader must know to choose one."""
+
+from __future__ import annotations
+
+from pipeline.methods import critical_speeds, kalman, kriging, least_squares, multi_frequency, spline
+from pipeline.methods.fem_nn import fitted_by
+from pipeline.methods.method import Method
+
+METHODS: dict[str, Method] = {
+    method.name: method
+    for method in (
+        Method(
+            "least_squares",
+            "per-speed least squares",
+            "Tiwari, Lees, Friswell 2002",
+            "nothing",
+            least_squares.plain,
+        ),
+        Method(
+            "tikhonov",
+            "per-speed least squares, Tikhonov",
+            "Tiwari, Lees, Friswell 2002; Golub, Heath, Wahba 1979",
+            "nothing",
+            least_squares.tikhonov,
+        ),
+        Method(
+            "total_least_squares",
+            "weighted total least squares",
+            "De Troyer et al. 2012",
+            "the noise",
+            least_squares.total,
+        ),
+        Method(
+            "multi_frequency",
+            "impulse or several frequencies",
+            "Qiu, Tieu 1997; Tiwari, Chakravarthy 2006",
+            "a shaker or hammer",
+            multi_frequency.multi_frequency,
+        ),
+        Method(
+            "kalman",
+            "Kalman filter and least squares",
+            "Kang et al. 2020",
+            "the noise, a guess",
+            kalman.kalman,
+        ),
+        Method(
+            "kriging",
+            "Kriging and differential evolution",
+            "Han, Guo, Gao 2013",
+            "bounds, modelled responses",
+            kriging.kriging,
+        ),
+        Method(
+            "critical_speeds",
+            "network of critical speeds",
+            "Pavlenko et al. 2018",
+            "bounds, modelled critical speeds",
+            critical_speeds.critical_speeds,
+        ),
+        Method(
+            "spline",
+            "output error, spline",
+            "De Boor 1978; docs/noise.md",
+            "the noise, a guess",
+            spline.spline,
+        ),
+        Method(
+            "residual",
+            "FEM-NN, residual",
+            "the paper, eq. 6",
+            "a guess",
+            fitted_by(lambda options: options.settings.residual),
+        ),
+        Method(
+            "preconditioned",
+            "FEM-NN, preconditioned residual",
+            "docs/all_coefficients.md",
+            "a guess",
+            fitted_by(lambda options: options.settings.preconditioned),
+        ),
+        Method(
+            "response",
+            "FEM-NN, response",
+            "docs/noise.md",
+            "the noise, a guess",
+            fitted_by(lambda options: options.settings.response, with_unbalance=True),
+        ),
+    )
+}

@@ -1,0 +1,147 @@
+"""A network trained beforehand on modelled critical speeds (Pavlenko, Simonovskiy, Ivanov, Zajac and Pitel 2018).
+
+For many stiffnesses within the bounds that are known beforehand, the model gives the critical speeds; a network learns
+the way back, from critical speeds to stiffness. The measured critical speeds then give the stiffness at once.
+
+A critical speed is read off a response, measured or modelled, as the speed at which its phase passes 90 degrees: there
+the real part of the apparent dynamic stiffness ``force / displacement`` is zero. That part is smooth through a
+resonance, however sharp, so the speed is found between those of the data.
+
+All bearings are taken for the same: each direction has one critical speed for one stiffness.
+
+Legend: S speeds, P channels, R runs, D directions of the unknowns, N modelled machines.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from pipeline.coefficients import column, is_direct, is_stiffness
+from pipeline.config.comparison import PriorConfig
+from pipeline.data.dataset import DIRECTIONS, force_vectors
+from pipeline.methods.method import Estimate, MethodOptions, Reason, Refusal, drop_unbalance, estimate
+from pipeline.problem.measurement import Measurement
+from pipeline.rotor.model import translation_dof
+from pipeline.units import RAD_S_PER_RPM
+
+MODELLED = 400
+"""Machines that the network learns from."""
+_HELD_OUT = 5
+"""One of so many is held out, to tell the network's error."""
+_HIDDEN = (16, 16)
+_SPREAD = 64
+"""Data sets with more of the stated noise, whose spread is the deviation."""
+_MOST_ITERATIONS = 3000
+_WINDOW = 5
+"""Speeds on either side of a crossing that a straight line is fitted through."""
+
+
+def critical_speeds(measurement: Measurement, options: MethodOptions) -> Estimate:
+    """Constant stiffnesses of bearings that are all the same; raises Refusal for all else."""
+    data = drop_unbalance(measurement)
+    names = data.unknowns.names
+    if not all(is_direct(name) and is_stiffness(name) for name in names):
+        raise Refusal(Reason.STIFFNESS_ALONE, f"{', '.join(names)} are asked for")
+    if not options.constant:
+        raise Refusal(Reason.NOT_CONSTANT, "functions of the speed are asked for")
+    places = [_place(data, name) for name in names]
+    measured = _crossings(data, data.dataset.displacement, places)
+    if np.isnan(measured).any():
+        raise Refusal(Reason.NO_CRITICAL_SPEED, f"there is none for {names[int(np.isnan(measured).argmax())]}")
+    generator = np.random.default_rng(options.seed)
+    network = _train(*_model(data, options.settings.prior, places, generator), options.seed)
+    values = network.stiffness(measured[None])[0]
+    noise = data.deviation * generator.standard_normal((2, _SPREAD, *data.deviation.shape)) / np.sqrt(2)
+    readings = data.dataset.displacement + noise[0] + 1j * noise[1]
+    again = np.array([_crossings(data, own, places) for own in readings])
+    spread = np.log(network.stiffness(again[~np.isnan(again).any(axis=1)])).std(axis=0)
+    deviation = values * np.hypot(spread, network.error)
+    shape = (data.unknowns.n_members, len(data.dataset.speeds), len(names))
+    listed = ", ".join(f"{speed / RAD_S_PER_RPM:.1f}" for speed in measured)
+    words = f"{MODELLED} modelled machines; critical speeds {listed} rpm"
+    return estimate(data, np.broadcast_to(values, shape), np.broadcast_to(deviation, shape), words)
+
+
+def _place(data: Measurement, name: str) -> tuple[int, int, np.ndarray]:
+    """Channel and run that show the resonance of an unknown best, and the force (S,) there: at an exciting node."""
+    dataset, angle = data.dataset, list(DIRECTIONS.values())[column(name)]
+    run = int(np.flatnonzero(data.synchronous())[0]) if data.synchronous().any() else 0
+    forces = force_vectors(data.rotor, dataset.excitations, dataset.runs, dataset.frequencies)
+    excited = [one.node for one in dataset.excitations if one.run == dataset.runs[run]]
+    channels = [p for p, channel in enumerate(dataset.channels) if channel[1] == angle]
+    if not channels or not excited:
+        raise Refusal(Reason.NO_CRITICAL_SPEED, f"no sensor looks along {name[1]}")
+    nearest = min(channels, key=lambda p: abs(dataset.channels[p][0] - excited[0]))
+    return nearest, run, forces[:, translation_dof(excited[0], column(name)), run]
+
+
+def _crossings(data: Measurement, readings: np.ndarray, places: list[tuple[int, int, np.ndarray]]) -> np.ndarray:
+    """(D,) critical speeds, rad/s, of readings (S, P, R); NaN where there is none."""
+    return np.array([_crossing(data.dataset.speeds, force / readings[:, p, r]) for p, r, force in places])
+
+
+def _crossing(speeds: np.ndarray, apparent: np.ndarray) -> float:
+    """Where the real part of the apparent stiffness (S,), over the speed squared, first falls through zero; or NaN."""
+    flexibility = apparent.real / speeds**2
+    falls = np.flatnonzero((flexibility[:-1] > 0) & (flexibility[1:] <= 0))
+    if not len(falls):
+        return float("nan")
+    s = int(falls[0])
+    reach = min(_WINDOW, max(1, len(speeds) // 60))
+    near = slice(max(s + 1 - reach, 0), s + 1 + reach)
+    slope, offset = np.polyfit(speeds[near] - speeds[s], flexibility[near], 1)
+    return float(speeds[s] - offset / slope)
+
+
+def _model(
+    data: Measurement, prior: PriorConfig, places: list[tuple[int, int, np.ndarray]], generator: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Critical speeds (N, D), rad/s, of machines with stiffnesses (N, D), N/m, within the bounds."""
+    equations = data.response
+    bounds = np.log([prior.lowest_stiffness, prior.highest_stiffness])
+    stiffness = np.exp(generator.uniform(bounds[0], bounds[1], (MODELLED, len(data.unknowns.names))))
+    shape = (data.unknowns.n_members, len(data.dataset.speeds), stiffness.shape[1])
+    speeds = np.array(
+        [_crossings(data, equations.predict(data.table(np.broadcast_to(own, shape))), places) for own in stiffness]
+    )
+    seen = ~np.isnan(speeds).any(axis=1)
+    return speeds[seen], stiffness[seen]
+
+
+@dataclass(frozen=True, eq=False)
+class _Trained:
+    """A network from critical speeds to the logarithm of the stiffness."""
+
+    network: Any
+    middle: np.ndarray  # (D,)
+    size: np.ndarray  # (D,)
+    error: np.ndarray  # (D,) root mean square of the logarithm, on machines that it did not learn from
+
+    def stiffness(self, speeds: np.ndarray) -> np.ndarray:
+        """(N, D) N/m from critical speeds (N, D), rad/s."""
+        return np.asarray(np.exp(self.network.predict((speeds - self.middle) / self.size)))
+
+
+def _train(speeds: np.ndarray, stiffness: np.ndarray, seed: int) -> _Trained:
+    from sklearn.neural_network import MLPRegressor
+
+    middle, size, held_out = speeds.mean(axis=0), speeds.std(axis=0), np.arange(len(speeds)) % _HELD_OUT == 0
+    network = MLPRegressor(
+        hidden_layer_sizes=_HIDDEN,
+        activation="tanh",
+        solver="lbfgs",
+        alpha=1e-8,
+        max_iter=_MOST_ITERATIONS,
+        tol=1e-10,
+        random_state=seed,
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # that it could be trained on: its held-out error tells
+        network.fit((speeds[~held_out] - middle) / size, np.log(stiffness[~held_out]))
+    made = _Trained(network, middle, size, np.zeros(len(middle)))
+    off = np.log(made.stiffness(speeds[held_out])) - np.log(stiffness[held_out])
+    return replace(made, error=np.sqrt((off**2).mean(axis=0)))

@@ -1,0 +1,51 @@
+"""FEM-NN: a model of the speed, fitted by the paper's residual, the preconditioned residual, or the output error.
+
+The output error takes any model: with B-splines in place of the network it is the network's fair competitor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from pipeline.config.comparison import FitConfig
+from pipeline.errors import IdentifiabilityError
+from pipeline.identification.fit import fit
+from pipeline.identification.losses import loss_of
+from pipeline.identification.training import FitSetup
+from pipeline.methods.method import (
+    Estimate,
+    Identify,
+    MethodOptions,
+    Reason,
+    Refusal,
+    doubt_of,
+    drop_unbalance,
+    refuse_undetermined,
+    residual_or_refusal,
+)
+from pipeline.problem.measurement import Measurement
+
+
+def fitted_by(section: Callable[[MethodOptions], FitConfig], with_unbalance: bool = False) -> Identify:
+    """The method that fits as a section of the settings says; ``with_unbalance`` it takes balance planes, too."""
+
+    def identify(measurement: Measurement, options: MethodOptions) -> Estimate:
+        own = section(options)
+        data = measurement if with_unbalance else drop_unbalance(measurement)
+        setup = FitSetup(own.model, own.loss, own.optimizer, own.training, options.seed)
+        loss = loss_of(own.loss)
+        if not loss.weighs_noise:
+            residual_or_refusal(data, options)
+        diagnosis = loss.diagnose(data, setup)
+        refuse_undetermined(diagnosis.reports)
+        try:
+            found = fit(data, setup, diagnosis=diagnosis)
+        except IdentifiabilityError as error:
+            raise Refusal(Reason.NOT_DETERMINED, str(error)) from None
+        words = f"{found.outcome.label} after {found.steps} steps"
+        if found.uncertainty is not None:
+            words += f", {found.quality.summary['fit']['chi_square']['numbers']} numbers"
+        speeds = data.dataset.speeds
+        return Estimate(found.table(data.known), found.deviation(speeds), words, doubt_of(found.quality.misfit))
+
+    return identify

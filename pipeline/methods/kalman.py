@@ -1,0 +1,63 @@
+"""Kalman filter from a single measured location, then least squares (Kang, Shi, Zhang, Zhen and Gu 2020).
+
+Each speed by itself; :mod:`pipeline.problem.kalman_filter` has the equations.
+
+Legend: M members, S speeds, P channels, R runs, U unknowns, A those of them that members have.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.methods.method import (
+    Estimate,
+    MethodOptions,
+    Reason,
+    Refusal,
+    drop_unbalance,
+    estimate,
+    require_determined,
+)
+from pipeline.problem.kalman_filter import BearingFilter, filter_bearings
+from pipeline.problem.measurement import Measurement
+
+_DIFFERENCE = 1e-6
+_LEAST_SETTLED = 0.5
+"""Share of the speeds; with fewer the answer is none."""
+
+
+def kalman(measurement: Measurement, options: MethodOptions) -> Estimate:
+    """Coefficients of each speed by itself, from any sensors whose runs are enough."""
+    data = drop_unbalance(measurement)
+    require_determined(data, together=False)
+    values, settled = filter_bearings(data)
+    if settled.mean() < _LEAST_SETTLED:
+        raise Refusal(Reason.NOT_SETTLED, f"it does at {int(settled.sum())} of {len(settled)} speeds")
+    words = f"{int(settled.sum())} of {len(settled)} speeds settled"
+    return estimate(data, values, _deviation(data, values), words)
+
+
+def _deviation(data: Measurement, values: np.ndarray) -> np.ndarray:
+    """(M, S, U): a fixed point ``p = T(p, z)`` moves with the readings by ``(I - T_p)^-1 T_z``."""
+    problem, active, measured = BearingFilter(data), data.unknowns.active, data.dataset.displacement
+
+    def updated(of: np.ndarray, readings: np.ndarray) -> np.ndarray:
+        """(S, A)."""
+        found = problem.update(of, readings)
+        return np.stack([found[m, :, u] for m, u in active], axis=1)
+
+    base, by_value = updated(values, measured), []
+    for m, u in active:
+        step = np.zeros_like(values)
+        step[m, :, u] = _DIFFERENCE * np.maximum(np.abs(values[m, :, u]), 1.0)
+        by_value.append((updated(values + step, measured) - base) / step[m, :, u, None])
+    own = np.linalg.pinv(np.eye(len(active)) - np.stack(by_value, axis=2))
+    variance = np.zeros_like(base)
+    for p, r in np.ndindex(measured.shape[1:]):
+        size = _DIFFERENCE * np.abs(measured[:, p, r])
+        for unit in (1.0, 1j):
+            other = measured.copy()
+            other[:, p, r] += unit * size
+            moved = (own @ ((updated(values, other) - base) / size[:, None])[..., None])[..., 0]
+            variance += (moved * data.deviation[:, p, r, None]) ** 2 / 2
+    return data.unknowns.from_active(np.sqrt(variance))

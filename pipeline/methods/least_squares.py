@@ -1,0 +1,154 @@
+"""Least squares at each speed by itself, on a flexible shaft: plain, regularised, and consistent.
+
+Legend: M members (bearings, or 1 where they share their coefficients), S speeds, R runs, P channels, U unknowns.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.methods.method import (
+    Estimate,
+    MethodOptions,
+    Reason,
+    Refusal,
+    drop_unbalance,
+    estimate,
+    residual_or_refusal,
+)
+from pipeline.problem.measurement import Measurement
+from pipeline.problem.noise import (
+    bearing_rows,
+    least_squares_deviation,
+    linear_deviation,
+    member_rows,
+    residual_covariance,
+    residual_sensitivity,
+    whiten,
+)
+from pipeline.problem.residual import LinearResidual, per_speed_least_squares
+
+_ROUNDS = 4
+"""The weights of total least squares depend on its answer: so often they are made again."""
+
+
+def plain(measurement: Measurement, options: MethodOptions) -> Estimate:
+    """Tiwari, Lees and Friswell (2002): minimise the residual ``|A p + y|`` of each speed.
+
+    Noise in the displacements is in A, too, which biases the answer (errors in variables).
+    """
+    data = drop_unbalance(measurement)
+    members = residual_or_refusal(data, options).by_member()
+    values, _ = per_speed_least_squares(members)
+    return estimate(data, values, _deviation(data, values, _inverse(members, np.zeros(members.matrix.shape[:2]))))
+
+
+def tikhonov(measurement: Measurement, options: MethodOptions) -> Estimate:
+    """The same, minimising ``|A p + y|^2 + (strength |p|)^2`` with p in units of A's columns.
+
+    The strength of each speed minimises the generalised cross-validation function (Golub, Heath and Wahba 1979).
+    """
+    data = drop_unbalance(measurement)
+    members = residual_or_refusal(data, options).by_member()
+    if members.matrix.shape[2] <= members.unknowns.present.sum(axis=1).max():
+        raise Refusal(
+            Reason.NOTHING_TO_VALIDATE,
+            f"there are {members.matrix.shape[2]} equations for {members.matrix.shape[3]} unknowns",
+        )
+    inverse = _inverse(members, _validate_strength(members))
+    values = -np.einsum("msur,msr->msu", inverse, members.offset)
+    return estimate(data, values, _deviation(data, values, inverse))
+
+
+def total(measurement: Measurement, options: MethodOptions) -> Estimate:
+    """Weighted total least squares (De Troyer et al. 2012): consistent, because it knows the noise of A and y.
+
+    With rows weighted by the covariance of the residual, ``E[M'M] = M0'M0 + C`` for the noisy ``M = [A y]``: the answer
+    is the vector ``[p, 1]`` that minimises ``|M v|^2 / (v' C v)``.
+    """
+    data = drop_unbalance(measurement)
+    residual = residual_or_refusal(data, options)
+    values, _ = per_speed_least_squares(residual)
+    derivative = _derivative(data)
+    for _ in range(_ROUNDS):
+        covariance = _covariance(data, values)
+        values = _solve(data, whiten(residual, covariance), derivative, covariance)
+    return estimate(data, values, least_squares_deviation(whiten(residual, _covariance(data, values))))
+
+
+def _covariance(data: Measurement, values: np.ndarray) -> np.ndarray:
+    """(S, R, 2 B, 2 B) N^2, of the residual near unknowns (M, S, U)."""
+    return residual_covariance(data.rotor, data.dataset, data.table(values), data.deviation)
+
+
+def _decompose(members: LinearResidual) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Singular value decomposition of A with columns of unit length, and these lengths (M, S, U)."""
+    length = np.linalg.norm(members.matrix, axis=2)
+    length = np.where(length > 0, length, 1.0)
+    return *np.linalg.svd(members.matrix / length[:, :, None], full_matrices=False), length
+
+
+def _inverse(members: LinearResidual, strength: np.ndarray) -> np.ndarray:
+    """(M, S, U, rows) regularised inverse of A; ``strength`` (M, S) is relative to A with columns of unit length."""
+    left, singular, right, length = _decompose(members)
+    floor = singular[..., :1] * np.finfo(float).eps * members.matrix.shape[2]
+    filtered = np.where(singular > floor, singular / (singular**2 + strength[..., None] ** 2 + floor**2), 0.0)
+    return np.einsum("mskv,msk,msrk->msvr", right, filtered, left) / length[..., None]
+
+
+def _validate_strength(members: LinearResidual) -> np.ndarray:
+    """(M, S) strengths that minimise ``|residual|^2 / trace(I - A A_inverse)^2``."""
+    left, singular, _, _ = _decompose(members)
+    n_rows = members.matrix.shape[2]
+    inside = np.einsum("msrk,msr->msk", left, members.offset)
+    outside = np.maximum((members.offset**2).sum(axis=-1) - (inside**2).sum(axis=-1), 0.0)
+    grid = np.concatenate([[0.0], np.geomspace(_WEAKEST, 1.0, _STRENGTHS)])[:, None, None, None]
+    share = np.divide(grid**2, singular**2 + grid**2, out=np.ones((len(grid), *singular.shape)), where=singular > 0)
+    left_over = ((share * inside) ** 2).sum(axis=-1) + outside
+    value = left_over / (n_rows - singular.shape[-1] + share.sum(axis=-1)) ** 2
+    return np.asarray(grid[value.argmin(axis=0), 0, 0, 0])
+
+
+_WEAKEST = 1e-8
+_STRENGTHS = 65
+
+
+def _deviation(data: Measurement, values: np.ndarray, inverse: np.ndarray) -> np.ndarray:
+    """(M, S, U) standard deviation that the stated noise implies for ``p = -inverse y``; (M, S, U, rows) inverse."""
+    covariance = _covariance(data, values)
+    return np.array(
+        [
+            linear_deviation(own, covariance[:, :, rows[:, None], rows])
+            for own, rows in zip(inverse, member_rows(data.unknowns), strict=True)
+        ]
+    )
+
+
+def _derivative(data: Measurement) -> np.ndarray:
+    """(S, R, 2 B, U + 1, P) derivative of ``[A y]`` by the displacements: unknowns first, then the offset."""
+    dataset, unknowns = data.dataset, data.unknowns
+    none = data.table(np.zeros((unknowns.n_members, len(dataset.speeds), len(unknowns.names))))
+    offset = residual_sensitivity(data.rotor, dataset, none)  # (S, R, 2 B, P)
+    columns = bearing_rows(data.rotor, dataset, unknowns)  # (S, R, 2 B, U, P)
+    return np.concatenate([columns, offset[:, :, :, None]], axis=3)
+
+
+def _solve(data: Measurement, white: LinearResidual, derivative: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """(M, S, U) from whitened rows: the smallest generalised singular vector of ``[A y]`` and its noise."""
+    members = member_rows(data.unknowns)
+    values = np.zeros((len(members), *white.matrix.shape[1::2]))
+    noise = data.deviation.swapaxes(1, 2)[:, :, None, None]  # (S, R, 1, 1, P)
+    for m, own in enumerate(members):
+        present = np.append(white.unknowns.present[m], True)
+        factor = np.linalg.cholesky(covariance[:, :, own[:, None], own])
+        moved = (derivative[:, :, own][:, :, :, present] * noise).reshape(*factor.shape[:3], -1)
+        moved = np.linalg.solve(factor, moved).reshape(*factor.shape[:3], int(present.sum()), -1)
+        spread = np.einsum("sriup,srivp->suv", moved.conj(), moved, optimize=True).real
+        matrix = np.concatenate([white.matrix[m], white.offset[m][..., None]], axis=-1)[..., present]
+        size = np.sqrt(np.einsum("suu->su", spread))
+        upper = np.linalg.cholesky(spread / size[:, :, None] / size[:, None, :]).swapaxes(1, 2)
+        scaled = np.linalg.solve(upper.swapaxes(1, 2), (matrix / size[:, None]).swapaxes(1, 2)).swapaxes(1, 2)
+        vector = np.linalg.svd(scaled, full_matrices=False)[2][:, -1]
+        vector = np.linalg.solve(upper, vector[..., None])[..., 0] / size
+        values[m][:, present[:-1]] = vector[:, :-1] / vector[:, -1:]
+    return values

@@ -1,0 +1,158 @@
+"""The interface that all methods share: a measurement in; coefficients with deviations out, or a named refusal.
+
+Legend: B bearings, M members (B, or 1 where all bearings share their coefficients), S speeds, P channels, R runs, U
+unknowns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+
+from pipeline.config.comparison import ComparisonConfig
+from pipeline.errors import DataError, PipelineError
+from pipeline.identification.quality import FAR_FROM_EXPECTED
+from pipeline.problem.diagnosis import determines, sensor_rows
+from pipeline.problem.identifiability import Identifiability, Verdict, judge_identifiability
+from pipeline.problem.measurement import Measurement
+from pipeline.problem.residual import BearingEquations, LinearResidual
+from pipeline.rotor.bearing_table import BearingTable
+
+
+class Reason(Enum):
+    """What a method can't do, by name."""
+
+    BEARINGS_NOT_MEASURED = "x and y must be measured at every bearing"
+    NOT_DETERMINED = "the measurement must determine the unknowns"
+    NOTHING_TO_VALIDATE = "there must be more equations than unknowns at a speed"
+    ONE_FREQUENCY = "there must be forces of two or more frequencies at a rotor speed"
+    TOO_MANY_UNKNOWNS = "the surrogate takes few unknowns"
+    EITHER_SIGN = "the unknowns must be positive: a direct coefficient each"
+    STIFFNESS_ALONE = "the unknowns must be direct stiffnesses"
+    NOT_CONSTANT = "the coefficients must be the same at every speed"
+    NOT_FINITE = "the answer must be finite"
+    SINGULAR = "the arithmetic must stay regular"
+    NOT_SETTLED = "the iteration must settle"
+    NO_CRITICAL_SPEED = "there must be a critical speed for each unknown among the speeds"
+    RESIDUAL_UNBALANCE = "a residual unbalance can't be identified"
+
+
+class Refusal(PipelineError):
+    """A method that can't do a task: ``reason`` names why, ``str`` says what came."""
+
+    def __init__(self, reason: Reason, came: str) -> None:
+        super().__init__(f"{reason.value}, but {came}")
+        self.reason = reason
+
+
+@dataclass(frozen=True)
+class MethodOptions:
+    """What a method may know beside the measurement."""
+
+    settings: ComparisonConfig
+    seed: int
+
+    @property
+    def constant(self) -> bool:
+        """Whether the coefficients are known to be the same at every speed."""
+        return self.settings.response.model.kind == "constant"
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """What a method answers."""
+
+    coefficients: BearingTable
+    deviation: np.ndarray | None  # (B, S, 8) standard deviations, NaN for known ones; None where none is stated
+    words: str = ""  # what the answer cost or rests on
+    doubt: str = ""  # what speaks against it: it does not explain its readings
+
+
+Identify = Callable[[Measurement, MethodOptions], Estimate]
+
+
+@dataclass(frozen=True)
+class Method:
+    """One method, and what a reader must know to choose it."""
+
+    name: str
+    label: str
+    source: str
+    beforehand: str  # data and priors that it needs beside the measurement
+    identify: Identify
+
+
+def estimate(
+    measurement: Measurement, values: np.ndarray, deviation: np.ndarray, words: str = "", doubt: str = ""
+) -> Estimate:
+    """The answer, from unknowns (M, S, U) and their standard deviations (M, S, U)."""
+    stated = measurement.unknowns.expand_deviation(np.nan_to_num(deviation))
+    return Estimate(measurement.table(values), stated, words, doubt)
+
+
+def bearing_equations_or_refusal(measurement: Measurement) -> BearingEquations:
+    """The equations at the bearings. Raises Refusal where they are not measured."""
+    try:
+        return measurement.equations
+    except DataError:
+        raise Refusal(Reason.BEARINGS_NOT_MEASURED, f"the sensors are at {sensors_in_words(measurement)}") from None
+
+
+def residual_or_refusal(measurement: Measurement, options: MethodOptions) -> LinearResidual:
+    """The residual in the unknowns. Raises Refusal where the runs do not determine them at any speed."""
+    equations = bearing_equations_or_refusal(measurement)
+    refuse_undetermined(judge_identifiability(equations, measurement.residual, options.constant))
+    return measurement.residual
+
+
+def refuse_undetermined(reports: tuple[Identifiability, ...]) -> None:
+    """Raise Refusal for a bearing whose unknowns the runs determine at no speed."""
+    for report in reports:
+        if report.verdict is Verdict.NOT_IDENTIFIABLE:
+            raise Refusal(Reason.NOT_DETERMINED, report.reason)
+
+
+def require_determined(measurement: Measurement, together: bool) -> None:
+    """Raise Refusal where the readings leave a combination of the unknowns free: all speeds ``together``, or each.
+
+    Judged at bearings of the size of the guess that are all the same: what their symmetry hides is hidden near it, too.
+    """
+    rows, _ = sensor_rows(measurement)
+    if not determines(rows.reshape(1, -1, rows.shape[-1]) if together else rows):
+        where = "all speeds together" if together else "a speed by itself"
+        nodes = {node for node, _ in measurement.dataset.channels}
+        raise Refusal(
+            Reason.NOT_DETERMINED,
+            f"at {where} {sensors_in_words(measurement)} leave{'s' * (len(nodes) == 1)} a combination of them free",
+        )
+
+
+def sensors_in_words(measurement: Measurement) -> str:
+    """The nodes that are measured."""
+    nodes = list(dict.fromkeys(node for node, _ in measurement.dataset.channels))
+    return f"node{'s' * (len(nodes) > 1)} {', '.join(map(str, nodes))}"
+
+
+def drop_unbalance(measurement: Measurement) -> Measurement:
+    """The measurement without the runs that a residual unbalance moves, where there is one to identify.
+
+    Raises Refusal where no run is left.
+    """
+    if not measurement.unknowns.planes:
+        return measurement
+    keep = np.flatnonzero(~measurement.synchronous())
+    if not len(keep):
+        raise Refusal(Reason.RESIDUAL_UNBALANCE, "every run turns with the rotor")
+    part = measurement.select(None, keep)
+    vars(part).pop("response", None)  # it has planes
+    return replace(part, unknowns=replace(part.unknowns, planes=()))
+
+
+def doubt_of(misfit: float | None) -> str:
+    """Words for a chi-square far above what is expected; none for one that is not."""
+    if misfit is None or misfit <= FAR_FROM_EXPECTED:  # NaN is not either
+        return ""
+    return f"chi-square is {misfit:.3g} times what is expected"

@@ -1,0 +1,95 @@
+"""Impulses, or forces of several frequencies, at a fixed rotor speed: all coefficients at once, and the unbalance.
+
+At a fixed speed the coefficients are the same at every frequency w of the response to an impulse, and each spectral
+line gives ``(K + j w C) q_b + g = 0``. All lines together are solved by least squares for the coefficients of both
+bearings (Qiu and Tieu 1997) and, from the lines that turn with the rotor, for the unbalance that is left in it
+(Tiwari and Chakravarthy 2006).
+
+Legend: B bearings, S speeds, R runs (the spectral lines of a speed), U unknowns, A of them that members have, N planes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pipeline.data.dataset import Excitation, VibrationDataset
+from pipeline.data.sensors import both_directions, project
+from pipeline.methods.method import (
+    Estimate,
+    MethodOptions,
+    Reason,
+    Refusal,
+    bearing_equations_or_refusal,
+    estimate,
+    sensors_in_words,
+)
+from pipeline.problem.measurement import Measurement
+from pipeline.problem.noise import DEPENDENT, linear_deviation, residual_covariance
+from pipeline.problem.residual import BearingEquations, bearing_equations, linear_residual
+
+
+def multi_frequency(measurement: Measurement, options: MethodOptions) -> Estimate:
+    """Coefficients of each speed by itself; raises Refusal for data of one frequency a speed."""
+    planes, unknowns = measurement.unknowns.planes, measurement.unknowns
+    data = _at_bearings(measurement) if planes else measurement
+    dataset = data.dataset
+    frequencies = [len(np.unique(np.round(of, 9))) for of in dataset.frequencies]
+    equations = bearing_equations_or_refusal(data)
+    if min(frequencies) < 2:
+        raise Refusal(Reason.ONE_FREQUENCY, "every run turns with the rotor")
+    matrix, offset = _join(data, equations)
+    length = np.linalg.norm(matrix, axis=1, keepdims=True)
+    left, singular, right = np.linalg.svd(matrix / length, full_matrices=False)
+    if matrix.shape[1] < matrix.shape[2] or (singular[:, -1] < DEPENDENT * singular[:, 0]).any():
+        raise Refusal(
+            Reason.NOT_DETERMINED, f"{dataset.frequencies.shape[1]} runs give {matrix.shape[1]} equations a speed"
+        )
+    inverse = np.einsum("skv,sk,srk->svr", right, 1 / singular, left) / length[:, 0, :, None]
+    answer = -np.einsum("svr,sr->sv", inverse, offset)  # (S, A + 2 N)
+    values = unknowns.from_active(answer)
+    covariance = residual_covariance(data.rotor, dataset, data.table(values), data.deviation)
+    deviation = unknowns.from_active(linear_deviation(inverse, covariance))
+    words = f"{min(frequencies)} frequencies a speed"
+    if planes:
+        pairs = answer[:, len(unknowns.active) :].reshape(len(answer), -1, 2)
+        found = np.median(pairs, axis=0) @ np.array([1.0, 1j])
+        sizes = (f"{1e6 * abs(u):.3g} g mm at node {node}" for node, u in zip(planes, found, strict=True))
+        words += f", residual unbalance {', '.join(sizes)}"
+    return estimate(data, values, deviation, words)
+
+
+def _at_bearings(measurement: Measurement) -> Measurement:
+    """The motion of the bearings alone: they then feel an unbalance anywhere on the shaft."""
+    channels = both_directions(measurement.rotor.bearing_nodes)
+    if not set(channels) <= set(measurement.dataset.channels):
+        raise Refusal(Reason.BEARINGS_NOT_MEASURED, f"the sensors are at {sensors_in_words(measurement)}")
+    return replace(measurement, dataset=project(measurement.dataset, channels))
+
+
+def _join(data: Measurement, equations: BearingEquations) -> tuple[np.ndarray, np.ndarray]:
+    """A (S, rows, A + 2 N) and y (S, rows) of all bearings together; rows as LinearResidual has them."""
+    residual = linear_residual(equations, data.unknowns, data.known)
+    n_bearings, n_speeds, n_rows, _ = residual.matrix.shape
+    columns = []
+    for m, u in data.unknowns.active:
+        mine = 1.0 if data.unknowns.shared else (np.arange(n_bearings) == m)[:, None, None]
+        columns.append((residual.matrix[..., u] * mine).swapaxes(0, 1).reshape(n_speeds, -1))
+    for node in data.unknowns.planes:
+        force = _unit_unbalance(data, node).swapaxes(0, 1)  # (S, B, 2, R)
+        for part in (force, 1j * force):
+            flat = part.reshape(n_speeds, n_bearings, -1)
+            columns.append(np.concatenate([flat.real, flat.imag], axis=2).reshape(n_speeds, n_bearings * n_rows))
+    return np.stack(columns, axis=-1), residual.offset.swapaxes(0, 1).reshape(n_speeds, -1)
+
+
+def _unit_unbalance(data: Measurement, node: int) -> np.ndarray:
+    """(B, S, 2, R) derivative of the residual by an unbalance (kg m) at the node; zero in runs that do not turn."""
+    turning = [run for run, turns in zip(data.dataset.runs, data.synchronous(), strict=True) if turns]
+    still: VibrationDataset = replace(
+        data.dataset,
+        displacement=np.zeros_like(data.dataset.displacement),
+        excitations=tuple(Excitation(run, "unbalance", node, 1.0, 0.0) for run in turning),
+    )
+    return bearing_equations(data.rotor, still).free_residual

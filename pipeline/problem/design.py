@@ -1,0 +1,126 @@
+"""Choosing the runs that determine the unknowns best, before anything is measured.
+
+Each run adds its Fisher information to that of the others, ``I = sum A_r' S_r^-1 A_r`` with the covariance S_r of its
+residual (least squares at each speed, :mod:`pipeline.problem.noise`): a set of runs is judged without a simulation.
+
+Legend: C candidate runs, S speeds, U unknowns, M members (see :mod:`pipeline.problem.residual`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.data.dataset import VibrationDataset
+from pipeline.data.simulate import with_noise
+from pipeline.problem.measurement import Measurement
+from pipeline.problem.noise import least_squares_deviation, residual_covariance, whiten
+from pipeline.problem.residual import LinearResidual, bearing_equations, linear_residual, per_speed_least_squares
+
+Criterion = Literal["A", "D"]
+
+PRIOR_DEVIATION = 1e3
+"""Every unknown is taken as known beforehand to within so many times its size, so that sets too small to determine all
+of them compare."""
+
+
+def run_information(white: LinearResidual, n_runs: int, size: np.ndarray) -> np.ndarray:
+    """(C, M, S, U, U) information of each run on the unknowns relative to their ``size`` (M, S, U).
+
+    ``white`` is a :func:`pipeline.problem.noise.whiten` residual of all candidates as its runs.
+    """
+    members, n_speeds, _, n_unknowns = white.matrix.shape
+    rows = (white.matrix * size[:, :, None]).reshape(members, n_speeds, 2, n_runs, -1, n_unknowns)
+    return np.einsum("mscriu,mscriv->rmsuv", rows, rows)
+
+
+def merit(information: np.ndarray, present: np.ndarray, criterion: Criterion) -> float:
+    """What a design minimises, from the information (M, S, U, U) of its runs; ``present`` (M, U).
+
+    A: logarithm of the mean variance; D: of the volume of the confidence region; means over speeds and bearings.
+    """
+    total = 0.0
+    for m, there in enumerate(present):
+        own = information[m][:, there][:, :, there] + np.eye(int(there.sum())) / PRIOR_DEVIATION**2
+        if criterion == "D":
+            total -= float(np.linalg.slogdet(own)[1].mean()) / there.sum()
+        else:
+            total += float(np.log(np.trace(np.linalg.inv(own), axis1=1, axis2=2) / there.sum()).mean())
+    return total / len(present)
+
+
+def choose(information: np.ndarray, present: np.ndarray, count: int, criterion: Criterion) -> tuple[int, ...]:
+    """Indices of the best ``count`` candidates: greedily one after the other, then exchanged while that improves."""
+    chosen: list[int] = []
+    for _ in range(count):
+        free = [c for c in range(len(information)) if c not in chosen]
+        chosen.append(min(free, key=lambda c: _merit_of(information, present, [*chosen, c], criterion)))
+    improved = True
+    while improved:
+        improved = False
+        for place in range(count):
+            others = [*chosen[:place], *chosen[place + 1 :]]
+            free = [c for c in range(len(information)) if c not in others]
+            best = min(free, key=lambda c: _merit_of(information, present, [*others, c], criterion))
+            gain = _merit_of(information, present, chosen, criterion) - _merit_of(
+                information, present, [*others, best], criterion
+            )
+            if gain > _LEAST_GAIN:
+                chosen, improved = [*others, best], True
+    return tuple(sorted(chosen))
+
+
+_LEAST_GAIN = 1e-9
+
+
+def _merit_of(information: np.ndarray, present: np.ndarray, runs: Sequence[int], criterion: Criterion) -> float:
+    return merit(information[list(runs)].sum(axis=0), present, criterion)
+
+
+# --- what a set of runs would give -------------------------------------------------------------------
+
+
+def plan_covariance(plan: Measurement) -> np.ndarray:
+    """(S, R, 2 B, 2 B) N^2, of the residual; a ``plan`` is simulated on the prior, which it has as known bearings."""
+    return residual_covariance(plan.rotor, plan.dataset, plan.known, plan.deviation)
+
+
+def whiten_plan(plan: Measurement, dataset: VibrationDataset, covariance: np.ndarray) -> LinearResidual:
+    """The weighted equations of a ``dataset`` of the planned runs."""
+    return whiten(linear_residual(bearing_equations(plan.rotor, dataset), plan.unknowns, plan.known), covariance)
+
+
+def unknown_sizes(plan: Measurement) -> np.ndarray:
+    """(M, S, U) sizes of the unknowns; some cross zero: no less than a hundredth of the largest of their kind."""
+    values = np.abs(plan.known.values)
+    kinds = values.reshape(*values.shape[:2], 2, 4)
+    floor = np.repeat(_FLOOR * kinds.max(axis=-1), 4, axis=-1)
+    leaders = [COEFFICIENTS.index(name) for name in plan.unknowns.names]
+    return np.asarray(np.maximum(values, floor)[: plan.unknowns.n_members][..., leaders])
+
+
+_FLOOR = 0.01
+
+
+def predict_deviations(plan: Measurement) -> dict[str, float]:
+    """Bearing and unknown -> predicted standard deviation of least squares over size, median over speed."""
+    return _medians(plan, least_squares_deviation(whiten_plan(plan, plan.dataset, plan_covariance(plan))))
+
+
+def simulate_deviations(plan: Measurement, count: int, generator: np.random.Generator) -> dict[str, float]:
+    """The same, as the spread of ``count`` weighted least-squares fits to noisy data."""
+    covariance = plan_covariance(plan)
+    fits = [
+        per_speed_least_squares(whiten_plan(plan, with_noise(plan.dataset, plan.deviation, generator), covariance))[0]
+        for _ in range(count)
+    ]
+    return _medians(plan, np.array(fits).std(axis=0, ddof=1))
+
+
+def _medians(plan: Measurement, deviation: np.ndarray) -> dict[str, float]:
+    relative, unknowns = deviation / unknown_sizes(plan), plan.unknowns
+    nodes = ["all bearings"] if unknowns.shared else [f"node {node}" for node in plan.rotor.bearing_nodes]
+    return {f"{nodes[m]} {unknowns.names[u]}": float(np.median(relative[m, :, u])) for m, u in unknowns.active}

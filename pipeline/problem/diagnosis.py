@@ -1,0 +1,212 @@
+"""What a measurement determines, before any fit: ranks, condition numbers, and the deviations that its noise implies.
+
+From the residual where x and y are measured at every bearing; from the response at the sensors otherwise. Where the
+sensors tell the forces at the bearings, the two say the same. Where they do not, all bearings speak through the same
+sensors and are judged together. Neighbouring speeds then help each other as far as the coefficients are smooth
+functions of the speed, and the deviation of the whole parametrisation tells how far. No modelled coefficient is read.
+
+Legend: S speeds, P channels, R runs, B bearings, M members, U unknowns, A those of them that members have, K features.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.problem.identifiability import (
+    Identifiability,
+    Verdict,
+    condition_number,
+    decompose,
+    judge_identifiability,
+    unit_columns,
+)
+from pipeline.problem.measurement import Measurement
+from pipeline.problem.noise import DEPENDENT, least_squares_deviation, residual_covariance, whiten
+from pipeline.problem.residual import LinearResidual, linear_residual, per_speed_least_squares
+from pipeline.problem.response import expand
+from pipeline.rotor.bearing_table import BearingTable
+
+UNEQUAL = np.array([1.0, 0.2, -0.3, 0.7])
+"""xx, xy, yx, yy over the guess, of the bearing that few sensors are judged by: one that is the same in all directions
+would show circular orbits, from which less follows than from those of real bearings."""
+_LEARNT = 1.0
+"""A coefficient that is known to no better than itself was not determined."""
+_PRIOR_DEVIATION = 1e3
+"""Every feature is known beforehand to so many times the size of its unknown, so that what the sensors leave open has a
+finite deviation, far above 1."""
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """Everything that is known of a fit before it is done."""
+
+    reports: tuple[Identifiability, ...]
+    answer: BearingTable  # least squares of each speed by itself, or a guess: sizes to compare the deviations with
+    deviation: np.ndarray  # (B, S, 8) standard deviation of it, N/m and N s/m; NaN where nothing is identified
+    by_least_squares: bool = True  # whose deviation it is; else that of the fit of smooth functions
+
+    def relative(self, node: int) -> dict[str, np.ndarray]:
+        """Coefficient -> (S,) standard deviation over size."""
+        b = self.answer.nodes.index(node)
+        size = np.abs(self.answer.values[b])
+        return {
+            name: np.divide(self.deviation[b, :, c], size[:, c], out=np.full(len(size), np.inf), where=size[:, c] > 0)
+            for c, name in enumerate(COEFFICIENTS)
+            if not np.isnan(self.deviation[b, :, c]).all()
+        }
+
+    def worst(self, report: Identifiability) -> tuple[str, float]:
+        """The coefficient of a bearing with the largest deviation, and that over its size, median over speed."""
+        medians = {
+            f"{name} at node {node}" if len(report.nodes) > 1 else name: float(np.median(values))
+            for node in report.nodes
+            for name, values in self.relative(node).items()
+        }
+        name = max(medians, key=lambda key: medians[key])
+        return name, medians[name]
+
+
+def diagnose_residual(measurement: Measurement, constant: bool) -> Diagnosis:
+    """By the residual; ``constant`` where the coefficients are the same at every speed. Raises DataError."""
+    reports = judge_identifiability(measurement.equations, measurement.residual, constant)
+    answer = measurement.table(per_speed_least_squares(measurement.residual)[0])
+    covariance = residual_covariance(measurement.rotor, measurement.dataset, answer, measurement.deviation)
+    return _of_least_squares(measurement, reports, measurement.residual, answer, covariance)
+
+
+def diagnose_response(
+    measurement: Measurement, constant: bool, features: Callable[[Measurement], np.ndarray]
+) -> Diagnosis:
+    """By the response at the sensors, whatever they are.
+
+    ``features`` gives the functions of the speed, (M, S, K), that the coefficients are sought among.
+    """
+    whole = measurement.subtract_unbalance()
+    expansion = expand(whole.response, whole.dataset.displacement, whole.deviation)
+    if expansion is None:
+        return _diagnose_few_sensors(whole, features(whole))
+    residual = linear_residual(expansion.equations, whole.unknowns, whole.known)
+    reports = judge_identifiability(expansion.equations, residual, constant)
+    answer = whole.table(per_speed_least_squares(residual)[0])
+    return _of_least_squares(whole, reports, residual, answer, expansion.residual_covariance(whole.response, answer))
+
+
+def _of_least_squares(
+    measurement: Measurement,
+    reports: tuple[Identifiability, ...],
+    residual: LinearResidual,
+    answer: BearingTable,
+    covariance: np.ndarray,
+) -> Diagnosis:
+    spread = least_squares_deviation(whiten(residual, covariance))
+    return Diagnosis(reports, answer, measurement.unknowns.expand_deviation(spread))
+
+
+# --- sensors too few for the forces at the bearings ---------------------------------------------------
+
+
+def sensor_rows(measurement: Measurement) -> tuple[np.ndarray, np.ndarray]:
+    """How bearings of the size of the guess show in the readings.
+
+    Returns:
+        (S, 2 P R, A) derivative of the readings over their noise by the logarithm of each active unknown, real parts
+        first, and the unknowns (M, S, U) that it was made at.
+    """
+    unknowns = measurement.unknowns
+    shape = np.array([UNEQUAL[2 * (name[1] == "y") + (name[2] == "y")] for name in unknowns.names])
+    values = np.repeat((measurement.guess.sizes(unknowns) * shape)[:, None], len(measurement.dataset.speeds), axis=1)
+    by_coefficient = measurement.response.sensitivity(measurement.table(values))  # (S, P, R, B, 8)
+    rows = np.einsum("sprbc,bca->spra", by_coefficient, unknowns.influence)
+    size = np.stack([values[m, :, u] for m, u in unknowns.active], axis=-1)
+    rows = rows * size[:, None, None] * (np.sqrt(2.0) / measurement.deviation)[..., None]
+    flat = rows.reshape(len(rows), -1, rows.shape[-1])
+    return np.concatenate([flat.real, flat.imag], axis=1), values
+
+
+def determines(rows: np.ndarray) -> bool:
+    """Whether the rows (S, N, A) leave no combination of the unknowns free, at the median speed."""
+    if rows.shape[1] < rows.shape[2]:
+        return False
+    singular = np.linalg.svd(unit_columns(rows), compute_uv=False)
+    return bool(np.median(singular[:, -1] / singular[:, 0]) >= DEPENDENT)
+
+
+def _diagnose_few_sensors(measurement: Measurement, features: np.ndarray) -> Diagnosis:
+    """At a bearing of the size of the guess: its direct coefficients serve for all."""
+    rows, values = sensor_rows(measurement)
+    unknowns, dataset = measurement.unknowns, measurement.dataset
+    singular, least = decompose(unit_columns(rows))
+    rank = (singular > DEPENDENT * singular[:, :1]).sum(axis=1)
+    relative = _smooth_deviation(rows, np.stack([features[m] for m, _ in unknowns.active]))
+    spread = unknowns.from_active(relative) * np.abs(values)
+    nodes = measurement.rotor.bearing_nodes
+    labels = tuple(
+        unknowns.names[u] if unknowns.n_members == 1 else f"{unknowns.names[u]} at node {nodes[m]}"
+        for m, u in unknowns.active
+    )
+    verdict, reason = _judge_few_sensors(labels, rank, np.median(relative, axis=0), len(dataset.channels))
+    none = np.full(len(dataset.speeds), np.nan)
+    report = Identifiability(
+        nodes=nodes,
+        unknowns=labels,
+        speeds=dataset.speeds,
+        singular_values=singular,
+        rank=rank,
+        condition=condition_number(singular),
+        orbit_rank=none,
+        orbit_condition=none,
+        free=least,
+        verdict=verdict,
+        reason=reason,
+    )
+    if unknowns.n_members > 1:
+        report = replace(report, together="seen by the same sensors")
+    return Diagnosis((report,), measurement.table(values), unknowns.expand_deviation(spread), by_least_squares=False)
+
+
+def _smooth_deviation(rows: np.ndarray, features: np.ndarray) -> np.ndarray:
+    """(S, A) standard deviation over size of unknowns whose logarithms combine ``features`` (A, S, K).
+
+    By QR rather than by the information: what the prior alone determines lies as far below the rest as numbers go.
+    """
+    from scipy.linalg import solve_triangular
+
+    n_active, n_speeds, count = features.shape
+    by_weight = np.einsum("sna,ask->snak", rows, features).reshape(-1, n_active * count)
+    stacked = np.concatenate([by_weight, np.eye(n_active * count) / _PRIOR_DEVIATION])
+    size = np.linalg.norm(stacked, axis=0)
+    triangle = np.linalg.qr(stacked / size, mode="r")
+    deviation = np.empty((n_speeds, n_active))
+    for a in range(n_active):
+        own = np.zeros((n_active, count, n_speeds))
+        own[a] = features[a].T
+        carried = solve_triangular(triangle, own.reshape(-1, n_speeds) / size[:, None], trans="T")
+        deviation[:, a] = np.linalg.norm(carried, axis=0)
+    return deviation
+
+
+def _judge_few_sensors(
+    labels: tuple[str, ...], rank: np.ndarray, relative: np.ndarray, n_channels: int
+) -> tuple[Verdict, str]:
+    wanted = len(labels)
+    if (rank == wanted).all():
+        return Verdict.IDENTIFIABLE, ""
+    sensors = "the only sensor does" if n_channels == 1 else f"the {n_channels} sensors do"
+    missing = int((rank < wanted).sum())
+    unknown = [label for label, deviation in zip(labels, relative, strict=True) if deviation > _LEARNT]
+    if not unknown:
+        return (
+            Verdict.ACROSS_SPEEDS,
+            f"at {missing} of {len(rank)} speeds by themselves {sensors} not determine all {wanted} unknowns, but as "
+            "smooth functions of the speed they are determined",
+        )
+    return (
+        Verdict.NOT_IDENTIFIABLE,
+        f"{sensors} not determine more than {int(rank.max())} of {wanted} unknowns at a speed, and over all speeds "
+        f"not {'one of them' if len(unknown) == wanted else ', '.join(unknown)}; add sensors, a run of another whirl "
+        "or frequency, or a structure (identify.structure)",
+    )

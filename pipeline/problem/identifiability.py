@@ -1,0 +1,173 @@
+"""What the data determine, before any fit: rank, condition, the combination left free, and a verdict in words.
+
+At one speed a bearing has up to eight real unknowns, and each run gives two complex equations: two runs with
+independent orbits determine all eight, one leaves four free. On an axisymmetric rotor unbalance excites forward whirl
+alone, and backward whirl comes from anisotropic bearings. Where one bearing alone is anisotropic, its own backward
+whirl is in a fixed ratio to its forward whirl: its orbits are multiples of each other, whatever the planes and phases.
+
+Legend: S speeds, R runs, B bearings, U unknowns, M members (see :mod:`pipeline.problem.residual`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from pipeline.errors import IdentifiabilityError
+from pipeline.problem.noise import DEPENDENT
+from pipeline.problem.residual import BearingEquations, LinearResidual
+
+
+class Verdict(Enum):
+    """What can be said of a bearing."""
+
+    IDENTIFIABLE = "identifiable"
+    ACROSS_SPEEDS = "identifiable only across speeds"
+    NOT_IDENTIFIABLE = "not identifiable"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Identifiability:
+    """What the data determine of one bearing, or of all together."""
+
+    nodes: tuple[int, ...]
+    unknowns: tuple[str, ...]  # U of this bearing
+    speeds: np.ndarray  # (S,) rad/s
+    singular_values: np.ndarray  # (S, U), of A with columns of unit length
+    rank: np.ndarray  # (S,)
+    condition: np.ndarray  # (S,)
+    orbit_rank: np.ndarray  # (S,), of 2
+    orbit_condition: np.ndarray  # (S,)
+    free: np.ndarray  # (S, U) the combination that the data determine least, in shares of the bearing force
+    verdict: Verdict
+    reason: str  # why not, and what to add; empty where identifiable
+    together: str = "which share their coefficients"  # why several bearings are judged together
+
+    @property
+    def where(self) -> str:
+        """The bearing in words."""
+        if len(self.nodes) == 1:
+            return f"bearing at node {self.nodes[0]}"
+        return f"bearings at nodes {', '.join(map(str, self.nodes))}, {self.together}"
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in words."""
+        return f"{self.where}: {self.verdict.value}" + (f", because {self.reason}" if self.reason else "")
+
+    def free_combination(self) -> str:
+        """The least determined combination at the speed of the median condition, such as ``0.71 kxx - 0.70 kxy``."""
+        vector = self.free[int(np.argsort(self.condition)[len(self.condition) // 2])]
+        vector = vector * np.sign(vector[np.abs(vector).argmax()])
+        order = [u for u in np.argsort(-np.abs(vector)) if abs(vector[u]) >= _SHOWN]
+        words = [f"{'-' if vector[u] < 0 else '+'} {abs(vector[u]):.2f} {self.unknowns[u]}" for u in order]
+        return " ".join(words).removeprefix("+ ")
+
+
+_SHOWN = 0.1
+"""Share below which an unknown is left out of the words for a combination."""
+
+
+def judge_identifiability(
+    equations: BearingEquations, residual: LinearResidual, constant: bool
+) -> tuple[Identifiability, ...]:
+    """One judgement a member; ``constant`` where the unknowns are the same at every speed."""
+    members, every = residual.by_member(), tuple(range(len(equations.bearing_nodes)))
+    groups = [every] if residual.unknowns.shared else [(b,) for b in every]
+    return tuple(
+        _judge(equations, members, m, bearings, constant)
+        for m, bearings in enumerate(groups)
+        if members.unknowns.present[m].any()
+    )
+
+
+def _judge(
+    equations: BearingEquations, members: LinearResidual, m: int, bearings: tuple[int, ...], constant: bool
+) -> Identifiability:
+    present = members.unknowns.present[m]
+    names = tuple(name for name, there in zip(members.unknowns.names, present, strict=True) if there)
+    columns = unit_columns(members.matrix[m][..., present])
+    singular, free = decompose(columns)
+    rank = (singular > DEPENDENT * singular[:, :1]).sum(axis=1)
+    at_every_speed = (rank == len(names)).all()
+    orbit_rank, orbit_condition = _orbits(equations, bearings)
+    if at_every_speed:
+        verdict, reason = Verdict.IDENTIFIABLE, ""
+    elif (rank == len(names)).any() or (constant and _rank_over_speeds(members.matrix[m][..., present]) == len(names)):
+        missing = int((rank < len(names)).sum())
+        verdict = Verdict.ACROSS_SPEEDS
+        reason = f"at {missing} of {len(rank)} speeds by themselves the runs do not determine {', '.join(names)}"
+    else:
+        verdict, reason = Verdict.NOT_IDENTIFIABLE, _reason(names, rank, orbit_rank, equations)
+    return Identifiability(
+        nodes=tuple(equations.bearing_nodes[b] for b in bearings),
+        unknowns=names,
+        speeds=equations.speeds,
+        singular_values=singular,
+        rank=rank,
+        condition=condition_number(singular),
+        orbit_rank=orbit_rank,
+        orbit_condition=orbit_condition,
+        free=free,
+        verdict=verdict,
+        reason=reason,
+    )
+
+
+def unit_columns(matrix: np.ndarray) -> np.ndarray:
+    """Columns of unit length: stiffness and damping differ by orders of magnitude, and orbits are judged, not units."""
+    length = np.linalg.norm(matrix, axis=-2, keepdims=True)
+    return matrix / np.where(length > 0, length, 1.0)
+
+
+def decompose(columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(S, U) singular values, zero where there are fewer rows than unknowns; (S, U) the direction of the smallest."""
+    _, singular, right = np.linalg.svd(columns, full_matrices=True)
+    padded = np.zeros(columns.shape[::2])
+    padded[:, : singular.shape[1]] = singular
+    return padded, right[:, -1]
+
+
+def condition_number(singular: np.ndarray) -> np.ndarray:
+    """(S,) ratio of the largest to the smallest singular value (S, U); infinite where that is zero."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return singular[:, 0] / singular[:, -1]
+
+
+def _orbits(equations: BearingEquations, bearings: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Rank (S,) and condition number (S,) of the orbits (x, y) of the runs, each of unit size; the best bearing's."""
+    ranks, conditions = [], []
+    for b in bearings:
+        singular, _ = decompose(unit_columns(equations.displacement[b]).conj().swapaxes(1, 2))
+        ranks.append((singular > DEPENDENT * singular[:, :1]).sum(axis=1))
+        conditions.append(condition_number(singular))
+    return np.max(ranks, axis=0), np.min(conditions, axis=0)
+
+
+def _rank_over_speeds(matrix: np.ndarray) -> int:
+    """Rank of the equations of all speeds together, for unknowns that are the same at every speed."""
+    largest = np.abs(matrix).max(axis=(1, 2), keepdims=True)
+    return int(np.linalg.matrix_rank(unit_columns((matrix / largest).reshape(-1, matrix.shape[-1])), tol=DEPENDENT))
+
+
+def _reason(names: tuple[str, ...], rank: np.ndarray, orbit_rank: np.ndarray, equations: BearingEquations) -> str:
+    n_runs, best = equations.displacement.shape[-1], int(rank.max())
+    determined = f"at every speed the {n_runs} run{'s' * (n_runs > 1)} determine {best} of {len(names)} unknowns"
+    cures = "a run of another whirl (backward) or frequency, fewer unknowns, or a structure (identify.structure)"
+    if orbit_rank.max() < 2 and n_runs > 1:
+        return (
+            f"{determined}: their orbits are multiples of each other (rank 1 of 2), as those of all unbalances are "
+            f"where the other bearings are isotropic; add {cures}"
+        )
+    if n_runs == 1:
+        return f"{determined}: a run gives 2 real equations for the force in x and 2 in y; add {cures}"
+    return f"{determined}; add {cures}"
+
+
+def require_identifiable(reports: tuple[Identifiability, ...]) -> None:
+    """Raise IdentifiabilityError for a bearing whose unknowns the runs determine at no speed."""
+    for report in reports:
+        if report.verdict is Verdict.NOT_IDENTIFIABLE:
+            raise IdentifiabilityError(f"{report.sentence}. force=true trains all the same")

@@ -1,0 +1,138 @@
+"""Coefficients of each speed from few sensors: a Kalman filter of the motion at the bearings, then least squares.
+
+With the coefficients at hand, the model predicts the motion. What its bearings lack acts as an unknown force f at
+the bearings, of which the filter knows the size beforehand, a share of the bearing force. Its update from the measured
+displacement gives f and the motion of the bearings, ``f = P a' (a P a' + R)^-1 (measured - predicted)``, and least
+squares over the runs gives the coefficients, ``H_new q_b = H q_b - f`` (Kang, Shi, Zhang, Zhen and Gu 2020). That is
+repeated until nothing changes. The filter is that of the stationary motion: its state are the amplitudes.
+
+Legend: B bearings, M members (B, or 1 where they share their coefficients), S speeds, P channels, R runs, U unknowns.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.coefficients import is_direct
+from pipeline.problem.measurement import Measurement
+from pipeline.problem.residual import linear_residual, per_speed_least_squares
+from pipeline.problem.response import bearing_equations_of, respond
+
+_ROUNDS, _ROUNDS_AT_ONCE = 300, 25
+_SETTLED = 1e-10
+"""Relative change in a round below which a speed is done."""
+_STEP = 3.0
+"""Direct coefficients get no more than so many times larger or smaller in a round."""
+_SIZES = (1.0, 10.0, 0.1)
+"""The guess is tried in these sizes, the later ones where the earlier ones left something unexplained."""
+_PRIOR = 1.0
+"""Root mean square of the unknown force beforehand, as a share of the bearing force."""
+_EXPLAINED = 2.0
+"""Mean square over the noise up to which readings count as explained."""
+_HOPELESS = 0.1
+"""Share of the speeds that must settle from the first guess for others to be tried."""
+
+
+@dataclass(frozen=True, eq=False)
+class BearingFilter:
+    """The filter of a measurement."""
+
+    measurement: Measurement
+
+    def at(self, speeds: np.ndarray) -> BearingFilter:
+        """The same at the ``speeds`` (indices)."""
+        return BearingFilter(self.measurement.select(speeds))
+
+    def mean_square(self, values: np.ndarray) -> np.ndarray:
+        """(S,) of what unknowns (M, S, U) leave over, in units of the noise."""
+        data = self.measurement
+        predicted = data.response.predict(data.table(values))
+        left_over = (predicted - data.dataset.displacement) / data.deviation
+        return np.asarray((np.abs(left_over) ** 2).mean(axis=(1, 2)))
+
+    def update(self, values: np.ndarray, measured: np.ndarray) -> np.ndarray:
+        """(M, S, U) unknowns after one update of every run by ``measured`` (S, P, R), and least squares."""
+        data = self.measurement
+        table, equations = data.table(values), data.response
+        force = np.empty((len(table.speeds), 2 * len(table.nodes), measured.shape[2]), dtype=complex)
+        moved = np.empty_like(force)  # at the bearings; the force is that of the bearings on the shaft
+        for block in equations.blocks:
+            own = respond(block, equations.change(table, block))
+            impedance = table.impedance(block.frequencies)  # (B, S, 2, 2)
+            bearing = _product(impedance, own.bearings)
+            for i, run in enumerate(block.runs):
+                prior = (_PRIOR * np.abs(bearing[:, :, i])) ** 2
+                gain = _gain(own.receptance_sensors, prior, data.deviation[:, :, run])
+                unknown = gain @ (measured[:, :, run] - own.sensors[:, :, i])[..., None]
+                motion = own.bearings[:, :, [i]] + own.receptance_bearings @ unknown
+                moved[..., run] = motion[..., 0]
+                force[..., run] = (unknown - _product(impedance, motion))[..., 0]
+        found = bearing_equations_of(equations, force, moved)
+        return per_speed_least_squares(linear_residual(found, data.unknowns, data.known))[0]
+
+
+def filter_bearings(measurement: Measurement) -> tuple[np.ndarray, np.ndarray]:
+    """Unknowns (M, S, U) that an update leaves as they are, and (S,) where that was reached."""
+    problem, unknowns = BearingFilter(measurement), measurement.unknowns
+    n_speeds, guess = len(measurement.dataset.speeds), measurement.guess.sizes(unknowns)
+    direct = np.array([is_direct(name) for name in unknowns.names])
+    start = np.repeat((guess * direct)[:, None], n_speeds, axis=1)
+    best, settled, least = start.copy(), np.zeros(n_speeds, dtype=bool), np.full(n_speeds, np.inf)
+    for size in _SIZES:
+        todo = np.flatnonzero(~(settled & (least <= _EXPLAINED)))
+        if not len(todo):
+            break
+        part = problem.at(todo)
+        values, still = _settle(part, size * start[:, todo], direct)
+        left_over = np.where(still, part.mean_square(values), np.inf)
+        better = left_over < least[todo]
+        best[:, todo[better]], least[todo[better]] = values[:, better], left_over[better]
+        settled[todo[better]] = True
+        if settled.mean() < _HOPELESS:
+            break
+    return best, settled
+
+
+def _settle(problem: BearingFilter, values: np.ndarray, direct: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rounds from ``values`` (M, S, U) until each speed is done, and (S,) which are."""
+    values, still = values.copy(), np.zeros(values.shape[1], dtype=bool)
+    with np.errstate(all="ignore"):  # of speeds that run away
+        for _ in range(_ROUNDS // _ROUNDS_AT_ONCE):
+            todo = np.flatnonzero(~still)
+            if not len(todo):
+                break
+            part, own = problem.at(todo), values[:, todo]
+            for _ in range(_ROUNDS_AT_ONCE):
+                new = part.update(own, part.measurement.dataset.displacement)
+                new = np.where(direct, np.clip(new, own / _STEP, own * _STEP), new)
+                new = np.where(np.isfinite(new), new, own)
+                change = np.abs(new - own) <= _SETTLED * np.maximum(np.abs(new), np.abs(own))
+                own = new
+            values[:, todo], still[todo] = own, np.all(change, axis=(0, 2))
+    return values, still
+
+
+def _gain(at_sensors: np.ndarray, prior: np.ndarray, deviation: np.ndarray) -> np.ndarray:
+    """(S, 2 B, P) Kalman gain for forces of the variance ``prior`` (S, 2 B), seen through ``at_sensors`` (S, P, 2 B).
+
+    ``P a' (a P a' + R)^-1 = (P^-1 + a' R^-1 a)^-1 a' R^-1``: the smaller of the two matrices is solved.
+    """
+    adjoint = at_sensors.conj().swapaxes(1, 2)
+    n_channels, count = at_sensors.shape[1:]
+    if n_channels < count:
+        spread = prior[:, :, None] * adjoint
+        innovation = at_sensors @ spread
+        innovation[:, range(n_channels), range(n_channels)] += deviation**2
+        return np.asarray(np.linalg.solve(innovation, spread.conj().swapaxes(1, 2)).conj().swapaxes(1, 2))
+    weighted = adjoint / deviation[:, None] ** 2
+    information = weighted @ at_sensors
+    information[:, range(count), range(count)] += 1 / prior
+    return np.asarray(np.linalg.solve(information, weighted))
+
+
+def _product(impedance: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    """(S, 2 B, R) of blocks (B, S, 2, 2) and (S, 2 B, R)."""
+    blocks = motion.reshape(len(motion), len(impedance), 2, -1)
+    return np.einsum("bsij,sbjr->sbir", impedance, blocks).reshape(motion.shape)

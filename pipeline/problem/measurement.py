@@ -1,0 +1,180 @@
+"""One measurement: the one value that every method takes, made once.
+
+Legend: S speeds, P channels, R runs, B bearings, U unknowns, M members (B, or 1 where all bearings share their
+coefficients), N balance planes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.data.dataset import VibrationDataset
+from pipeline.data.noise import NoiseModel
+from pipeline.problem.residual import BearingEquations, LinearResidual, bearing_equations, linear_residual
+from pipeline.problem.response import ResponseBlock, ResponseEquations, response_equations
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.model import RotorModel
+from pipeline.unknowns import BearingUnknowns, Structure, UnknownSet, unknown_set
+
+_LEAST = 1e-15
+"""m; a reading of zero without additive noise would have none at all."""
+
+
+@dataclass(frozen=True)
+class Guess:
+    """The order of magnitude of the direct coefficients, before anything is measured."""
+
+    stiffness: float  # N/m
+    damping: float  # N s/m
+
+    def sizes(self, unknowns: UnknownSet) -> np.ndarray:
+        """(M, U) N/m and N s/m, cross-coupled coefficients included."""
+        size = {"k": self.stiffness, "c": self.damping}
+        return np.tile([size[name[0]] for name in unknowns.names], (unknowns.n_members, 1))
+
+
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """Everything that an identification may see. There is no truth in it."""
+
+    rotor: RotorModel
+    dataset: VibrationDataset
+    known: BearingTable  # the coefficients that are not identified, at the speeds of the data
+    noise: NoiseModel
+    unknowns: UnknownSet
+    guess: Guess
+
+    @classmethod
+    def read(
+        cls,
+        rotor: str | Path,
+        vibration: str | Path,
+        excitation: str | Path,
+        *,
+        unknowns: Sequence[str],
+        noise: NoiseModel,
+        guess: Guess,
+        known: str | Path | None = None,
+        baseline: str | None = None,
+        structure: Structure = "none",
+        shared: bool = False,
+        unbalance_planes: Sequence[int] = (),
+    ) -> Measurement:
+        """A measurement from files.
+
+        Args:
+            rotor: a rotor saved by ROSS (.toml, .json); its bearings say where the bearings stand.
+            vibration: ``vibration.parquet`` or .csv, see :mod:`pipeline.data.vibration_files`.
+            excitation: ``excitation.csv``.
+            unknowns: names such as ``kxx`` that are identified at every bearing.
+            known: table of the other coefficients; not needed where all eight are unknown.
+            baseline: the run of the machine as it was found, which is subtracted from the others.
+            structure: ties between the coefficients of a bearing, see :mod:`pipeline.unknowns`.
+            shared: all bearings have the same coefficients.
+            unbalance_planes: nodes whose residual unbalance is identified too (loss ``response``).
+
+        Raises DataError with the law that a file breaks.
+        """
+        from pipeline.coefficients import COEFFICIENTS
+        from pipeline.config.machine import RotorConfig
+        from pipeline.data.coefficient_files import read_coefficients
+        from pipeline.data.vibration_files import read_dataset
+        from pipeline.rotor.stored import assembled
+
+        model = assembled(RotorConfig(file=str(rotor)))
+        dataset = read_dataset(Path(vibration), Path(excitation), model, baseline)
+        nodes, asked = model.bearing_nodes, BearingUnknowns(tuple(unknowns), structure)  # type: ignore[arg-type]
+        others = tuple(name for name in COEFFICIENTS if name not in asked.coefficients)
+        if known is None and not others:
+            table = BearingTable(nodes, dataset.speeds, np.zeros((len(nodes), len(dataset.speeds), len(COEFFICIENTS))))
+        else:
+            path = Path(known or "known_coefficients.csv")
+            table = read_coefficients(path, nodes, dataset.speeds, dict.fromkeys(nodes, others))
+        found = unknown_set(dict.fromkeys(nodes, asked), shared, tuple(unbalance_planes))
+        return cls(model, dataset, table, noise, found, guess)
+
+    @cached_property
+    def deviation(self) -> np.ndarray:
+        """(S, P, R) m, root mean square of each reading's noise, by the sizes of the readings."""
+        return self.deviation_of(self.dataset.displacement, self.dataset.subtracted)
+
+    def deviation_of(
+        self, displacement: np.ndarray, subtracted: np.ndarray | None = None, factor: np.ndarray | None = None
+    ) -> np.ndarray:
+        """(.., S, P, R) m of readings of another size; ``factor`` (P,) is a channel's deviation over the stated one."""
+        size = self.noise.deviation(displacement, subtracted)
+        return np.asarray(np.maximum(size if factor is None else size * factor[:, None], _LEAST))
+
+    @cached_property
+    def equations(self) -> BearingEquations:
+        """The equations at the bearings. Raises DataError where x or y is not measured at one."""
+        return bearing_equations(self.rotor, self.dataset)
+
+    @cached_property
+    def residual(self) -> LinearResidual:
+        """The residual in the unknowns. Raises as :attr:`equations`; IdentifiabilityError for a bearing at rest."""
+        return linear_residual(self.equations, self.unknowns, self.known)
+
+    @cached_property
+    def response(self) -> ResponseEquations:
+        """The response at the sensors."""
+        return response_equations(self.rotor, self.dataset, self.guess.stiffness, self.unknowns.planes)
+
+    def select(self, speeds: np.ndarray | None = None, runs: np.ndarray | None = None) -> Measurement:
+        """The same at the ``speeds`` (mask or index) and for the ``runs`` (ascending indices); None for all."""
+        keep = np.arange(len(self.dataset.speeds)) if speeds is None else speeds
+        dataset = self.dataset.at(keep)
+        part = replace(self, dataset=dataset if runs is None else dataset.of_runs(runs), known=self.known.at(keep))
+        if "response" in vars(self):  # what is solved once is not solved again for a part of it
+            vars(part)["response"] = self.response.at(keep, runs)
+        return part
+
+    def table(self, values: np.ndarray) -> BearingTable:
+        """All eight coefficients, from unknowns (M, S, U) and the known ones."""
+        return self.known.with_unknowns(self.unknowns, values)
+
+    def synchronous(self) -> np.ndarray:
+        """(R,) mask of the runs that turn with the rotor."""
+        return np.isclose(self.dataset.frequencies, self.dataset.speeds[:, None], rtol=1e-9).all(axis=0)
+
+    def subtract_unbalance(self) -> Measurement:
+        """The synchronous runs less the first of them: a residual unbalance, the same in all, cancels exactly.
+
+        Without balance planes nothing is subtracted; a single synchronous run stays as it is.
+        """
+        unknowns, data = replace(self.unknowns, planes=()), self.dataset
+        turning = next((b.runs for b in self.response.blocks if b.unit_sensors.shape[-1] and len(b.runs) > 1), None)
+        if turning is None:
+            part = replace(self, unknowns=unknowns)
+            vars(part)["response"] = replace(self.response, planes=())
+            return part
+        first = turning[0]
+        rest = np.delete(np.arange(len(data.runs)), first)
+        turns = np.isin(rest, turning)
+        before = np.zeros_like(data.displacement) if data.subtracted is None else data.subtracted
+        taken = data.displacement[..., [first]] * turns
+        less = data.of_runs(rest)
+        # Of two runs with the same baseline the readings themselves differ: the baseline cancels with its noise.
+        read = np.where(turns, before[..., [first]] + data.displacement[..., [first]], before[..., rest])
+        part = replace(
+            self, dataset=replace(less, displacement=less.displacement - taken, subtracted=read), unknowns=unknowns
+        )
+        blocks = [_less_first(block, first, rest) for block in self.response.blocks]
+        vars(part)["response"] = replace(self.response, planes=(), blocks=tuple(b for b in blocks if len(b.runs)))
+        return part
+
+
+def _less_first(block: ResponseBlock, first: int, rest: np.ndarray) -> ResponseBlock:
+    """The block without the run ``first``, which is subtracted from the others if it is among them."""
+    keep = block.runs != first
+    forced_s, forced_b = block.forced_sensors, block.forced_bearings
+    if not keep.all():
+        forced_s = forced_s[..., keep] - forced_s[..., ~keep]
+        forced_b = forced_b[..., keep] - forced_b[..., ~keep]
+    runs = np.searchsorted(rest, block.runs[keep])
+    return replace(block, runs=runs, forced_sensors=forced_s, forced_bearings=forced_b)

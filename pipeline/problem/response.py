@@ -1,0 +1,298 @@
+"""What the sensors would measure, as a function of the bearings: a small system, whatever the number of nodes.
+
+On reference bearings H0 the rotor has the forced response u0 and the receptance a (displacements of a unit force at the
+bearings). Bearings H = H0 + dH change the force on the shaft by ``-dH q_b``, so that
+
+    q_b = (I + a_bb dH)^-1 u0_b                        at the bearings
+    q_s = u0_s - a_sb dH q_b                           at the sensors
+
+and a derivative needs no further solution: with ``T = a_sb - a_sb dH (I + a_bb dH)^-1 a_bb``, the receptance of the
+rotor on the bearings H, ``dq_s / dH_ij = -T_i q_bj``.
+
+These equations are written once, for arrays of NumPy and for tensors of torch, which may lead with a batch.
+
+Where the sensors are enough to tell the forces at the bearings, least squares on ``q_s = u0_s + a_sb f`` gives f, the
+motion q_b of the bearings follows, and ``r = f + dH q_b`` is the residual of the equation of motion (expansion).
+
+Legend: ``..`` batch, S speeds, P channels, R runs, B bearings, N balance planes. SI units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from pipeline.data.dataset import VibrationDataset, force_vectors, runs_by_frequency
+from pipeline.problem.residual import BearingEquations
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.dynamic_stiffness import banded, solve
+from pipeline.rotor.model import RotorModel, bearing_dof, translation_dof
+
+REFERENCE_LOSS = 1.0
+"""Loss factor of the reference bearings, ``H0 = k (1 + j)``: so damped, they have no resonance that costs digits."""
+
+Array = Any
+"""An array of NumPy, or a tensor of torch."""
+
+
+def _library(array: Array) -> Any:
+    """The functions that take this array: numpy, or torch."""
+    if isinstance(array, np.ndarray):
+        return np
+    import torch
+
+    return torch
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ResponseBlock:
+    """Runs that share their frequencies, on the reference bearings."""
+
+    runs: np.ndarray  # (R,) indices among the runs of the data
+    frequencies: Array  # (S,) rad/s
+    forced_sensors: Array  # u0_s, (S, P, R) complex, m
+    forced_bearings: Array  # u0_b, (S, 2 B, R)
+    receptance_sensors: Array  # a_sb, (S, P, 2 B) m/N
+    receptance_bearings: Array  # a_bb, (S, 2 B, 2 B)
+    unit_sensors: Array  # (S, P, N) of 1 kg m at each balance plane; N = 0 where the runs are not synchronous
+    unit_bearings: Array  # (S, 2 B, N)
+
+    def at(self, keep: np.ndarray, runs: np.ndarray) -> ResponseBlock:
+        """The same at the speeds ``keep`` (mask or index), for those of the ``runs`` that it has, numbered anew."""
+        mine = np.isin(self.runs, runs)
+        part = self.converted(lambda array: array[keep])
+        return replace(
+            part,
+            runs=np.searchsorted(runs, self.runs[mine]),
+            forced_sensors=part.forced_sensors[..., mine],
+            forced_bearings=part.forced_bearings[..., mine],
+        )
+
+    def converted(self, convert: Callable[[Array], Array]) -> ResponseBlock:
+        """The same with every array but the numbers of the runs as ``convert`` makes it."""
+        made = {f.name: convert(getattr(self, f.name)) for f in fields(self) if f.name != "runs"}
+        return replace(self, **made)
+
+
+@dataclass(frozen=True, eq=False)
+class BlockResponse:
+    """The runs of a block on some bearings."""
+
+    sensors: Array  # q_s, (.., S, P, R) m
+    bearings: Array  # q_b, (.., S, 2 B, R) m
+    unit_sensors: Array  # (.., S, P, N) of 1 kg m at each balance plane
+    receptance_sensors: Array  # T, (.., S, P, 2 B) m/N; None where no derivative was asked for
+    receptance_bearings: Array  # (.., S, 2 B, 2 B) m/N; likewise
+
+
+def impedance_change(coefficients: Array, frequencies: Array, reference: complex) -> Array:
+    """dH, (.., S, 2 B, 2 B) N/m, from coefficients (.., S, B, 8) at ``frequencies`` (S,) rad/s."""
+    library = _library(coefficients)
+    eight = coefficients.reshape(*coefficients.shape[:-1], 2, 2, 2)
+    blocks = eight[..., 0, :, :] + 1j * frequencies[:, None, None, None] * eight[..., 1, :, :]
+    count = blocks.shape[-3]
+    places = library.eye(count, dtype=blocks.dtype)
+    full = library.einsum("...bij,bc->...bicj", blocks, places).reshape(*blocks.shape[:-3], 2 * count, 2 * count)
+    return full - reference * library.eye(2 * count, dtype=full.dtype)
+
+
+def respond(
+    block: ResponseBlock, change: Array, unbalance: Array | None = None, derivative: bool = True
+) -> BlockResponse:
+    """The block on bearings that differ from the reference by ``change`` (.., S, 2 B, 2 B).
+
+    ``unbalance`` (.., N) complex, kg m, is a residual unbalance at the balance planes.
+    """
+    library = _library(change)
+    system = library.eye(change.shape[-1], dtype=change.dtype) + block.receptance_bearings @ change
+    n_runs, n_units = block.forced_bearings.shape[-1], block.unit_bearings.shape[-1]
+    right = [block.forced_bearings, block.unit_bearings, *([block.receptance_bearings] if derivative else [])]
+    joined = library.concatenate(right, axis=-1)
+    solved = library.linalg.solve(system, library.broadcast_to(joined, (*change.shape[:-2], *joined.shape[-2:])))
+    carried = block.receptance_sensors @ change
+    moved = solved[..., :n_runs]
+    sensors = block.forced_sensors - carried @ moved
+    units = block.unit_sensors - carried @ solved[..., n_runs : n_runs + n_units]
+    if n_units and unbalance is not None:
+        residual = unbalance[..., None, :, None]
+        sensors = sensors + units @ residual
+        moved = moved + solved[..., n_runs : n_runs + n_units] @ residual
+    if not derivative:
+        return BlockResponse(sensors, moved, units, None, None)
+    at_bearings = solved[..., n_runs + n_units :]
+    return BlockResponse(sensors, moved, units, block.receptance_sensors - carried @ at_bearings, at_bearings)
+
+
+def derive(block: ResponseBlock, response: BlockResponse) -> Array:
+    """(.., S, P, R, B, 8) derivative of the displacements at the sensors by the coefficients, m over N/m and N s/m."""
+    library = _library(response.sensors)
+    through, moved = response.receptance_sensors, response.bearings
+    n_bearings = through.shape[-1] // 2
+    through = through.reshape(*through.shape[:-1], n_bearings, 2)
+    moved = moved.reshape(*moved.shape[:-2], n_bearings, 2, moved.shape[-1])
+    pairs = -library.einsum("...spbi,...sbjr->...sprbij", through, moved)
+    by_stiffness = pairs.reshape(*pairs.shape[:-2], 4)
+    by_damping = 1j * block.frequencies[:, None, None, None, None] * by_stiffness
+    return library.concatenate([by_stiffness, by_damping], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseEquations:
+    """The response at the sensors of every run and speed."""
+
+    bearing_nodes: tuple[int, ...]  # B
+    speeds: np.ndarray  # (S,) rad/s
+    reference: complex  # H0 in x and y of every bearing, N/m
+    planes: tuple[int, ...]  # N nodes of the residual unbalance
+    blocks: tuple[ResponseBlock, ...]
+
+    @property
+    def n_runs(self) -> int:
+        """R, of all blocks."""
+        return sum(len(block.runs) for block in self.blocks)
+
+    @property
+    def n_channels(self) -> int:
+        """P."""
+        return int(self.blocks[0].forced_sensors.shape[1])
+
+    @property
+    def frequencies(self) -> np.ndarray:
+        """(S, R) rad/s."""
+        result = np.empty((len(self.speeds), self.n_runs))
+        for block in self.blocks:
+            result[:, block.runs] = block.frequencies[:, None]
+        return result
+
+    def at(self, keep: np.ndarray, runs: np.ndarray | None = None) -> ResponseEquations:
+        """The same at the speeds ``keep`` (mask or index) and for the ``runs`` (indices; None for all)."""
+        chosen = np.arange(self.n_runs) if runs is None else runs
+        blocks = [block.at(keep, chosen) for block in self.blocks if np.isin(block.runs, chosen).any()]
+        return replace(self, speeds=self.speeds[keep], blocks=tuple(blocks))
+
+    def predict(self, bearings: BearingTable, unbalance: np.ndarray | None = None) -> np.ndarray:
+        """(S, P, R) m, of the bearings at the same speeds; residual ``unbalance`` (N,) complex, kg m."""
+        result = np.empty((len(self.speeds), self.n_channels, self.n_runs), dtype=complex)
+        for block in self.blocks:
+            found = respond(block, self.change(bearings, block), unbalance, derivative=False)
+            result[..., block.runs] = found.sensors
+        return result
+
+    def sensitivity(self, bearings: BearingTable) -> np.ndarray:
+        """(S, P, R, B, 8) derivative of :meth:`predict` by the coefficients, without residual unbalance."""
+        shape = (len(self.speeds), self.n_channels, self.n_runs, len(self.bearing_nodes), 8)
+        result = np.empty(shape, dtype=complex)
+        for block in self.blocks:
+            result[:, :, block.runs] = derive(block, respond(block, self.change(bearings, block)))
+        return result
+
+    def change(self, bearings: BearingTable, block: ResponseBlock) -> np.ndarray:
+        """dH, (S, 2 B, 2 B) N/m."""
+        return np.asarray(impedance_change(bearings.values.swapaxes(0, 1), block.frequencies, self.reference))
+
+
+def response_equations(
+    rotor: RotorModel, dataset: VibrationDataset, stiffness: float, planes: Sequence[int] = ()
+) -> ResponseEquations:
+    """Solve the rotor on reference bearings of about the ``stiffness`` (N/m), any value of the bearings' order."""
+    speeds, at_bearings = dataset.speeds, bearing_dof(rotor)
+    rows, sensors = at_bearings.ravel(), dataset.sensor_matrix(rotor.n_dof)
+    reference = stiffness * (1 + 1j * REFERENCE_LOSS)
+    n_bearings = len(at_bearings)
+    impedance = np.broadcast_to(reference * np.eye(2), (n_bearings, len(speeds), 2, 2))
+    forces = force_vectors(rotor, dataset.excitations, dataset.runs, dataset.frequencies)
+    system, blocks = banded(rotor), []
+    for runs, w in runs_by_frequency(dataset.frequencies):
+        own_planes = list(planes) if np.allclose(w, speeds, rtol=1e-9) else []
+        right = np.zeros((len(speeds), rotor.n_dof, len(runs) + len(own_planes) + 2 * n_bearings), dtype=complex)
+        right[..., : len(runs)] = forces[..., runs]
+        for n, node in enumerate(own_planes):
+            right[:, translation_dof(node, 0), len(runs) + n] = w**2
+            right[:, translation_dof(node, 1), len(runs) + n] = -1j * w**2
+        right[:, rows, len(runs) + len(own_planes) + np.arange(2 * n_bearings)] = 1.0
+        response = solve(system, w, speeds, right, impedance, at_bearings)
+        cuts = [len(runs), len(runs) + len(own_planes)]
+        at_rows = np.split(response[:, rows], cuts, axis=2)
+        at_sensors = np.split(sensors @ response, cuts, axis=2)
+        blocks.append(
+            ResponseBlock(
+                runs=runs,
+                frequencies=w,
+                forced_sensors=at_sensors[0],
+                forced_bearings=at_rows[0],
+                receptance_sensors=at_sensors[2],
+                receptance_bearings=at_rows[2],
+                unit_sensors=at_sensors[1],
+                unit_bearings=at_rows[1],
+            )
+        )
+    return ResponseEquations(rotor.bearing_nodes, speeds, reference, tuple(planes), tuple(blocks))
+
+
+@dataclass(frozen=True, eq=False)
+class Expansion:
+    """The residual at the bearings, from whatever sensors there are, and what their noise makes of it."""
+
+    equations: BearingEquations
+    receptance: np.ndarray  # a_bb of every run, (S, R, 2 B, 2 B)
+    force_covariance: np.ndarray  # of f, (S, R, 2 B, 2 B) N^2
+
+    def residual_covariance(self, equations: ResponseEquations, bearings: BearingTable) -> np.ndarray:
+        """(S, R, 2 B, 2 B) complex, N^2: ``dr = (I + dH a_bb) df``, near the ``bearings``."""
+        result = np.empty_like(self.force_covariance)
+        for block in equations.blocks:
+            change = equations.change(bearings, block)[:, None]
+            factor = np.eye(change.shape[-1]) + change @ self.receptance[:, block.runs]
+            result[:, block.runs] = factor @ self.force_covariance[:, block.runs] @ factor.conj().swapaxes(-1, -2)
+        return result
+
+
+def expand(equations: ResponseEquations, displacement: np.ndarray, deviation: np.ndarray) -> Expansion | None:
+    """Forces and motion at the bearings by least squares, weighted by the noise; None where the sensors are too few.
+
+    Args:
+        displacement: (S, P, R) complex, m.
+        deviation: (S, P, R) root mean square of its noise, m.
+    """
+    n_speeds, n_channels, n_runs = displacement.shape
+    count = 2 * len(equations.bearing_nodes)
+    if n_channels < count:
+        return None
+    force = np.empty((n_speeds, count, n_runs), dtype=complex)
+    moved, receptance = np.empty_like(force), np.empty((n_speeds, n_runs, count, count), dtype=complex)
+    covariance = np.empty_like(receptance)
+    for block in equations.blocks:
+        for i, run in enumerate(block.runs):
+            weight = 1.0 / deviation[:, :, run]
+            matrix = block.receptance_sensors * weight[..., None]
+            length = np.linalg.norm(matrix, axis=1, keepdims=True)
+            if (np.linalg.svd(matrix / length, compute_uv=False)[:, -1] < _DEPENDENT).any():
+                return None
+            inverse = np.linalg.pinv(matrix / length) / length.swapaxes(1, 2)
+            found = inverse @ ((displacement[:, :, run] - block.forced_sensors[:, :, i]) * weight)[..., None]
+            force[..., run] = found[..., 0]
+            moved[..., run] = block.forced_bearings[..., i] + (block.receptance_bearings @ found)[..., 0]
+            covariance[:, run] = inverse @ inverse.conj().swapaxes(1, 2)
+            receptance[:, run] = block.receptance_bearings
+    return Expansion(
+        bearing_equations_of(equations, force - equations.reference * moved, moved), receptance, covariance
+    )
+
+
+def bearing_equations_of(equations: ResponseEquations, force: np.ndarray, moved: np.ndarray) -> BearingEquations:
+    """The residual ``r = force + H q`` from forces and displacements at the bearings, (S, 2 B, R) each."""
+    shape = (len(force), len(equations.bearing_nodes), 2, force.shape[2])
+    return BearingEquations(
+        equations.bearing_nodes,
+        equations.speeds,
+        equations.frequencies,
+        force.reshape(shape).swapaxes(0, 1),
+        moved.reshape(shape).swapaxes(0, 1),
+    )
+
+
+_DEPENDENT = 1e-6
+"""Sensors whose smallest singular value is below this share say nothing of some bearing force."""

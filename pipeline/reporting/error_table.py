@@ -1,0 +1,102 @@
+"""The table of identified coefficients and their errors, and how well a fit explains its readings, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.evaluation.errors import CoefficientErrors
+from pipeline.reporting.console import table
+from pipeline.rotor.bearing_table import BearingTable
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def error_table(
+    answer: BearingTable,
+    names: Sequence[Sequence[str]],
+    modelled: BearingTable | None,
+    errors: CoefficientErrors | None,
+    beside: CoefficientErrors | None,
+    deviation: np.ndarray | None,
+) -> pd.DataFrame:
+    """Paper, Table 1: one row a bearing and coefficient, values as means over the speeds, errors in percent.
+
+    Measured data have no modelled coefficients, and so neither these columns nor errors.
+    """
+    import pandas as pd
+
+    rows = []
+    for b, node in enumerate(answer.nodes):
+        for name in names[b]:
+            if errors is not None and name not in errors[node]:
+                continue  # a modelled coefficient of zero has no relative error
+            row: dict[str, object] = {"bearing_node": node, "coefficient": name}
+            if modelled is not None:
+                row["modelled"] = modelled.coefficient(name)[b].mean()
+            row["identified"] = answer.coefficient(name)[b].mean()
+            if errors is not None:
+                row |= asdict(errors[node][name])
+            if beside is not None:
+                row["least_squares_mean_error_percent"] = beside[node][name].mean_error_percent
+            if deviation is not None:
+                c = COEFFICIENTS.index(name)
+                row["median_std_percent"] = float(100 * np.median(deviation[b, :, c] / np.abs(answer.values[b, :, c])))
+            rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def print_error_table(name: str, errors: pd.DataFrame) -> None:
+    """The table on the screen."""
+    columns = [column for column in _SHOWN if column in errors]
+    rows = [
+        [f"node {row['bearing_node']} {row['coefficient']}", *(_shown(column, row[column]) for column in columns)]
+        for _, row in errors.iterrows()
+    ]
+    what = "identified against modelled" if "modelled" in errors else "identified"
+    table(f"{name}: {what}", ["bearing and coefficient", *(_SHOWN[column] for column in columns)], rows)
+
+
+_SHOWN = {
+    "modelled": "modelled (mean)",
+    "identified": "identified (mean)",
+    "mean_error_percent": "mean error %",
+    "median_error_percent": "median",
+    "p95_error_percent": "95 %",
+    "max_error_percent": "max",
+    "l2_error_percent": "L2",
+    "least_squares_mean_error_percent": "least squares mean error %",
+    "median_std_percent": "median std %",
+}
+
+
+def _shown(column: str, value: float) -> str:
+    return f"{value / 1e5:.5f}e5" if column in ("modelled", "identified") else f"{value:.2g}"
+
+
+def quality_words(quality: Mapping[str, Any]) -> str:
+    """What is known of a fit without a truth, from the summary of its quality."""
+    if "residual" in quality:
+        residual = quality["residual"]["mean_over_bearing_force"]
+        return f"no modelled coefficients, so no errors; residual {residual:.3g} of the bearing force"
+    fit = quality["fit"]
+    square, white = fit["chi_square"], fit["whiteness"]
+    lines = [
+        f"chi-square {square['value']:.0f} of {square['readings']} readings, {square['expected']:.0f} expected "
+        f"({100 * square['value'] / square['expected'] - 100:+.1f} %)",
+        f"whiteness: neighbouring speeds correlate by {white['autocorrelation']:.3f} "
+        f"({white['over_its_deviation']:+.1f} standard deviations from none); {fit['bad_points']} readings far off",
+    ]
+    for kind in ("held_out_speeds", "held_out_runs"):
+        if kind in fit:
+            held = fit[kind]
+            lines.append(
+                f"{kind.replace('held_out_', 'held-out ')}: predicted to {held['error_percent']:.3g} % (root mean "
+                f"square), mean square over the noise {held['mean_square_over_noise']:.3f}, where 1 is expected"
+            )
+    return "\n".join(lines)

@@ -1,0 +1,91 @@
+"""Names of an experiment's files, and the identity of what they are made from."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+from pipeline.config.schema import Config
+from pipeline.data.tables import fingerprint_of
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """Names of an experiment's files."""
+
+    folder: Path
+
+    @property
+    def config(self) -> Path:
+        """The composed configuration."""
+        return self.folder / "config.yaml"
+
+    @property
+    def modelled(self) -> Path:
+        """The truth of modelled data; training never reads it."""
+        return self.folder / "modelled_coefficients.csv"
+
+    @property
+    def identified(self) -> Path:
+        """The answer of training."""
+        return self.folder / "identified_coefficients.csv"
+
+    @property
+    def history(self) -> Path:
+        """Loss over the steps of training."""
+        return self.folder / "history.csv"
+
+    @property
+    def training(self) -> Path:
+        """Outcome, loss and time of training."""
+        return self.folder / "training.json"
+
+    @property
+    def metrics(self) -> Path:
+        """Errors, written by evaluate."""
+        return self.folder / "metrics.json"
+
+    def figure(self, name: str) -> Path:
+        """A figure's path."""
+        return self.folder / "figures" / f"{name}.png"
+
+
+@dataclass(frozen=True)
+class InputFiles:
+    """The files that training reads, given in ``data`` or the experiment's own."""
+
+    vibration: Path
+    excitation: Path
+    known: Path
+    own: bool  # all three are the experiment's own
+
+
+def workspace(config: Config) -> Workspace:
+    """The experiment's folder."""
+    return Workspace(Path(config.output))
+
+
+def input_files(config: Config) -> InputFiles:
+    """Where training finds its data."""
+    folder, data = Path(config.output), config.data
+    vibration = Path(data.vibration) if data.vibration else folder / "vibration.parquet"
+    excitation = Path(data.excitation) if data.excitation else folder / "excitation.csv"
+    known = Path(data.known) if data.known else folder / "known_coefficients.csv"
+    return InputFiles(vibration, excitation, known, not (data.vibration or data.excitation or data.known))
+
+
+def origin(config: Config) -> str:
+    """Identity of what data are generated from: rotor, bearings, sensors and excitation of the configuration."""
+    parts = [section.model_dump(mode="json") for section in (config.rotor, config.bearing, config.sensors)]
+    parts.append(config.excitation.model_dump(mode="json", exclude={"file"}))
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def origin_of_files(config: Config, files: InputFiles) -> str:
+    """:func:`origin` and the identity of the files generated beside the vibration, which is written last.
+
+    Files of two generations, as an interrupted ``generate`` leaves them, do not fit each other.
+    """
+    return f"{origin(config)} {fingerprint_of(files.excitation)} {fingerprint_of(files.known)}"

@@ -1,0 +1,225 @@
+"""Output error with a cubic spline of the speed in place of the network: the fair competitor of the response loss.
+
+Each unknown (its logarithm, where it must be positive) is a spline of the logarithm of the speed. Predicted less
+measured displacements over their noise are minimised by SciPy's least squares. The number of spline coefficients
+grows until Akaike's criterion rises (Akaike 1974).
+
+Legend: M members, S speeds, P channels, R runs, U unknowns, A active unknowns, K spline coefficients of each.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from pipeline.comparison.least_squares import total
+from pipeline.comparison.method import Estimate, Refusal, Task, doubt_of
+from pipeline.comparison.parameters import Parameters, parameters_of, real_rows, require_determined
+from pipeline.equations.response import ResponseEquations
+
+from pipeline.data.dataset import reading_deviation
+
+GROWTH = (1, 2, 4, 6, 9, 13, 19, 28, 41)
+"""Spline coefficients an unknown: a constant, a power law, cubic splines; the last size is a value for each speed."""
+GUESSES = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
+"""Where there is no linear answer to begin with, the configured guess is tried in these sizes."""
+_LOOK_AHEAD = 2
+"""So many sizes in a row without a better criterion end the growth."""
+_MOST_EVALUATIONS = 60
+_DENSE = 300
+"""Up to so many numbers SciPy factorises the Jacobian; beyond, it is sparse and iterated on."""
+_KEPT_STARTS, _SMALL = 3, 4
+_VANISHED = 0.02
+"""An unknown below this share of its size has vanished."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """What does not change with the size of the spline."""
+
+    task: Task
+    parameters: Parameters
+    equations: ResponseEquations
+    weight: np.ndarray  # (S, P, R) 1/m: root of 2 over the deviation, so that real and imaginary part count
+
+    def deviations(self, x: np.ndarray) -> np.ndarray:
+        """(S, rows) whitened, for x (S, A)."""
+        predicted = self.equations.predict(self.task.table(self.parameters.values(x)))
+        return real_rows((predicted - self.task.dataset.displacement) * self.weight)
+
+    def sensitivity(self, x: np.ndarray) -> np.ndarray:
+        """(S, rows, A) derivative of :meth:`deviations` by x."""
+        return real_rows(self.parameters.sensitivity(self.equations, x) * self.weight[..., None])
+
+    def reweighted(self, x: np.ndarray) -> _Problem:
+        """With the noise of the predicted readings: weights of the measured ones, whose noise they share, bias."""
+        noise, predicted = self.task.noise, self.equations.predict(self.task.table(self.parameters.values(x)))
+        deviation = reading_deviation(predicted, self.task.dataset.subtracted, noise.additive, noise.multiplicative)
+        return replace(self, weight=np.sqrt(2.0) / deviation)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    basis: np.ndarray  # (S, K)
+    z: np.ndarray  # (K, A)
+    chi_square: float
+
+    @property
+    def x(self) -> np.ndarray:
+        """(S, A)."""
+        return np.asarray(self.basis @ self.z)
+
+    @property
+    def criterion(self) -> float:
+        """Akaike's."""
+        return self.chi_square + 2 * self.z.size
+
+
+def spline(task: Task) -> Estimate:
+    """The spline of the size that Akaike's criterion chooses, and its Cramer-Rao deviations."""
+    task = task.without_unbalance()
+    require_determined(task, together=True)
+    parameters, starts = _starts(task)
+    problem = _Problem(task, parameters, task.response(), np.sqrt(2.0) / task.deviation)
+    fits = [_best_start(problem, starts)]
+    n_speeds = len(task.dataset.speeds)
+    for count in [] if task.constant else [*(k for k in GROWTH[1:] if k < n_speeds), n_speeds]:
+        fits.append(_improved(problem, count, fits[-1].x))
+        best = min(fits, key=lambda fit: fit.criterion)
+        if len(fits) - 1 - fits.index(best) >= _LOOK_AHEAD:
+            break
+    best = min(fits, key=lambda fit: fit.criterion)
+    problem = problem.reweighted(best.x)
+    best = _fitted(problem, best.basis.shape[1], best.x)
+    deviation = _deviation(problem, best) * parameters.slope(best.x)
+    expected = 2 * task.dataset.displacement.size - best.z.size
+    words = f"{best.z.size} numbers, chi-square {best.chi_square:.4g} where {expected} is expected"
+    doubt = doubt_of(best.chi_square, expected)
+    return task.estimate(parameters.values(best.x), task.active_values(deviation), words, doubt)
+
+
+def _best_start(problem: _Problem, starts: list[np.ndarray]) -> _Fit:
+    """Constants; where there are several starts, the one that is best when it has become a small spline."""
+    made = sorted((_improved(problem, 1, x) for x in starts), key=lambda fit: fit.chi_square)
+    if len(made) == 1 or problem.task.constant:
+        return made[0]
+
+    def promise(fit: _Fit) -> float:
+        x = fit.x
+        for count in GROWTH[1:_SMALL]:
+            x = _improved(problem, count, x).x if count < len(x) else x
+        return float((problem.deviations(x) ** 2).sum())
+
+    return min(made[:_KEPT_STARTS], key=promise)
+
+
+def _starts(task: Task) -> tuple[Parameters, list[np.ndarray]]:
+    """Constants (S, A) to begin with: the medians of a linear answer, or the guess in several sizes."""
+    n_speeds = len(task.dataset.speeds)
+    try:
+        found = task.leading(total(task).coefficients)
+    except (Refusal, np.linalg.LinAlgError):
+        parameters = parameters_of(task)
+        guess = np.repeat(task.guess()[:, None], n_speeds, axis=1)
+        return parameters, [
+            np.where(parameters.positive, parameters.from_values(size * guess), 0.0) for size in GUESSES
+        ]
+    middle = np.median(found, axis=1)
+    parameters = parameters_of(task, np.where(middle != 0, np.abs(middle), 1.0))
+    return parameters, [np.repeat(parameters.from_values(middle[:, None]), n_speeds, axis=0)]
+
+
+def basis(speeds: np.ndarray, count: int) -> np.ndarray:
+    """(S, K) cubic splines of the logarithm of the speed; as many as speeds are a value for each."""
+    from scipy.interpolate import BSpline
+
+    if count == len(speeds):
+        return np.eye(count)
+    place = np.log(speeds)
+    if count <= 2:
+        return np.stack([np.ones(len(speeds)), place - place.mean()], axis=1)[:, :count]
+    # Half way between knots even in the logarithm, as fluid films are, and even in the speeds, as the data are.
+    share = np.linspace(0, 1, count - 2)
+    even = place[0] + share * (place[-1] - place[0])
+    inner = (0.5 * (even + np.quantile(place, share)))[1:-1]
+    knots = np.concatenate([[place[0]] * 4, inner, [place[-1]] * 4])
+    return np.asarray(BSpline.design_matrix(place, knots, 3).toarray())
+
+
+def _improved(problem: _Problem, count: int, start: np.ndarray) -> _Fit:
+    """:func:`_fitted`, once more where an unknown has all but vanished: as an exponential, nothing draws it back."""
+    fit = _fitted(problem, count, start)
+    x = fit.x
+    gone = problem.parameters.positive & (np.median(x, axis=0) < np.log(_VANISHED))
+    if not gone.any():
+        return fit
+    return min(fit, _fitted(problem, count, np.where(gone, 0.0, x)), key=lambda one: one.chi_square)
+
+
+def _fitted(problem: _Problem, count: int, start: np.ndarray) -> _Fit:
+    """SciPy's trust-region least squares from the spline nearest to ``start`` (S, A)."""
+    from scipy.optimize import least_squares
+
+    own = basis(problem.task.dataset.speeds, count)
+    first = np.linalg.lstsq(own, start, rcond=None)[0]
+    large = first.size > _DENSE
+
+    def residual(z: np.ndarray) -> np.ndarray:
+        return problem.deviations(own @ z.reshape(first.shape)).ravel()
+
+    def jacobian(z: np.ndarray) -> Any:
+        by_speed = problem.sensitivity(own @ z.reshape(first.shape))
+        return _sparse(by_speed, own) if large else _dense(by_speed, own)
+
+    with np.errstate(over="ignore", invalid="ignore"):  # a step too far is taken back
+        found = least_squares(
+            residual,
+            first.ravel(),
+            jacobian,
+            x_scale="jac",
+            ftol=1e-12,
+            xtol=1e-12,
+            gtol=None,
+            max_nfev=_MOST_EVALUATIONS,
+            tr_solver="lsmr" if large else "exact",
+        )
+    return _Fit(own, found.x.reshape(first.shape), 2 * float(found.cost))
+
+
+def _dense(by_speed: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """(S rows, K A) derivative by the spline's coefficients."""
+    return np.einsum("sra,sk->srka", by_speed, own).reshape(by_speed.shape[0] * by_speed.shape[1], -1)
+
+
+def _sparse(by_speed: np.ndarray, own: np.ndarray) -> Any:
+    """:func:`_dense`, without its zeros."""
+    from scipy.sparse import csr_array
+
+    n_speeds, n_rows, n_active = by_speed.shape
+    speed, place = np.nonzero(own)
+    data = by_speed[speed] * own[speed, place][:, None, None]
+    row = np.broadcast_to((speed[:, None] * n_rows + np.arange(n_rows))[..., None], data.shape)
+    column = np.broadcast_to((place[:, None] * n_active + np.arange(n_active))[:, None], data.shape)
+    shape = (n_speeds * n_rows, own.shape[1] * n_active)
+    return csr_array((data.ravel(), (row.ravel(), column.ravel())), shape=shape)
+
+
+def _information(problem: _Problem, fit: _Fit) -> np.ndarray:
+    """(K A, K A)."""
+    local = problem.sensitivity(fit.x)
+    local = local.swapaxes(1, 2) @ local
+    own = fit.basis
+    return np.einsum("sk,sab,sl->kalb", own, local, own, optimize=True).reshape(fit.z.size, fit.z.size)
+
+
+def _deviation(problem: _Problem, fit: _Fit) -> np.ndarray:
+    """(S, A) standard deviation of x."""
+    count, active = fit.z.shape
+    if count == len(fit.basis):  # every speed for itself
+        rows = problem.sensitivity(fit.x)
+        spread = np.linalg.pinv(rows.swapaxes(1, 2) @ rows, hermitian=True)
+        return np.sqrt(np.maximum(np.einsum("saa->sa", spread), 0.0))
+    covariance = np.linalg.pinv(_information(problem, fit), hermitian=True).reshape(count, active, count, active)
+    spread = np.einsum("sk,kala,sl->sa", fit.basis, covariance, fit.basis, optimize=True)
+    return np.sqrt(np.maximum(spread, 0.0))
