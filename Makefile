@@ -66,9 +66,11 @@ promote:  ## let training use a repeated study: make promote STUDY=NAME
 bench: env  ## measure ratios of speed and write docs/benchmarks.md; no time fails it
 	$(RUN) benchmarks --write docs/benchmarks.md
 
-lint: env  ## ruff and mypy
+lint: env  ## ruff and mypy, strict where the numbers are made
 	$(RUN) ruff check .
+	$(RUN) ruff format --check .
 	$(RUN) mypy
+	$(RUN) mypy --strict --follow-imports=silent -p pipeline.problem -p pipeline.identification
 
 clean:  ## remove .venv, caches and Hydra's run folders; artifacts, studies and tracking stay
 	rm -rf .venv .cache build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis outputs multirun dvc_plots

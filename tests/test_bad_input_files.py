@@ -524,9 +524,9 @@ def _no_constant(name: str) -> None:
 # --- trained models ------------------------------------------------------------------------------
 
 MODEL: dict[str, tuple[str, object, str]] = {
-    "older schema": ("schema", 0, "must have schema 2"),
-    "newer schema": ("schema", 99, "must have schema 2"),
-    "no schema": ("schema", None, "must have schema 2"),
+    "older schema": ("schema", 0, "must have schema 3"),
+    "newer schema": ("schema", 99, "must have schema 3"),
+    "no schema": ("schema", None, "must have schema 3"),
     "no model": ("model", None, "must"),
     "model is a list": ("model", [1, 2], "must"),
     "bearings of another rotor": ("bearing_nodes", [0], "must"),
@@ -540,7 +540,7 @@ MODEL: dict[str, tuple[str, object, str]] = {
     "scale of one bearing": ("model.scale", [[1.0, 1.0]], "must"),
     "layers text": ("model.hidden", "ab", "must"),
     "layers too many": ("model.hidden", [10**9], "must"),
-    "range null": ("model.input_range", None, "must"),
+    "ranges null": ("model.ranges", None, "must"),
 }
 
 

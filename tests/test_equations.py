@@ -273,7 +273,7 @@ def test_reduced_loss_equals_the_unreduced_one(
     parameters = torch.randn(3, members, model.n_parameters, generator=generator, dtype=torch.float64)
     found = problem.loss(parameters)
     assert found.shape == (3, members)
-    raw = model.raw(parameters, model.scaled_inputs(hydrostatic.speeds))
+    raw = model.raw(parameters, model.scaled_inputs(speed=hydrostatic.speeds))
     values = model.physical(raw, model.scale_tensor()).numpy()  # (3, members, S, U)
     for g in range(3):
         table = hydrostatic.bearings.values.copy()

@@ -148,7 +148,7 @@ def a_model(
         hidden=None if depth is None else tuple(3 + layer for layer in range(depth)),
         activation=activation,
         input_scaling="log_rpm",
-        input_range=(10.0, 600.0),
+        ranges=((10.0, 600.0),),
     )
 
 
@@ -159,7 +159,7 @@ SHAPES = [(None, "tanh")] + [(depth, act) for depth in (1, 2, 3) for act in ("ta
 def test_network_jacobian_equals_autograd(depth: int | None, activation: str, generator: torch.Generator) -> None:
     """The hand-written back-propagation against torch's reverse mode, for every depth and activation."""
     model = a_model(depth, activation)
-    inputs = model.scaled_inputs(np.array([10.0, 90.0, 333.0, 600.0]))
+    inputs = model.scaled_inputs(speed=np.array([10.0, 90.0, 333.0, 600.0]))
     parameters = torch.randn(2, 2, model.n_parameters, generator=generator, dtype=torch.float64)
     found = model.raw_jacobian(parameters, inputs)
     assert found.shape == (2, 2, 1 if depth is None else 4, 3, model.n_parameters) or depth is None
@@ -248,11 +248,11 @@ def test_inputs_are_scaled_to_one(scaling: str, hydrostatic: Machine) -> None:
     model = coefficient_model(config, ("kxx",), hydrostatic.speeds, np.ones((1, 1)))
     speeds = hydrostatic.speeds[[0, -1]]
     middle = np.sqrt(speeds.prod()) if scaling == "log_rpm" else speeds.mean()
-    found = model.scaled_inputs(np.array([speeds[0], middle, speeds[1]]))
+    found = model.scaled_inputs(speed=np.array([speeds[0], middle, speeds[1]]))
     assert found.dtype == torch.float64
     np.testing.assert_allclose(found.numpy(), [[-1.0], [0.0], [1.0]], atol=1e-12)
     alone = coefficient_model(config, ("kxx",), speeds[:1], np.ones((1, 1)))
-    np.testing.assert_allclose(alone.scaled_inputs(speeds[:1]).numpy(), [[-1.0]])
+    np.testing.assert_allclose(alone.scaled_inputs(speed=speeds[:1]).numpy(), [[-1.0]])
 
 
 # --- recovering a known truth --------------------------------------------------------------------

@@ -418,11 +418,11 @@ def model_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     model = CoefficientModel(
         unknowns=("kxx", "cyy"),
-        inputs=("speed_rpm",),
+        inputs=("speed",),
         parametrisation="scaled",
         scale=((2e7, 3e4), (5e7, 6e4)),
         hidden=(3,),
-        input_range=(100.0, 500.0),
+        ranges=((100.0, 500.0),),
     )
     numbers = torch.linspace(-1.0, 1.0, 2 * model.n_parameters, dtype=torch.float64)
     folder = tmp_path_factory.mktemp("a model")

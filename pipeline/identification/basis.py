@@ -33,7 +33,7 @@ class Basis:
 
     def at(self, speeds: np.ndarray) -> torch.Tensor:
         """(M, S, K) the basis at ``speeds`` (S,) rad/s."""
-        return self.model.features(self.parameters, self.model.scaled_inputs(speeds)) @ self.weights
+        return self.model.features(self.parameters, self.model.scaled_inputs(speed=speeds)) @ self.weights
 
     def parameters_of(self, coordinates: torch.Tensor) -> torch.Tensor:
         """(G, M, Q) all parameters of the model, from ``coordinates`` (G, M, U, K)."""
@@ -52,7 +52,7 @@ def orthonormal_basis(model: CoefficientModel, parameters: torch.Tensor, speeds:
     """
     import torch
 
-    features = model.features(parameters, model.scaled_inputs(speeds))
+    features = model.features(parameters, model.scaled_inputs(speed=speeds))
     count = 1 + model.n_trend
     hidden, trend = features[..., :-count], features[..., -count:]
     first, from_trend = _orthonormal(trend)

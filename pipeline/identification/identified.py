@@ -35,7 +35,7 @@ class IdentifiedModel:
         import torch
 
         with torch.no_grad():
-            raw = self.model.raw(self.parameters, self.model.scaled_inputs(np.atleast_1d(speeds)))
+            raw = self.model.raw(self.parameters, self.model.scaled_inputs(speed=np.atleast_1d(speeds)))
             values = self.model.physical(raw, self.model.scale_tensor()).numpy()
         return np.broadcast_to(values, (len(self.bearing_nodes), *values.shape[1:])).copy()
 

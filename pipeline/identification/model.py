@@ -46,7 +46,7 @@ class CoefficientModel:
     hidden: tuple[int, ...] | None  # widths; None for constants, empty for fixed functions
     activation: Literal["tanh", "silu", "sine"] = "tanh"
     input_scaling: Literal["rpm", "log_rpm"] = "rpm"
-    input_range: tuple[float, float] = (0.0, 1.0)  # rad/s, mapped to [-1, 1]
+    ranges: tuple[tuple[float, float], ...] = ((0.0, 1.0),)  # of each input (the speed in rad/s), mapped to [-1, 1]
     trend: bool = False  # the output layer also sees the speed and its logarithm
     functions: Literal["b_spline", "chebyshev"] | None = None  # what the only layer is fed by
     n_functions: int = 0  # F
@@ -76,7 +76,7 @@ class CoefficientModel:
 
         if not self.trend:
             return hidden
-        low, high = self.input_range
+        low, high = self.ranges[self.inputs.index("speed")]
         ratio = high / low
         if self.input_scaling == "log_rpm":
             other = 2 * (ratio ** ((inputs + 1) / 2) - 1) / max(ratio - 1, _SMALLEST) - 1
@@ -90,19 +90,26 @@ class CoefficientModel:
         """P."""
         return sum((i + 1) * o for i, o in self.sizes) or len(self.unknowns)
 
-    def scaled_inputs(self, speeds: np.ndarray) -> torch.Tensor:
-        """(N, 1) inputs in [-1, 1] over the trained range, from speeds (N,) rad/s."""
+    def scaled_inputs(self, **inputs: np.ndarray) -> torch.Tensor:
+        """(N, inputs) in [-1, 1] over the trained range, from inputs (N,) by their names: ``speed`` in rad/s.
+
+        Raises TypeError for a name that the model lacks, or that is not given.
+        """
         import torch
 
-        transform = np.log if self.input_scaling == "log_rpm" else np.asarray
-        low, high = (float(transform(edge)) for edge in self.input_range)
-        half = (high - low) / 2 or 1.0
-        return torch.as_tensor((transform(np.asarray(speeds, dtype=float)) - low) / half - 1.0, dtype=torch.float64)[
-            :, None
-        ]
+        if set(inputs) != set(self.inputs):
+            raise TypeError(f"the model must be given {', '.join(self.inputs)}, but got {', '.join(inputs)}")
+        columns = []
+        for name, span in zip(self.inputs, self.ranges, strict=True):
+            logarithmic = name == "speed" and self.input_scaling == "log_rpm"
+            transform = np.log if logarithmic else np.asarray
+            low, high = (float(transform(edge)) for edge in span)
+            half = (high - low) / 2 or 1.0
+            columns.append((transform(np.asarray(inputs[name], dtype=float)) - low) / half - 1.0)
+        return torch.as_tensor(np.stack(columns, axis=1), dtype=torch.float64)
 
     def _first_fed(self, inputs: torch.Tensor) -> torch.Tensor:
-        """(N, n_in) what the first layer is fed by: the inputs (N, 1), or functions of them."""
+        """(N, n_in) what the first layer is fed by: the inputs, or functions of the first one."""
         if self.functions is None:
             return inputs
         import torch
@@ -110,7 +117,7 @@ class CoefficientModel:
         return torch.as_tensor(evaluate_functions(self.functions, self.n_functions, inputs[:, 0].numpy()))
 
     def raw(self, parameters: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:
-        """Network output (..., N, U) from parameters (..., P) and scaled inputs (N, 1)."""
+        """Network output (..., N, U) from parameters (..., P) and scaled inputs (N, inputs)."""
         if self.hidden is None:
             return parameters[..., None, :].expand(*parameters.shape[:-1], len(inputs), len(self.unknowns))
         value, layers = self._first_fed(inputs), self._layers(parameters)
@@ -239,7 +246,7 @@ class CoefficientModel:
         fed = first.expand(len(parameters), *first.shape)
         for weight, bias in self._layers(parameters)[:-1]:
             fed = _activation(self.activation, fed @ weight + bias)[0]
-        one = torch.ones_like(inputs).expand(len(parameters), *inputs.shape)
+        one = torch.ones_like(inputs[:, :1]).expand(len(parameters), len(inputs), 1)
         return one if self.hidden is None else torch.cat([self._with_trend(fed, inputs), one], dim=-1)
 
     def with_output_at(self, parameters: torch.Tensor, inputs: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
@@ -289,7 +296,7 @@ def coefficient_model(
         constant,
         hidden=(),
         input_scaling=config.input_scaling,
-        input_range=(float(speeds.min()), float(speeds.max())),
+        ranges=((float(speeds.min()), float(speeds.max())),),
         trend=config.trend,
     )
     if isinstance(config, NetworkModelConfig):

@@ -58,7 +58,7 @@ class OutputErrorFit:
 
     def covariance(self) -> np.ndarray:
         """(Z, Z) of the weights: the inverse of the information, the Cramer-Rao bound of the parametrisation."""
-        return invert_information(self.problem, self.weights)[0]
+        return np.asarray(invert_information(self.problem, self.weights)[0])
 
     def residual_unbalance(self) -> np.ndarray:
         """(N,) complex, kg m."""
@@ -68,7 +68,7 @@ class OutputErrorFit:
 def invert_information(problem: OutputError, weights: torch.Tensor) -> np.ndarray:
     """(G, Z, Z) inverse of the information at the weights (G, 1, Z); zero for those that are not fitted."""
     fitted = problem.fitted().numpy()
-    return invert(problem.normal(weights)[1][:, 0]) * (fitted[:, None] & fitted)
+    return np.asarray(invert(problem.normal(weights)[1][:, 0]) * (fitted[:, None] & fitted))
 
 
 def invert(information: torch.Tensor) -> np.ndarray:
@@ -91,7 +91,7 @@ def unknown_deviation(problem: OutputError, weights: torch.Tensor) -> np.ndarray
     for a, (m, _) in enumerate(problem.active):
         own, part = problem.features[m].numpy(), slice(a * count, (a + 1) * count)
         parts.append(np.sqrt(np.einsum("sk,gkl,sl->gs", own, spread[:, part, part], own, optimize=True)))
-    return np.stack(parts, axis=-1) * np.abs(slope.numpy())
+    return np.asarray(np.stack(parts, axis=-1) * np.abs(slope.numpy()))
 
 
 def fit_output_error(measurement: Measurement, setup: FitSetup, progress: Progress | None = None) -> OutputErrorFit:

@@ -133,7 +133,7 @@ def residual_problem(
     unreachable = offset - np.einsum("bsru,bsu->bsr", orthogonal, reduced)
     return ResidualProblem(
         model,
-        model.scaled_inputs(speeds),
+        model.scaled_inputs(speed=speeds),
         torch.as_tensor(triangular),
         torch.as_tensor(reduced),
         torch.as_tensor((unreachable**2).sum(axis=(1, 2))),

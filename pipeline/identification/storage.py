@@ -14,7 +14,7 @@ from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.model import CoefficientModel
 from pipeline.unknowns import UnknownSet
 
-SCHEMA = 2
+SCHEMA = 3
 WEIGHTS, ARCHITECTURE = "model.safetensors", "model.json"
 
 

@@ -157,7 +157,8 @@ class _Monitor:
         self.stale = torch.where(improved, torch.zeros_like(self.stale), self.stale + 1)
         self._record(parameters, losses, score)
         self.step += 1
-        return (self.stale >= self.patience) | ~losses.isfinite()
+        over: torch.Tensor = (self.stale >= self.patience) | ~losses.isfinite()
+        return over
 
     def _record(self, parameters: torch.Tensor, losses: torch.Tensor, score: torch.Tensor) -> None:
         loss = float(losses.square().mean().sqrt())
@@ -175,7 +176,7 @@ class _Monitor:
 
     def converged(self) -> np.ndarray:
         """(G,) all members of a training without improvement for ``patience`` steps."""
-        return (self.stale >= self.patience).all(dim=1).numpy()
+        return np.asarray((self.stale >= self.patience).all(dim=1).numpy())
 
 
 _MINIMISERS: dict[str, Callable[..., torch.Tensor]] = {

@@ -41,7 +41,7 @@ class Uncertainty:
 
         model, parameters = identified.model, identified.parameters
         with torch.no_grad():
-            inputs = model.scaled_inputs(np.atleast_1d(speeds))
+            inputs = model.scaled_inputs(speed=np.atleast_1d(speeds))
             basis = (model.features(parameters, inputs) @ torch.as_tensor(self.weights)).numpy()  # (M, S, K)
             slope = model.physical_slope(model.raw(parameters, inputs), model.scale_tensor()).numpy()  # (M, S, U)
         n_bearings, count = len(identified.bearing_nodes), basis.shape[-1]

@@ -34,7 +34,7 @@ def run_information(white: LinearResidual, n_runs: int, size: np.ndarray) -> np.
     """
     members, n_speeds, _, n_unknowns = white.matrix.shape
     rows = (white.matrix * size[:, :, None]).reshape(members, n_speeds, 2, n_runs, -1, n_unknowns)
-    return np.einsum("mscriu,mscriv->rmsuv", rows, rows)
+    return np.asarray(np.einsum("mscriu,mscriv->rmsuv", rows, rows))
 
 
 def merit(information: np.ndarray, present: np.ndarray, criterion: Criterion) -> float:

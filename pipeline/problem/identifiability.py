@@ -133,7 +133,7 @@ def decompose(columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def condition_number(singular: np.ndarray) -> np.ndarray:
     """(S,) ratio of the largest to the smallest singular value (S, U); infinite where that is zero."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        return singular[:, 0] / singular[:, -1]
+        return np.asarray(singular[:, 0] / singular[:, -1])
 
 
 def _orbits(equations: BearingEquations, bearings: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:

@@ -135,4 +135,4 @@ def _gain(at_sensors: np.ndarray, prior: np.ndarray, deviation: np.ndarray) -> n
 def _product(impedance: np.ndarray, motion: np.ndarray) -> np.ndarray:
     """(S, 2 B, R) of blocks (B, S, 2, 2) and (S, 2 B, R)."""
     blocks = motion.reshape(len(motion), len(impedance), 2, -1)
-    return np.einsum("bsij,sbjr->sbir", impedance, blocks).reshape(motion.shape)
+    return np.asarray(np.einsum("bsij,sbjr->sbir", impedance, blocks).reshape(motion.shape))

@@ -140,7 +140,7 @@ class Measurement:
 
     def synchronous(self) -> np.ndarray:
         """(R,) mask of the runs that turn with the rotor."""
-        return np.isclose(self.dataset.frequencies, self.dataset.speeds[:, None], rtol=1e-9).all(axis=0)
+        return np.asarray(np.isclose(self.dataset.frequencies, self.dataset.speeds[:, None], rtol=1e-9).all(axis=0))
 
     def subtract_unbalance(self) -> Measurement:
         """The synchronous runs less the first of them: a residual unbalance, the same in all, cancels exactly.

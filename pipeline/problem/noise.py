@@ -78,7 +78,7 @@ def _sensitivity(rotor: RotorModel, dataset: VibrationDataset, bearings: Bearing
         for i in range(2):
             for j in range(2):
                 result[:, 2 * b + i, place[rows[b, j]]] += impedance[:, i, j]
-    return result @ resolution
+    return np.asarray(result @ resolution)
 
 
 def whiten(residual: LinearResidual, covariance: np.ndarray) -> LinearResidual:
@@ -120,7 +120,7 @@ def linear_deviation(inverse: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     joined = (half[:, :, :, 0] - 1j * half[:, :, :, 1]).reshape(n_speeds, inverse.shape[1], n_forces, n_runs)
     # v moves by the real part of -joined * residual, which has half of the power.
     variance = np.einsum("svir,srij,svjr->sv", joined, covariance, joined.conj(), optimize=True).real / 2
-    return np.sqrt(np.maximum(variance, 0.0))
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
 def least_squares_deviation(white: LinearResidual) -> np.ndarray:

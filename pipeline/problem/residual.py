@@ -45,8 +45,8 @@ class BearingEquations:
         ``impedance`` H is (B, S, R, 2, 2), or (B, S, 2, 2) where all runs are synchronous.
         """
         if impedance.ndim == 4:
-            return self.free_residual + impedance @ self.displacement
-        return self.free_residual + np.einsum("bsrij,bsjr->bsir", impedance, self.displacement)
+            return np.asarray(self.free_residual + impedance @ self.displacement)
+        return np.asarray(self.free_residual + np.einsum("bsrij,bsjr->bsir", impedance, self.displacement))
 
 
 def bearing_equations(rotor: RotorModel, dataset: VibrationDataset) -> BearingEquations:
