@@ -120,7 +120,12 @@ def test_losses_below_rounding_are_no_improvement() -> None:
     def steps(losses: list[float]) -> int:
         problem: Any = SimpleNamespace(rounding=lambda: torch.tensor([1e-13]))
         monitor = _Monitor(
-            problem, None, TrainingConfig(holdout_every=0, holdout_runs=[], tolerance=0.1), None, False, None
+            problem=problem,
+            held_out=None,
+            config=TrainingConfig(holdout_every=0, holdout_runs=[], tolerance=0.1),
+            progress=None,
+            record_trajectory=False,
+            watch=None,
         )
         monitor.begin("levenberg_marquardt", 100, 3)
         for loss in losses:

@@ -233,7 +233,7 @@ def test_a_record_is_complete_also_where_the_process_beside_is_lost(killed: bool
 
     settings = TrackingSettings(True, f"sqlite:///{tmp_path}/mlflow.db", 30.0)
     history = [{"step": 0, "loss": 2.0}, {"step": 1, "loss": float("nan")}]
-    record = StageRecord("x", "train", 1.0, 2.0, {"seed": 3}, {"outcome": "converged"}, {"error": 0.5}, history)
+    record = StageRecord("x", "train", 1.0, 2.0, {"seed": 3}, {"outcome": "converged"}, {"error": 0.5}, history=history)
     with recorder_beside(True):
         if killed:
             beside._running[0].process.kill()

@@ -17,29 +17,13 @@ from pathlib import Path
 import pytest
 import yaml
 
+from docs.house import ROOMS, count_imports, room_of
+
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "pipeline"
 CONF = ROOT / "conf"
 
-STEPS = [
-    {"errors", "units", "files", "cache", "coefficients", "unknowns", "waiting", "processes"},
-    {"config"},
-    {"rotor"},
-    {"data"},
-    {"ingest"},
-    {"problem"},
-    {"identification"},
-    {"evaluation"},
-    {"twin"},
-    {"methods"},
-    {"comparison"},
-    {"tuning"},
-    {"reporting"},
-    {"tracking"},
-    {"usage"},
-    {"stages"},
-    {"__main__"},
-]
+STEPS = [set(names) for names, _ in ROOMS]
 """The straight line: a module may import its own step and earlier ones."""
 
 HOMES = {
@@ -128,8 +112,7 @@ def _from(file: str, node: ast.ImportFrom) -> list[str]:
 
 def step_of(name: str) -> int:
     """The place on the straight line of a module, named as in an import."""
-    part = name.split(".")[1]
-    return next((i for i, step in enumerate(STEPS) if part in step), -1)
+    return room_of(name.removeprefix("pipeline."))
 
 
 # --- one straight line -----------------------------------------------------------------------------
@@ -171,6 +154,13 @@ def test_no_circle_of_imports() -> None:
 
     for module in list(graph):
         visit(module, ())
+
+
+def test_the_picture_of_the_house_has_no_import_to_the_right() -> None:
+    """docs/house.py draws what the test above holds."""
+    counts = count_imports()
+    assert sum(map(sum, counts)) > 300
+    assert not any(row[j] for i, row in enumerate(counts) for j in range(i + 1, len(row)))
 
 
 # --- walls -----------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ import numpy as np
 
 from pipeline.coefficients import CoefficientName, is_direct
 from pipeline.config.identification import ConstantModelConfig, ModelConfig, NetworkModelConfig
-from pipeline.identification.functions import evaluate_functions
+from pipeline.identification.functions import activate, evaluate_functions
 
 if TYPE_CHECKING:
     import torch
@@ -122,7 +122,7 @@ class CoefficientModel:
             return parameters[..., None, :].expand(*parameters.shape[:-1], len(inputs), len(self.unknowns))
         value, layers = self._first_fed(inputs), self._layers(parameters)
         for weight, bias in layers[:-1]:
-            value = _activation(self.activation, value @ weight + bias)[0]
+            value = activate(self.activation, value @ weight + bias)[0]
         weight, bias = layers[-1]
         return self._with_trend(value, inputs) @ weight + bias
 
@@ -142,7 +142,7 @@ class CoefficientModel:
         fed = [first.expand(*parameters.shape[:-1], *first.shape)]  # (..., N, n_in) into each layer
         slopes: list[torch.Tensor] = []
         for weight, bias in layers[:-1]:
-            value, slope = _activation(self.activation, fed[-1] @ weight + bias)
+            value, slope = activate(self.activation, fed[-1] @ weight + bias)
             fed.append(value)
             slopes.append(slope)
         fed[-1] = self._with_trend(fed[-1], inputs)
@@ -245,7 +245,7 @@ class CoefficientModel:
         first = self._first_fed(inputs)
         fed = first.expand(len(parameters), *first.shape)
         for weight, bias in self._layers(parameters)[:-1]:
-            fed = _activation(self.activation, fed @ weight + bias)[0]
+            fed = activate(self.activation, fed @ weight + bias)[0]
         one = torch.ones_like(inputs[:, :1]).expand(len(parameters), len(inputs), 1)
         return one if self.hidden is None else torch.cat([self._with_trend(fed, inputs), one], dim=-1)
 
@@ -265,19 +265,6 @@ class CoefficientModel:
         output = torch.cholesky_solve(fed.mT @ targets, factor)  # (M, h + 1, U)
         n_in, n_out = self.sizes[-1]
         return torch.cat([parameters[:, : -(n_in + 1) * n_out], output.flatten(1)], dim=1)
-
-
-def _activation(name: str, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Value and slope of an activation."""
-    import torch
-
-    if name == "tanh":
-        value = torch.tanh(x)
-        return value, 1.0 - value.square()
-    if name == "silu":
-        gate = torch.sigmoid(x)
-        return x * gate, gate * (1.0 + x * (1.0 - gate))
-    return torch.sin(x), torch.cos(x)
 
 
 def coefficient_model(

@@ -107,7 +107,7 @@ class Minimum:
     trajectory: tuple[tuple[int, torch.Tensor], ...]  # (step, parameters), where it was asked for
 
 
-@dataclass
+@dataclass(kw_only=True)
 class _Monitor:
     """Sees every step: keeps the best state of each member, the history, and the decision to stop."""
 
@@ -197,7 +197,14 @@ def minimise(
     watch: Watch | None = None,
 ) -> Minimum:
     """Train G starting points (G, M, P) at once; ``held_out`` chooses the best state. Ctrl-C ends it with that."""
-    monitor = _Monitor(problem, held_out, setup.training, progress, record_trajectory, watch)
+    monitor = _Monitor(
+        problem=problem,
+        held_out=held_out,
+        config=setup.training,
+        progress=progress,
+        record_trajectory=record_trajectory,
+        watch=watch,
+    )
     interrupted = False
     monitor.begin("start", 1, 1)
     monitor(parameters, problem.loss(parameters))

@@ -24,7 +24,7 @@ _FORCES = (9, 13)
 _ABSCISSA = {_FREQUENCY: ("Hz", "rad/s"), _RPM: ("rpm",)}
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class UffRecord:
     """One dataset 58."""
 
@@ -196,15 +196,15 @@ def _sets(path: Path) -> list[dict[str, Any]]:
 def _record(path: Path, one: dict[str, Any]) -> UffRecord:
     texts = [str(one.get(key, "")).strip() for key in ("id1", "id2", "id3", "id4", "id5", "rsp_ent_name")]
     record = UffRecord(
-        tuple(text for text in texts if text not in ("", "NONE")),
-        (int(one["rsp_node"]), int(one["rsp_dir"])),
-        np.asarray(one["x"], dtype=float),
-        np.asarray(one["data"]),
-        int(one.get("abscissa_spec_data_type", 0)),
-        str(one.get("abscissa_axis_units_lab", "")),
-        int(one.get("ordinate_spec_data_type", 0)),
-        str(one.get("ordinate_axis_units_lab", "")),
-        int(one.get("orddenom_spec_data_type", 0)),
+        texts=tuple(text for text in texts if text not in ("", "NONE")),
+        response=(int(one["rsp_node"]), int(one["rsp_dir"])),
+        abscissa=np.asarray(one["x"], dtype=float),
+        values=np.asarray(one["data"]),
+        abscissa_type=int(one.get("abscissa_spec_data_type", 0)),
+        abscissa_label=str(one.get("abscissa_axis_units_lab", "")),
+        ordinate_type=int(one.get("ordinate_spec_data_type", 0)),
+        ordinate_label=str(one.get("ordinate_axis_units_lab", "")),
+        denominator_type=int(one.get("orddenom_spec_data_type", 0)),
     )
     n = int(one["num_pts"])
     if not n == len(record.values) == len(record.abscissa) or n == 0:

@@ -19,7 +19,7 @@ from pipeline.coefficients import COEFFICIENTS
 from pipeline.problem.identifiability import (
     Identifiability,
     Verdict,
-    condition_number,
+    count_determined,
     decompose,
     judge_identifiability,
     unit_columns,
@@ -140,7 +140,7 @@ def _diagnose_few_sensors(measurement: Measurement, features: np.ndarray) -> Dia
     rows, values = sensor_rows(measurement)
     unknowns, dataset = measurement.unknowns, measurement.dataset
     singular, least = decompose(unit_columns(rows))
-    rank = (singular > DEPENDENT * singular[:, :1]).sum(axis=1)
+    rank = count_determined(singular)
     relative = _smooth_deviation(rows, np.stack([features[m] for m, _ in unknowns.active]))
     spread = unknowns.from_active(relative) * np.abs(values)
     nodes = measurement.rotor.bearing_nodes
@@ -149,16 +149,11 @@ def _diagnose_few_sensors(measurement: Measurement, features: np.ndarray) -> Dia
         for m, u in unknowns.active
     )
     verdict, reason = _judge_few_sensors(labels, rank, np.median(relative, axis=0), len(dataset.channels))
-    none = np.full(len(dataset.speeds), np.nan)
     report = Identifiability(
         nodes=nodes,
         unknowns=labels,
         speeds=dataset.speeds,
         singular_values=singular,
-        rank=rank,
-        condition=condition_number(singular),
-        orbit_rank=none,
-        orbit_condition=none,
         free=least,
         verdict=verdict,
         reason=reason,

@@ -36,14 +36,31 @@ class Identifiability:
     unknowns: tuple[str, ...]  # U of this bearing
     speeds: np.ndarray  # (S,) rad/s
     singular_values: np.ndarray  # (S, U), of A with columns of unit length
-    rank: np.ndarray  # (S,)
-    condition: np.ndarray  # (S,)
-    orbit_rank: np.ndarray  # (S,), of 2
-    orbit_condition: np.ndarray  # (S,)
     free: np.ndarray  # (S, U) the combination that the data determine least, in shares of the bearing force
     verdict: Verdict
     reason: str  # why not, and what to add; empty where identifiable
+    orbits: tuple[np.ndarray, np.ndarray] | None = None  # rank, of 2, and condition number (S,); None where unknown
     together: str = "which share their coefficients"  # why several bearings are judged together
+
+    @property
+    def rank(self) -> np.ndarray:
+        """(S,) how many combinations of the unknowns each speed determines."""
+        return count_determined(self.singular_values)
+
+    @property
+    def condition(self) -> np.ndarray:
+        """(S,) condition number of the unknowns."""
+        return condition_number(self.singular_values)
+
+    @property
+    def orbit_rank(self) -> np.ndarray:
+        """(S,) how many orbits of the runs are independent, of 2; NaN where the bearings' motion is not known."""
+        return np.full(len(self.speeds), np.nan) if self.orbits is None else self.orbits[0]
+
+    @property
+    def orbit_condition(self) -> np.ndarray:
+        """(S,) condition number of the orbits; NaN where the bearings' motion is not known."""
+        return np.full(len(self.speeds), np.nan) if self.orbits is None else self.orbits[1]
 
     @property
     def where(self) -> str:
@@ -90,7 +107,7 @@ def _judge(
     names = tuple(name for name, there in zip(members.unknowns.names, present, strict=True) if there)
     columns = unit_columns(members.matrix[m][..., present])
     singular, free = decompose(columns)
-    rank = (singular > DEPENDENT * singular[:, :1]).sum(axis=1)
+    rank = count_determined(singular)
     at_every_speed = (rank == len(names)).all()
     orbit_rank, orbit_condition = _orbits(equations, bearings)
     if at_every_speed:
@@ -106,13 +123,10 @@ def _judge(
         unknowns=names,
         speeds=equations.speeds,
         singular_values=singular,
-        rank=rank,
-        condition=condition_number(singular),
-        orbit_rank=orbit_rank,
-        orbit_condition=orbit_condition,
         free=free,
         verdict=verdict,
         reason=reason,
+        orbits=(orbit_rank, orbit_condition),
     )
 
 
@@ -130,6 +144,11 @@ def decompose(columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return padded, right[:, -1]
 
 
+def count_determined(singular: np.ndarray) -> np.ndarray:
+    """(S,) how many of the singular values (S, U) data in double precision can tell from zero."""
+    return np.asarray((singular > DEPENDENT * singular[:, :1]).sum(axis=1))
+
+
 def condition_number(singular: np.ndarray) -> np.ndarray:
     """(S,) ratio of the largest to the smallest singular value (S, U); infinite where that is zero."""
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -141,7 +160,7 @@ def _orbits(equations: BearingEquations, bearings: tuple[int, ...]) -> tuple[np.
     ranks, conditions = [], []
     for b in bearings:
         singular, _ = decompose(unit_columns(equations.displacement[b]).conj().swapaxes(1, 2))
-        ranks.append((singular > DEPENDENT * singular[:, :1]).sum(axis=1))
+        ranks.append(count_determined(singular))
         conditions.append(condition_number(singular))
     return np.max(ranks, axis=0), np.min(conditions, axis=0)
 

@@ -44,6 +44,12 @@ def legend_above(ax: Any) -> None:
     ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderaxespad=0.2)
 
 
+def draw_markers(ax: Any, x: np.ndarray, y: np.ndarray, colour: str, label: str, count: int = MARKERS) -> None:
+    """About ``count`` open circles of a curve."""
+    every = max(1, len(x) // count)
+    ax.plot(x[::every], y[::every], ls="", marker="o", ms=5, mfc="none", mec=colour, label=label)
+
+
 @contextmanager
 def figure(path: Path, rows: int, columns: int, width: float, height: float, **options: Any) -> Iterator[np.ndarray]:
     """Axes (rows, columns) of a figure, written to ``path`` when the block ends well. Raises StorageError."""

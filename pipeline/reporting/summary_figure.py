@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS, is_direct, unit
 from pipeline.data.vibration_files import to_rpm
-from pipeline.reporting.figures import BLUE, GREEN, GREY, MARKERS, ORANGE, PURPLE, figure
+from pipeline.reporting.figures import BLUE, GREEN, GREY, MARKERS, ORANGE, PURPLE, draw_markers, figure
 from pipeline.reporting.summary_text import Results, channel_words
 from pipeline.twin.prediction import PredictedVibration
 from pipeline.units import RAD_S_PER_RPM
@@ -95,17 +95,8 @@ def _run(ax: Any, results: Results) -> None:
     """Amplitude of one run at the probe that moves most: measured as markers, predicted as a line."""
     shown, rpm = results.shown, to_rpm(results.dataset.speeds)
     measured, predicted = (_MICROMETRES * np.abs(of[:, shown.probe]) for of in (shown.measured, shown.predicted))
-    every = max(1, len(rpm) // (2 * MARKERS))
-    ax.plot(
-        rpm[::every],
-        measured[::every],
-        ls="",
-        marker="o",
-        ms=4.5,
-        mfc="none",
-        mec=BLUE,
-        label="measured" if results.modelled is None else "measured (modelled data)",
-    )
+    label = "measured" if results.modelled is None else "measured (modelled data)"
+    draw_markers(ax, rpm, measured, BLUE, label, 2 * MARKERS)
     ax.plot(rpm, predicted, color=ORANGE, lw=1.4, label="predicted from the identified coefficients")
     fitted = "not fitted" if shown.held_out else "fitted"
     ax.set_title(f"run {shown.name} ({fitted}), {channel_words(results.dataset.channels[shown.probe])}")

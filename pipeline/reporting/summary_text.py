@@ -44,7 +44,7 @@ class ShownRun:
         return float(100 * np.linalg.norm(self.predicted - self.measured) / np.linalg.norm(self.measured))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Results:
     """What the screen and the picture show. Legend: B bearings, S speeds."""
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.data.vibration_files import to_rpm
-from pipeline.reporting.figures import BLUE, GREY, MARKERS, ORANGE, figure, legend_above
+from pipeline.reporting.figures import BLUE, GREY, ORANGE, draw_markers, figure, legend_above
 from pipeline.twin.prediction import PredictedVibration, time_curve
 
 MICROMETRES = 1e6
@@ -18,17 +18,7 @@ def _draw(ax: Any, name: str, x: np.ndarray, y: np.ndarray, colour: str) -> None
     if name == "modelled":
         ax.plot(x, y, color=colour, lw=1.5, label="modelled")
     else:
-        every = max(1, len(x) // MARKERS)
-        ax.plot(
-            x[::every],
-            y[::every],
-            ls="",
-            marker="o",
-            ms=5,
-            mfc="none",
-            mec=colour,
-            label="predicted by the twin",
-        )
+        draw_markers(ax, x, y, colour, "predicted by the twin")
 
 
 def time_figure(path: Path, vibration: dict[str, PredictedVibration], at: int) -> Path:

@@ -17,7 +17,7 @@ TRANSLATIONS = 2
 """x and y come first among the DOF of a node."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class RotorModel:
     """Matrices of shaft and discs and the places of bearings and discs on it."""
 

@@ -38,18 +38,18 @@ def run(config: Config) -> StageOutput:
 def _results(config: Config, measurement: Measurement, twin: Twin, training: dict[str, object]) -> Results:
     speeds, uncertainty = measurement.dataset.speeds, twin.uncertainty
     return Results(
-        measurement.rotor,
-        measurement.dataset,
-        twin.systems["identified"],
-        twin.systems.get("modelled"),
-        twin.identified.unknowns.by_bearing,
-        None if uncertainty is None else uncertainty.deviation(twin.identified, speeds),
-        training,
-        _shown_run(config, measurement, twin.systems["identified"], uncertainty),
-        twin.vibration,
-        twin.critical["identified"],
-        twin.margin["identified"],
-        twin.at,
+        rotor=measurement.rotor,
+        dataset=measurement.dataset,
+        identified=twin.systems["identified"],
+        modelled=twin.systems.get("modelled"),
+        unknowns=twin.identified.unknowns.by_bearing,
+        deviation=None if uncertainty is None else uncertainty.deviation(twin.identified, speeds),
+        training=training,
+        shown=_shown_run(config, measurement, twin.systems["identified"], uncertainty),
+        vibration=twin.vibration,
+        critical=twin.critical["identified"],
+        margin=twin.margin["identified"],
+        at=twin.at,
     )
 
 

@@ -6,9 +6,14 @@ import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from pipeline.config.schema import Config
 from pipeline.data.tables import fingerprint_of
+
+
+def _file(name: str, meaning: str) -> Any:
+    return property(lambda workspace: workspace.folder / name, doc=meaning)
 
 
 @dataclass(frozen=True)
@@ -16,36 +21,12 @@ class Workspace:
     """Names of an experiment's files."""
 
     folder: Path
-
-    @property
-    def config(self) -> Path:
-        """The composed configuration."""
-        return self.folder / "config.yaml"
-
-    @property
-    def modelled(self) -> Path:
-        """The truth of modelled data; training never reads it."""
-        return self.folder / "modelled_coefficients.csv"
-
-    @property
-    def identified(self) -> Path:
-        """The answer of training."""
-        return self.folder / "identified_coefficients.csv"
-
-    @property
-    def history(self) -> Path:
-        """Loss over the steps of training."""
-        return self.folder / "history.csv"
-
-    @property
-    def training(self) -> Path:
-        """Outcome, loss and time of training."""
-        return self.folder / "training.json"
-
-    @property
-    def metrics(self) -> Path:
-        """Errors, written by evaluate."""
-        return self.folder / "metrics.json"
+    config = _file("config.yaml", "The composed configuration.")
+    modelled = _file("modelled_coefficients.csv", "The truth of modelled data; training never reads it.")
+    identified = _file("identified_coefficients.csv", "The answer of training.")
+    history = _file("history.csv", "Loss over the steps of training.")
+    training = _file("training.json", "Outcome, loss and quality of the fit.")
+    metrics = _file("metrics.json", "Errors, written by evaluate.")
 
     def figure(self, name: str) -> Path:
         """A figure's path."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 
 
@@ -23,6 +23,7 @@ class ChildRecord:
     history: Sequence[Mapping[str, float | str]] = ()
     started: float | None = None
     ended: float | None = None
+    _: KW_ONLY
     failed: bool = False
 
 
@@ -52,6 +53,7 @@ class StageRecord:
     parameters: Mapping[str, object]
     tags: Mapping[str, str]
     metrics: Mapping[str, float]
+    _: KW_ONLY
     history: Sequence[Mapping[str, float | str]] = ()
     files: Sequence[Path] = ()
     model: Path | None = None
