@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pipeline.config.schema import Config
 
 BEST = "best.yaml"
-UNTUNED_STAGES = ("tune", "samplers", "check")
+UNTUNED_STAGES = ("tune", "samplers", "check", "new")
 """Stages that see the configured values: a study begins from them."""
 
 
