@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.config.ingest import MeasuredIngestConfig, TableRunConfig
-from pipeline.config.measured import MeasuredRunConfig, SlowRollConfig
+from pipeline.config.measured import MeasuredRunConfig, SlowRollConfig, unbalance_phase
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.errors import DataError
-from pipeline.ingest.conventions import to_vectors, unbalance_phase
+from pipeline.ingest.conventions import to_vectors
 from pipeline.ingest.probes import check_probes, resolve
 from pipeline.ingest.sources import read_runs
 from pipeline.ingest.tracks import LARGEST, RunTracks, to_common_speeds
