@@ -8,8 +8,8 @@ import numpy as np
 
 from pipeline.comparison.method import Task
 from pipeline.config.comparison import ComparisonConfig, SensorSet
-from pipeline.config.excitation import NoiseConfig
 from pipeline.config.identification import IdentifyConfig
+from pipeline.config.runs import NoiseConfig
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.sensors import Channels, Sensors, both_directions, measured
 from pipeline.rotor.bearing_table import BearingTable

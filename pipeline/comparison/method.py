@@ -14,8 +14,8 @@ import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.comparison import ComparisonConfig
-from pipeline.config.excitation import NoiseConfig
 from pipeline.config.identification import IdentifyConfig
+from pipeline.config.runs import NoiseConfig
 from pipeline.data.dataset import VibrationDataset, reading_deviation
 from pipeline.equations.bearing_equations import BearingEquations, bearing_equations
 from pipeline.equations.identifiability import Identifiability, Verdict, identifiability

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.config.excitation import NoiseConfig
+from pipeline.config.runs import NoiseConfig
 from pipeline.data.dataset import reading_deviation
 from pipeline.equations.filtered import BearingFilter, filtered
 from pipeline.equations.response import ResponseEquations

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.config.excitation import DesignConfig
+from pipeline.config.runs import CandidateConfig
 from pipeline.config.schema import Config
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.data.simulate import simulate, with_noise
@@ -97,9 +97,8 @@ class Plan:
 _FLOOR = 0.01
 
 
-def candidates(design: DesignConfig) -> tuple[tuple[Excitation, ...], ...]:
+def candidates(can: CandidateConfig) -> tuple[tuple[Excitation, ...], ...]:
     """Every run that could be made: single unbalances, pairs of them, and rotating forces."""
-    can = design.candidates
     made: list[tuple[Excitation, ...]] = []
 
     def unbalance(name: str, node: int, degrees: float) -> Excitation:
@@ -117,14 +116,14 @@ def candidates(design: DesignConfig) -> tuple[tuple[Excitation, ...], ...]:
 
 def run(config: Config) -> StageOutput:
     """``design.json`` and ``designed_excitation.yaml``, which can be used at once."""
-    design, rotor = config.design, assembled(config.rotor)
-    possible = candidates(design)
-    require_nodes(rotor, "design.candidates", [one.node for acting in possible for one in acting])
+    design, rotor = config.design, assembled(config.machine.rotor)
+    possible = candidates(config.machine.candidates)
+    require_nodes(rotor, "machine.candidates", [one.node for acting in possible for one in acting])
     if design.runs > len(possible):
         raise ConfigError(f"design.runs must be at most the {len(possible)} candidates, but got {design.runs}")
-    every = np.array(config.excitation.speeds.rpm()) * RAD_S_PER_RPM
+    every = np.array(config.machine.speeds.rpm()) * RAD_S_PER_RPM
     speeds = every[np.unique(np.linspace(0, len(every) - 1, min(design.speeds, len(every))).round().astype(int))]
-    prior = modelled_bearings(config.rotor, config.bearing, speeds)
+    prior = modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
     unknowns = unknown_set({node: config.identify.at(node) for node in rotor.bearing_nodes})
 
     def plan(acting: Sequence[Excitation], own: np.ndarray | None = None) -> Plan:
@@ -147,8 +146,8 @@ def run(config: Config) -> StageOutput:
         write_json(folder / "design.json", summary | {"runs": [acting[0].run for acting in chosen]}),
     ]
     say(
-        f"use them with: python -m pipeline stage=train experiment={config.name} "
-        f"excitation.file={written[0]} output={folder}_designed"
+        f"use them with: python -m pipeline stage=train {config.chosen} "
+        f"machine.runs_file={written[0]} output={folder}_designed"
     )
     return StageOutput(flat_metrics(summary), {"rotor_fingerprint": rotor.fingerprint}, written)
 
@@ -185,8 +184,8 @@ def _excitation_yaml(config: Config, chosen: Sequence[Sequence[Excitation]]) -> 
             if of_kind:
                 run[key] = [_source(one) for one in of_kind]
         runs.append(run)
-    content = {"speeds": config.excitation.speeds.model_dump(), "runs": runs}
-    head = f"# Chosen by: python -m pipeline stage=design experiment={config.name}\n"
+    content = {"speeds": config.machine.speeds.model_dump(), "runs": runs}
+    head = f"# Chosen by: python -m pipeline stage=design {config.chosen}\n"
     return head + yaml.safe_dump(content, sort_keys=False)
 
 

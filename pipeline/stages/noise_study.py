@@ -49,7 +49,7 @@ def run(config: Config) -> StageOutput:
     prepared = prepared_response(config, inputs, setup)
     with training_progress(config.name) as progress:
         fit = fitted(config, prepared, setup, progress)
-    generator = np.random.default_rng([config.sensors.seed, 1])
+    generator = np.random.default_rng([config.machine.probes.seed, 1])
     clean = prepared.data.equations.predict(modelled)
     study = monte_carlo(
         fit, clean, config.robustness.count, generator, setup.optimizer.levenberg_marquardt, config.device

@@ -156,7 +156,7 @@ def _displacement_error(config: Config, inputs: Inputs, batch: TrainedBatch, mod
 
     None where this rotor lacks the prediction's nodes, a run has the very unbalance, or a start has no finite answer.
     """
-    unseen, node, rotor = unseen_excitations(config), config.prediction.node, inputs.rotor
+    unseen, node, rotor = unseen_excitations(config), config.machine.prediction.node, inputs.rotor
     if max(node, *(force.node for force in unseen)) >= rotor.n_nodes or run_alike(unseen, inputs.dataset.excitations):
         return None
     worst = 0.0
