@@ -25,6 +25,8 @@ DEFAULTS = "default/"
 """Where the experiments of machines without one are, below ``conf/experiment``."""
 _CHANGING = {"cylindrical", "journal_table", "rotor_file"}
 """Kinds of bearings whose coefficients change with the speed, or may."""
+_KINDS = ("kind", "format")
+"""Keys that say what the others of their section may be."""
 
 
 def with_choice(parsed: Sequence[Override], loader: ConfigLoader) -> list[Override]:
@@ -34,7 +36,7 @@ def with_choice(parsed: Sequence[Override], loader: ConfigLoader) -> list[Overri
     Raises ConfigError for a machine file that can't be read.
     """
     by_key = {override.key_or_group: override for override in parsed if not override.is_delete()}
-    if "new" in _stages(by_key.get("stage")):  # the file is to be written
+    if "new" in _stages(by_key.get("stage")):  # the file is yet to be written
         return [*parsed, *parsed_overrides([] if "tracking" in by_key else ["tracking=none"], loader)]
     file, machine, experiment = (by_key.get(key) for key in ("machine.file", "machine", "experiment"))
     rest = [override for override in parsed if override is not file]
@@ -49,16 +51,16 @@ def with_choice(parsed: Sequence[Override], loader: ConfigLoader) -> list[Overri
     elif machine is not None and isinstance(machine.value(), str) and not machine.is_sweep_override():
         name = str(machine.value())
     else:
-        return rest
+        return _begun_anew(rest, loader)
     if experiment is not None:
         own = is_own(str(machine.value())) and isinstance(experiment.value(), str)
         given = str(experiment.value())
         more = [f"name={name}_{given}"] if own and not given.startswith(DEFAULTS) else []
     else:
-        more = [*_default_experiment(_machine(rest, loader)), f"name={name}"]
+        more = [*_default_experiment(_machine(_begun_anew(rest, loader), loader)), f"name={name}"]
     keys = {override.key_or_group for override in parsed}
     more = [text for text in more if not _given(text.partition("=")[0], keys)]
-    return [*rest, *parsed_overrides(more, loader)]
+    return [*_begun_anew(rest, loader), *parsed_overrides(more, loader)]
 
 
 def _stages(override: Override | None) -> list[Any]:
@@ -78,6 +80,47 @@ def _path(file: Override) -> Path | None:
     return absolute(value)
 
 
+def _begun_anew(parsed: Sequence[Override], loader: ConfigLoader) -> list[Override]:
+    """``parsed`` so that a section of the machine whose kind is given anew has nothing of the former kind.
+
+    Such are ``machine.bearings.kind=rotor_file`` and ``machine.bearings={kind: linear, kxx: 1e7, kyy: 1e7}``.
+    """
+    sections = {id(override): _new_kind(override) for override in parsed}
+    if not any(sections.values()):
+        return list(parsed)
+    there = _machine([o for o in parsed if o.key_or_group in ("machine", "experiment")], loader)
+    made: list[Override] = []
+    for override in parsed:
+        key, tag, value, text = sections[id(override)] or ("", "", None, "")
+        former = _at(there, key) if key else None
+        if former is None or (override.key_or_group != key and former.get(tag) == value):
+            made.append(override)
+        else:
+            made += parsed_overrides([f"~{key}", f"+{key}={text}"], loader)
+    return made
+
+
+def _new_kind(override: Override) -> tuple[str, str, Any, str] | None:
+    """Section, name and value of its kind, and the section's text; None for an override that gives no kind."""
+    key, value = override.key_or_group, override.value()
+    section, _, tag = key.rpartition(".")
+    if override.is_delete() or override.is_sweep_override() or not key.startswith("machine."):
+        return None
+    if isinstance(value, dict) and (tags := [tag for tag in _KINDS if tag in value]):
+        return key, tags[0], value[tags[0]], text_of(override).partition("=")[2]
+    if tag in _KINDS and isinstance(value, str):
+        return section, tag, value, f"{{{tag}: {value}}}"
+    return None
+
+
+def _at(machine: Mapping[str, Any], key: str) -> Mapping[str, Any] | None:
+    node: Any = {"machine": machine}
+    for part in key.split("."):
+        inside = node if isinstance(node, Mapping) else {}
+        node = inside.get(part, inside.get(int(part)) if part.isdigit() else None)
+    return node if isinstance(node, Mapping) else None
+
+
 def _given(key: str, keys: set[str]) -> bool:
     """Whether the command line has ``key``, or a section that it belongs to."""
     return any(key == one or key.startswith(f"{one}.") for one in keys)
@@ -85,7 +128,8 @@ def _given(key: str, keys: set[str]) -> bool:
 
 def _machine(parsed: Sequence[Override], loader: ConfigLoader) -> Mapping[str, Any]:
     """The machine as composed, without what it can't be composed with: that is told with the whole."""
-    of_machine = [o for o in parsed if o.key_or_group.partition(".")[0] == "machine" and not o.is_sweep_override()]
+    keys = ("machine", "experiment")
+    of_machine = [o for o in parsed if o.key_or_group.partition(".")[0] in keys and not o.is_sweep_override()]
     try:
         machine = composed(of_machine, loader).get("machine")
     except ConfigError:

@@ -103,8 +103,8 @@ def parsed_overrides(overrides: Sequence[str], loader: ConfigLoader) -> list[Ove
 
 def _last_of_each(parsed: Sequence[Override]) -> list[Override]:
     """The last override of each key, as a shell user expects; Hydra itself refuses a group given twice."""
-    last = {override.get_key_element(): override for override in parsed}
-    return [override for override in parsed if last[override.get_key_element()] is override]
+    last = {(override.get_key_element(), override.is_delete()): override for override in parsed}
+    return [override for override in parsed if last[override.get_key_element(), override.is_delete()] is override]
 
 
 def _bad_syntax(text: str) -> str:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.messages import written as override
 from pipeline.config.runs import CandidateConfig
 from pipeline.config.schema import Config
 from pipeline.data.dataset import Excitation, VibrationDataset
@@ -147,7 +148,7 @@ def run(config: Config) -> StageOutput:
     ]
     say(
         f"use them with: python -m pipeline stage=train {config.chosen} "
-        f"machine.runs_file={written[0]} output={folder}_designed"
+        f"{override('machine.runs_file', str(written[0]))} {override('output', f'{folder}_designed')}"
     )
     return StageOutput(flat_metrics(summary), {"rotor_fingerprint": rotor.fingerprint}, written)
 

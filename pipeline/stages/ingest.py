@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.measured import AS_MODELLED
 from pipeline.config.recordings import (
     AnyRecordingsConfig,
     NoRecordingsConfig,
@@ -27,7 +28,7 @@ from pipeline.reporting.console import say, table, warn
 from pipeline.reporting.ingest_figures import bode_figure, measured_orbit_figure
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
-from pipeline.rotor.stored import assembled
+from pipeline.rotor.stored import assembled, modelled_bearings
 from pipeline.stages.inputs import known_coefficients, require_nodes
 from pipeline.stages.run import InputFiles, StageOutput, input_files, workspace
 
@@ -90,6 +91,8 @@ def _known(config: Config, ingest: AnyRecordingsConfig, rotor: RotorModel, speed
     """What training takes as known; None where it needs some and nothing says them."""
     nodes = rotor.bearing_nodes
     needed = known_coefficients(config, nodes)
+    if ingest.known == AS_MODELLED:
+        return modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
     if ingest.known is not None:
         return read_known(Path(ingest.known), nodes, speeds, needed)
     if any(needed.values()):
