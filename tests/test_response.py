@@ -9,7 +9,7 @@ import pytest
 from conftest import Machine, MachineFactory, bearings_of
 
 from pipeline.config.compose import compose_config
-from pipeline.config.excitation import NoiseConfig
+from pipeline.config.runs import NoiseConfig
 from pipeline.data.dataset import Excitation, VibrationDataset, without_baseline
 from pipeline.data.sensors import Sensors, both_directions, measured, seen_by
 from pipeline.data.simulate import simulate
@@ -30,7 +30,7 @@ BACKWARD = Excitation("shaker", "force", 2, 10.0, 0.3, "backward")
 @pytest.fixture(scope="module")
 def rotor_of(machine: MachineFactory) -> Machine:
     """The hydrostatic rotor at 60 speeds."""
-    return machine("experiment=noisy_stiffness", "excitation.speeds.step_rpm=100")
+    return machine("experiment=noisy_stiffness", "machine.speeds.step_rpm=100")
 
 
 def noisy(machine: Machine, noise: float, seed: int, *more: Excitation) -> VibrationDataset:
