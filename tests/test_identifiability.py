@@ -442,7 +442,7 @@ def test_design_beats_the_papers_runs_and_simulations_confirm_it(
 
 @pytest.mark.slow
 def test_a_design_can_be_used_at_once(tmp_path: Path) -> None:
-    """``machine.runs_file`` takes it; an excitation that is none is refused by name."""
+    """``machine.runs_file`` takes it; a file that holds something else is refused by name."""
     few = ("experiment=all_coefficients", "machine.speeds.step_rpm=500", "design.speeds=5", "design.simulations=0")
     staged("design", tmp_path / "a", *few)
     file = tmp_path / "a" / "designed_excitation.yaml"
@@ -451,9 +451,12 @@ def test_a_design_can_be_used_at_once(tmp_path: Path) -> None:
     assert config.machine.speeds.step_rpm == 500
     staged("generate", tmp_path / "b", "experiment=all_coefficients", f"machine.runs_file='{file}'")
     (tmp_path / "c.yaml").write_text("- 1")
-    with pytest.raises(ConfigError, match=r"excitation\.file must have speeds and runs"):
+    with pytest.raises(ConfigError, match=r"machine\.runs_file must have speeds and runs"):
         compose_config([f"machine.runs_file='{tmp_path / 'c.yaml'}'"])
-    with pytest.raises(ConfigError, match=r"excitation\.file must be an excitation such as stage=design writes"):
+    (tmp_path / "e.yaml").write_text(file.read_text() + "rotor: {file: x}\n")
+    with pytest.raises(ConfigError, match=r"nothing else, but '.*e\.yaml' has speeds, runs, rotor"):
+        compose_config([f"machine.runs_file='{tmp_path / 'e.yaml'}'"])
+    with pytest.raises(ConfigError, match=r"machine\.runs_file must be speeds and runs such as stage=design writes"):
         compose_config([f"machine.runs_file='{tmp_path / 'd.yaml'}'"])
 
 

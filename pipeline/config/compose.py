@@ -152,10 +152,14 @@ def expanded(overrides: Sequence[str]) -> tuple[list[list[str]], frozenset[str]]
 @contextmanager
 def prepared(overrides: Sequence[str], folder: Path | None) -> Iterator[list[str]]:
     """``overrides`` as Hydra itself takes them, the last of each key; meanwhile its store has the user's own files."""
+    from hydra.core.config_store import ConfigStore
+
     from pipeline.config.choice import with_choice
     from pipeline.config.own_machines import own_files
 
     with own_files(folder):
         with loader.hydra_on_conf() as hydra:
             chosen = [loader.text_of(o) for o in with_choice(loader.parsed_overrides(overrides, hydra), hydra)]
+            files = ConfigStore.instance().repo
+        ConfigStore.instance().repo = files  # Hydra's state is as it was, but for them
         yield chosen

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 CONF = Path(__file__).parents[2] / "conf"
 ROOT_CONFIG = "config"
 VERSION_BASE = "1.3"
+FILE_KEY = "machine.file="
 
 
 def options(group: str) -> list[str]:
@@ -94,7 +95,10 @@ def parsed_overrides(overrides: Sequence[str], loader: ConfigLoader) -> list[Ove
         try:
             parsed += parser.parse_overrides([text])
         except HydraException:
-            raise ConfigError(_bad_syntax(text)) from None
+            path = text.lstrip("+").removeprefix(FILE_KEY)
+            if path in (text, "") or "'" in path or '"' in path:
+                raise ConfigError(_bad_syntax(text)) from None
+            parsed += parser.parse_overrides([f"{FILE_KEY}'{path}'"])  # a path as it is, such as ~/rig (1)/ü.yaml
         if not parsed[-1].key_or_group:  # "=3"
             raise ConfigError(_bad_syntax(text))
         refuse_renamed(parsed[-1].key_or_group, parsed[-1].value(), text)

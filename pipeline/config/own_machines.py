@@ -15,12 +15,11 @@ from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
-from pipeline.config.loader import CONF, options
+from pipeline.config.loader import CONF, FILE_KEY, options
 from pipeline.config.measured import AS_MODELLED
 from pipeline.config.renames import refuse_renamed_in
 from pipeline.errors import ConfigError, nearest
 
-_FILE_KEY = "machine.file="
 _PATHS = (
     *("rotor.file", "runs_file", "recordings.file", "recordings.known"),
     *("recordings.runs.*.file", "recordings.runs.*.files.*"),
@@ -38,7 +37,7 @@ def absolute(path: str | Path, folder: Path | None = None) -> Path:
 def written_file(overrides: Sequence[str]) -> str | None:
     """The text of the last ``machine.file=...``, without quotes; None where there is none. Needs no parser."""
     given = [override.lstrip("+") for override in overrides]
-    texts = [text[len(_FILE_KEY) :] for text in given if text.startswith(_FILE_KEY)]
+    texts = [text[len(FILE_KEY) :] for text in given if text.startswith(FILE_KEY)]
     return texts[-1].strip().strip("'\"") if texts else None
 
 
@@ -165,10 +164,12 @@ def _mapping(path: Path, what: str) -> dict[str, Any]:
         raise ConfigError(f"{what} must be readable, but '{path}' is not: {error.strerror}") from None
     except yaml.YAMLError as error:
         raise ConfigError(f"{what} must be YAML, but '{path}' is not: {_problem(error)}") from None
+    except AssertionError:  # a number
+        read = None
     except (OmegaConfBaseException, ValueError, RecursionError) as error:
         raise ConfigError(f"{what} must be YAML with plain keys, but '{path}' is not: {error}") from None
-    plain = OmegaConf.to_container(read, resolve=False)
-    if not isinstance(read, DictConfig) or not isinstance(plain, dict) or not _says_something(plain):
+    plain = OmegaConf.to_container(read, resolve=False) if isinstance(read, DictConfig) else None
+    if not isinstance(plain, dict) or not _says_something(plain):
         raise ConfigError(f"{what} must have keys with values, such as `rotor:`, but '{path}' has none")
     return {str(key): value for key, value in plain.items()}
 

@@ -86,8 +86,8 @@ def _require_generated_from(config: Config, files: InputFiles) -> None:
     made_from = origin_of(files.vibration)
     if made_from is not None and made_from.split(" ")[0] != origin(config):
         raise DataError(
-            f"'{files.vibration}' must have been generated from the configured machine, but "
-            "they have changed since: run stage=generate with the same overrides first, or choose another folder "
+            f"'{files.vibration}' must have been generated from the configured machine, but it has "
+            "changed since: run stage=generate with the same overrides first, or choose another folder "
             "with output=FOLDER"
         )
     if made_from not in (None, origin_of_files(config, files)):
