@@ -39,7 +39,7 @@ def with_values(config: Config, values: Mapping[str, Value], source: str) -> Con
 
     from pipeline.config.schema import Config
 
-    mapping = config.model_dump()
+    mapping = config.model_dump() | {"chosen_by": config.chosen_by}
     for key, value in values.items():
         *path, last = key.split(".")
         place: Any = mapping
