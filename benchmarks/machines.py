@@ -89,9 +89,9 @@ def machine(*overrides: str) -> Machine:
     from pipeline.units import RAD_S_PER_RPM
 
     config = compose_config(overrides)
-    speeds = np.array(config.excitation.speeds.rpm()) * RAD_S_PER_RPM
-    bearings = bearing_table(config.rotor, config.bearing, speeds)
-    return Machine(config, assemble(config.rotor), bearings, excitations(config))
+    speeds = np.array(config.machine.speeds.rpm()) * RAD_S_PER_RPM
+    bearings = bearing_table(config.machine.rotor, config.machine.bearings, speeds)
+    return Machine(config, assemble(config.machine.rotor), bearings, excitations(config))
 
 
 def refined(experiment: str, factor: int, *overrides: str) -> Machine:
@@ -100,12 +100,12 @@ def refined(experiment: str, factor: int, *overrides: str) -> Machine:
 
     config = compose_config([f"experiment={experiment}"])
     made = [f"experiment={experiment}"]
-    made.append(f"rotor.bearing_nodes={[factor * node for node in config.rotor.bearing_nodes]}")
-    for i, segment in enumerate(config.rotor.shaft):
-        made.append(f"rotor.shaft.{i}.elements={factor * segment.elements}")
-    for i, disc in enumerate(config.rotor.discs):
-        made.append(f"rotor.discs.{i}.node={factor * disc.node}")
-    for i, run in enumerate(config.excitation.runs):
+    made.append(f"machine.rotor.bearing_nodes={[factor * node for node in config.machine.rotor.bearing_nodes]}")
+    for i, segment in enumerate(config.machine.rotor.shaft):
+        made.append(f"machine.rotor.shaft.{i}.elements={factor * segment.elements}")
+    for i, disc in enumerate(config.machine.rotor.discs):
+        made.append(f"machine.rotor.discs.{i}.node={factor * disc.node}")
+    for i, run in enumerate(config.machine.runs):
         for j, force in enumerate(run.unbalances):
-            made.append(f"excitation.runs.{i}.unbalances.{j}.node={factor * force.node}")
+            made.append(f"machine.runs.{i}.unbalances.{j}.node={factor * force.node}")
     return machine(*made, *overrides)

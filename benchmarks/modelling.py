@@ -66,7 +66,7 @@ def ross_seconds(made: Machine) -> float:
     """Of ROSS's response of every run. The rotor is fresh: it keeps transfer matrices, which the calls share."""
     from pipeline.rotor.ross_adapter import ross_rotor
 
-    rotor = ross_rotor(made.config.rotor, made.config.bearing, made.speeds)
+    rotor = ross_rotor(made.config.machine.rotor, made.config.machine.bearings, made.speeds)
 
     def calls() -> None:
         for run in made.runs:

@@ -39,8 +39,14 @@ def train_rotor_file() -> Times:
     """The assembled rotor is kept, so that ROSS is not imported again."""
     with TemporaryDirectory() as folder:
         rotor = _saved_rotor(Path(folder) / "rotor.toml")
-        given = [*_TRAIN, "tracking=none", f"output={folder}/made", f"rotor.file={rotor}", "bearing=rotor_file"]
-        given.append("rotor.bearing_nodes=[]")
+        given = [
+            *_TRAIN,
+            "tracking=none",
+            f"output={folder}/made",
+            f"machine.rotor.file={rotor}",
+            "machine.bearings.kind=rotor_file",
+        ]
+        given.append("machine.rotor.bearing_nodes=[]")
         _pipeline(Path(folder), *given)
         return _against_torch(Path(folder), given)
 
@@ -75,7 +81,7 @@ def _saved_rotor(file: Path) -> Path:
     from pipeline.rotor.ross_adapter import ross_rotor
 
     made = machine("experiment=ball_bearing")
-    ross_rotor(made.config.rotor, made.config.bearing, made.speeds).save(file)
+    ross_rotor(made.config.machine.rotor, made.config.machine.bearings, made.speeds).save(file)
     return file
 
 

@@ -54,10 +54,12 @@ def _command(arguments: list[str]) -> None:
         print(usage())
     elif "--version" in arguments:
         print(f"pipeline {__version__}")
-    elif all(map(_is_plain, arguments)):
-        _run_stages(arguments)
     else:
-        _hydra(_parsed(arguments))
+        folder, others = _folder(arguments)
+        if all(map(_is_plain, others)):
+            _run_stages(others, folder)
+        else:
+            _hydra(_parsed(others), folder)
 
 
 def _is_plain(argument: str) -> bool:
@@ -65,13 +67,28 @@ def _is_plain(argument: str) -> bool:
     return "=" in argument and not argument.startswith("-") and not _key(argument).startswith("hydra")
 
 
-def _run_stages(overrides: list[str]) -> None:
+def _folder(arguments: list[str]) -> tuple[Path | None, list[str]]:
+    """The folder of ``--config-dir``, which is read here and not by Hydra, and the other arguments."""
+    folder, others, rest = None, [], iter(arguments)
+    for argument in rest:
+        option, equals, value = argument.partition("=")
+        if option not in ("--config-dir", "-cd"):
+            others.append(argument)
+            continue
+        value = value if equals else next(rest, "")
+        if not value:
+            _refuse_option("--config-dir needs a folder")
+        folder = Path(os.path.abspath(Path(value).expanduser()))
+    return folder, others
+
+
+def _run_stages(overrides: list[str], folder: Path | None) -> None:
     """All stages are checked before the first one runs; the first that fails is the last that runs."""
     from pipeline.config.compose import compose_stages
     from pipeline.stages import run_stage
     from pipeline.tracking import recorder_beside
 
-    configs = compose_stages(overrides)
+    configs = compose_stages(overrides, folder)
     with recorder_beside(configs[0].tracking.enabled):
         for config in configs:
             run_stage(config)
@@ -144,7 +161,7 @@ def _parsed(arguments: list[str]) -> Namespace:
     parser = get_args_parser()
     parser.error = _refuse_option  # type: ignore[method-assign]  # its own prints a usage of Hydra's
     options = parser.parse_intermixed_args(arguments)
-    for name in ("config_path", "config_name", "config_dir", "experimental_rerun"):
+    for name in ("config_path", "config_name", "experimental_rerun"):
         if getattr(options, name) is not None:
             _refuse_option(f"--{name.replace('_', '-')} is not for this pipeline, configured in conf/config.yaml")
     commands = [options.multirun, options.cfg, options.info, options.shell_completion, options.hydra_help]
@@ -161,24 +178,31 @@ def _refuse_option(message: str) -> NoReturn:
     raise ConfigError(f"the options must be Hydra's, but {message}; `python -m pipeline --help` lists the usual ones")
 
 
-def _hydra(options: Namespace) -> None:
+def _hydra(options: Namespace, folder: Path | None) -> None:
     """Check the overrides, then hand the command to Hydra."""
+    from pipeline.config.compose import prepared
+
+    if options.shell_completion or options.hydra_help:
+        _hydra_main(Job(), [*options.overrides, *options.flags], options.cfg)
+        return
+    with prepared(options.overrides, folder) as options.overrides:
+        _hydra_main(_checked(options), [*options.overrides, *options.flags], options.cfg)
+
+
+def _hydra_main(job: Job, arguments: list[str], shows: str | None) -> None:
+    """Hydra's own entry point, on ``conf/``."""
     import hydra
     from hydra.errors import HydraException
     from omegaconf.errors import OmegaConfBaseException
 
-    from pipeline.config.compose import CONF, ROOT_CONFIG, VERSION_BASE, deduplicated
+    from pipeline.config.loader import CONF, ROOT_CONFIG, VERSION_BASE
 
-    job = Job()
-    if not (options.shell_completion or options.hydra_help):
-        options.overrides = deduplicated(options.overrides)
-        job = _checked(options)
-    with _process(["pipeline", *options.overrides, *options.flags]):
+    with _process(["pipeline", *arguments]):
         try:
             hydra.main(config_path=str(CONF), config_name=ROOT_CONFIG, version_base=VERSION_BASE)(job)()
         except SystemExit as stop:
             # Hydra's 1, such as for --cfg job with an unknown --package, is not that of stage=check.
-            raise SystemExit(MISTAKE if options.cfg and stop.code == 1 else stop.code) from None
+            raise SystemExit(MISTAKE if shows and stop.code == 1 else stop.code) from None
         except (HydraException, OmegaConfBaseException) as error:
             # Only what the check can't see: Hydra's own settings, such as hydra.sweep.dir.
             raise ConfigError(f"Hydra must be able to start this, but says: {error}") from None

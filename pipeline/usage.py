@@ -8,12 +8,13 @@ import textwrap
 
 def usage() -> str:
     """The whole help."""
-    from pipeline.config.compose import options
+    from pipeline.config.loader import options
     from pipeline.config.stage_names import STAGES
 
     experiments = {name: _description(name) for name in options("experiment")}
+    machines = textwrap.fill(", ".join(options("machine")), 100, initial_indent="  ", subsequent_indent="  ")
     return f"""\
-usage: python -m pipeline stage=STAGE experiment=NAME [KEY=VALUE ...] [-m]
+usage: python -m pipeline stage=STAGE experiment=NAME|machine.file=FILE [KEY=VALUE ...] [-m]
 
 {textwrap.fill(_SUMMARY, 100)}
 
@@ -23,6 +24,9 @@ stages (default: train; a stage whose input is missing makes it first):
 experiments:
 {_table(experiments)}
 
+machines (of an experiment, or alone: machine=NAME; one of your own: machine.file=FILE):
+{machines}
+
 examples:
 {_EXAMPLES}
 
@@ -31,6 +35,7 @@ options:
   --cfg job        print the whole configuration and run nothing
   --info           print how Hydra composed it
   -h, --help       this help
+  --config-dir DIR machines and experiments of your own, in DIR/machine and DIR/experiment
   --version        the version
 
 Results of an experiment go to artifacts/NAME/ (output=FOLDER for another place); the jobs of a
@@ -47,10 +52,12 @@ _SUMMARY = (
 )
 _EXAMPLES = """\
   python -m pipeline                                         train the default experiment
+  python -m pipeline stage=new machine.file=mine.yaml        write a file for a machine of your own
+  python -m pipeline stage=train machine.file=mine.yaml      and use it
   python -m pipeline stage=evaluate experiment=NAME          compare with the modelled coefficients
   python -m pipeline stage=[train,evaluate,predict]          several stages, one after the other
   python -m pipeline optimizer.adam.steps=500 seed=3         change values
-  python -m pipeline 'rotor.shaft.0.length=150 mm'           quantities carry their unit
+  python -m pipeline 'machine.rotor.shaft.0.length=150 mm'           quantities carry their unit
   python -m pipeline -m seed=1,2,3                           one job for each value
   python -m pipeline --cfg job experiment=NAME               see the whole configuration"""
 
@@ -66,7 +73,7 @@ def _table(rows: dict[str, str]) -> str:
 
 def _description(experiment: str) -> str:
     """The experiment's ``description``, read without the cost of a YAML parser."""
-    from pipeline.config.compose import CONF
+    from pipeline.config.loader import CONF
 
     text = (CONF / "experiment" / f"{experiment}.yaml").read_text(encoding="utf-8")
     found = re.search(r"^description: *[>|]?-?\s*(.+)$", text, re.MULTILINE)

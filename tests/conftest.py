@@ -110,6 +110,11 @@ def known_names(config: Config) -> tuple[str, ...]:
     return tuple(name for name in COEFFICIENTS if name not in config.identify.named())
 
 
+def with_machine(config: Config, **parts: object) -> Config:
+    """``config`` with other parts of its machine."""
+    return config.model_copy(update={"machine": config.machine.model_copy(update=parts)})
+
+
 @pytest.fixture(scope="session")
 def machine() -> MachineFactory:
     """``machine("experiment=NAME", ...)``: the machine of these overrides, made once a session."""
@@ -119,13 +124,13 @@ def machine() -> MachineFactory:
 @pytest.fixture(scope="session")
 def hydrostatic(machine: MachineFactory) -> Machine:
     """The two discs on fluid-film bearings, 60 speeds from 100 to 6000 rpm, three runs."""
-    return machine("experiment=hydrostatic_stiffness", "excitation.speeds.step_rpm=100")
+    return machine("experiment=hydrostatic_stiffness", "machine.speeds.step_rpm=100")
 
 
 @pytest.fixture(scope="session")
 def ball(machine: MachineFactory) -> Machine:
     """The disc on two ball bearings, 25 speeds from 100 to 6000 rpm, one run."""
-    return machine("experiment=ball_bearing", "excitation.speeds.step_rpm=245")
+    return machine("experiment=ball_bearing", "machine.speeds.step_rpm=245")
 
 
 @pytest.fixture

@@ -66,7 +66,7 @@ def test_the_compressor_on_one_journal_bearing(artifacts: Artifacts, tmp_path: P
 def test_a_backward_run_cures_the_compressor(tmp_path: Path) -> None:
     """Solved when one backward run is added."""
     # The other core has a worker of pytest's own.
-    staged("evaluate", NEGATIVE, tmp_path, "excitation=compressor_backward")
+    staged("evaluate", NEGATIVE, tmp_path, "machine=compressor_journal_and_isotropic_backward")
     metrics = json.loads((tmp_path / NEGATIVE / "metrics.json").read_text())["coefficients"]
     medians = {f"node {n} {key}": e["median_error_percent"] for n, of in metrics.items() for key, e in of.items()}
     print(medians)

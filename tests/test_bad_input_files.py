@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import examples, known_names, refused
+from conftest import examples, known_names, refused, with_machine
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -41,8 +41,8 @@ from pipeline.stages.results import load_identified
 SMALL = [
     "experiment=ball_bearing",
     "tracking=none",
-    *(f"excitation.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=500")),
-    "excitation.runs=[{name: one, unbalances: [{node: 1, magnitude: 1e-4}]},"
+    *(f"machine.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=500")),
+    "machine.runs=[{name: one, unbalances: [{node: 1, magnitude: 1e-4}]},"
     "{name: two, unbalances: [{node: 0, magnitude: 2e-4, phase: 1}]}]",
     "optimizer.adam.steps=3",
     "optimizer.levenberg_marquardt.steps=20",
@@ -279,7 +279,7 @@ def test_a_given_file_that_is_not_there(key: str, kind: str, base: Config, mine:
 
 def test_a_truncated_parquet_file(base: Config, mine: Path) -> None:
     """A Parquet file cut off anywhere is refused by training and by what looks at its marks."""
-    rotor, path = assemble(base.rotor), mine / "vibration.parquet"
+    rotor, path = assemble(base.machine.rotor), mine / "vibration.parquet"
     whole = path.read_bytes()
     lengths = {*range(0, len(whole), len(whole) // 80), *range(16), *(len(whole) - n for n in range(1, 16))}
     for length in sorted(lengths):
@@ -316,10 +316,10 @@ def test_marks_that_are_no_text(change: str, base: Config, mine: Path) -> None:
 
 def test_data_of_another_rotor(base: Config, mine: Path) -> None:
     """Vibration that was made for another shaft is refused, also where it is given as a data set."""
-    shaft = base.rotor.shaft[0].model_copy(update={"outer_diameter": 0.036})
-    other = base.model_copy(update={"rotor": base.rotor.model_copy(update={"shaft": (shaft,)})})
+    shaft = base.machine.rotor.shaft[0].model_copy(update={"outer_diameter": 0.036})
+    other = with_machine(base, rotor=base.machine.rotor.model_copy(update={"shaft": (shaft,)}))
     refused_by_train(other, mine, {}, "must have been made for this rotor", "made for another")
-    with refused("must have been generated from the configured rotor", "stage=generate"):
+    with refused("must have been generated from the configured machine", "stage=generate"):
         run(other, "train", mine)
 
 
@@ -327,8 +327,9 @@ def test_data_of_another_rotor(base: Config, mine: Path) -> None:
 def test_a_bearing_changed_since_generate(stage: str, base: Config, mine: Path) -> None:
     """Own data of another bearing are refused by every stage, and old results stay as they were."""
     before = contents(mine)
-    with refused("must have been generated from the configured rotor, bearings", "changed since"):
-        run(base, stage, mine, bearing=base.bearing.model_copy(update={"n_balls": 9}))
+    other = with_machine(base, bearings=base.machine.bearings.model_copy(update={"n_balls": 9}))
+    with refused("must have been generated from the configured machine", "changed since"):
+        run(other, stage, mine)
     assert contents(mine) == before
 
 
@@ -414,8 +415,8 @@ def test_fewer_runs_than_the_unknowns_need(base: Config, mine: Path) -> None:
 @pytest.mark.parametrize("stage", ["train", "evaluate", "robustness"])
 def test_fewer_runs_than_the_unknowns_need_in_a_configuration(stage: str, tmp_path: Path) -> None:
     """One run and eight unknowns: every stage refuses, and no result is left."""
-    overrides = [*SMALL, "excitation=one_unbalance", "model=network", f"identify.unknowns={[*EIGHT]}".replace("'", "")]
-    overrides = [text for text in overrides if not text.startswith("excitation.runs")]
+    overrides = [*SMALL, "model=network", f"identify.unknowns={[*EIGHT]}".replace("'", "")]
+    overrides = [text for text in overrides if not text.startswith("machine.runs")]
     with refused("the 1 run determine 4 of 8 unknowns", "force=true", kind=IdentifiabilityError):
         run(compose_config(overrides), stage, tmp_path / "x")
     assert not {"model.json", "metrics.json", "robustness.json"} & set(os.listdir(tmp_path / "x"))
@@ -721,7 +722,7 @@ def test_numbers_as_names_of_runs(base: Config, mine: Path) -> None:
     excitation = stored(pd.read_csv(mine / "excitation.csv").replace({"run": names}), mine / "e.csv")
     for ending in ("csv", "parquet"):
         path = stored(vibration, mine / f"v.{ending}")
-        dataset = read_dataset(path, excitation, assemble(base.rotor))
+        dataset = read_dataset(path, excitation, assemble(base.machine.rotor))
         assert dataset.runs == ("007", "NA")
 
 
@@ -766,14 +767,14 @@ def small(base: Config, mine: Path) -> Path:
     for name in ("vibration.parquet", "known_coefficients.csv"):
         read = pd.read_parquet if name.endswith("parquet") else pd.read_csv
         table = read(mine / name)
-        write_table(mine / name, table[table["speed_rpm"] <= 1000], assemble(base.rotor).fingerprint, "origin")
+        write_table(mine / name, table[table["speed_rpm"] <= 1000], assemble(base.machine.rotor).fingerprint, "origin")
     stored(pd.read_parquet(mine / "vibration.parquet"), mine / "vibration.csv")
     return mine
 
 
 def _dataset(folder: Path, base: Config, vibration: str = "vibration.parquet") -> VibrationDataset:
     origin_of(folder / vibration)
-    return read_dataset(folder / vibration, folder / "excitation.csv", assemble(base.rotor))
+    return read_dataset(folder / vibration, folder / "excitation.csv", assemble(base.machine.rotor))
 
 
 READERS: dict[str, Callable[[Path, Config], object]] = {
@@ -1027,7 +1028,8 @@ def test_data_generated_in_part_are_never_taken_for_whole_ones(
     files: int, base: Config, mine: Path, fails_after: Callable[[int, Callable[[], None]], None]
 ) -> None:
     """Where generate stopped between two files, training answers for the configured data, or refuses."""
-    changed = {"bearing": base.bearing.model_copy(update={"n_balls": 12})}
+    other = with_machine(base, bearings=base.machine.bearings.model_copy(update={"n_balls": 12}))
+    changed = {"machine": other.machine}
     whole = Path(shutil.copytree(mine, mine.parent / "whole"))
     run(base, "generate", whole, **changed)
     run(base, "train", whole, **changed)

@@ -20,7 +20,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.__main__ import Job, main
-from pipeline.config.compose import CONF, compose_config, composed_mapping, expanded, options, validated
+from pipeline.config.compose import compose_config, composed_mapping, expanded, validated
+from pipeline.config.loader import CONF, options
 from pipeline.config.schema import Config
 from pipeline.errors import ConfigError, DataError
 from pipeline.stages import STAGES
@@ -187,13 +188,13 @@ OVERRIDES = [
     (["experiment=null"], ["a file in conf/experiment", "but got null"]),
     (["+experiment=ball_bearing"], ["write 'experiment=ball_bearing'"]),
     (["model=konstant"], ["a file in conf/model", "did you mean 'constant'?"]),
-    (["rotor=5"], ["a file in conf/rotor", "but got 5"]),
+    (["machine=5"], ["a file in conf/machine", "but got 5"]),
     (["hydra/launcher=nothing"], ["an installed Hydra plugin", "'nothing'"]),
     (["optimizer.adam.stepz=3"], ["optimizer.adam has no 'stepz'", "did you mean 'steps'?"]),
     (["optimzer=adam"], ["has no 'optimzer'", "did you mean 'optimizer'?"]),
     (["adam.steps=3"], ["there is no 'adam.steps'", "did you mean 'optimizer.adam.steps'?"]),
     (["seed.x=1"], ["seed is a single value", "give seed=VALUE"]),
-    (["rotor.shaft.99.length=1"], ["rotor.shaft has the items 0 to", "not '99'"]),
+    (["machine.rotor.shaft.99.length=1"], ["machine.rotor.shaft has the items 0 to", "not '99'"]),
     (["aa=1", "~optimizer.sgd"], ["has no 'aa'", "optimizer has no 'sgd'"]),
     (["foo"], ["KEY=VALUE", "'foo'", "stage=train"]),
     (["train"], ["KEY=VALUE", "did you mean 'stage=train'?"]),
@@ -226,11 +227,14 @@ VALUES = [
         {"model.widht": 1},
         "model.widht: must be a key that the schema knows, but 'widht' is not; did you mean 'width'?",
     ),
-    ({"rotor.shaft.0.lenght": 1}, "rotor.shaft.0.lenght: must be a key"),
-    ({"rotor.shaft.0.length": "-3 mm"}, "rotor.shaft.0.length: must be greater than 0, but got '-3 mm'"),
+    ({"machine.rotor.shaft.0.lenght": 1}, "machine.rotor.shaft.0.lenght: must be a key"),
     (
-        {"rotor.shaft.0.length": "3 kg"},
-        "rotor.shaft.0.length: must convert to m (such as 150 mm), but got '3 kg'",
+        {"machine.rotor.shaft.0.length": "-3 mm"},
+        "machine.rotor.shaft.0.length: must be greater than 0, but got '-3 mm'",
+    ),
+    (
+        {"machine.rotor.shaft.0.length": "3 kg"},
+        "machine.rotor.shaft.0.length: must convert to m (such as 150 mm), but got '3 kg'",
     ),
     ({"seed": "x"}, "seed: must be a valid integer, but got 'x'"),
     ({"seed": 1.5}, "seed: must be a valid integer, but got 1.5"),
@@ -244,11 +248,14 @@ VALUES = [
         {"model.activation": "tnh"},
         "model.activation: must be one of these, but got 'tnh'; did you mean 'tanh'?",
     ),
-    ({"bearing.kind": "bal"}, "bearing.kind: must be one of these, but got 'bal'; did you mean 'ball'?"),
-    ({"bearing": {}}, "bearing.kind: must be given, but is missing"),
+    (
+        {"machine.bearings.kind": "bal"},
+        "machine.bearings.kind: must be one of these, but got 'bal'; did you mean 'ball'?",
+    ),
+    ({"machine.bearings": {}}, "machine.bearings.kind: must be given, but is missing"),
     ({"optimizer": {}}, "optimizer.adam: must be given, but is missing"),
     ({"optimizer": "x" * 500}, "optimizer: must be a group of keys, but got 'xxxxx"),
-    ({"bearing": 5}, "bearing: must be a group of keys, but got 5"),
+    ({"machine.bearings": 5}, "machine.bearings: must be a group of keys, but got 5"),
     ({"identify.unknowns": "kxx"}, "identify.unknowns: must be a list, but got 'kxx'"),
 ]
 
@@ -295,10 +302,10 @@ def test_a_wrong_item_does_not_make_its_list_too_short(changes: dict[str, Any]) 
 
 def test_a_broken_file_in_conf_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "config.yaml").write_text("defaults: [_self_]\nseed: [1\n")
-    monkeypatch.setattr("pipeline.config.compose.CONF", tmp_path)
+    monkeypatch.setattr("pipeline.config.loader.CONF", tmp_path)
     with pytest.raises(ConfigError, match=r"config\.yaml"):
         compose_config([])
-    monkeypatch.setattr("pipeline.config.compose.CONF", tmp_path / "nothing")
+    monkeypatch.setattr("pipeline.config.loader.CONF", tmp_path / "nothing")
     with pytest.raises(ConfigError, match="conf/ must lie beside the package"):
         compose_config([])
 
@@ -306,8 +313,10 @@ def test_a_broken_file_in_conf_is_named(monkeypatch: pytest.MonkeyPatch, tmp_pat
 @pytest.mark.slow
 @examples(12)
 @given(
-    key=st.sampled_from(["seed", "+seed", "~seed", "rotor", "model.kind", "stage", "experiment", "rotor.shaft.0", ""]),
-    value=st.sampled_from(["", "null", "[]", "[1]", "{a: 1}", "${rotor}", "${"]) | st.text(max_size=8),
+    key=st.sampled_from(
+        ["seed", "+seed", "~seed", "machine", "model.kind", "stage", "experiment", "machine.rotor.shaft.0", ""]
+    ),
+    value=st.sampled_from(["", "null", "[]", "[1]", "{a: 1}", "${machine}", "${"]) | st.text(max_size=8),
 )
 def test_any_override_composes_or_is_refused_with_a_sentence(key: str, value: str) -> None:
     with contextlib.suppress(ConfigError):
@@ -476,7 +485,7 @@ def test_each_job_has_a_folder_named_by_what_was_swept(
         (["seed=3", "+threads=2"], ["out"]),
         (["seed=1,2", "hydra.sweep.dir=x"], ["out/seed-1", "out/seed-2"]),
         (["name=a,b", "seed=range(1,3)"], ["out/seed-1", "out/seed-2"] * 2),
-        (["rotor=one_disc,two_discs", "seed=7"], ["out/rotor-one_disc", "out/rotor-two_discs"]),
+        (["machine=one_disc,two_discs", "seed=7"], ["out/machine-one_disc", "out/machine-two_discs"]),
         (["experiment=glob(ball*)"], ["out"]),
     ],
 )
@@ -495,7 +504,7 @@ def test_the_stages_of_an_experiment_share_its_folder(runs: list[Config]) -> Non
 
 
 def test_values_that_are_no_file_names_get_folders_of_their_own(runs: list[Config]) -> None:
-    lengths = "rotor.shaft.0.length=150 mm,150/mm,'150:mm'"
+    lengths = "machine.rotor.shaft.0.length=150 mm,150/mm,'150:mm'"
     jobs, fixed = expanded([lengths, "seed=3"])
     folders = [Job(True, fixed, len(jobs)).folder("out", job) for job in jobs]
     assert len(set(folders)) == len(jobs) == 3

@@ -14,11 +14,11 @@ from pipeline.methods.catalogue import METHODS
 from pipeline.methods.method import Reason, Refusal
 
 EXACT = 1e-6  # percent
-FILM = ("experiment=hydrostatic_stiffness", "excitation.speeds.step_rpm=100")
+FILM = ("experiment=hydrostatic_stiffness", "machine.speeds.step_rpm=100")
 BALLS = ("experiment=ball_bearing",)
-BLOWS = ("experiment=impulses", "excitation.speeds.step_rpm=500")
-EIGHT = ("experiment=all_coefficients_backward", "excitation.speeds.step_rpm=200")
-FORWARD = ("experiment=all_coefficients", "excitation.speeds.step_rpm=200")
+BLOWS = ("experiment=impulses", "machine.speeds.step_rpm=500")
+EIGHT = ("experiment=all_coefficients_backward", "machine.speeds.step_rpm=200")
+FORWARD = ("experiment=all_coefficients", "machine.speeds.step_rpm=200")
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,11 @@ def test_the_same_bits_from_the_same_seed(method: str) -> None:
 
 
 BALANCED = "identify.unbalance_planes=[2]"
-ONE_RUN = (*FORWARD, "excitation=one_unbalance", "excitation.speeds.step_rpm=200")
+ONE_RUN = (
+    *FORWARD,
+    "machine.runs=[{name: disc, unbalances: [{node: 1, magnitude: 100 g mm}]}]",
+    "machine.speeds.step_rpm=200",
+)
 BY_EQUATIONS = ("least_squares", "tikhonov", "total_least_squares", "residual", "preconditioned")
 REFUSED = [
     *((m, Case(0.0, "location", 60), Reason.BEARINGS_NOT_MEASURED, FILM) for m in BY_EQUATIONS),
@@ -96,7 +100,7 @@ REFUSED = [
     ("kriging", Case(0.0, "all", 60), Reason.TOO_MANY_UNKNOWNS, (*FILM, "identify.unknowns=[kxx,kyy,cxx,cyy]")),
     ("critical_speeds", Case(0.0, "all", 60), Reason.NOT_CONSTANT, FILM),
     ("critical_speeds", Case(0.0, "all", 60), Reason.STIFFNESS_ALONE, (*FILM, "identify.unknowns=[kxx,cxx]")),
-    ("critical_speeds", Case(0.0, "all", 60), Reason.NO_CRITICAL_SPEED, (*BALLS, "excitation.speeds.stop_rpm=2000")),
+    ("critical_speeds", Case(0.0, "all", 60), Reason.NO_CRITICAL_SPEED, (*BALLS, "machine.speeds.stop_rpm=2000")),
 ]
 
 

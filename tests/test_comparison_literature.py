@@ -19,11 +19,11 @@ from pipeline.rotor.model import RotorModel, translation_dof
 
 pytestmark = pytest.mark.slow
 
-BACKWARD = ("experiment=all_coefficients_backward", "excitation.speeds.step_rpm=200")
-FORWARD = ("experiment=all_coefficients", "excitation.speeds.step_rpm=200")
-FILM = ("experiment=hydrostatic_stiffness", "excitation.speeds.step_rpm=100")
+BACKWARD = ("experiment=all_coefficients_backward", "machine.speeds.step_rpm=200")
+FORWARD = ("experiment=all_coefficients", "machine.speeds.step_rpm=200")
+FILM = ("experiment=hydrostatic_stiffness", "machine.speeds.step_rpm=100")
 BALLS = ("experiment=ball_bearing",)
-BLOWS = ("experiment=impulses", "excitation.speeds.step_rpm=500")
+BLOWS = ("experiment=impulses", "machine.speeds.step_rpm=500")
 
 
 @pytest.mark.parametrize("method", ["least_squares", "tikhonov", "total_least_squares"])

@@ -31,7 +31,7 @@ from pipeline.problem.residual import bearing_equations, linear_residual
 from pipeline.reporting.comparison_tables import Comparison, noise_text
 from pipeline.stages.compare import modelled_machine
 
-FEW = ("experiment=hydrostatic_stiffness", "excitation.speeds.step_rpm=500")
+FEW = ("experiment=hydrostatic_stiffness", "machine.speeds.step_rpm=500")
 FAST = [
     "comparison.methods=[least_squares,kalman,multi_frequency]",
     "comparison.noise=[0,0.01]",
@@ -192,7 +192,7 @@ def test_a_mistake_is_said_in_a_sentence(
 
 
 OTHERS = ["compressor_journal_and_isotropic", "compressor_two_journals"]
-FIVE_SPEEDS = [f"excitation.speeds.{key}" for key in ("start_rpm=800", "stop_rpm=4000", "step_rpm=800")]
+FIVE_SPEEDS = [f"machine.speeds.{key}" for key in ("start_rpm=800", "stop_rpm=4000", "step_rpm=800")]
 FEW_STEPS = [
     f"comparison.{loss}.optimizer.levenberg_marquardt.steps=20" for loss in ("residual", "preconditioned", "response")
 ]
@@ -309,5 +309,5 @@ def test_impulses_give_all_coefficients_and_the_unbalance(artifacts: Artifacts) 
     assert max(of["median_error_percent"] for found in metrics.values() for of in found.values()) < 0.8
     table = artifacts("impulses", "residual_unbalance.csv") / "residual_unbalance.csv"
     found = pd.read_csv(table).set_index("node")["magnitude"]
-    hidden = {one.node: one.magnitude for one in config.excitation.residual}
+    hidden = {one.node: one.magnitude for one in config.machine.residual_unbalance}
     assert all(abs(found[node] / size - 1) < 0.01 for node, size in hidden.items())

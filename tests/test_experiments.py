@@ -11,7 +11,8 @@ import pandas as pd
 import pytest
 from conftest import Artifacts
 
-from pipeline.config.compose import compose_config, options
+from pipeline.config.compose import compose_config
+from pipeline.config.loader import options
 from pipeline.evaluation.thresholds import check_experiment, read_rules
 from pipeline.stages import check, run_stage
 

@@ -76,6 +76,20 @@ def test_the_deps_of_a_stage_are_what_it_imports(name: str) -> None:
     assert idle == []
 
 
+@pytest.mark.parametrize("name", [name for name in STAGES if "params" in STAGES[name]])
+def test_the_params_of_a_stage_are_keys_of_the_configuration(name: str) -> None:
+    """As `configure` writes it: a key that is not there would be a change that nobody sees."""
+    from pipeline.config.compose import compose_config
+
+    mapping = compose_config(["experiment=hydrostatic_stiffness"]).model_dump(mode="json") | {"rotor_file": ""}
+    for of in STAGES[name]["params"]:
+        for key in next(iter(of.values())):
+            node = mapping
+            for part in key.split("."):
+                assert part in node, key
+                node = node[part]
+
+
 def test_a_changed_dataset_makes_every_fit_anew() -> None:
     """The case that was once missed: stale fits after a change of the data's own module."""
     for name in ("generate", "ingest", "train", "evaluate", "robustness", "compare"):

@@ -38,7 +38,7 @@ from pipeline.stages import run_stage
 from pipeline.unknowns import BearingUnknowns, UnknownSet, unknown_set
 
 EIGHT = "identify.unknowns=[kxx,kxy,kyx,kyy,cxx,cxy,cyx,cyy]"
-FEW = ("excitation.speeds.start_rpm=500", "excitation.speeds.step_rpm=250")
+FEW = ("machine.speeds.start_rpm=500", "machine.speeds.step_rpm=250")
 UNBALANCES = tuple(
     Excitation(run, "unbalance", node, 1e-4, phase)
     for run, node, phase in (("a", 2, 0.0), ("b", 4, 0.0), ("c", 2, 0.0), ("c", 4, 1.5), ("d", 4, 2.5), ("d", 1, 0.3))
@@ -166,7 +166,7 @@ def test_the_free_combination_changes_nothing_that_is_measured(rotor_of: Machine
 @pytest.mark.slow
 def test_verdicts_of_the_compressor(machine: MachineFactory) -> None:
     """The journal bearing can't be identified; the isotropic one can, by its structure; a backward run cures."""
-    made = machine("experiment=compressor_journal_and_isotropic", "excitation.speeds.step_rpm=200")
+    made = machine("experiment=compressor_journal_and_isotropic", "machine.speeds.step_rpm=200")
     setup = setup_of(made.config)
     with pytest.raises(
         IdentifiabilityError, match=r"bearing at node 8: not identifiable, because .*rank 1 of 2.*backward"
@@ -178,8 +178,8 @@ def test_verdicts_of_the_compressor(machine: MachineFactory) -> None:
     assert isotropic.verdict is Verdict.IDENTIFIABLE
     cured = machine(
         "experiment=compressor_journal_and_isotropic",
-        "excitation=compressor_backward",
-        "excitation.speeds.step_rpm=200",
+        "machine=compressor_journal_and_isotropic_backward",
+        "machine.speeds.step_rpm=200",
     )
     for account in reports_of(cured):
         assert account.verdict is Verdict.IDENTIFIABLE
@@ -360,7 +360,7 @@ def test_asynchronous_data_are_identified(machine: MachineFactory) -> None:
         "{name: b, forces: [{node: 4, magnitude: 10}], frequency_ratio: 0.4}, "
         "{name: c, forces: [{node: 2, magnitude: 5, whirl: backward}], frequency_hz: 30}]"
     )
-    made = machine("experiment=all_coefficients", *FEW, f"excitation.runs={runs}")
+    made = machine("experiment=all_coefficients", *FEW, f"machine.runs={runs}")
     assert made.dataset.frequencies.shape == (len(made.speeds), 3)
     np.testing.assert_allclose(made.dataset.frequencies[:, 2], 60 * np.pi)
     system = linear_residual(made.equations, everything((1, 5)), made.bearings)
@@ -379,7 +379,7 @@ def test_frequencies_go_through_the_files(machine: MachineFactory, tmp_path: Pat
         "[{name: a, unbalances: [{node: 2, magnitude: 1e-4}]}, "
         "{name: b, forces: [{node: 4, magnitude: 10}], frequency_hz: 40}]"
     )
-    made = machine("experiment=all_coefficients", *FEW, f"excitation.runs={runs}")
+    made = machine("experiment=all_coefficients", *FEW, f"machine.runs={runs}")
     vibration, excitation = tmp_path / "v.csv", tmp_path / "e.csv"
     write_vibration(vibration, made.dataset, made.rotor)
     write_excitation(excitation, made.dataset)
@@ -405,7 +405,7 @@ def staged(stage: str, folder: Path, *overrides: str) -> Config:
 @pytest.mark.slow
 def test_diagnose_writes_its_account(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """JSON, a table with a row a bearing and speed, a figure; the verdict. No modelled coefficient is read."""
-    chosen = ("experiment=compressor_journal_and_isotropic", "excitation.speeds.step_rpm=300")
+    chosen = ("experiment=compressor_journal_and_isotropic", "machine.speeds.step_rpm=300")
     staged("generate", tmp_path / "my data", *chosen)
     (tmp_path / "my data" / "modelled_coefficients.csv").unlink()
     staged("diagnose", tmp_path / "my data", *chosen)
@@ -425,7 +425,7 @@ def test_diagnose_writes_its_account(tmp_path: Path, capsys: pytest.CaptureFixtu
 @pytest.mark.slow
 def test_training_of_what_is_not_identifiable(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """It stops with the sentence, and force=true goes on with the same sentence as a line."""
-    chosen = ("experiment=compressor_journal_and_isotropic", "excitation.speeds.step_rpm=300")
+    chosen = ("experiment=compressor_journal_and_isotropic", "machine.speeds.step_rpm=300")
     with pytest.raises(IdentifiabilityError, match=r"node 8: not identifiable, .*rank 1 of 2.*force=true"):
         staged("train", tmp_path / "x", *chosen)
     assert not (tmp_path / "x" / "model.json").exists()
@@ -444,29 +444,30 @@ def test_design_beats_the_papers_runs_and_simulations_confirm_it(
     summary = json.loads((folder / "design.json").read_text())
     print(f"gain {summary['gain']:.3g}, in simulations {summary['simulated_gain']:.3g}")
     assert summary["stated_noise"] == {"additive": 0.0, "multiplicative": 0.001}
-    assert len(summary["runs"]) == len(compose_config(["experiment=all_coefficients"]).excitation.runs)
+    assert len(summary["runs"]) == len(compose_config(["experiment=all_coefficients"]).machine.runs)
     assert summary["gain"] >= 3
     assert summary["simulated_gain"] == pytest.approx(summary["gain"], rel=0.2)
-    assert "excitation.file=" in capsys.readouterr().out
+    assert "machine.runs_file=" in capsys.readouterr().out
 
 
 @pytest.mark.slow
 def test_a_design_can_be_used_at_once(tmp_path: Path) -> None:
-    """``excitation.file`` takes it; an excitation that is none is refused by name."""
-    few = ("experiment=all_coefficients", "excitation.speeds.step_rpm=500", "design.speeds=5", "design.simulations=0")
+    """``machine.runs_file`` takes it; a file that holds something else is refused by name."""
+    few = ("experiment=all_coefficients", "machine.speeds.step_rpm=500", "design.speeds=5", "design.simulations=0")
     staged("design", tmp_path / "a", *few)
     file = tmp_path / "a" / "designed_excitation.yaml"
-    config = compose_config(["experiment=all_coefficients", f"excitation.file='{file}'"])
-    assert [run.name for run in config.excitation.runs] == json.loads((tmp_path / "a" / "design.json").read_text())[
-        "runs"
-    ]
-    assert config.excitation.speeds.step_rpm == 500
-    staged("generate", tmp_path / "b", "experiment=all_coefficients", f"excitation.file='{file}'")
+    config = compose_config(["experiment=all_coefficients", f"machine.runs_file='{file}'"])
+    assert [run.name for run in config.machine.runs] == json.loads((tmp_path / "a" / "design.json").read_text())["runs"]
+    assert config.machine.speeds.step_rpm == 500
+    staged("generate", tmp_path / "b", "experiment=all_coefficients", f"machine.runs_file='{file}'")
     (tmp_path / "c.yaml").write_text("- 1")
-    with pytest.raises(ConfigError, match=r"excitation\.file must have speeds and runs"):
-        compose_config([f"excitation.file='{tmp_path / 'c.yaml'}'"])
-    with pytest.raises(ConfigError, match=r"excitation\.file must be an excitation such as stage=design writes"):
-        compose_config([f"excitation.file='{tmp_path / 'd.yaml'}'"])
+    with pytest.raises(ConfigError, match=r"machine\.runs_file must have speeds and runs"):
+        compose_config([f"machine.runs_file='{tmp_path / 'c.yaml'}'"])
+    (tmp_path / "e.yaml").write_text(file.read_text() + "rotor: {file: x}\n")
+    with pytest.raises(ConfigError, match=r"nothing else, but '.*e\.yaml' has speeds, runs, rotor"):
+        compose_config([f"machine.runs_file='{tmp_path / 'e.yaml'}'"])
+    with pytest.raises(ConfigError, match=r"machine\.runs_file must be speeds and runs such as stage=design writes"):
+        compose_config([f"machine.runs_file='{tmp_path / 'd.yaml'}'"])
 
 
 def test_the_best_set_of_runs_is_found(rng: np.random.Generator) -> None:

@@ -18,7 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.config.compose import compose_config, options
+from pipeline.config.compose import compose_config
 from pipeline.config.identification import (
     AdamConfig,
     LBFGSConfig,
@@ -28,6 +28,7 @@ from pipeline.config.identification import (
     OptimizerConfig,
     TrainingConfig,
 )
+from pipeline.config.loader import options
 from pipeline.errors import DataError, IdentifiabilityError
 from pipeline.identification.fit import fit
 from pipeline.identification.identified import IdentifiedModel

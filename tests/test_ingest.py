@@ -32,14 +32,15 @@ from measured_files import (
 from pydantic import TypeAdapter, ValidationError
 
 from pipeline.__main__ import main
-from pipeline.config.compose import CONF, compose_config, composed_mapping, options, validated
-from pipeline.config.ingest import IngestConfig
+from pipeline.config.compose import compose_config, composed_mapping, validated
+from pipeline.config.loader import options
+from pipeline.config.measured import unbalance_phase
+from pipeline.config.recordings import RecordingsConfig
 from pipeline.config.schema import Config
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.tables import TextFormat, read_table
 from pipeline.data.vibration_files import read_dataset, write_excitation, write_vibration
 from pipeline.errors import ConfigError
-from pipeline.ingest.conventions import unbalance_phase
 from pipeline.ingest.dataset import measurement
 from pipeline.ingest.known import read_known
 from pipeline.ingest.plausibility import size_notes, whirl_notes
@@ -69,7 +70,7 @@ RUNS = [{"name": "one", "unbalances": [DISC]}, {"name": "two", "unbalances": [DI
 
 def parsed(mapping: dict[str, Any]) -> Any:
     """The section ``ingest`` as the schema makes it."""
-    return TypeAdapter(IngestConfig).validate_python(mapping)
+    return TypeAdapter(RecordingsConfig).validate_python(mapping)
 
 
 def read(mapping: dict[str, Any]) -> VibrationDataset:
@@ -144,7 +145,7 @@ MISSING = ["length", "amplitude", "phase", "phase_unit", "speed"]
 def test_a_missing_convention_is_refused_by_name(convention: str) -> None:
     """Nothing is guessed, and nothing has a default."""
     said = {key: value for key, value in CONVENTIONS.items() if key != convention}
-    with refused(f"ingest.conventions.{convention}: must be given", kind=ConfigError):
+    with refused(f"machine.recordings.conventions.{convention}: must be given", kind=ConfigError):
         with_ingest(table_config([RUNS[0] | {"file": "a.csv"}], conventions=said))
 
 
@@ -155,7 +156,9 @@ def _mapping() -> str:
 
 def with_ingest(section: dict[str, Any], **more: Any) -> Config:
     """The configuration of ball_bearing with a section ``ingest``."""
-    return validated(json.loads(_mapping()) | {"ingest": section, "stage": "ingest"} | more)
+    mapping = json.loads(_mapping())
+    mapping["machine"]["recordings"] = section
+    return validated(mapping | {"stage": "ingest"} | more)
 
 
 ONE = RUNS[0] | {"file": "a.csv"}
@@ -208,7 +211,7 @@ BAD_CONFIG: dict[str, tuple[dict[str, Any], str]] = {
     "no columns": (table_config([ONE], probes=probes_config()), "probe 'A' must have columns in the wide layout"),
     "no phase of an unbalance": (
         table_config([{"name": "one", "file": "a", "unbalances": [{"node": 1, "magnitude": "1 g mm"}]}]),
-        "ingest.runs.0.unbalances.0.phase: must be given",
+        "machine.recordings.runs.0.unbalances.0.phase: must be given",
     ),
     "unbalances at a frequency of their own": (
         table_config([ONE | {"frequency_hz": 30}]),
@@ -247,7 +250,7 @@ BAD_CONFIG: dict[str, tuple[dict[str, Any], str]] = {
         waves(tacho={"channel": "tacho", "edge": "rising", "pulses_per_revolution": 20}),
         "must give mark_channel where there are 20 pulses a revolution",
     ),
-    "no edge": (waves(tacho={"channel": "tacho"}), "ingest.tacho.edge: must be given"),
+    "no edge": (waves(tacho={"channel": "tacho"}), "machine.recordings.tacho.edge: must be given"),
     "two clocks": (waves(sample_rate_attribute="fs"), "must give at most one of time, sample_rate and"),
     "no unit of time": (waves(sample_rate=None, time="t"), "must give time_unit"),
     "several files of a run-up": (
@@ -264,17 +267,17 @@ BAD_CONFIG: dict[str, tuple[dict[str, Any], str]] = {
 def test_a_configuration_that_says_too_little(case: str) -> None:
     """The key, the law, what came."""
     section, words = BAD_CONFIG[case]
-    with refused(words, "ingest", kind=ConfigError):
+    with refused(words, "machine.recordings", kind=ConfigError):
         with_ingest(section)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", options("ingest"))
-def test_the_examples_are_configurations(name: str) -> None:
-    """Each file of conf/ingest fits the schema, and again after it was one."""
-    config = compose_config([f"ingest={name}"])
-    assert Config.model_validate(config.model_dump()) == config
-    assert (CONF / "ingest" / f"{name}.yaml").read_text().startswith("# ")
+@pytest.mark.parametrize("name", options("machine"))
+def test_the_machines_are_configurations(name: str) -> None:
+    """Each file of conf/machine fits the schema, and again after it was one; alone it has its own name."""
+    config = compose_config([f"machine={name}"])
+    assert config.name == name
+    assert Config.model_validate(config.model_dump()).model_copy(update={"chosen_by": config.chosen_by}) == config
 
 
 # --- tables ---------------------------------------------------------------------------------------------
@@ -383,10 +386,14 @@ BAD_TABLES: dict[str, tuple[Damage, str, str]] = {
     "binary": (lambda t: "\x00\x01\x02", "must", ""),
     "other speeds": (
         lambda t: t.iloc[:-2],
-        "all runs must have the same speeds where ingest.speeds is null",
+        "all runs must have the same speeds where machine.recordings.speeds is null",
         "all of them cover 500 to 2500 rpm",
     ),
-    "far speeds": (lambda t: t.assign(speed=t["speed"] * 1.01), "must have the same speeds", "give ingest.speeds="),
+    "far speeds": (
+        lambda t: t.assign(speed=t["speed"] * 1.01),
+        "must have the same speeds",
+        "give machine.recordings.speeds=",
+    ),
     "a row cut off": (lambda t: t.to_csv(index=False)[:-60], "must", ""),
 }
 
@@ -430,7 +437,7 @@ def test_runs_of_a_long_table_and_of_the_configuration(tmp_path: Path) -> None:
     """A run without an excitation, and an excitation without its run."""
     path = tmp_path / "all.csv"
     long({name: seen(turn) for name, turn in TURNS.items()} | {"three": seen()}).to_csv(path, index=False)
-    with refused("'three' is not among them", "ingest.leave_out"):
+    with refused("'three' is not among them", "machine.recordings.leave_out"):
         read(table_config(RUNS, "long", file=str(path)))
     with refused("must have rows of run 'onee'", "did you mean 'one'?"):
         more = [*RUNS, {"name": "onee", "unbalances": [DISC]}]
@@ -535,7 +542,7 @@ def test_slow_roll_runout_is_subtracted(tmp_path: Path) -> None:
     }
     explicit = {"vectors": given, "amplitude": "peak_to_peak", "phase": "lag"}
     check_read(read(table_config(runs, speeds=speeds, slow_roll=explicit)), 1e-9)
-    with refused("run 'one' must have speeds below ingest.slow_roll.below_rpm=50", "the lowest is 100 rpm"):
+    with refused("run 'one' must have speeds below machine.recordings.slow_roll.below_rpm=50", "the lowest is 100 rpm"):
         read(table_config(runs, speeds=speeds, slow_roll={"below_rpm": 50}))
 
 
@@ -600,8 +607,8 @@ def test_what_a_universal_file_says_otherwise_is_warned_of(tmp_path: Path) -> No
     """Labels of length and speed, dataset 164, and numbers per force: the configuration is followed."""
     labelled = uff_sets(ordinate_axis_units_lab="mm", abscissa_axis_units_lab="Hz", orddenom_spec_data_type=13)
     words = notes(uff_config(write_uff(tmp_path / "a.uff", labelled)))
-    assert "its lengths are in 'mm', and ingest.conventions.length is um" in words
-    assert "its abscissa is in Hz, and ingest.conventions.speed is rpm" in words
+    assert "its lengths are in 'mm', and machine.recordings.conventions.length is um" in words
+    assert "its abscissa is in Hz, and machine.recordings.conventions.speed is rpm" in words
     assert "is per force" in words
     units = {"type": 164, "units_code": 5, "length": 1000.0, "force": 1000.0, "temp": 1.0, "temp_offset": 0.0}
     words = notes(uff_config(write_uff(tmp_path / "b.uff", [units, *uff_sets()])))
@@ -749,7 +756,7 @@ def test_slow_roll_of_a_run_up(tmp_path: Path) -> None:
     true = response(2, 0.0, TRACKED)[0]
     low = response(2, 0.0, np.linspace(300, 420, 10))[0].mean()
     assert np.abs(found.displacement[:, 2, 0] - (true - low)).max() < 0.1e-6
-    with refused("must have data below ingest.slow_roll.below_rpm=250", "windows fit from"):
+    with refused("must have data below machine.recordings.slow_roll.below_rpm=250", "windows fit from"):
         read(signal_config("", runs, slow_roll={"below_rpm": 250}))
 
 
@@ -834,7 +841,7 @@ BAD_SIGNALS: dict[str, tuple[Change, dict[str, Any], str]] = {
     "not the range": (
         lambda c: c,
         {"speeds": {"start_rpm": 800, "stop_rpm": 3500, "step_rpm": 100}},
-        "must cover ingest.speeds (800 to 3500 rpm) with windows of 8 revolutions, but it covers",
+        "must cover machine.recordings.speeds (800 to 3500 rpm) with windows of 8 revolutions, but it covers",
     ),
     "a speed that changes": (lambda c: c, {"records": "constant_speed"}, "must have a constant speed (to 1 %)"),
     "a table in a channel": (
@@ -897,7 +904,7 @@ def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def ball_tables(machine: MachineFactory, tmp_path: Path) -> Path:
     """The vibration of the modelled ball-bearing rotor at its bearings, a long table, and its known coefficients."""
-    made = machine("experiment=ball_bearing", "excitation.speeds.step_rpm=245", TWO)
+    made = machine("experiment=ball_bearing", "machine.speeds.step_rpm=245", TWO)
     rpm = made.speeds / RPM
     frames = {}
     for r, run in enumerate(made.runs):
@@ -912,7 +919,7 @@ def ball_tables(machine: MachineFactory, tmp_path: Path) -> Path:
 
 
 TWO = (
-    "excitation.runs=[{name: one, unbalances: [{node: 1, magnitude: 1e-4}]},"
+    "machine.runs=[{name: one, unbalances: [{node: 1, magnitude: 1e-4}]},"
     "{name: two, unbalances: [{node: 1, magnitude: 2e-4, phase: 1}]}]"
 )
 BALL_RUNS = [
@@ -1002,7 +1009,7 @@ def test_units_that_the_model_contradicts_are_warned_of(
     warned = capsys.readouterr().err
     assert "times smaller than the rotor's on bearings of" in warned
     assert "the orbits of run 'one' turn backward at" in warned
-    made = machine("experiment=ball_bearing", "excitation.speeds.step_rpm=245", TWO)
+    made = machine("experiment=ball_bearing", "machine.speeds.step_rpm=245", TWO)
     assert size_notes(made.dataset, made.rotor, 1e7, 1e3) == []
     assert whirl_notes(made.dataset) == []
 
@@ -1016,7 +1023,7 @@ def test_without_known_coefficients_it_says_what_training_needs(
     section = ball_section(ball_tables, known=None)
     run_stage(with_ingest(section, output=str(out)))
     assert not (out / "known_coefficients.csv").exists()
-    assert "give their table as ingest.known" in capsys.readouterr().out
+    assert "give their table as machine.recordings.known" in capsys.readouterr().out
     mapping = json.loads(_mapping())
     mapping["identify"]["unknowns"] = ["kxx", "kyy", *KNOWN]
     run_stage(with_ingest(section, output=str(out), identify=mapping["identify"]))
@@ -1047,12 +1054,15 @@ def test_known_coefficients_at_other_speeds(tmp_path: Path) -> None:
 def test_nothing_to_read_and_nodes_that_the_rotor_lacks(ball_tables: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The next step is named; exit code 2 on the command line."""
     assert main(["stage=ingest", "experiment=ball_bearing", "tracking=none", f"output={ball_tables}/x"]) == 2
-    assert "ingest must say what to read, but ingest.format is none: choose ingest=table" in capsys.readouterr().err
+    assert (
+        "ingest must have recordings to read, but machine.recordings.format is none: say in a machine file"
+        in capsys.readouterr().err
+    )
     probes = probes_config({"A": (7, 0.0), "B": (7, 90.0)})
-    with refused("ingest.probes must use nodes 0 to 2 of the rotor, but got node 7", kind=ConfigError):
+    with refused("machine.recordings.probes must use nodes 0 to 2 of the rotor, but got node 7", kind=ConfigError):
         run_stage(with_ingest(ball_section(ball_tables, probes=probes), output=str(ball_tables / "x")))
     heavy = [run | {"unbalances": [run["unbalances"][0] | {"node": 9}]} for run in BALL_RUNS]
-    with refused("ingest.runs, run 'one', must use nodes 0 to 2", kind=ConfigError):
+    with refused("machine.recordings.runs, run 'one', must use nodes 0 to 2", kind=ConfigError):
         run_stage(with_ingest(ball_section(ball_tables, runs=heavy), output=str(ball_tables / "x")))
     assert not (ball_tables / "x").exists()
 

@@ -33,7 +33,7 @@ from measured_files import (
 )
 from pydantic import TypeAdapter
 
-from pipeline.config.ingest import IngestConfig
+from pipeline.config.recordings import RecordingsConfig
 from pipeline.errors import ConfigError, DataError
 from pipeline.ingest.dataset import Measurement, measurement
 
@@ -45,7 +45,7 @@ RUN = {"name": "one", "unbalances": [{"node": 1, "magnitude": "20 g mm", "phase"
 
 def read(section: dict[str, Any]) -> Measurement:
     """What a section ``ingest`` gives."""
-    return measurement(TypeAdapter(IngestConfig).validate_python(section))
+    return measurement(TypeAdapter(RecordingsConfig).validate_python(section))
 
 
 # --- what is written in any convention is read back -------------------------------------------------------

@@ -32,7 +32,7 @@ ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT), "TERM": "xterm", "COLUMNS":
 COARSE = [
     "experiment=ball_bearing",
     "tracking=none",
-    *(f"excitation.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=500")),
+    *(f"machine.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=500")),
     "robustness.count=3",
 ]
 LONG = ["optimizer=adam", "optimizer.adam.steps=100000000", "optimizer.adam.patience=100000000"]

@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[1]
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT)}
 CHEAP = [
     "tracking=none",
-    *(f"excitation.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=500")),
+    *(f"machine.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=500")),
     *("optimizer.adam.steps=10", "optimizer.levenberg_marquardt.steps=0"),
 ]
 # As a network of the speed, which begins elsewhere for each seed; single parameters all begin at the same guess.

@@ -39,7 +39,7 @@ def folder(request: pytest.FixtureRequest, artifacts: Artifacts, tmp_path_factor
     made = tmp_path_factory.mktemp(request.param)
     for stage in ("ingest", "train", "evaluate", "predict"):
         given = [f"stage={stage}", "experiment=measured_demo", "tracking=none", f"output='{made}'"]
-        run_stage(compose_config([*given, "ingest=measured_demo_table"]))
+        run_stage(compose_config([*given, "machine=measured_demo_table"]))
     return made
 
 

@@ -23,7 +23,7 @@ OLD_PROCESSOR = {
     "NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX512_ICL AVX512_SPR",
 }
 """Kernels without AVX, which every x86-64 processor has. NumPy warns of features that the processor lacks anyway."""
-SPEEDS = [f"excitation.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=100")]
+SPEEDS = [f"machine.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=100")]
 SMALL = {
     "ball_bearing": SPEEDS,
     "hydrostatic_stiffness": [*SPEEDS, "model.width=8"],

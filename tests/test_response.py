@@ -28,7 +28,7 @@ BACKWARD = Excitation("shaker", "force", 2, 10.0, 0.3, "backward")
 @pytest.fixture(scope="module")
 def rotor_of(machine: MachineFactory) -> Machine:
     """The hydrostatic rotor at 60 speeds."""
-    return machine("experiment=noisy_stiffness", "excitation.speeds.step_rpm=100")
+    return machine("experiment=noisy_stiffness", "machine.speeds.step_rpm=100")
 
 
 def noisy(machine: Machine, noise: float, seed: int, *more: Excitation) -> VibrationDataset:

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from benchmarks.machines import refined
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.config.compose import options
-from pipeline.config.machine import RotorConfig
+from pipeline.config.loader import options
+from pipeline.config.rotor import RotorConfig
 from pipeline.data.dataset import Excitation, force_vectors
 from pipeline.data.simulate import forced_response
 from pipeline.errors import PipelineError
@@ -46,7 +46,7 @@ def dense(rotor: RotorModel, impedance: np.ndarray | None, frequencies: np.ndarr
 
 def ross_responses(machine: Machine, speeds: np.ndarray) -> np.ndarray:
     """(S, n, R) responses that ROSS computes: six DOF a node, of which 0, 1, 3, 4 are x, y, alpha, beta."""
-    rotor = ross_rotor(machine.config.rotor, machine.config.bearing, speeds)
+    rotor = ross_rotor(machine.config.machine.rotor, machine.config.machine.bearings, speeds)
     lateral = [6 * node + dof for node in range(machine.rotor.n_nodes) for dof in (0, 1, 3, 4)]
     answers = []
     for run in machine.runs:
@@ -73,7 +73,7 @@ def rotating_force(own: list[Excitation], ndof: int, count: int) -> np.ndarray:
 def assert_equals_ross(machine: Machine) -> None:
     """Every node and DOF, within 1e-9 of the largest translation or rotation of that speed and run."""
     by_kind = (len(machine.speeds), -1, 2, 2, len(machine.runs))  # speed, node, kind, direction, run
-    if machine.config.bearing.kind == "per_node":  # ROSS would smooth the tables over the speeds
+    if machine.config.machine.bearings.kind == "per_node":  # ROSS would smooth the tables over the speeds
         answers = [ross_responses(machine, machine.speeds[[s]]) for s in range(len(machine.speeds))]
         theirs = np.concatenate(answers).reshape(by_kind)
     else:
@@ -93,7 +93,7 @@ SYNCHRONOUS = [name for name in options("experiment") if name != "impulses"]
 def test_response_equals_ross(experiment: str, machine: MachineFactory) -> None:
     """Oracle: ROSS ``run_unbalance_response`` and ``run_forced_response`` on every experiment's rotor and runs."""
     step = 700 if experiment.startswith("compressor") else 100
-    assert_equals_ross(machine(f"experiment={experiment}", f"excitation.speeds.step_rpm={step}"))
+    assert_equals_ross(machine(f"experiment={experiment}", f"machine.speeds.step_rpm={step}"))
 
 
 @pytest.mark.slow
@@ -109,7 +109,7 @@ def test_response_equals_ross_at_all_speeds(machine: MachineFactory) -> None:
 def test_response_equals_ross_on_finer_meshes(experiment: str) -> None:
     """Oracle: ROSS, at 25 nodes: the band solve pivots far more often than at seven."""
     factor = {"ball_bearing": 12, "hydrostatic_stiffness": 4}[experiment]
-    made = refined(experiment, factor, "excitation.speeds.step_rpm=590")
+    made = refined(experiment, factor, "machine.speeds.step_rpm=590")
     assert made.rotor.n_nodes == 25
     assert_equals_ross(made)
 

@@ -17,8 +17,9 @@ from hypothesis import strategies as st
 from pipeline import cache
 from pipeline.__main__ import main
 from pipeline.config import compose
-from pipeline.config.compose import compose_config, compose_stages, options
-from pipeline.config.machine import RotorConfig
+from pipeline.config.compose import compose_config, compose_stages
+from pipeline.config.loader import options
+from pipeline.config.rotor import RotorConfig
 from pipeline.data.columns import _well_formed, read_columns
 from pipeline.data.tables import read_table, write_table
 from pipeline.errors import ConfigError
@@ -26,7 +27,7 @@ from pipeline.rotor import ross_adapter
 from pipeline.rotor.stored import KIND, assembled, made_from, modelled_bearings
 
 ROOT = Path(__file__).resolve().parents[1]
-FEW = [f"excitation.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=500")]
+FEW = [f"machine.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=500")]
 BALL = ["experiment=ball_bearing", "tracking=none", "optimizer.adam.steps=3", *FEW]
 
 
@@ -68,8 +69,14 @@ def test_training_again_needs_torch_and_little_else(tmp_path: Path) -> None:
 def test_a_rotor_file_seen_before_needs_no_ross(tmp_path: Path) -> None:
     """The same for a rotor that ROSS has saved."""
     rotor = ROOT / "examples" / "measured_demo" / "rotor.toml"
-    command = [*BALL, f"rotor.file='{rotor}'", "rotor.bearing_nodes=[]", "bearing=rotor_file", f"output='{tmp_path}'"]
-    command.append("excitation.runs=[{name: one, unbalances: [{node: 2, magnitude: 1e-4}]}]")
+    command = [
+        *BALL,
+        f"machine.rotor.file='{rotor}'",
+        "machine.rotor.bearing_nodes=[]",
+        "machine.bearings.kind=rotor_file",
+        f"output='{tmp_path}'",
+    ]
+    command.append("machine.runs=[{name: one, unbalances: [{node: 2, magnitude: 1e-4}]}]")
     assert main(["stage=train", *command]) == 0
     code, _, modules = imported_by("stage=train", *command)
     assert (code, "ross" in modules) == (0, False)
@@ -167,23 +174,29 @@ def test_a_kept_rotor_is_the_assembled_one(own_cache: Path, monkeypatch: pytest.
     """Bit by bit, without ROSS; a damaged entry is assembled anew."""
     config = compose_config(BALL)
     speeds = np.array([100.0, 200.0])
-    first, bearings = assembled(config.rotor), modelled_bearings(config.rotor, config.bearing, speeds)
+    first, bearings = (
+        assembled(config.machine.rotor),
+        modelled_bearings(config.machine.rotor, config.machine.bearings, speeds),
+    )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(ross_adapter, "assemble", None)
         patch.setattr(ross_adapter, "bearing_table", None)
-        again, kept = assembled(config.rotor), modelled_bearings(config.rotor, config.bearing, speeds)
+        again, kept = (
+            assembled(config.machine.rotor),
+            modelled_bearings(config.machine.rotor, config.machine.bearings, speeds),
+        )
     for name in ("mass", "damping", "gyroscopic", "stiffness", "positions"):
         assert getattr(again, name).tobytes() == getattr(first, name).tobytes()
     assert (again.bearing_nodes, again.disc_nodes) == (first.bearing_nodes, first.disc_nodes)
     assert again.total_mass == first.total_mass
     assert (kept.nodes, kept.values.tobytes()) == (bearings.nodes, bearings.values.tobytes())
-    cache.path_of(KIND, made_from(config.rotor)).write_bytes(b"damaged")
-    assert assembled(config.rotor).fingerprint == first.fingerprint
+    cache.path_of(KIND, made_from(config.machine.rotor)).write_bytes(b"damaged")
+    assert assembled(config.machine.rotor).fingerprint == first.fingerprint
 
 
 def test_another_rotor_has_another_entry(tmp_path: Path) -> None:
     """Configuration and bytes of the file count; where a file lies does not."""
-    config = compose_config(BALL).rotor
+    config = compose_config(BALL).machine.rotor
     heavier = config.model_copy(update={"shear_effects": False})
     assert made_from(config) != made_from(heavier)
     places = [tmp_path / name for name in ("here.toml", "there.toml", "other.toml")]

@@ -39,7 +39,7 @@ STUDY = [
     "experiment=ball_bearing",
     "stage=tune",
     "tracking=none",
-    *(f"excitation.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=500")),
+    *(f"machine.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=500")),
     *("optimizer.adam.steps=60", "optimizer.levenberg_marquardt.steps=20"),
     *("tuning.n_trials=8", "tuning.startup_trials=4", "tuning.heartbeat_seconds=1"),
     *("tuning.space.adam_epochs.high=150", "tuning.space.lbfgs_epochs.high=40", "tuning.space.lm_epochs.high=40"),

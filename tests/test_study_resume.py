@@ -49,7 +49,7 @@ ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT), "COLUMNS": "120"}
 PYTHON = [sys.executable, "-W", "error", "-W", "ignore::ResourceWarning"]
 """An interrupt may come between opening a file and closing it."""
 TRIALS = 10
-BALL = ["experiment=ball_bearing", "tracking=none", "excitation.speeds.step_rpm=245"]
+BALL = ["experiment=ball_bearing", "tracking=none", "machine.speeds.step_rpm=245"]
 SPACE = [
     "+tuning.space.output={kind: choice, key: model.parametrisation, choices: [log, scaled]}",
     "+tuning.space.optimizer={kind: preset, choices: {adam: {optimizer.levenberg_marquardt.steps: 0}, both: {}}}",
@@ -1100,8 +1100,8 @@ BAD_SPACES: dict[str, tuple[dict[str, Any], list[str]]] = {
     "condition without values": ({"a": ACTIVATION, "x": RATE | {"when": {"a": []}}}, ["space.x.when.a has no value"]),
     "key outside": ({"x": WIDTH | {"key": "seed"}}, ["tuning.space.x", "but got 'seed'"]),
     "key of the judge": ({"x": WIDTH | {"key": "training.holdout_every"}}, ["but got 'training.holdout_every'"]),
-    "key of the data": ({"x": WIDTH | {"key": "excitation.speeds.step_rpm"}}, ["'excitation.speeds.step_rpm'"]),
-    "key of the rotor": ({"x": RATE | {"key": "rotor.shaft.0.length"}}, ["'rotor.shaft.0.length'"]),
+    "key of the data": ({"x": WIDTH | {"key": "machine.speeds.step_rpm"}}, ["'machine.speeds.step_rpm'"]),
+    "key of the rotor": ({"x": RATE | {"key": "machine.rotor.shaft.0.length"}}, ["'machine.rotor.shaft.0.length'"]),
     "key outside in a preset": (
         {"x": {"kind": "preset", "choices": {"a": {"seed": 1}}}},
         ["tuning.space.x.choices.a.seed"],

@@ -29,7 +29,7 @@ pytestmark = pytest.mark.slow
 STUDY = [
     "experiment=ball_bearing",
     "stage=tune",
-    *(f"excitation.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=500")),
+    *(f"machine.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=500")),
     # So few steps that the losses of the trials differ.
     *("optimizer.adam.steps=60", "optimizer.levenberg_marquardt.steps=3"),
     *("tuning.space.adam_epochs.high=150", "tuning.space.lbfgs_epochs.high=40"),

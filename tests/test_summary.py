@@ -12,14 +12,14 @@ from pipeline.stages import run_stage
 
 LINES = 40
 FEW = [
-    *("excitation.speeds.start_rpm=500", "excitation.speeds.stop_rpm=5500", "excitation.speeds.step_rpm=250"),
+    *("machine.speeds.start_rpm=500", "machine.speeds.stop_rpm=5500", "machine.speeds.step_rpm=250"),
     *("optimizer.adam.steps=5", "optimizer.lbfgs.steps=2", "optimizer.levenberg_marquardt.steps=8"),
 ]
 EXPERIMENTS = {
     "ball_bearing": FEW,  # constants, without deviations, two critical speeds
     "hydrostatic_damping": FEW,  # a network
     "noisy_all": FEW,  # sixteen coefficients with deviations
-    "measured_demo": ["ingest=measured_demo_table"],  # no truth, a run that is not fitted
+    "measured_demo": ["machine=measured_demo_table"],  # no truth, a run that is not fitted
 }
 
 

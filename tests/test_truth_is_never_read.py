@@ -26,7 +26,7 @@ pytestmark = pytest.mark.slow  # it trains, or starts processes
 
 COARSE = [
     "tracking=none",
-    *(f"excitation.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=250")),
+    *(f"machine.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=250")),
     "optimizer.adam.steps=5",
     "optimizer.levenberg_marquardt.steps=8",
     "robustness.count=4",

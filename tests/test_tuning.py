@@ -83,7 +83,7 @@ def test_every_point_of_the_space_is_a_configuration(name: str, data: st.DataObj
     assert trial.asked == list(parameters)
     assert [key for key in space if key in parameters] == [key for key in space if applies(space[key], parameters)]
     made = with_values(config, values_of(space, parameters), "trial")
-    for section in ("rotor", "bearing", "excitation", "data", "identify", "prediction", "tuning", "seed"):
+    for section in ("machine", "data", "identify", "tuning", "seed"):
         assert getattr(made, section) == getattr(config, section)
     assert made.training.holdout_every == config.training.holdout_every
     steps = [getattr(made.optimizer, phase).steps > 0 for phase in type(made.optimizer).model_fields]
@@ -229,7 +229,7 @@ def test_tuned_false_leaves_them_out(study: Path) -> None:
         "{",
         "[]",
         "study: x",
-        "study: x\ntrial: 1\nvalues: {rotor.file: x}",
+        "study: x\ntrial: 1\nvalues: {machine.rotor.file: x}",
         "study: x\ntrial: -1\nvalues: {}",
         "\x00",
     ],
@@ -311,7 +311,7 @@ def test_the_held_out_loss_is_the_residual_of_the_equation_of_motion(hydrostatic
 SMALL = [
     "experiment=ball_bearing",
     "tracking=none",
-    "excitation.speeds.step_rpm=490",
+    "machine.speeds.step_rpm=490",
     "tuning.n_trials=6",
     "tuning.startup_trials=3",
     "tuning.space.adam_epochs.high=400",

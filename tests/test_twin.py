@@ -12,7 +12,7 @@ from conftest import Machine, MachineFactory, bearings_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.config.machine import RotorConfig
+from pipeline.config.rotor import RotorConfig
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel, bearing_dof
 from pipeline.rotor.ross_adapter import assemble, ross_rotor
@@ -65,7 +65,7 @@ def test_modes_equal_those_of_ross(name: str, request: pytest.FixtureRequest) ->
     machine = request.getfixturevalue(name)
     s = 12
     modes = whirl_modes(machine.rotor, machine.bearings.at(np.array([s])), count=6)
-    rotor = ross_rotor(machine.config.rotor, machine.config.bearing, machine.speeds)
+    rotor = ross_rotor(machine.config.machine.rotor, machine.config.machine.bearings, machine.speeds)
     answer = rotor.run_modal(speed=float(machine.speeds[s]), sparse=False)
     every = answer.evalues[answer.evalues.imag > 1.0]
     for frequency, decrement in zip(modes.frequency[0], modes.logarithmic_decrement[0], strict=True):
@@ -135,7 +135,7 @@ def test_critical_speeds_of_the_ball_bearing_rotor(machine: MachineFactory) -> N
 
     Damping changes them by the square of its ratio (1e-6); the speeds are 20 rpm apart.
     """
-    made = machine("experiment=ball_bearing", "excitation.speeds.step_rpm=20")
+    made = machine("experiment=ball_bearing", "machine.speeds.step_rpm=20")
     stiffness, _ = system(made.rotor, made.bearings, 0)
     # Of the two only K is positive definite: a thin disc has no forward critical speed of its tilting.
     inverses = scipy.linalg.eigh(made.rotor.mass - 1j * made.rotor.gyroscopic, stiffness, eigvals_only=True)
@@ -216,7 +216,7 @@ def test_stability_threshold_of_cross_coupling(share: float, stable: bool) -> No
 @pytest.mark.parametrize("experiment", ["hydrostatic_stiffness", "hydrostatic_damping", "ball_bearing"])
 def test_modelled_machines_are_stable(experiment: str, machine: MachineFactory) -> None:
     """method.md, section 4: what is unstable can't be measured, so every experiment is stable."""
-    made = machine(f"experiment={experiment}", "excitation.speeds.step_rpm=100")
+    made = machine(f"experiment={experiment}", "machine.speeds.step_rpm=100")
     margin = stability_margin(whirl_modes(made.rotor, made.bearings))
     assert margin.stable
     assert margin.smallest_logarithmic_decrement > 0

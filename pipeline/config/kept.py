@@ -18,8 +18,9 @@ _PACKAGE = Path(__file__).parents[1]
 _PACKAGES = ("hydra-core", "pydantic", "pint")
 
 
-def made_from(conf: Path, overrides: Sequence[str]) -> str:
-    """Identity of all that a configuration is composed from: ``conf``, the schema, the packages, the overrides."""
+def made_from(conf: Path, overrides: Sequence[str], outside: Sequence[str | bytes] = ()) -> str:
+    """Identity of all that a configuration is composed from: ``conf``, the schema, the packages, the overrides, and
+    the files ``outside``."""
     schema = [*sorted(Path(__file__).parent.glob("*.py")), _PACKAGE / "coefficients.py", _PACKAGE / "unknowns.py"]
     try:
         contents = [
@@ -27,7 +28,7 @@ def made_from(conf: Path, overrides: Sequence[str]) -> str:
         ]
     except OSError:
         contents = []  # Hydra says what is wrong with conf/
-    return identity(*contents, *map(importlib.metadata.version, _PACKAGES), json.dumps(list(overrides)))
+    return identity(*contents, *map(importlib.metadata.version, _PACKAGES), json.dumps(list(overrides)), *outside)
 
 
 def kept(key: str) -> list[Config] | None:

@@ -1,202 +1,122 @@
-"""What a configuration may say of the machine: rotor and bearings. SI."""
+"""What a configuration may say of a machine: everything that is its own, in one section. SI, speeds in rpm."""
 
 from __future__ import annotations
 
-import itertools
-from typing import Annotated, Literal
+from typing import Any
 
-from pydantic import Field, PositiveInt, model_validator
+from pydantic import Field, PositiveFloat, ValidationInfo, field_validator, model_validator
 
-from pipeline.config.quantities import (
-    Angle,
-    Bore,
-    Density,
-    Force,
-    Inertia,
-    Length,
-    Mass,
-    Pressure,
-    Viscosity,
-)
+from pipeline.config.bearings import BearingConfig, PerNodeBearingConfig
+from pipeline.config.measured import MeasuredRunConfig, unbalance_phase
+from pipeline.config.probes import ProbesConfig
+from pipeline.config.recordings import AnyRecordingsConfig, NoRecordingsConfig, RecordingsConfig, TableRunConfig
+from pipeline.config.rotor import RotorConfig
+from pipeline.config.runs import CandidateConfig, ForceConfig, RunConfig, SpeedsConfig, UnbalanceConfig
 from pipeline.config.section import NonNegativeInt, Section
 
 
-class MaterialConfig(Section):
-    """An isotropic shaft and disc material."""
-
-    density: Density
-    youngs_modulus: Pressure
-    shear_modulus: Pressure
-
-
-class ShaftSegmentConfig(Section):
-    """A cylindrical piece of shaft, divided into ``elements`` equal finite elements."""
-
-    length: Length
-    outer_diameter: Length
-    inner_diameter: Bore = 0.0
-    elements: PositiveInt = 1
-
-    @model_validator(mode="after")
-    def _hollow(self) -> ShaftSegmentConfig:
-        if self.inner_diameter >= self.outer_diameter:
-            raise ValueError(
-                f"must have inner_diameter < outer_diameter, but got {self.inner_diameter:g} m and "
-                f"{self.outer_diameter:g} m"
-            )
-        return self
-
-
-class DiscConfig(Section):
-    """A rigid disc: by its geometry (width, diameters) or by its inertia (mass, Id, Ip)."""
+class PredictionConfig(Section):
+    """An unbalance that training never saw, and where and when to look at its vibration."""
 
     node: NonNegativeInt
-    width: Length | None = None
-    inner_diameter: Length | None = None
-    outer_diameter: Length | None = None
-    mass: Mass | None = None
-    diametral_inertia: Inertia | None = None
-    polar_inertia: Inertia | None = None
-
-    @model_validator(mode="after")
-    def _one_description(self) -> DiscConfig:
-        geometry = (self.width, self.inner_diameter, self.outer_diameter)
-        inertia = (self.mass, self.diametral_inertia, self.polar_inertia)
-        complete = [all(v is not None for v in group) for group in (geometry, inertia)]
-        given = [any(v is not None for v in group) for group in (geometry, inertia)]
-        if given != complete or sum(complete) != 1:
-            raise ValueError(
-                "must give either width, inner_diameter and outer_diameter, or mass, diametral_inertia and "
-                f"polar_inertia, but got {sorted(self.model_fields_set - {'node'})}"
-            )
-        inner, outer = self.inner_diameter, self.outer_diameter
-        if inner is not None and outer is not None and inner >= outer:
-            raise ValueError(f"must have inner_diameter < outer_diameter, but got {inner:g} m and {outer:g} m")
-        return self
+    speed_rpm: PositiveFloat
+    unbalances: tuple[UnbalanceConfig, ...] = Field(min_length=1)
 
 
-class RotorConfig(Section):
-    """Shaft, discs and bearing nodes; or ``file``, a rotor saved by ROSS (.toml, .json)."""
+class MachineConfig(Section):
+    """Rotor and bearings, how it is run and seen, what was recorded of it, and what can be done with it.
+
+    ``file`` is the machine file of the user's own that the section was read from. ``speeds`` and ``runs`` are those of
+    simulated data and of designs; of a machine with ``recordings`` that gives none, those that were recorded. A
+    ``residual_unbalance`` acts in every run and is not written down: the machine has it and nobody knows.
+    """
 
     file: str | None = None
-    shaft: tuple[ShaftSegmentConfig, ...] = ()
-    material: MaterialConfig | None = None
-    discs: tuple[DiscConfig, ...] = ()
-    bearing_nodes: tuple[NonNegativeInt, ...] = ()
-    shear_effects: bool = True
+    rotor: RotorConfig
+    bearings: BearingConfig
+    recordings: RecordingsConfig
+    speeds: SpeedsConfig = Field(default=None, validate_default=True)
+    runs: tuple[RunConfig, ...] = Field(default=None, validate_default=True, min_length=1)
+    runs_file: str | None = None
+    residual_unbalance: tuple[UnbalanceConfig, ...] = ()
+    probes: ProbesConfig
+    prediction: PredictionConfig
+    candidates: CandidateConfig
 
-    @property
-    def n_nodes(self) -> int:
-        """Nodes of the shaft; a rotor of a file has its own."""
-        return sum(segment.elements for segment in self.shaft) + 1
+    @field_validator("speeds", mode="before")
+    @classmethod
+    def _recorded_speeds(cls, value: Any, info: ValidationInfo) -> Any:
+        if value is not None:
+            return value
+        if "recordings" not in info.data:  # they are wrong, and that is told
+            return SpeedsConfig(start_rpm=1, stop_rpm=1, step_rpm=1)
+        recordings = info.data["recordings"]
+        if isinstance(recordings, NoRecordingsConfig) or recordings.speeds is None:
+            raise ValueError("must be given (start_rpm, stop_rpm, step_rpm), but is missing")
+        return recordings.speeds
+
+    @field_validator("runs", mode="before")
+    @classmethod
+    def _recorded_runs(cls, value: Any, info: ValidationInfo) -> Any:
+        if value is not None:
+            return value
+        if "recordings" not in info.data:
+            return [RunConfig(name="x", forces=(ForceConfig(node=0, magnitude=1.0),))]
+        recordings = info.data["recordings"]
+        if isinstance(recordings, NoRecordingsConfig):
+            raise ValueError("must be given (a list of runs, each with unbalances or forces), but is missing")
+        return [_as_run(run, recordings) for run in recordings.runs if run.unbalances or run.forces]
 
     @model_validator(mode="after")
-    def _nodes_exist(self) -> RotorConfig:
-        if self.file is not None:
+    def _names(self) -> MachineConfig:
+        names = [run.name for run in self.runs]
+        if len(set(names)) != len(names):
+            raise ValueError(f"must give every run a name of its own, but got {names}")
+        return self
+
+    @model_validator(mode="after")
+    def _nodes_exist(self) -> MachineConfig:
+        if self.rotor.file is not None:
             return self
-        if not self.shaft or self.material is None or not self.bearing_nodes:
-            raise ValueError("must give shaft, material and bearing_nodes (or file, a rotor saved by ROSS)")
-        last = sum(segment.elements for segment in self.shaft)
-        if len(set(self.bearing_nodes)) != len(self.bearing_nodes):
-            raise ValueError(f"must name each bearing node once, but got bearing_nodes {list(self.bearing_nodes)}")
-        for what, nodes in (
-            ("bearing_nodes", self.bearing_nodes),
-            ("discs", [disc.node for disc in self.discs]),
-        ):
-            for node in nodes:
-                if node > last:
-                    raise ValueError(
-                        f"must use nodes 0 to {last} (the shaft has {last} elements), but {what} got node {node}"
-                    )
+        if self.bearings.kind == "rotor_file":
+            raise ValueError("must give rotor.file where bearings.kind is rotor_file, but rotor.file is null")
+        if isinstance(self.bearings, PerNodeBearingConfig):
+            without = [node for node in self.rotor.bearing_nodes if node not in self.bearings.nodes]
+            if without:
+                raise ValueError(
+                    f"bearings.nodes must have a bearing for every bearing node of the rotor, but node {without[0]} "
+                    f"has none (it has {', '.join(map(str, self.bearings.nodes))})"
+                )
+        last = self.rotor.n_nodes - 1
+        used = [
+            (f"run '{run.name}'", node)
+            for run in self.runs
+            for node in (*(u.node for u in run.unbalances), *(f.node for f in run.forces))
+        ]
+        used += [("residual_unbalance", u.node) for u in self.residual_unbalance]
+        used += [("prediction.unbalances", u.node) for u in self.prediction.unbalances]
+        if not isinstance(self.probes.at, str):
+            used += [("probes.at", probe.node) for probe in self.probes.at]
+        for what, node in [*used, ("prediction.node", self.prediction.node)]:
+            if node > last:
+                raise ValueError(f"must use nodes 0 to {last} of the rotor, but {what} got node {node}")
         return self
 
 
-class BallBearingConfig(Section):
-    """ROSS ``BallBearingElement`` (Friswell et al. 2010, pages 182-185)."""
-
-    kind: Literal["ball"]
-    n_balls: PositiveInt
-    ball_diameter: Length
-    static_load: Force
-    contact_angle: Angle
-
-
-class CylindricalBearingConfig(Section):
-    """ROSS ``CylindricalBearing``, a short fluid-film bearing (Friswell et al. 2010, page 177).
-
-    ``static_load`` of null shares the rotor's weight equally among the bearings.
-    """
-
-    kind: Literal["cylindrical"]
-    journal_diameter: Length
-    length: Length
-    radial_clearance: Length
-    oil_viscosity: Viscosity
-    static_load: Force | None = None
-
-
-class JournalTableConfig(Section):
-    """A journal bearing from a published table of dimensionless coefficients over the Sommerfeld number.
-
-    ``rows`` are (S, Kxx, Kxy, Kyx, Kyy, Bxx, Bxy, Byx, Byy), with x the direction of the load,
-    S = viscosity N L D / W (R / C)^2, N in 1/s; k = K W / C and c = B W / (w C). Between the rows: cubic splines of the
-    logarithm of S.
-    """
-
-    kind: Literal["journal_table"]
-    rows: tuple[Annotated[tuple[float, ...], Field(min_length=9, max_length=9)], ...] = Field(min_length=4)
-    journal_diameter: Length
-    length: Length
-    radial_clearance: Length
-    oil_viscosity: Viscosity
-    static_load: Force
-
-    @model_validator(mode="after")
-    def _ascending(self) -> JournalTableConfig:
-        numbers = [row[0] for row in self.rows]
-        if numbers[0] <= 0 or any(b <= a for a, b in itertools.pairwise(numbers)):
-            raise ValueError(f"must have rows with ascending Sommerfeld numbers above zero, but got {numbers}")
-        return self
-
-
-class LinearBearingConfig(Section):
-    """A support with the same coefficients at every speed, N/m and N s/m."""
-
-    kind: Literal["linear"]
-    kxx: float = 0.0
-    kxy: float = 0.0
-    kyx: float = 0.0
-    kyy: float = 0.0
-    cxx: float = 0.0
-    cxy: float = 0.0
-    cyx: float = 0.0
-    cyy: float = 0.0
-
-
-class RotorFileBearingConfig(Section):
-    """The bearings that are saved in ``rotor.file``."""
-
-    kind: Literal["rotor_file"]
-
-
-AnyBearingConfig = Annotated[
-    BallBearingConfig | CylindricalBearingConfig | JournalTableConfig | LinearBearingConfig, Field(discriminator="kind")
-]
-
-
-class PerNodeBearingConfig(Section):
-    """Bearings that differ, by node."""
-
-    kind: Literal["per_node"]
-    nodes: dict[NonNegativeInt, AnyBearingConfig] = Field(min_length=1)
-
-
-BearingConfig = Annotated[
-    BallBearingConfig
-    | CylindricalBearingConfig
-    | JournalTableConfig
-    | LinearBearingConfig
-    | PerNodeBearingConfig
-    | RotorFileBearingConfig,
-    Field(discriminator="kind"),
-]
+def _as_run(run: MeasuredRunConfig, recordings: AnyRecordingsConfig) -> RunConfig:
+    """A recorded run as one that could be simulated: phases as angles from x."""
+    own = (run.frequency_hz, run.frequency_ratio) if isinstance(run, TableRunConfig) else (None, None)
+    return RunConfig(
+        name=run.name,
+        unbalances=tuple(
+            UnbalanceConfig(
+                node=one.node,
+                magnitude=one.magnitude,
+                phase=unbalance_phase(one.phase, recordings.shaft_angle or "from_x", recordings.tacho.angle),
+            )
+            for one in run.unbalances
+        ),
+        forces=tuple(ForceConfig(**one.model_dump()) for one in run.forces),
+        frequency_hz=own[0],
+        frequency_ratio=own[1],
+    )

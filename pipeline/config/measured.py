@@ -11,14 +11,25 @@ from typing import Annotated, Literal
 
 from pydantic import Field, PositiveFloat, model_validator
 
-from pipeline.config.excitation import SpeedsConfig
 from pipeline.config.quantities import Deviation, Force, LengthUnit, ShaftAngle, UnbalanceMagnitude
+from pipeline.config.runs import SpeedsConfig
 from pipeline.config.section import NonNegativeInt, Section
 
 AmplitudeKind = Literal["zero_to_peak", "peak_to_peak", "rms"]
 PhaseSense = Literal["lag", "lead"]
 SpeedUnit = Literal["rpm", "Hz", "rad/s"]
 Text = Annotated[str, Field(min_length=1)]
+
+
+AS_MODELLED = "bearings"
+"""In place of a file of known coefficients: those of the machine's ``bearings``."""
+
+
+def unbalance_phase(phase: float, shaft_angle: str, tacho: float | None) -> float:
+    """Angle p (rad) from x at the pulse of an unbalance at ``phase`` (rad) as ``shaft_angle`` says; tacho's in rad."""
+    if shaft_angle == "from_x" or tacho is None:
+        return phase
+    return tacho + phase if shaft_angle == "with_rotation" else tacho - phase
 
 
 class VectorConventionsConfig(Section):
@@ -132,7 +143,10 @@ class CsvConfig(Section):
 
 
 class MeasuredConfig(Section):
-    """What all formats share; ``file`` is that of the runs that name none. Each format adds ``probes`` and ``runs``."""
+    """What all formats share; ``file`` is that of the runs that name none. Each format adds ``probes`` and ``runs``.
+
+    ``known`` is a table of the coefficients that are not identified, or ``bearings``: those of the machine's bearings.
+    """
 
     file: Text | None = None
     baseline: Text | None = None

@@ -29,7 +29,12 @@ def schema_errors(error: ValidationError, mapping: Mapping[str, Any], model: typ
     errors = [item for item in errors if item["type"] != "too_short" or item["loc"] not in wrong_inside]
     lines = list(dict.fromkeys(_line(item, mapping, model) for item in errors))
     values = "this value" if len(lines) == 1 else f"these {len(lines)} values"
-    return "\n".join([*lines, f"Correct {values}; `python -m pipeline --cfg job` prints the whole configuration."])
+    machine = mapping.get("machine")
+    file = machine.get("file") if isinstance(machine, Mapping) else None
+    where = f" (the machine is '{file}')" if file else ""
+    return "\n".join(
+        [*lines, f"Correct {values}{where}; `python -m pipeline --cfg job` prints the whole configuration."]
+    )
 
 
 def suggestion(name: str, candidates: Iterable[str]) -> str:
@@ -144,6 +149,14 @@ def bad_syntax(text: str, names: Mapping[str, Iterable[str]]) -> str:
         return f"an override must close its brackets and quotes, but got '{text}'; write {key}=[1,2] for a list"
     quoted = shlex.quote(f"{key}='{value}'" if '"' in value else f'{key}="{value}"')
     return f"an override must quote a value with special characters, but got '{text}'; write {quoted}"
+
+
+def written(key: str, value: str) -> str:
+    """``key=value`` as a shell and Hydra take it."""
+    if re.fullmatch(r"[A-Za-z0-9_./-]+( [A-Za-z0-9_./-]+)*", value) or key.startswith("-"):
+        return shlex.quote(f"{key}={value}")
+    escaped = value.replace("\\", "\\\\").replace("'", "\\'")
+    return shlex.quote(f"{key}='{escaped}'")
 
 
 def no_option(group: str, name: Any, known: Sequence[str]) -> str:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pipeline.config.schema import Config
 
 BEST = "best.yaml"
-UNTUNED_STAGES = ("tune", "samplers", "check")
+UNTUNED_STAGES = ("tune", "samplers", "check", "new")
 """Stages that see the configured values: a study begins from them."""
 
 
@@ -39,7 +39,7 @@ def with_values(config: Config, values: Mapping[str, Value], source: str) -> Con
 
     from pipeline.config.schema import Config
 
-    mapping = config.model_dump()
+    mapping = config.model_dump() | {"chosen_by": config.chosen_by}
     for key, value in values.items():
         *path, last = key.split(".")
         place: Any = mapping

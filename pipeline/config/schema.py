@@ -6,10 +6,11 @@ One class a concept, in the order of the straight line of data. Values are SI (s
 
 from __future__ import annotations
 
+from typing import Literal
+
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from pipeline.config.comparison import ComparisonConfig
-from pipeline.config.excitation import DesignConfig, ExcitationConfig, NoiseConfig, UnbalanceConfig
 from pipeline.config.identification import (
     IdentifyConfig,
     LossConfig,
@@ -18,10 +19,9 @@ from pipeline.config.identification import (
     RobustnessConfig,
     TrainingConfig,
 )
-from pipeline.config.ingest import IngestConfig
-from pipeline.config.machine import BearingConfig, PerNodeBearingConfig, RotorConfig
+from pipeline.config.machine import MachineConfig
+from pipeline.config.runs import DesignConfig, NoiseConfig
 from pipeline.config.section import NonNegativeInt, Section
-from pipeline.config.sensors import SensorsConfig
 from pipeline.config.tuning import TuningConfig
 
 
@@ -37,14 +37,6 @@ class DataConfig(Section):
     baseline: str | None = None
 
 
-class PredictionConfig(Section):
-    """An unbalance that training never saw, and where and when to look at its vibration."""
-
-    node: NonNegativeInt
-    speed_rpm: PositiveFloat
-    unbalances: tuple[UnbalanceConfig, ...] = Field(min_length=1)
-
-
 class TrackingConfig(Section):
     """Where MLflow keeps the records; ``enabled: false`` keeps none."""
 
@@ -57,6 +49,13 @@ class CheckConfig(Section):
     """Experiments that ``stage=check`` looks at; empty stands for all in ``conf/thresholds``."""
 
     experiments: tuple[str, ...] = ()
+
+
+class NewConfig(Section):
+    """What ``stage=new`` writes a machine file for: kind of bearings, and where data come from."""
+
+    bearings: Literal["rolling", "fluid_film"]
+    data: Literal["recordings", "tables", "simulated"]
 
 
 class PromotedConfig(Section):
@@ -79,11 +78,7 @@ class Config(Section):
     threads: PositiveInt
     device: str = Field(pattern=r"^(cpu|cuda(:\d+)?)$")
     force: bool
-    rotor: RotorConfig
-    bearing: BearingConfig
-    excitation: ExcitationConfig
-    sensors: SensorsConfig
-    ingest: IngestConfig
+    machine: MachineConfig
     data: DataConfig
     identify: IdentifyConfig
     model: ModelConfig
@@ -96,10 +91,16 @@ class Config(Section):
     stated_noise: NoiseConfig
     design: DesignConfig
     robustness: RobustnessConfig
-    prediction: PredictionConfig
     comparison: ComparisonConfig
     tracking: TrackingConfig
     check: CheckConfig
+    new: NewConfig = Field(default=NewConfig(bearings="fluid_film", data="simulated"), exclude=True)
+    chosen_by: str = Field(default="", exclude=True)
+
+    @property
+    def chosen(self) -> str:
+        """The overrides that name this experiment in another command."""
+        return self.chosen_by or f"experiment={self.name}"
 
     @model_validator(mode="after")
     def _trains_by_a_residual(self) -> Config:
@@ -109,31 +110,4 @@ class Config(Section):
                 "studies, and robustness over seeds and guesses, must have loss=residual or loss=preconditioned, but "
                 "got loss=response, which has a start of its own: use stage=robustness robustness=noise_seeds"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _nodes_exist(self) -> Config:
-        if self.rotor.file is not None:
-            return self
-        if self.bearing.kind == "rotor_file":
-            raise ValueError("must give rotor.file where bearing.kind is rotor_file, but rotor.file is null")
-        if isinstance(self.bearing, PerNodeBearingConfig):
-            without = [node for node in self.rotor.bearing_nodes if node not in self.bearing.nodes]
-            if without:
-                raise ValueError(
-                    f"bearing.nodes must have a bearing for every bearing node of the rotor, but node {without[0]} has "
-                    f"none (it has {', '.join(map(str, self.bearing.nodes))})"
-                )
-        last = sum(segment.elements for segment in self.rotor.shaft)
-        used = [
-            (f"excitation run '{run.name}'", node)
-            for run in self.excitation.runs
-            for node in (*(u.node for u in run.unbalances), *(f.node for f in run.forces))
-        ]
-        used += [("prediction.unbalances", u.node) for u in self.prediction.unbalances]
-        if not isinstance(self.sensors.probes, str):
-            used += [("sensors.probes", probe.node) for probe in self.sensors.probes]
-        for what, node in [*used, ("prediction.node", self.prediction.node)]:
-            if node > last:
-                raise ValueError(f"must use nodes 0 to {last} of the rotor, but {what} got node {node}")
         return self

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 STAGES: dict[str, str] = {
+    "new": "write a machine file of your own, with comments, to machine.file",
     "configure": "write the experiment's composed configuration to config.yaml",
     "generate": "model the machine with ROSS and write its vibration",
     "ingest": "turn measured data into the two files that training reads, and draw them",

@@ -47,10 +47,3 @@ def to_lead(values: np.ndarray, metre: float, kind: AmplitudeKind, sense: PhaseS
     """Complex V in m, zero-to-peak, of complex values in units of ``metre``."""
     with np.errstate(over="ignore"):
         return (values if sense == "lead" else values.conj()) * (metre * _TO_PEAK[kind])
-
-
-def unbalance_phase(phase: float, shaft_angle: str, tacho: float | None) -> float:
-    """Angle p (rad) from x at the pulse of an unbalance at ``phase`` (rad) as ``shaft_angle`` says; tacho's in rad."""
-    if shaft_angle == "from_x" or tacho is None:
-        return phase
-    return tacho + phase if shaft_angle == "with_rotation" else tacho - phase

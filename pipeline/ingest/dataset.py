@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.config.ingest import MeasuredIngestConfig, TableRunConfig
-from pipeline.config.measured import MeasuredRunConfig, SlowRollConfig
+from pipeline.config.measured import MeasuredRunConfig, SlowRollConfig, unbalance_phase
+from pipeline.config.recordings import AnyRecordingsConfig, TableRunConfig
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.errors import DataError
-from pipeline.ingest.conventions import to_vectors, unbalance_phase
+from pipeline.ingest.conventions import to_vectors
 from pipeline.ingest.probes import check_probes, resolve
 from pipeline.ingest.sources import read_runs
 from pipeline.ingest.tracks import LARGEST, RunTracks, to_common_speeds
@@ -32,7 +32,7 @@ class Measurement:
     notes: tuple[str, ...]
 
 
-def measurement(config: MeasuredIngestConfig) -> Measurement:
+def measurement(config: AnyRecordingsConfig) -> Measurement:
     """Read all runs and bring them to common speeds and to x and y. Raises DataError and ConfigError."""
     check_probes(config.probes)
     runs = read_runs(config)
@@ -78,7 +78,7 @@ def without_runout(run: RunTracks, slow_roll: SlowRollConfig) -> RunTracks:
             if not len(vectors):
                 raise DataError(
                     f"run '{run.name}' must have speeds below "
-                    f"ingest.slow_roll.below_rpm={slow_roll.below_rpm:g}, but the "
+                    f"machine.recordings.slow_roll.below_rpm={slow_roll.below_rpm:g}, but the "
                     f"lowest is {run.slow[probe].speeds[0] / RAD_S_PER_RPM:.6g} rpm ({run.source}): give a "
                     "larger one, or "
                     "slow_roll.vectors, or slow_roll=null"
@@ -88,7 +88,7 @@ def without_runout(run: RunTracks, slow_roll: SlowRollConfig) -> RunTracks:
     return replace(run, tracks=tracks)
 
 
-def excitations(config: MeasuredIngestConfig) -> tuple[Excitation, ...]:
+def excitations(config: AnyRecordingsConfig) -> tuple[Excitation, ...]:
     """What excited the runs; the phases of unbalances as angles from x at the pulse."""
     acting: list[Excitation] = []
     for run in config.runs:
@@ -126,5 +126,5 @@ def _check_size(displacement: np.ndarray, runs: Sequence[RunTracks]) -> None:
     if largest.max() > LARGEST:
         raise DataError(
             f"displacements must be below {LARGEST:g} m, but run '{runs[int(largest.argmax())].name}' has "
-            f"{largest.max():.3g} m: check the unit (ingest.conventions.length, or scale and signal_unit)"
+            f"{largest.max():.3g} m: check the unit (machine.recordings.conventions.length, or scale and signal_unit)"
         )

@@ -111,7 +111,8 @@ def steady_vectors(signals: Signals, settings: Settings) -> tuple[float, np.ndar
     if drift > 0.01:
         raise DataError(
             f"{signals.where} must have a constant speed (to 1 %), but it goes from {_rpm(speed.min())} to "
-            f"{_rpm(speed.max())} rpm: cut the record, or give ingest.records=run_up and ingest.speeds"
+            f"{_rpm(speed.max())} rpm: cut the record, or give machine.recordings.records=run_up and "
+            "machine.recordings.speeds"
         )
     _check_sampling(signals, mean, settings)
     centre = 0.5 * (signals.angle.start + signals.angle.end)
@@ -157,10 +158,10 @@ def _passages(signals: Signals, speeds: np.ndarray, settings: Settings) -> np.nd
         revolutions = settings.revolutions or FEWEST_REVOLUTIONS
         range_ = f"{_rpm(low)} to {_rpm(high)} rpm" if low <= high else "nothing"
         raise DataError(
-            f"{signals.where} must cover ingest.speeds ({_rpm(speeds.min())} to {_rpm(speeds.max())} rpm) with "
-            "windows of "
+            f"{signals.where} must cover machine.recordings.speeds ({_rpm(speeds.min())} to {_rpm(speeds.max())} rpm) "
+            "with windows of "
             f"{revolutions:g} revolutions, but it covers {range_}: nothing is extrapolated, choose "
-            "ingest.speeds within it"
+            "machine.recordings.speeds within it"
         )
     inner = _TURN * (settings.revolutions or FEWEST_REVOLUTIONS) / 2
     time = np.linspace(signals.angle.start, signals.angle.end, max(4001, 4 * len(speeds)))
@@ -236,7 +237,8 @@ def _inverse(gram: np.ndarray, where: str) -> np.ndarray:
     if np.abs(inverse).sum(axis=0).max() * np.abs(scaled).sum(axis=0).max() > _WORST_CONDITION:
         raise DataError(
             f"{where} must have enough revolutions in a window to tell the orders apart, but it has not: give fewer "
-            "ingest.tracking.orders, a smaller ingest.tracking.degree, or more ingest.tracking.revolutions"
+            "machine.recordings.tracking.orders, a smaller machine.recordings.tracking.degree, or more "
+            "machine.recordings.tracking.revolutions"
         )
     return inverse * scale * scale[:, None]
 
@@ -270,7 +272,7 @@ def _check_sampling(signals: Signals, fastest: float, settings: Settings) -> Non
     if samples < least:
         raise DataError(
             f"{signals.where} must have at least {least:g} samples a revolution for {settings.orders} orders, but at "
-            f"{_rpm(fastest)} rpm it has {samples:.3g}: give fewer ingest.tracking.orders, or sample faster"
+            f"{_rpm(fastest)} rpm it has {samples:.3g}: give fewer machine.recordings.tracking.orders, or sample faster"
         )
 
 

@@ -33,14 +33,14 @@ def check_probes(probes: Mapping[str, ProbeConfig]) -> None:
         here = {name: probe for name, probe in probes.items() if probe.node == node}
         if len(here) == 1:
             raise ConfigError(
-                f"ingest.probes must have two probes at a node to give x and y, but node {node} has one only: "
-                f"'{next(iter(here))}'; add the other, or leave the node out"
+                f"machine.recordings.probes must have two probes at a node to give x and y, but node {node} has one "
+                f"only: '{next(iter(here))}'; add the other, or leave the node out"
             )
         angles = np.array([probe.angle for probe in here.values()])
         if np.abs(np.sin(angles[:, None] - angles)).max() < np.sin(LEAST_SPREAD):
             words = ", ".join(f"'{name}' at {np.degrees(probe.angle):g} deg" for name, probe in here.items())
             raise ConfigError(
-                f"ingest.probes must span the plane at each node, but those of node {node} lie within "
+                f"machine.recordings.probes must span the plane at each node, but those of node {node} lie within "
                 f"{np.degrees(LEAST_SPREAD):g} deg of one line: {words}"
             )
 

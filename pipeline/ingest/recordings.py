@@ -86,19 +86,20 @@ def _time(path: Path, channels: Mapping[str, np.ndarray], clock: Clock, stated: 
             raise DataError(
                 f"'{path}' must have ascending times in '{clock.channel}', but sample {back[0] + 2} is not "
                 "after the one "
-                f"before ({len(back)} in all): sort it, or write more digits, or give ingest.sample_rate in its place"
+                f"before ({len(back)} in all): sort it, or write more digits, or give machine.recordings.sample_rate "
+                "in its place"
             )
         return time
     if clock.rate is not None and stated is not None and abs(clock.rate / stated - 1) > 1e-6:
         raise DataError(
             f"'{path}' must have the sample rate of the configuration ({clock.rate:g} Hz), but it says {stated:g} Hz: "
-            "leave ingest.sample_rate out"
+            "leave machine.recordings.sample_rate out"
         )
     rate = clock.rate or stated
     if rate is None:
         raise DataError(
             f"'{path}' must come with a sample rate, but it has none and the configuration neither: give "
-            "ingest.sample_rate (such as 5120 Hz), or ingest.time, the channel with the times"
+            "machine.recordings.sample_rate (such as 5120 Hz), or machine.recordings.time, the channel with the times"
         )
     return np.arange(count) / rate
 

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.config.ingest import TableIngestConfig, TableRunConfig
 from pipeline.config.measured import CsvConfig
 from pipeline.config.quantities import metres
+from pipeline.config.recordings import TableRecordingsConfig, TableRunConfig
 from pipeline.data.tables import TextFormat, read_table
 from pipeline.errors import DataError, nearest
 from pipeline.ingest.conventions import RAD_S, to_vectors
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-def read_table_runs(config: TableIngestConfig) -> tuple[RunTracks, ...]:
+def read_table_runs(config: TableRecordingsConfig) -> tuple[RunTracks, ...]:
     """The runs of the configuration, each from its file.
 
     Raises DataError; see :func:`pipeline.data.tables.read_table` for what a table must be.
@@ -58,7 +58,7 @@ def text_format(csv: CsvConfig) -> TextFormat:
     return TextFormat(csv.delimiter, csv.decimal, csv.skip_rows)
 
 
-def _wide(config: TableIngestConfig, run: TableRunConfig, path: Path) -> dict[str, _Rows]:
+def _wide(config: TableRecordingsConfig, run: TableRunConfig, path: Path) -> dict[str, _Rows]:
     pairs = {name: run.columns.get(name) or probe.columns for name, probe in config.probes.items()}
     columns = [config.columns.speed, *(c for pair in pairs.values() if pair for c in (pair.amplitude, pair.phase))]
     table = read_table(path, dict.fromkeys(columns, "number"), text=text_format(config.csv))
@@ -70,7 +70,7 @@ def _wide(config: TableIngestConfig, run: TableRunConfig, path: Path) -> dict[st
     }
 
 
-def _long(config: TableIngestConfig, run: TableRunConfig, path: Path) -> dict[str, _Rows]:
+def _long(config: TableRecordingsConfig, run: TableRunConfig, path: Path) -> dict[str, _Rows]:
     names = config.columns
     kinds = {names.run: "text", names.probe: "text"}
     kinds |= dict.fromkeys((names.speed, names.amplitude, names.phase), "number")
@@ -106,7 +106,7 @@ def _rows(table: pd.DataFrame, speed: str, amplitude: str, phase: str, where: st
     return _Rows(table[speed].to_numpy(), table[amplitude].to_numpy(), table[phase].to_numpy(), where)
 
 
-def _track(config: TableIngestConfig, rows: _Rows) -> Track:
+def _track(config: TableRecordingsConfig, rows: _Rows) -> Track:
     said = config.conventions
     phase = np.radians(rows.phase) if said.phase_unit == "deg" else rows.phase
     vectors = to_vectors(rows.amplitude, phase, metres(said.length), said.amplitude, said.phase)
@@ -119,12 +119,12 @@ def _unit_note(phases: Sequence[np.ndarray], unit: str, path: Path) -> tuple[str
     if unit == "deg" and np.abs(every).max() <= 2 * np.pi and np.ptp(every) > _BROAD:
         return (
             f"'{path}' has phases from {every.min():.3g} to {every.max():.3g} that are said to be degrees: are they in "
-            "radians (ingest.conventions.phase_unit=rad)?",
+            "radians (machine.recordings.conventions.phase_unit=rad)?",
         )
     if unit == "rad" and np.abs(every).max() > 6 * np.pi:
         return (
             f"'{path}' has phases from {every.min():.3g} to {every.max():.3g} that are said to be radians: are they in "
-            "degrees (ingest.conventions.phase_unit=deg)?",
+            "degrees (machine.recordings.conventions.phase_unit=deg)?",
         )
     return ()
 
@@ -138,14 +138,14 @@ def _check_once(table: pd.DataFrame, columns: Sequence[str], path: Path) -> None
             )
 
 
-def _check_runs(config: TableIngestConfig, there: Sequence[str], path: Path) -> None:
+def _check_runs(config: TableRecordingsConfig, there: Sequence[str], path: Path) -> None:
     named = {run.name for run in config.runs} | set(config.leave_out)
     strange = [name for name in there if name not in named]
     if strange:
         raise DataError(
-            f"ingest.runs must name every run of '{path}' with what excited it, but '{strange[0]}' is not "
+            f"machine.recordings.runs must name every run of '{path}' with what excited it, but '{strange[0]}' is not "
             "among them: add "
-            "it (or name it as ingest.baseline too), or put it into ingest.leave_out"
+            "it (or name it as machine.recordings.baseline too), or put it into machine.recordings.leave_out"
         )
 
 

@@ -59,7 +59,7 @@ def ascending(speeds: np.ndarray, vectors: np.ndarray, where: str) -> Track:
     if not (sizes <= LARGEST).all():
         raise DataError(
             f"{where} must have amplitudes below {LARGEST:g} m, but got {np.nanmax(sizes):.3g} m: check the unit "
-            "(ingest.conventions.length, or scale and signal_unit)"
+            "(machine.recordings.conventions.length, or scale and signal_unit)"
         )
     order = np.argsort(speeds, kind="stable")
     speeds, vectors = speeds[order], vectors[order]
@@ -102,9 +102,9 @@ def _require_same(
     stop = min(float(one.speeds[-1]) for _, _, one in every) / RAD_S_PER_RPM
     common = f"all of them cover {start:.6g} to {stop:.6g} rpm" if start <= stop else "no speed is covered by all"
     raise DataError(
-        f"all runs must have the same speeds where ingest.speeds is null, but run '{run.name}' has {_range(track)} at "
-        f"probe '{probe}', and run '{first}' has {_range(every[0][2])} ({run.source}): give "
-        f"ingest.speeds={{start_rpm: .., stop_rpm: .., step_rpm: ..}} to interpolate to; {common}"
+        f"all runs must have the same speeds where machine.recordings.speeds is null, but run '{run.name}' has "
+        f"{_range(track)} at probe '{probe}', and run '{first}' has {_range(every[0][2])} ({run.source}): give "
+        f"machine.recordings.speeds={{start_rpm: .., stop_rpm: .., step_rpm: ..}} to interpolate to; {common}"
     )
 
 
@@ -112,9 +112,9 @@ def _interpolated(run: RunTracks, probe: str, track: Track, speeds: np.ndarray, 
     low, high = track.speeds[0] * (1 - _ROUNDING), track.speeds[-1] * (1 + _ROUNDING)
     if speeds[0] < low or speeds[-1] > high:
         raise DataError(
-            f"every run must cover ingest.speeds ({_rpm(speeds[0])} to {_rpm(speeds[-1])} rpm), but the speed range of "
-            f"run '{run.name}' is {_range(track)} at probe '{probe}' ({run.source}): nothing is extrapolated, choose "
-            "ingest.speeds within it"
+            f"every run must cover machine.recordings.speeds ({_rpm(speeds[0])} to {_rpm(speeds[-1])} rpm), but the "
+            f"speed range of run '{run.name}' is {_range(track)} at probe '{probe}' ({run.source}): nothing is "
+            "extrapolated, choose machine.recordings.speeds within it"
         )
     if len(speeds) == len(track.speeds) and np.allclose(speeds, track.speeds, rtol=1e-9, atol=0):
         return track.vectors

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.config.ingest import UffIngestConfig, UffRecordConfig, UffRunConfig
 from pipeline.config.measured import VectorConventionsConfig
 from pipeline.config.quantities import metres
+from pipeline.config.recordings import UffRecordConfig, UffRecordingsConfig, UffRunConfig
 from pipeline.errors import DataError, nearest
 from pipeline.ingest.conventions import RAD_S, to_lead
 from pipeline.ingest.tracks import RunTracks, ascending
@@ -100,7 +100,7 @@ def find_record(file: UffFile, wanted: UffRecordConfig, label: str | None, what:
     return fits[0]
 
 
-def read_uff_runs(config: UffIngestConfig) -> tuple[RunTracks, ...]:
+def read_uff_runs(config: UffRecordingsConfig) -> tuple[RunTracks, ...]:
     """The runs of the configuration, of complex functions of the speed. Raises DataError."""
     assert config.conventions is not None  # the schema has seen to it
     files: dict[str, UffFile] = {}
@@ -113,7 +113,9 @@ def read_uff_runs(config: UffIngestConfig) -> tuple[RunTracks, ...]:
     return tuple(runs)
 
 
-def _functions(config: UffIngestConfig, said: VectorConventionsConfig, run: UffRunConfig, file: UffFile) -> RunTracks:
+def _functions(
+    config: UffRecordingsConfig, said: VectorConventionsConfig, run: UffRunConfig, file: UffFile
+) -> RunTracks:
     tracks, notes = {}, []
     for name, probe in config.probes.items():
         record = find_record(file, probe, run.label, f"probe '{name}' in run '{run.name}'")
@@ -121,7 +123,8 @@ def _functions(config: UffIngestConfig, said: VectorConventionsConfig, run: UffR
         if record.abscissa_type == _TIME:
             raise DataError(
                 f"{where} must be a function of the speed, but it is one of the time: give the record of the tacho "
-                "(ingest.tacho), ingest.signal_unit and ingest.records in place of ingest.conventions"
+                "(machine.recordings.tacho), machine.recordings.signal_unit and machine.recordings.records in place of "
+                "machine.recordings.conventions"
             )
         if not np.iscomplexobj(record.values):
             raise DataError(
@@ -149,16 +152,16 @@ def _notes(record: UffRecord, file: UffFile, said: VectorConventionsConfig, wher
     if stated is not None and not np.isclose(stated, metres(said.length), rtol=1e-3):
         words = f"'{record.ordinate_label}'" if _metres_of(record.ordinate_label) else f"{stated:g} m (dataset 164)"
         notes.append(
-            f"{where} says that its lengths are in {words}, and ingest.conventions.length is {said.length}, which is "
-            "followed"
+            f"{where} says that its lengths are in {words}, and machine.recordings.conventions.length is "
+            f"{said.length}, which is followed"
         )
     units = _ABSCISSA.get(record.abscissa_type, ())
     label = record.abscissa_label.strip().lower()
     labelled = next((unit for unit in ("rpm", "Hz", "rad/s") if label == unit.lower()), None)
     if (labelled or units) and said.speed not in ((labelled,) if labelled else units):
         notes.append(
-            f"{where} says that its abscissa is in {labelled or ' or '.join(units)}, and ingest.conventions.speed is "
-            f"{said.speed}, which is followed"
+            f"{where} says that its abscissa is in {labelled or ' or '.join(units)}, and "
+            f"machine.recordings.conventions.speed is {said.speed}, which is followed"
         )
     if record.denominator_type in _FORCES:
         notes.append(f"{where} is per force: its numbers are right for a force of 1 N in this run")
@@ -217,7 +220,7 @@ def _record(path: Path, one: dict[str, Any]) -> UffRecord:
     return record
 
 
-def signal_records(config: UffIngestConfig, run: UffRunConfig, path: Path) -> tuple[Sequence[UffRecord], UffRecord]:
+def signal_records(config: UffRecordingsConfig, run: UffRunConfig, path: Path) -> tuple[Sequence[UffRecord], UffRecord]:
     """The time signals of the probes, in their order, and the tacho's. Raises DataError."""
     file = read_uff(path)
     records = [
@@ -229,8 +232,8 @@ def signal_records(config: UffIngestConfig, run: UffRunConfig, path: Path) -> tu
         where = f"'{path}', record {record.name},"
         if np.iscomplexobj(record.values) or record.abscissa_type in (_FREQUENCY, _RPM):
             raise DataError(
-                f"{where} must be a time signal (ingest.tacho has a record), but it is a function of the speed or the "
-                "frequency: give ingest.conventions, and the tacho no record"
+                f"{where} must be a time signal (machine.recordings.tacho has a record), but it is a function of the "
+                "speed or the frequency: give machine.recordings.conventions, and the tacho no record"
             )
         if len(record.abscissa) != len(tacho.abscissa) or not np.allclose(record.abscissa, tacho.abscissa):
             raise DataError(f"{where} must have the same times as the tacho {tacho.name}, but it has others")

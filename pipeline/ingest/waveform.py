@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.config.ingest import UffIngestConfig, UffRunConfig, WaveformIngestConfig, WaveformRunConfig
 from pipeline.config.quantities import metres, volts, volts_per_metre
+from pipeline.config.recordings import UffRecordingsConfig, UffRunConfig, WaveformRecordingsConfig, WaveformRunConfig
 from pipeline.errors import DataError
 from pipeline.ingest.order_tracking import Settings, Signals, covered, steady_vectors, sweep_vectors
 from pipeline.ingest.recordings import Clock, Recording, checked, read_recording
@@ -23,7 +23,7 @@ SLOW_WINDOWS = 10
 _TACHO = "the tacho"
 _SEEN_ERROR = np.radians(0.1)
 
-SignalIngestConfig = WaveformIngestConfig | UffIngestConfig
+SignalRecordingsConfig = WaveformRecordingsConfig | UffRecordingsConfig
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class _Record:
     notes: tuple[str, ...]
 
 
-def read_signal_runs(config: SignalIngestConfig) -> tuple[RunTracks, ...]:
+def read_signal_runs(config: SignalRecordingsConfig) -> tuple[RunTracks, ...]:
     """The runs of the configuration, their 1X vectors fitted to time signals.
 
     Raises DataError; see :mod:`pipeline.ingest.recordings`, :mod:`pipeline.ingest.tacho` and
@@ -53,12 +53,12 @@ def read_signal_runs(config: SignalIngestConfig) -> tuple[RunTracks, ...]:
     return tuple(runs)
 
 
-def _settings(config: SignalIngestConfig) -> Settings:
+def _settings(config: SignalRecordingsConfig) -> Settings:
     tracking = config.tracking
     return Settings(tracking.orders, tracking.degree, tracking.revolutions)
 
 
-def _steady(config: SignalIngestConfig, name: str, source: str, records: Iterable[_Record]) -> RunTracks:
+def _steady(config: SignalRecordingsConfig, name: str, source: str, records: Iterable[_Record]) -> RunTracks:
     """A vector a record."""
     speeds: list[float] = []
     vectors: list[np.ndarray] = []
@@ -82,7 +82,7 @@ def _steady(config: SignalIngestConfig, name: str, source: str, records: Iterabl
     return RunTracks(name, source, tracks, tracks, tuple(notes))
 
 
-def _sweep(config: SignalIngestConfig, name: str, source: str, record: _Record) -> RunTracks:
+def _sweep(config: SignalRecordingsConfig, name: str, source: str, record: _Record) -> RunTracks:
     """Vectors at the wanted speeds, and at low ones for the slow roll."""
     assert config.speeds is not None  # the schema has seen to it
     wanted = np.array(config.speeds.rpm()) * RAD_S_PER_RPM
@@ -94,14 +94,14 @@ def _sweep(config: SignalIngestConfig, name: str, source: str, record: _Record) 
         if lowest >= limit:
             raise DataError(
                 f"{record.signals.where} must have data below "
-                f"ingest.slow_roll.below_rpm={config.slow_roll.below_rpm:g}, "
+                f"machine.recordings.slow_roll.below_rpm={config.slow_roll.below_rpm:g}, "
                 f"but windows fit from {lowest / RAD_S_PER_RPM:.6g} rpm on: give a larger one, or slow_roll.vectors"
             )
         slow = _tracked(config, record, np.linspace(lowest, limit, SLOW_WINDOWS, endpoint=False))
     return RunTracks(name, source, tracks, slow, record.notes)
 
 
-def _tracked(config: SignalIngestConfig, record: _Record, speeds: np.ndarray) -> dict[str, Track]:
+def _tracked(config: SignalRecordingsConfig, record: _Record, speeds: np.ndarray) -> dict[str, Track]:
     vectors = sweep_vectors(record.signals, speeds, _settings(config))
     return {
         probe: ascending(speeds, vectors[:, p], f"{record.signals.where}, probe '{probe}',")
@@ -109,10 +109,10 @@ def _tracked(config: SignalIngestConfig, record: _Record, speeds: np.ndarray) ->
     }
 
 
-def _read(config: SignalIngestConfig, run: WaveformRunConfig | UffRunConfig, path: Path) -> _Record:
+def _read(config: SignalRecordingsConfig, run: WaveformRunConfig | UffRunConfig, path: Path) -> _Record:
     where = f"'{path}' (run '{run.name}')"
     marks = None
-    if isinstance(config, UffIngestConfig):
+    if isinstance(config, UffRecordingsConfig):
         assert isinstance(run, UffRunConfig)
         recording, tacho, per_revolution = _from_uff(config, run, path), _TACHO, 1
         values = recording.channels
@@ -135,19 +135,19 @@ def _read(config: SignalIngestConfig, run: WaveformRunConfig | UffRunConfig, pat
     return _Record(Signals(recording.time, _in_metres(config, values), angle, where), pulses, notes)
 
 
-def _pulses(config: SignalIngestConfig, recording: Recording, channel: str, where: str) -> Pulses:
+def _pulses(config: SignalRecordingsConfig, recording: Recording, channel: str, where: str) -> Pulses:
     tacho = config.tacho
     signal = recording.channels[channel]
     return find_pulses(recording.time, signal, tacho.edge or "rising", tacho.threshold, tacho.hysteresis, where)
 
 
-def _from_uff(config: UffIngestConfig, run: UffRunConfig, path: Path) -> Recording:
+def _from_uff(config: UffRecordingsConfig, run: UffRunConfig, path: Path) -> Recording:
     records, tacho = signal_records(config, run, path)
     channels = {name: record.values for name, record in zip(config.probes, records, strict=True)}
     return checked(path, channels | {_TACHO: tacho.values, "time": tacho.abscissa}, Clock("time", "s"), None)
 
 
-def _in_metres(config: SignalIngestConfig, values: Mapping[str, np.ndarray]) -> np.ndarray:
+def _in_metres(config: SignalRecordingsConfig, values: Mapping[str, np.ndarray]) -> np.ndarray:
     """(n, P) m, of the probes in their order."""
     unit = config.signal_unit or ""
     volt = volts(unit)

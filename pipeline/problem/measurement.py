@@ -81,7 +81,7 @@ class Measurement:
         Raises DataError with the law that a file breaks.
         """
         from pipeline.coefficients import COEFFICIENTS
-        from pipeline.config.machine import RotorConfig
+        from pipeline.config.rotor import RotorConfig
         from pipeline.data.coefficient_files import read_coefficients
         from pipeline.data.vibration_files import read_dataset
         from pipeline.rotor.stored import assembled

@@ -185,7 +185,7 @@ def report_text(report: StudyReport) -> str:
     unknowns = ", ".join(config.identify.named())
     states = Counter(t.state for t in report.trials)
     seconds = sum(t.seconds or 0.0 for t in report.trials)
-    command = f"python -m pipeline stage=tune experiment={config.name} tuning.n_trials={tuning.n_trials}"
+    command = f"python -m pipeline stage=tune {config.chosen} tuning.n_trials={tuning.n_trials}"
     if tuning.study != config.name:
         command += f" tuning.study={tuning.study} (and what else was overridden when the study was begun)"
     parts = [

@@ -93,7 +93,7 @@ def _wrapped(text: str, first: str, lines: int) -> list[str]:
 
 def _machine(config: Config, results: Results) -> str:
     rotor = results.rotor
-    source = f", from '{config.rotor.file}'" if config.rotor.file else ""
+    source = f", from '{config.machine.rotor.file}'" if config.machine.rotor.file else ""
     return (
         f"{rotor.n_nodes} nodes, {rotor.total_mass:.4g} kg, bearings at {_nodes(rotor.bearing_nodes)}, "
         f"discs at {_nodes(rotor.disc_nodes)}{source}"
@@ -213,7 +213,7 @@ def _prediction(config: Config, results: Results) -> str:
     """The vibration at the prediction's speed, and the largest of all speeds."""
     found = results.vibration["identified"]
     rpm, size = to_rpm(found.speeds), 1e6 * np.abs(found.displacement)
-    acting = _listed(f"{1e6 * one.magnitude:g} g mm at node {one.node}" for one in config.prediction.unbalances)
+    acting = _listed(f"{1e6 * one.magnitude:g} g mm at node {one.node}" for one in config.machine.prediction.unbalances)
     words = []
     for d, direction in enumerate("xy"):
         deviation = None if found.deviation is None else float(1e6 * found.deviation[results.at, d])

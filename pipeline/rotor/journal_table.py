@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.config.machine import JournalTableConfig
+from pipeline.config.bearings import JournalTableConfig
 from pipeline.errors import ConfigError
 
 

@@ -18,17 +18,16 @@ from typing import Any
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.config.machine import (
+from pipeline.config.bearings import (
     BallBearingConfig,
     BearingConfig,
     CylindricalBearingConfig,
-    DiscConfig,
     JournalTableConfig,
     LinearBearingConfig,
     PerNodeBearingConfig,
-    RotorConfig,
     RotorFileBearingConfig,
 )
+from pipeline.config.rotor import DiscConfig, RotorConfig
 from pipeline.errors import ConfigError
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.journal_table import journal_coefficients
@@ -132,7 +131,7 @@ def _at(bearing: BearingConfig, node: int) -> BearingConfig:
         return bearing
     if node not in bearing.nodes:
         raise ConfigError(
-            f"bearing.nodes must have a bearing for every bearing node, but node {node} has none (it has "
+            f"machine.bearings.nodes must have a bearing for every bearing node, but node {node} has none (it has "
             f"{', '.join(map(str, bearing.nodes))})"
         )
     return bearing.nodes[node]
@@ -194,7 +193,7 @@ def _element(bearing: BearingConfig, node: int, speeds: np.ndarray, share: float
 def _build(config: RotorConfig) -> Any:
     rs = ross()
     if config.material is None:
-        raise ConfigError("rotor.material must be given for a rotor without rotor.file")
+        raise ConfigError("machine.rotor.material must be given for a rotor without machine.rotor.file")
     material = rs.Material(
         "rotor",
         rho=config.material.density,
@@ -235,13 +234,15 @@ def _disc(disc: DiscConfig, material: Any) -> Any:
 def _load(path: str | None) -> Any:
     file = Path(str(path))
     if not file.is_file():
-        raise ConfigError(f"rotor.file must be a rotor saved by ROSS (.toml or .json), but there is no file '{file}'")
+        raise ConfigError(
+            f"machine.rotor.file must be a rotor saved by ROSS (.toml or .json), but there is no file '{file}'"
+        )
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             return ross().Rotor.load(file)
     except Exception as error:  # ROSS's loader raises whatever its elements' constructors raise
         raise ConfigError(
-            f"rotor.file must be a rotor saved by ROSS (.toml or .json), but '{file}' can't be read as one "
+            f"machine.rotor.file must be a rotor saved by ROSS (.toml or .json), but '{file}' can't be read as one "
             f"({type(error).__name__}: {error})"
         ) from error

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.cache import identity, keep, look_up
-from pipeline.config.machine import BearingConfig, RotorConfig
+from pipeline.config.bearings import BearingConfig
+from pipeline.config.rotor import RotorConfig
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 

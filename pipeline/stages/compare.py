@@ -36,7 +36,7 @@ def run(config: Config) -> StageOutput:
 
     Raises ConfigError for measured data, whose truth nobody knows.
     """
-    if config.ingest.format != "none":
+    if config.machine.recordings.format != "none":
         raise ConfigError(
             "compare must have a modelled machine, whose coefficients are known, but the data are measured: "
             "use stage=evaluate, which shows least squares beside the fit"
@@ -70,16 +70,16 @@ def run(config: Config) -> StageOutput:
 
 def modelled_machine(config: Config) -> Machine:
     """The configured machine, and its vibration without noise at every node."""
-    speeds = np.array(config.excitation.speeds.rpm()) * RAD_S_PER_RPM
-    rotor = assembled(config.rotor)
+    speeds = np.array(config.machine.speeds.rpm()) * RAD_S_PER_RPM
+    rotor = assembled(config.machine.rotor)
     known_coefficients(config, rotor.bearing_nodes)  # refuses exceptions without a bearing
-    bearings = modelled_bearings(config.rotor, config.bearing, speeds)
+    bearings = modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
     runs, residual = excitations(config), residual_unbalances(config)
-    require_nodes(rotor, "excitation.runs", [excitation.node for excitation in (*runs, *residual)])
+    require_nodes(rotor, "machine.runs", [excitation.node for excitation in (*runs, *residual)])
     require_nodes(rotor, "identify.unbalance_planes", config.identify.unbalance_planes)
     complete = simulate(rotor, bearings, (*runs, *residual), own_frequencies(config, speeds))
     # The residual unbalance is in the vibration and nobody knows of it.
-    return Machine(rotor, bearings, replace(complete, excitations=runs), config.sensors.seed)
+    return Machine(rotor, bearings, replace(complete, excitations=runs), config.machine.probes.seed)
 
 
 def summary_of(comparison: Comparison) -> dict[str, object]:

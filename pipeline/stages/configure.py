@@ -27,7 +27,7 @@ def run(config: Config) -> StageOutput:
     import yaml
 
     mapping = config.model_dump(mode="json", exclude=_HOW)
-    mapping["rotor_file"] = fingerprint_of(Path(config.rotor.file)) if config.rotor.file else ""
+    mapping["rotor_file"] = fingerprint_of(Path(config.machine.rotor.file)) if config.machine.rotor.file else ""
     path = write_text(workspace(config).config, yaml.safe_dump(mapping, sort_keys=False))
     say(f"{config.name}: configuration in '{path}'")
     return StageOutput(files=[path])

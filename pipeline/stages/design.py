@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from pipeline.config.excitation import DesignConfig
+from pipeline.config.messages import written as override
+from pipeline.config.runs import CandidateConfig
 from pipeline.config.schema import Config
 from pipeline.data.dataset import Excitation
 from pipeline.data.simulate import simulate
@@ -34,9 +35,8 @@ from pipeline.stages.workspace import workspace
 from pipeline.units import RAD_S_PER_RPM
 
 
-def candidates(design: DesignConfig) -> tuple[tuple[Excitation, ...], ...]:
+def candidates(can: CandidateConfig) -> tuple[tuple[Excitation, ...], ...]:
     """Every run that could be made: single unbalances, pairs of them, and rotating forces."""
-    can = design.candidates
     made: list[tuple[Excitation, ...]] = []
 
     def unbalance(name: str, node: int, degrees: float) -> Excitation:
@@ -54,14 +54,14 @@ def candidates(design: DesignConfig) -> tuple[tuple[Excitation, ...], ...]:
 
 def run(config: Config) -> StageOutput:
     """``design.json`` and ``designed_excitation.yaml``, which can be used at once."""
-    design, rotor = config.design, assembled(config.rotor)
-    possible = candidates(design)
-    require_nodes(rotor, "design.candidates", [one.node for acting in possible for one in acting])
+    design, rotor = config.design, assembled(config.machine.rotor)
+    possible = candidates(config.machine.candidates)
+    require_nodes(rotor, "machine.candidates", [one.node for acting in possible for one in acting])
     if design.runs > len(possible):
         raise ConfigError(f"design.runs must be at most the {len(possible)} candidates, but got {design.runs}")
-    every = np.array(config.excitation.speeds.rpm()) * RAD_S_PER_RPM
+    every = np.array(config.machine.speeds.rpm()) * RAD_S_PER_RPM
     speeds = every[np.unique(np.linspace(0, len(every) - 1, min(design.speeds, len(every))).round().astype(int))]
-    prior = modelled_bearings(config.rotor, config.bearing, speeds)
+    prior = modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
 
     def plan(acting: Sequence[Excitation], own: np.ndarray | None = None) -> Measurement:
         return measurement_of(config, rotor, simulate(rotor, prior, tuple(acting), own), prior)
@@ -83,8 +83,8 @@ def run(config: Config) -> StageOutput:
         write_json(folder / "design.json", summary | {"runs": [acting[0].run for acting in chosen]}),
     ]
     say(
-        f"use them with: python -m pipeline stage=train experiment={config.name} "
-        f"excitation.file={written[0]} output={folder}_designed"
+        f"use them with: python -m pipeline stage=train {config.chosen} "
+        f"{override('machine.runs_file', str(written[0]))} {override('output', f'{folder}_designed')}"
     )
     return StageOutput(flat_metrics(summary), {"rotor_fingerprint": rotor.fingerprint}, written)
 
@@ -123,8 +123,8 @@ def _excitation_yaml(config: Config, chosen: Sequence[Sequence[Excitation]]) -> 
             if of_kind:
                 run[key] = [_source(one) for one in of_kind]
         runs.append(run)
-    content = {"speeds": config.excitation.speeds.model_dump(), "runs": runs}
-    head = f"# Chosen by: python -m pipeline stage=design experiment={config.name}\n"
+    content = {"speeds": config.machine.speeds.model_dump(), "runs": runs}
+    head = f"# Chosen by: python -m pipeline stage=design {config.chosen}\n"
     return head + yaml.safe_dump(content, sort_keys=False)
 
 

@@ -37,14 +37,14 @@ def run(config: Config) -> StageOutput:
             f"generate must not replace what it did not write, but '{files.vibration}' was made elsewhere: move it and "
             "give it as data.vibration=..., or choose another folder with output=FOLDER"
         )
-    speeds = np.array(config.excitation.speeds.rpm()) * RAD_S_PER_RPM
-    rotor = assembled(config.rotor)
-    bearings = modelled_bearings(config.rotor, config.bearing, speeds)
+    speeds = np.array(config.machine.speeds.rpm()) * RAD_S_PER_RPM
+    rotor = assembled(config.machine.rotor)
+    bearings = modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
     runs, residual = excitations(config), residual_unbalances(config)
-    require_nodes(rotor, "excitation.runs", [excitation.node for excitation in (*runs, *residual)])
+    require_nodes(rotor, "machine.runs", [excitation.node for excitation in (*runs, *residual)])
     complete = simulate(rotor, bearings, (*runs, *residual), own_frequencies(config, speeds))
     # The residual unbalance is in the vibration and nobody knows of it.
-    generator = np.random.default_rng(config.sensors.seed)
+    generator = np.random.default_rng(config.machine.probes.seed)
     dataset = measure(replace(complete, excitations=runs), sensors(config, rotor), generator)
     modelled = workspace(config).modelled
     write_excitation(files.excitation, dataset)
@@ -86,7 +86,7 @@ def _margin_text(margin: StabilityMargin) -> str:
 def excitations(config: Config) -> tuple[Excitation, ...]:
     """The configured runs."""
     acting: list[Excitation] = []
-    for run in config.excitation.runs:
+    for run in config.machine.runs:
         acting += [Excitation(run.name, "unbalance", one.node, one.magnitude, one.phase) for one in run.unbalances]
         acting += [Excitation(run.name, "force", one.node, one.magnitude, one.phase, one.whirl) for one in run.forces]
     return tuple(acting)
@@ -94,30 +94,30 @@ def excitations(config: Config) -> tuple[Excitation, ...]:
 
 def residual_unbalances(config: Config) -> tuple[Excitation, ...]:
     """The configured residual unbalance, in every run that turns with the rotor."""
-    turning = [run for run in config.excitation.runs if not run.frequency_hz and not run.frequency_ratio]
+    turning = [run for run in config.machine.runs if not run.frequency_hz and not run.frequency_ratio]
     return tuple(
         Excitation(run.name, "unbalance", one.node, one.magnitude, one.phase)
         for run in turning
-        for one in config.excitation.residual
+        for one in config.machine.residual_unbalance
     )
 
 
 def sensors(config: Config, rotor: RotorModel) -> Sensors:
     """The configured sensors."""
-    spec = config.sensors
+    spec = config.machine.probes
     channels: Channels | None = None
-    if spec.probes == "bearings":
+    if spec.at == "bearings":
         channels = both_directions(rotor.bearing_nodes)
-    elif spec.probes != "all":
-        require_nodes(rotor, "sensors.probes", [probe.node for probe in spec.probes])
+    elif spec.at != "all":
+        require_nodes(rotor, "machine.probes.at", [probe.node for probe in spec.at])
         # An angle such as 45 deg is a text or a number of radians: rounded, it is 45 again.
-        channels = tuple((probe.node, round(float(np.degrees(probe.angle)), 9) % 360.0) for probe in spec.probes)
+        channels = tuple((probe.node, round(float(np.degrees(probe.angle)), 9) % 360.0) for probe in spec.at)
     return Sensors(channels, spec.additive, spec.multiplicative, spec.runout, spec.quantisation)
 
 
 def own_frequencies(config: Config, speeds: np.ndarray) -> np.ndarray | None:
     """(S, R) rad/s of the configured runs at ``speeds`` (S,) rad/s; None where all are synchronous."""
-    runs = config.excitation.runs
+    runs = config.machine.runs
     if not any(run.frequency_hz or run.frequency_ratio for run in runs):
         return None
     columns = [

@@ -7,12 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.config.ingest import (
-    MeasuredIngestConfig,
-    NoIngestConfig,
-    TableIngestConfig,
-    UffIngestConfig,
-    WaveformIngestConfig,
+from pipeline.config.measured import AS_MODELLED
+from pipeline.config.recordings import (
+    AnyRecordingsConfig,
+    NoRecordingsConfig,
+    TableRecordingsConfig,
+    UffRecordingsConfig,
+    WaveformRecordingsConfig,
 )
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import write_coefficients
@@ -27,7 +28,7 @@ from pipeline.reporting.console import say, table, warn
 from pipeline.reporting.ingest_figures import bode_figure, measured_orbit_figure
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
-from pipeline.rotor.stored import assembled
+from pipeline.rotor.stored import assembled, modelled_bearings
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.nodes import known_coefficients, require_nodes
 from pipeline.stages.workspace import InputFiles, input_files, workspace
@@ -38,18 +39,18 @@ def run(config: Config) -> StageOutput:
 
     Raises ConfigError where the configuration says nothing to read.
     """
-    files, work, ingest = input_files(config), workspace(config), config.ingest
+    files, work, ingest = input_files(config), workspace(config), config.machine.recordings
     _refuse_replacing(files)
-    if isinstance(ingest, NoIngestConfig):
+    if isinstance(ingest, NoRecordingsConfig):
         raise ConfigError(
-            "ingest must say what to read, but ingest.format is none: choose ingest=table, ingest=uff58 or "
-            "ingest=waveform, or a file of your own in conf/ingest (docs/ingest.md)"
+            "ingest must have recordings to read, but machine.recordings.format is none: say in a machine file "
+            "what was recorded (stage=new new.data=recordings machine.file=FILE writes one; docs/ingest.md)"
         )
-    rotor = assembled(config.rotor)
-    require_nodes(rotor, "ingest.probes", [probe.node for probe in ingest.probes.values()])
+    rotor = assembled(config.machine.rotor)
+    require_nodes(rotor, "machine.recordings.probes", [probe.node for probe in ingest.probes.values()])
     for measured_run in ingest.runs:
         acting = [*(one.node for one in measured_run.unbalances), *(one.node for one in measured_run.forces)]
-        require_nodes(rotor, f"ingest.runs, run '{measured_run.name}',", acting)
+        require_nodes(rotor, f"machine.recordings.runs, run '{measured_run.name}',", acting)
     measured = measurement(ingest)
     dataset = measured.dataset
     known = _known(config, ingest, rotor, dataset.speeds)
@@ -87,10 +88,12 @@ def _refuse_replacing(files: InputFiles) -> None:
         )
 
 
-def _known(config: Config, ingest: MeasuredIngestConfig, rotor: RotorModel, speeds: np.ndarray) -> BearingTable | None:
+def _known(config: Config, ingest: AnyRecordingsConfig, rotor: RotorModel, speeds: np.ndarray) -> BearingTable | None:
     """What training takes as known; None where it needs some and nothing says them."""
     nodes = rotor.bearing_nodes
     needed = known_coefficients(config, nodes)
+    if ingest.known == AS_MODELLED:
+        return modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
     if ingest.known is not None:
         return read_known(Path(ingest.known), nodes, speeds, needed)
     if any(needed.values()):
@@ -98,7 +101,7 @@ def _known(config: Config, ingest: MeasuredIngestConfig, rotor: RotorModel, spee
     return BearingTable(nodes, speeds, np.zeros((len(nodes), len(speeds), len(COEFFICIENTS))))
 
 
-def _account(measured: Measurement, ingest: MeasuredIngestConfig, notes: list[str]) -> dict[str, object]:
+def _account(measured: Measurement, ingest: AnyRecordingsConfig, notes: list[str]) -> dict[str, object]:
     dataset = measured.dataset
     rpm = to_rpm(dataset.speeds)
     return {
@@ -124,26 +127,26 @@ def _run_account(measured: Measurement, index: int) -> dict[str, object]:
     }
 
 
-def conventions(ingest: MeasuredIngestConfig) -> str:
+def conventions(ingest: AnyRecordingsConfig) -> str:
     """What the numbers in the files were taken for."""
-    if isinstance(ingest, TableIngestConfig):
+    if isinstance(ingest, TableRecordingsConfig):
         said = ingest.conventions
         return (
             f"{said.length}, {said.amplitude.replace('_', '-')}, phase {said.phase} in {said.phase_unit}, speed in "
             f"{said.speed}"
         )
-    if isinstance(ingest, UffIngestConfig) and ingest.conventions is not None:
+    if isinstance(ingest, UffRecordingsConfig) and ingest.conventions is not None:
         vector = ingest.conventions
         return (
             f"complex, {vector.length}, {vector.amplitude.replace('_', '-')}, angle a phase {vector.phase}, speed in "
             f"{vector.speed}"
         )
-    assert isinstance(ingest, (UffIngestConfig, WaveformIngestConfig))
+    assert isinstance(ingest, (UffRecordingsConfig, WaveformRecordingsConfig))
     records = "records at constant speed" if ingest.records == "constant_speed" else "run-ups"
     return f"time signals in {ingest.signal_unit}, {records}, tacho edge {ingest.tacho.edge}"
 
 
-def _report(config: Config, ingest: MeasuredIngestConfig, measured: Measurement, files: InputFiles) -> None:
+def _report(config: Config, ingest: AnyRecordingsConfig, measured: Measurement, files: InputFiles) -> None:
     dataset = measured.dataset
     rows = []
     for i, run in enumerate(measured.runs):
@@ -172,4 +175,7 @@ def _report(config: Config, ingest: MeasuredIngestConfig, measured: Measurement,
         f"{len(dataset.channels)} channels in '{files.vibration}'"
     )
     if not files.known.exists():
-        say("some coefficients are taken as known (identify.unknowns): give their table as ingest.known, or data.known")
+        say(
+            "some coefficients are taken as known (identify.unknowns): give their table as machine.recordings.known, "
+            "or data.known"
+        )

@@ -27,17 +27,17 @@ def load_measurement(config: Config) -> Measurement:
     """
     files = input_files(config)
     if files.own:
-        source = "generate" if config.ingest.format == "none" else "ingest"
+        source = "generate" if config.machine.recordings.format == "none" else "ingest"
         make_missing(config, source, files.vibration, files.excitation, files.known)
         _require_generated_from(config, files)
     # A rotor file says itself how many nodes there are, and where the bearings stand.
-    n_nodes = config.rotor.n_nodes if config.rotor.file is None else None
+    n_nodes = config.machine.rotor.n_nodes if config.machine.rotor.file is None else None
     dataset = read_measured(files.vibration, files.excitation, config.data.baseline, n_nodes)
     if n_nodes is not None:
-        known = _known(config, files, config.rotor.bearing_nodes, dataset)
-        rotor = assembled(config.rotor)
+        known = _known(config, files, config.machine.rotor.bearing_nodes, dataset)
+        rotor = assembled(config.machine.rotor)
     else:
-        rotor = assembled(config.rotor)
+        rotor = assembled(config.machine.rotor)
         require_nodes_of(dataset, rotor.n_nodes, files.vibration, files.excitation)
         known = _known(config, files, rotor.bearing_nodes, dataset)
     require_made_for(files.vibration, rotor)
@@ -66,8 +66,8 @@ def _require_generated_from(config: Config, files: InputFiles) -> None:
     made_from = origin_of(files.vibration)
     if made_from is not None and made_from.split(" ")[0] != origin(config):
         raise DataError(
-            f"'{files.vibration}' must have been generated from the configured rotor, bearings and excitation, but "
-            "they have changed since: run stage=generate with the same overrides first, or choose another folder "
+            f"'{files.vibration}' must have been generated from the configured machine, but it has "
+            "changed since: run stage=generate with the same overrides first, or choose another folder "
             "with output=FOLDER"
         )
     if made_from not in (None, origin_of_files(config, files)):

@@ -48,7 +48,7 @@ def run(config: Config) -> StageOutput:
     say_diagnosis(config, measurement)
     with training_progress(config.name) as progress:
         fit = fit_output_error(measurement, setup, progress)
-    generator = np.random.default_rng([config.sensors.seed, 1])
+    generator = np.random.default_rng([config.machine.probes.seed, 1])
     clean = measurement.response.predict(modelled)
     study = monte_carlo(
         fit, clean, config.robustness.count, generator, setup.optimizer.levenberg_marquardt, config.device

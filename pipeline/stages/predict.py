@@ -51,16 +51,17 @@ def twin_of(config: Config, measurement: Measurement) -> Twin:
     identified = model.table(measurement.known)
     modelled = load_modelled(config, measurement)
     systems = {"identified": identified} if modelled is None else {"modelled": modelled, "identified": identified}
-    nodes = [config.prediction.node, *(unbalance.node for unbalance in config.prediction.unbalances)]
-    require_nodes(measurement.rotor, "prediction", nodes)
+    nodes = [config.machine.prediction.node, *(unbalance.node for unbalance in config.machine.prediction.unbalances)]
+    require_nodes(measurement.rotor, "machine.prediction", nodes)
     at = _speed_index(config, measurement.dataset.speeds)
     unseen = unseen_excitations(config)
     if (run := same_run(unseen, measurement.dataset.excitations)) is not None:
         raise ConfigError(
-            f"prediction.unbalances must be an unbalance that training never saw, but run '{run}' is the same"
+            f"machine.prediction.unbalances must be an unbalance that training never saw, but run '{run}' is the same"
         )
     vibration = {
-        name: predict(measurement.rotor, system, unseen, config.prediction.node) for name, system in systems.items()
+        name: predict(measurement.rotor, system, unseen, config.machine.prediction.node)
+        for name, system in systems.items()
     }
     if uncertainty is not None:
         vibration["identified"] = with_deviation(
@@ -97,12 +98,12 @@ def run(config: Config) -> StageOutput:
 
 
 def _speed_index(config: Config, speeds: np.ndarray) -> int:
-    rpm, wanted = to_rpm(speeds), config.prediction.speed_rpm
+    rpm, wanted = to_rpm(speeds), config.machine.prediction.speed_rpm
     nearest = int(np.abs(rpm - wanted).argmin())
     if abs(rpm[nearest] - wanted) > 1e-6 * wanted:
         raise ConfigError(
-            "prediction.speed_rpm must be one of the data's speeds (known coefficients are given there), but got "
-            f"{wanted:g}: the nearest is {rpm[nearest]:g}"
+            "machine.prediction.speed_rpm must be one of the data's speeds (known coefficients are given there), but "
+            f"got {wanted:g}: the nearest is {rpm[nearest]:g}"
         )
     return nearest
 
@@ -110,7 +111,8 @@ def _speed_index(config: Config, speeds: np.ndarray) -> int:
 def unseen_excitations(config: Config) -> tuple[Excitation, ...]:
     """The unbalances that the twin is judged by, as one run."""
     return tuple(
-        Excitation("prediction", "unbalance", u.node, u.magnitude, u.phase) for u in config.prediction.unbalances
+        Excitation("prediction", "unbalance", u.node, u.magnitude, u.phase)
+        for u in config.machine.prediction.unbalances
     )
 
 
@@ -173,7 +175,7 @@ def _print(config: Config, summary: Mapping[str, Any], vibration: dict[str, Pred
                 "none" if decrement is None else f"{decrement:.4f}",
             ]
         )
-    rpm = config.prediction.speed_rpm
+    rpm = config.machine.prediction.speed_rpm
     header = [
         "system",
         f"x at {rpm:g} rpm, um",
@@ -181,7 +183,7 @@ def _print(config: Config, summary: Mapping[str, Any], vibration: dict[str, Pred
         "critical speeds, rpm (log decrement)",
         "smallest log decrement",
     ]
-    table(f"{config.name}: node {config.prediction.node} under an unbalance never seen", header, rows)
+    table(f"{config.name}: node {config.machine.prediction.node} under an unbalance never seen", header, rows)
     if "displacement" in summary:
         errors = (
             f"{direction} {e['mean_error_percent']:.2g} % mean, {e['max_error_percent']:.2g} % max"

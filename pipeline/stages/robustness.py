@@ -163,7 +163,7 @@ def _displacement_error(
 
     None where this rotor lacks the prediction's nodes, a run has the very unbalance, or a start has no finite answer.
     """
-    unseen, node, rotor = unseen_excitations(config), config.prediction.node, measurement.rotor
+    unseen, node, rotor = unseen_excitations(config), config.machine.prediction.node, measurement.rotor
     if max(node, *(force.node for force in unseen)) >= rotor.n_nodes or same_run(
         unseen, measurement.dataset.excitations
     ):

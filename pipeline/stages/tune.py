@@ -136,7 +136,7 @@ def _write(config: Config, report: StudyReport, summary: dict[str, object], fold
 
     values = PromotedTrial(study=config.tuning.study, trial=report.best.trial, values=dict(report.best.values))
     head = (
-        f"# Promoted by: python -m pipeline stage=tune experiment={config.name}\n"
+        f"# Promoted by: python -m pipeline stage=tune {config.chosen}\n"
         "# Training uses these values; one given on the command line wins, and tuned=false leaves them all out.\n"
     )
     return [

@@ -58,9 +58,9 @@ def input_files(config: Config) -> InputFiles:
 
 
 def origin(config: Config) -> str:
-    """Identity of what data are generated from: rotor, bearings, sensors and excitation of the configuration."""
-    parts = [section.model_dump(mode="json") for section in (config.rotor, config.bearing, config.sensors)]
-    parts.append(config.excitation.model_dump(mode="json", exclude={"file"}))
+    """Identity of what data are generated from: the machine, but what was recorded of it."""
+    kept = {"rotor", "bearings", "probes", "speeds", "runs", "residual_unbalance"}
+    parts = config.machine.model_dump(mode="json", include=kept)
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
 
 

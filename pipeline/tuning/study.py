@@ -158,7 +158,7 @@ def _describe(study: optuna.Study, problem: StudyProblem) -> None:
         "epochs; a trial worse than the median there is pruned. A trial that diverges is failed, with its reason.",
         f"**User attributes:** training_seconds, epochs, outcome, held_out_loss. **Sampler:** {config.tuning.sampler}.",
         "",
-        f"**Go on:** `python -m pipeline stage=tune experiment={config.name} tuning.n_trials=N`, N being the total.",
+        f"**Go on:** `python -m pipeline stage=tune {config.chosen} tuning.n_trials=N`, N being the total.",
     ]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # experimental, in Optuna's words

@@ -13,8 +13,9 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.bearings import CylindricalBearingConfig
 from pipeline.config.compose import compose_config
-from pipeline.config.machine import CylindricalBearingConfig, RotorConfig
+from pipeline.config.rotor import RotorConfig
 from pipeline.data.dataset import Excitation
 from pipeline.data.simulate import forced_response
 from pipeline.rotor.bearing_table import BearingTable
@@ -30,7 +31,7 @@ from pipeline.units import RAD_S_PER_RPM
 def test_ball_bearing_stiffness() -> None:
     """Paper, Table 1 (Friswell, pages 182-185): 464.16883e5 and 1009.06269e5 N/m, cut after that digit."""
     config = compose_config(["experiment=ball_bearing"])
-    table = bearing_table(config.rotor, config.bearing, np.array([10.0, 600.0]))
+    table = bearing_table(config.machine.rotor, config.machine.bearings, np.array([10.0, 600.0]))
     np.testing.assert_array_equal(np.floor(table.coefficient("kxx")), 464.16883e5)
     np.testing.assert_array_equal(np.floor(table.coefficient("kyy")), 1009.06269e5)
     assert not table.coefficient("kxy").any()

@@ -1,0 +1,102 @@
+"""What a configuration may say of bearings: one class a kind. SI."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Annotated, Literal
+
+from pydantic import Field, PositiveInt, model_validator
+
+from pipeline.config.quantities import Angle, Force, Length, Viscosity
+from pipeline.config.section import NonNegativeInt, Section
+
+
+class BallBearingConfig(Section):
+    """ROSS ``BallBearingElement`` (Friswell et al. 2010, pages 182-185)."""
+
+    kind: Literal["ball"]
+    n_balls: PositiveInt
+    ball_diameter: Length
+    static_load: Force
+    contact_angle: Angle
+
+
+class CylindricalBearingConfig(Section):
+    """ROSS ``CylindricalBearing``, a short fluid-film bearing (Friswell et al. 2010, page 177).
+
+    ``static_load`` of null shares the rotor's weight equally among the bearings.
+    """
+
+    kind: Literal["cylindrical"]
+    journal_diameter: Length
+    length: Length
+    radial_clearance: Length
+    oil_viscosity: Viscosity
+    static_load: Force | None = None
+
+
+class JournalTableConfig(Section):
+    """A journal bearing from a published table of dimensionless coefficients over the Sommerfeld number.
+
+    ``rows`` are (S, Kxx, Kxy, Kyx, Kyy, Bxx, Bxy, Byx, Byy), with x the direction of the load,
+    S = viscosity N L D / W (R / C)^2, N in 1/s; k = K W / C and c = B W / (w C). Between the rows: cubic splines of the
+    logarithm of S.
+    """
+
+    kind: Literal["journal_table"]
+    rows: tuple[Annotated[tuple[float, ...], Field(min_length=9, max_length=9)], ...] = Field(min_length=4)
+    journal_diameter: Length
+    length: Length
+    radial_clearance: Length
+    oil_viscosity: Viscosity
+    static_load: Force
+
+    @model_validator(mode="after")
+    def _ascending(self) -> JournalTableConfig:
+        numbers = [row[0] for row in self.rows]
+        if numbers[0] <= 0 or any(b <= a for a, b in itertools.pairwise(numbers)):
+            raise ValueError(f"must have rows with ascending Sommerfeld numbers above zero, but got {numbers}")
+        return self
+
+
+class LinearBearingConfig(Section):
+    """A support with the same coefficients at every speed, N/m and N s/m."""
+
+    kind: Literal["linear"]
+    kxx: float = 0.0
+    kxy: float = 0.0
+    kyx: float = 0.0
+    kyy: float = 0.0
+    cxx: float = 0.0
+    cxy: float = 0.0
+    cyx: float = 0.0
+    cyy: float = 0.0
+
+
+class RotorFileBearingConfig(Section):
+    """The bearings that are saved in ``machine.rotor.file``."""
+
+    kind: Literal["rotor_file"]
+
+
+AnyBearingConfig = Annotated[
+    BallBearingConfig | CylindricalBearingConfig | JournalTableConfig | LinearBearingConfig, Field(discriminator="kind")
+]
+
+
+class PerNodeBearingConfig(Section):
+    """Bearings that differ, by node."""
+
+    kind: Literal["per_node"]
+    nodes: dict[NonNegativeInt, AnyBearingConfig] = Field(min_length=1)
+
+
+BearingConfig = Annotated[
+    BallBearingConfig
+    | CylindricalBearingConfig
+    | JournalTableConfig
+    | LinearBearingConfig
+    | PerNodeBearingConfig
+    | RotorFileBearingConfig,
+    Field(discriminator="kind"),
+]

@@ -1,0 +1,98 @@
+"""What a configuration may say of a rotor: shaft, material, discs. SI."""
+
+from __future__ import annotations
+
+from pydantic import PositiveInt, model_validator
+
+from pipeline.config.quantities import Bore, Density, Inertia, Length, Mass, Pressure
+from pipeline.config.section import NonNegativeInt, Section
+
+
+class MaterialConfig(Section):
+    """An isotropic shaft and disc material."""
+
+    density: Density
+    youngs_modulus: Pressure
+    shear_modulus: Pressure
+
+
+class ShaftSegmentConfig(Section):
+    """A cylindrical piece of shaft, divided into ``elements`` equal finite elements."""
+
+    length: Length
+    outer_diameter: Length
+    inner_diameter: Bore = 0.0
+    elements: PositiveInt = 1
+
+    @model_validator(mode="after")
+    def _hollow(self) -> ShaftSegmentConfig:
+        if self.inner_diameter >= self.outer_diameter:
+            raise ValueError(
+                f"must have inner_diameter < outer_diameter, but got {self.inner_diameter:g} m and "
+                f"{self.outer_diameter:g} m"
+            )
+        return self
+
+
+class DiscConfig(Section):
+    """A rigid disc: by its geometry (width, diameters) or by its inertia (mass, Id, Ip)."""
+
+    node: NonNegativeInt
+    width: Length | None = None
+    inner_diameter: Length | None = None
+    outer_diameter: Length | None = None
+    mass: Mass | None = None
+    diametral_inertia: Inertia | None = None
+    polar_inertia: Inertia | None = None
+
+    @model_validator(mode="after")
+    def _one_description(self) -> DiscConfig:
+        geometry = (self.width, self.inner_diameter, self.outer_diameter)
+        inertia = (self.mass, self.diametral_inertia, self.polar_inertia)
+        complete = [all(v is not None for v in group) for group in (geometry, inertia)]
+        given = [any(v is not None for v in group) for group in (geometry, inertia)]
+        if given != complete or sum(complete) != 1:
+            raise ValueError(
+                "must give either width, inner_diameter and outer_diameter, or mass, diametral_inertia and "
+                f"polar_inertia, but got {sorted(self.model_fields_set - {'node'})}"
+            )
+        inner, outer = self.inner_diameter, self.outer_diameter
+        if inner is not None and outer is not None and inner >= outer:
+            raise ValueError(f"must have inner_diameter < outer_diameter, but got {inner:g} m and {outer:g} m")
+        return self
+
+
+class RotorConfig(Section):
+    """Shaft, discs and bearing nodes; or ``file``, a rotor saved by ROSS (.toml, .json)."""
+
+    file: str | None = None
+    shaft: tuple[ShaftSegmentConfig, ...] = ()
+    material: MaterialConfig | None = None
+    discs: tuple[DiscConfig, ...] = ()
+    bearing_nodes: tuple[NonNegativeInt, ...] = ()
+    shear_effects: bool = True
+
+    @property
+    def n_nodes(self) -> int:
+        """Nodes of the shaft; a rotor of a file has its own."""
+        return sum(segment.elements for segment in self.shaft) + 1
+
+    @model_validator(mode="after")
+    def _nodes_exist(self) -> RotorConfig:
+        if self.file is not None:
+            return self
+        if not self.shaft or self.material is None or not self.bearing_nodes:
+            raise ValueError("must give shaft, material and bearing_nodes (or file, a rotor saved by ROSS)")
+        last = sum(segment.elements for segment in self.shaft)
+        if len(set(self.bearing_nodes)) != len(self.bearing_nodes):
+            raise ValueError(f"must name each bearing node once, but got bearing_nodes {list(self.bearing_nodes)}")
+        for what, nodes in (
+            ("bearing_nodes", self.bearing_nodes),
+            ("discs", [disc.node for disc in self.discs]),
+        ):
+            for node in nodes:
+                if node > last:
+                    raise ValueError(
+                        f"must use nodes 0 to {last} (the shaft has {last} elements), but {what} got node {node}"
+                    )
+        return self

@@ -1,0 +1,112 @@
+"""What a configuration may say of runs: speeds, excitation, noise, and designs of runs. SI, speeds in rpm."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+
+from pipeline.config.quantities import Angle, Deviation, Force, UnbalanceMagnitude
+from pipeline.config.section import NonNegativeInt, Section
+
+
+class SpeedsConfig(Section):
+    """Rotor speeds from ``start_rpm`` to ``stop_rpm`` inclusive."""
+
+    start_rpm: PositiveFloat
+    stop_rpm: PositiveFloat
+    step_rpm: PositiveFloat
+
+    @model_validator(mode="after")
+    def _ascending(self) -> SpeedsConfig:
+        if self.start_rpm > self.stop_rpm:
+            raise ValueError(f"must have start_rpm <= stop_rpm, but got {self.start_rpm:g} and {self.stop_rpm:g}")
+        return self
+
+    def rpm(self) -> list[float]:
+        """The speeds, ascending, in rpm."""
+        count = int((self.stop_rpm - self.start_rpm) / self.step_rpm + 1e-9) + 1
+        return [self.start_rpm + i * self.step_rpm for i in range(count)]
+
+
+class UnbalanceConfig(Section):
+    """An unbalance (kg m) at a node; it excites forward whirl at the rotor speed."""
+
+    node: NonNegativeInt
+    magnitude: UnbalanceMagnitude
+    phase: Angle = 0.0
+
+
+class ForceConfig(Section):
+    """A rotating force (N) at a node, of a shaker or a magnetic bearing."""
+
+    node: NonNegativeInt
+    magnitude: Force
+    phase: Angle = 0.0
+    whirl: Literal["forward", "backward"] = "forward"
+
+
+class RunConfig(Section):
+    """One configuration of unbalances and forces, measured over all speeds.
+
+    The forces turn at the rotor speed, or at ``frequency_hz``, or at ``frequency_ratio`` times the rotor speed;
+    unbalances always turn with the rotor.
+    """
+
+    name: str = Field(min_length=1)
+    unbalances: tuple[UnbalanceConfig, ...] = ()
+    forces: tuple[ForceConfig, ...] = ()
+    frequency_hz: PositiveFloat | None = None
+    frequency_ratio: PositiveFloat | None = None
+
+    @model_validator(mode="after")
+    def _excited(self) -> RunConfig:
+        if not self.unbalances and not self.forces:
+            raise ValueError(f"run '{self.name}' must have an unbalance or a force, but it has none")
+        if self.frequency_hz is not None and self.frequency_ratio is not None:
+            raise ValueError(f"run '{self.name}' must have frequency_hz or frequency_ratio, but it has both")
+        if self.unbalances and (self.frequency_hz or self.frequency_ratio):
+            raise ValueError(
+                f"run '{self.name}' must have no unbalances where its forces have a frequency of their own (unbalances "
+                "turn with the rotor), but it has some: put them into another run"
+            )
+        return self
+
+
+class NoiseConfig(Section):
+    """Root mean square of the noise of each measured complex displacement: ``additive``, and a share of its size."""
+
+    additive: Deviation
+    multiplicative: Annotated[float, Field(ge=0, lt=1)]
+
+    @model_validator(mode="after")
+    def _some(self) -> NoiseConfig:
+        if not self.additive and not self.multiplicative:
+            raise ValueError("must have an additive or a multiplicative part above zero, but both are zero")
+        return self
+
+
+class CandidateConfig(Section):
+    """What an experimenter can do: trial unbalances and rotating forces, at these nodes and phases."""
+
+    unbalance_nodes: tuple[NonNegativeInt, ...]
+    unbalance: UnbalanceMagnitude
+    force_nodes: tuple[NonNegativeInt, ...]
+    force: Force
+    whirls: tuple[Literal["forward", "backward"], ...]
+    phases_deg: tuple[float, ...] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _some(self) -> CandidateConfig:
+        if not self.unbalance_nodes and not (self.force_nodes and self.whirls):
+            raise ValueError("must have an unbalance node, or a force node and a whirl, but there is no candidate")
+        return self
+
+
+class DesignConfig(Section):
+    """Which runs ``stage=design`` chooses: so many of the candidates, best by the criterion over speeds."""
+
+    runs: PositiveInt
+    criterion: Literal["A", "D"]
+    speeds: Annotated[int, Field(ge=2)]
+    simulations: NonNegativeInt

@@ -1,0 +1,547 @@
+"""One file for a machine: read from any folder, written by ``stage=new``; keys of old are refused by their new name."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from conftest import examples, refused
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline import cache
+from pipeline.__main__ import main
+from pipeline.config.compose import compose_config, compose_stages, composed_mapping, expanded, prepared
+from pipeline.config.loader import CONF, options
+from pipeline.config.renames import KEYS, OPTIONS, new_name
+from pipeline.config.schema import Config
+from pipeline.errors import ConfigError, DataError
+from pipeline.stages import run_stage
+from pipeline.stages.new import template
+
+KINDS = [(bearings, data) for bearings in ("rolling", "fluid_film") for data in ("simulated", "recordings", "tables")]
+UNKNOWNS = {
+    "rolling": ("kxx", "kyy", "cxx", "cyy"),
+    "fluid_film": ("kxx", "kxy", "kyx", "kyy", "cxx", "cxy", "cyx", "cyy"),
+}
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with spaces in its name, and another one that commands are given in."""
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    made = tmp_path / "my rig, übersee"
+    made.mkdir()
+    return made
+
+
+def machine_file(folder: Path, name: str = "pump one.yaml", **changes: Any) -> Path:
+    """A machine on rolling bearings, simulated, with other values of its top keys; None leaves one out."""
+    path = folder / name
+    content = yaml.safe_load(template(path, "rolling", "simulated")) | changes
+    kept = {key: value for key, value in content.items() if value is not None}
+    path.write_text(yaml.safe_dump(kept, sort_keys=False), encoding="utf-8")
+    return path
+
+
+def given_by(path: Path | str) -> str:
+    """The override that names a machine file."""
+    return f"machine.file='{path}'"
+
+
+# --- a file anywhere ---------------------------------------------------------------------------------
+
+
+def test_a_machine_of_another_folder(folder: Path) -> None:
+    """Its stem is the experiment's name, its bearings say what is identified, its probes how noisy it is."""
+    config = compose_config([given_by(machine_file(folder))])
+    assert (config.name, config.output) == ("pump_one", "artifacts/pump_one")
+    assert config.machine.file == str(folder / "pump one.yaml")
+    assert config.identify.unknowns == UNKNOWNS["rolling"]
+    assert (config.model.kind, config.loss.kind) == ("constant", "response")
+    assert config.stated_noise.multiplicative == config.machine.probes.multiplicative == 0.01
+
+
+def test_a_path_from_the_working_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Relative, and with the user's home."""
+    path = machine_file(folder, "plain.yaml")
+    monkeypatch.chdir(folder)
+    assert compose_config(["machine.file=plain.yaml"]).machine.file == str(path)
+    monkeypatch.setenv("HOME", str(folder))
+    assert compose_config(["machine.file=~/plain.yaml"]).machine.file == str(path)
+    other = machine_file(folder, "rig (1), ü.yaml")
+    assert compose_config([f"machine.file={other}", "name=x"]).machine.file == str(other)
+
+
+def test_overrides_win_over_the_file(folder: Path) -> None:
+    """Wherever they stand in the command."""
+    few = ["machine.probes.multiplicative=0.02", "machine.rotor.discs.0.width=40 mm", "name=mine", "model=network"]
+    config = compose_config([*few, given_by(machine_file(folder)), "identify.unknowns=[kxx]"])
+    assert config.machine.probes.multiplicative == config.stated_noise.multiplicative == 0.02
+    assert config.machine.rotor.discs[0].width == pytest.approx(0.04)
+    assert (config.name, config.model.kind, config.identify.unknowns) == ("mine", "network", ("kxx",))
+
+
+def test_an_experiment_with_a_machine_of_ones_own(folder: Path) -> None:
+    """The machine is the file's, the method the experiment's; both are in the name, for both are in the results."""
+    config = compose_config([given_by(machine_file(folder)), "experiment=ball_bearing"])
+    assert config.name == "pump_one_ball_bearing"
+    assert config.identify.unknowns == ("kxx", "kyy")
+    assert config.machine.bearings.kind == "linear"
+
+
+def test_null_is_no_file() -> None:
+    """As in the configuration itself."""
+    assert compose_config(["machine.file=null"]).name == "hydrostatic_stiffness"
+
+
+def test_paths_in_the_file_start_in_its_folder(folder: Path) -> None:
+    """Those of rotor, runs, recordings and known tables; on the command line they start in the working folder."""
+    recordings = yaml.safe_load(template(folder, "rolling", "tables"))["recordings"]
+    recordings["runs"][1]["file"] = "/data/first.csv"
+    recordings["known"] = "known.csv"
+    path = machine_file(
+        folder, rotor={"file": "rotor.toml"}, bearings={"kind": "rotor_file"}, recordings=recordings, runs=None
+    )
+    machine = compose_config([given_by(path)]).machine
+    assert machine.rotor.file == str(folder / "rotor.toml")
+    assert machine.recordings.known == str(folder / "known.csv")
+    assert [run.file for run in machine.recordings.runs] == [
+        str(folder / "recordings" / "as_found.csv"),
+        "/data/first.csv",
+        str(folder / "recordings" / "second_disc.csv"),
+    ]
+    assert compose_config([given_by(path), "machine.rotor.file=other.toml"]).machine.rotor.file == "other.toml"
+
+
+def test_paths_of_many_files_and_of_one_for_all(folder: Path) -> None:
+    """Records at constant speed; and the word that stands for no file."""
+    recordings = yaml.safe_load(template(folder, "rolling", "recordings"))["recordings"]
+    for run in recordings["runs"]:
+        del run["file"]
+    recordings["runs"][1]["files"] = ["a.h5", "../b.h5"]
+    path = machine_file(folder, recordings=recordings | {"records": "constant_speed", "file": "all.h5"})
+    read = compose_config([given_by(path)]).machine.recordings
+    assert read.file == str(folder / "all.h5")
+    assert read.runs[1].files == (str(folder / "a.h5"), str(folder.parent / "b.h5"))
+    assert read.known == "bearings"
+
+
+def test_the_cache_sees_the_content(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What was composed is kept; a changed file, and one of the same bytes elsewhere, is another machine."""
+    monkeypatch.setattr(cache, "FOLDER", folder / "cache")
+    path = machine_file(folder)
+    first = compose_config([given_by(path)])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("pipeline.config.compose.composed_mapping", None)  # must not be called
+        assert compose_config([given_by(path)]) == first
+    path.write_text(path.read_text().replace("kxx: 4.0e7", "kxx: 5.0e7"))
+    assert compose_config([given_by(path)]).machine.bearings.kxx == 5e7
+    (folder / "other").mkdir()
+    moved = path.rename(folder / "other" / path.name)
+    assert compose_config([given_by(moved)]).machine.file == str(moved)
+
+
+def test_a_command_can_be_given_again(folder: Path) -> None:
+    """What messages print names the file, for shell and Hydra alike."""
+    path = machine_file(folder, "a (b), 'c'.yaml")
+    escaped = str(path).replace("'", "\\'")
+    config = compose_config([f"machine.file='{escaped}'"])
+    assert config.chosen.startswith('"') or config.chosen.startswith("'")
+    import shlex
+
+    (again,) = shlex.split(config.chosen)
+    assert compose_config([again]).machine.file == str(path)
+    assert compose_config(["experiment=ball_bearing"]).chosen == "experiment=ball_bearing"
+    assert compose_config(["machine=one_disc"]).chosen == "machine=one_disc"
+
+
+# --- a folder of machines and experiments ---------------------------------------------------------------
+
+
+def test_a_folder_of_machines_and_experiments(folder: Path) -> None:
+    """`--config-dir`: machines build upon those of conf/, experiments name them; paths start in their own folder."""
+    (folder / "machine").mkdir()
+    (folder / "experiment").mkdir()
+    (folder / "machine" / "mine.yaml").write_text("defaults: [two_discs, _self_]\nrunns_file: x\n".replace("nn", "n"))
+    (folder / "machine" / "x").write_text("speeds: {start_rpm: 500, stop_rpm: 900, step_rpm: 100}\nruns: []\n")
+    text = "# @package _global_\ndefaults: [noisy_all, override /machine: mine, _self_]\nname: theirs\n"
+    (folder / "experiment" / "theirs.yaml").write_text(text + "machine: {probes: {seed: 3}, runs_file: null}\n")
+    config = compose_config(["experiment=theirs"], folder)
+    assert (config.name, config.machine.probes.seed, config.machine.probes.at) == ("theirs", 3, "bearings")
+    mapping = composed_mapping(["machine=mine"], folder)
+    assert mapping["machine"]["runs_file"] == str(folder / "machine" / "x")
+    assert (mapping["name"], len(mapping["identify"]["unknowns"])) == ("mine", 8)
+    assert composed_mapping(["machine=mine", "experiment=noisy_direct"], folder)["name"] == "mine_noisy_direct"
+    with refused("a file in conf/machine", "'mine'", kind=ConfigError):
+        compose_config(["machine=mine"])  # nothing is left of it
+
+
+@pytest.mark.slow
+def test_the_folder_on_the_command_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """With and without Hydra's own options, and in a multirun."""
+    (folder / "machine").mkdir()
+    machine_file(folder / "machine", "mine.yaml")
+    for option in (["--config-dir", str(folder)], [f"--config-dir={folder}"], ["-cd", str(folder)]):
+        assert main([*option, "machine=mine", "--cfg", "job"]) == 0
+        assert "name: mine" in capsys.readouterr().out
+    assert main(["stage=configure", f"--config-dir={folder}", "machine=mine", "tracking=none"]) == 0
+    assert Path("artifacts/mine/config.yaml").exists()
+    command = ["-m", "stage=configure", given_by(folder / "machine" / "mine.yaml"), "seed=1,2", "tracking=none"]
+    assert main(command) == 0
+    assert {path.name for path in Path("artifacts/mine").iterdir()} == {"config.yaml", "seed-1", "seed-2"}
+
+
+@pytest.mark.parametrize(
+    ("files", "words"),
+    [
+        ({}, "has none: move the files there"),
+        ({"machine/two_discs.yaml": "speeds: {}"}, "a name of its own, but conf/ has machine/two_discs.yaml too"),
+        ({"machine/mine.yaml": "rotor: ["}, "must be YAML"),
+        ({"machine/mine.yaml": "bearing: {kind: linear}"}, "bearing.kind is now bearings.kind"),
+        ({"experiment/mine.yaml": "excitation: {speeds: {step_rpm: 5}}"}, "excitation.speeds is now machine.speeds"),
+        ({"experiment/mine.yaml": "defaults: [{override /rotor: one_disc}]\nname: x"}, "machine=one_disc"),
+    ],
+)
+def test_a_folder_that_is_refused(files: dict[str, str], words: str, folder: Path) -> None:
+    """Before anything is composed, with the file."""
+    for name, text in files.items():
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text(text)
+    with refused(words, str(folder), kind=ConfigError):
+        composed_mapping([], folder)
+    with refused("--config-dir must be a folder", kind=ConfigError):
+        composed_mapping([], folder / "nowhere")
+
+
+# --- mistakes --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("rotor: [1,\n", ["must be YAML", "line 2"]),
+        ("rotor:\n\t- x\n", ["must be YAML", "line 2"]),
+        ("rotor: {}\nrotor: {}\n", ["must be YAML", "duplicate key rotor"]),
+        ("- a\n- b\n", ["must have keys with values"]),
+        ("just words\n", ["must have keys with values"]),
+        ("", ["must have keys with values"]),
+        ("5\n", ["must"]),
+        ("defaults: [two_discs]\nrotor: {}\n", ["complete in itself", "--config-dir"]),
+        ("machine: {rotor: {}}\n", ["at its top", "below 'machine'"]),
+        ("file: other.yaml\nrotor: {}\n", ["on the command line alone"]),
+        ("bearing: {kind: ball}\n", ["bearing.kind is now bearings.kind"]),
+        ("sensors: {probes: all}\n", ["sensors.probes is now probes.at"]),
+        ("excitation: {residual: []}\n", ["excitation.residual is now residual_unbalance"]),
+        ("ingest: {format: table}\n", ["ingest.format is now recordings.format"]),
+        ("design: {candidates: {force: 10 N}}\n", ["design.candidates is now candidates"]),
+        ("x: !!python/object/apply:os.system ['echo ran']\n", ["must"]),
+    ],
+)
+def test_a_file_that_is_no_machine(text: str, words: list[str], folder: Path) -> None:
+    """One sentence, with the file and its line."""
+    path = folder / "x.yaml"
+    path.write_text(text)
+    with refused(*words, str(path), kind=ConfigError):
+        compose_config([given_by(path)])
+
+
+def test_a_path_that_is_no_file(folder: Path) -> None:
+    """A missing file with its neighbours, a folder, bytes that are no text, a number."""
+    path = machine_file(folder)
+    with refused("there is no file", "did you mean 'pump one.yaml'?", "stage=new", kind=ConfigError):
+        compose_config([given_by(folder / "pump_one.yaml")])
+    with refused("is a folder", "pump one.yaml", kind=ConfigError):
+        compose_config([given_by(folder)])
+    path.write_bytes(b"\xff\xfe\x00r")
+    with refused("UTF-8", kind=ConfigError):
+        compose_config([given_by(path)])
+    with refused("must be the path of a machine file", kind=ConfigError):
+        compose_config(["machine.file=3"])
+    with refused("must be one file", kind=ConfigError):
+        main_or_raise(["-m", "machine.file=a.yaml,b.yaml"])
+    with refused("must have one machine", kind=ConfigError):
+        compose_config(["machine=one_disc", given_by(machine_file(folder))])
+
+
+def main_or_raise(arguments: list[str]) -> None:
+    """What `main` does before Hydra, its errors raised."""
+    with prepared([argument for argument in arguments if argument != "-m"], None):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"rotr": {"file": "x"}}, ["machine.rotr: must be a key that the schema knows", "did you mean 'rotor'?"]),
+        ({"bearings": {"kind": "bal"}}, ["machine.bearings.kind", "did you mean 'ball'?"]),
+        ({"runs": None}, ["machine.runs: must be given"]),
+        ({"speeds": None}, ["machine.speeds: must be given"]),
+        ({"prediction": None}, ["machine.prediction: must be given"]),
+        ({"recordings": {"format": "tabel"}}, ["machine.recordings.format", "did you mean 'table'?"]),
+        ({"runs": [{"name": "a", "forces": [{"node": 99, "magnitude": 1}]}]}, ["nodes 0 to 6", "run 'a'", "node 99"]),
+        ({"residual_unbalance": [{"node": 9, "magnitude": 1e-4}]}, ["residual_unbalance got node 9"]),
+    ],
+)
+def test_values_that_no_machine_has(changes: dict[str, Any], words: list[str], folder: Path) -> None:
+    """Told by the key, with the nearest one, and the file."""
+    path = machine_file(folder, **changes)
+    with refused(*words, str(path), "Correct this value", kind=ConfigError):
+        compose_config([given_by(path)])
+
+
+def test_an_override_of_a_key_that_the_file_lacks(folder: Path) -> None:
+    """As for any other key."""
+    with refused("machine.probes has no 'multiplicativ'", "did you mean 'multiplicative'?", kind=ConfigError):
+        compose_config([given_by(machine_file(folder)), "machine.probes.multiplicativ=0.01"])
+
+
+@pytest.mark.slow
+@examples(30)
+@given(content=st.binary(max_size=60) | st.text(max_size=60).map(str.encode))
+def test_whatever_the_file_holds_the_answer_is_a_sentence(
+    content: bytes, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """No traceback."""
+    path = tmp_path_factory.mktemp("any") / "x.yaml"
+    path.write_bytes(content)
+    with pytest.raises(ConfigError, match=r"must|is now"):
+        compose_config([given_by(path)])
+
+
+# --- recordings --------------------------------------------------------------------------------------------
+
+
+def test_recorded_runs_stand_for_those_of_a_design(folder: Path) -> None:
+    """Speeds and runs of a measured machine are those of its recordings: angles from x, the baseline left out."""
+    path = folder / "rig.yaml"
+    path.write_text(template(path, "rolling", "recordings").replace("tacho: {angle: 0 deg", "tacho: {angle: 90 deg"))
+    config = compose_config([given_by(path)])
+    machine = config.machine
+    assert machine.speeds == machine.recordings.speeds
+    assert [run.name for run in machine.runs] == ["first_disc", "second_disc"]
+    assert [run.unbalances[0].phase for run in machine.runs] == pytest.approx([1.5707963, 3.1415927])
+    assert (config.data.baseline, config.loss.noise) == ("as_found", "estimated")
+    assert Config.model_validate(config.model_dump()).machine == machine
+
+
+def test_wrong_recordings_are_told_alone(folder: Path) -> None:
+    """Not as speeds and runs that are missing."""
+    path = folder / "rig.yaml"
+    path.write_text(template(path, "rolling", "recordings").replace("edge: rising", "edge: riising"))
+    with pytest.raises(ConfigError) as caught:
+        compose_config([given_by(path)])
+    assert [line.partition(":")[0] for line in str(caught.value).splitlines()[:-1]] == ["machine.recordings.tacho.edge"]
+
+
+def test_a_new_kind_keeps_nothing_of_the_former() -> None:
+    """Whole sections, single keys, one bearing of several, and the format of recordings."""
+    linear = compose_config(["machine.bearings={kind: linear, kxx: 1e7, kyy: 2e7}"]).machine
+    assert (linear.bearings.kind, linear.bearings.kyy) == ("linear", 2e7)
+    journals = ["experiment=compressor_two_journals", "machine.bearings.nodes.21={kind: linear, kxx: 1e9, kyy: 1e9}"]
+    assert compose_config(journals).machine.bearings.nodes[21].kind == "linear"
+    assert compose_config(["experiment=measured_demo", "machine.recordings.format=none"]).machine.recordings.format == (
+        "none"
+    )
+    same = compose_config(["machine.bearings.kind=cylindrical", "machine.bearings.length=31 mm"]).machine
+    assert same.bearings.length == pytest.approx(0.031)
+
+
+# --- machines of conf/ -----------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", options("machine"))
+def test_a_machine_alone_has_its_name_and_an_experiment_of_its_kind(name: str) -> None:
+    """Rolling bearings are constants, the others functions of the speed; recordings have noise of a size to find."""
+    config = compose_config([f"machine={name}"])
+    assert config.name == name
+    assert config.loss.noise == ("stated" if config.machine.recordings.format == "none" else "estimated")
+    rolling = config.machine.bearings.kind in ("ball", "linear")
+    assert config.model.kind == ("constant" if rolling else "network")
+    assert config.identify.unknowns == UNKNOWNS["rolling" if rolling else "fluid_film"]
+
+
+def test_jobs_of_a_multirun_over_machines() -> None:
+    """Each in its folder."""
+    jobs, _ = expanded(["machine=one_disc,two_discs"])
+    assert jobs == [["machine=one_disc"], ["machine=two_discs"]]
+
+
+# --- keys of old -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("rotor.file=x", "rotor.file is now machine.rotor.file: write machine.rotor.file=x"),
+        ("+rotor.file=x", "rotor.file is now machine.rotor.file"),
+        ("~rotor.discs", "rotor.discs is now machine.rotor.discs"),
+        ("rotor=two_discs", "rotor=two_discs is now machine=two_discs"),
+        ("rotor=mine", "rotor=mine is now a part of a machine (rotor): choose one with machine=NAME"),
+        ("bearing.kind=ball", "bearing.kind is now machine.bearings.kind"),
+        ("bearing=rotor_file", "is now machine.bearings.kind=rotor_file"),
+        ("excitation.speeds.step_rpm=5", "excitation.speeds.step_rpm is now machine.speeds.step_rpm"),
+        ("excitation.file=x.yaml", "excitation.file is now machine.runs_file"),
+        ("excitation.residual=[]", "excitation.residual is now machine.residual_unbalance"),
+        ("excitation=impulses", "excitation=impulses is now machine=two_discs_impulses"),
+        ("sensors.additive=1", "sensors.additive is now machine.probes.additive"),
+        ("sensors.probes=all", "sensors.probes is now machine.probes.at"),
+        ("sensors=bearings_1_percent", "machine.probes.at=bearings machine.probes.multiplicative=0.01"),
+        ("ingest=table", "ingest=table is now machine=two_discs_table"),
+        ("ingest.known=x.csv", "ingest.known is now machine.recordings.known"),
+        ("prediction.node=3", "prediction.node is now machine.prediction.node"),
+        ("design.candidates.force=3", "design.candidates.force is now machine.candidates.force"),
+        ("design=three_runs", "design=three_runs is now machine=two_discs"),
+        ("rotor.shaft.0.length=1 mm,2 mm", "rotor.shaft.0.length is now machine.rotor.shaft.0.length"),
+    ],
+)
+def test_an_old_key_is_refused_with_its_new_name(override: str, words: str) -> None:
+    """Also added, deleted and swept."""
+    with refused(words, kind=ConfigError):
+        composed_mapping([override])
+
+
+def test_every_new_name_is_there() -> None:
+    """The table of renames names keys of the configuration, and machines of conf/."""
+    mapping = composed_mapping()
+    for new in KEYS.values():
+        node: Any = mapping
+        for part in new.split("."):
+            assert part in node, new
+            node = node[part]
+    chosen = {new for of in OPTIONS.values() for new in of.values() if "=" not in new}
+    assert chosen <= set(options("machine"))
+    assert not set(OPTIONS) & {path.name for path in CONF.iterdir()}
+    assert new_name("design.runs") is None
+    assert new_name("machine.rotor.file") is None
+
+
+# --- stage=new -----------------------------------------------------------------------------------------------
+
+
+def made_by_new(path: Path, *overrides: str) -> Path:
+    """The file that `stage=new` writes."""
+    run_stage(compose_config(["stage=new", given_by(path), *overrides]))
+    return path
+
+
+@pytest.mark.parametrize(("bearings", "data"), KINDS)
+def test_a_template_composes(bearings: str, data: str, folder: Path) -> None:
+    """Each kind, as it is; 120 columns, comments at every section, no key that the schema does not know."""
+    path = made_by_new(folder / "rig 2.yaml", f"new.bearings={bearings}", f"new.data={data}")
+    text = path.read_text()
+    assert max(map(len, text.splitlines())) <= 120
+    assert text.startswith("# ")
+    config = compose_config([given_by(path)])
+    assert config.identify.unknowns == UNKNOWNS[bearings]
+    assert (config.machine.recordings.format == "none") == (data == "simulated")
+    assert config.name == "rig_2"
+    assert "artifacts/rig_2" in text
+
+
+def test_new_says_the_next_command(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """And leaves nothing but the file."""
+    path = folder / "rig.yaml"
+    assert main(["stage=new", given_by(path)]) == 0
+    assert f"stage=train 'machine.file=\\'{path}\\''" in capsys.readouterr().out.replace("'\"'\"'", "\\'")
+    assert [p.name for p in folder.iterdir()] == ["rig.yaml"]
+    assert list(Path().iterdir()) == []
+    made_by_new(folder / "other.yaml", "new.data=tables")
+    assert "stage=ingest" in capsys.readouterr().out
+
+
+def test_new_replaces_nothing(folder: Path) -> None:
+    """Neither a file nor a link that leads nowhere."""
+    path = machine_file(folder)
+    before = path.read_bytes()
+    (folder / "link.yaml").symlink_to(folder / "nowhere.yaml")
+    for name in ("pump one.yaml", "link.yaml"):
+        with refused("must not replace a file", name, kind=DataError):
+            made_by_new(folder / name)
+    assert path.read_bytes() == before
+    with refused("add machine.file=my_machine.yaml", kind=ConfigError):
+        run_stage(compose_config(["stage=new"]))
+    with refused("must end in .yaml", kind=ConfigError):
+        made_by_new(folder / "rig.txt")
+    with refused("a command of its own", kind=ConfigError):
+        compose_stages(["stage=[new,train]", given_by(folder / "x.yaml")])
+    with refused("new.data: must be one of these", "did you mean 'tables'?", kind=ConfigError):
+        made_by_new(folder / "rig.yaml", "new.data=table")
+
+
+FEW = [f"machine.speeds.{key}" for key in ("start_rpm=1000", "stop_rpm=5000", "step_rpm=250")]
+FEW += ["robustness.count=3", "design.simulations=3", "design.speeds=5", "comparison.data_sets=1"]
+FEW += ["comparison.methods=[least_squares,response]", "comparison.workers=1", "comparison.noise=[0.01]"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("bearings", ["rolling", "fluid_film"])
+def test_a_simulated_template_runs_through_every_stage(
+    bearings: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """From another folder, into a folder with a space; nothing is edited."""
+    path = made_by_new(folder / "my rig.yaml", f"new.bearings={bearings}")
+    out = folder / "out"
+    stages = "generate,diagnose,design,train,evaluate,robustness,predict,summary,configure,compare"
+    command = [f"stage=[{stages}]", given_by(path), f"output='{out}'", "tracking=none", *FEW]
+    assert main(command) == 0, capsys.readouterr().err
+    identified = json.loads((out / "metrics.json").read_text())["coefficients"]
+    worst = max(error["median_error_percent"] for node in identified.values() for error in node.values())
+    assert worst < 10
+    said = capsys.readouterr().out
+    assert "machine.runs_file=" in said
+    assert "experiment=my_rig" not in said  # there is none of that name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("data", ["recordings", "tables"])
+def test_a_template_for_recordings_asks_for_paths_and_positions_alone(data: str, folder: Path) -> None:
+    """With those of the demo filled in, from the recordings to the summary."""
+    example = CONF.parent / "examples" / "measured_demo"
+    (folder / "recordings").symlink_to(example)
+    (folder / "rotor.toml").symlink_to(example / "rotor.toml")
+    path = made_by_new(folder / "rig.yaml", "new.bearings=rolling", f"new.data={data}")
+    filled_in = {
+        "  file: null": "  file: rotor.toml",
+        "sample_rate: 10 kHz": "sample_rate: 2.5 kHz",
+        "7.87 V/mm": "200 mV/mil",
+        "length: um  ": "length: mil  ",
+        "um pp": "mil pp",
+        "left deg}": "left deg lag}",
+        "right deg}": "right deg lag}",
+        "speed: speed_rpm": "speed: rpm",
+        "{node: 2, magnitude: 100 g mm, phase: 0 deg}]}": "{node: 2, magnitude: 200 g mm, phase: 0 deg}]}",
+        "{node: 4, magnitude: 100 g mm, phase: 90 deg}]}": "{node: 4, magnitude: 200 g mm, phase: 90 deg}]}",
+    }
+    text = path.read_text()
+    for old, new in filled_in.items():
+        text = text.replace(old, new)
+    path.write_text(text)
+    out = folder / "out"
+    command = [given_by(path), f"output='{out}'", "tracking=none", "design.simulations=0", "design.speeds=5"]
+    assert main(["stage=[ingest,diagnose,train,evaluate,predict,summary,design]", *command]) == 0
+    assert json.loads((out / "ingest.json").read_text())["runs"].keys() == {"as_found", "first_disc", "second_disc"}
+    held_out = json.loads((out / "metrics.json").read_text())["fit"]["held_out_speeds"]
+    assert held_out["error_percent"] < 1
+    for stage in ("compare", "robustness"):  # what needs a truth says so
+        assert main([f"stage={stage}", *command]) == 2
+
+
+def test_a_mistake_in_a_machine_file_needs_nothing_heavy(folder: Path) -> None:
+    """Neither torch nor ROSS nor numpy's users are imported for a sentence."""
+    path = machine_file(folder, bearings={"kind": "bal"})
+    program = (
+        "import sys\nfrom pipeline.__main__ import main\ncode = main(sys.argv[1:])\n"
+        "print({'torch', 'ross', 'pandas', 'matplotlib', 'mlflow'} & set(sys.modules))\nsys.exit(code)"
+    )
+    command = [sys.executable, "-c", program, given_by(path)]
+    done = subprocess.run(command, cwd=CONF.parent, capture_output=True, text=True)
+    assert (done.returncode, done.stdout.strip()) == (2, "set()")
+    assert "did you mean 'ball'?" in done.stderr
