@@ -54,14 +54,14 @@ class Studied:
 
 @pytest.fixture(scope="module")
 def studied(tmp_path_factory: pytest.TempPathFactory) -> Studied:
-    """Ten trials of a tenth of a second, in a journal file and in MLflow."""
+    """Ten trials of a tenth of a second, in an SQLite file and in MLflow."""
     from pipeline.tuning.storage import open_storage
 
     folder = tmp_path_factory.mktemp("studied")
     places = {
         "output": folder / "data",
         "tuning.folder": folder / "study",
-        "tuning.storage": folder / "optuna.log",
+        "tuning.storage": f"sqlite:///{folder}/optuna.db",
         "tracking.uri": f"sqlite:///{folder}/mlflow.db",
     }
     config = compose_config([*STUDY, *(f"{key}='{place}'" for key, place in places.items())])
@@ -119,6 +119,11 @@ class Dashboard:
         with urllib.request.urlopen(f"{self.address}/api/{path}", timeout=30) as answer:
             return json.load(answer)
 
+    @property
+    def study(self) -> int:
+        """The number of its only study."""
+        return int(self.data("studies")["study_summaries"][0]["study_id"])
+
     def page(self, path: str) -> Page:
         """A page with its data, as the browser shows it."""
         quiet = ("background-networking", "component-update", "sync", "quic", "gpu")
@@ -137,7 +142,7 @@ class Dashboard:
 
 @pytest.fixture(scope="module")
 def dashboard(studied: Studied, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Dashboard]:
-    """``optuna-dashboard JOURNAL``, as the last line of ``stage=tune`` says."""
+    """``optuna-dashboard URL``, as the last line of ``stage=tune`` says."""
     with closing(socket.create_server(("127.0.0.1", 0))) as listening:
         port = listening.getsockname()[1]
     home = tmp_path_factory.mktemp("home")
@@ -192,7 +197,7 @@ def test_the_dashboard_has_the_study(dashboard: Dashboard, studied: Studied) -> 
 def test_the_dashboard_in_a_browser(dashboard: Dashboard, studied: Studied) -> None:
     """The pages of the study, of its best trial and of its note show what a person looks for."""
     best = studied.best
-    study = dashboard.page("studies/0")
+    study = dashboard.page(f"studies/{dashboard.study}")
     assert f"Best Trial (number={best.number})" in study
     assert f"{best.value:.15g}"[:8] in study
     assert ", ".join(f"{name}: {value}" for name, value in best.params.items()) in study
@@ -200,14 +205,14 @@ def test_the_dashboard_in_a_browser(dashboard: Dashboard, studied: Studied) -> N
         assert caption in study
     assert all(f"trial #{trial.number}" in study for trial in studied.study.get_trials())
 
-    trial = dashboard.page(f"studies/0/trials?numbers={best.number}")
+    trial = dashboard.page(f"studies/{dashboard.study}/trials?numbers={best.number}")
     assert f"Trial {best.number} (trial_id={best._trial_id})" in trial
     for name, value in (best.params | best.user_attrs).items():
         assert f"{name} {value}" in trial
     for percent, value in best.intermediate_values.items():
         assert f"{percent} " + f"{value:.15g}"[:8] in trial
 
-    note = dashboard.page("studies/0/note")
+    note = dashboard.page(f"studies/{dashboard.study}/note")
     assert {"Question:", "Objective:", "Trial 0", "Go on:"} <= {
         text for element, text in note.texts if element == "strong"
     }
