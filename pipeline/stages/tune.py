@@ -9,7 +9,7 @@ from typing import Any
 
 from pipeline.config.promotion import BEST, PromotedTrial
 from pipeline.config.schema import Config
-from pipeline.errors import ConfigError
+from pipeline.errors import ConfigError, without_password
 from pipeline.files import read_json, write_json, write_text
 from pipeline.identification.series import best_series
 from pipeline.identification.training import TrainingSetup, prepare, setup_of
@@ -30,7 +30,7 @@ from pipeline.tracking import ChildRecord
 from pipeline.tuning.attempts import results
 from pipeline.tuning.finalists import TrialSummary, choose, fingerprint, importances, summarize, train_finalists
 from pipeline.tuning.parallel import run_study
-from pipeline.tuning.storage import is_shared, open_storage, place
+from pipeline.tuning.storage import is_shared, open_storage
 from pipeline.tuning.study import StudyProblem
 from pipeline.tuning.worker import Seen
 
@@ -93,7 +93,8 @@ def _report(config: Config, problem: StudyProblem, study: Any, inputs: Inputs, s
     written = _write(config, report, summary, folder)
     say(
         f"{config.name}: {len(trials)} trials in {searched:.0f} s; {summary['verdict']}\n"
-        f"report in '{folder / 'README.md'}'; look at the trials with: optuna-dashboard {place(config.tuning.storage)}"
+        f"report in '{folder / 'README.md'}'; look at the trials with: "
+        f"optuna-dashboard {without_password(config.tuning.storage)}"
     )
     return StageOutput(
         flat_metrics(summary) | {"search_seconds": searched},

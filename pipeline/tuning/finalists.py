@@ -8,7 +8,7 @@ import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -101,14 +101,8 @@ def train_finalists(study: optuna.Study, problem: StudyProblem) -> list[Finalist
     ]
 
 
-class _Run(NamedTuple):
-    """What comes back from another process: torch's tensors don't outlive theirs."""
-
-    parameters: np.ndarray  # (1, M, P)
-    outcome: Outcome
-    loss: np.ndarray
-    steps: int
-    seconds: float
+_Run = tuple[np.ndarray, tuple[Outcome, ...], np.ndarray, int, float]
+"""Parameters (1, M, P), outcomes, loss, steps and seconds: what comes back from another process."""
 
 
 def _train_seed(given: tuple[StudyProblem, int, Mapping[str, Value], int]) -> _Run:
@@ -118,24 +112,19 @@ def _train_seed(given: tuple[StudyProblem, int, Mapping[str, Value], int]) -> _R
     batch = training.run_training(prepared, training.initial_parameters(prepared, setup, seed), setup)
     if Outcome.INTERRUPTED in batch.outcomes:
         raise KeyboardInterrupt
-    return _Run(batch.parameters.numpy(), batch.outcomes[0], batch.loss, batch.steps, batch.seconds)
+    # A tensor of torch's would not outlive its process.
+    return batch.parameters.numpy(), batch.outcomes, batch.loss, batch.steps, batch.seconds
 
 
 def _finalist(problem: StudyProblem, place: int, values: Mapping[str, Value], runs: Sequence[_Run]) -> Finalist:
     import torch
 
     setup = training.setup_of(with_values(problem.config, values, f"trial {place}"))
-    batch = training.TrainedBatch(
-        training.prepare(problem.equations, problem.known, setup),
-        torch.from_numpy(np.concatenate([run.parameters for run in runs])),
-        tuple(run.outcome for run in runs),
-        np.concatenate([run.loss for run in runs]),
-        held_out_loss=None,  # that of the configured loss, by which finalists are not compared
-        steps=max(run.steps for run in runs),
-        seconds=sum(run.seconds for run in runs),
-        history=(),
-        trajectory=(),
-    )
+    prepared = training.prepare(problem.equations, problem.known, setup)
+    parameters, outcomes, loss, steps, seconds = zip(*runs, strict=True)
+    state, ends = torch.from_numpy(np.concatenate(parameters)), tuple(outcome for (outcome,) in outcomes)
+    # Not the held-out loss as configured: finalists are compared by that of each speed.
+    batch = training.TrainedBatch(prepared, state, ends, np.concatenate(loss), None, max(steps), sum(seconds), (), ())
     return Finalist(place, values, batch.per_speed_held_out_loss(), batch)
 
 

@@ -22,12 +22,6 @@ if TYPE_CHECKING:
     import optuna
 
 _PATIENCE_SECONDS = 15.0
-_ORPHAN_SECONDS = 3.0
-"""How long a worker whose parent died may take to stop its trial itself."""
-
-
-class ParentGone(Exception):
-    """The process that started this worker has died."""
 
 
 def run_study(problem: StudyProblem, seen: Seen) -> tuple[optuna.Study, list[str]]:
@@ -115,30 +109,23 @@ def _others(problem: StudyProblem, count: int, threads: int) -> Iterator[list[An
 
 
 def _work_beside(problem: StudyProblem, threads: int) -> None:
-    """The whole life of another worker; it ends when its parent does, and its trial is stopped."""
+    """The whole life of another worker; it ends with its parent, and its trial is found by its silence."""
     import torch
 
     torch.set_num_threads(threads)
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    threading.Thread(target=_end_with, args=(parent,), name="parent", daemon=True).start()
-
-    def seen(_: optuna.Study) -> None:
-        if not parent.is_alive():
-            raise ParentGone
-
+    threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
     try:
         let_interrupt_through()
         with storage_errors(problem.config.tuning):
-            work(open_study(problem), problem, seen)
-    except (KeyboardInterrupt, ParentGone):
+            work(open_study(problem), problem, lambda _: None)
+    except KeyboardInterrupt:
         os._exit(0)  # without Python's words on an interrupt
     except PipelineError:
         os._exit(2)  # what is wrong with the storage, the parent finds and says too
 
 
-def _end_with(parent: Any) -> None:
-    """End this process after its parent, also where no point of the learning curve is due for long."""
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    assert parent is not None
     parent.join()
-    time.sleep(_ORPHAN_SECONDS)
-    os._exit(1)  # its trial is found by its silence
+    os._exit(1)

@@ -32,11 +32,6 @@ _LONGEST_REASON = 300
 _ATTEMPTS = 5
 
 
-def place(storage: str) -> str:
-    """``storage`` as it may be shown: without a password."""
-    return without_password(storage)
-
-
 def is_shared(config: TuningConfig) -> bool:
     """Whether several machines can reach the storage: a server, not a file."""
     return not config.storage.startswith("sqlite")
@@ -68,39 +63,23 @@ def storage_errors(
     config: TuningConfig, next_step: str = "No finished trial is lost; the same command goes on"
 ) -> Iterator[None]:
     """What goes wrong with the storage inside the block leaves it as a StorageError."""
-    import optuna
-    import sqlalchemy.exc
+    from optuna.exceptions import StorageInternalError
+    from sqlalchemy.exc import SQLAlchemyError
 
-    shown = place(config.storage)
     try:
         yield
-    except TimeoutError as error:
+    except (StorageInternalError, SQLAlchemyError, sqlite3.Error, OSError) as error:
         raise StorageError(
-            f"tuning.storage must answer, but '{shown}' gave {error}: check its host and port, or leave it out for a "
-            "file of this machine"
-        ) from None
-    except ImportError as error:
-        missing = getattr(error.__cause__ or error, "name", None)
-        raise StorageError(
-            f"tuning.storage must name a database whose driver is installed, but '{shown}' needs {missing}: for "
-            "PostgreSQL write postgresql+psycopg://..."
-        ) from None
-    except (optuna.exceptions.StorageInternalError, sqlalchemy.exc.SQLAlchemyError, sqlite3.Error) as error:
-        raise StorageError(
-            f"tuning.storage must be a database that can be used, but '{shown}' says: {_reason(error)}. {next_step}"
-        ) from None
-    except OSError as error:
-        raise StorageError(
-            f"tuning.storage must be writable, but '{shown}' is not ({error.strerror or error}): free the disk or "
-            "choose another file with tuning.storage=sqlite:///FILE.db"
+            f"tuning.storage must be a database that can be used, but '{without_password(config.storage)}' says: "
+            f"{_reason(error)}. {next_step}"
         ) from None
 
 
 def _reason(error: BaseException) -> str:
     """The heart of an error's text, on one line, without passwords."""
     cause = error.__cause__ or error
-    lines = [line.strip() for line in str(cause).splitlines() if line.strip() and "Background on this" not in line]
-    text = place(re.sub(r"^\([\w.]+\)\s*", "", " ".join(lines)) or type(cause).__name__)
+    text = str(getattr(cause, "strerror", None) or cause).partition("(Background on this")[0]
+    text = without_password(re.sub(r"^\([\w.]+\)\s*", "", " ".join(text.split())) or type(cause).__name__)
     text = re.sub(r"[^\s'\"]+@", "***@", text)  # an "@" in a password makes the rest of it part of the host
     return text[:_LONGEST_REASON].rstrip(".? ")
 
@@ -115,29 +94,29 @@ def _database(config: TuningConfig) -> optuna.storages.RDBStorage:
         raise ArgumentError("the port must be a number") from None
     connect: dict[str, Any] = {}
     if not is_shared(config):
-        _prepare_file(Path(url.database or ":memory:"), place(config.storage))
+        _prepare_file(Path(url.database or ":memory:"), config.storage)
         connect = {"timeout": config.timeout_seconds}
     elif config.storage.startswith("postgresql"):
         # psycopg counts whole seconds, and retries each address of a host by itself.
         connect = {"connect_timeout": max(2, int(config.timeout_seconds / 2))}
-    for attempt in range(1, _ATTEMPTS + 1):
+    for attempt in range(_ATTEMPTS):
         try:
-            return _storage(config, connect)
+            return _connect(config, connect)
         except RuntimeError as error:  # tables of another version of Optuna
             raise ArgumentError(str(error)) from None
+        except ImportError as error:
+            driver = getattr(error.__cause__, "name", None)
+            raise ArgumentError(f"it needs {driver}: for PostgreSQL write postgresql+psycopg://...") from None
         except DBAPIError as error:
             # Another process or machine may make the same tables in the same moment.
-            made_meanwhile = isinstance(error, IntegrityError) or "already exists" in str(error)
-            if attempt == _ATTEMPTS or not made_meanwhile:
+            if not (isinstance(error, IntegrityError) or "already exists" in str(error)):
                 raise
             time.sleep(0.1 * attempt)
-    raise AssertionError("unreachable")
+    return _connect(config, connect)
 
 
-def _storage(config: TuningConfig, connect: dict[str, Any]) -> optuna.storages.RDBStorage:
+def _connect(config: TuningConfig, connect: dict[str, Any]) -> optuna.storages.RDBStorage:
     from optuna.storages import RDBStorage
-
-    named: set[int] = set()
 
     class Storage(RDBStorage):
         """One whose heartbeats outlive a moment without the database, and whose trials name their worker."""
@@ -145,8 +124,7 @@ def _storage(config: TuningConfig, connect: dict[str, Any]) -> optuna.storages.R
         def record_heartbeat(self, trial_id: int) -> None:
             with suppress(Exception):  # the trial itself tells where the database is gone for good
                 super().record_heartbeat(trial_id)
-                if trial_id not in named:
-                    named.add(trial_id)
+                if WORKER not in self.get_trial(trial_id).user_attrs:
                     self.set_trial_user_attr(trial_id, WORKER, f"{socket.gethostname()}:{os.getpid()}")
 
     with warnings.catch_warnings():
@@ -159,7 +137,7 @@ def _storage(config: TuningConfig, connect: dict[str, Any]) -> optuna.storages.R
         )
 
 
-def _prepare_file(path: Path, shown: str) -> None:
+def _prepare_file(path: Path, url: str) -> None:
     """Make the folder of a new file; raise StorageError for one that holds something else, and leave it as it is."""
     path.parent.mkdir(parents=True, exist_ok=True)
     if not path.exists() or not path.stat().st_size:
@@ -179,6 +157,6 @@ def _prepare_file(path: Path, shown: str) -> None:
             return
         what = "has tables that are not of Optuna"
     raise StorageError(
-        f"tuning.storage must be a database of studies, but '{shown}' {what}: "
+        f"tuning.storage must be a database of studies, but '{url}' {what}: "
         "give another file, such as tuning.storage=sqlite:///studies/optuna.db"
     )

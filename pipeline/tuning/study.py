@@ -9,18 +9,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pipeline.config.schema import Config
-from pipeline.config.tuning import Value
 from pipeline.equations.bearing_equations import BearingEquations
-from pipeline.errors import ConfigError
+from pipeline.errors import ConfigError, without_password
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.tuning.samplers import pruner, seeded_sampler
 from pipeline.tuning.space import default_parameters
-from pipeline.tuning.storage import open_storage, place
+from pipeline.tuning.storage import open_storage
 
 if TYPE_CHECKING:
     import optuna
@@ -93,37 +92,28 @@ def open_study(problem: StudyProblem) -> optuna.Study:
     default = default_parameters(problem.config)
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     storage = open_storage(config)
-    study = _make_or_load(problem, storage, default)
-    changes = _changes(study.user_attrs[INPUTS], problem.fingerprints())
-    if changes and config.changed == "restart":
-        optuna.delete_study(study_name=config.study, storage=storage)
-        study = _make_or_load(problem, storage, default)
-        changes = _changes(study.user_attrs[INPUTS], problem.fingerprints())
-    if changes:
-        raise ConfigError(
-            f"the study '{config.study}' in '{place(config.storage)}' must have been made from the same inputs, but "
-            f"it was not: {changes}. Begin another with tuning.study=NAME, or delete this one and begin again with "
-            "tuning.changed=restart"
+    for restart in (config.changed == "restart", False):
+        study = optuna.create_study(
+            study_name=config.study,
+            direction="minimize",
+            load_if_exists=True,
+            storage=storage,
+            sampler=seeded_sampler(config, default),
+            pruner=pruner(config),
         )
-    return study
-
-
-def _make_or_load(problem: StudyProblem, storage: Any, default: Mapping[str, Value]) -> optuna.Study:
-    import optuna
-
-    config = problem.config.tuning
-    study = optuna.create_study(
-        study_name=config.study,
-        direction="minimize",
-        load_if_exists=True,
-        storage=storage,
-        sampler=seeded_sampler(config, default),
-        pruner=pruner(config),
+        if INPUTS not in study.user_attrs:
+            _describe(study, problem)
+            study.set_user_attr(INPUTS, problem.fingerprints())
+        changes = _changes(study.user_attrs[INPUTS], problem.fingerprints())
+        if not changes:
+            return study
+        if restart:
+            optuna.delete_study(study_name=config.study, storage=storage)
+    raise ConfigError(
+        f"the study '{config.study}' in '{without_password(config.storage)}' must have been made from the same inputs, "
+        f"but it was not: {changes}. Begin another with tuning.study=NAME, or delete this one and begin again with "
+        "tuning.changed=restart"
     )
-    if INPUTS not in study.user_attrs:
-        _describe(study, problem)
-        study.set_user_attr(INPUTS, problem.fingerprints())
-    return study
 
 
 def _changes(then: Mapping[str, Mapping[str, str]], now: Mapping[str, Mapping[str, str]]) -> str:

@@ -63,54 +63,39 @@ def work(study: optuna.Study, problem: StudyProblem, seen: Seen) -> None:
 
 def _run_next(study: optuna.Study, problem: StudyProblem, seen: Seen) -> None:
     """One trial, from the queue or new, in Optuna's own loop: that keeps its heartbeats."""
-    from optuna.exceptions import UpdateFinishedTrialError
+    from optuna.exceptions import StorageInternalError, UpdateFinishedTrialError
 
-    interrupts, begun = _Interrupts(), []
+    begun: list[int] = []
+    interrupted: list[bool] = []
+    handler = signal.getsignal(signal.SIGINT)  # a shell's background job has one that ignores it
 
     def run(trial: optuna.trial.Trial) -> float:
         begun.append(trial.number)
-        with interrupts:
+        try:
+            signal.signal(signal.SIGINT, handler)
+            if interrupted:
+                raise KeyboardInterrupt
             return run_trial(trial, problem, seen)
+        finally:
+            signal.signal(signal.SIGINT, lambda *_: interrupted.append(True))
 
-    default = signal.default_int_handler
-    if signal.getsignal(signal.SIGINT) is default:  # a shell's background job ignores it
-        signal.signal(signal.SIGINT, interrupts)
+    # Where Ctrl-C comes while Optuna begins a trial or tells its end, that trial would be left running.
+    signal.signal(signal.SIGINT, lambda *_: interrupted.append(True))
     try:
         study.optimize(run, n_trials=1, catch=TrialFailed)
     except (UpdateFinishedTrialError, ValueError):
         # Another worker took this one for dead and failed its trial; no other such error comes out of `run`.
         if not begun:
             raise
-    except UnboundLocalError as error:
-        raise error.__context__ or error from None  # how Optuna's loop ends where the storage is gone
+    except (AssertionError, UnboundLocalError) as error:
+        hidden = error.__context__  # what Optuna's loop stumbles over where the storage does not take a trial's end
+        if isinstance(hidden, StorageInternalError):
+            raise hidden from hidden.__cause__
+        raise
     finally:
-        if signal.getsignal(signal.SIGINT) is interrupts:
-            signal.signal(signal.SIGINT, default)
-    if interrupts.came:
+        signal.signal(signal.SIGINT, handler)
+    if interrupted and callable(handler):
         raise KeyboardInterrupt
-
-
-class _Interrupts:
-    """Lets Ctrl-C through in the block only.
-
-    Where one comes while Optuna begins a trial or tells its end, that trial would run on without a worker.
-    """
-
-    def __init__(self) -> None:
-        self.came = self._inside = False
-
-    def __call__(self, *_: object) -> None:
-        self.came = True
-        if self._inside:
-            raise KeyboardInterrupt
-
-    def __enter__(self) -> None:
-        self._inside = True
-        if self.came:
-            raise KeyboardInterrupt
-
-    def __exit__(self, *_: object) -> None:
-        self._inside = False
 
 
 def run_trial(trial: optuna.trial.Trial, problem: StudyProblem, seen: Seen) -> float:
