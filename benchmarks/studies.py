@@ -14,7 +14,7 @@ from benchmarks.machines import machine
 from benchmarks.measure import BENCHMARKS, Aim, Times, seconds
 
 if TYPE_CHECKING:
-    from pipeline.tuning.review import TrialAccount
+    from pipeline.tuning.finalists import TrialSummary
 
 _EXPERIMENT = "experiment=hydrostatic_stiffness"
 
@@ -69,17 +69,17 @@ def _require_a_free_core() -> None:
         raise RuntimeError(f"it needs a free core, but the load of the {cores} cores is {load:.1f}: run it again later")
 
 
-def _studied(folder: Path, *overrides: str) -> tuple[list[TrialAccount], float]:
+def _studied(folder: Path, *overrides: str) -> tuple[list[TrialSummary], float]:
     """The trials of a study, and its time in seconds."""
     from pipeline.config.compose import compose_config
+    from pipeline.tuning.finalists import summarize
     from pipeline.tuning.parallel import run_study
-    from pipeline.tuning.review import accounts
     from pipeline.tuning.study import StudyProblem
 
     made = machine(_EXPERIMENT)
-    config = compose_config(["stage=tune", f"tuning.storage={folder}/optuna.log", *overrides])
+    config = compose_config(["stage=tune", f"tuning.storage=sqlite:///{folder}/optuna.db", *overrides])
     problem = StudyProblem(config, made.measurement)
     start = time.perf_counter()
     study, _ = run_study(problem, lambda _: None)
     wall = time.perf_counter() - start
-    return accounts(study), wall
+    return summarize(study), wall

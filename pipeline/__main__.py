@@ -59,7 +59,9 @@ def _command(arguments: list[str]) -> None:
         if all(map(_is_plain, others)):
             _run_stages(others, folder)
         else:
-            _hydra(_parsed(others), folder)
+            from pipeline.usage import parse_options
+
+            _hydra(parse_options(others), folder)
 
 
 def _is_plain(argument: str) -> bool:
@@ -77,7 +79,7 @@ def _folder(arguments: list[str]) -> tuple[Path | None, list[str]]:
             continue
         value = value if equals else next(rest, "")
         if not value:
-            _refuse_option("--config-dir needs a folder")
+            raise ConfigError("--config-dir must be followed by a folder, but nothing follows it")
         folder = Path(os.path.abspath(Path(value).expanduser()))
     return folder, others
 
@@ -152,30 +154,6 @@ def _drop_output() -> None:
 
 
 # --- Hydra ---------------------------------------------------------------------------------------
-
-
-def _parsed(arguments: list[str]) -> Namespace:
-    """Hydra's own options, also after overrides; ``multirun`` is true for ``hydra.mode=MULTIRUN`` too."""
-    from hydra._internal.utils import get_args_parser
-
-    parser = get_args_parser()
-    parser.error = _refuse_option  # type: ignore[method-assign]  # its own prints a usage of Hydra's
-    options = parser.parse_intermixed_args(arguments)
-    for name in ("config_path", "config_name", "experimental_rerun"):
-        if getattr(options, name) is not None:
-            _refuse_option(f"--{name.replace('_', '-')} is not for this pipeline, configured in conf/config.yaml")
-    commands = [options.multirun, options.cfg, options.info, options.shell_completion, options.hydra_help]
-    if sum(map(bool, commands)) > 1:
-        _refuse_option("there is more than one of --multirun, --cfg, --info, --shell-completion and --hydra-help")
-    if options.resolve and not options.cfg:
-        _refuse_option("--resolve goes with --cfg job")
-    options.multirun = options.multirun or (not any(commands) and "hydra.mode=MULTIRUN" in options.overrides)
-    options.flags = [argument for argument in arguments if argument not in options.overrides]
-    return options
-
-
-def _refuse_option(message: str) -> NoReturn:
-    raise ConfigError(f"the options must be Hydra's, but {message}; `python -m pipeline --help` lists the usual ones")
 
 
 def _hydra(options: Namespace, folder: Path | None) -> None:

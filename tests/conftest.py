@@ -25,7 +25,9 @@ if TYPE_CHECKING:
     from pipeline.config.schema import Config
     from pipeline.errors import PipelineError
     from pipeline.rotor.bearing_table import BearingTable
+    from pipeline.tuning.study import StudyProblem
     from pipeline.unknowns import UnknownSet
+    from studies import Forks, Told
 
 # The tests judge the checkout that they lie in, wherever they are started and whatever is installed.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -197,6 +199,59 @@ class Artifacts:
 def artifacts() -> Artifacts:
     """``artifacts(experiment, files)``: the folder of what the graph made for an experiment."""
     return Artifacts(ARTIFACTS)
+
+
+# --- studies ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="session")
+def cheap(tmp_path_factory: pytest.TempPathFactory) -> StudyProblem:
+    """A study of trials that take a tenth of a second; its data are not to be written to."""
+    from studies import cheap_problem
+
+    return cheap_problem(tmp_path_factory.mktemp("study") / "data")
+
+
+@pytest.fixture
+def make(cheap: StudyProblem, tmp_path: Path) -> Callable[..., StudyProblem]:
+    """``make(n_trials=5)``: the cheap study with its storage in ``tmp_path`` and these values of ``tuning``."""
+    from studies import with_tuning
+
+    places = {"storage": f"sqlite:///{tmp_path}/studies.db", "folder": str(tmp_path / "best")}
+    return lambda **tuning: with_tuning(cheap, **(places | tuning))
+
+
+@pytest.fixture(scope="session")
+def start(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Forks]:
+    """``start(problem)``: a process that runs the study."""
+    from studies import Forks
+
+    forks = Forks(tmp_path_factory.mktemp("forks"))
+    yield forks
+    forks.close()
+
+
+@pytest.fixture(scope="session")
+def undisturbed(
+    cheap: StudyProblem, start: Forks, tmp_path_factory: pytest.TempPathFactory
+) -> Callable[..., list[Told]]:
+    """``undisturbed(sampler="gp")``: the trials of a study with these values of ``tuning`` that nothing disturbed."""
+    from studies import finished, trials_of, with_tuning
+
+    known: dict[str, list[Told]] = {}
+
+    def trials(**tuning: Any) -> list[Told]:
+        key = json.dumps(tuning, sort_keys=True)
+        if key not in known:
+            storage = f"sqlite:///{tmp_path_factory.mktemp('reference')}/studies.db"
+            problem = with_tuning(cheap, storage=storage, **tuning)
+            runner = start(problem)
+            assert (runner.end(), runner.said) == (0, "")
+            known[key] = finished(problem)
+            assert len(trials_of(problem)) == len(known[key]), "none was repeated"
+        return known[key]
+
+    return trials
 
 
 # --- global state --------------------------------------------------------------------------------

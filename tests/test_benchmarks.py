@@ -114,18 +114,18 @@ def test_81_guesses_at_once_take_the_steps_of_one(machine: MachineFactory) -> No
 def test_two_workers_do_the_trials_of_one(machine: MachineFactory, tmp_path: Path) -> None:
     """Random search without pruning: the very same trials, all of them accounted for, and nothing to complain of."""
     from pipeline.config.compose import compose_config
+    from pipeline.tuning.finalists import summarize
     from pipeline.tuning.parallel import run_study
-    from pipeline.tuning.review import accounts
     from pipeline.tuning.study import StudyProblem
 
     made, trials = machine("experiment=hydrostatic_stiffness"), []
     for workers in (1, 2):
-        storage = f"tuning.storage={tmp_path}/{workers}.log"
+        storage = f"tuning.storage=sqlite:///{tmp_path}/{workers}.db"
         alike = ["tuning.sampler=random", "tuning.pruner=none", "tuning.n_trials=4", f"tuning.workers={workers}"]
         config = compose_config(["stage=tune", storage, *alike])
         problem = StudyProblem(config, made.measurement)
         study, sentences = run_study(problem, lambda _: None)
         assert sentences == []
-        trials.append([trial.parameters for trial in accounts(study)])
+        trials.append([trial.parameters for trial in summarize(study)])
     assert len(trials[0]) == 4
     assert trials[0] == trials[1]

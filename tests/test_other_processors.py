@@ -200,8 +200,7 @@ def test_of_equal_minima_the_first_goes_on() -> None:
 def test_of_equal_finalists_the_better_trial_is_promoted() -> None:
     """At rounding seeds tell nothing: the order of the trials decides, and the default stays where it is there too."""
     from pipeline.config.compose import compose_config
-    from pipeline.tuning.review import Finalist, promoted
-    from pipeline.tuning.worker import ROUNDING
+    from pipeline.tuning.finalists import Finalist, choose
 
     config = compose_config(["experiment=ball_bearing", "tuned=false"]).tuning
 
@@ -209,8 +208,8 @@ def test_of_equal_finalists_the_better_trial_is_promoted() -> None:
         return Finalist(trial, {}, np.full(5, loss), None, None)
 
     for one, other in ((1e-15, 9e-16), (9e-16, 1e-15)):
-        assert promoted(finalist(0, 1e-3), [finalist(4, one), finalist(9, other)], config, ROUNDING).trial == 4
-        assert promoted(finalist(0, 1e-14), [finalist(4, one), finalist(9, other)], config, ROUNDING).trial == 0
+        assert choose([finalist(0, 1e-3), finalist(4, one), finalist(9, other)], config).trial == 4
+        assert choose([finalist(0, 1e-14), finalist(4, one), finalist(9, other)], config).trial == 0
 
 
 @pytest.mark.parametrize("name", ["ball_bearing", "hydrostatic_stiffness", "hydrostatic_damping"])

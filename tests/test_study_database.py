@@ -3,49 +3,35 @@
 from __future__ import annotations
 
 import importlib.util
-import json
 import os
-import pickle
 import pwd
 import shutil
 import signal
 import socket
 import subprocess
-import sys
 import tempfile
 import time
-import warnings
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from contextlib import closing, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import psutil
 import pytest
 from conftest import at_night
 
-from pipeline.config.compose import compose_config
 from pipeline.errors import StorageError
-from pipeline.tuning.liveness import requeue_orphans, working_on
+from pipeline.tuning.attempts import REPEATS
 from pipeline.tuning.parallel import run_study
-from pipeline.tuning.study import StudyProblem, open_study
+from pipeline.tuning.study import StudyProblem
+from studies import ALONE, Forks, Told, finished, refused, silent, stored, told, trials_of, wait_until, with_tuning
 
 pytestmark = pytest.mark.slow
 
-ROOT = Path(__file__).resolve().parents[1]
-ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-STUDY = [
-    "experiment=ball_bearing",
-    "stage=tune",
-    "tracking=none",
-    *(f"machine.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=500")),
-    *("optimizer.adam.steps=60", "optimizer.levenberg_marquardt.steps=20"),
-    *("tuning.n_trials=8", "tuning.startup_trials=4", "tuning.heartbeat_seconds=1"),
-    *("tuning.space.adam_epochs.high=150", "tuning.space.lbfgs_epochs.high=40", "tuning.space.lm_epochs.high=40"),
-]
 PASSWORD = "pass:wo/rd"
 """With characters that a URL gives another meaning."""
+Make = Callable[..., StudyProblem]
+Undisturbed = Callable[..., list[Told]]
 
 
 # --- PostgreSQL ------------------------------------------------------------------------------------
@@ -169,349 +155,85 @@ def server() -> Iterator[Server]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-# --- studies and their workers ---------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def problem(tmp_path_factory: pytest.TempPathFactory) -> StudyProblem:
-    """A study with trials of a tenth of a second; its storage is each test's own."""
-    from pipeline.stages.measurement import load_measurement
-    from pipeline.stages.tune import study_problem
-
-    folder = tmp_path_factory.mktemp("data")
-    config = compose_config([*STUDY, f"output='{folder}'", f"tuning.folder='{folder / 'study'}'"])
-    return study_problem(config, load_measurement(config))
-
-
-def stored_in(problem: StudyProblem, storage: str, **others: object) -> StudyProblem:
-    """``problem`` with another storage and other values of ``tuning``."""
-    tuning = problem.config.tuning.model_copy(update={"storage": storage} | others)
-    return replace(problem, config=problem.config.model_copy(update={"tuning": tuning}))
-
-
-def unwatched(study: object) -> None:
-    """Progress that nobody looks at."""
-
-
-MACHINE_ROOM = """
-import json, os, pickle, signal, socket, sys, time, traceback
-from pathlib import Path
-import alembic.command, optuna, optuna_dashboard, psycopg, sqlalchemy.dialects.postgresql.psycopg, torch._dynamo
-from pipeline.errors import PipelineError
-from pipeline.tuning.liveness import this_worker
-from pipeline.tuning.parallel import run_study
-
-def work(folder, name, orders):
-    if "host" in orders:
-        socket.gethostname = lambda: orders["host"]
-
-    def tell(what, words):
-        (folder / f"{name} new").write_text(words)
-        (folder / f"{name} new").rename(folder / f"{name} {what}")
-
-    def seen(study):
-        if not orders.get("halts") or (folder / f"{name} halts").exists():
-            return
-        for trial in study.get_trials(deepcopy=False):
-            if trial.state.name == "RUNNING" and trial.user_attrs.get("worker") == this_worker():
-                if trial.intermediate_values:
-                    tell("halts", json.dumps([trial.number, trial.params, trial.intermediate_values]))
-                    while not (folder / f"{name} goes on").exists():
-                        time.sleep(0.01)
-
-    try:
-        run_study(pickle.loads((folder / "problem").read_bytes()), seen)
-        tell("ends", "0")
-    except PipelineError as error:
-        print(error, file=sys.stderr, flush=True)
-        tell("ends", "2")
-    except BaseException:
-        traceback.print_exc()
-        tell("ends", "70")
-
-signal.signal(signal.SIGCHLD, signal.SIG_IGN)
-print("open", flush=True)
-for line in sys.stdin:
-    folder, name, orders = json.loads(line)
-    if pid := os.fork():
-        print(pid, flush=True)
-        continue
-    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-    said = os.open(f"{folder}/{name} says", os.O_WRONLY | os.O_CREAT)
-    for stream in (1, 2):
-        os.dup2(said, stream)
-    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-    work(Path(folder), name, orders)
-    os._exit(0)  # the last rites of so many modules take a second
-"""
-"""A process that has imported everything, which takes seconds, and splits workers off on demand."""
-
-
-@dataclass
-class Worker:
-    """A process that works on the study of ``folder``."""
-
-    folder: Path
-    name: str
-    pid: int
-
-    def told(self, what: str, seconds: float = 60.0) -> str:
-        """Wait until the worker ``halts`` or ``ends``, and return its words."""
-        words = self.folder / f"{self.name} {what}"
-        wait_until(words.exists, seconds)
-        return words.read_text()
-
-    @property
-    def said(self) -> str:
-        """What it printed."""
-        return (self.folder / f"{self.name} says").read_text()
-
-    def go_on(self) -> None:
-        """After a halt."""
-        (self.folder / f"{self.name} goes on").touch()
-
-    def end(self, seconds: float = 60.0) -> tuple[int, str]:
-        """The exit code, and all that it printed."""
-        code = int(self.told("ends", seconds))
-        wait_until(lambda: not psutil.pid_exists(self.pid))
-        return code, self.said
-
-    def send(self, number: signal.Signals) -> None:
-        """A signal, if it still runs."""
-        with suppress(ProcessLookupError):
-            os.kill(self.pid, number)
-
-
-@pytest.fixture(scope="module")
-def machine_room() -> Iterator[subprocess.Popen[str]]:
-    """MACHINE_ROOM, open."""
-    command = [sys.executable, "-W", "error", "-W", "ignore::ResourceWarning", "-c", MACHINE_ROOM]
-    pipe = subprocess.PIPE
-    with subprocess.Popen(command, env=ENVIRONMENT, text=True, bufsize=1, stdin=pipe, stdout=pipe) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "open\n"
-        yield process
-        process.kill()
-
-
-@dataclass
-class Crew:
-    """The workers of a test."""
-
-    machine_room: subprocess.Popen[str]
-    folder: Path
-    workers: list[Worker] = field(default_factory=list)
-
-    def hire(self, problem: StudyProblem, **orders: dict[str, object]) -> list[Worker]:
-        """Workers by name, which begin at once; ``orders``: the ``host`` they think they are on, where one ``halts``.
-
-        A worker halts when its first trial has a point of its learning curve.
-        """
-        (self.folder / "problem").write_bytes(pickle.dumps(problem))
-        assert self.machine_room.stdin is not None
-        assert self.machine_room.stdout is not None
-        for name, order in orders.items():
-            self.machine_room.stdin.write(json.dumps([str(self.folder), name, order]) + "\n")
-        hired = [Worker(self.folder, name, int(self.machine_room.stdout.readline())) for name in orders]
-        self.workers += hired
-        return hired
-
-
-@pytest.fixture
-def crew(machine_room: subprocess.Popen[str], tmp_path: Path) -> Iterator[Crew]:
-    """No worker outlives its test."""
-    made = Crew(machine_room, tmp_path)
-    yield made
-    for worker in made.workers:
-        if not (tmp_path / f"{worker.name} ends").exists():
-            worker.send(signal.SIGKILL)
-
-
-def close(study: Any) -> None:
-    """Give the connections of a study back."""
-    study._storage.remove_session()
-    if engine := getattr(study._storage._backend, "engine", None):
-        engine.dispose()
-
-
-@contextmanager
-def opened(problem: StudyProblem) -> Iterator[Any]:
-    """The study, made where there is none."""
-    study = open_study(problem)
-    yield study
-    close(study)
-
-
-def asked(study: Any) -> Any:
-    """The next trial; Optuna warns that its own loop would keep the heartbeats, which here workers do."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Heartbeat of storage")
-        return study.ask()
-
-
-def wait_until(condition: Callable[[], Any], seconds: float = 60.0) -> Any:
-    """What ``condition`` returns as soon as that is true."""
-    ends = time.monotonic() + seconds
-    while not (found := condition()):
-        assert time.monotonic() < ends, "it never came true"
-        time.sleep(0.1)
-    return found
-
-
-def trials_of(problem: StudyProblem) -> list[Any]:
-    """All trials of the stored study."""
-    with opened(problem) as study:
-        return list(study.get_trials())
-
-
-def wait_for_finished(problem: StudyProblem, count: int) -> list[Any]:
-    """``count`` finished trials at least."""
-    with opened(problem) as study:
-
-        def finished() -> list[Any]:
-            return [trial for trial in study.get_trials() if trial.state.is_finished()]
-
-        wait_until(lambda: len(finished()) >= count)
-        return finished()
-
-
-def check_complete(problem: StudyProblem) -> list[Any]:
-    """Every trial below the total is finished, with its loss or its reason, and nobody is still at work.
-
-    Returns those trials by number.
-    """
-    trials = trials_of(problem)
-    total = problem.config.tuning.n_trials
-    assert [trial.number for trial in trials[:total]] == list(range(total))
-    assert {trial.state.name for trial in trials[:total]} <= {"COMPLETE", "PRUNED"}
-    assert {trial.state.name for trial in trials[total:]} <= {"WAITING"}, "a trial beyond the total may be in the queue"
-    for trial in trials[:total]:
-        assert {"worker", "outcome", "epochs", "held_out_loss", "training_seconds"} <= trial.user_attrs.keys()
-    return trials[:total]
+# --- workers that die ------------------------------------------------------------------------------
 
 
 @pytest.fixture(params=["postgresql", *at_night("sqlite")])
 def database(request: pytest.FixtureRequest, tmp_path: Path) -> str:
     """The URL of an empty database of each kind."""
     if request.param == "sqlite":
-        return f"sqlite:///{tmp_path}/studies.db"
+        return f"sqlite:///{tmp_path}/shared.db"
     server: Server = request.getfixturevalue("server")
     return server.database()
 
 
-# --- workers that die ------------------------------------------------------------------------------
-
-
-def test_a_killed_worker_loses_no_trial(database: str, problem: StudyProblem, crew: Crew) -> None:
-    """Of three workers one gets SIGKILL in mid-trial: another finishes that very trial, and all others are there."""
-    shared = stored_in(problem, database)
-    (killed,) = crew.hire(shared, killed={"halts": True})
-    number, parameters, curve = json.loads(killed.told("halts"))
-    others = crew.hire(shared, second={}, third={})
-    wait_for_finished(shared, 1)
-    killed.send(signal.SIGKILL)
-    assert [other.end() for other in others] == [(0, "")] * 2
-    trials = check_complete(shared)
-    assert trials[number].params == parameters
-    assert trials[number].intermediate_values.items() >= {int(step): loss for step, loss in curve.items()}.items()
-    workers = {int(trial.user_attrs["worker"].split(":")[1]) for trial in trials}
-    assert workers <= {other.pid for other in others}
-    assert len({json.dumps(trial.params, sort_keys=True) for trial in trials}) == len(trials)
+def test_a_killed_worker_loses_no_trial(database: str, start: Forks, make: Make, undisturbed: Undisturbed) -> None:
+    """Of three workers one gets SIGKILL in mid-trial: another repeats that very trial, and all others are there."""
+    problem = make(**ALONE, storage=database)
+    killed = start(problem, halts=True)
+    number = killed.halt()
+    before = trials_of(problem)[number]
+    others = [start(problem) for _ in range(2)]
+    wait_until(lambda: told(problem))
+    killed.kill()
+    assert [(other.end(), other.said) for other in others] == [(0, "")] * 2
+    assert finished(problem) == undisturbed(**ALONE)
+    (repeat,) = (trial for trial in trials_of(problem) if trial.user_attrs.get(REPEATS) == number)
+    assert repeat.params == before.params
+    assert repeat.intermediate_values.items() >= before.intermediate_values.items()
 
 
 @pytest.mark.nightly
-def test_a_machine_that_died_is_found_by_its_silence(server: Server, problem: StudyProblem, crew: Crew) -> None:
-    """A worker on another machine keeps its trial as long as it gives heartbeats, however slow; then it is replaced."""
-    shared = stored_in(problem, server.database(), n_trials=4)
-    (far,) = crew.hire(shared, far={"host": "far-away", "halts": True})
-    number, parameters, _ = json.loads(far.told("halts"))
-    (near,) = crew.hire(shared, near={})
-    wait_for_finished(shared, 3)
+def test_a_slow_machine_keeps_its_trial(server: Server, start: Forks, make: Make, undisturbed: Undisturbed) -> None:
+    """A worker keeps its trial as long as it gives heartbeats; one that stood still, as a laptop that slept, has lost
+    it when it wakes up: its result changes nothing, and it ends well."""
+    problem = make(**ALONE, storage=server.database(), n_trials=4)
+    far = start(problem, halts=True)
+    number = far.halt()
+    near = start(problem)
+    wait_until(lambda: len(told(problem)) == 3)
     time.sleep(4.0)  # longer than the three heartbeats after which a worker is given up
-    slow = trials_of(shared)[number]
-    assert (slow.state.name, slow.user_attrs["worker"].split(":")[0]) == ("RUNNING", "far-away")
-    assert psutil.pid_exists(near.pid), "it waits for the trial of the other"
-    far.send(signal.SIGKILL)
-    assert near.end(seconds=20) == (0, "")
-    trials = check_complete(shared)
-    assert trials[number].params == parameters
-    assert {trial.user_attrs["worker"].split(":")[0] for trial in trials} == {socket.gethostname()}
-
-
-@pytest.mark.nightly
-def test_a_machine_that_slept_wakes_up_to_a_finished_study(server: Server, problem: StudyProblem, crew: Crew) -> None:
-    """A worker that stood still was taken for dead; when it goes on, its result changes nothing and it ends well."""
-    shared = stored_in(problem, server.database(), n_trials=3)
-    (asleep,) = crew.hire(shared, asleep={"host": "laptop", "halts": True})
-    number = json.loads(asleep.told("halts"))[0]
-    asleep.send(signal.SIGSTOP)
-    (awake,) = crew.hire(shared, awake={})
-    assert awake.end() == (0, "")
-    finished = [(trial.params, trial.value, trial.user_attrs) for trial in check_complete(shared)]
-    assert finished[number][2]["worker"].split(":")[1] == str(awake.pid)
-    asleep.go_on()
-    asleep.send(signal.SIGCONT)
-    assert asleep.end() == (0, "")
-    assert [(trial.params, trial.value, trial.user_attrs) for trial in check_complete(shared)] == finished
-
-
-@pytest.mark.nightly
-def test_a_trial_that_was_just_taken_again_is_not_that_of_a_dead_worker(server: Server, problem: StudyProblem) -> None:
-    """Before its new worker has written its name, a trial has no old name and no old heartbeat to be judged by."""
-    from optuna.trial import TrialState
-
-    shared = stored_in(problem, server.database(), n_trials=1)
-    with opened(shared) as study:
-        trial = asked(study)
-        with working_on(study, trial._trial_id):
-            trial.set_user_attr("worker", "far-away:1:1.00")
-        time.sleep(3.5)  # silent for three heartbeats
-        assert not requeue_orphans(study)
-        (back,) = study.get_trials()
-        assert (back.state, back.user_attrs["worker"]) == (TrialState.WAITING, None)
-        again = asked(study)
-        assert requeue_orphans(study), "whose it is can't be told yet"
-        assert study.get_trials()[0].state == TrialState.RUNNING
-        with working_on(study, again._trial_id):
-            assert not requeue_orphans(study)
-            assert study.get_trials()[0].state == TrialState.RUNNING
+    assert trials_of(problem)[number].state.name == "RUNNING"
+    far.signal(signal.SIGSTOP)
+    assert (near.end(), near.said) == (0, "")
+    assert finished(problem) == undisturbed(**ALONE)[:4]
+    far.go_on()
+    far.signal(signal.SIGCONT)
+    assert (far.end(), far.said) == (0, "")
+    assert finished(problem) == undisturbed(**ALONE)[:4]
 
 
 # --- several machines at once ----------------------------------------------------------------------
 
 
-def test_machines_that_make_a_study_together(database: str, problem: StudyProblem, crew: Crew) -> None:
+def test_machines_that_make_a_study_together(database: str, start: Forks, make: Make, undisturbed: Undisturbed) -> None:
     """Into an empty database, at the same moment: one makes the tables and the study, and all work on it."""
-    shared = stored_in(problem, database, n_trials=6)
-    names = ("first", "second", "third")
-    workers = crew.hire(shared, **{name: {"host": name} for name in names})
-    assert [worker.end() for worker in workers] == [(0, "")] * 3
-    trials = check_complete(shared)
-    notes = [trial.user_attrs.get("note") for trial in trials_of(shared)]
+    problem = make(**ALONE, storage=database)
+    begins = time.time() + 0.3
+    workers = [start(problem, begins=begins) for _ in range(3)]
+    assert [(worker.end(), worker.said) for worker in workers] == [(0, "")] * 3
+    assert finished(problem) == undisturbed(**ALONE)
+    notes = [trial.user_attrs.get("note") for trial in trials_of(problem)]
     assert notes == ["the configured default"] + [None] * (len(notes) - 1)
-    assert trials[0].params["adam_epochs"] == problem.config.optimizer.adam.steps
-    with opened(shared) as study:
+    with stored(problem) as study:
+        assert study is not None
         assert study.user_attrs.keys() == {"made_from"}
         assert study.metric_names == ["log10 of the held-out loss"]
 
 
-def test_the_same_study_in_every_kind_of_storage(database: str, problem: StudyProblem, tmp_path: Path) -> None:
-    """One worker's trials are the same wherever they are kept; a database goes on from 2 trials to 5 as a file does."""
-    found = []
-    for storage in (str(tmp_path / "journal.log"), database):
-        for total in (2, 5):
-            study, sentences = run_study(stored_in(problem, storage, n_trials=total), unwatched)
-            assert sentences == []
-            close(study)
-        trials = check_complete(stored_in(problem, storage, n_trials=5))
-        found.append([(trial.params, trial.value, trial.intermediate_values) for trial in trials])
-    assert found[0] == found[1]
+def test_the_same_study_in_every_kind_of_storage(server: Server, make: Make, undisturbed: Undisturbed) -> None:
+    """One worker's trials are the same wherever they are kept; a server goes on from 2 trials to 5 as a file does."""
+    storage = server.database()
+    for total in (2, 5):
+        _, sentences = run_study(make(storage=storage, n_trials=total), silent)
+        assert sentences == []
+    assert finished(make(storage=storage, n_trials=5)) == undisturbed()[:5]
 
 
 # --- what is wrong with a database -----------------------------------------------------------------
 
 
-def test_a_database_that_can_not_be_used_is_one_sentence(server: Server, problem: StudyProblem, tmp_path: Path) -> None:
+def test_a_database_that_can_not_be_used_is_one_sentence(server: Server, cheap: StudyProblem) -> None:
     """Wrong password, no such database, nobody there, no such driver: what, where and the next step; no password."""
     wrong = {
         server.url("postgres", "not:the/one"): 'password authentication failed for user "study"',
@@ -522,11 +244,10 @@ def test_a_database_that_can_not_be_used_is_one_sentence(server: Server, problem
         f"postgresql+psycopg://127.0.0.1:{server.port}/x?user=study&password=not:the/one": "authentication failed",
         f"mysql+pymysql://study:{PASSWORD}@127.0.0.1/x": "needs pymysql: for PostgreSQL write postgresql+psycopg://",
         f"nonsense://study:{PASSWORD}@127.0.0.1/x": "Can't load plugin",
-        f"sqlite:///{tmp_path}/no such folder/x.db": "unable to open database file",
     }
     for url, reason in wrong.items():
         with pytest.raises(StorageError) as caught:
-            run_study(stored_in(problem, url), unwatched)
+            run_study(with_tuning(cheap, storage=url), silent)
         said = str(caught.value)
         assert said.startswith("tuning.storage must "), said
         assert reason in said
@@ -534,35 +255,32 @@ def test_a_database_that_can_not_be_used_is_one_sentence(server: Server, problem
         assert not [part for part in ("not:the", "/one", "pass:wo", "/rd") if part in said], said
 
 
-def test_a_server_that_never_answers(problem: StudyProblem) -> None:
+def test_a_server_that_never_answers(cheap: StudyProblem) -> None:
     """A port that takes the connection and says nothing: given up after tuning.timeout_seconds."""
     with closing(socket.create_server(("127.0.0.1", 0))) as listening:
-        url = f"postgresql+psycopg://study:{PASSWORD}@127.0.0.1:{listening.getsockname()[1]}/x"
-        with pytest.raises(StorageError) as caught:
-            run_study(stored_in(problem, url, timeout_seconds=3.0), unwatched)
-    assert PASSWORD not in str(caught.value)
+        url = f"postgresql+psycopg://study:secret@127.0.0.1:{listening.getsockname()[1]}/x"
+        with refused("tuning.storage must", kind=StorageError):
+            run_study(with_tuning(cheap, storage=url, timeout_seconds=3.0), silent)
 
 
 @pytest.mark.nightly
-def test_a_server_that_stops_in_the_middle(server: Server, problem: StudyProblem, crew: Crew) -> None:
+def test_a_server_that_stops_in_the_middle(server: Server, start: Forks, make: Make, undisturbed: Undisturbed) -> None:
     """Both workers of a command end with one sentence; when the server is back, the study goes on where it was."""
-    shared = stored_in(problem, server.database(), n_trials=6, workers=2, timeout_seconds=3.0)
-    (worker,) = crew.hire(shared, first={"halts": True})
-    number, parameters, _ = json.loads(worker.told("halts"))
-    finished = wait_for_finished(shared, 1)
+    problem = make(**ALONE, storage=server.database(), workers=2, timeout_seconds=3.0)
+    worker = start(problem, halts=True)
+    worker.halt()
+    wait_until(lambda: told(problem))
     server.stop()
     try:
         time.sleep(1.5)  # a heartbeat finds nobody
         worker.go_on()
-        code, said = worker.end()
+        assert worker.end() == 2
     finally:
         server.start()
-    assert code == 2
-    assert said.startswith("tuning.storage must be a database that can be used, but 'postgresql+psycopg://study:***@")
+    said = worker.said
+    assert "tuning.storage must be a database that can be used, but 'postgresql+psycopg://study:***@" in said
     assert said.endswith("No finished trial is lost; the same command goes on\n")
     assert said.count("\n") == 1, said
-    (again,) = crew.hire(stored_in(shared, shared.config.tuning.storage, workers=1), again={})
-    assert again.end() == (0, "")
-    trials = check_complete(shared)
-    assert trials[number].params == parameters
-    assert [trials[trial.number].value for trial in finished] == [trial.value for trial in finished]
+    again = start(with_tuning(problem, workers=1))
+    assert (again.end(), again.said) == (0, "")
+    assert finished(problem) == undisturbed(**ALONE)

@@ -140,16 +140,16 @@ def test_a_study_reopened_before_every_trial_draws_the_same(name: str) -> None:
     """The draws depend on seed, trial and parameter, not on how long the sampler has lived."""
     import optuna
 
-    from pipeline.tuning.samplers import sampler
+    from pipeline.tuning.samplers import seeded_sampler
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     config = untuned(f"tuning.sampler={name}", "tuning.startup_trials=4").tuning
-    at_once = optuna.create_study(sampler=sampler(config))
+    at_once = optuna.create_study(sampler=seeded_sampler(config))
     storage = optuna.storages.InMemoryStorage()
     optuna.create_study(storage=storage, study_name="x")
     for _ in range(12):
         _parabola(at_once, config)
-        _parabola(optuna.load_study(study_name="x", storage=storage, sampler=sampler(config)), config)
+        _parabola(optuna.load_study(study_name="x", storage=storage, sampler=seeded_sampler(config)), config)
     reopened = optuna.load_study(study_name="x", storage=storage)
     assert [t.params for t in reopened.trials] == [t.params for t in at_once.trials]
     assert len({tuple(t.params.values()) for t in at_once.trials}) == 12, "no point is drawn twice"
@@ -159,11 +159,11 @@ def test_the_sampler_seed_matters() -> None:
     """Another seed is another study."""
     import optuna
 
-    from pipeline.tuning.samplers import sampler
+    from pipeline.tuning.samplers import seeded_sampler
 
     first = []
     for seed in (0, 1):
-        study = optuna.create_study(sampler=sampler(untuned(f"tuning.sampler_seed={seed}").tuning))
+        study = optuna.create_study(sampler=seeded_sampler(untuned(f"tuning.sampler_seed={seed}").tuning))
         first.append(study.ask().suggest_float("x", 0, 1))
     assert first[0] != first[1]
 
@@ -331,11 +331,15 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def small(folder: Path, *overrides: str) -> Config:
     """The small study in ``folder``."""
-    places = [f"output={folder}/data", f"tuning.folder={folder}/study", f"tuning.storage={folder}/optuna.log"]
+    places = [
+        f"output={folder}/data",
+        f"tuning.folder={folder}/study",
+        f"tuning.storage='sqlite:///{folder}/optuna.db'",
+    ]
     return compose_config(["stage=tune", *SMALL, *places, *overrides])
 
 
-def test_a_study_writes_what_a_person_reviews(finished: Path) -> None:
+def test_a_study_writes_what_a_person_reads(finished: Path) -> None:
     """Values, tables, figures, a summary and a text that name the same trial."""
     study = finished / "study"
     summary = json.loads((study / "summary.json").read_text())
@@ -419,7 +423,7 @@ def test_samplers_are_compared_at_equal_budget(finished: Path, capsys: pytest.Ca
 
 
 def _finalist(trial: int, *losses: float) -> Any:
-    from pipeline.tuning.review import Finalist
+    from pipeline.tuning.finalists import Finalist
 
     return Finalist(trial, {"model.width": trial}, np.array(losses), None)
 
@@ -440,24 +444,22 @@ def _finalist(trial: int, *losses: float) -> Any:
 )
 def test_the_median_over_seeds_decides(default: list[float], others: list[tuple[float, ...]], chosen: int) -> None:
     """Promoted is what lowers the median by the least gain; luck of a seed, of either, and rounding do not count."""
-    from pipeline.tuning.review import promoted
-    from pipeline.tuning.worker import ROUNDING
+    from pipeline.tuning.finalists import choose
 
-    first = _finalist(0, *default)
-    rest = [_finalist(int(number), *losses) for number, *losses in others]
-    assert promoted(first, rest, untuned().tuning, ROUNDING).trial == chosen
+    finalists = [_finalist(0, *default), *(_finalist(int(number), *losses) for number, *losses in others)]
+    assert choose(finalists, untuned().tuning).trial == chosen
 
 
 def test_the_best_so_far_leaves_the_default_out() -> None:
     """Samplers are compared by what they found themselves; rounding counts as equal, pruned trials not at all."""
     from pipeline.stages.samplers import best_so_far
-    from pipeline.tuning.review import TrialAccount
+    from pipeline.tuning.finalists import TrialSummary
     from pipeline.tuning.worker import ROUNDING
 
     losses = [1e-9, 1e-2, None, 1e-3, 1e-1, 1e-20]
     states = ["complete", "complete", "failed", "complete", "pruned", "complete"]
     trials = [
-        TrialAccount(i, state, loss, 1.0, 1, "", "", {}, {}, None, None)
+        TrialSummary(number=i, state=state, loss=loss, parameters={}, curve={})
         for i, (state, loss) in enumerate(zip(states, losses, strict=True))
     ]
     assert best_so_far(trials).tolist() == [1e-2, 1e-2, 1e-3, 1e-3, ROUNDING]
@@ -479,7 +481,7 @@ STUDIES = Path(__file__).parents[1] / "studies"
 
 
 @pytest.mark.parametrize("name", EXPERIMENTS)
-def test_every_experiment_has_a_study_that_a_person_can_review(name: str) -> None:
+def test_every_experiment_has_a_study_that_a_person_can_judge(name: str) -> None:
     """As many trials and seeds as configured, a default to compare with, and values that training takes."""
     folder = STUDIES / name
     tuning = untuned(f"experiment={name}").tuning

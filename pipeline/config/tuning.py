@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+from pydantic import Field, PositiveFloat, PositiveInt, field_validator, model_validator
 
 from pipeline.config.section import NonNegativeInt, Section
 
@@ -114,6 +115,22 @@ class TuningConfig(Section):
     heartbeat_seconds: PositiveInt
     comparison: ComparisonConfig
     space: dict[DimensionName, Dimension]
+
+    @property
+    def silence_seconds(self) -> int:
+        """A worker without a heartbeat for so long is taken for dead."""
+        return 3 * self.heartbeat_seconds
+
+    @field_validator("storage")
+    @classmethod
+    def _storage(cls, url: str) -> str:
+        if not re.match(r"^[a-z][a-z0-9+]*://", url, re.IGNORECASE):
+            raise ValueError(
+                "must be the URL of a database: sqlite:///studies/optuna.db for a file, or postgresql+psycopg://... "
+                "(a journal such as studies/optuna.log is of an earlier version: its studies can't be gone on with, "
+                "their reports stay)"
+            )
+        return url
 
     @model_validator(mode="after")
     def _space(self) -> TuningConfig:

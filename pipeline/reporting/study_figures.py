@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.config.tuning import Dimension, Value
 from pipeline.reporting.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, figure, legend_above
-from pipeline.tuning.review import Finalist, TrialAccount
+from pipeline.tuning.finalists import Finalist, TrialSummary
 
 _STATES = {"complete": (BLUE, "o"), "pruned": (ORANGE, "x"), "failed": (PURPLE, "s")}
 _LOSS = "held-out loss (share of the bearing force)"
@@ -21,7 +21,7 @@ _COLOURS = "viridis_r"
 
 def study_figures(
     folder: Path,
-    trials: Sequence[TrialAccount],
+    trials: Sequence[TrialSummary],
     space: Mapping[str, Dimension],
     importances: Mapping[str, float],
     finalists: Sequence[Finalist],
@@ -39,7 +39,7 @@ def study_figures(
     return written
 
 
-def _history(path: Path, trials: Sequence[TrialAccount]) -> Path:
+def _history(path: Path, trials: Sequence[TrialSummary]) -> Path:
     with figure(path, 1, 1, 8.0, 4.4) as axes:
         ax = axes[0, 0]
         for state, (colour, marker) in _STATES.items():
@@ -67,7 +67,7 @@ def _history(path: Path, trials: Sequence[TrialAccount]) -> Path:
     return path
 
 
-def _curves(path: Path, trials: Sequence[TrialAccount]) -> Path:
+def _curves(path: Path, trials: Sequence[TrialSummary]) -> Path:
     with figure(path, 1, 1, 8.0, 4.4) as axes:
         ax = axes[0, 0]
         named = set()
@@ -115,7 +115,7 @@ class _Axis:
         return float(self.choices.index(str(value))) if self.choices else float(value)
 
 
-def _axes(trials: Sequence[TrialAccount], space: Mapping[str, Dimension], least: int) -> list[_Axis]:
+def _axes(trials: Sequence[TrialSummary], space: Mapping[str, Dimension], least: int) -> list[_Axis]:
     """An axis for every parameter that ``least`` trials have."""
     axes = []
     for name, dimension in space.items():
@@ -125,7 +125,7 @@ def _axes(trials: Sequence[TrialAccount], space: Mapping[str, Dimension], least:
     return axes
 
 
-def _slices(path: Path, trials: Sequence[TrialAccount], space: Mapping[str, Dimension]) -> Path:
+def _slices(path: Path, trials: Sequence[TrialSummary], space: Mapping[str, Dimension]) -> Path:
     """The loss over each parameter; later trials are darker."""
     shown = _axes(trials, space, 1)
     columns = min(4, len(shown))
@@ -163,7 +163,7 @@ def _ticks(ax: Any, axis: _Axis) -> None:
         ax.xaxis.set_minor_formatter(NullFormatter())
 
 
-def _parallel(path: Path, trials: Sequence[TrialAccount], space: Mapping[str, Dimension]) -> Path:
+def _parallel(path: Path, trials: Sequence[TrialSummary], space: Mapping[str, Dimension]) -> Path:
     """A line a trial through the parameters that half of the trials have, coloured by its loss."""
     shown = _axes(trials, space, math.ceil(len(trials) / 2))
     losses = np.log10([float(trial.loss or math.nan) for trial in trials])

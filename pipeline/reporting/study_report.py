@@ -15,7 +15,7 @@ from pipeline.config.schema import Config
 from pipeline.evaluation.errors import coefficient_errors, worst_mean_error
 from pipeline.identification.chebyshev import ChebyshevFit
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.tuning.review import Finalist, TrialAccount
+from pipeline.tuning.finalists import Finalist, TrialSummary
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -24,12 +24,12 @@ ROUNDING_LEVEL = 1e-12
 """A held-out loss below this leaves nothing to tune."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class StudyReport:
     """Everything that a study found. ``finalists`` begins with the default; ``best`` is the promoted one of them."""
 
     config: Config
-    trials: Sequence[TrialAccount]
+    trials: Sequence[TrialSummary]
     finalists: Sequence[Finalist]
     best: Finalist
     chebyshev: ChebyshevFit | None
@@ -77,16 +77,10 @@ def trial_table(report: StudyReport) -> pd.DataFrame:
     import pandas as pd
 
     names = list(report.config.tuning.space)
+    fields = {"trial": "number", "state": "state", "held_out_loss": "loss", "training_seconds": "seconds"}
+    fields |= {name: name for name in ("epochs", "outcome", "reason")}
     rows = [
-        {
-            "trial": t.number,
-            "state": t.state,
-            "held_out_loss": t.loss,
-            "training_seconds": t.seconds,
-            "epochs": t.epochs,
-            "outcome": t.outcome,
-            "reason": t.reason,
-        }
+        {column: getattr(t, field) for column, field in fields.items()}
         | {name: t.parameters.get(name) for name in names}
         for t in report.trials
     ]

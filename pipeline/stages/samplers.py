@@ -15,8 +15,8 @@ from pipeline.reporting.study_figures import samplers_figure
 from pipeline.stages.execution import StageOutput, flat_metrics
 from pipeline.stages.measurement import load_measurement
 from pipeline.stages.tune import progress_of, study_problem
+from pipeline.tuning.finalists import TrialSummary, sampler_study, summarize
 from pipeline.tuning.parallel import run_study
-from pipeline.tuning.review import TrialAccount, accounts, sampler_study
 from pipeline.tuning.worker import ROUNDING
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ def run(config: Config) -> StageOutput:
                     study, sentences = run_study(one, progress_of(shown, config.tuning.n_trials))
                 for sentence in sentences:
                     warn(sentence)
-                trials = accounts(study)
+                trials = summarize(study)
                 best[sampler].append(best_so_far(trials))
                 seconds[sampler] += sum(t.seconds or 0.0 for t in trials)
     except KeyboardInterrupt:
@@ -61,7 +61,7 @@ def run(config: Config) -> StageOutput:
     return StageOutput(flat_metrics(summary), {"data_fingerprint": problem.measurement.dataset.fingerprint}, written)
 
 
-def best_so_far(trials: list[TrialAccount]) -> np.ndarray:
+def best_so_far(trials: list[TrialSummary]) -> np.ndarray:
     """(trials,) lowest held-out loss of the complete trials up to each; the default, trial 0, is left out.
 
     Every study has the same default, which would hide what the sampler found by itself. Losses that are rounding

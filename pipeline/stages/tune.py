@@ -9,7 +9,7 @@ from typing import Any
 
 from pipeline.config.promotion import BEST, PromotedTrial
 from pipeline.config.schema import Config
-from pipeline.errors import ConfigError
+from pipeline.errors import ConfigError, without_password
 from pipeline.files import read_json, write_json, write_text
 from pipeline.identification.chebyshev import fit_chebyshev
 from pipeline.identification.residual_loss import prepare_residual
@@ -29,11 +29,12 @@ from pipeline.stages.execution import StageOutput, flat_metrics
 from pipeline.stages.measurement import load_measurement
 from pipeline.stages.results import load_modelled
 from pipeline.tracking import ChildRecord
+from pipeline.tuning.attempts import results
+from pipeline.tuning.finalists import TrialSummary, choose, fingerprint, importances, summarize, train_finalists
 from pipeline.tuning.parallel import run_study
-from pipeline.tuning.review import TrialAccount, accounts, finalists, fingerprint, importances, promoted
-from pipeline.tuning.storage import is_shared, open_storage, place
+from pipeline.tuning.storage import is_shared, open_storage
 from pipeline.tuning.study import StudyProblem
-from pipeline.tuning.worker import ROUNDING, Seen
+from pipeline.tuning.worker import Seen
 
 SUMMARY = "summary.json"
 
@@ -67,35 +68,35 @@ def run(config: Config) -> StageOutput:
             warn(f"{config.name}: {sentence}")
         folder.mkdir(parents=True, exist_ok=True)
         with FileLock(folder / ".lock"):  # of several processes that end a study together, one makes the report
-            return _reported(config, problem, study, searched)
+            return _report(config, problem, study, searched)
     except KeyboardInterrupt:
         warn(f"{config.name}: study interrupted; no finished trial is lost, and the same command goes on")
         raise SystemExit(130) from None
 
 
-def _reported(config: Config, problem: StudyProblem, study: Any, searched: float) -> StageOutput:
+def _report(config: Config, problem: StudyProblem, study: Any, searched: float) -> StageOutput:
     """The finalists, the choice, and the files of ``studies/NAME/``; nothing where they are up to date."""
-    folder, trials, mark = Path(config.tuning.folder), accounts(study), fingerprint(study, problem)
+    folder, trials, mark = Path(config.tuning.folder), summarize(study), fingerprint(study, problem)
     if _is_current(folder, mark):
         say(f"{config.name}: the study has its {len(trials)} trials, and '{folder}' is what came of them")
         return StageOutput(flat_metrics(read_json(folder / SUMMARY)))
-    default, others = finalists(study, problem)
-    best = promoted(default, others, config.tuning, ROUNDING)
+    finalists = train_finalists(study, problem)
     report = StudyReport(
-        config,
-        trials,
-        (default, *others),
-        best,
-        fit_chebyshev(problem.measurement, _judged(config)),
-        importances(study),
-        problem.measurement.known,
-        load_modelled(config, problem.measurement),  # read when the choice is made
+        config=config,
+        trials=trials,
+        finalists=finalists,
+        best=choose(finalists, config.tuning),
+        chebyshev=fit_chebyshev(problem.measurement, _judging_setup(config)),
+        importances=importances(study),
+        known=problem.measurement.known,
+        modelled=load_modelled(config, problem.measurement),  # read when the choice is made
     )
     summary = summary_of(report) | {"study_fingerprint": mark}
     written = _write(config, report, summary, folder)
     say(
         f"{config.name}: {len(trials)} trials in {searched:.0f} s; {summary['verdict']}\n"
-        f"report in '{folder / 'README.md'}'; look at the trials with: optuna-dashboard {place(config.tuning.storage)}"
+        f"report in '{folder / 'README.md'}'; look at the trials with: "
+        f"optuna-dashboard {without_password(config.tuning.storage)}"
     )
     return StageOutput(
         flat_metrics(summary) | {"search_seconds": searched},
@@ -105,20 +106,24 @@ def _reported(config: Config, problem: StudyProblem, study: Any, searched: float
     )
 
 
-def _judged(config: Config) -> FitSetup:
+def _judging_setup(config: Config) -> FitSetup:
     """Training with the loss that trials are compared by, whatever they are trained with."""
     setup = setup_of(config)
     return replace(setup, loss=setup.loss.model_copy(update={"scaling": "per_speed"}))
 
 
 def progress_of(shown: StudyProgress, total: int) -> Seen:
-    """What a worker calls between its steps to show how far the study is."""
+    """What a worker calls between its steps to show how far the study is: once a second, for the database's sake."""
+    due = 0.0
 
     def seen(study: Any) -> None:
-        trials = study.get_trials(deepcopy=False)
-        values = [t.value for t in trials if t.state.name == "COMPLETE"]
-        done = sum(t.state.is_finished() for t in trials)
-        shown(min(done, total), 10 ** min(values) if values else None)
+        nonlocal due
+        if time.monotonic() < due:
+            return
+        due = time.monotonic() + 1.0
+        finished = results(study).values()
+        losses = [10**trial.value for trial in finished if trial.state.name == "COMPLETE" and trial.value is not None]
+        shown(min(len(finished), total), min(losses, default=None))
 
     return seen
 
@@ -149,7 +154,7 @@ def _write(config: Config, report: StudyReport, summary: dict[str, object], fold
     ]
 
 
-def child_record(trial: TrialAccount) -> ChildRecord:
+def child_record(trial: TrialSummary) -> ChildRecord:
     """A trial as a run below the study's."""
     metrics = {"held_out_loss": trial.loss, "training_seconds": trial.seconds, "epochs": trial.epochs}
     return ChildRecord(

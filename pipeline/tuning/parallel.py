@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 from pipeline.errors import PipelineError
 from pipeline.processes import later_interrupt, let_interrupt_through, limited_threads, threads_each
-from pipeline.tuning.liveness import requeue_orphans
-from pipeline.tuning.storage import storage_errors
+from pipeline.tuning.attempts import repeat_stopped, results
+from pipeline.tuning.storage import settle, storage_errors
 from pipeline.tuning.study import StudyProblem, open_study
 from pipeline.tuning.worker import Seen, work
 
@@ -22,12 +22,6 @@ if TYPE_CHECKING:
     import optuna
 
 _PATIENCE_SECONDS = 15.0
-_ORPHAN_SECONDS = 3.0
-"""How long a worker whose parent died may take to put its trial back itself."""
-
-
-class ParentGone(Exception):
-    """The process that started this worker has died."""
 
 
 def run_study(problem: StudyProblem, seen: Seen) -> tuple[optuna.Study, list[str]]:
@@ -35,25 +29,44 @@ def run_study(problem: StudyProblem, seen: Seen) -> tuple[optuna.Study, list[str
 
     :raises StorageError: where the storage fails
     :raises ConfigError: where a study of this name does not fit
-    :raises KeyboardInterrupt: after every worker has put its trial back to the queue
+    :raises KeyboardInterrupt: after every worker has stopped its trial
     """
     import torch
 
     config = problem.config
     with storage_errors(config.tuning):
         study = open_study(problem)
+        _wait_for_the_silent(study, problem, seen)
         threads = threads_each(config.threads, config.tuning.workers)
         torch.set_num_threads(threads)
-        todo = config.tuning.n_trials - sum(t.state.is_finished() for t in study.get_trials(deepcopy=False))
+        todo = config.tuning.n_trials - len(results(study))
         with _others(problem, min(config.tuning.workers, todo) - 1, threads) as others:
             try:
                 work(study, problem, seen)
             except KeyboardInterrupt:
-                _interrupt(others)
-                requeue_orphans(study)
+                # Ctrl-C reaches the whole group of a terminal, a signal to one process does not.
+                for worker in others:
+                    if worker.is_alive():
+                        os.kill(worker.pid, signal.SIGINT)
                 raise
+            finally:
+                settle(config.tuning)
         codes = [worker.exitcode for worker in others if worker.exitcode]
     return study, [f"a worker ended with exit code {code}; the others took over its trial" for code in codes]
+
+
+def _wait_for_the_silent(study: optuna.Study, problem: StudyProblem, seen: Seen) -> None:
+    """Where trials are running already, wait until those of dead workers are told by their silence.
+
+    They come first in the queue then, and the study goes on in the order that it would have had.
+    """
+    from optuna.trial import TrialState
+
+    config = problem.config.tuning
+    ends = time.monotonic() + config.silence_seconds + 1.0  # a database counts whole seconds
+    while TrialState.RUNNING in {trial.state for trial in repeat_stopped(study, config)} and time.monotonic() < ends:
+        seen(study)
+        time.sleep(0.2)
 
 
 @contextmanager
@@ -79,14 +92,12 @@ def _begin(threads: int) -> None:
 
 @contextmanager
 def _others(problem: StudyProblem, count: int, threads: int) -> Iterator[list[Any]]:
-    """``count`` more workers."""
+    """``count`` more workers; they have ended at the end of the block."""
     context = multiprocessing.get_context("spawn")
-    workers: list[Any] = []
+    workers = [context.Process(target=_work_beside, args=(problem, threads), daemon=True) for _ in range(count)]
     with limited_threads(threads), later_interrupt():
-        for _ in range(count):
-            worker = context.Process(target=_work_beside, args=(problem, threads), daemon=True)
+        for worker in workers:
             worker.start()
-            workers.append(worker)
     try:
         yield workers
     finally:
@@ -97,39 +108,24 @@ def _others(problem: StudyProblem, count: int, threads: int) -> Iterator[list[An
                 worker.join()
 
 
-def _interrupt(workers: list[Any]) -> None:
-    """Ctrl-C reaches the whole group of a terminal, a signal to one process does not."""
-    for worker in workers:
-        if worker.is_alive():
-            os.kill(worker.pid, signal.SIGINT)
-    for worker in workers:
-        worker.join(_PATIENCE_SECONDS)
-
-
 def _work_beside(problem: StudyProblem, threads: int) -> None:
-    """The whole life of another worker; it ends when its parent does, and its trial goes back to the queue."""
+    """The whole life of another worker; it ends with its parent, and its trial is found by its silence."""
     import torch
 
     torch.set_num_threads(threads)
-    parent = multiprocessing.parent_process()
-    threading.Thread(target=_end_with, args=(parent,), name="parent", daemon=True).start()
-
-    def seen(_: optuna.Study) -> None:
-        if parent is not None and not parent.is_alive():
-            raise ParentGone
-
+    threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
     try:
         let_interrupt_through()
         with storage_errors(problem.config.tuning):
-            work(open_study(problem), problem, seen)
-    except (KeyboardInterrupt, ParentGone):
+            work(open_study(problem), problem, lambda _: None)
+    except KeyboardInterrupt:
         os._exit(0)  # without Python's words on an interrupt
     except PipelineError:
         os._exit(2)  # what is wrong with the storage, the parent finds and says too
 
 
-def _end_with(parent: Any) -> None:
-    """End this process after its parent, also where no point of the learning curve is due for long."""
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    assert parent is not None
     parent.join()
-    time.sleep(_ORPHAN_SECONDS)
-    os._exit(1)  # its trial is found without a worker
+    os._exit(1)

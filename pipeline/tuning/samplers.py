@@ -4,77 +4,68 @@ from __future__ import annotations
 
 import warnings
 import zlib
-from collections.abc import Callable
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.config.tuning import TuningConfig
+from pipeline.config.tuning import TuningConfig, Value
+from pipeline.tuning.attempts import attempts
 
 if TYPE_CHECKING:
     import optuna
 
 
-def sampler(config: TuningConfig) -> optuna.samplers.BaseSampler:
-    """The configured sampler.
+def seeded_sampler(config: TuningConfig, default: Mapping[str, Value] | None = None) -> optuna.samplers.BaseSampler:
+    """The configured sampler; trial 0 gets the parameters of ``default``.
 
     An Optuna sampler keeps a random generator in its process: a resumed study would draw its first points again.
-    Here each draw has a generator of its own, seeded by (seed, trial number, parameter), so that a study
+    Here each draw has a generator of its own, seeded by (seed, place of the trial, parameter), so that a study
     interrupted at any moment goes on as if it had not been.
     """
     from optuna.samplers import BaseSampler
 
-    make = {"tpe": _tpe, "random": _random, "gp": _gp}[config.sampler]
-
     class Seeded(BaseSampler):
         """Delegates each draw to a new sampler."""
 
-        def _drawn_by(self, number: int, name: str = "") -> BaseSampler:
-            entropy = [config.sampler_seed, number, zlib.crc32(name.encode())]
-            return make(config, int(np.random.SeedSequence(entropy).generate_state(1)[0]))
+        place: int | None  # of the trial that is drawn; None where another attempt has it
+
+        def _sampler(self, name: str = "") -> BaseSampler:
+            entropy = [config.sampler_seed, self.place or 0, zlib.crc32(name.encode())]
+            return _sampler(config, int(np.random.SeedSequence(entropy).generate_state(1)[0]))
+
+        def before_trial(self, study: Any, trial: Any) -> None:
+            self.place = next((i for i, other in enumerate(attempts(study)) if other.number == trial.number), None)
+            self._given = default if default and self.place == 0 else {}
 
         def infer_relative_search_space(self, study: Any, trial: Any) -> dict[str, Any]:
-            self._relative = self._drawn_by(trial.number)
-            return self._relative.infer_relative_search_space(study, trial)
+            self._relative = self._sampler()
+            return {} if self._given else self._relative.infer_relative_search_space(study, trial)
 
         def sample_relative(self, study: Any, trial: Any, search_space: dict[str, Any]) -> dict[str, Any]:
-            # On a second attempt GP would take what it left in the trial for the draw of another worker.
-            drawn = _left_by_gp(trial)
-            if drawn:
-                return {name: value for name, value in drawn.items() if name in search_space}
-            return self._relative.sample_relative(study, trial, search_space)
+            return self._relative.sample_relative(study, trial, search_space) if search_space else {}
 
         def sample_independent(self, study: Any, trial: Any, param_name: str, param_distribution: Any) -> Any:
-            drawn_by = self._drawn_by(trial.number, param_name)
-            return drawn_by.sample_independent(study, trial, param_name, param_distribution)
+            if param_name in self._given:
+                return self._given[param_name]
+            return self._sampler(param_name).sample_independent(study, trial, param_name, param_distribution)
 
     return Seeded()
 
 
-def _left_by_gp(trial: Any) -> dict[str, Any]:
-    from optuna.samplers._gp.sampler import _RELATIVE_PARAMS_KEY, _get_params
-
-    return _get_params(trial) if f"{_RELATIVE_PARAMS_KEY}:0" in trial.system_attrs else {}
-
-
-Maker = Callable[[TuningConfig, int], "optuna.samplers.BaseSampler"]
+def place_of(trial: optuna.trial.Trial) -> int | None:
+    """The place of a trial that was just asked of a study with a :func:`seeded_sampler`; None where it has none."""
+    sampler: Any = trial.study.sampler
+    return sampler.place
 
 
-def _tpe(config: TuningConfig, seed: int) -> optuna.samplers.BaseSampler:
-    from optuna.samplers import TPESampler
+def _sampler(config: TuningConfig, seed: int) -> optuna.samplers.BaseSampler:
+    from optuna.samplers import GPSampler, RandomSampler, TPESampler
 
-    return TPESampler(n_startup_trials=config.startup_trials, seed=seed)
-
-
-def _random(config: TuningConfig, seed: int) -> optuna.samplers.BaseSampler:
-    from optuna.samplers import RandomSampler
-
-    return RandomSampler(seed=seed)
-
-
-def _gp(config: TuningConfig, seed: int) -> optuna.samplers.BaseSampler:
-    from optuna.samplers import GPSampler, RandomSampler
-
+    if config.sampler == "random":
+        return RandomSampler(seed=seed)
+    if config.sampler == "tpe":
+        return TPESampler(n_startup_trials=config.startup_trials, seed=seed)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # `deterministic_objective` is experimental, in Optuna's words
         return GPSampler(

@@ -26,17 +26,6 @@ def applies(dimension: Dimension, parameters: Mapping[str, Value]) -> bool:
     return all(parameters.get(name) in values for name, values in dimension.when.items())
 
 
-def distribution(dimension: Dimension) -> optuna.distributions.BaseDistribution:
-    """Optuna's form of a dimension."""
-    from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
-
-    if isinstance(dimension, IntegerRange):
-        return IntDistribution(dimension.low, dimension.high, log=dimension.log)
-    if isinstance(dimension, FloatRange):
-        return FloatDistribution(dimension.low, dimension.high, log=dimension.log)
-    return CategoricalDistribution(dimension.options())
-
-
 def suggest(trial: optuna.trial.Trial, space: Space) -> dict[str, Value]:
     """The trial's parameters, drawn by the study's sampler where they are not given."""
     parameters: dict[str, Value] = {}

@@ -1,13 +1,21 @@
-"""Where studies are kept: an Optuna journal file, or a database that several machines share."""
+"""Where studies are kept: a database that Optuna's RDBStorage opens.
+
+By default it is an SQLite file of this machine; several machines share a PostgreSQL. Both are one class and keep
+heartbeats. SQLite costs 0.1 s a trial; an Optuna journal costs 5 ms, but has neither heartbeats nor a lock that is
+freed when its holder is killed. Four workers on one SQLite file, and two of which one was killed every few seconds,
+met no locked database, lost no trial and gave no number twice (Optuna 5.0.0).
+"""
 
 from __future__ import annotations
 
 import os
 import re
+import socket
+import sqlite3
 import time
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,31 +26,36 @@ from pipeline.waiting import within
 if TYPE_CHECKING:
     import optuna
 
-_URL = re.compile(r"^[a-z][a-z0-9+]*://", re.IGNORECASE)
+WORKER = "worker"
+"""The attribute of a trial that names its worker, ``host:process``: set after the first heartbeat."""
 _LONGEST_REASON = 300
-_FIRST_BYTES = b'{"op_code":'
 _ATTEMPTS = 5
 
 
-def place(storage: str) -> str:
-    """``storage`` as it may be shown: without a password."""
-    return without_password(storage)
-
-
 def is_shared(config: TuningConfig) -> bool:
-    """Whether the storage is a database, which several machines can reach, and not a file."""
-    return bool(_URL.match(config.storage))
+    """Whether several machines can reach the storage: a server, not a file."""
+    return not config.storage.startswith("sqlite")
 
 
-def open_storage(config: TuningConfig) -> optuna.storages.BaseStorage:
+def open_storage(config: TuningConfig) -> optuna.storages.RDBStorage:
     """The configured storage, made where it is missing.
 
     :raises StorageError: where it can't be reached within ``timeout_seconds``, read or written
     """
-    with storage_errors(config, "Check its user, password, host and name"):
-        if is_shared(config):
+    if is_shared(config):
+        with storage_errors(config, "Check its user, password, host and name"):
             return within(config.timeout_seconds, lambda: _database(config))
-        return _journal(Path(config.storage))
+    with storage_errors(config, "Give another file: tuning.storage=sqlite:///FILE.db"):
+        return _database(config)
+
+
+def settle(config: TuningConfig) -> None:
+    """Bring everything into the SQLite file itself: a copy of it without the files beside it is complete then."""
+    from sqlalchemy.engine import make_url
+
+    if not is_shared(config):
+        with suppress(sqlite3.Error), closing(sqlite3.connect(make_url(config.storage).database or ":memory:")) as file:
+            file.execute("pragma wal_checkpoint(truncate)")
 
 
 @contextmanager
@@ -50,155 +63,100 @@ def storage_errors(
     config: TuningConfig, next_step: str = "No finished trial is lost; the same command goes on"
 ) -> Iterator[None]:
     """What goes wrong with the storage inside the block leaves it as a StorageError."""
-    import optuna
-    import sqlalchemy.exc
+    from optuna.exceptions import StorageInternalError
+    from sqlalchemy.exc import SQLAlchemyError
 
-    shown = place(config.storage)
-    database = is_shared(config)
     try:
         yield
-    except TimeoutError as error:
+    except (StorageInternalError, SQLAlchemyError, sqlite3.Error, OSError) as error:
         raise StorageError(
-            f"tuning.storage must answer, but '{shown}' gave {error}: check its host and port, or leave it out for a "
-            "file of this machine"
-        ) from None
-    except ImportError as error:
-        if not database:
-            raise
-        missing = getattr(error.__cause__ or error, "name", None)
-        raise StorageError(
-            f"tuning.storage must name a database whose driver is installed, but '{shown}' needs {missing}: for "
-            "PostgreSQL write postgresql+psycopg://..."
-        ) from None
-    except (optuna.exceptions.StorageInternalError, sqlalchemy.exc.SQLAlchemyError) as error:
-        raise StorageError(
-            f"tuning.storage must be a database that can be used, but '{shown}' says: {_reason(error)}. {next_step}"
-        ) from None
-    except (ValueError, LookupError, TypeError, AssertionError) as error:
-        if database or not _is_corrupted(Path(config.storage)):
-            raise
-        raise _no_journal(shown, _reason(error)) from None
-    except OSError as error:
-        raise StorageError(
-            f"tuning.storage must be writable, but '{shown}' is not ({error.strerror or error}): free the disk or "
-            "choose another file with tuning.storage=FILE"
+            f"tuning.storage must be a database that can be used, but '{without_password(config.storage)}' says: "
+            f"{_reason(error)}. {next_step}"
         ) from None
 
 
 def _reason(error: BaseException) -> str:
     """The heart of an error's text, on one line, without passwords."""
     cause = error.__cause__ or error
-    lines = [line.strip() for line in str(cause).splitlines() if line.strip() and "Background on this" not in line]
-    text = place(re.sub(r"^\([\w.]+\)\s*", "", " ".join(lines)) or type(cause).__name__)
+    text = str(getattr(cause, "strerror", None) or cause).partition("(Background on this")[0]
+    text = without_password(re.sub(r"^\([\w.]+\)\s*", "", " ".join(text.split())) or type(cause).__name__)
     text = re.sub(r"[^\s'\"]+@", "***@", text)  # an "@" in a password makes the rest of it part of the host
     return text[:_LONGEST_REASON].rstrip(".? ")
 
 
-# --- journal file ----------------------------------------------------------------------------------
-
-
-def _journal(path: Path) -> optuna.storages.BaseStorage:
-    import filelock
-    from optuna.storages import JournalStorage
-    from optuna.storages.journal import JournalFileBackend
-    from optuna.storages.journal._file import BaseJournalFileLock
-
-    class KernelLock(BaseJournalFileLock):
-        """A lock that the kernel frees when its holder dies: Optuna's own makes the next one wait for half a minute."""
-
-        def __init__(self) -> None:
-            self._lock = filelock.FileLock(f"{path}.flock")
-
-        def acquire(self) -> bool:
-            self._lock.acquire()
-            try:
-                _drop_torn_line(path)
-            except BaseException:
-                self._lock.release()
-                raise
-            return True
-
-        def release(self) -> None:
-            self._lock.release()
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    _refuse_stranger(path)
-    return JournalStorage(JournalFileBackend(str(path), lock_obj=KernelLock()))
-
-
-def _no_journal(shown: str, reason: str) -> StorageError:
-    return StorageError(
-        f"tuning.storage must be an Optuna journal, but '{shown}' can't be read as one ({reason}): move it away, and "
-        "the next run begins a new one"
-    )
-
-
-def _refuse_stranger(path: Path) -> None:
-    """Raise StorageError for a file that begins as no journal does: repairing its last line would destroy it."""
-    if not path.exists():
-        return
-    with path.open("rb") as file:
-        start = file.read(len(_FIRST_BYTES))
-    if not _FIRST_BYTES.startswith(start):
-        raise _no_journal(str(path), "it begins as no journal does")
-
-
-def _drop_torn_line(path: Path) -> None:
-    """Cut what a kill or a full disk left of a last line: the next record would be glued to it."""
-    with suppress(FileNotFoundError), path.open("rb+") as file:
-        size = file.seek(0, os.SEEK_END)
-        file.seek(max(size - 1, 0))
-        if file.read() not in (b"", b"\n"):
-            file.seek(0)
-            file.truncate(file.read().rfind(b"\n") + 1)
-
-
-def _is_corrupted(path: Path) -> bool:
-    """Whether Optuna can't read the journal, as opposed to a bug of ours."""
-    from optuna.storages import JournalStorage
-    from optuna.storages.journal import JournalFileBackend
-
-    try:
-        JournalStorage(JournalFileBackend(str(path)))
-    except Exception:  # it raises what the damage happens to break: KeyError, AttributeError, JSONDecodeError ...
-        return True
-    return False
-
-
-# --- database --------------------------------------------------------------------------------------
-
-
-def _database(config: TuningConfig) -> optuna.storages.BaseStorage:
-    from optuna.storages import RDBStorage
+def _database(config: TuningConfig) -> optuna.storages.RDBStorage:
     from sqlalchemy.engine import make_url
     from sqlalchemy.exc import ArgumentError, DBAPIError, IntegrityError
 
     try:
-        make_url(config.storage)
+        url = make_url(config.storage)
     except ValueError:
         raise ArgumentError("the port must be a number") from None
-
-    # psycopg counts whole seconds, and retries each address of a host by itself.
-    seconds = max(2, int(config.timeout_seconds / 2))
     connect: dict[str, Any] = {}
-    if config.storage.startswith("sqlite"):
+    if not is_shared(config):
+        _prepare_file(Path(url.database or ":memory:"), config.storage)
         connect = {"timeout": config.timeout_seconds}
     elif config.storage.startswith("postgresql"):
-        connect = {"connect_timeout": seconds}
+        # psycopg counts whole seconds, and retries each address of a host by itself.
+        connect = {"connect_timeout": max(2, int(config.timeout_seconds / 2))}
+    for attempt in range(_ATTEMPTS):
+        try:
+            return _connect(config, connect)
+        except RuntimeError as error:  # tables of another version of Optuna
+            raise ArgumentError(str(error)) from None
+        except ImportError as error:
+            driver = getattr(error.__cause__, "name", None)
+            raise ArgumentError(f"it needs {driver}: for PostgreSQL write postgresql+psycopg://...") from None
+        except DBAPIError as error:
+            # Another process or machine may make the same tables in the same moment.
+            if not (isinstance(error, IntegrityError) or "already exists" in str(error)):
+                raise
+            time.sleep(0.1 * attempt)
+    return _connect(config, connect)
+
+
+def _connect(config: TuningConfig, connect: dict[str, Any]) -> optuna.storages.RDBStorage:
+    from optuna.storages import RDBStorage
+
+    class Storage(RDBStorage):
+        """One whose heartbeats outlive a moment without the database, and whose trials name their worker."""
+
+        def record_heartbeat(self, trial_id: int) -> None:
+            with suppress(Exception):  # the trial itself tells where the database is gone for good
+                super().record_heartbeat(trial_id)
+                if WORKER not in self.get_trial(trial_id).user_attrs:
+                    self.set_trial_user_attr(trial_id, WORKER, f"{socket.gethostname()}:{os.getpid()}")
+
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # heartbeats are experimental in Optuna's words
-        for attempt in range(1, _ATTEMPTS + 1):
-            try:
-                return RDBStorage(
-                    config.storage,
-                    engine_kwargs={"connect_args": connect, "pool_pre_ping": True},
-                    heartbeat_interval=config.heartbeat_seconds,
-                    grace_period=3 * config.heartbeat_seconds,
-                )
-            except DBAPIError as error:
-                # Another machine may make the same tables in the same moment.
-                made_meanwhile = isinstance(error, IntegrityError) or "already exists" in str(error)
-                if attempt == _ATTEMPTS or not made_meanwhile:
-                    raise
-                time.sleep(0.1 * attempt)
-    raise AssertionError("unreachable")
+        warnings.simplefilter("ignore")  # heartbeats are experimental, in Optuna's words
+        return Storage(
+            config.storage.replace("{", "{{").replace("}", "}}"),  # Optuna takes it for a template
+            engine_kwargs={"connect_args": connect, "pool_pre_ping": True},
+            heartbeat_interval=config.heartbeat_seconds,
+            grace_period=config.silence_seconds,
+        )
+
+
+def _prepare_file(path: Path, url: str) -> None:
+    """Make the folder of a new file; raise StorageError for one that holds something else, and leave it as it is."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not path.exists() or not path.stat().st_size:
+        with closing(sqlite3.connect(path)) as connection:
+            connection.execute("pragma journal_mode=wal")  # a commit waits for the disk once, not three times
+        return
+    with path.open("rb") as file:
+        start = file.read(16)
+    if start.startswith(b'{"op_code"'):
+        what = "is an Optuna journal of an earlier version, whose studies can't be gone on with; their reports stay"
+    elif not start.startswith(b"SQLite format 3"):
+        what = "holds something else"
+    else:
+        with closing(sqlite3.connect(path)) as connection:
+            tables = {name for (name,) in connection.execute("select name from sqlite_master where type = 'table'")}
+        if not tables or tables & {"studies", "version_info"}:
+            return
+        what = "has tables that are not of Optuna"
+    raise StorageError(
+        f"tuning.storage must be a database of studies, but '{url}' {what}: "
+        "give another file, such as tuning.storage=sqlite:///studies/optuna.db"
+    )

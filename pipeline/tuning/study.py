@@ -4,30 +4,28 @@ from __future__ import annotations
 
 import hashlib
 import json
-import time
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pipeline.config.schema import Config
-from pipeline.errors import ConfigError
+from pipeline.errors import ConfigError, without_password
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.residual import BearingEquations
-from pipeline.tuning.samplers import pruner, sampler
+from pipeline.tuning.samplers import pruner, seeded_sampler
 from pipeline.tuning.space import default_parameters
-from pipeline.tuning.storage import open_storage, place
+from pipeline.tuning.storage import open_storage
 
 if TYPE_CHECKING:
     import optuna
 
 OBJECTIVE = "log10 of the held-out loss"
 INPUTS = "made_from"
-_CREATION_SECONDS = 5.0
 _CODE = ("problem", "identification")
 
 
@@ -38,7 +36,7 @@ class StudyProblem:
     config: Config
     measurement: Measurement
 
-    def made_from(self) -> dict[str, dict[str, str]]:
+    def fingerprints(self) -> dict[str, dict[str, str]]:
         """Parts and the fingerprints of their pieces; a study of other ones is another study."""
         config, tuning = self.config, self.config.tuning
         sections = ("identify", "model", "loss", "optimizer", "training")
@@ -81,7 +79,7 @@ def _program() -> dict[str, str]:
 
 
 def open_study(problem: StudyProblem) -> optuna.Study:
-    """The configured study, made where there is none, with the configured default as its trial 0.
+    """The configured study, made where there is none.
 
     :raises StorageError: where its storage can't be used
     :raises ConfigError: where the space lacks the default, or a study of this name was made from something else
@@ -92,47 +90,31 @@ def open_study(problem: StudyProblem) -> optuna.Study:
     default = default_parameters(problem.config)
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     storage = open_storage(config)
-    study = _made_or_loaded(problem, storage, default)
-    changed = _changed(study.user_attrs.get(INPUTS, {}), problem.made_from())
-    if changed and config.changed == "restart":
-        optuna.delete_study(study_name=config.study, storage=storage)
-        study = _made_or_loaded(problem, storage, default)
-        changed = _changed(study.user_attrs.get(INPUTS, {}), problem.made_from())
-    if changed:
-        raise ConfigError(
-            f"the study '{config.study}' in '{place(config.storage)}' must have been made from the same inputs, but "
-            f"it was not: {changed}. Begin another with tuning.study=NAME, or delete this one and begin again with "
-            "tuning.changed=restart"
+    for restart in (config.changed == "restart", False):
+        study = optuna.create_study(
+            study_name=config.study,
+            direction="minimize",
+            load_if_exists=True,
+            storage=storage,
+            sampler=seeded_sampler(config, default),
+            pruner=pruner(config),
         )
-    return study
+        if INPUTS not in study.user_attrs:
+            _describe(study, problem)
+            study.set_user_attr(INPUTS, problem.fingerprints())
+        changes = _changes(study.user_attrs[INPUTS], problem.fingerprints())
+        if not changes:
+            return study
+        if restart:
+            optuna.delete_study(study_name=config.study, storage=storage)
+    raise ConfigError(
+        f"the study '{config.study}' in '{without_password(config.storage)}' must have been made from the same inputs, "
+        f"but it was not: {changes}. Begin another with tuning.study=NAME, or delete this one and begin again with "
+        "tuning.changed=restart"
+    )
 
 
-def _made_or_loaded(problem: StudyProblem, storage: Any, default: Mapping[str, Any]) -> optuna.Study:
-    import optuna
-
-    config = problem.config.tuning
-    parts: dict[str, Any] = {"storage": storage, "sampler": sampler(config), "pruner": pruner(config)}
-    try:
-        study = optuna.create_study(study_name=config.study, direction="minimize", **parts)
-    except optuna.exceptions.DuplicatedStudyError:
-        study = optuna.load_study(study_name=config.study, **parts)
-        _await_maker(study)
-    if INPUTS not in study.user_attrs:
-        study.set_user_attr(INPUTS, problem.made_from())
-        _describe(study, problem)
-    if not study.get_trials(deepcopy=False):
-        study.enqueue_trial(dict(default), user_attrs={"note": "the configured default"})
-    return study
-
-
-def _await_maker(study: optuna.Study) -> None:
-    """Another process may be making it this moment; one that died half-way is not waited for long."""
-    ends = time.monotonic() + _CREATION_SECONDS
-    while not study.get_trials(deepcopy=False) and time.monotonic() < ends:
-        time.sleep(0.05)
-
-
-def _changed(then: Mapping[str, Mapping[str, str]], now: Mapping[str, Mapping[str, str]]) -> str:
+def _changes(then: Mapping[str, Mapping[str, str]], now: Mapping[str, Mapping[str, str]]) -> str:
     """The parts that differ, with their pieces; empty where none does."""
     sentences = []
     for part in dict.fromkeys([*now, *then]):

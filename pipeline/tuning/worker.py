@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
+import signal
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -13,8 +13,9 @@ from pipeline.config.promotion import with_values
 from pipeline.errors import PipelineError
 from pipeline.identification.outcome import Outcome
 from pipeline.identification.residual_loss import ResidualTraining, initial_parameters, prepare_residual
-from pipeline.identification.training import Minimum, minimise, phases, setup_of
-from pipeline.tuning.liveness import requeue, requeue_orphans, working_on
+from pipeline.identification.training import minimise, phases, setup_of
+from pipeline.tuning.attempts import REASON, repeat_stopped
+from pipeline.tuning.samplers import place_of
 from pipeline.tuning.space import suggest, values_of
 from pipeline.tuning.study import StudyProblem
 
@@ -32,103 +33,119 @@ Seen = Callable[["optuna.Study"], None]
 """Called now and then, to show progress; what it raises ends the worker."""
 
 
+class TrialFailed(Exception):
+    """A trial without a loss; the study goes on."""
+
+
 def objective(loss: float) -> float:
     """log10 of the held-out loss: it spans many decades."""
     return math.log10(max(loss, ROUNDING))
 
 
 def work(study: optuna.Study, problem: StudyProblem, seen: Seen) -> None:
-    """Run trials until the study has its total. KeyboardInterrupt leaves the trial it was at in the queue."""
+    """Run trials until the first ``tuning.n_trials`` places have a result.
+
+    KeyboardInterrupt and bugs leave the trial they came in stopped: the next worker repeats it.
+    """
     from optuna.trial import TrialState
 
-    total = problem.config.tuning.n_trials
+    config = problem.config.tuning
     while True:
         seen(study)
-        if requeue_orphans(study):
-            time.sleep(_POLL_SECONDS)  # a trial is just being taken, or its taker died that moment
-            continue
-        trial = _next(study, total)
-        if trial is None:
-            running = study.get_trials(deepcopy=False, states=(TrialState.RUNNING,))
-            if not any(other.number < total for other in running):
-                return
-            time.sleep(_POLL_SECONDS)  # those of other workers, which may yet come back to the queue
-            continue
+        latest = repeat_stopped(study, config)
+        states = {trial.state for trial in latest}
+        if len(latest) < config.n_trials or TrialState.WAITING in states:
+            _run_next(study, problem, seen)
+        elif TrialState.RUNNING in states:
+            time.sleep(_POLL_SECONDS)  # trials of other workers, which may yet stop
+        else:
+            return
+
+
+def _run_next(study: optuna.Study, problem: StudyProblem, seen: Seen) -> None:
+    """One trial, from the queue or new, in Optuna's own loop: that keeps its heartbeats."""
+    from optuna.exceptions import StorageInternalError, UpdateFinishedTrialError
+
+    begun: list[int] = []
+    interrupted: list[bool] = []
+    handler = signal.getsignal(signal.SIGINT)  # a shell's background job has one that ignores it
+
+    def run(trial: optuna.trial.Trial) -> float:
+        begun.append(trial.number)
         try:
-            with working_on(study, trial._trial_id):
-                run_trial(study, trial, problem, seen)
-        except BaseException:
-            with suppress(Exception):  # where the storage is gone, the trial's worker will be found dead
-                requeue(study, trial._trial_id)
+            signal.signal(signal.SIGINT, handler)
+            if interrupted:
+                raise KeyboardInterrupt
+            return run_trial(trial, problem, seen)
+        finally:
+            signal.signal(signal.SIGINT, lambda *_: interrupted.append(True))
+
+    # Where Ctrl-C comes while Optuna begins a trial or tells its end, that trial would be left running.
+    signal.signal(signal.SIGINT, lambda *_: interrupted.append(True))
+    try:
+        study.optimize(run, n_trials=1, catch=TrialFailed)
+    except (UpdateFinishedTrialError, ValueError):
+        # Another worker took this one for dead and failed its trial; no other such error comes out of `run`.
+        if not begun:
             raise
+    except (AssertionError, UnboundLocalError) as error:
+        hidden = error.__context__  # what Optuna's loop stumbles over where the storage does not take a trial's end
+        if isinstance(hidden, StorageInternalError):
+            raise hidden from hidden.__cause__
+        raise
+    finally:
+        signal.signal(signal.SIGINT, handler)
+    if interrupted and callable(handler):
+        raise KeyboardInterrupt
 
 
-def _next(study: optuna.Study, total: int) -> optuna.trial.Trial | None:
-    """A trial from the queue, or a new one; None where the total is reached."""
-    import warnings
+def run_trial(trial: optuna.trial.Trial, problem: StudyProblem, seen: Seen) -> float:
+    """Train with the trial's parameters: log10 of the held-out loss.
 
-    from optuna.trial import TrialState
-
-    trials = study.get_trials(deepcopy=False)
-    waiting = any(trial.state == TrialState.WAITING and trial.number < total for trial in trials)
-    if not waiting and len(trials) >= total:
-        return None
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Heartbeat of storage")  # see liveness.working_on
-        trial = study.ask()
-    if trial.number >= total:  # several workers asked for the last one
-        requeue(study, trial._trial_id)
-        return None
-    return trial
-
-
-def run_trial(study: optuna.Study, trial: optuna.trial.Trial, problem: StudyProblem, seen: Seen) -> None:
-    """Train with the trial's parameters and tell the study its loss, or why there is none."""
+    :raises TrialFailed: where there is none, with the reason in the trial; or where the study has its total
+    :raises optuna.TrialPruned: where its learning curve is worse than those before
+    """
     import optuna
-    from optuna.trial import TrialState
 
     config = problem.config
+    place = place_of(trial)
+    if place is None or place >= config.tuning.n_trials:  # several workers asked for the last one
+        raise TrialFailed
+    if place == 0:
+        trial.set_user_attr("note", "the configured default")
     started = time.perf_counter()
     curve: _Curve | None = None
+
+    def describe(**attributes: Any) -> None:
+        for name, value in ({"training_seconds": round(time.perf_counter() - started, 3)} | attributes).items():
+            trial.set_user_attr(name, value)
+
     try:
         values = values_of(config.tuning.space, suggest(trial, config.tuning.space))
         started = time.perf_counter()  # sampling is no training; where it fails, the time of that is all there is
-        setup = setup_of(with_values(config, values, f"trial {trial.number}"))
+        setup = setup_of(with_values(config, values, f"trial {place}"))
         training = prepare_residual(problem.measurement, setup)
-        curve = _Curve(study, trial, training, phases(setup.optimizer)[-1], seen)
+        curve = _Curve(trial, training, phases(setup.optimizer)[-1], seen)
         start = initial_parameters(training, setup, config.seed)
         found = minimise(training.problem, start, setup, held_out=training.held_out, watch=curve)
-        state, value, account = _finished(curve, found)
+        loss = float(training.per_speed_held_out_loss(found.parameters)[0])
+        if found.outcomes[0] is Outcome.INTERRUPTED:
+            raise KeyboardInterrupt
+        if found.outcomes[0] is Outcome.DIVERGED or not math.isfinite(loss):
+            describe(outcome="diverged", epochs=found.steps, **{REASON: Outcome.DIVERGED.value})
+            raise TrialFailed
+        curve.carry_to_the_end(loss)
+        describe(outcome=found.outcomes[0].label, epochs=found.steps, held_out_loss=loss, training_loss=found.loss[0])
+        return objective(loss)
     except optuna.TrialPruned:
         assert curve is not None
-        state, value = TrialState.PRUNED, None
-        account = {"outcome": "pruned", "epochs": curve.steps, "held_out_loss": 10**curve.last}
+        describe(outcome="pruned", epochs=curve.steps, held_out_loss=10**curve.last)
+        raise
     except optuna.exceptions.UpdateFinishedTrialError:
-        return  # another worker took this one for dead and finished it
+        raise
     except (ArithmeticError, MemoryError, PipelineError, RuntimeError, ValueError) as error:
-        state, value = TrialState.FAIL, None
-        account = {"outcome": "failed", "reason": f"{type(error).__name__}: {error}"[:500]}
-    try:
-        for name, entry in (account | {"training_seconds": round(time.perf_counter() - started, 3)}).items():
-            trial.set_user_attr(name, entry)
-        study.tell(trial, value, state=state)
-    except (optuna.exceptions.UpdateFinishedTrialError, ValueError):
-        return  # another worker took this one for dead, and finished it or put it back to the queue
-
-
-def _finished(curve: _Curve, found: Minimum) -> tuple[Any, float | None, dict[str, Any]]:
-    from optuna.trial import TrialState
-
-    outcome = found.outcomes[0]
-    if outcome is Outcome.INTERRUPTED:
-        raise KeyboardInterrupt
-    account: dict[str, Any] = {"outcome": outcome.label, "epochs": found.steps}
-    loss = float(curve.training.per_speed_held_out_loss(found.parameters)[0])
-    if outcome is Outcome.DIVERGED or not math.isfinite(loss):
-        return TrialState.FAIL, None, account | {"outcome": "diverged", "reason": Outcome.DIVERGED.value}
-    curve.carry_to_the_end(loss)
-    account |= {"held_out_loss": loss, "training_loss": float(found.loss[0])}
-    return TrialState.COMPLETE, objective(loss), account
+        describe(outcome="failed", **{REASON: f"{type(error).__name__}: {error}"[:500]})
+        raise TrialFailed from None
 
 
 @dataclass
@@ -138,19 +155,13 @@ class _Curve:
     Phases before it have curves of another shape; a trial is not judged by those.
     """
 
-    study: optuna.Study
     trial: optuna.trial.Trial
     training: ResidualTraining
     phase: str
     seen: Seen
     steps: int = 0
     last: float = math.inf
-    known: dict[int, float] = field(default_factory=dict)  # of an earlier attempt that was stopped
-
-    def __post_init__(self) -> None:
-        frozen = self.study._storage.get_trial(self.trial._trial_id)
-        self.known = dict(frozen.intermediate_values)
-        self.due = list(CHECKPOINTS)
+    due: list[int] = field(default_factory=lambda: list(CHECKPOINTS))
 
     def __call__(self, phase: str, step: int, total: int, best: torch.Tensor) -> None:
         import optuna
@@ -160,22 +171,18 @@ class _Curve:
             return
         while self.due and 100 * step >= self.due[0] * total:
             percent = self.due.pop(0)
-        self.report(percent, float(self.training.per_speed_held_out_loss(best)[0]))
-        self.seen(self.study)
-        # Optuna judges the latest step it knows: on a second attempt, wait until that is reached again.
-        if percent >= max(self.known, default=0) and self.trial.should_prune():
+        self._report(percent, float(self.training.per_speed_held_out_loss(best)[0]))
+        self.seen(self.trial.study)
+        if self.trial.should_prune():
             raise optuna.TrialPruned
 
-    def report(self, percent: int, loss: float) -> None:
-        """Add a point of the curve, where it is finite and not there yet."""
-        if not math.isfinite(loss):
-            return
-        self.last = objective(loss)
-        if percent not in self.known:
+    def _report(self, percent: int, loss: float) -> None:
+        if math.isfinite(loss):
+            self.last = objective(loss)
             self.trial.report(self.last, percent)
 
     def carry_to_the_end(self, loss: float) -> None:
         """A training that converged early keeps its loss: later trials are compared with it."""
         for percent in self.due:
-            self.report(percent, loss)
+            self._report(percent, loss)
         self.due = []

@@ -1,0 +1,84 @@
+"""The law on trials that were stopped: each is repeated with its parameters.
+
+A trial whose worker died, was interrupted or met a bug is failed without a ``reason``, by Optuna's heartbeats or
+by its worker. Its parameters go to the queue again, under a number of Optuna's own and with the attribute
+``repeats``. What it keeps is its *place*: its number among the trials that repeat none. The sampler draws by the
+place, and reports count by it, so that a study that was stopped is told like one that was not.
+"""
+
+from __future__ import annotations
+
+import warnings
+from contextlib import suppress
+from datetime import datetime, timedelta
+from typing import TYPE_CHECKING
+
+from pipeline.config.tuning import TuningConfig
+from pipeline.tuning.storage import WORKER
+
+if TYPE_CHECKING:
+    import optuna
+    from optuna.trial import FrozenTrial
+
+REPEATS = "repeats"
+REASON = "reason"
+"""The attribute of a trial that failed by itself."""
+
+
+def attempts(study: optuna.Study) -> list[FrozenTrial]:
+    """The latest attempt at each place.
+
+    Two workers may put one trial back to the queue at once: the first of its repeats counts, others have no place.
+    """
+    latest: list[FrozenTrial] = []
+    places: dict[int, int] = {}
+    for trial in study.get_trials(deepcopy=False):
+        repeated = trial.user_attrs.get(REPEATS)
+        if repeated is None:
+            places[trial.number] = len(latest)
+            latest.append(trial)
+        elif repeated in places:
+            places[trial.number] = places.pop(repeated)
+            latest[places[trial.number]] = trial
+    return latest
+
+
+def results(study: optuna.Study) -> dict[int, FrozenTrial]:
+    """Place -> finished trial, by place; stopped ones are none."""
+    return {
+        place: trial
+        for place, trial in enumerate(attempts(study))
+        if trial.state.is_finished() and not _was_stopped(trial)
+    }
+
+
+def repeat_stopped(study: optuna.Study, config: TuningConfig) -> list[FrozenTrial]:
+    """The latest attempt at each place of the study's total, after those that stopped were put back to the queue."""
+    from optuna.storages import fail_stale_trials
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # experimental, in Optuna's words
+        fail_stale_trials(study)
+    latest = attempts(study)[: config.n_trials]
+    stopped = [trial for trial in latest if _was_stopped(trial) or _has_died_early(study, trial, config)]
+    for trial in stopped:
+        study.enqueue_trial(dict(trial.params), user_attrs={REPEATS: trial.number})
+    return attempts(study)[: config.n_trials] if stopped else latest
+
+
+def _was_stopped(trial: FrozenTrial) -> bool:
+    return trial.state.name == "FAIL" and REASON not in trial.user_attrs
+
+
+def _has_died_early(study: optuna.Study, trial: FrozenTrial, config: TuningConfig) -> bool:
+    """Fail a trial that died before its first heartbeat, which Optuna never takes for silent; whether it was one."""
+    from optuna.exceptions import UpdateFinishedTrialError
+    from optuna.trial import TrialState
+
+    if trial.state != TrialState.RUNNING or WORKER in trial.user_attrs or trial.datetime_start is None:
+        return False
+    if abs(datetime.now() - trial.datetime_start) < timedelta(seconds=config.silence_seconds):
+        return False
+    with suppress(UpdateFinishedTrialError, ValueError):  # another worker did so
+        study.tell(trial.number, state=TrialState.FAIL)
+    return True

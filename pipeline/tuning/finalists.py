@@ -1,0 +1,192 @@
+"""What a study found: its trials, the finalists over several seeds, and which of them is promoted."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.config.promotion import with_values
+from pipeline.config.tuning import TuningConfig, Value
+from pipeline.identification.identified import IdentifiedModel
+from pipeline.identification.outcome import Outcome
+from pipeline.identification.residual_loss import ResidualTraining, initial_parameters, prepare_residual
+from pipeline.identification.training import Minimum, minimise, setup_of
+from pipeline.tuning.attempts import results
+from pipeline.tuning.parallel import pool
+from pipeline.tuning.space import values_of
+from pipeline.tuning.study import StudyProblem
+from pipeline.tuning.worker import ROUNDING
+
+if TYPE_CHECKING:
+    import optuna
+    from optuna.trial import FrozenTrial
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrialSummary:
+    """A trial, as the tables and figures have it. Losses are held-out losses, not their logarithms."""
+
+    number: int  # its place: a repeated trial keeps it
+    state: str  # complete, pruned or failed
+    loss: float | None = None
+    seconds: float | None = None
+    epochs: int | None = None
+    outcome: str = ""
+    reason: str = ""
+    parameters: Mapping[str, Value]
+    curve: Mapping[int, float]  # percent of the last phase -> loss
+    started: float | None = None  # seconds since 1970
+    ended: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Finalist:
+    """A trial's values, trained with every seed. ``losses`` (G,) are per-speed held-out losses."""
+
+    trial: int
+    values: Mapping[str, Value]
+    losses: np.ndarray
+    training: ResidualTraining
+    minimum: Minimum  # of all seeds
+
+    def identified(self, g: int) -> IdentifiedModel:
+        """The model of seed g."""
+        return self.training.identified(self.minimum.parameters[g])
+
+    @property
+    def median(self) -> float:
+        """The median loss; infinite where most seeds diverged."""
+        return float(np.median(np.where(np.isfinite(self.losses), self.losses, math.inf)))
+
+
+def summarize(study: optuna.Study) -> list[TrialSummary]:
+    """The study's finished trials; one that was stopped is not told beside its repeat."""
+    return [_summary(place, trial) for place, trial in results(study).items()]
+
+
+def _summary(place: int, trial: FrozenTrial) -> TrialSummary:
+    attributes = trial.user_attrs
+    return TrialSummary(
+        number=place,
+        state={"FAIL": "failed"}.get(trial.state.name, trial.state.name.lower()),
+        loss=attributes.get("held_out_loss", None if trial.value is None else 10**trial.value),
+        seconds=attributes.get("training_seconds"),
+        epochs=attributes.get("epochs"),
+        outcome=attributes.get("outcome", ""),
+        reason=attributes.get("reason", ""),
+        parameters=dict(trial.params),
+        curve={step: 10**value for step, value in sorted(trial.intermediate_values.items())},
+        started=trial.datetime_start.timestamp() if trial.datetime_start else None,
+        ended=trial.datetime_complete.timestamp() if trial.datetime_complete else None,
+    )
+
+
+def train_finalists(study: optuna.Study, problem: StudyProblem) -> list[Finalist]:
+    """The default, then the best other trials, each trained with every seed of ``tuning.seeds``."""
+    config = problem.config.tuning
+    complete = [(trial.value, place) for place, trial in results(study).items() if trial.state.name == "COMPLETE"]
+    chosen: dict[int, dict[str, Value]] = {0: {}}
+    for _, place in sorted(complete):
+        values = values_of(config.space, results(study)[place].params)
+        if place and len(chosen) <= config.finalists and values not in chosen.values():
+            chosen[place] = values
+    # One training at a time, as in `stage=train`: a batch would go on until its slowest seed is done.
+    each = [(problem, place, values, seed) for place, values in chosen.items() for seed in config.seeds]
+    with pool(min(config.workers, len(each)), problem.config.threads) as run_all:
+        runs = list(run_all(_train_seed, each))
+    count = len(config.seeds)
+    return [
+        _finalist(problem, place, values, runs[i * count : (i + 1) * count])
+        for i, (place, values) in enumerate(chosen.items())
+    ]
+
+
+_Run = tuple[np.ndarray, tuple[Outcome, ...], np.ndarray, int, float]
+"""Parameters (1, M, P), outcomes, loss, steps and seconds: what comes back from another process."""
+
+
+def _train_seed(given: tuple[StudyProblem, int, Mapping[str, Value], int]) -> _Run:
+    problem, place, values, seed = given
+    setup = setup_of(with_values(problem.config, values, f"trial {place}"))
+    training = prepare_residual(problem.measurement, setup)
+    start = initial_parameters(training, setup, seed)
+    found = minimise(training.problem, start, setup, held_out=training.held_out)
+    if Outcome.INTERRUPTED in found.outcomes:
+        raise KeyboardInterrupt
+    # A tensor of torch's would not outlive its process.
+    return found.parameters.numpy(), found.outcomes, found.loss, found.steps, found.seconds
+
+
+def _finalist(problem: StudyProblem, place: int, values: Mapping[str, Value], runs: Sequence[_Run]) -> Finalist:
+    import torch
+
+    training = prepare_residual(problem.measurement, setup_of(with_values(problem.config, values, f"trial {place}")))
+    parameters, outcomes, loss, steps, seconds = zip(*runs, strict=True)
+    found = Minimum(
+        parameters=torch.from_numpy(np.concatenate(parameters)),
+        outcomes=tuple(outcome for (outcome,) in outcomes),
+        loss=np.concatenate(loss),
+        held_out_loss=None,  # not as configured: finalists are compared by that of each speed
+        steps=max(steps),
+        seconds=sum(seconds),
+        history=(),
+        trajectory=(),
+    )
+    return Finalist(place, values, training.per_speed_held_out_loss(found.parameters), training, found)
+
+
+def choose(finalists: Sequence[Finalist], config: TuningConfig) -> Finalist:
+    """The finalist with the lowest median loss, or the default, which is the first.
+
+    A finalist must be better by ``least_gain``, more than the sampler's path and the processor's kernels give, and by
+    more than the luck of seeds: its median below the default's luckiest seed.
+    """
+    default, *others = finalists
+    best = min(others, key=lambda f: max(f.median, ROUNDING), default=default)  # of equals the better trial
+    gained = max(default.median, ROUNDING) >= config.least_gain * max(best.median, ROUNDING)
+    luckiest = np.nanmin(default.losses) if np.isfinite(default.median) else np.inf
+    return best if gained and best.median < luckiest else default
+
+
+def importances(study: optuna.Study) -> dict[str, float]:
+    """Share of each parameter in what sets the best trials apart, largest first (Optuna's PED-ANOVA).
+
+    Empty where there are too few trials to tell.
+    """
+    from optuna.importance import get_param_importances
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return {name: float(value) for name, value in get_param_importances(study).items()}
+    except (RuntimeError, ValueError):
+        return {}
+
+
+def sampler_study(problem: StudyProblem, sampler: str, seed: int) -> StudyProblem:
+    """The same problem as a study of its own with another sampler."""
+    tuning = problem.config.tuning.model_copy(
+        update={
+            "sampler": sampler,
+            "sampler_seed": seed,
+            "study": f"{problem.config.tuning.study} · {sampler} {seed}",
+            "pruner": "none",  # what is pruned depends on the trials before, which differ
+        }
+    )
+    return replace(problem, config=problem.config.model_copy(update={"tuning": tuning}))
+
+
+def fingerprint(study: optuna.Study, problem: StudyProblem) -> str:
+    """Identity of everything that a report is made from: the trials, and how finalists are chosen."""
+    tuning = problem.config.tuning
+    trials = [(place, t.state.name, t.value, sorted(t.params.items())) for place, t in results(study).items()]
+    choice = (tuning.finalists, tuning.seeds, tuning.least_gain, tuning.n_trials, tuning.study)
+    text = json.dumps([problem.fingerprints(), trials, choice], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
