@@ -11,7 +11,7 @@ PACKAGE = ROOT / "pipeline"
 
 ROOMS: tuple[tuple[frozenset[str], str], ...] = (
     (
-        frozenset({"errors", "units", "files", "cache", "coefficients", "unknowns", "waiting", "processes"}),
+        frozenset({"errors", "units", "files", "cache", "coefficients", "unknowns", "timeout", "processes"}),
         "words, files, and what is unknown",
     ),
     (frozenset({"config"}), "what a configuration may say"),

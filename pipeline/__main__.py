@@ -1,6 +1,6 @@
 """The command line: ``python -m pipeline stage=STAGE experiment=NAME [overrides]``.
 
-Every command is checked before anything runs. Exit codes: 0 done, 1 a threshold passed
+Every command is checked before anything runs. Exit codes: 0 done, 1 a limit exceeded
 (``stage=check``), 2 a mistake in what was given, 70 a bug here, 130 interrupted, 141 a closed pipe.
 """
 

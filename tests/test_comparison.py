@@ -131,7 +131,7 @@ def test_cross_validation_needs_more_equations_than_unknowns() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["least_squares", "total_least_squares", "kalman", "spline", "response"])
-@pytest.mark.parametrize("overrides", [FILM, (*FILM, "identify.tie_bearings=true")], ids=["each", "alike"])
+@pytest.mark.parametrize("overrides", [FILM, (*FILM, "identify.shared=true")], ids=["each", "alike"])
 def test_stated_deviations_hold(method: str, overrides: tuple[str, ...]) -> None:
     """Nominal 95 % intervals, over speeds, bearings and data sets."""
     inside = []

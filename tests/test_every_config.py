@@ -168,7 +168,7 @@ CHOICES = [
 ]
 MORE = [
     "loss.scaling=none",
-    "identify.tie_bearings=true",
+    "identify.shared=true",
     "training.holdout_every=0",
     "training.holdout_every=2",
     "model.parametrisation=scaled",

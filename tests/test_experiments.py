@@ -216,15 +216,15 @@ def test_no_rule_holds_without_its_metric(experiment: str, judged: Path) -> None
     """Each rule of each threshold file holds what the graph made, and would not hold an infinite error or none."""
     rules, folder = read_rules(check.THRESHOLDS / f"{experiment}.yaml"), judged / experiment
     for rule in rules:
-        assert all(found.passed for found in check_experiment(experiment, [rule], folder)), rule
+        assert all(found.met for found in check_experiment(experiment, [rule], folder)), rule
         path = folder / rule.file
         before = path.read_text(encoding="utf-8")
         worse = 1e300 if rule.max is not None else -1e300
         path.write_text(json.dumps(_with_all_numbers(json.loads(before), worse)), encoding="utf-8")
         found = check_experiment(experiment, [rule], folder)
-        assert not any(one.passed for one in found), rule
+        assert not any(one.met for one in found), rule
         path.write_text("{}", encoding="utf-8")
-        assert not any(one.passed for one in check_experiment(experiment, [rule], folder)), rule
+        assert not any(one.met for one in check_experiment(experiment, [rule], folder)), rule
         path.write_text(before, encoding="utf-8")
 
 

@@ -238,7 +238,7 @@ def test_a_structure_is_respected_exactly(
 def test_bearings_alike_are_exactly_alike(rotor_of: Machine) -> None:
     """One set of coefficients for both, from the equations of both."""
     table = table_of(rotor_of, ANISOTROPIC, ANISOTROPIC)
-    found = trained(rotor_of, table, (*UNBALANCES, BACKWARD), "identify.tie_bearings=true")
+    found = trained(rotor_of, table, (*UNBALANCES, BACKWARD), "identify.shared=true")
     assert np.array_equal(found.values[0], found.values[1])
     np.testing.assert_allclose(found.values, table.values, rtol=2e-3)
 

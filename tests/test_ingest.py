@@ -41,7 +41,7 @@ from pipeline.data.dataset import VibrationDataset
 from pipeline.data.tables import TextFormat, read_table
 from pipeline.data.vibration_files import read_dataset, write_excitation, write_vibration
 from pipeline.errors import ConfigError
-from pipeline.ingest.dataset import measurement
+from pipeline.ingest.dataset import read_measured_runs
 from pipeline.ingest.known import read_known
 from pipeline.ingest.plausibility import size_notes, whirl_notes
 from pipeline.stages import ingest, run_stage
@@ -75,12 +75,12 @@ def parsed(mapping: dict[str, Any]) -> Any:
 
 def read(mapping: dict[str, Any]) -> VibrationDataset:
     """The data set of a section ``ingest``."""
-    return measurement(parsed(mapping)).dataset
+    return read_measured_runs(parsed(mapping)).dataset
 
 
 def notes(mapping: dict[str, Any]) -> str:
     """What the reading warns of."""
-    return "\n".join(measurement(parsed(mapping)).notes)
+    return "\n".join(read_measured_runs(parsed(mapping)).notes)
 
 
 def wide_runs(folder: Path, ending: str = ".csv", **more: Vectors) -> list[dict[str, Any]]:

@@ -35,7 +35,7 @@ from pydantic import TypeAdapter
 
 from pipeline.config.recordings import RecordingsConfig
 from pipeline.errors import ConfigError, DataError
-from pipeline.ingest.dataset import Measurement, measurement
+from pipeline.ingest.dataset import MeasuredRuns, read_measured_runs
 
 pytestmark = pytest.mark.slow
 
@@ -43,9 +43,9 @@ RPM = np.pi / 30
 RUN = {"name": "one", "unbalances": [{"node": 1, "magnitude": "20 g mm", "phase": "30 deg"}]}
 
 
-def read(section: dict[str, Any]) -> Measurement:
+def read(section: dict[str, Any]) -> MeasuredRuns:
     """What a section ``ingest`` gives."""
-    return measurement(TypeAdapter(RecordingsConfig).validate_python(section))
+    return read_measured_runs(TypeAdapter(RecordingsConfig).validate_python(section))
 
 
 # --- what is written in any convention is read back -------------------------------------------------------
@@ -184,7 +184,7 @@ def _section(kind: str, path: Path) -> dict[str, Any]:
     return KINDS[kind][2] | {"runs": [RUN | {"file": str(path)}]}
 
 
-def read_bytes(kind: str, content: bytes) -> Measurement | None:
+def read_bytes(kind: str, content: bytes) -> MeasuredRuns | None:
     """What is read of a file with these bytes; None where it is refused by name in a sentence."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"some.{KINDS[kind][0]}"
@@ -192,7 +192,7 @@ def read_bytes(kind: str, content: bytes) -> Measurement | None:
         return read_or_refused(_section(kind, path))
 
 
-def read_or_refused(section: dict[str, Any]) -> Measurement | None:
+def read_or_refused(section: dict[str, Any]) -> MeasuredRuns | None:
     """What is read; None where it is refused in a sentence."""
     try:
         found, said = read(section), "it must"

@@ -287,8 +287,8 @@ def test_a_structure_is_respected_exactly(rotor_of: Machine, structure: str) -> 
 
 
 def test_bearings_alike_share_their_coefficients(rotor_of: Machine) -> None:
-    """``tie_bearings`` halves the unknowns."""
-    fit = fit_of(rotor_of, noisy(rotor_of, 0.01, 0), 0.01, "identify.tie_bearings=true")
+    """``shared`` halves the unknowns."""
+    fit = fit_of(rotor_of, noisy(rotor_of, 0.01, 0), 0.01, "identify.shared=true")
     table = fit.identified.table(rotor_of.bearings)
     assert np.array_equal(table.values[0, :, 0], table.values[1, :, 0])
     assert len(fit.problem.active) == 2
@@ -312,7 +312,7 @@ def test_constant_coefficients(rotor_of: Machine) -> None:
 def test_an_odd_number_of_outputs_before_the_planes(rotor_of: Machine, planes: str) -> None:
     """One unknown alike at both bearings: the planes' pairs of numbers begin anywhere."""
     dataset = noisy(rotor_of, 0.01, 0)
-    only = ("identify.tie_bearings=true", "identify.unknowns=[kxx]", f"identify.unbalance_planes={planes}")
+    only = ("identify.shared=true", "identify.unknowns=[kxx]", f"identify.unbalance_planes={planes}")
     fit = fit_of(rotor_of, dataset, 0.01, *only, "model.width=4")
     assert fit.problem.size % 2 == 1
     assert np.isfinite(fit.residual_unbalance()).all()

@@ -24,7 +24,7 @@ from pipeline.data.columns import _well_formed, read_columns
 from pipeline.data.tables import read_table, write_table
 from pipeline.errors import ConfigError
 from pipeline.rotor import ross_adapter
-from pipeline.rotor.stored import KIND, assembled, made_from, modelled_bearings
+from pipeline.rotor.stored import KIND, load_modelled_bearings, load_rotor, made_from
 
 ROOT = Path(__file__).resolve().parents[1]
 FEW = [f"machine.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=500")]
@@ -175,15 +175,15 @@ def test_a_kept_rotor_is_the_assembled_one(own_cache: Path, monkeypatch: pytest.
     config = compose_config(BALL)
     speeds = np.array([100.0, 200.0])
     first, bearings = (
-        assembled(config.machine.rotor),
-        modelled_bearings(config.machine.rotor, config.machine.bearings, speeds),
+        load_rotor(config.machine.rotor),
+        load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds),
     )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(ross_adapter, "assemble", None)
         patch.setattr(ross_adapter, "bearing_table", None)
         again, kept = (
-            assembled(config.machine.rotor),
-            modelled_bearings(config.machine.rotor, config.machine.bearings, speeds),
+            load_rotor(config.machine.rotor),
+            load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds),
         )
     for name in ("mass", "damping", "gyroscopic", "stiffness", "positions"):
         assert getattr(again, name).tobytes() == getattr(first, name).tobytes()
@@ -191,7 +191,7 @@ def test_a_kept_rotor_is_the_assembled_one(own_cache: Path, monkeypatch: pytest.
     assert again.total_mass == first.total_mass
     assert (kept.nodes, kept.values.tobytes()) == (bearings.nodes, bearings.values.tobytes())
     cache.path_of(KIND, made_from(config.machine.rotor)).write_bytes(b"damaged")
-    assert assembled(config.machine.rotor).fingerprint == first.fingerprint
+    assert load_rotor(config.machine.rotor).fingerprint == first.fingerprint
 
 
 def test_another_rotor_has_another_entry(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from pipeline.coefficients import COEFFICIENTS
 from pipeline.comparison.cases import Case, Machine, measurement_of
 from pipeline.config.comparison import ComparisonConfig, MethodName, SensorSet
 from pipeline.config.identification import IdentifyConfig
-from pipeline.evaluation.errors import relative_errors, within
+from pipeline.evaluation.errors import measure_coverage, relative_errors
 from pipeline.methods.catalogue import METHODS
 from pipeline.methods.method import Estimate, MethodOptions, Reason, Refusal
 from pipeline.problem.measurement import Measurement
@@ -123,7 +123,7 @@ def _errors(
                 median = float(100 * np.median(deviation / np.abs(truth.values[b, :, c])))
                 stated = {
                     "median_deviation": median if np.isfinite(median) else None,
-                    "within_interval": float(within(off, deviation)),
+                    "within_interval": float(measure_coverage(off, deviation)),
                 }
             result.setdefault(str(node), {})[name] = CoefficientResult(
                 median_error=float(np.median(relative)), p95_error=float(np.percentile(relative, 95)), **stated

@@ -23,22 +23,20 @@ class OneBearingConfig(Section):
 class IdentifyConfig(Section):
     """Which coefficients are unknown, and what ties them together; the others are taken as known.
 
-    ``bearings`` has exceptions by node; ``tie_bearings`` makes all bearings alike. With ``unbalance_planes`` a residual
+    ``bearings`` has exceptions by node; ``shared`` makes all bearings alike. With ``unbalance_planes`` a residual
     unbalance at these nodes is identified too (loss ``response``).
     """
 
     unknowns: tuple[CoefficientName, ...] = Field(min_length=1)
     structure: Structure
-    tie_bearings: bool
+    shared: bool
     unbalance_planes: tuple[NonNegativeInt, ...] = ()
     bearings: dict[NonNegativeInt, OneBearingConfig] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _lawful(self) -> IdentifyConfig:
-        if self.tie_bearings and self.bearings:
-            raise ValueError(
-                "tie_bearings makes all bearings alike, but bearings has exceptions: leave one of them out"
-            )
+        if self.shared and self.bearings:
+            raise ValueError("shared makes all bearings alike, but bearings has exceptions: leave one of them out")
         for unknowns in (self.unknowns, *(one.unknowns or () for one in self.bearings.values())):
             if len(set(unknowns)) != len(unknowns):
                 raise ValueError(f"must name each unknown once, but got {list(unknowns)}")
@@ -54,7 +52,7 @@ class IdentifyConfig(Section):
 
     def unknowns_of(self, nodes: Sequence[int]) -> UnknownSet:
         """What is unknown of the bearings at these nodes."""
-        return unknown_set({node: self.at(node) for node in nodes}, self.tie_bearings, self.unbalance_planes)
+        return unknown_set({node: self.at(node) for node in nodes}, self.shared, self.unbalance_planes)
 
     def named(self) -> tuple[str, ...]:
         """Every coefficient that is unknown at some bearing, in the order of the configuration."""

@@ -20,6 +20,7 @@ KEYS = {
     "ingest": "machine.recordings",
     "prediction": "machine.prediction",
     "design.candidates": "machine.candidates",
+    "identify.tie_bearings": "identify.shared",
 }
 """Old key -> new key, the longer ones of a section first; what lies below a key keeps its name."""
 

@@ -64,7 +64,7 @@ def worst_mean_error(errors: CoefficientErrors, name: str) -> float:
     return max((of[name].mean_error_percent for of in errors.values() if name in of), default=0.0)
 
 
-def within(errors: np.ndarray, deviation: np.ndarray) -> np.ndarray:
+def measure_coverage(errors: np.ndarray, deviation: np.ndarray) -> np.ndarray:
     """Percent (over the last axis) of errors inside the nominal 95 % interval, 1.96 standard deviations."""
     return np.asarray(100.0 * (np.abs(errors) <= NOMINAL_95 * deviation).mean(axis=-1))
 

@@ -48,7 +48,7 @@ class Check:
     why: str
 
     @property
-    def passed(self) -> bool:
+    def met(self) -> bool:
         """False for a missing metric and for NaN, too."""
         if self.value is None:
             return False

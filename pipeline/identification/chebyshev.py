@@ -56,14 +56,14 @@ def fit_chebyshev(measurement: Measurement, setup: FitSetup) -> ChebyshevFit | N
 
 
 def _solve(training: ResidualTraining) -> torch.Tensor:
-    """(1, M, P) the least squares of each member's rows, which are linear in the parameters."""
+    """(1, M, Q) the least squares of each member's rows, which are linear in the parameters."""
     import torch
 
     return torch.stack([_solve_member(one) for one in training.problem.members()])[None]
 
 
 def _solve_member(problem: ResidualProblem) -> torch.Tensor:
-    """(P,)."""
+    """(Q,)."""
     import torch
 
     zero = torch.zeros(1, 1, problem.model.n_parameters, dtype=torch.float64)

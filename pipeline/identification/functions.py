@@ -13,7 +13,7 @@ _CUBIC = 3
 
 
 def evaluate_functions(kind: Literal["b_spline", "chebyshev"], count: int, inputs: np.ndarray) -> np.ndarray:
-    """(N, F) the first ``count`` functions at ``inputs`` (N,) in [-1, 1].
+    """(S, F) the first ``count`` functions at ``inputs`` (N,) in [-1, 1].
 
     Cubic B-splines with evenly spaced knots (four of them or more), or the Chebyshev polynomials from degree 1 on.
     """

@@ -28,7 +28,7 @@ class IdentifiedModel:
     model: CoefficientModel
     unknowns: UnknownSet
     bearing_nodes: tuple[int, ...]
-    parameters: torch.Tensor  # (M, P)
+    parameters: torch.Tensor  # (M, Q)
 
     def values(self, speeds: np.ndarray) -> np.ndarray:
         """(B, S, U) unknowns at ``speeds`` (S,) rad/s, N/m and N s/m."""

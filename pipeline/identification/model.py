@@ -4,7 +4,7 @@ A network, a constant, or a linear combination of fixed functions of the speed (
 is a network whose only layer is fed by these functions in place of the speed.
 
 A flat vector lets any number of copies - bearings, initial guesses, seeds - be evaluated and trained at once
-as leading dimensions of one tensor. Legend: ``...`` batch, P parameters, N speeds, U unknowns, F functions.
+as leading dimensions of one tensor. Legend: ``...`` batch, Q parameters, S speeds, U unknowns, F functions.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class CoefficientModel:
         return 2 if self.trend else 0
 
     def _with_trend(self, hidden: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:
-        """(..., N, n_in) what the output layer is fed: power laws and straight lines need no hidden units."""
+        """(..., S, n_in) what the output layer is fed: power laws and straight lines need no hidden units."""
         import torch
 
         if not self.trend:
@@ -87,11 +87,11 @@ class CoefficientModel:
 
     @property
     def n_parameters(self) -> int:
-        """P."""
+        """Q."""
         return sum((i + 1) * o for i, o in self.sizes) or len(self.unknowns)
 
     def scaled_inputs(self, **inputs: np.ndarray) -> torch.Tensor:
-        """(N, inputs) in [-1, 1] over the trained range, from inputs (N,) by their names: ``speed`` in rad/s.
+        """(S, inputs) in [-1, 1] over the trained range, from inputs (S,) by their names: ``speed`` in rad/s.
 
         Raises TypeError for a name that the model lacks, or that is not given.
         """
@@ -109,7 +109,7 @@ class CoefficientModel:
         return torch.as_tensor(np.stack(columns, axis=1), dtype=torch.float64)
 
     def _first_fed(self, inputs: torch.Tensor) -> torch.Tensor:
-        """(N, n_in) what the first layer is fed by: the inputs, or functions of the first one."""
+        """(S, n_in) what the first layer is fed by: the inputs, or functions of the first one."""
         if self.functions is None:
             return inputs
         import torch
@@ -117,7 +117,7 @@ class CoefficientModel:
         return torch.as_tensor(evaluate_functions(self.functions, self.n_functions, inputs[:, 0].numpy()))
 
     def raw(self, parameters: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:
-        """Network output (..., N, U) from parameters (..., P) and scaled inputs (N, inputs)."""
+        """Network output (..., S, U) from parameters (..., Q) and scaled inputs (S, inputs)."""
         if self.hidden is None:
             return parameters[..., None, :].expand(*parameters.shape[:-1], len(inputs), len(self.unknowns))
         value, layers = self._first_fed(inputs), self._layers(parameters)
@@ -127,7 +127,7 @@ class CoefficientModel:
         return self._with_trend(value, inputs) @ weight + bias
 
     def raw_jacobian(self, parameters: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:
-        """(..., N, U, P) derivative of :meth:`raw` by the parameters, back-propagated layer by layer.
+        """(..., S, U, Q) derivative of :meth:`raw` by the parameters, back-propagated layer by layer.
 
         Ten times faster than nested vmap and jacrev, which a test compares it with.
         """
@@ -139,7 +139,7 @@ class CoefficientModel:
             return identity.expand(*parameters.shape[:-1], len(inputs), n_unknowns, n_unknowns)
         layers = self._layers(parameters)
         first = self._first_fed(inputs)
-        fed = [first.expand(*parameters.shape[:-1], *first.shape)]  # (..., N, n_in) into each layer
+        fed = [first.expand(*parameters.shape[:-1], *first.shape)]  # (..., S, n_in) into each layer
         slopes: list[torch.Tensor] = []
         for weight, bias in layers[:-1]:
             value, slope = activate(self.activation, fed[-1] @ weight + bias)
@@ -167,7 +167,7 @@ class CoefficientModel:
         return layers
 
     def physical(self, raw: torch.Tensor, scale: torch.Tensor) -> torch.Tensor:
-        """Coefficients in N/m and N s/m from network output; ``scale`` broadcasts over (..., N, U)."""
+        """Coefficients in N/m and N s/m from network output; ``scale`` broadcasts over (..., S, U)."""
         if all(self.positive):
             return scale * raw.exp()
         return scale * (self._where_positive(lambda positive: positive.exp(), raw, raw) if any(self.positive) else raw)
@@ -201,7 +201,7 @@ class CoefficientModel:
         return torch.tensor(self.scale, dtype=torch.float64)[:, None, :]
 
     def initial_parameters(self, guess: np.ndarray, generator: torch.Generator) -> torch.Tensor:
-        """Parameters (M, P) that start at ``guess`` (M, U), N/m and N s/m; M members."""
+        """Parameters (M, Q) that start at ``guess`` (M, U), N/m and N s/m; M members."""
         import torch
 
         start = torch.as_tensor(guess, dtype=torch.float64) / torch.tensor(self.scale, dtype=torch.float64)
@@ -239,7 +239,7 @@ class CoefficientModel:
         return parameters
 
     def features(self, parameters: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:
-        """(M, N, K) what the output layer is linear in, the last hidden units and 1, for (M, P) and inputs (N, 1)."""
+        """(M, S, K) what the output layer is linear in, the last hidden units and 1, for (M, Q) and inputs (S, 1)."""
         import torch
 
         first = self._first_fed(inputs)
@@ -250,7 +250,7 @@ class CoefficientModel:
         return one if self.hidden is None else torch.cat([self._with_trend(fed, inputs), one], dim=-1)
 
     def with_output_at(self, parameters: torch.Tensor, inputs: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
-        """Parameters (M, P) whose last layer is fitted, by linear least squares, to give ``values`` (M, N, U).
+        """Parameters (M, Q) whose last layer is fitted, by linear least squares, to give ``values`` (M, S, U).
 
         The hidden layers stay as they are: a start near an answer that is known roughly.
         """

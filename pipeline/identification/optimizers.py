@@ -1,6 +1,6 @@
 """Minimisers of a least-squares problem.
 
-Each takes parameters (G, M, P) and returns better ones; the G trainings do not influence each other, so that
+Each takes parameters (G, M, Q) and returns better ones; the G trainings do not influence each other, so that
 each of 81 initial guesses trained together takes the same steps as alone, and stays where it ended while others go on.
 ``monitor`` sees every step and says when to stop.
 """
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 
 
 class LeastSquares(Protocol):
-    """What is minimised: the squares of rows of parameters (G, M, P)."""
+    """What is minimised: the squares of rows of parameters (G, M, Q)."""
 
     def rows(self, parameters: torch.Tensor, /) -> torch.Tensor:
         """(G, M, rows)."""
         ...
 
     def normal(self, parameters: torch.Tensor, /) -> tuple[torch.Tensor, torch.Tensor]:
-        """Gradient J'r (G, M, P) and J'J (G, M, P, P)."""
+        """Gradient J'r (G, M, Q) and J'J (G, M, Q, Q)."""
         ...
 
     def loss(self, parameters: torch.Tensor, /) -> torch.Tensor:
@@ -97,7 +97,7 @@ def lbfgs(problem: LeastSquares, parameters: torch.Tensor, config: LBFGSConfig, 
 
 
 def _lbfgs_stepper(problem: LeastSquares, start: torch.Tensor, history: int) -> Callable[[], torch.Tensor]:
-    """A function that takes one step for one member and returns its parameters (P,)."""
+    """A function that takes one step for one member and returns its parameters (Q,)."""
     import torch
 
     trained = start[None, None].clone().requires_grad_()
@@ -165,7 +165,7 @@ def levenberg_marquardt(
 def _damped_step(
     problem: LeastSquares, current: torch.Tensor, squared: torch.Tensor, damping: torch.Tensor, by_diagonal: bool
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Parameters (G, M, P), squared residuals and dampings (G, M) after a step that climbs for no member."""
+    """Parameters (G, M, Q), squared residuals and dampings (G, M) after a step that climbs for no member."""
     import torch
 
     gradient, normal = problem.normal(current)

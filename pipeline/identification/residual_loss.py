@@ -10,7 +10,7 @@ of the unknowns, each relative to its scale, from what that speed by itself says
 hardly tell apart weigh as much as the others, which the residual all but ignores.
 
 Legend: G guesses or seeds, M members trained independently (the bearings, or 1 where they share their coefficients), B
-bearings, N speeds, U unknowns, P parameters.
+bearings, S speeds, U unknowns, Q parameters.
 """
 
 from __future__ import annotations
@@ -36,27 +36,27 @@ class ResidualProblem:
     """``rows = R p(parameters) + y`` with ``loss^2 = |rows|^2 + rest``."""
 
     model: CoefficientModel
-    inputs: torch.Tensor  # (N, 1)
-    matrix: torch.Tensor  # R, (M, N, U, U)
-    offset: torch.Tensor  # y, (M, N, U)
+    inputs: torch.Tensor  # (S, 1)
+    matrix: torch.Tensor  # R, (M, S, U, U)
+    offset: torch.Tensor  # y, (M, S, U)
     rest: torch.Tensor  # (M,) the part of the squared loss that no coefficient can change
     scale: torch.Tensor  # (M, 1, U)
 
     def rows(self, parameters: torch.Tensor) -> torch.Tensor:
-        """(G, M, rows) from parameters (G, M, P)."""
+        """(G, M, rows) from parameters (G, M, Q)."""
         coefficients = self.model.physical(self.model.raw(parameters, self.inputs), self.scale)
         residual = (self.matrix @ coefficients[..., None])[..., 0] + self.offset  # (G, M, N, U)
         return residual.reshape(len(parameters), len(self.scale), -1)
 
     def jacobian(self, parameters: torch.Tensor) -> torch.Tensor:
-        """(G, M, rows, P) derivative of :meth:`rows`."""
+        """(G, M, rows, Q) derivative of :meth:`rows`."""
         raw = self.model.raw(parameters, self.inputs)
         slope = self.model.physical_slope(raw, self.scale)[..., None]  # (G, M, N, U, 1)
         derivative = self.model.raw_jacobian(parameters, self.inputs) * slope
         return (self.matrix @ derivative).reshape(len(parameters), len(self.scale), -1, parameters.shape[-1])
 
     def normal(self, parameters: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Gradient J'r (G, M, P) and J'J (G, M, P, P) of the rows."""
+        """Gradient J'r (G, M, Q) and J'J (G, M, Q, Q) of the rows."""
         jacobian = self.jacobian(parameters)
         return (jacobian.mT @ self.rows(parameters)[..., None])[..., 0], jacobian.mT @ jacobian
 
@@ -80,7 +80,7 @@ class ResidualProblem:
         )
 
     def per_speed(self, regularisation: float) -> tuple[np.ndarray, np.ndarray]:
-        """The regularised pseudo-inverse of A (M, N, U, U) and the answer of each speed (M, N, U), in scales.
+        """The regularised pseudo-inverse of A (M, S, U, U) and the answer of each speed (M, S, U), in scales.
 
         ``regularisation`` is relative to the largest singular value; what lies below the rounding of the data is left
         out in any case.
@@ -174,12 +174,12 @@ class ResidualTraining:
     held_out_per_speed: ResidualProblem | None  # the residual scaled per speed, whatever the loss is
 
     def identified(self, parameters: torch.Tensor) -> IdentifiedModel:
-        """The model with parameters (M, P)."""
+        """The model with parameters (M, Q)."""
         nodes = self.measurement.rotor.bearing_nodes
         return IdentifiedModel(self.model, self.measurement.unknowns, nodes, parameters)
 
     def per_speed_held_out_loss(self, parameters: torch.Tensor) -> np.ndarray:
-        """(G,) what trainings of any loss are compared by; ``parameters`` (G, M, P).
+        """(G,) what trainings of any loss are compared by; ``parameters`` (G, M, Q).
 
         Root mean square, over bearings and held-out speeds, of the residual divided by the bearing force of its speed.
         """
@@ -221,7 +221,7 @@ def prepare_residual(measurement: Measurement, setup: FitSetup) -> ResidualTrain
 def initial_parameters(
     training: ResidualTraining, setup: FitSetup, seed: int, stiffness: float | None = None
 ) -> torch.Tensor:
-    """(1, M, P) starting parameters from a seed and, if given, a guess of the stiffness.
+    """(1, M, Q) starting parameters from a seed and, if given, a guess of the stiffness.
 
     With ``model.initialisation`` of ``per_speed`` and no guess, the last layer is fitted to the regularised least
     squares of each training speed.

@@ -1,6 +1,6 @@
 """Training (paper, Algorithm 1): phases of an optimiser, held-out speeds, the best state, a named outcome.
 
-Legend: G trainings done at once, M members of each, P parameters.
+Legend: G trainings done at once, M members of each, Q parameters.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _DIVERGED_FACTOR = 10.0
 
 
 class Watch(Protocol):
-    """Something that follows the best state (G, M, P) of a training; what it raises ends the training."""
+    """Something that follows the best state (G, M, Q) of a training; what it raises ends the training."""
 
     def __call__(self, phase: str, step: int, total: int, best: torch.Tensor, /) -> None: ...
 
@@ -97,7 +97,7 @@ def initial_guess(setup: FitSetup, unknowns: UnknownSet, stiffness: float | None
 class Minimum:
     """Where G trainings, done at once, ended. Losses are (G,), over the members of each."""
 
-    parameters: torch.Tensor  # (G, M, P), the best state of every member
+    parameters: torch.Tensor  # (G, M, Q), the best state of every member
     outcomes: tuple[Outcome, ...]
     loss: np.ndarray
     held_out_loss: np.ndarray | None
@@ -125,7 +125,7 @@ class _Monitor:
     started: float = field(default_factory=time.perf_counter)
     history: list[dict[str, float | str]] = field(default_factory=list)
     trajectory: list[tuple[int, Any]] = field(default_factory=list)
-    best: Any = None  # (G, M, P)
+    best: Any = None  # (G, M, Q)
     best_score: Any = None  # (G, M)
     first_loss: Any = None  # (G, M)
     last_loss: Any = None  # (G, M)
@@ -196,7 +196,7 @@ def minimise(
     record_trajectory: bool = False,
     watch: Watch | None = None,
 ) -> Minimum:
-    """Train G starting points (G, M, P) at once; ``held_out`` chooses the best state. Ctrl-C ends it with that."""
+    """Train G starting points (G, M, Q) at once; ``held_out`` chooses the best state. Ctrl-C ends it with that."""
     monitor = _Monitor(
         problem=problem,
         held_out=held_out,

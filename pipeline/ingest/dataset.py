@@ -24,7 +24,7 @@ _CONTRADICTION = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Measurement:
+class MeasuredRuns:
     """What was read: the data set of training, the runs it came from, and sentences that need attention."""
 
     dataset: VibrationDataset
@@ -32,7 +32,7 @@ class Measurement:
     notes: tuple[str, ...]
 
 
-def measurement(config: AnyRecordingsConfig) -> Measurement:
+def read_measured_runs(config: AnyRecordingsConfig) -> MeasuredRuns:
     """Read all runs and bring them to common speeds and to x and y. Raises DataError and ConfigError."""
     check_probes(config.probes)
     runs = read_runs(config)
@@ -60,7 +60,7 @@ def measurement(config: AnyRecordingsConfig) -> Measurement:
         for node, misfit in resolved.misfit.items()
         if misfit > _CONTRADICTION
     ]
-    return Measurement(dataset, runs, tuple(dict.fromkeys(notes)))
+    return MeasuredRuns(dataset, runs, tuple(dict.fromkeys(notes)))
 
 
 def without_runout(run: RunTracks, slow_roll: SlowRollConfig) -> RunTracks:

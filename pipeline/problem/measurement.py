@@ -84,9 +84,9 @@ class Measurement:
         from pipeline.config.rotor import RotorConfig
         from pipeline.data.coefficient_files import read_coefficients
         from pipeline.data.vibration_files import read_dataset
-        from pipeline.rotor.stored import assembled
+        from pipeline.rotor.stored import load_rotor
 
-        model = assembled(RotorConfig(file=str(rotor)))
+        model = load_rotor(RotorConfig(file=str(rotor)))
         dataset = read_dataset(Path(vibration), Path(excitation), model, baseline)
         nodes, asked = model.bearing_nodes, BearingUnknowns(tuple(unknowns), structure)  # type: ignore[arg-type]
         others = tuple(name for name in COEFFICIENTS if name not in asked.coefficients)

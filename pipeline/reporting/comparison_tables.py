@@ -45,7 +45,7 @@ class Comparison:
         errors = {name: self.error(method, self.main, name) for name in self.names}
         return {name: error for name, error in errors.items() if not np.isnan(error)}
 
-    def within(self, method: str, case: Case) -> float | None:
+    def coverage(self, method: str, case: Case) -> float | None:
         """Percent of speeds inside the nominal 95 % interval, mean over all; None where no deviation is stated."""
         shares = [
             of.within_interval
@@ -143,7 +143,7 @@ def tables(comparison: Comparison) -> list[tuple[str, list[str], list[list[str]]
     made.append((f"median error % of each coefficient; {fixed}", ["method", *comparison.names], each))
     about = []
     for m in comparison.methods:
-        held = comparison.within(m, main)
+        held = comparison.coverage(m, main)
         inside, seconds = "" if held is None else f"{held:.0f}", f"{comparison.seconds(m, main):.2g}"
         about.append([METHODS[m].label, METHODS[m].source, METHODS[m].beforehand, inside, seconds])
     made.append(("the methods", ["method", "source", "needs beforehand", "inside 95 %, %", "seconds"], about))

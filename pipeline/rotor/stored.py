@@ -35,7 +35,7 @@ def made_from(config: RotorConfig) -> str:
     )
 
 
-def assembled(config: RotorConfig) -> RotorModel:
+def load_rotor(config: RotorConfig) -> RotorModel:
     """Shaft and discs as matrices: from the cache, or by ROSS where this rotor is new.
 
     Raises ConfigError where ``config.file`` can't be read.
@@ -50,7 +50,7 @@ def assembled(config: RotorConfig) -> RotorModel:
     return rotor
 
 
-def modelled_bearings(config: RotorConfig, bearing: BearingConfig, speeds: np.ndarray) -> BearingTable:
+def load_modelled_bearings(config: RotorConfig, bearing: BearingConfig, speeds: np.ndarray) -> BearingTable:
     """The modelled coefficients at ``speeds`` (S,) rad/s: from the cache, or by ROSS.
 
     Raises ConfigError where the rotor file can't be read, or the bearings give no finite coefficients.

@@ -16,7 +16,10 @@ THRESHOLDS = Path(__file__).parents[2] / "conf" / "thresholds"
 
 
 def run(config: Config) -> StageOutput:
-    """Print every metric beside its threshold and write ``check.json``; exit code 1 where one is passed or missing."""
+    """Print every metric beside its threshold and write ``check.json``.
+
+    Exits with 1 if a limit is exceeded or a metric is missing.
+    """
     known = sorted(path.stem for path in THRESHOLDS.glob("*.yaml"))
     chosen = config.check.experiments or known
     for name in chosen:
@@ -35,12 +38,12 @@ def run(config: Config) -> StageOutput:
             c.metric,
             "missing" if c.value is None else f"{c.value:.3g}",
             c.limit,
-            "ok" if c.passed else "FAILED",
+            "ok" if c.met else "FAILED",
         ]
         for c in checks
     ]
     table("metrics against thresholds", ["experiment", "metric", "value", "limit", ""], rows)
-    failed = [c for c in checks if not c.passed]
+    failed = [c for c in checks if not c.met]
     for c in failed:
         came = f"is missing (run the stages of {c.experiment} first)" if c.value is None else f"is {c.value:.3g}"
         warn(f"{c.experiment}: {c.metric} must be {c.limit}, but {came}. The limit: {c.why}")

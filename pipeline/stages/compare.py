@@ -20,7 +20,7 @@ from pipeline.methods.catalogue import METHODS
 from pipeline.reporting.comparison_figures import comparison_figure
 from pipeline.reporting.comparison_tables import Comparison, markdown, tables
 from pipeline.reporting.console import comparison_progress, say, table
-from pipeline.rotor.stored import assembled, modelled_bearings
+from pipeline.rotor.stored import load_modelled_bearings, load_rotor
 from pipeline.stages.execution import StageOutput, flat_metrics, use_threads
 from pipeline.stages.generate import excitations, own_frequencies, residual_unbalances
 from pipeline.stages.nodes import known_coefficients, require_nodes
@@ -71,9 +71,9 @@ def run(config: Config) -> StageOutput:
 def modelled_machine(config: Config) -> Machine:
     """The configured machine, and its vibration without noise at every node."""
     speeds = np.array(config.machine.speeds.rpm()) * RAD_S_PER_RPM
-    rotor = assembled(config.machine.rotor)
+    rotor = load_rotor(config.machine.rotor)
     known_coefficients(config, rotor.bearing_nodes)  # refuses exceptions without a bearing
-    bearings = modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
+    bearings = load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
     runs, residual = excitations(config), residual_unbalances(config)
     require_nodes(rotor, "machine.runs", [excitation.node for excitation in (*runs, *residual)])
     require_nodes(rotor, "identify.unbalance_planes", config.identify.unbalance_planes)
@@ -101,7 +101,7 @@ def summary_of(comparison: Comparison) -> dict[str, object]:
             "median_error_percent": errors,
             "median_error_percent_by_speeds": by_speeds,
             "median_error_percent_by_coefficient": comparison.by_coefficient(method),
-            "within_95_percent_interval": comparison.within(method, comparison.main),
+            "within_95_percent_interval": comparison.coverage(method, comparison.main),
             "outcomes": comparison.outcomes().get(method, {}),
         }
     summary: dict[str, object] = {"methods": methods}

@@ -25,7 +25,7 @@ from pipeline.problem.design import (
 )
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, table
-from pipeline.rotor.stored import assembled, modelled_bearings
+from pipeline.rotor.stored import load_modelled_bearings, load_rotor
 from pipeline.stages.diagnose import noise_words
 from pipeline.stages.execution import StageOutput, flat_metrics
 from pipeline.stages.generate import excitations, own_frequencies
@@ -54,14 +54,14 @@ def candidates(can: CandidateConfig) -> tuple[tuple[Excitation, ...], ...]:
 
 def run(config: Config) -> StageOutput:
     """``design.json`` and ``designed_excitation.yaml``, which can be used at once."""
-    design, rotor = config.design, assembled(config.machine.rotor)
+    design, rotor = config.design, load_rotor(config.machine.rotor)
     possible = candidates(config.machine.candidates)
     require_nodes(rotor, "machine.candidates", [one.node for acting in possible for one in acting])
     if design.runs > len(possible):
         raise ConfigError(f"design.runs must be at most the {len(possible)} candidates, but got {design.runs}")
     every = np.array(config.machine.speeds.rpm()) * RAD_S_PER_RPM
     speeds = every[np.unique(np.linspace(0, len(every) - 1, min(design.speeds, len(every))).round().astype(int))]
-    prior = modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
+    prior = load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
 
     def plan(acting: Sequence[Excitation], own: np.ndarray | None = None) -> Measurement:
         return measurement_of(config, rotor, simulate(rotor, prior, tuple(acting), own), prior)

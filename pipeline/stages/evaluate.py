@@ -11,7 +11,7 @@ from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import write_coefficients
 from pipeline.data.tables import write_table
-from pipeline.evaluation.errors import as_metrics, coefficient_errors, within, worst_mean_error
+from pipeline.evaluation.errors import as_metrics, coefficient_errors, measure_coverage, worst_mean_error
 from pipeline.files import write_json
 from pipeline.identification.losses import loss_of
 from pipeline.identification.uncertainty import load_uncertainty
@@ -52,7 +52,7 @@ def run(config: Config) -> StageOutput:
         if beside is not None:
             metrics["least_squares"] = as_metrics(beside)
         if deviation is not None:
-            metrics["within_95_percent_interval"] = _within(answer, modelled, deviation, names)
+            metrics["within_95_percent_interval"] = _measure_coverage(answer, modelled, deviation, names)
     rows = error_table(answer, names, modelled, errors, beside, deviation)
     written.append(write_table(work.folder / "coefficient_errors.csv", rows))
     print_error_table(config.name, rows)
@@ -71,7 +71,7 @@ def run(config: Config) -> StageOutput:
     )
 
 
-def _within(
+def _measure_coverage(
     answer: BearingTable, modelled: BearingTable, deviation: np.ndarray, names: Sequence[Sequence[str]]
 ) -> dict[str, dict[str, float]]:
     """Percent of the speeds at which the modelled coefficient lies in the nominal 95 % interval."""
@@ -79,6 +79,6 @@ def _within(
     for b, node in enumerate(answer.nodes):
         for name in names[b]:
             c = COEFFICIENTS.index(name)
-            share = within(answer.values[b, :, c] - modelled.values[b, :, c], deviation[b, :, c])
+            share = measure_coverage(answer.values[b, :, c] - modelled.values[b, :, c], deviation[b, :, c])
             result.setdefault(str(node), {})[name] = float(share)
     return result

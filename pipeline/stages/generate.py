@@ -16,7 +16,7 @@ from pipeline.data.vibration_files import write_excitation, write_vibration
 from pipeline.errors import DataError
 from pipeline.reporting.console import say, warn
 from pipeline.rotor.model import RotorModel
-from pipeline.rotor.stored import assembled, modelled_bearings
+from pipeline.rotor.stored import load_modelled_bearings, load_rotor
 from pipeline.stages.execution import StageOutput, flat_metrics
 from pipeline.stages.nodes import known_coefficients, require_nodes
 from pipeline.stages.workspace import input_files, origin_of_files, workspace
@@ -38,8 +38,8 @@ def run(config: Config) -> StageOutput:
             "give it as data.vibration=..., or choose another folder with output=FOLDER"
         )
     speeds = np.array(config.machine.speeds.rpm()) * RAD_S_PER_RPM
-    rotor = assembled(config.machine.rotor)
-    bearings = modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
+    rotor = load_rotor(config.machine.rotor)
+    bearings = load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
     runs, residual = excitations(config), residual_unbalances(config)
     require_nodes(rotor, "machine.runs", [excitation.node for excitation in (*runs, *residual)])
     complete = simulate(rotor, bearings, (*runs, *residual), own_frequencies(config, speeds))

@@ -21,14 +21,14 @@ from pipeline.data.tables import is_ingested
 from pipeline.data.vibration_files import to_rpm, write_excitation, write_vibration
 from pipeline.errors import ConfigError, DataError
 from pipeline.files import write_json
-from pipeline.ingest.dataset import Measurement, measurement
+from pipeline.ingest.dataset import MeasuredRuns, read_measured_runs
 from pipeline.ingest.known import read_known
 from pipeline.ingest.plausibility import size_notes, whirl_notes
 from pipeline.reporting.console import say, table, warn
 from pipeline.reporting.ingest_figures import bode_figure, measured_orbit_figure
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
-from pipeline.rotor.stored import assembled, modelled_bearings
+from pipeline.rotor.stored import load_modelled_bearings, load_rotor
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.nodes import known_coefficients, require_nodes
 from pipeline.stages.workspace import InputFiles, input_files, workspace
@@ -46,12 +46,12 @@ def run(config: Config) -> StageOutput:
             "ingest must have recordings to read, but machine.recordings.format is none: say in a machine file "
             "what was recorded (stage=new new.data=recordings machine.file=FILE writes one; docs/ingest.md)"
         )
-    rotor = assembled(config.machine.rotor)
+    rotor = load_rotor(config.machine.rotor)
     require_nodes(rotor, "machine.recordings.probes", [probe.node for probe in ingest.probes.values()])
     for measured_run in ingest.runs:
         acting = [*(one.node for one in measured_run.unbalances), *(one.node for one in measured_run.forces)]
         require_nodes(rotor, f"machine.recordings.runs, run '{measured_run.name}',", acting)
-    measured = measurement(ingest)
+    measured = read_measured_runs(ingest)
     dataset = measured.dataset
     known = _known(config, ingest, rotor, dataset.speeds)
     notes = [*measured.notes, *whirl_notes(dataset)]
@@ -61,7 +61,7 @@ def run(config: Config) -> StageOutput:
         written.append(write_coefficients(files.known, known, known_coefficients(config, rotor.bearing_nodes)))
     written.append(write_vibration(files.vibration, dataset))
     written += [
-        write_json(work.folder / "ingest.json", _account(measured, ingest, notes)),
+        write_json(work.folder / "ingest.json", _summarize(measured, ingest, notes)),
         bode_figure(work.figure("ingest_bode"), dataset, ingest.baseline),
         measured_orbit_figure(work.figure("ingest_orbits"), dataset, ingest.baseline),
     ]
@@ -93,7 +93,7 @@ def _known(config: Config, ingest: AnyRecordingsConfig, rotor: RotorModel, speed
     nodes = rotor.bearing_nodes
     needed = known_coefficients(config, nodes)
     if ingest.known == AS_MODELLED:
-        return modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
+        return load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
     if ingest.known is not None:
         return read_known(Path(ingest.known), nodes, speeds, needed)
     if any(needed.values()):
@@ -101,7 +101,7 @@ def _known(config: Config, ingest: AnyRecordingsConfig, rotor: RotorModel, speed
     return BearingTable(nodes, speeds, np.zeros((len(nodes), len(speeds), len(COEFFICIENTS))))
 
 
-def _account(measured: Measurement, ingest: AnyRecordingsConfig, notes: list[str]) -> dict[str, object]:
+def _summarize(measured: MeasuredRuns, ingest: AnyRecordingsConfig, notes: list[str]) -> dict[str, object]:
     dataset = measured.dataset
     rpm = to_rpm(dataset.speeds)
     return {
@@ -110,12 +110,12 @@ def _account(measured: Measurement, ingest: AnyRecordingsConfig, notes: list[str
         "speeds": {"count": len(rpm), "first_rpm": float(rpm[0]), "last_rpm": float(rpm[-1])},
         "nodes": sorted({node for node, _ in dataset.channels}),
         "baseline": ingest.baseline,
-        "runs": {run.name: _run_account(measured, i) for i, run in enumerate(measured.runs)},
+        "runs": {run.name: _summarize_run(measured, i) for i, run in enumerate(measured.runs)},
         "notes": notes,
     }
 
 
-def _run_account(measured: Measurement, index: int) -> dict[str, object]:
+def _summarize_run(measured: MeasuredRuns, index: int) -> dict[str, object]:
     run = measured.runs[index]
     tracks = list(run.tracks.values())
     return {
@@ -146,20 +146,20 @@ def conventions(ingest: AnyRecordingsConfig) -> str:
     return f"time signals in {ingest.signal_unit}, {records}, tacho edge {ingest.tacho.edge}"
 
 
-def _report(config: Config, ingest: AnyRecordingsConfig, measured: Measurement, files: InputFiles) -> None:
+def _report(config: Config, ingest: AnyRecordingsConfig, measured: MeasuredRuns, files: InputFiles) -> None:
     dataset = measured.dataset
     rows = []
     for i, run in enumerate(measured.runs):
-        account = _run_account(measured, i)
+        summary = _summarize_run(measured, i)
         acting = [e for e in dataset.excitations if e.run == run.name]
         words = ", ".join(f"{e.kind} at node {e.node}" for e in acting) or "nothing (baseline)"
         rows.append(
             [
                 run.name,
                 run.source,
-                str(account["speeds"]),
-                f"{account['first_rpm']:g} to {account['last_rpm']:g}",
-                f"{account['largest_um']:.3g}",
+                str(summary["speeds"]),
+                f"{summary['first_rpm']:g} to {summary['last_rpm']:g}",
+                f"{summary['largest_um']:.3g}",
                 words,
             ]
         )

@@ -12,7 +12,7 @@ from pipeline.errors import DataError
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
-from pipeline.rotor.stored import assembled
+from pipeline.rotor.stored import load_rotor
 from pipeline.stages.execution import make_missing
 from pipeline.stages.nodes import known_coefficients, require_nodes
 from pipeline.stages.workspace import InputFiles, input_files, origin, origin_of_files
@@ -35,9 +35,9 @@ def load_measurement(config: Config) -> Measurement:
     dataset = read_measured(files.vibration, files.excitation, config.data.baseline, n_nodes)
     if n_nodes is not None:
         known = _known(config, files, config.machine.rotor.bearing_nodes, dataset)
-        rotor = assembled(config.machine.rotor)
+        rotor = load_rotor(config.machine.rotor)
     else:
-        rotor = assembled(config.machine.rotor)
+        rotor = load_rotor(config.machine.rotor)
         require_nodes_of(dataset, rotor.n_nodes, files.vibration, files.excitation)
         known = _known(config, files, rotor.bearing_nodes, dataset)
     require_made_for(files.vibration, rotor)

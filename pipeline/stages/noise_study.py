@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError
-from pipeline.evaluation.errors import within
+from pipeline.evaluation.errors import measure_coverage
 from pipeline.files import write_json
 from pipeline.identification.losses import loss_of
 from pipeline.identification.monte_carlo import MonteCarlo, monte_carlo
@@ -84,7 +84,7 @@ def _judge(fit: OutputErrorFit, study: MonteCarlo, modelled: BearingTable) -> tu
         name, node = unknowns.names[u], nodes[m]
         error = found[..., a] - truth[m, :, u]
         relative = 100.0 * np.abs(error / truth[m, :, u])
-        held = within(error, stated[..., a])  # (G,)
+        held = measure_coverage(error, stated[..., a])  # (G,)
         for g in range(len(found)):
             rows.append(
                 {

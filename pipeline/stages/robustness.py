@@ -90,7 +90,7 @@ def run(config: Config) -> StageOutput:
 
 
 def _starts(config: Config, setup: FitSetup, training: ResidualTraining, values: np.ndarray) -> torch.Tensor:
-    """(G, M, P) parameters of every seed or guess."""
+    """(G, M, Q) parameters of every seed or guess."""
     import torch
 
     if config.robustness.over == "seed":

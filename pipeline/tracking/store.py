@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pipeline.timeout import run_within
 from pipeline.tracking.database import DatabaseProblem, artifact_root, prepare_database, sqlite_uri
 from pipeline.tracking.entries import name_of
 from pipeline.tracking.record import TrackingSettings
-from pipeline.waiting import within
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
@@ -30,7 +30,7 @@ def open_experiment(settings: TrackingSettings, name: str) -> tuple[MlflowClient
         location = f"{artifact_root(path)}/{name_of(name).replace('/', '_')}"
         return _open(sqlite_uri(path), name, location)
     # Neither the look-up of a host's name nor MLflow's retries for a database heed a time limit of their own.
-    return within(settings.timeout_seconds, lambda: _open(settings.uri, name, None))
+    return run_within(settings.timeout_seconds, lambda: _open(settings.uri, name, None))
 
 
 def _database_path(uri: str) -> Path:

@@ -109,7 +109,7 @@ def train_finalists(study: optuna.Study, problem: StudyProblem) -> list[Finalist
 
 
 _Run = tuple[np.ndarray, tuple[Outcome, ...], np.ndarray, int, float]
-"""Parameters (1, M, P), outcomes, loss, steps and seconds: what comes back from another process."""
+"""Parameters (1, M, Q), outcomes, loss, steps and seconds: what comes back from another process."""
 
 
 def _train_seed(given: tuple[StudyProblem, int, Mapping[str, Value], int]) -> _Run:

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 from pipeline.config.tuning import TuningConfig
 from pipeline.errors import StorageError, without_password
-from pipeline.waiting import within
+from pipeline.timeout import run_within
 
 if TYPE_CHECKING:
     import optuna
@@ -44,7 +44,7 @@ def open_storage(config: TuningConfig) -> optuna.storages.RDBStorage:
     """
     if is_shared(config):
         with storage_errors(config, "Check its user, password, host and name"):
-            return within(config.timeout_seconds, lambda: _database(config))
+            return run_within(config.timeout_seconds, lambda: _database(config))
     with storage_errors(config, "Give another file: tuning.storage=sqlite:///FILE.db"):
         return _database(config)
 

@@ -10,7 +10,7 @@ from typing import TypeVar
 _T = TypeVar("_T")
 
 
-def within(seconds: float, function: Callable[[], _T]) -> _T:
+def run_within(seconds: float, function: Callable[[], _T]) -> _T:
     """What ``function`` returns or raises, or a :class:`TimeoutError`; its thread is then left to itself."""
     answer: Future[_T] = Future()
 
