@@ -115,7 +115,7 @@ def test_the_error_falls_in_proportion_to_the_noise(tmp_path: Path) -> None:
     """Slope 1 +- 0.15 from 0.01 % to 1 %, over twenty data sets each."""
     noises, errors = np.array([1e-4, 1e-3, 1e-2]), []
     for noise in noises:
-        stated = [f"{key}.multiplicative={noise}" for key in ("sensors", "stated_noise")]
+        stated = [f"{key}.multiplicative={noise}" for key in ("machine.probes", "stated_noise")]
         one = ready("noisy_stiffness", tmp_path / f"noise {noise}", *stated)
         fit = one.fit()
         found = one.others(fit, 20).unknowns()
