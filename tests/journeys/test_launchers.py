@@ -17,7 +17,7 @@ from pipeline.identification.storage import load_model
 
 pytestmark = pytest.mark.slow
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT)}
 CHEAP = [
     "tracking=none",

@@ -26,7 +26,7 @@ from pipeline.errors import ConfigError
 from pipeline.rotor import ross_adapter
 from pipeline.rotor.stored import KIND, load_modelled_bearings, load_rotor, made_from
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 FEW = [f"machine.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=500")]
 BALL = ["experiment=ball_bearing", "tracking=none", "optimizer.adam.steps=3", *FEW]
 

@@ -73,7 +73,7 @@ def processors(tmp_path_factory: pytest.TempPathFactory) -> tuple[Processor, Pro
     made = []
     for name, kernels in {"this": {}, "old": OLD_PROCESSOR}.items():
         folder = tmp_path_factory.mktemp(name)
-        root = str(Path(__file__).resolve().parents[1])
+        root = str(Path(__file__).resolve().parents[2])
         own = {key: value for key, value in os.environ.items() if key not in OLD_PROCESSOR}
         environment = own | {"PYTHONPATH": root} | kernels
         command = [sys.executable, "-c", PROGRAM, str(folder), json.dumps(SMALL)]
@@ -220,7 +220,7 @@ def test_committed_studies_keep_the_default_with_room_to_spare(name: str) -> Non
     from pipeline.config.compose import compose_config
     from pipeline.tuning.worker import ROUNDING
 
-    root = Path(__file__).resolve().parents[1]
+    root = Path(__file__).resolve().parents[2]
     table = pd.read_csv(root / "studies" / name / "finalists.csv")
     medians = table.groupby("trial")["held_out_loss"].median().clip(lower=ROUNDING)
     least = compose_config([f"experiment={name}", "tuned=false"]).tuning.least_gain

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from conftest import Artifacts
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 Figure = Callable[[Artifacts], float]
 

@@ -17,7 +17,7 @@ from pipeline.stages import run_stage
 
 pytestmark = pytest.mark.slow
 
-EXAMPLE = Path(__file__).parents[1] / "examples" / "measured_demo"
+EXAMPLE = Path(__file__).parents[2] / "examples" / "measured_demo"
 
 
 @pytest.fixture(scope="module")

@@ -477,7 +477,7 @@ def test_speeds_are_held_out_inside_the_range() -> None:
 
 # --- the committed studies -----------------------------------------------------------------------------
 
-STUDIES = Path(__file__).parents[1] / "studies"
+STUDIES = Path(__file__).parents[2] / "studies"
 
 
 @pytest.mark.parametrize("name", EXPERIMENTS)

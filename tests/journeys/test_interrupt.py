@@ -27,7 +27,7 @@ from pipeline.stages import robustness, run_stage, train
 
 pytestmark = pytest.mark.slow  # it trains, or starts processes
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT), "TERM": "xterm", "COLUMNS": "120"}
 COARSE = [
     "experiment=ball_bearing",
