@@ -34,15 +34,20 @@ def run_study(problem: StudyProblem, seen: Seen) -> tuple[optuna.Study, list[str
     import torch
 
     config = problem.config
-    with storage_errors(config.tuning):
+    with storage_errors(config.tuning), _interrupts() as check:
+
+        def look(study: optuna.Study) -> None:
+            check()
+            seen(study)
+
         study = open_study(problem)
-        _wait_for_the_silent(study, problem, seen)
+        _wait_for_the_silent(study, problem, look)
         threads = threads_each(config.threads, config.tuning.workers)
         torch.set_num_threads(threads)
         todo = config.tuning.n_trials - len(results(study))
         with _others(problem, min(config.tuning.workers, todo) - 1, threads) as others:
             try:
-                work(study, problem, seen)
+                work(study, problem, look)
             except KeyboardInterrupt:
                 # Ctrl-C reaches the whole group of a terminal, a signal to one process does not.
                 for worker in others:
@@ -51,8 +56,31 @@ def run_study(problem: StudyProblem, seen: Seen) -> tuple[optuna.Study, list[str
                 raise
             finally:
                 settle(config.tuning)
+        check()
         codes = [worker.exitcode for worker in others if worker.exitcode]
     return study, [f"a worker ended with exit code {code}; the others took over its trial" for code in codes]
+
+
+@contextmanager
+def _interrupts() -> Iterator[Callable[[], None]]:
+    """What it gives raises KeyboardInterrupt where Ctrl-C came in the block.
+
+    One in the middle of a call of the storage, or while Optuna tells the end of a trial, would leave the trial running
+    and end in errors of theirs.
+    """
+    came: list[int] = []
+
+    def check() -> None:
+        if came:
+            raise KeyboardInterrupt
+
+    before = signal.getsignal(signal.SIGINT)
+    if before is signal.default_int_handler:  # a shell's background job ignores it
+        signal.signal(signal.SIGINT, lambda number, _: came.append(number))
+    try:
+        yield check
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _wait_for_the_silent(study: optuna.Study, problem: StudyProblem, seen: Seen) -> None:
@@ -116,8 +144,8 @@ def _work_beside(problem: StudyProblem, threads: int) -> None:
     threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
     try:
         let_interrupt_through()
-        with storage_errors(problem.config.tuning):
-            work(open_study(problem), problem, lambda _: None)
+        with storage_errors(problem.config.tuning), _interrupts() as check:
+            work(open_study(problem), problem, lambda _: check())
     except KeyboardInterrupt:
         os._exit(0)  # without Python's words on an interrupt
     except PipelineError:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import signal
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -30,7 +29,7 @@ CHECKPOINTS = tuple(range(10, 101, 10))
 _POLL_SECONDS = 0.2
 
 Seen = Callable[["optuna.Study"], None]
-"""Called now and then, to show progress; what it raises ends the worker."""
+"""Called at every step, to show progress; what it raises ends the worker."""
 
 
 class TrialFailed(Exception):
@@ -67,21 +66,11 @@ def _run_next(study: optuna.Study, problem: StudyProblem, seen: Seen) -> None:
     from optuna.exceptions import StorageInternalError, UpdateFinishedTrialError
 
     begun: list[int] = []
-    interrupted: list[bool] = []
-    handler = signal.getsignal(signal.SIGINT)  # a shell's background job has one that ignores it
 
     def run(trial: optuna.trial.Trial) -> float:
         begun.append(trial.number)
-        try:
-            signal.signal(signal.SIGINT, handler)
-            if interrupted:
-                raise KeyboardInterrupt
-            return run_trial(trial, problem, seen)
-        finally:
-            signal.signal(signal.SIGINT, lambda *_: interrupted.append(True))
+        return run_trial(trial, problem, seen)
 
-    # Where Ctrl-C comes while Optuna begins a trial or tells its end, that trial would be left running.
-    signal.signal(signal.SIGINT, lambda *_: interrupted.append(True))
     try:
         study.optimize(run, n_trials=1, catch=TrialFailed)
     except (UpdateFinishedTrialError, ValueError):
@@ -93,10 +82,6 @@ def _run_next(study: optuna.Study, problem: StudyProblem, seen: Seen) -> None:
         if isinstance(hidden, StorageInternalError):
             raise hidden from hidden.__cause__
         raise
-    finally:
-        signal.signal(signal.SIGINT, handler)
-    if interrupted and callable(handler):
-        raise KeyboardInterrupt
 
 
 def run_trial(trial: optuna.trial.Trial, problem: StudyProblem, seen: Seen) -> float:
@@ -167,12 +152,12 @@ class _Curve:
         import optuna
 
         self.steps += 1
+        self.seen(self.trial.study)
         if phase != self.phase or not self.due or 100 * step < self.due[0] * total:
             return
         while self.due and 100 * step >= self.due[0] * total:
             percent = self.due.pop(0)
         self._report(percent, float(self.training.per_speed_held_out_loss(best)[0]))
-        self.seen(self.trial.study)
         if self.trial.should_prune():
             raise optuna.TrialPruned
 
