@@ -72,7 +72,6 @@ class ComparisonConfig(Section):
     residual: FitConfig
     preconditioned: FitConfig
     response: FitConfig
-    spline: FitConfig
 
     @model_validator(mode="after")
     def _once(self) -> ComparisonConfig:
@@ -80,8 +79,8 @@ class ComparisonConfig(Section):
             values = getattr(self, key)
             if len(set(values)) != len(values):
                 raise ValueError(f"must name each of its {key} once, but got {list(values)}")
-        for name in ("residual", "preconditioned", "response", "spline"):
-            wanted, got = "response" if name == "spline" else name, getattr(self, name).loss.kind
-            if got != wanted:
-                raise ValueError(f"{name} must have loss={wanted}, but got {got}")
+        for name in ("residual", "preconditioned", "response"):
+            got = getattr(self, name).loss.kind
+            if got != name:
+                raise ValueError(f"{name} must have loss={name}, but got {got}")
         return self

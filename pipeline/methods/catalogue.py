@@ -61,7 +61,7 @@ METHODS: dict[str, Method] = {
         Method(
             "spline",
             "output error, spline",
-            "De Boor 1978; docs/noise.md",
+            "SciPy least squares",
             "the noise, a guess",
             spline.spline,
         ),
