@@ -27,7 +27,7 @@ ROOMS: tuple[tuple[frozenset[str], str], ...] = (
     (frozenset({"tuning"}), "hyperparameter studies (Optuna)"),
     (frozenset({"reporting"}), "tables, figures, words"),
     (frozenset({"tracking"}), "records (MLflow)"),
-    (frozenset({"usage"}), "the help text"),
+    (frozenset({"usage", "exits"}), "help and exit codes"),
     (frozenset({"stages"}), "load, call, write, say"),
     (frozenset({"__main__"}), "the command line"),
 )
@@ -72,7 +72,7 @@ def draw(path: Path) -> None:
     from matplotlib.figure import Figure
 
     counts = count_imports()
-    names = ["(words)" if len(room) > 1 else next(iter(room)) for room, _ in ROOMS]
+    names = [min(room) if len(room) == 1 else "(words)" if "errors" in room else "(command)" for room, _ in ROOMS]
     drawn = Figure(figsize=(11, 7.2), layout="constrained")
     FigureCanvasAgg(drawn)
     axes = drawn.subplots()

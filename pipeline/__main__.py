@@ -6,34 +6,25 @@ Every command is checked before anything runs. Exit codes: 0 done, 1 a limit exc
 
 from __future__ import annotations
 
-import errno
 import gc
 import hashlib
 import os
 import re
 import sys
-import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, cast
 
 from pipeline import __version__
-from pipeline.errors import ConfigError, PipelineError
+from pipeline.errors import ConfigError
+from pipeline.exits import INTERRUPTED, MISTAKE, JobFailed, exit_code, say_and_return
 
 if TYPE_CHECKING:
     from argparse import Namespace
 
     from omegaconf import DictConfig
-
-MISTAKE, BUG, INTERRUPTED, CLOSED_PIPE = 2, 70, 130, 141
-
-# What a disk, a folder's rights or a path of the user cause; other OSErrors are bugs.
-_STORAGE = {
-    *(errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.EACCES, errno.EPERM),
-    *(errno.ENOENT, errno.EEXIST, errno.EISDIR, errno.ENOTDIR, errno.ENAMETOOLONG),
-}
 
 # A job's folder says what was swept; these keys already change the folder (output: artifacts/${name}),
 # and the stages of one experiment share it.
@@ -44,7 +35,7 @@ _LONGEST_FOLDER = 120
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command line and return its exit code."""
     arguments = list(sys.argv[1:] if argv is None else argv)
-    return _exit_code(lambda: _command(arguments))
+    return exit_code(lambda: _command(arguments))
 
 
 def _command(arguments: list[str]) -> None:
@@ -94,63 +85,6 @@ def _run_stages(overrides: list[str], folder: Path | None) -> None:
     with recorder_beside(configs[0].tracking.enabled):
         for config in configs:
             run_stage(config)
-
-
-# --- exit codes ----------------------------------------------------------------------------------
-
-
-class JobFailed(Exception):
-    """A job of a multirun that has said itself why it failed.
-
-    ``args`` holds its exit code, and the folder of the files that it spoke into where that was not the terminal.
-    """
-
-
-def _exit_code(action: Callable[[], None]) -> int:
-    """Run ``action``, say what went wrong, and return the exit code."""
-    try:
-        action()
-        sys.stdout.flush()
-        return 0
-    except SystemExit as stop:
-        return stop.code if isinstance(stop.code, int) else _said(stop.code, MISTAKE) if stop.code else 0
-    except JobFailed as failure:
-        code, folder = failure.args
-        return _said(f"what the jobs said is in '{folder}'", code) if folder else int(code)
-    except PipelineError as error:
-        return _said(error, MISTAKE)
-    except KeyboardInterrupt:
-        return _said("interrupted; run the same command again to start over", INTERRUPTED)
-    except BrokenPipeError:
-        _drop_output()
-        return CLOSED_PIPE
-    except Exception as error:
-        if isinstance(error, OSError) and error.errno in _STORAGE:
-            _drop_output()
-            return _said(_storage(error), MISTAKE)
-        traceback.print_exc()
-        return _said("internal error: this is a bug of the pipeline; please report it with the lines above", BUG)
-
-
-def _said(words: object, code: int) -> int:
-    print(words, file=sys.stderr, flush=True)
-    return code
-
-
-def _storage(error: OSError) -> str:
-    place = f"'{error.filename}'" if error.filename else "the files of a run"
-    return (
-        f"{place} must be readable or writable, but got: {error.strerror}; "
-        "free or change that place, or write elsewhere with output=FOLDER"
-    )
-
-
-def _drop_output() -> None:
-    """Let Python's last flush of an unwritable stdout succeed, or it would replace the exit code."""
-    try:
-        sys.stdout.flush()
-    except OSError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 # --- Hydra ---------------------------------------------------------------------------------------
@@ -250,12 +184,12 @@ class Job:
     count: int = 1
 
     def __call__(self, composed: DictConfig) -> None:
-        code = _exit_code(lambda: self._run(composed))
+        code = exit_code(lambda: self._run(composed))
         if not code:
             return
         if not self.multirun or code == INTERRUPTED:
             raise SystemExit(code)
-        _said(f"{self._which()} failed", code)
+        say_and_return(f"{self._which()} failed", code)
         folder = _job().launcher.get("submitit_folder")
         raise JobFailed(code, folder and str(Path(folder).parent))  # Hydra goes on with the other jobs
 
