@@ -120,13 +120,13 @@ def test_composing_leaves_hydra_as_it_was() -> None:
     from hydra.version import VersionBase
     from packaging.version import Version
 
-    before = VersionBase.instance().getbase()
+    before, configured = VersionBase.instance().getbase(), HydraConfig.initialized()
     VersionBase.instance().setbase(Version("1.2"))
     try:
         with pytest.raises(ConfigError):
             composed_mapping(["nothing=3"])
         assert not GlobalHydra.instance().is_initialized()
-        assert not HydraConfig.initialized()
+        assert HydraConfig.initialized() == configured
         assert VersionBase.instance().getbase() == Version("1.2")
     finally:
         VersionBase.instance().version_base = before
