@@ -64,7 +64,9 @@ def own_files(folder: Path | None) -> Iterator[None]:
             _store_folder(folder)
         yield
     finally:
-        ConfigStore.instance().repo = before
+        # What Hydra's plugins registered meanwhile stays: they do so once a process.
+        registered = {name: node for name, node in ConfigStore.instance().repo.items() if name == "hydra"}
+        ConfigStore.instance().repo = before | registered
 
 
 def is_own(machine: str) -> bool:
