@@ -9,8 +9,12 @@ layers have directions that the data leave undetermined, along which no linearis
 are fitted are the output weights in an orthonormal basis of the features over the training speeds, of which each
 unknown has as many as the data determine (:mod:`pipeline.identification.selection`); the others stay zero.
 
+Uncertain numbers of the model (:mod:`pipeline.problem.model_parameters`) are weights too. Each has a prior of unit
+variance, which is one more row: what the data do not tell of it stays at its prior and widens the deviations.
+
 Legend: G data sets or starts, M members (bearings, or 1 where they share their coefficients), S speeds, P channels, R
-runs, B bearings, U unknowns, A those of them that members have, K features, N balance planes, Z = A K + 2 N weights.
+runs, B bearings, U unknowns, A those of them that members have, K features, N balance planes, T model parameters,
+Z = A K + 2 N + T weights.
 """
 
 from __future__ import annotations
@@ -19,7 +23,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from pipeline.identification.basis import Basis
-from pipeline.identification.sensor_deviations import SensorDeviations, sensor_deviations
+from pipeline.identification.sensor_deviations import SensorDeviations, SensorState, sensor_deviations
 from pipeline.problem.measurement import Measurement
 
 if TYPE_CHECKING:
@@ -54,30 +58,40 @@ class OutputError:
         return self.sensors.n_planes
 
     @property
+    def n_parameters(self) -> int:
+        """T."""
+        return self.sensors.n_parameters
+
+    @property
+    def n_rest(self) -> int:
+        """2 N + T: how many weights follow those of the coefficients."""
+        return 2 * self.n_planes + self.n_parameters
+
+    @property
     def n_rows(self) -> int:
         """Real numbers that were measured."""
         return self.sensors.n_rows
 
     @property
     def n_outer(self) -> int:
-        """A K: how many weights come before those of the balance planes."""
+        """A K: how many weights are those of the coefficients; they come first."""
         return len(self.active) * int(self.features.shape[-1])
 
     @property
     def size(self) -> int:
         """Z."""
-        return self.n_outer + 2 * self.n_planes
+        return self.n_outer + self.n_rest
 
     @property
     def n_fitted(self) -> int:
         """How many weights are fitted: Z less the features that are not kept."""
-        return int(self.kept.sum()) + 2 * self.n_planes
+        return int(self.kept.sum()) + self.n_rest
 
     def fitted(self) -> torch.Tensor:
         """(Z,) bool: which weights are fitted."""
         import torch
 
-        return torch.cat([self.kept.flatten(), torch.ones(2 * self.n_planes, dtype=torch.bool)])
+        return torch.cat([self.kept.flatten(), torch.ones(self.n_rest, dtype=torch.bool)])
 
     # --- from weights to coefficients ---------------------------------------------------------------
 
@@ -85,8 +99,16 @@ class OutputError:
         """(G, N) complex residual unbalance, kg m."""
         import torch
 
-        pairs = weights[:, 0, self.n_outer :].unflatten(-1, (self.n_planes, 2))
+        pairs = weights[:, 0, self.n_outer : self.n_outer + 2 * self.n_planes].unflatten(-1, (self.n_planes, 2))
         return self.sensors.plane_scale * torch.complex(pairs[..., 0], pairs[..., 1])
+
+    def model_parameters(self, weights: torch.Tensor) -> torch.Tensor:
+        """(G, T) model parameters, in prior deviations."""
+        return weights[:, 0, self.size - self.n_parameters :]
+
+    def state(self, weights: torch.Tensor) -> SensorState:
+        """What the readings follow from."""
+        return SensorState(self.outputs(weights), self.unbalance(weights), self.model_parameters(weights))
 
     def outputs(self, weights: torch.Tensor) -> torch.Tensor:
         """(G, M, S, U) outputs of the model."""
@@ -115,18 +137,18 @@ class OutputError:
 
     def predicted(self, weights: torch.Tensor) -> list[torch.Tensor]:
         """(G, S, P, R) m of every block."""
-        return self.sensors.predicted(self.outputs(weights), self.unbalance(weights))
+        return self.sensors.predicted(self.state(weights))
 
     def deviations(self, weights: torch.Tensor) -> list[torch.Tensor]:
         """(G, S, P, R) complex, whitened: predicted minus measured, of unit variance in each part."""
-        return self.sensors.deviations(self.outputs(weights), self.unbalance(weights))
+        return self.sensors.deviations(self.state(weights))
 
     def rows(self, weights: torch.Tensor) -> torch.Tensor:
-        """(G, 1, rows), whitened."""
+        """(G, 1, rows + T), whitened; the priors come last."""
         import torch
 
         parts = [torch.view_as_real(d).reshape(len(weights), -1) for d in self.deviations(weights)]
-        return torch.cat(parts, dim=-1)[:, None]
+        return torch.cat([*parts, self.model_parameters(weights)], dim=-1)[:, None]
 
     def loss(self, weights: torch.Tensor) -> torch.Tensor:
         """(G, 1) root mean square of the whitened deviations: 1 where nothing but the stated noise is left."""
@@ -137,18 +159,19 @@ class OutputError:
         return self.sensors.rounding()
 
     def jacobian(self, weights: torch.Tensor) -> torch.Tensor:
-        """(G, 1, rows, Z) derivative of :meth:`rows`, block by block real parts first: large; :meth:`normal` does
+        """(G, 1, rows + T, Z) derivative of :meth:`rows`, block by block real parts first: large; :meth:`normal` does
         without it.
         """
         import torch
 
-        own, outputs, parts = self._own_features(), self.outputs(weights), []
+        own, state, parts = self._own_features(), self.state(weights), []
         for b in range(len(self.sensors.blocks)):
-            _, by_output, by_plane = self.sensors.derivatives(outputs, self.unbalance(weights), b)
-            full = torch.cat([torch.einsum("gsda,ask->gsdak", by_output, own).flatten(-2), by_plane], dim=-1)
+            _, by_output, by_rest = self.sensors.derivatives(state, b)
+            full = torch.cat([torch.einsum("gsda,ask->gsdak", by_output, own).flatten(-2), by_rest], dim=-1)
             both = full.unflatten(2, (2, -1)).movedim(2, 3)  # (G, S, P R, 2, Z): as view_as_real orders the rows
             parts.append(both.flatten(1, 3))
-        return torch.cat(parts, dim=1)[:, None]
+        priors = torch.eye(self.size, dtype=weights.dtype)[self.size - self.n_parameters :]
+        return torch.cat([*parts, priors.expand(len(weights), -1, -1)], dim=1)[:, None]
 
     def _own_features(self) -> torch.Tensor:
         """(A, S, K), zero where not kept."""
@@ -161,23 +184,26 @@ class OutputError:
         """
         import torch
 
-        own, outer, outputs = self._own_features(), self.n_outer, self.outputs(weights)
+        own, outer, state = self._own_features(), self.n_outer, self.state(weights)
         gradient = torch.zeros(len(weights), self.size, dtype=weights.dtype)
         matrix = torch.diag((~self.fitted()).to(weights.dtype)).repeat(len(weights), 1, 1)
         for b in range(len(self.sensors.blocks)):
-            right, by_output, by_plane = self.sensors.derivatives(outputs, self.unbalance(weights), b)
+            right, by_output, by_rest = self.sensors.derivatives(state, b)
             local = by_output.mT @ by_output  # (G, S, A, A)
             gradient[:, :outer] += torch.einsum("gsa,ask->gak", (by_output.mT @ right)[..., 0], own).flatten(1)
             for a in range(len(self.active)):
                 weighted = own[a][None, :, :, None] * local[:, :, a, None, :]  # (G, S, K, A)
                 rows = slice(a * own.shape[-1], (a + 1) * own.shape[-1])
                 matrix[:, rows, :outer] += torch.einsum("gskc,csl->gkcl", weighted, own).flatten(2)
-            if self.n_planes:
-                mixed = torch.einsum("gsan,ask->gakn", by_output.mT @ by_plane, own).flatten(1, 2)
+            if self.n_rest:
+                mixed = torch.einsum("gsan,ask->gakn", by_output.mT @ by_rest, own).flatten(1, 2)
                 matrix[:, :outer, outer:] += mixed
                 matrix[:, outer:, :outer] += mixed.mT
-                matrix[:, outer:, outer:] += (by_plane.mT @ by_plane).sum(1)
-                gradient[:, outer:] += (by_plane.mT @ right).sum(1)[..., 0]
+                matrix[:, outer:, outer:] += (by_rest.mT @ by_rest).sum(1)
+                gradient[:, outer:] += (by_rest.mT @ right).sum(1)[..., 0]
+        priors = slice(self.size - self.n_parameters, self.size)
+        gradient[:, priors] += self.model_parameters(weights)
+        matrix[:, priors, priors] += torch.eye(self.n_parameters, dtype=weights.dtype)
         return gradient[:, None], matrix[:, None]
 
     def members(self) -> tuple[OutputError, ...]:
@@ -222,6 +248,17 @@ class OutputError:
     def with_sensors(self, sensors: SensorDeviations) -> OutputError:
         """The same for other readings or precisions."""
         return replace(self, sensors=sensors)
+
+    def update(self, weights: torch.Tensor) -> OutputError:
+        """The same with the rotor solved anew at the model parameters of the weights (1, 1, Z), to first order until
+        then.
+        """
+        if not self.n_parameters:
+            return self
+        measurement = self.measurement.update(self.model_parameters(weights)[0].numpy())
+        made = sensor_deviations(measurement, self.basis.model, self.sensors.plane_scale)
+        now = self.sensors
+        return self.with_sensors(replace(made, scale=now.scale, precision=now.precision, measured=now.measured))
 
 
 def output_error(measurement: Measurement, basis: Basis, plane_scale: float) -> OutputError:

@@ -20,6 +20,7 @@ from pipeline.identification.output_error_start import OutputErrorStart, prepare
 from pipeline.identification.selection import add_features, drop_features
 from pipeline.identification.training import FitSetup, Minimum, Progress, minimise
 from pipeline.problem.measurement import Measurement
+from pipeline.problem.model_parameters import ModelParameter
 
 if TYPE_CHECKING:
     import torch
@@ -32,6 +33,15 @@ _CHOICE = 1
 """The round after which superfluous features are dropped: the precisions are nearly right by then."""
 _NO_WORSE = 2.0
 """So many times the loss before, dropping them may raise it to."""
+
+
+@dataclass(frozen=True)
+class FittedParameter:
+    """An uncertain number of the model after the fit, in prior standard deviations."""
+
+    parameter: ModelParameter
+    value: float  # 0 is what was stated
+    deviation: float  # posterior; 1 where the data tell nothing of it
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -59,6 +69,13 @@ class OutputErrorFit:
     def covariance(self) -> np.ndarray:
         """(Z, Z) of the weights: the inverse of the information, the Cramer-Rao bound of the parametrisation."""
         return np.asarray(invert_information(self.problem, self.weights)[0])
+
+    def model_parameters(self) -> tuple[FittedParameter, ...]:
+        """T, each with its posterior."""
+        values = self.problem.model_parameters(self.weights)[0].numpy()
+        variance = np.diag(self.covariance())[self.problem.size - self.problem.n_parameters :]
+        every = zip(self.problem.measurement.parameters, values, np.sqrt(variance), strict=True)
+        return tuple(FittedParameter(parameter, float(value), float(spread)) for parameter, value, spread in every)
 
     def residual_unbalance(self) -> np.ndarray:
         """(N,) complex, kg m."""
@@ -121,6 +138,7 @@ def fit_from(start: OutputErrorStart, setup: FitSetup, progress: Progress | None
         if setup.loss.noise == "estimated":
             repeated = estimate_by_repeats(problem, weights)
             factor = estimate_by_residuals(problem, weights) if repeated is None else repeated
+        problem = problem.update(weights)
         before = problem
         problem, shares = reweigh(problem, weights, factor, setup.loss.robust)
         if turn == _CHOICE and not start.from_guess:

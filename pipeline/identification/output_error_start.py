@@ -144,7 +144,7 @@ def _plane_scale(measurement: Measurement) -> float:
 
 
 def start_at(problem: OutputError, values: np.ndarray) -> torch.Tensor:
-    """(1, 1, Z) the weights that come nearest to unknowns (M, S, U), without residual unbalance.
+    """(1, 1, Z) the weights that come nearest to unknowns (M, S, U), without residual unbalance, of the stated model.
 
     ``problem`` is that of the training speeds, where the features are orthonormal: their coordinates are projections.
     """
@@ -152,8 +152,8 @@ def start_at(problem: OutputError, values: np.ndarray) -> torch.Tensor:
 
     raw = _raw(problem, values)
     own = torch.stack([problem.features[m].T @ raw[m, :, u] for m, u in problem.active]) * problem.kept  # (A, K)
-    planes = torch.zeros(2 * problem.n_planes, dtype=own.dtype)
-    return torch.cat([own.flatten(), planes])[None, None]
+    rest = torch.zeros(problem.n_rest, dtype=own.dtype)
+    return torch.cat([own.flatten(), rest])[None, None]
 
 
 def robust_start(problem: OutputError, values: np.ndarray) -> torch.Tensor:
@@ -172,8 +172,8 @@ def robust_start(problem: OutputError, values: np.ndarray) -> torch.Tensor:
             off = (target - features @ found).abs()
             weight = 1 / (off / off.median().clamp(min=_SMALLEST)).clamp(min=1.0)
         rows.append(found * problem.kept[len(rows)])
-    planes = torch.zeros(2 * problem.n_planes, dtype=raw.dtype)
-    return torch.cat([torch.stack(rows).flatten(), planes])[None, None]
+    rest = torch.zeros(problem.n_rest, dtype=raw.dtype)
+    return torch.cat([torch.stack(rows).flatten(), rest])[None, None]
 
 
 _ROBUST_ROUNDS, _RIDGE, _SMALLEST = 20, 1e-12, 1e-12

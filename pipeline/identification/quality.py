@@ -80,7 +80,9 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
     """Chi-square, whiteness, held-out speeds and runs, and the readings far off."""
     plain = _plain_deviations(fit)
     value, readings = chi_square(plain)
-    used = fit.problem.n_fitted
+    posterior = fit.model_parameters()
+    # What the data do not tell of a model parameter its prior does: it takes no reading away.
+    used = fit.problem.n_fitted - sum(one.deviation**2 for one in posterior)
     correlation, significance = autocorrelation(plain)
     bad = _bad_points(fit, plain)
     summary: dict[str, object] = {
@@ -88,16 +90,43 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
         "whiteness": {"autocorrelation": correlation, "over_its_deviation": significance},
         "bad_points": len(bad),
     }
+    stated = np.allclose(fit.factor, 1.0)
+    square = 2 * value + sum(one.value**2 for one in posterior)
+    freedom = 2 * readings + len(posterior) - fit.problem.n_fitted
+    summary["mismatch"] = mismatch(square if stated else None, freedom, significance)
     for name, other in (("held_out_speeds", fit.start.held_out_speeds), ("held_out_runs", fit.start.held_out_runs)):
         if other is not None:
             summary[name] = _held_out(fit, other)
-    if not np.allclose(fit.factor, 1.0):
+    if not stated:
         channels = fit.start.measurement.dataset.channels
         summary["noise_factor"] = {
             f"node {node} {direction_name(angle)}": float(f)
             for (node, angle), f in zip(channels, fit.factor, strict=True)
         }
     return Quality({"fit": summary}, bad, variance_inflation(correlation))
+
+
+def mismatch(square: float | None, freedom: int, whiteness: float) -> dict[str, float | None]:
+    """Probabilities of what was found, or of worse, if the model and the stated noise are right.
+
+    Args:
+        square: sum of the squared deviations of unit variance, those of the priors included; None where the noise was
+            estimated from the deviations themselves, so that their size says nothing.
+        freedom: how many there are, less the numbers fitted.
+        whiteness: correlation of neighbouring speeds over its standard deviation.
+
+    Returns:
+        ``chi_square`` and ``whiteness``, each from its own distribution (chi-square and normal), and ``probability``:
+        the smallest, times their number (Bonferroni), so that a right model comes below 0.05 in at most 5 of 100 data
+        sets.
+    """
+    from scipy.stats import chi2, norm
+
+    by_size = None if square is None or not np.isfinite(square) else float(chi2.sf(square, freedom))
+    by_order = float(norm.sf(whiteness)) if np.isfinite(whiteness) else None
+    every = [p for p in (by_size, by_order) if p is not None]
+    probability = min(1.0, len(every) * min(every)) if every else None
+    return {"chi_square": by_size, "whiteness": by_order, "probability": probability}
 
 
 def _plain_deviations(fit: OutputErrorFit) -> list[np.ndarray]:
@@ -110,6 +139,7 @@ def _plain_deviations(fit: OutputErrorFit) -> list[np.ndarray]:
 def _held_out(fit: OutputErrorFit, other: OutputError) -> dict[str, float]:
     """Readings that were not fitted: their mean square over the noise (1 where all is well), the error in percent."""
     squares, count, errors, size = 0.0, 0, 0.0, 0.0
+    other = other.update(fit.weights)
     subtracted = other.measurement.dataset.subtracted
     for b, predicted in enumerate(other.predicted(fit.weights)):
         measured, reached = other.sensors.measured[b][0].numpy(), predicted[0].numpy()

@@ -4,25 +4,40 @@ Under noise of the sensors the minimum of its squares is the maximum-likelihood 
 speed the coefficients are (:mod:`pipeline.identification.output_error`), or each speed by itself.
 
 Legend: G data sets or starts, M members (bearings, or 1 where they share their coefficients), S speeds, P channels, R
-runs, B bearings, U unknowns, A those of them that members have, N balance planes.
+runs, B bearings, U unknowns, A those of them that members have, N balance planes, T model parameters.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from pipeline.identification.model import CoefficientModel
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.response import BlockResponse, ResponseBlock, derive, impedance_change, respond
+from pipeline.problem.response import (
+    BlockResponse,
+    ResponseBlock,
+    derive,
+    derive_by_parameters,
+    impedance_change,
+    respond,
+)
 
 if TYPE_CHECKING:
     import torch
 
 _ROUNDING = 1e-13
+
+
+class SensorState(NamedTuple):
+    """What the readings follow from."""
+
+    outputs: torch.Tensor  # (G, M, S, U) of the coefficient model
+    unbalance: torch.Tensor  # (G, N) complex residual unbalance, kg m
+    parameters: torch.Tensor  # (G, T) model parameters, in prior deviations
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -39,6 +54,9 @@ class SensorDeviations:
     known: torch.Tensor  # (S, 8 B) N/m and N s/m: the other coefficients, zero where identified
     plane_scale: float  # kg m that a weight of 1 stands for
     blocks: tuple[ResponseBlock, ...]  # of tensors
+    variations: tuple[ResponseBlock, ...]  # their derivatives by the model parameters; none where there are none
+    known_variation: torch.Tensor  # (S, 8 B, T) derivative of ``known``
+    values: torch.Tensor  # (T,) the parameters at which both are
     measured: tuple[torch.Tensor, ...]  # (G or 1, S, P, R of the block) m
     precision: tuple[torch.Tensor, ...]  # likewise, 1/m: root of 2 over the deviation, so that both parts count
 
@@ -64,47 +82,71 @@ class SensorDeviations:
         values, slope = (of[:, member, :, unknown].movedim(0, -1) for of in both)
         return values, slope
 
-    def _respond(
-        self, unknowns: torch.Tensor, unbalance: torch.Tensor | None, block: ResponseBlock, derivative: bool
-    ) -> BlockResponse:
-        eight = (unknowns @ self.influence.T + self.known).unflatten(-1, (-1, 8))  # (G, S, B, 8)
-        change = impedance_change(eight, block.frequencies, self.measurement.response.reference)
-        return respond(block, change, unbalance, derivative)
+    @property
+    def n_parameters(self) -> int:
+        """T."""
+        return len(self.values)
 
-    def predicted(self, outputs: torch.Tensor, unbalance: torch.Tensor | None) -> list[torch.Tensor]:
-        """(G, S, P, R) m of every block; ``unbalance`` (G, N) complex, kg m."""
-        unknowns, _ = self.unknowns(outputs)
-        return [self._respond(unknowns, unbalance, block, derivative=False).sensors for block in self.blocks]
+    def _bearings(self, state: SensorState, block: ResponseBlock) -> torch.Tensor:
+        """dH, (G, S, 2 B, 2 B) N/m."""
+        known = self.known
+        if self.n_parameters:
+            known = known + (self.known_variation @ (state.parameters - self.values)[:, None, :, None])[..., 0]
+        unknowns, _ = self.unknowns(state.outputs)
+        eight = (unknowns @ self.influence.T + known).unflatten(-1, (-1, 8))  # (G, S, B, 8)
+        return impedance_change(eight, block.frequencies, self.measurement.response.reference)  # type: ignore[no-any-return]
 
-    def deviations(self, outputs: torch.Tensor, unbalance: torch.Tensor | None) -> list[torch.Tensor]:
+    def _block(self, state: SensorState, b: int) -> ResponseBlock:
+        """Block b at the state's model parameters."""
+        if not self.n_parameters:
+            return self.blocks[b]
+        return self.blocks[b].vary(self.variations[b], state.parameters - self.values)
+
+    def predicted(self, state: SensorState) -> list[torch.Tensor]:
+        """(G, S, P, R) m of every block."""
+        blocks = [self._block(state, b) for b in range(len(self.blocks))]
+        return [respond(block, self._bearings(state, block), state.unbalance, False).sensors for block in blocks]
+
+    def deviations(self, state: SensorState) -> list[torch.Tensor]:
         """(G, S, P, R) complex of every block: predicted minus measured, over the noise."""
-        every = zip(self.predicted(outputs, unbalance), self.measured, self.precision, strict=True)
+        every = zip(self.predicted(state), self.measured, self.precision, strict=True)
         return [(predicted - measured) * precision for predicted, measured, precision in every]
 
-    def derivatives(
-        self, outputs: torch.Tensor, unbalance: torch.Tensor | None, b: int
-    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Real rows of block b, (G, S, 2 P R, 1), and their derivatives by outputs (.., A) and planes (.., 2 N)."""
+    def derivatives(self, state: SensorState, b: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Real rows of block b, (G, S, 2 P R, 1), and their derivatives by outputs (.., A) and by the rest (..,
+        2 N + T): parts of the residual unbalance, and model parameters.
+        """
         import torch
 
-        block, precision = self.blocks[b], self.precision[b]
-        unknowns, slope = self.unknowns(outputs)
-        found = self._respond(unknowns, unbalance, block, derivative=True)
+        block, precision = self._block(state, b), self.precision[b]
+        change = self._bearings(state, block)
+        found = respond(block, change, state.unbalance)
         by_coefficient = derive(block, found).flatten(-2)  # (G, S, P, R, 8 B)
-        derivative = (by_coefficient @ self.influence.to(by_coefficient.dtype)) * slope[:, :, None, None]
-        derivative = (derivative * precision[..., None]).flatten(2, 3)
-        deviation = ((found.sensors - self.measured[b]) * precision).flatten(2)
-        by_planes = derivative[..., :0]
-        if self.n_planes:
-            own = torch.zeros(*found.sensors.shape, self.n_planes, dtype=found.sensors.dtype)
-            if found.unit_sensors.shape[-1]:
-                own = found.unit_sensors[:, :, :, None, :].expand(own.shape) * precision[..., None]
-            own = self.plane_scale * own.flatten(2, 3)
-            by_planes = torch.stack([own, 1j * own], dim=-1).flatten(-2)
-        rows, by_outputs, planes = (
-            torch.cat([part.real, part.imag], dim=2) for part in (deviation[..., None], derivative, by_planes)
-        )
-        return rows, by_outputs, planes
+        _, slope = self.unknowns(state.outputs)
+        by_outputs = (by_coefficient @ self.influence.to(by_coefficient.dtype)) * slope[:, :, None, None]
+        rest = [self._by_planes(found)]
+        if self.n_parameters:
+            known = self.known_variation.to(by_coefficient.dtype)[:, None]
+            by_model = derive_by_parameters(self.variations[b], found, change, state.unbalance)
+            rest.append(by_model + by_coefficient @ known)
+        rows = [
+            ((found.sensors - self.measured[b]) * precision)[..., None],
+            by_outputs * precision[..., None],
+            torch.cat(rest, dim=-1) * precision[..., None],
+        ]
+        flat = [part.flatten(2, 3) for part in rows]
+        by_parts = [torch.cat([part.real, part.imag], dim=2) for part in flat]
+        return by_parts[0], by_parts[1], by_parts[2]
+
+    def _by_planes(self, found: BlockResponse) -> torch.Tensor:
+        """(G, S, P, R, 2 N) derivative by the weights of the residual unbalance, m."""
+        import torch
+
+        own = torch.zeros(*found.sensors.shape, self.n_planes, dtype=found.sensors.dtype)
+        if found.unit_sensors.shape[-1]:
+            own = found.unit_sensors[:, :, :, None, :].expand(own.shape)
+        own = self.plane_scale * own
+        return torch.stack([own, 1j * own], dim=-1).flatten(-2)
 
     def rounding(self) -> torch.Tensor:
         """(1,) the loss that the readings round to: their size over their noise, times their precision."""
@@ -126,6 +168,9 @@ class SensorDeviations:
             influence=move(self.influence),
             known=move(self.known),
             blocks=tuple(block.converted(move) for block in self.blocks),
+            variations=tuple(block.converted(move) for block in self.variations),
+            known_variation=move(self.known_variation),
+            values=move(self.values),
             measured=tuple(map(move, self.measured)),
             precision=tuple(map(move, self.precision)),
         )
@@ -139,9 +184,9 @@ def sensor_deviations(measurement: Measurement, model: CoefficientModel, plane_s
     """The deviations at the speeds and runs of the measurement."""
     import torch
 
-    unknowns, speeds = measurement.unknowns, measurement.dataset.speeds
+    unknowns, n_speeds = measurement.unknowns, len(measurement.dataset.speeds)
     n_coefficients = unknowns.influence.shape[0] * unknowns.influence.shape[1]
-    others = np.where(unknowns.identified[:, None], 0.0, measurement.known.values)  # (B, S, 8)
+    others = np.where(unknowns.identified[:, None], 0.0, measurement.updated_known.values)  # (B, S, 8)
     blocks = tuple(block.converted(torch.as_tensor) for block in measurement.response.blocks)
     displacement, precision = measurement.dataset.displacement, np.sqrt(2.0) / measurement.deviation
     return SensorDeviations(
@@ -149,9 +194,14 @@ def sensor_deviations(measurement: Measurement, model: CoefficientModel, plane_s
         model=model,
         scale=model.scale_tensor(),
         influence=torch.as_tensor(unknowns.influence.reshape(n_coefficients, -1)),
-        known=torch.as_tensor(others.swapaxes(0, 1).reshape(len(speeds), -1)),
+        known=torch.as_tensor(others.swapaxes(0, 1).reshape(n_speeds, -1)),
         plane_scale=plane_scale,
         blocks=blocks,
+        variations=tuple(block.converted(torch.as_tensor) for block in measurement.variations),
+        known_variation=torch.as_tensor(
+            measurement.known_variation.reshape(n_speeds, n_coefficients, len(measurement.parameters))
+        ),
+        values=torch.as_tensor(measurement.parameter_values),
         measured=tuple(torch.as_tensor(displacement[None][..., block.runs]) for block in blocks),
         precision=tuple(torch.as_tensor(precision[None][..., block.runs]) for block in blocks),
     )

@@ -2,7 +2,7 @@
 
 The covariance is the inverse of the information, so the deviations are the Cramer-Rao bound of the network's output
 layer. Legend: M members, S speeds, B bearings, F features, K members of their basis, A active unknowns, N balance
-planes, Z = A K + 2 N weights.
+planes, T model parameters, Z = A K + 2 N + T weights.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ class Uncertainty:
     residual_unbalance: np.ndarray  # (N,) complex, kg m
     planes: np.ndarray  # (N,) nodes
     plane_scale: float  # kg m of a weight of 1
+    parameters: np.ndarray  # (T,) model parameters, in prior deviations
 
     def sensitivity(self, identified: IdentifiedModel, speeds: np.ndarray) -> np.ndarray:
         """(B, S, 8, A K) derivative of the coefficients by the weights of the model."""
@@ -65,8 +66,13 @@ class Uncertainty:
 
     def unbalance_deviation(self) -> np.ndarray:
         """(N,) standard deviation of the residual unbalance's magnitude, kg m: the mean one of its two parts."""
-        variance = np.diag(self.covariance)[len(self.covariance) - 2 * len(self.planes) :].reshape(-1, 2).mean(axis=1)
+        last = len(self.covariance) - len(self.parameters)
+        variance = np.diag(self.covariance)[last - 2 * len(self.planes) : last].reshape(-1, 2).mean(axis=1)
         return np.asarray(self.plane_scale * np.sqrt(variance))
+
+    def parameter_deviation(self) -> np.ndarray:
+        """(T,) posterior standard deviation of the model parameters, in prior ones."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)[len(self.covariance) - len(self.parameters) :]))
 
 
 def uncertainty_of(fit: OutputErrorFit, inflation: float = 1.0) -> Uncertainty:
@@ -79,6 +85,7 @@ def uncertainty_of(fit: OutputErrorFit, inflation: float = 1.0) -> Uncertainty:
         fit.residual_unbalance(),
         np.array(problem.measurement.unknowns.planes, dtype=np.int64),
         problem.sensors.plane_scale,
+        problem.model_parameters(fit.weights)[0].numpy(),
     )
 
 
@@ -99,6 +106,7 @@ def _parts(uncertainty: Uncertainty) -> dict[str, np.ndarray]:
         "residual_unbalance": np.stack([uncertainty.residual_unbalance.real, uncertainty.residual_unbalance.imag]),
         "planes": uncertainty.planes,
         "plane_scale": np.array([uncertainty.plane_scale]),
+        "parameters": uncertainty.parameters,
     }
 
 
@@ -124,8 +132,9 @@ def load_uncertainty(folder: Path, identified: IdentifiedModel) -> Uncertainty |
             unbalance,
             parts["planes"],
             float(parts["plane_scale"][0]),
+            parts["parameters"],
         )
-        size = len(found.active) * found.weights.shape[-1] + 2 * len(found.planes)
+        size = len(found.active) * found.weights.shape[-1] + 2 * len(found.planes) + len(found.parameters)
         if found.covariance.shape != (size, size) or len(found.weights) != len(identified.parameters):
             raise ValueError("its numbers do not fit the model")
     except (OSError, SafetensorError, KeyError, IndexError, ValueError) as error:

@@ -7,7 +7,7 @@ coefficients), N balance planes.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -15,8 +15,16 @@ import numpy as np
 
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.noise import NoiseModel
+from pipeline.problem.model_parameters import (
+    ModelParameter,
+    known_change,
+    sensor_matrix,
+    update_excitations,
+    update_rotor,
+)
+from pipeline.problem.reference_response import response_equations, response_variations
 from pipeline.problem.residual import BearingEquations, LinearResidual, bearing_equations, linear_residual
-from pipeline.problem.response import ResponseBlock, ResponseEquations, response_equations
+from pipeline.problem.response import ResponseBlock, ResponseEquations
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.unknowns import BearingUnknowns, Structure, UnknownSet, unknown_set
@@ -48,6 +56,9 @@ class Measurement:
     noise: NoiseModel
     unknowns: UnknownSet
     guess: Guess
+    _: KW_ONLY
+    parameters: tuple[ModelParameter, ...] = ()  # T, uncertain numbers of the model
+    values: tuple[float, ...] = ()  # of them, in prior deviations, where the response is evaluated; none for all zero
 
     @classmethod
     def read(
@@ -122,8 +133,48 @@ class Measurement:
 
     @cached_property
     def response(self) -> ResponseEquations:
-        """The response at the sensors."""
-        return response_equations(self.rotor, self.dataset, self.guess.stiffness, self.unknowns.planes)
+        """The response at the sensors, at the :attr:`values` of the model parameters."""
+        rotor, data, sensors = self.updated_rotor, self.dataset, None
+        if self.parameters:
+            data = update_excitations(data, self.parameters, self.parameter_values)
+            sensors = sensor_matrix(data, rotor.n_dof, self.parameters, self.parameter_values)
+        return response_equations(rotor, data, self.guess.stiffness, self.unknowns.planes, sensors)
+
+    @cached_property
+    def variations(self) -> tuple[ResponseBlock, ...]:
+        """The derivatives of the response's blocks by the model parameters, leading with T; empty without any."""
+        if not self.parameters:
+            return ()
+        stiffness, planes = self.guess.stiffness, self.unknowns.planes
+        return response_variations(self.rotor, self.dataset, stiffness, planes, self.parameters, self.parameter_values)
+
+    @property
+    def updated_rotor(self) -> RotorModel:
+        """The rotor at the :attr:`values` of the model parameters."""
+        return update_rotor(self.rotor, self.parameters, self.parameter_values) if self.parameters else self.rotor
+
+    @property
+    def updated_known(self) -> BearingTable:
+        """The known coefficients at the :attr:`values` of the model parameters."""
+        if not self.parameters:
+            return self.known
+        return replace(
+            self.known, values=self.known.values + (self.known_variation @ self.parameter_values).swapaxes(0, 1)
+        )
+
+    @property
+    def known_variation(self) -> np.ndarray:
+        """(S, B, 8, T) derivative of the known coefficients by the model parameters, N/m and N s/m."""
+        return known_change(self.parameters, self.known)
+
+    @property
+    def parameter_values(self) -> np.ndarray:
+        """(T,) :attr:`values`, zero where there are none."""
+        return np.array(self.values or [0.0] * len(self.parameters))
+
+    def update(self, values: np.ndarray) -> Measurement:
+        """The same with the response at other ``values`` (T,) of the model parameters, in prior deviations."""
+        return replace(self, values=tuple(map(float, values)))
 
     def select(self, speeds: np.ndarray | None = None, runs: np.ndarray | None = None) -> Measurement:
         """The same at the ``speeds`` (mask or index) and for the ``runs`` (ascending indices); None for all."""
@@ -145,12 +196,12 @@ class Measurement:
     def subtract_unbalance(self) -> Measurement:
         """The synchronous runs less the first of them: a residual unbalance, the same in all, cancels exactly.
 
-        Without balance planes nothing is subtracted; a single synchronous run stays as it is.
+        Without balance planes nothing is subtracted; a single synchronous run stays as it is. The model is as stated.
         """
         unknowns, data = replace(self.unknowns, planes=()), self.dataset
         turning = next((b.runs for b in self.response.blocks if b.unit_sensors.shape[-1] and len(b.runs) > 1), None)
         if turning is None:
-            part = replace(self, unknowns=unknowns)
+            part = replace(self, unknowns=unknowns, parameters=(), values=())
             vars(part)["response"] = replace(self.response, planes=())
             return part
         first = turning[0]
@@ -162,7 +213,11 @@ class Measurement:
         # Of two runs with the same baseline the readings themselves differ: the baseline cancels with its noise.
         read = np.where(turns, before[..., [first]] + data.displacement[..., [first]], before[..., rest])
         part = replace(
-            self, dataset=replace(less, displacement=less.displacement - taken, subtracted=read), unknowns=unknowns
+            self,
+            dataset=replace(less, displacement=less.displacement - taken, subtracted=read),
+            unknowns=unknowns,
+            parameters=(),
+            values=(),
         )
         blocks = [_less_first(block, first, rest) for block in self.response.blocks]
         vars(part)["response"] = replace(self.response, planes=(), blocks=tuple(b for b in blocks if len(b.runs)))

@@ -19,20 +19,14 @@ Legend: ``..`` batch, S speeds, P channels, R runs, B bearings, N balance planes
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
-from pipeline.data.dataset import VibrationDataset, force_vectors, runs_by_frequency
 from pipeline.problem.residual import BearingEquations
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.dynamic_stiffness import banded, solve
-from pipeline.rotor.model import RotorModel, bearing_dof, translation_dof
-
-REFERENCE_LOSS = 1.0
-"""Loss factor of the reference bearings, ``H0 = k (1 + j)``: so damped, they have no resonance that costs digits."""
 
 Array = Any
 """An array of NumPy, or a tensor of torch."""
@@ -75,6 +69,20 @@ class ResponseBlock:
         """The same with every array but the numbers of the runs as ``convert`` makes it."""
         made = {f.name: convert(getattr(self, f.name)) for f in fields(self) if f.name != "runs"}
         return replace(self, **made)
+
+    def vary(self, variation: ResponseBlock, shift: Array) -> ResponseBlock:
+        """The block, leading with a batch G, at model parameters that differ by ``shift`` (G, T).
+
+        ``variation`` has the derivatives by the parameters, leading with T.
+        """
+        library, kept = _library(shift), ("runs", "frequencies")
+        moved = {
+            f.name: getattr(self, f.name)
+            + library.tensordot(shift + 0j, getattr(variation, f.name), 1)  # (G, T) and (T, ..)
+            for f in fields(self)
+            if f.name not in kept
+        }
+        return replace(self, **moved)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,6 +147,26 @@ def derive(block: ResponseBlock, response: BlockResponse) -> Array:
     return library.concatenate([by_stiffness, by_damping], axis=-1)
 
 
+def derive_by_parameters(
+    variation: ResponseBlock, response: BlockResponse, change: Array, unbalance: Array | None
+) -> Array:
+    """(G, S, P, R, T) derivative of the displacements at the sensors by model parameters other than the bearings', m.
+
+    With the force ``f = -dH q_b`` on the shaft: ``dq_s = du0_s + da_sb f - T dH (du0_b + da_bb f)``. ``change`` dH is
+    (G, S, 2 B, 2 B), ``variation`` leads with T, ``response`` with the batch G.
+    """
+    library = _library(change)
+    force = -(change @ response.bearings)[:, None]  # (G, 1, S, 2 B, R)
+    at_sensors = variation.forced_sensors + variation.receptance_sensors @ force  # (G, T, S, P, R)
+    at_bearings = variation.forced_bearings + variation.receptance_bearings @ force
+    if unbalance is not None and variation.unit_sensors.shape[-1]:
+        residual = unbalance[:, None, None, :, None]
+        at_sensors = at_sensors + variation.unit_sensors @ residual
+        at_bearings = at_bearings + variation.unit_bearings @ residual
+    through = (response.receptance_sensors @ change)[:, None]
+    return library.moveaxis(at_sensors - through @ at_bearings, 1, -1)
+
+
 @dataclass(frozen=True, eq=False)
 class ResponseEquations:
     """The response at the sensors of every run and speed."""
@@ -192,44 +220,6 @@ class ResponseEquations:
     def change(self, bearings: BearingTable, block: ResponseBlock) -> np.ndarray:
         """dH, (S, 2 B, 2 B) N/m."""
         return np.asarray(impedance_change(bearings.values.swapaxes(0, 1), block.frequencies, self.reference))
-
-
-def response_equations(
-    rotor: RotorModel, dataset: VibrationDataset, stiffness: float, planes: Sequence[int] = ()
-) -> ResponseEquations:
-    """Solve the rotor on reference bearings of about the ``stiffness`` (N/m), any value of the bearings' order."""
-    speeds, at_bearings = dataset.speeds, bearing_dof(rotor)
-    rows, sensors = at_bearings.ravel(), dataset.sensor_matrix(rotor.n_dof)
-    reference = stiffness * (1 + 1j * REFERENCE_LOSS)
-    n_bearings = len(at_bearings)
-    impedance = np.broadcast_to(reference * np.eye(2), (n_bearings, len(speeds), 2, 2))
-    forces = force_vectors(rotor, dataset.excitations, dataset.runs, dataset.frequencies)
-    system, blocks = banded(rotor), []
-    for runs, w in runs_by_frequency(dataset.frequencies):
-        own_planes = list(planes) if np.allclose(w, speeds, rtol=1e-9) else []
-        right = np.zeros((len(speeds), rotor.n_dof, len(runs) + len(own_planes) + 2 * n_bearings), dtype=complex)
-        right[..., : len(runs)] = forces[..., runs]
-        for n, node in enumerate(own_planes):
-            right[:, translation_dof(node, 0), len(runs) + n] = w**2
-            right[:, translation_dof(node, 1), len(runs) + n] = -1j * w**2
-        right[:, rows, len(runs) + len(own_planes) + np.arange(2 * n_bearings)] = 1.0
-        response = solve(system, w, speeds, right, impedance, at_bearings)
-        cuts = [len(runs), len(runs) + len(own_planes)]
-        at_rows = np.split(response[:, rows], cuts, axis=2)
-        at_sensors = np.split(sensors @ response, cuts, axis=2)
-        blocks.append(
-            ResponseBlock(
-                runs=runs,
-                frequencies=w,
-                forced_sensors=at_sensors[0],
-                forced_bearings=at_rows[0],
-                receptance_sensors=at_sensors[2],
-                receptance_bearings=at_rows[2],
-                unit_sensors=at_sensors[1],
-                unit_bearings=at_rows[1],
-            )
-        )
-    return ResponseEquations(rotor.bearing_nodes, speeds, reference, tuple(planes), tuple(blocks))
 
 
 @dataclass(frozen=True, eq=False)

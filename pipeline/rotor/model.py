@@ -25,6 +25,8 @@ class RotorModel:
     damping: np.ndarray  # (n, n) N s/m ..., of the shaft itself
     gyroscopic: np.ndarray  # (n, n), multiplied by the rotor speed in rad/s
     stiffness: np.ndarray  # (n, n) N/m, N, N m
+    shaft_mass: np.ndarray  # (n, n) the share of the shaft alone, without discs
+    shaft_gyroscopic: np.ndarray  # (n, n) likewise
     positions: np.ndarray  # (N,) m, along the shaft
     bearing_nodes: tuple[int, ...]
     disc_nodes: tuple[int, ...]

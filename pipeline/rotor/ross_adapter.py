@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -70,12 +70,16 @@ def assemble(config: RotorConfig) -> RotorModel:
     """
     rotor = _load(config.file) if config.file is not None else _build(config)
     lateral = np.array([rotor.number_dof * node + dof for node in range(len(rotor.nodes)) for dof in _LATERAL])
-    mass, damping, gyroscopic, stiffness = (matrix[np.ix_(lateral, lateral)] for matrix in _matrices(rotor))
+    without_bearings = [element for element in rotor.elements if element not in rotor.bearing_elements]
+    mass, damping, gyroscopic, stiffness = _matrices(rotor, without_bearings, lateral)
+    shaft_mass, _, shaft_gyroscopic, _ = _matrices(rotor, rotor.shaft_elements, lateral)
     return RotorModel(
         mass=mass,
         damping=damping,
         gyroscopic=gyroscopic,
         stiffness=stiffness,
+        shaft_mass=shaft_mass,
+        shaft_gyroscopic=shaft_gyroscopic,
         positions=np.array(rotor.nodes_pos, dtype=float),
         bearing_nodes=_bearing_nodes(config, rotor),
         disc_nodes=tuple(int(disc.n) for disc in rotor.disk_elements),
@@ -83,19 +87,17 @@ def assemble(config: RotorConfig) -> RotorModel:
     )
 
 
-def _matrices(rotor: Any) -> list[np.ndarray]:
-    """M, C, G, K without bearings, the elements summed in the rotor's own order.
+def _matrices(rotor: Any, elements: Sequence[Any], lateral: np.ndarray) -> list[np.ndarray]:
+    """M, C, G, K of the ``elements`` at the ``lateral`` DOF, summed in the rotor's own order.
 
     ROSS sums them in the order of a set, which changes from process to process, and with it their last bits.
     """
     sums = [np.zeros((rotor.ndof, rotor.ndof)) for _ in range(4)]
-    for element in rotor.elements:
-        if element in rotor.bearing_elements:
-            continue
+    for element in elements:
         where = np.ix_(*[list(element.dof_global_index.values())] * 2)
         for total, matrix in zip(sums, (element.M(), element.C(), element.G(), element.K()), strict=True):
             total[where] += matrix
-    return sums
+    return [matrix[np.ix_(lateral, lateral)] for matrix in sums]
 
 
 def ross_rotor(config: RotorConfig, bearing: BearingConfig, speeds: np.ndarray) -> Any:

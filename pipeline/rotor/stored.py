@@ -17,7 +17,7 @@ from pipeline.rotor.model import RotorModel
 KIND = "rotors"
 _BEARINGS = "bearings"
 _MADE_BY = [Path(__file__).with_name(f"{name}.py") for name in ("ross_adapter", "journal_table")]
-_ARRAYS = ("mass", "damping", "gyroscopic", "stiffness", "positions")
+_ARRAYS = ("mass", "damping", "gyroscopic", "stiffness", "shaft_mass", "shaft_gyroscopic", "positions")
 _REST = ("bearing_nodes", "disc_nodes", "total_mass")
 _ENTRY = "rotor"
 

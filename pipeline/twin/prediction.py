@@ -10,7 +10,7 @@ from pipeline.data.dataset import DIRECTIONS, Excitation, VibrationDataset
 from pipeline.data.simulate import forced_response
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.uncertainty import Uncertainty
-from pipeline.problem.response import response_equations
+from pipeline.problem.reference_response import response_equations
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import TRANSLATIONS, RotorModel, translation_dof
 

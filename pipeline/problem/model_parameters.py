@@ -1,0 +1,284 @@
+"""Uncertain numbers of the machine's model, and how each changes the equation of motion.
+
+An engineer knows the shaft, the discs, the weights and the probes to a tolerance only. Each such number is a parameter
+``theta`` in units of its prior standard deviation: its prior is normal with mean 0 and variance 1, and theta = 0 is
+what the configuration states. The dynamic stiffness is linear in the parameters of the rotor,
+
+    D(w, theta) = D(w) + sum_t theta_t dD_t(w),
+
+so the sensitivity of the structure is exact: it comes from the matrices of its parts, not from differences.
+
+Legend: T parameters, S speeds, P channels, R runs, B bearings, n lateral DOF. SI units and radians.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.data.dataset import Excitation, VibrationDataset, direction_name, force_vectors
+from pipeline.errors import ConfigError
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.model import DOF_PER_NODE, TRANSLATIONS, RotorModel, translation_dof
+from pipeline.unknowns import UnknownSet
+
+UNITS = {
+    "youngs_modulus": "",
+    "density": "",
+    "disc_mass": "",
+    "disc_inertia": "",
+    "coupling_stiffness": "N/m",
+    "coupling_mass": "kg",
+    "unbalance_magnitude": "",
+    "unbalance_phase": "rad",
+    "probe_gain": "",
+    "probe_angle": "rad",
+    "probe_position": "m",
+    "known_coefficients": "",
+}
+"""Every kind, and the unit of its deviation; without a unit it is a share of the stated value."""
+_OF_SHAFT = ("youngs_modulus", "density")
+_OF_DISC = ("disc_mass", "disc_inertia")
+_OF_COUPLING = ("coupling_stiffness", "coupling_mass")
+_OF_WEIGHT = ("unbalance_magnitude", "unbalance_phase")
+_OF_PROBE = ("probe_gain", "probe_angle", "probe_position")
+
+
+@dataclass(frozen=True)
+class ModelParameter:
+    """One uncertain number.
+
+    ``youngs_modulus`` scales the shaft's whole stiffness (a shear modulus of constant Poisson's ratio with it),
+    ``density`` its mass, ``disc_inertia`` both inertias of a disc. A coupling acts at a node in x and y alike.
+    """
+
+    kind: str
+    deviation: float  # prior standard deviation in the unit of the kind
+    label: str  # what it belongs to, such as "node 3"; empty for the whole shaft
+    place: int = 0  # node, position among the run's excitations, channel, or bearing
+    detail: str = ""  # run of an excitation, or name of a coefficient
+
+    @property
+    def name(self) -> str:
+        """Kind and place, as tables show them."""
+        return f"{self.kind} {self.label}".strip()
+
+
+def model_parameters(
+    deviations: Mapping[str, float],
+    rotor: RotorModel,
+    dataset: VibrationDataset,
+    known: BearingTable,
+    unknowns: UnknownSet,
+    coupling_node: int = 0,
+) -> tuple[ModelParameter, ...]:
+    """The parameters of a machine: one for each disc, weight, probe and known coefficient.
+
+    ``deviations`` has prior standard deviations by kind. Raises ConfigError for a kind that the machine does not have.
+    """
+    found: list[ModelParameter] = []
+    for kind, deviation in deviations.items():
+        own = [ModelParameter(kind, deviation, *place) for place in _places(kind, rotor, dataset, known, unknowns)]
+        if kind in _OF_COUPLING:
+            if not coupling_node < rotor.n_nodes:
+                raise ConfigError(
+                    f"identify.coupling_node must be one of the nodes 0 to {rotor.n_nodes - 1} of the rotor, but got "
+                    f"{coupling_node}"
+                )
+            own = [ModelParameter(kind, deviation, f"node {coupling_node}", coupling_node)]
+        if not own:
+            raise ConfigError(
+                f"identify.model_parameters.{kind} must belong to something that the machine has, but it has "
+                f"{_MISSING[kind]}: leave it out"
+            )
+        found += own
+    return tuple(found)
+
+
+_MISSING = {
+    **dict.fromkeys(_OF_DISC, "no disc"),
+    **dict.fromkeys(_OF_WEIGHT, "no run with an unbalance"),
+    "known_coefficients": "no known coefficient other than zero",
+}
+
+
+def _places(
+    kind: str, rotor: RotorModel, dataset: VibrationDataset, known: BearingTable, unknowns: UnknownSet
+) -> Iterator[tuple[str, int, str]]:
+    """(label, place, detail) of what ``kind`` belongs to."""
+    if kind in _OF_SHAFT:
+        yield "", 0, ""
+    if kind in _OF_DISC:
+        for node in dict.fromkeys(rotor.disc_nodes):
+            yield f"node {node}", node, ""
+    if kind in _OF_WEIGHT:
+        for i, one in _numbered(dataset.excitations):
+            if one.kind == "unbalance":
+                yield f"{one.run} node {one.node}", i, one.run
+    if kind in _OF_PROBE:
+        for p, (node, angle) in enumerate(dataset.channels):
+            yield f"node {node} {direction_name(angle)}", p, ""
+    if kind == "known_coefficients":
+        for b, c in np.argwhere(~unknowns.identified & known.values.any(axis=1)):
+            yield f"{COEFFICIENTS[c]} node {known.nodes[b]}", int(b), COEFFICIENTS[c]
+
+
+def _numbered(excitations: Sequence[Excitation]) -> Iterator[tuple[int, Excitation]]:
+    """Each excitation with its position among those of its run, which selecting runs does not change."""
+    seen: dict[str, int] = {}
+    for one in excitations:
+        seen[one.run] = seen.get(one.run, -1) + 1
+        yield seen[one.run], one
+
+
+# --- rotor ---------------------------------------------------------------------------------------------
+
+
+def rotor_change(parameter: ModelParameter, rotor: RotorModel) -> RotorModel | None:
+    """The rotor's matrices dM, dC, dG, dK of theta = 1; None for a parameter that is none of the rotor's."""
+    nothing = np.zeros_like(rotor.mass)
+    change: dict[str, Any] = {"mass": nothing, "damping": nothing, "gyroscopic": nothing, "stiffness": nothing}
+    size, first = parameter.deviation, translation_dof(parameter.place, 0)
+    if parameter.kind == "youngs_modulus":
+        change["stiffness"] = size * rotor.stiffness
+    elif parameter.kind == "density":
+        change |= {"mass": size * rotor.shaft_mass, "gyroscopic": size * rotor.shaft_gyroscopic}
+    elif parameter.kind in _OF_DISC:
+        turning = parameter.kind == "disc_inertia"
+        own = slice(first + TRANSLATIONS, first + DOF_PER_NODE) if turning else slice(first, first + TRANSLATIONS)
+        kept = np.zeros_like(nothing)
+        kept[own, own] = size
+        change |= {
+            "mass": kept * (rotor.mass - rotor.shaft_mass),
+            "gyroscopic": kept * (rotor.gyroscopic - rotor.shaft_gyroscopic),
+        }
+    elif parameter.kind in _OF_COUPLING:
+        added = np.zeros_like(nothing)
+        added[[first, first + 1], [first, first + 1]] = size
+        change["mass" if parameter.kind == "coupling_mass" else "stiffness"] = added
+    else:
+        return None
+    return replace(rotor, **change)
+
+
+def update_rotor(rotor: RotorModel, parameters: Sequence[ModelParameter], values: np.ndarray) -> RotorModel:
+    """The rotor at parameters ``values`` (T,), in prior deviations."""
+    sums: dict[str, Any] = {name: getattr(rotor, name) for name in ("mass", "damping", "gyroscopic", "stiffness")}
+    for parameter, value in zip(parameters, values, strict=True):
+        change = rotor_change(parameter, rotor) if value else None
+        if change is not None:
+            sums = {name: total + value * getattr(change, name) for name, total in sums.items()}
+    return replace(rotor, **sums)
+
+
+# --- weights -------------------------------------------------------------------------------------------
+
+
+def update_excitations(
+    dataset: VibrationDataset, parameters: Sequence[ModelParameter], values: np.ndarray
+) -> VibrationDataset:
+    """The data set with the weights at parameters ``values`` (T,)."""
+    shift = {(p.kind, p.detail, p.place): v * p.deviation for p, v in zip(parameters, values, strict=True)}
+    moved = [
+        replace(
+            one,
+            magnitude=one.magnitude * (1 + shift.get(("unbalance_magnitude", one.run, i), 0.0)),
+            phase=one.phase + shift.get(("unbalance_phase", one.run, i), 0.0),
+        )
+        for i, one in _numbered(dataset.excitations)
+    ]
+    return replace(dataset, excitations=tuple(moved))
+
+
+def force_change(
+    parameter: ModelParameter, rotor: RotorModel, dataset: VibrationDataset, value: float
+) -> np.ndarray | None:
+    """(S, n, R) derivative of the forces by the parameter, N; None where it moves none.
+
+    ``dataset`` has the weights at the parameters' values, ``value`` is that of this one.
+    """
+    if parameter.kind not in _OF_WEIGHT:
+        return None
+    own = [e for i, e in _numbered(dataset.excitations) if (e.run, i) == (parameter.detail, parameter.place)]
+    if not own:
+        return None
+    force = force_vectors(rotor, tuple(own), dataset.runs, dataset.frequencies)
+    if parameter.kind == "unbalance_phase":
+        return 1j * parameter.deviation * force
+    return parameter.deviation / (1 + parameter.deviation * value) * force
+
+
+# --- probes --------------------------------------------------------------------------------------------
+
+
+def sensor_matrix(
+    dataset: VibrationDataset, n_dof: int, parameters: Sequence[ModelParameter], values: np.ndarray
+) -> np.ndarray:
+    """(P, n) what each channel shows of the rotor's lateral DOF at parameters ``values`` (T,)."""
+    matrix = dataset.sensor_matrix(n_dof)
+    for p in {parameter.place for parameter in parameters if parameter.kind in _OF_PROBE}:
+        matrix[p] = _channel(dataset, p, n_dof, _probe(parameters, values, p))
+    return matrix
+
+
+def sensor_change(
+    parameter: ModelParameter,
+    dataset: VibrationDataset,
+    n_dof: int,
+    parameters: Sequence[ModelParameter],
+    values: np.ndarray,
+) -> np.ndarray | None:
+    """(P, n) derivative of :func:`sensor_matrix` by the parameter; None for one that is none of a probe's."""
+    if parameter.kind not in _OF_PROBE:
+        return None
+    probe = _probe(parameters, values, parameter.place)
+    row = _channel(dataset, parameter.place, n_dof, probe)
+    if parameter.kind == "probe_gain":
+        row = row / (1 + probe["probe_gain"])
+    elif parameter.kind == "probe_angle":  # the derivative of a direction is the direction a quarter turn on
+        turned = probe | {"probe_angle": probe["probe_angle"] + np.pi / 2}
+        row = _channel(dataset, parameter.place, n_dof, turned)
+    else:  # linear in the position
+        moved = probe | {"probe_position": probe["probe_position"] + 1.0}
+        row = _channel(dataset, parameter.place, n_dof, moved) - row
+    change = np.zeros((len(dataset.channels), n_dof))
+    change[parameter.place] = parameter.deviation * row
+    return change
+
+
+def _probe(parameters: Sequence[ModelParameter], values: np.ndarray, channel: int) -> dict[str, float]:
+    """Shifts of a channel's gain, angle and position along the shaft."""
+    own = [
+        (p.kind, p.deviation * float(v))
+        for p, v in zip(parameters, values, strict=True)
+        if p.kind in _OF_PROBE and p.place == channel
+    ]
+    return dict.fromkeys(_OF_PROBE, 0.0) | dict(own)
+
+
+def _channel(dataset: VibrationDataset, channel: int, n_dof: int, probe: Mapping[str, float]) -> np.ndarray:
+    """(n,) a channel's row: near its node the shaft runs straight, x' = beta and y' = -alpha."""
+    node, angle = dataset.channels[channel]
+    turned = np.radians(angle) + probe["probe_angle"]
+    x, y = np.zeros(n_dof), np.zeros(n_dof)
+    first = translation_dof(node, 0)
+    x[[first, first + 3]] = 1.0, probe["probe_position"]
+    y[[first + 1, first + 2]] = 1.0, -probe["probe_position"]
+    return np.asarray((1 + probe["probe_gain"]) * (np.cos(turned) * x + np.sin(turned) * y))
+
+
+# --- known coefficients --------------------------------------------------------------------------------
+
+
+def known_change(parameters: Sequence[ModelParameter], known: BearingTable) -> np.ndarray:
+    """(S, B, 8, T) derivative of the known coefficients by the parameters, N/m and N s/m."""
+    result = np.zeros((len(known.speeds), len(known.nodes), len(COEFFICIENTS), len(parameters)))
+    for t, parameter in enumerate(parameters):
+        if parameter.kind == "known_coefficients":
+            c = COEFFICIENTS.index(parameter.detail)
+            result[:, parameter.place, c, t] = parameter.deviation * known.values[parameter.place, :, c]
+    return result
