@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from pipeline.coefficients import CoefficientName
-from pipeline.config.quantities import Damping, Stiffness
+from pipeline.config.quantities import Damping, Length, Mass, PositiveAngle, Stiffness
 from pipeline.config.section import NonNegativeInt, Section
 from pipeline.unknowns import BearingUnknowns, Structure, UnknownSet, unknown_set
 
@@ -20,17 +20,49 @@ class OneBearingConfig(Section):
     structure: Structure | None = None
 
 
+Share = Annotated[float, Field(gt=0, lt=1)]
+"""Standard deviation as a share of the stated value."""
+
+
+class ModelParametersConfig(Section):
+    """Prior standard deviations of uncertain numbers of the model, which are then fitted with the coefficients.
+
+    See :mod:`pipeline.problem.model_parameters` for what each moves; null stands for exactly known.
+    """
+
+    youngs_modulus: Share | None = None
+    density: Share | None = None
+    disc_mass: Share | None = None
+    disc_inertia: Share | None = None
+    coupling_stiffness: Stiffness | None = None
+    coupling_mass: Mass | None = None
+    unbalance_magnitude: Share | None = None
+    unbalance_phase: PositiveAngle | None = None
+    probe_gain: Share | None = None
+    probe_angle: PositiveAngle | None = None
+    probe_position: Length | None = None
+    known_coefficients: Share | None = None
+
+    @property
+    def deviations(self) -> dict[str, float]:
+        """Those that are given, by kind."""
+        return {kind: value for kind, value in self if value is not None}
+
+
 class IdentifyConfig(Section):
     """Which coefficients are unknown, and what ties them together; the others are taken as known.
 
     ``bearings`` has exceptions by node; ``shared`` makes all bearings alike. With ``unbalance_planes`` a residual
-    unbalance at these nodes is identified too (loss ``response``).
+    unbalance at these nodes is identified too, with ``model_parameters`` uncertain numbers of rotor, weights and probes
+    (loss ``response``); a coupling that they name acts at ``coupling_node``.
     """
 
     unknowns: tuple[CoefficientName, ...] = Field(min_length=1)
     structure: Structure
     shared: bool
     unbalance_planes: tuple[NonNegativeInt, ...] = ()
+    model_parameters: ModelParametersConfig = ModelParametersConfig()
+    coupling_node: NonNegativeInt = 0
     bearings: dict[NonNegativeInt, OneBearingConfig] = Field(default_factory=dict)
 
     @model_validator(mode="after")

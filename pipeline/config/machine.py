@@ -6,6 +6,7 @@ from typing import Any
 
 from pydantic import Field, PositiveFloat, ValidationInfo, field_validator, model_validator
 
+from pipeline.config.as_built import AsBuiltConfig
 from pipeline.config.bearings import BearingConfig, PerNodeBearingConfig
 from pipeline.config.measured import MeasuredRunConfig, unbalance_phase
 from pipeline.config.probes import ProbesConfig
@@ -28,7 +29,8 @@ class MachineConfig(Section):
 
     ``file`` is the machine file of the user's own that the section was read from. ``speeds`` and ``runs`` are those of
     simulated data and of designs; of a machine with ``recordings`` that gives none, those that were recorded. A
-    ``residual_unbalance`` acts in every run and is not written down: the machine has it and nobody knows.
+    ``residual_unbalance`` acts in every run and is not written down: the machine has it and nobody knows. So it is with
+    what ``as_built`` says: ``stage=generate`` alone knows of it, and what the truth is judged by.
     """
 
     file: str | None = None
@@ -39,6 +41,7 @@ class MachineConfig(Section):
     runs: tuple[RunConfig, ...] = Field(default=None, validate_default=True, min_length=1)
     runs_file: str | None = None
     residual_unbalance: tuple[UnbalanceConfig, ...] = ()
+    as_built: AsBuiltConfig | None = None
     probes: ProbesConfig
     prediction: PredictionConfig
     candidates: CandidateConfig

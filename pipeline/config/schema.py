@@ -103,6 +103,15 @@ class Config(Section):
         return self.chosen_by or f"experiment={self.name}"
 
     @model_validator(mode="after")
+    def _fits_model_parameters(self) -> Config:
+        if self.loss.kind != "response" and self.identify.model_parameters.deviations:
+            raise ValueError(
+                "identify.model_parameters must come with loss=response, which fits them with the coefficients, but "
+                f"got loss={self.loss.kind}"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _trains_by_a_residual(self) -> Config:
         other = self.stage in ("tune", "samplers") or (self.stage == "robustness" and self.robustness.over != "noise")
         if self.loss.kind == "response" and other:

@@ -20,7 +20,7 @@ from pipeline.identification.output_error_start import OutputErrorStart, prepare
 from pipeline.identification.selection import add_features, drop_features
 from pipeline.identification.training import FitSetup, Minimum, Progress, minimise
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.model_parameters import ModelParameter
+from pipeline.rotor.parameters import ModelParameter
 
 if TYPE_CHECKING:
     import torch

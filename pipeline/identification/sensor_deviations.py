@@ -94,7 +94,7 @@ class SensorDeviations:
             known = known + (self.known_variation @ (state.parameters - self.values)[:, None, :, None])[..., 0]
         unknowns, _ = self.unknowns(state.outputs)
         eight = (unknowns @ self.influence.T + known).unflatten(-1, (-1, 8))  # (G, S, B, 8)
-        return impedance_change(eight, block.frequencies, self.measurement.response.reference)  # type: ignore[no-any-return]
+        return impedance_change(eight, block.frequencies, self.measurement.response.reference)
 
     def _block(self, state: SensorState, b: int) -> ResponseBlock:
         """Block b at the state's model parameters."""

@@ -16,17 +16,16 @@ import numpy as np
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.noise import NoiseModel
 from pipeline.problem.model_parameters import (
-    ModelParameter,
     known_change,
     sensor_matrix,
     update_excitations,
-    update_rotor,
 )
 from pipeline.problem.reference_response import response_equations, response_variations
 from pipeline.problem.residual import BearingEquations, LinearResidual, bearing_equations, linear_residual
 from pipeline.problem.response import ResponseBlock, ResponseEquations
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
+from pipeline.rotor.parameters import ModelParameter, update_rotor
 from pipeline.unknowns import BearingUnknowns, Structure, UnknownSet, unknown_set
 
 _LEAST = 1e-15

@@ -1,12 +1,6 @@
-"""Uncertain numbers of the machine's model, and how each changes the equation of motion.
+"""Which uncertain numbers a measurement has, and what those of weights, probes and bearings change.
 
-An engineer knows the shaft, the discs, the weights and the probes to a tolerance only. Each such number is a parameter
-``theta`` in units of its prior standard deviation: its prior is normal with mean 0 and variance 1, and theta = 0 is
-what the configuration states. The dynamic stiffness is linear in the parameters of the rotor,
-
-    D(w, theta) = D(w) + sum_t theta_t dD_t(w),
-
-so the sensitivity of the structure is exact: it comes from the matrices of its parts, not from differences.
+See :mod:`pipeline.rotor.parameters` for what a parameter is, and for those of the rotor.
 
 Legend: T parameters, S speeds, P channels, R runs, B bearings, n lateral DOF. SI units and radians.
 """
@@ -14,8 +8,7 @@ Legend: T parameters, S speeds, P channels, R runs, B bearings, n lateral DOF. S
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,49 +16,9 @@ from pipeline.coefficients import COEFFICIENTS
 from pipeline.data.dataset import Excitation, VibrationDataset, direction_name, force_vectors
 from pipeline.errors import ConfigError
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.model import DOF_PER_NODE, TRANSLATIONS, RotorModel, translation_dof
+from pipeline.rotor.model import RotorModel, translation_dof
+from pipeline.rotor.parameters import OF_COUPLING, OF_DISC, OF_PROBE, OF_SHAFT, OF_WEIGHT, ModelParameter
 from pipeline.unknowns import UnknownSet
-
-UNITS = {
-    "youngs_modulus": "",
-    "density": "",
-    "disc_mass": "",
-    "disc_inertia": "",
-    "coupling_stiffness": "N/m",
-    "coupling_mass": "kg",
-    "unbalance_magnitude": "",
-    "unbalance_phase": "rad",
-    "probe_gain": "",
-    "probe_angle": "rad",
-    "probe_position": "m",
-    "known_coefficients": "",
-}
-"""Every kind, and the unit of its deviation; without a unit it is a share of the stated value."""
-_OF_SHAFT = ("youngs_modulus", "density")
-_OF_DISC = ("disc_mass", "disc_inertia")
-_OF_COUPLING = ("coupling_stiffness", "coupling_mass")
-_OF_WEIGHT = ("unbalance_magnitude", "unbalance_phase")
-_OF_PROBE = ("probe_gain", "probe_angle", "probe_position")
-
-
-@dataclass(frozen=True)
-class ModelParameter:
-    """One uncertain number.
-
-    ``youngs_modulus`` scales the shaft's whole stiffness (a shear modulus of constant Poisson's ratio with it),
-    ``density`` its mass, ``disc_inertia`` both inertias of a disc. A coupling acts at a node in x and y alike.
-    """
-
-    kind: str
-    deviation: float  # prior standard deviation in the unit of the kind
-    label: str  # what it belongs to, such as "node 3"; empty for the whole shaft
-    place: int = 0  # node, position among the run's excitations, channel, or bearing
-    detail: str = ""  # run of an excitation, or name of a coefficient
-
-    @property
-    def name(self) -> str:
-        """Kind and place, as tables show them."""
-        return f"{self.kind} {self.label}".strip()
 
 
 def model_parameters(
@@ -83,11 +36,16 @@ def model_parameters(
     found: list[ModelParameter] = []
     for kind, deviation in deviations.items():
         own = [ModelParameter(kind, deviation, *place) for place in _places(kind, rotor, dataset, known, unknowns)]
-        if kind in _OF_COUPLING:
+        if kind in OF_COUPLING:
             if not coupling_node < rotor.n_nodes:
                 raise ConfigError(
                     f"identify.coupling_node must be one of the nodes 0 to {rotor.n_nodes - 1} of the rotor, but got "
                     f"{coupling_node}"
+                )
+            if coupling_node in rotor.bearing_nodes:
+                raise ConfigError(
+                    "identify.coupling_node must be a node without a bearing, since no vibration tells a coupling from "
+                    f"the bearing beside it, but got the bearing node {coupling_node}"
                 )
             own = [ModelParameter(kind, deviation, f"node {coupling_node}", coupling_node)]
         if not own:
@@ -100,8 +58,8 @@ def model_parameters(
 
 
 _MISSING = {
-    **dict.fromkeys(_OF_DISC, "no disc"),
-    **dict.fromkeys(_OF_WEIGHT, "no run with an unbalance"),
+    **dict.fromkeys(OF_DISC, "no disc"),
+    **dict.fromkeys(OF_WEIGHT, "no run with an unbalance"),
     "known_coefficients": "no known coefficient other than zero",
 }
 
@@ -110,16 +68,16 @@ def _places(
     kind: str, rotor: RotorModel, dataset: VibrationDataset, known: BearingTable, unknowns: UnknownSet
 ) -> Iterator[tuple[str, int, str]]:
     """(label, place, detail) of what ``kind`` belongs to."""
-    if kind in _OF_SHAFT:
+    if kind in OF_SHAFT:
         yield "", 0, ""
-    if kind in _OF_DISC:
+    if kind in OF_DISC:
         for node in dict.fromkeys(rotor.disc_nodes):
             yield f"node {node}", node, ""
-    if kind in _OF_WEIGHT:
+    if kind in OF_WEIGHT:
         for i, one in _numbered(dataset.excitations):
             if one.kind == "unbalance":
                 yield f"{one.run} node {one.node}", i, one.run
-    if kind in _OF_PROBE:
+    if kind in OF_PROBE:
         for p, (node, angle) in enumerate(dataset.channels):
             yield f"node {node} {direction_name(angle)}", p, ""
     if kind == "known_coefficients":
@@ -133,46 +91,6 @@ def _numbered(excitations: Sequence[Excitation]) -> Iterator[tuple[int, Excitati
     for one in excitations:
         seen[one.run] = seen.get(one.run, -1) + 1
         yield seen[one.run], one
-
-
-# --- rotor ---------------------------------------------------------------------------------------------
-
-
-def rotor_change(parameter: ModelParameter, rotor: RotorModel) -> RotorModel | None:
-    """The rotor's matrices dM, dC, dG, dK of theta = 1; None for a parameter that is none of the rotor's."""
-    nothing = np.zeros_like(rotor.mass)
-    change: dict[str, Any] = {"mass": nothing, "damping": nothing, "gyroscopic": nothing, "stiffness": nothing}
-    size, first = parameter.deviation, translation_dof(parameter.place, 0)
-    if parameter.kind == "youngs_modulus":
-        change["stiffness"] = size * rotor.stiffness
-    elif parameter.kind == "density":
-        change |= {"mass": size * rotor.shaft_mass, "gyroscopic": size * rotor.shaft_gyroscopic}
-    elif parameter.kind in _OF_DISC:
-        turning = parameter.kind == "disc_inertia"
-        own = slice(first + TRANSLATIONS, first + DOF_PER_NODE) if turning else slice(first, first + TRANSLATIONS)
-        kept = np.zeros_like(nothing)
-        kept[own, own] = size
-        change |= {
-            "mass": kept * (rotor.mass - rotor.shaft_mass),
-            "gyroscopic": kept * (rotor.gyroscopic - rotor.shaft_gyroscopic),
-        }
-    elif parameter.kind in _OF_COUPLING:
-        added = np.zeros_like(nothing)
-        added[[first, first + 1], [first, first + 1]] = size
-        change["mass" if parameter.kind == "coupling_mass" else "stiffness"] = added
-    else:
-        return None
-    return replace(rotor, **change)
-
-
-def update_rotor(rotor: RotorModel, parameters: Sequence[ModelParameter], values: np.ndarray) -> RotorModel:
-    """The rotor at parameters ``values`` (T,), in prior deviations."""
-    sums: dict[str, Any] = {name: getattr(rotor, name) for name in ("mass", "damping", "gyroscopic", "stiffness")}
-    for parameter, value in zip(parameters, values, strict=True):
-        change = rotor_change(parameter, rotor) if value else None
-        if change is not None:
-            sums = {name: total + value * getattr(change, name) for name, total in sums.items()}
-    return replace(rotor, **sums)
 
 
 # --- weights -------------------------------------------------------------------------------------------
@@ -201,7 +119,7 @@ def force_change(
 
     ``dataset`` has the weights at the parameters' values, ``value`` is that of this one.
     """
-    if parameter.kind not in _OF_WEIGHT:
+    if parameter.kind not in OF_WEIGHT:
         return None
     own = [e for i, e in _numbered(dataset.excitations) if (e.run, i) == (parameter.detail, parameter.place)]
     if not own:
@@ -220,7 +138,7 @@ def sensor_matrix(
 ) -> np.ndarray:
     """(P, n) what each channel shows of the rotor's lateral DOF at parameters ``values`` (T,)."""
     matrix = dataset.sensor_matrix(n_dof)
-    for p in {parameter.place for parameter in parameters if parameter.kind in _OF_PROBE}:
+    for p in {parameter.place for parameter in parameters if parameter.kind in OF_PROBE}:
         matrix[p] = _channel(dataset, p, n_dof, _probe(parameters, values, p))
     return matrix
 
@@ -233,7 +151,7 @@ def sensor_change(
     values: np.ndarray,
 ) -> np.ndarray | None:
     """(P, n) derivative of :func:`sensor_matrix` by the parameter; None for one that is none of a probe's."""
-    if parameter.kind not in _OF_PROBE:
+    if parameter.kind not in OF_PROBE:
         return None
     probe = _probe(parameters, values, parameter.place)
     row = _channel(dataset, parameter.place, n_dof, probe)
@@ -255,9 +173,9 @@ def _probe(parameters: Sequence[ModelParameter], values: np.ndarray, channel: in
     own = [
         (p.kind, p.deviation * float(v))
         for p, v in zip(parameters, values, strict=True)
-        if p.kind in _OF_PROBE and p.place == channel
+        if p.kind in OF_PROBE and p.place == channel
     ]
-    return dict.fromkeys(_OF_PROBE, 0.0) | dict(own)
+    return dict.fromkeys(OF_PROBE, 0.0) | dict(own)
 
 
 def _channel(dataset: VibrationDataset, channel: int, n_dof: int, probe: Mapping[str, float]) -> np.ndarray:

@@ -15,17 +15,15 @@ import numpy as np
 
 from pipeline.data.dataset import VibrationDataset, force_vectors, runs_by_frequency
 from pipeline.problem.model_parameters import (
-    ModelParameter,
     force_change,
-    rotor_change,
     sensor_change,
     sensor_matrix,
     update_excitations,
-    update_rotor,
 )
 from pipeline.problem.response import ResponseBlock, ResponseEquations
 from pipeline.rotor.dynamic_stiffness import apply, banded, solve
 from pipeline.rotor.model import RotorModel, bearing_dof, translation_dof
+from pipeline.rotor.parameters import ModelParameter, rotor_change, update_rotor
 
 REFERENCE_LOSS = 1.0
 """Loss factor of the reference bearings, ``H0 = k (1 + j)``: so damped, they have no resonance that costs digits."""

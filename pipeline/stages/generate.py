@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.config.schema import Config
+from pipeline.data.as_built import built_rotor, misplace_probes, simulate_as_built
 from pipeline.data.coefficient_files import write_coefficients
 from pipeline.data.dataset import Excitation
 from pipeline.data.sensors import Channels, Sensors, both_directions, measure
@@ -42,10 +43,21 @@ def run(config: Config) -> StageOutput:
     bearings = load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
     runs, residual = excitations(config), residual_unbalances(config)
     require_nodes(rotor, "machine.runs", [excitation.node for excitation in (*runs, *residual)])
-    complete = simulate(rotor, bearings, (*runs, *residual), own_frequencies(config, speeds))
-    # The residual unbalance is in the vibration and nobody knows of it.
+    probes, frequencies = sensors(config, rotor), own_frequencies(config, speeds)
+    built, acting = config.machine.as_built, (*runs, *residual)
+    # The residual unbalance is in the vibration and nobody knows of it; nor of how the machine was built.
+    if built is None:
+        complete = simulate(rotor, bearings, acting, frequencies)
+    else:
+        own = np.random.default_rng([config.machine.probes.seed, 1])
+        complete = simulate_as_built(
+            built_rotor(config.machine.rotor, built), built, bearings, acting, frequencies, own
+        )
+        if probes.channels is not None:
+            complete = misplace_probes(complete, built, probes.channels, own)
+            probes = replace(probes, channels=None)
     generator = np.random.default_rng(config.machine.probes.seed)
-    dataset = measure(replace(complete, excitations=runs), sensors(config, rotor), generator)
+    dataset = measure(replace(complete, excitations=runs), probes, generator)
     modelled = workspace(config).modelled
     write_excitation(files.excitation, dataset)
     write_coefficients(modelled, bearings)

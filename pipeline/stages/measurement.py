@@ -10,6 +10,7 @@ from pipeline.data.tables import origin_of
 from pipeline.data.vibration_files import read_measured, require_made_for, require_nodes_of
 from pipeline.errors import DataError
 from pipeline.problem.measurement import Guess, Measurement
+from pipeline.problem.model_parameters import model_parameters
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_rotor
@@ -47,14 +48,18 @@ def load_measurement(config: Config) -> Measurement:
 
 def measurement_of(config: Config, rotor: RotorModel, dataset: VibrationDataset, known: BearingTable) -> Measurement:
     """The measurement that a configuration asks about, from data that are at hand."""
-    noise, model = config.stated_noise, config.model
+    noise, model, identify = config.stated_noise, config.model, config.identify
+    unknowns = identify.unknowns_of(rotor.bearing_nodes)
     return Measurement(
         rotor,
         dataset,
         known,
         NoiseModel(noise.additive, noise.multiplicative),
-        config.identify.unknowns_of(rotor.bearing_nodes),
+        unknowns,
         Guess(model.initial_stiffness, model.initial_damping),
+        parameters=model_parameters(
+            identify.model_parameters.deviations, rotor, dataset, known, unknowns, identify.coupling_node
+        ),
     )
 
 

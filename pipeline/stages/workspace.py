@@ -59,7 +59,7 @@ def input_files(config: Config) -> InputFiles:
 
 def origin(config: Config) -> str:
     """Identity of what data are generated from: the machine, but what was recorded of it."""
-    kept = {"rotor", "bearings", "probes", "speeds", "runs", "residual_unbalance"}
+    kept = {"rotor", "bearings", "probes", "speeds", "runs", "residual_unbalance", "as_built"}
     parts = config.machine.model_dump(mode="json", include=kept)
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
 

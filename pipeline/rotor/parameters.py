@@ -1,0 +1,100 @@
+"""Uncertain numbers of the machine's model, and what those of the rotor change of its matrices.
+
+An engineer knows the shaft, the discs, the weights and the probes to a tolerance only. Each such number is a parameter
+``theta`` in units of its prior standard deviation: its prior is normal with mean 0 and variance 1, and theta = 0 is
+what the configuration states. The dynamic stiffness is linear in the parameters of the rotor,
+
+    D(w, theta) = D(w) + sum_t theta_t dD_t(w),
+
+so the sensitivity of the structure is exact: it comes from the matrices of its parts, not from differences.
+
+Legend: T parameters. SI units and radians.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from pipeline.rotor.model import DOF_PER_NODE, TRANSLATIONS, RotorModel, translation_dof
+
+UNITS = {
+    "youngs_modulus": "",
+    "density": "",
+    "disc_mass": "",
+    "disc_inertia": "",
+    "coupling_stiffness": "N/m",
+    "coupling_mass": "kg",
+    "unbalance_magnitude": "",
+    "unbalance_phase": "rad",
+    "probe_gain": "",
+    "probe_angle": "rad",
+    "probe_position": "m",
+    "known_coefficients": "",
+}
+"""Every kind, and the unit of its deviation; without a unit it is a share of the stated value."""
+OF_SHAFT = ("youngs_modulus", "density")
+OF_DISC = ("disc_mass", "disc_inertia")
+OF_COUPLING = ("coupling_stiffness", "coupling_mass")
+OF_WEIGHT = ("unbalance_magnitude", "unbalance_phase")
+OF_PROBE = ("probe_gain", "probe_angle", "probe_position")
+
+
+@dataclass(frozen=True)
+class ModelParameter:
+    """One uncertain number.
+
+    ``youngs_modulus`` scales the shaft's whole stiffness (a shear modulus of constant Poisson's ratio with it),
+    ``density`` its mass, ``disc_inertia`` both inertias of a disc. A coupling acts at a node in x and y alike.
+    """
+
+    kind: str
+    deviation: float  # prior standard deviation in the unit of the kind
+    label: str  # what it belongs to, such as "node 3"; empty for the whole shaft
+    place: int = 0  # node, position among the run's excitations, channel, or bearing
+    detail: str = ""  # run of an excitation, or name of a coefficient
+
+    @property
+    def name(self) -> str:
+        """Kind and place, as tables show them."""
+        return f"{self.kind} {self.label}".strip()
+
+
+def rotor_change(parameter: ModelParameter, rotor: RotorModel) -> RotorModel | None:
+    """The rotor's matrices dM, dC, dG, dK of theta = 1; None for a parameter that is none of the rotor's."""
+    nothing = np.zeros_like(rotor.mass)
+    change: dict[str, Any] = {"mass": nothing, "damping": nothing, "gyroscopic": nothing, "stiffness": nothing}
+    size, first = parameter.deviation, translation_dof(parameter.place, 0)
+    if parameter.kind == "youngs_modulus":
+        change["stiffness"] = size * rotor.stiffness
+    elif parameter.kind == "density":
+        change |= {"mass": size * rotor.shaft_mass, "gyroscopic": size * rotor.shaft_gyroscopic}
+    elif parameter.kind in OF_DISC:
+        turning = parameter.kind == "disc_inertia"
+        own = slice(first + TRANSLATIONS, first + DOF_PER_NODE) if turning else slice(first, first + TRANSLATIONS)
+        kept = np.zeros_like(nothing)
+        kept[own, own] = size
+        change |= {
+            "mass": kept * (rotor.mass - rotor.shaft_mass),
+            "gyroscopic": kept * (rotor.gyroscopic - rotor.shaft_gyroscopic),
+        }
+    elif parameter.kind in OF_COUPLING:
+        added = np.zeros_like(nothing)
+        added[[first, first + 1], [first, first + 1]] = size
+        change["mass" if parameter.kind == "coupling_mass" else "stiffness"] = added
+    else:
+        return None
+    return replace(rotor, **change)
+
+
+def update_rotor(rotor: RotorModel, parameters: Sequence[ModelParameter], values: np.ndarray) -> RotorModel:
+    """The rotor at parameters ``values`` (T,), in prior deviations."""
+    sums: dict[str, Any] = {name: getattr(rotor, name) for name in ("mass", "damping", "gyroscopic", "stiffness")}
+    for parameter, value in zip(parameters, values, strict=True):
+        change = rotor_change(parameter, rotor) if value else None
+        if change is not None:
+            sums = {name: total + value * getattr(change, name) for name, total in sums.items()}
+    return replace(rotor, **sums)

@@ -1,0 +1,134 @@
+"""Uncertain numbers of the model: derivatives against differences of rotors that ROSS makes, and laws of the fit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.rotor import RotorConfig
+from pipeline.data.dataset import Excitation, VibrationDataset
+from pipeline.data.noise import NoiseModel
+from pipeline.errors import ConfigError
+from pipeline.problem.measurement import Guess, Measurement
+from pipeline.problem.model_parameters import model_parameters
+from pipeline.problem.response import derive_by_parameters, impedance_change, respond
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.model import RotorModel
+from pipeline.rotor.parameters import UNITS, ModelParameter, update_rotor
+from pipeline.rotor.stored import load_rotor
+from pipeline.unknowns import BearingUnknowns, unknown_set
+
+MATERIAL = {"density": 7810.0, "youngs_modulus": 211e9, "shear_modulus": 81.2e9}
+DEVIATIONS = {
+    "youngs_modulus": 0.02,
+    "density": 0.01,
+    "disc_mass": 0.01,
+    "disc_inertia": 0.05,
+    "coupling_stiffness": 1e5,
+    "coupling_mass": 0.5,
+    "unbalance_magnitude": 0.02,
+    "unbalance_phase": 0.035,
+    "probe_gain": 0.01,
+    "probe_angle": 0.035,
+    "probe_position": 0.003,
+    "known_coefficients": 0.05,
+}
+
+
+def rotor(**material: float) -> RotorModel:
+    """A shaft with a disc between its bearings and an overhung one."""
+    shaft = [{"length": 1.2, "outer_diameter": 0.05, "inner_diameter": 0.0, "elements": 8}]
+    discs = [
+        {"node": 3, "width": 0.06, "inner_diameter": 0.05, "outer_diameter": 0.26},
+        {"node": 8, "mass": 12.0, "diametral_inertia": 0.05, "polar_inertia": 0.09},
+    ]
+    config = {"material": MATERIAL | material, "shaft": shaft, "discs": discs, "bearing_nodes": [1, 6]}
+    return load_rotor(RotorConfig.model_validate(config | {"shear_effects": True}))
+
+
+@pytest.fixture(scope="module")
+def measurement() -> Measurement:
+    """Four probes at 45 degrees, two runs; kxx and kyy are identified."""
+    model, speeds = rotor(), np.linspace(60.0, 550.0, 7)
+    eight = [2e7, 3e6, -4e6, 1.5e7, 2e4, 1e3, 2e3, 1.5e4]
+    known = BearingTable(model.bearing_nodes, speeds, np.tile(eight, (2, len(speeds), 1)))
+    channels = tuple((node, angle) for node in model.bearing_nodes for angle in (45.0, 135.0))
+    weights = (Excitation("a", "unbalance", 3, 5e-4, 0.3), Excitation("b", "unbalance", 8, 3e-4, 1.0))
+    data = VibrationDataset(speeds, ("a", "b"), channels, np.ones((len(speeds), 4, 2), complex) * 1e-5, weights)
+    unknowns = unknown_set(dict.fromkeys(model.bearing_nodes, BearingUnknowns(("kxx", "kyy"))), planes=(3,))
+    made = Measurement(model, data, known, NoiseModel(1e-7, 0.0), unknowns, Guess(1e7, 1e4))
+    parameters = model_parameters(DEVIATIONS, model, data, known, unknowns, coupling_node=0)
+    return replace(made, parameters=parameters, values=tuple(0.3 * np.cos(np.arange(len(parameters)))))
+
+
+def test_every_kind_has_its_parameters(measurement: Measurement) -> None:
+    """One for each disc, weight, probe and known coefficient."""
+    count = {kind: sum(p.kind == kind for p in measurement.parameters) for kind in UNITS}
+    assert count == dict.fromkeys(UNITS, 1) | {
+        "disc_mass": 2,
+        "disc_inertia": 2,
+        "unbalance_magnitude": 2,
+        "unbalance_phase": 2,
+        "probe_gain": 4,
+        "probe_angle": 4,
+        "probe_position": 4,
+        "known_coefficients": 12,
+    }
+
+
+def readings(measurement: Measurement) -> np.ndarray:
+    """(S, P, R) on the known coefficients, with a residual unbalance."""
+    return measurement.response.predict(measurement.updated_known, np.array([1e-4 + 2e-5j]))
+
+
+def test_derivatives_are_those_of_differences(measurement: Measurement) -> None:
+    """Central differences of the whole response, at parameters that are not those stated."""
+    (block,), (variation,) = measurement.response.blocks, measurement.variations
+    change = impedance_change(
+        measurement.updated_known.values.swapaxes(0, 1), block.frequencies, measurement.response.reference
+    )
+    unbalance = np.array([1e-4 + 2e-5j])
+    found = derive_by_parameters(
+        variation, respond(block, change[None], unbalance[None]), change[None], unbalance[None]
+    )
+    sensitivity = measurement.response.sensitivity(measurement.updated_known)
+    moved = respond(block, change, unbalance)
+    assert np.allclose(moved.sensors, readings(measurement))
+    step, at = 1e-4, measurement.parameter_values
+    for t, parameter in enumerate(measurement.parameters):
+        shift = step * (np.arange(len(at)) == t)
+        ahead, behind = readings(measurement.update(at + shift)), readings(measurement.update(at - shift))
+        expected = (ahead - behind) / (2 * step)
+        if parameter.kind == "known_coefficients":
+            continue  # through the bearings: below
+        assert np.abs(found[0, ..., t] - expected).max() <= 1e-6 * np.abs(expected).max(), parameter.name
+    assert sensitivity.shape[-1] == len(COEFFICIENTS)
+
+
+@pytest.mark.parametrize(
+    "kind, other",
+    [
+        ("youngs_modulus", {"youngs_modulus": 211e9 * 1.02, "shear_modulus": 81.2e9 * 1.02}),
+        ("density", {"density": 7810.0 * 1.01}),
+    ],
+)
+def test_the_updated_rotor_is_the_one_that_ross_makes(kind: str, other: dict[str, float]) -> None:
+    """A rotor of another material; the density is that of the disc from geometry, too, so its matrices are taken off."""
+    stated, made = rotor(), rotor(**other)
+    moved = update_rotor(stated, [ModelParameter(kind, DEVIATIONS[kind], "")], np.array([1.0]))
+    assert np.allclose(moved.stiffness, made.stiffness, rtol=1e-12, atol=0)
+    without_discs = made.shaft_mass - stated.shaft_mass
+    assert np.allclose(moved.mass - stated.mass, without_discs, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["known_coefficients", "disc_mass", "unbalance_phase"])
+def test_a_parameter_that_the_machine_lacks_is_refused(kind: str, measurement: Measurement) -> None:
+    """No disc, no weight, nothing known."""
+    bare = replace(measurement.rotor, disc_nodes=())
+    unknowns = unknown_set(dict.fromkeys(bare.bearing_nodes, BearingUnknowns(COEFFICIENTS)))  # type: ignore[arg-type]
+    data = replace(measurement.dataset, excitations=(Excitation("a", "force", 3, 1.0, 0.0),))
+    with pytest.raises(ConfigError, match=f"{kind} must belong to something that the machine has"):
+        model_parameters({kind: 0.1}, bare, data, measurement.known, unknowns)
