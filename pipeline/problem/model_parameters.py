@@ -189,6 +189,11 @@ def _channel(dataset: VibrationDataset, channel: int, n_dof: int, probe: Mapping
     return np.asarray((1 + probe["probe_gain"]) * (np.cos(turned) * x + np.sin(turned) * y))
 
 
+def without_probes(parameters: Sequence[ModelParameter]) -> tuple[ModelParameter, ...]:
+    """The same with probes that are exact, for what no probe shows."""
+    return tuple(replace(one, deviation=0.0, place=0) if one.kind in OF_PROBE else one for one in parameters)
+
+
 # --- known coefficients --------------------------------------------------------------------------------
 
 

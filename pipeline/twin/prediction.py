@@ -10,7 +10,10 @@ from pipeline.data.dataset import DIRECTIONS, Excitation, VibrationDataset
 from pipeline.data.simulate import forced_response
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.uncertainty import Uncertainty
-from pipeline.problem.reference_response import response_equations
+from pipeline.problem.measurement import Measurement
+from pipeline.problem.model_parameters import without_probes
+from pipeline.problem.reference_response import response_equations, response_variations
+from pipeline.problem.response import derive_by_parameters, respond
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import TRANSLATIONS, RotorModel, translation_dof
 
@@ -41,24 +44,38 @@ def predict(
 
 def with_deviation(
     predicted: PredictedVibration,
-    rotor: RotorModel,
+    measurement: Measurement,
     bearings: BearingTable,
     unbalances: tuple[Excitation, ...],
     identified: IdentifiedModel,
     uncertainty: Uncertainty,
 ) -> PredictedVibration:
-    """The same with the deviation that the coefficients' covariance implies, to first order."""
+    """The same with the deviation that the covariance of coefficients and model parameters implies, to first order.
+
+    ``measurement`` is at the fitted model parameters. The prediction has no probes, and its weights are exact.
+    """
     channels = tuple((predicted.node, angle) for angle in DIRECTIONS.values())
     runs = (unbalances[0].run,)
     dataset = VibrationDataset(bearings.speeds, runs, channels, predicted.displacement[..., None], unbalances)
     stiffness = float(np.median(np.abs(bearings.values[..., 0])))
-    by_coefficient = response_equations(rotor, dataset, stiffness).sensitivity(bearings)[:, :, 0]  # (S, 2, B, 8)
-    by_number = uncertainty.sensitivity(identified, bearings.speeds)  # (B, S, 8, Z)
+    equations = response_equations(measurement.updated_rotor, dataset, stiffness)
+    by_coefficient = equations.sensitivity(bearings)[:, :, 0]  # (S, 2, B, 8)
+    by_number = uncertainty.sensitivity(identified, bearings.speeds)  # (B, S, 8, A K)
     moved = np.einsum("sdbc,bscz->sdz", by_coefficient, by_number)
+    count, size = moved.shape[-1], len(uncertainty.covariance)
+    own = np.r_[:count, size - len(measurement.parameters) : size]
+    if measurement.parameters:
+        rotor, parameters = measurement.rotor, without_probes(measurement.parameters)
+        values = measurement.parameter_values
+        (variation,) = response_variations(rotor, dataset, stiffness, (), parameters, values)
+        change = equations.change(bearings, equations.blocks[0])
+        found = respond(equations.blocks[0], change)
+        by_model = derive_by_parameters(variation, found, change[None], None)[0, :, :, 0]  # (S, 2, T)
+        by_model = by_model + np.einsum("sdbc,sbct->sdt", by_coefficient, measurement.known_variation)
+        moved = np.concatenate([moved, by_model], axis=-1)
     direction = predicted.displacement.conj() / np.abs(predicted.displacement)
     along = (direction[..., None] * moved).real
-    count = along.shape[-1]
-    variance = np.einsum("sdz,zy,sdy->sd", along, uncertainty.covariance[:count, :count], along, optimize=True)
+    variance = np.einsum("sdz,zy,sdy->sd", along, uncertainty.covariance[np.ix_(own, own)], along, optimize=True)
     return replace(predicted, deviation=np.sqrt(np.maximum(variance, 0.0)))
 
 

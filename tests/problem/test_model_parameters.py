@@ -109,14 +109,14 @@ def test_derivatives_are_those_of_differences(measurement: Measurement) -> None:
 
 
 @pytest.mark.parametrize(
-    "kind, other",
+    ("kind", "other"),
     [
         ("youngs_modulus", {"youngs_modulus": 211e9 * 1.02, "shear_modulus": 81.2e9 * 1.02}),
         ("density", {"density": 7810.0 * 1.01}),
     ],
 )
 def test_the_updated_rotor_is_the_one_that_ross_makes(kind: str, other: dict[str, float]) -> None:
-    """A rotor of another material; the density is that of the disc from geometry, too, so its matrices are taken off."""
+    """A rotor of another material. A disc from geometry has the new density, too, so the shafts are compared."""
     stated, made = rotor(), rotor(**other)
     moved = update_rotor(stated, [ModelParameter(kind, DEVIATIONS[kind], "")], np.array([1.0]))
     assert np.allclose(moved.stiffness, made.stiffness, rtol=1e-12, atol=0)

@@ -1,0 +1,140 @@
+"""The fit of a machine that is not built as it is modelled: what is fitted with the coefficients, and what is said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.config.as_built import AsBuiltConfig
+from pipeline.config.compose import compose_config
+from pipeline.data.as_built import built_rotor, simulate_as_built
+from pipeline.data.sensors import measure
+from pipeline.identification.output_error import OutputError
+from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
+from pipeline.identification.output_error_start import prepare_output_error
+from pipeline.identification.quality import mismatch, output_error_quality
+from pipeline.identification.training import setup_of
+from pipeline.problem.measurement import Measurement
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.parameters import ModelParameter
+from pipeline.rotor.stored import load_modelled_bearings, load_rotor
+from pipeline.stages.generate import excitations, sensors
+from pipeline.stages.measurement import measurement_of
+from pipeline.units import RAD_S_PER_RPM
+
+CONFIG = compose_config(
+    [
+        "stage=train",
+        "experiment=realistic",
+        "machine.speeds={start_rpm: 600, stop_rpm: 5400, step_rpm: 240}",
+        "identify.unknowns=[kxx,kyy]",
+        "model.width=6",
+    ]
+)
+SETUP = setup_of(CONFIG)
+EXACT = AsBuiltConfig()
+
+
+def measured(built: AsBuiltConfig, seed: int = 0) -> tuple[Measurement, BearingTable]:
+    """Readings of the machine as it was built, with the sensors' noise, and the truth."""
+    machine = CONFIG.machine
+    speeds = np.array(machine.speeds.rpm()) * RAD_S_PER_RPM
+    rotor = load_rotor(machine.rotor)
+    bearings, acting = load_modelled_bearings(machine.rotor, machine.bearings, speeds), excitations(CONFIG)
+    generator = np.random.default_rng(seed)
+    complete = simulate_as_built(built_rotor(machine.rotor, built), built, bearings, acting, None, generator)
+    data = measure(replace(complete, excitations=acting), sensors(CONFIG, rotor), generator)
+    return measurement_of(CONFIG, rotor, data, bearings), bearings
+
+
+def only(measurement: Measurement, *kinds: str) -> Measurement:
+    """The same with the parameters of these kinds alone."""
+    return replace(measurement, parameters=tuple(p for p in measurement.parameters if p.kind in kinds))
+
+
+def worst_error(fit: OutputErrorFit, truth: BearingTable) -> float:
+    """Percent."""
+    found = fit.identified.table(fit.problem.measurement.updated_known).values
+    changed = np.abs(found / truth.values - 1)[..., [0, 3]]
+    return 100 * float(changed.mean(axis=1).max())
+
+
+@pytest.fixture(scope="module")
+def problem() -> tuple[OutputError, object]:
+    """All kinds that the experiment has, at weights that are none of a minimum."""
+    import torch
+
+    start = prepare_output_error(measured(EXACT)[0], SETUP)
+    weights = start.weights.clone()
+    weights[..., start.problem.n_outer :] = torch.linspace(-0.5, 0.5, start.problem.n_rest, dtype=torch.float64)
+    return start.problem.update(0.9 * weights), weights
+
+
+def test_the_derivative_is_that_of_autograd(problem: tuple[OutputError, object]) -> None:
+    """By model parameters, too; the normal equations are those of the full derivative."""
+    import torch
+
+    fitted, weights = problem
+    jacobian = fitted.jacobian(weights)[0, 0]  # type: ignore[arg-type]
+    auto = torch.autograd.functional.jacobian(lambda z: fitted.rows(z)[0, 0], weights)[:, 0, 0]  # type: ignore[arg-type]
+    assert jacobian.shape == auto.shape
+    assert (jacobian - auto).abs().max() <= 1e-8 * auto.abs().max()
+    gradient, matrix = fitted.normal(weights)  # type: ignore[arg-type]
+    assert torch.allclose(matrix[0, 0], jacobian.mT @ jacobian, rtol=1e-8, atol=1e-8 * float(matrix.abs().max()))
+    rows = fitted.rows(weights)[0, 0]  # type: ignore[arg-type]
+    assert torch.allclose(gradient[0, 0], jacobian.mT @ rows, rtol=1e-8, atol=1e-8 * float(gradient.abs().max()))
+
+
+@pytest.mark.parametrize(
+    ("kind", "built"),
+    [
+        ("youngs_modulus", {"youngs_modulus": 0.02}),
+        ("disc_mass", {"disc_mass": 0.01}),
+        ("coupling_stiffness", {"coupling_stiffness": 3e5}),
+    ],
+)
+def test_what_the_model_is_wrong_in_is_found(kind: str, built: dict[str, float]) -> None:
+    """By one prior deviation; without it the coefficients are wrong, and the mismatch test says so."""
+    data, truth = measured(EXACT.model_copy(update=built))
+    wrong, right = (fit_output_error(only(data, *kinds), SETUP) for kinds in ((), (kind,)))
+    for one in right.model_parameters():
+        assert abs(one.value - 1.0) <= 4 * one.deviation, one.parameter.name
+        assert one.deviation < 0.7
+    assert worst_error(right, truth) < worst_error(wrong, truth)
+    probability = [output_error_quality(fit).summary["fit"]["mismatch"]["probability"] for fit in (wrong, right)]
+    assert probability[0] < 1e-3 < probability[1]
+
+
+def test_what_the_data_do_not_tell_stays_at_its_prior() -> None:
+    """A prior far narrower than what the data could tell leaves value and deviation as they were."""
+    data, _ = measured(EXACT)
+    narrow = ModelParameter("density", 1e-9, "")
+    (one,) = fit_output_error(replace(data, parameters=(narrow,)), SETUP).model_parameters()
+    assert one.deviation == pytest.approx(1.0, abs=1e-6)
+    assert abs(one.value) < 1e-3
+
+
+def test_an_uncertain_model_widens_the_deviations() -> None:
+    """The information of the weights falls by what the parameters take of it, and by no more."""
+    data, _ = measured(EXACT)
+    alone, joint = (fit_output_error(one, SETUP) for one in (only(data), data))
+    count = min(alone.problem.n_outer, joint.problem.n_outer)
+    kept = (alone.problem.fitted()[:count] & joint.problem.fitted()[:count]).numpy()
+    first, second = (np.diag(fit.covariance())[:count][kept] for fit in (alone, joint))
+    assert (second > 0.9 * first).all()
+    assert (second > 1.2 * first).any()
+
+
+def test_the_mismatch_test_is_that_of_the_distributions() -> None:
+    """Medians of chi-square and of the normal distribution; estimated noise leaves the order alone to judge."""
+    from scipy.stats import chi2
+
+    found = mismatch(float(chi2.median(200)), 200, 0.0)
+    assert found == pytest.approx({"chi_square": 0.5, "whiteness": 0.5, "probability": 1.0})
+    assert mismatch(None, 200, 1.6449) == {
+        "chi_square": None,
+        "whiteness": pytest.approx(0.05, abs=1e-4),
+        "probability": pytest.approx(0.05, abs=1e-4),
+    }
