@@ -1,0 +1,62 @@
+"""What the tolerance of each assumed quantity does to each coefficient: the systematic budget beside the deviations.
+
+At one speed, weighted least squares takes a wrong model for other coefficients. Where the readings move by ``V`` with
+the assumed quantities and by ``J`` with the unknowns, both over the noise, the unknowns move by ``-(J'J)^-1 J'V``. A
+fit over all speeds shares what is smooth over the speed, and a model error is: it moves by about as much.
+
+Legend: S speeds, P channels, R runs, B bearings, A active unknowns, T model parameters.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.problem.measurement import Measurement
+from pipeline.problem.response import derive_by_parameters, respond
+from pipeline.rotor.bearing_table import BearingTable
+
+
+def systematic_shifts(measurement: Measurement, bearings: BearingTable) -> np.ndarray | None:
+    """(S, A, T) change of each active unknown by one prior deviation of each model parameter, N/m and N s/m.
+
+    ``bearings`` are the best at hand. None where a speed by itself does not determine the unknowns.
+    """
+    by_coefficient = measurement.response.sensitivity(bearings)  # (S, P, R, B, 8)
+    by_unknown = np.einsum("sprbc,bca->spra", by_coefficient, measurement.unknowns.influence)
+    by_model = np.einsum("sprbc,sbct->sprt", by_coefficient, measurement.known_variation)
+    for block, variation in zip(measurement.response.blocks, measurement.variations, strict=True):
+        change = measurement.response.change(bearings, block)
+        found = derive_by_parameters(variation, respond(block, change), change[None], None)
+        by_model[:, :, block.runs] += found[0]
+    scaled = [
+        (part / measurement.deviation[..., None]).reshape(len(part), -1, part.shape[-1])
+        for part in (by_unknown, by_model)
+    ]
+    unknown, model = (np.concatenate([part.real, part.imag], axis=1) for part in scaled)
+    size = np.linalg.norm(unknown, axis=1, keepdims=True)
+    if unknown.shape[1] < unknown.shape[2] or not size.all():
+        return None
+    return np.asarray(-np.linalg.pinv(unknown / size) @ model / size.swapaxes(1, 2))
+
+
+def _rows(derivative: np.ndarray) -> np.ndarray:
+    """(S, 2 P R, ..) real rows of a derivative (S, P, R, ..)."""
+    flat = derivative.reshape(len(derivative), -1, derivative.shape[-1])
+    return np.concatenate([flat.real, flat.imag], axis=1)
+
+
+def budget_percent(measurement: Measurement, bearings: BearingTable) -> dict[str, np.ndarray] | None:
+    """Kind of parameter -> (A,) percent of the coefficient, the median over the speed.
+
+    Parameters of one kind are independent: their squares add. None as :func:`systematic_shifts`.
+    """
+    shifts = systematic_shifts(measurement, bearings)
+    if shifts is None:
+        return None
+    values = measurement.unknowns.leading(bearings.values)  # (M, S, U)
+    own = np.stack([values[m, :, u] for m, u in measurement.unknowns.active], axis=-1)  # (S, A)
+    kinds = np.array([parameter.kind for parameter in measurement.parameters])
+    return {
+        kind: 100 * np.median(np.sqrt((shifts[..., kinds == kind] ** 2).sum(axis=-1)) / np.abs(own), axis=0)
+        for kind in dict.fromkeys(kinds.tolist())
+    }
