@@ -1,8 +1,9 @@
 """What the tolerance of each assumed quantity does to each coefficient: the systematic budget beside the deviations.
 
-At one speed, weighted least squares takes a wrong model for other coefficients. Where the readings move by ``V`` with
-the assumed quantities and by ``J`` with the unknowns, both over the noise, the unknowns move by ``-(J'J)^-1 J'V``. A
-fit over all speeds shares what is smooth over the speed, and a model error is: it moves by about as much.
+At one speed, weighted least squares takes a wrong model for other coefficients. Where the readings of a machine that is
+not as stated differ by ``V``, and move by ``J`` with the unknowns, both over the noise, the unknowns move by
+``(J'J)^-1 J'V``. A fit over all speeds shares what is smooth over the speed, and a model error is: it moves by about as
+much.
 
 Legend: S speeds, P channels, R runs, B bearings, A active unknowns, T model parameters.
 """
@@ -17,7 +18,7 @@ from pipeline.rotor.bearing_table import BearingTable
 
 
 def systematic_shifts(measurement: Measurement, bearings: BearingTable) -> np.ndarray | None:
-    """(S, A, T) change of each active unknown by one prior deviation of each model parameter, N/m and N s/m.
+    """(S, A, T) error of each active unknown, N/m and N s/m, where the machine is one prior deviation off.
 
     ``bearings`` are the best at hand. None where a speed by itself does not determine the unknowns.
     """
@@ -36,7 +37,7 @@ def systematic_shifts(measurement: Measurement, bearings: BearingTable) -> np.nd
     size = np.linalg.norm(unknown, axis=1, keepdims=True)
     if unknown.shape[1] < unknown.shape[2] or not size.all():
         return None
-    return np.asarray(-np.linalg.pinv(unknown / size) @ model / size.swapaxes(1, 2))
+    return np.asarray(np.linalg.pinv(unknown / size) @ model / size.swapaxes(1, 2))
 
 
 def _rows(derivative: np.ndarray) -> np.ndarray:

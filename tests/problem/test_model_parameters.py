@@ -6,12 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.rotor import RotorConfig
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.data.noise import NoiseModel
 from pipeline.errors import ConfigError
+from pipeline.problem.budget import systematic_shifts
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.problem.model_parameters import model_parameters
 from pipeline.problem.response import derive_by_parameters, impedance_change, respond
@@ -132,3 +134,30 @@ def test_a_parameter_that_the_machine_lacks_is_refused(kind: str, measurement: M
     data = replace(measurement.dataset, excitations=(Excitation("a", "force", 3, 1.0, 0.0),))
     with pytest.raises(ConfigError, match=f"{kind} must belong to something that the machine has"):
         model_parameters({kind: 0.1}, bare, data, measurement.known, unknowns)
+
+
+def test_the_budget_is_what_least_squares_makes_of_a_wrong_model(measurement: Measurement) -> None:
+    """SciPy's least squares at each speed by itself, of readings from a model that is a little other than stated."""
+
+    stated = replace(measurement, values=())
+    shifts = systematic_shifts(stated, stated.known)
+    assert shifts is not None
+    for t in (0, 3, 8, 14, len(stated.parameters) - 1):
+        moved = stated.update(1e-3 * (np.arange(len(stated.parameters)) == t))
+        readings = moved.response.predict(moved.updated_known)
+        for s in (0, 3, 6):
+            found = answer_at_one_speed(stated.select(np.array([s])), readings[[s]]) / 1e-3
+            assert found == pytest.approx(shifts[s, :, t], rel=0.02, abs=1e-3 * np.abs(shifts[s]).max())
+
+
+def answer_at_one_speed(one: Measurement, readings: np.ndarray) -> np.ndarray:
+    """(A,) change of the unknowns that explains the readings best."""
+    truth = one.unknowns.leading(one.known.values)  # (M, 1, U)
+
+    def rows(shift: np.ndarray) -> np.ndarray:
+        values = truth + one.unknowns.from_active(shift[None] * 1e4)
+        off = (one.response.predict(one.table(values)) - readings) / one.deviation
+        return np.concatenate([off.real.ravel(), off.imag.ravel()])
+
+    start = np.zeros(len(one.unknowns.active))
+    return np.asarray(least_squares(rows, start, xtol=1e-15, ftol=1e-15, gtol=1e-15).x * 1e4)
