@@ -13,8 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.data.columns import read_columns
-from pipeline.data.tables import write_table
+from pipeline.data.tables import read_table, write_table
 from pipeline.data.vibration_files import to_rpm
 from pipeline.errors import DataError
 from pipeline.rotor.bearing_table import BearingTable
@@ -54,7 +53,7 @@ def read_coefficients(
     """
     every = [name for name in COEFFICIENTS if of is None or any(name in of[node] for node in nodes)]
     kinds = {"bearing_node": "number", "speed_rpm": "number"}
-    table = read_columns(
+    table = read_table(
         path, kinds | {name: "number" if _by_all(name, nodes, of) else "number or blank" for name in every}
     )
     # Speeds of two files are the same where they agree to a millionth of an rpm.

@@ -9,13 +9,13 @@ Excitation: ``run, kind, node, magnitude, phase_deg, whirl``; kind ``unbalance``
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
-from pipeline.data.columns import Columns, read_columns
 from pipeline.data.dataset import DIRECTIONS, Excitation, VibrationDataset, direction_name, without_baseline
-from pipeline.data.tables import rotor_of, write_table
+from pipeline.data.tables import Columns, read_marks, read_table, write_table
 from pipeline.errors import DataError, nearest
 from pipeline.rotor.model import RotorModel
 from pipeline.units import RAD_S_PER_RPM
@@ -44,12 +44,10 @@ def to_rpm(speeds: np.ndarray) -> np.ndarray:
     return np.round(speeds / RAD_S_PER_RPM, 9)
 
 
-def write_vibration(
-    path: Path, dataset: VibrationDataset, rotor: RotorModel | None = None, origin: str | None = None
-) -> Path:
+def write_vibration(path: Path, dataset: VibrationDataset, marks: Mapping[str, str] | None = None) -> Path:
     """Write the displacements of all runs, the baseline run among them. Raises StorageError.
 
-    Generated data say for which ``rotor`` and from what ``origin``; measured data belong to no model of it.
+    Generated data have ``marks`` (see :func:`pipeline.data.tables.read_marks`); measured data belong to no model.
     """
     n_speeds, n_channels, n_runs = dataset.displacement.shape
     flat = dataset.displacement.transpose(2, 0, 1).ravel()  # run slowest, then speed, then channel
@@ -65,7 +63,7 @@ def write_vibration(
     }
     if dataset.own_frequencies is not None:
         columns[_FREQUENCY] = np.repeat(dataset.own_frequencies.T.ravel() / (2 * np.pi), n_channels)
-    return write_table(path, columns, None if rotor is None else rotor.fingerprint, origin)
+    return write_table(path, columns, marks)
 
 
 def write_excitation(path: Path, dataset: VibrationDataset) -> Path:
@@ -96,7 +94,7 @@ def read_dataset(vibration: Path, excitation: Path, rotor: RotorModel, baseline:
 
 def require_made_for(vibration: Path, rotor: RotorModel) -> None:
     """Raise DataError where the file says that it was generated for another rotor."""
-    made_for = rotor_of(vibration)
+    made_for = (read_marks(vibration) or {}).get("rotor")
     if made_for is not None and made_for != rotor.fingerprint:
         raise DataError(
             f"'{vibration}' must have been made for this rotor ({rotor.fingerprint}), but it was made for another "
@@ -118,8 +116,8 @@ def read_measured(
     vibration: Path, excitation: Path, baseline: str | None = None, n_nodes: int | None = None
 ) -> VibrationDataset:
     """As :func:`read_dataset`, before anything is known of the rotor but, perhaps, its number of nodes."""
-    table = read_columns(vibration, _VIBRATION, {_FREQUENCY: "number or blank"})
-    excitations = _excitations(read_columns(excitation, _EXCITATION), excitation, n_nodes)
+    table = read_table(vibration, _VIBRATION, {_FREQUENCY: "number or blank"})
+    excitations = _excitations(read_table(excitation, _EXCITATION), excitation, n_nodes)
     nodes = _nodes(table["node"], vibration, n_nodes)
     angles = _angles(table["direction"], vibration)
     rpm, amplitude = table["speed_rpm"], table["amplitude_m"]

@@ -11,7 +11,7 @@ from pipeline.data.coefficient_files import write_coefficients
 from pipeline.data.dataset import Excitation
 from pipeline.data.sensors import Channels, Sensors, both_directions, measure
 from pipeline.data.simulate import simulate
-from pipeline.data.tables import is_foreign
+from pipeline.data.tables import read_marks
 from pipeline.data.vibration_files import write_excitation, write_vibration
 from pipeline.errors import DataError
 from pipeline.reporting.console import say, warn
@@ -32,7 +32,8 @@ def run(config: Config) -> StageOutput:
             "generate must write the experiment's own files, but data.vibration, data.excitation or data.known "
             "names others: leave them out"
         )
-    if is_foreign(files.vibration):
+    marks = read_marks(files.vibration)
+    if marks is not None and "origin" not in marks:
         raise DataError(
             f"generate must not replace what it did not write, but '{files.vibration}' was made elsewhere: move it and "
             "give it as data.vibration=..., or choose another folder with output=FOLDER"
@@ -50,7 +51,8 @@ def run(config: Config) -> StageOutput:
     write_excitation(files.excitation, dataset)
     write_coefficients(modelled, bearings)
     write_coefficients(files.known, bearings, known_coefficients(config, rotor.bearing_nodes))
-    write_vibration(files.vibration, dataset, rotor, origin_of_files(config, files))
+    made_for = {"rotor": rotor.fingerprint, "origin": origin_of_files(config, files)}
+    write_vibration(files.vibration, dataset, made_for)
     # A tenth of the speeds shows the trend; the eigenvalues of all would take longer than the vibration.
     margin = stability_margin(whirl_modes(rotor, bearings.at(np.arange(0, len(speeds), 10))))
     say(

@@ -17,7 +17,7 @@ from pipeline.config.recordings import (
 )
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import write_coefficients
-from pipeline.data.tables import is_ingested
+from pipeline.data.tables import read_marks
 from pipeline.data.vibration_files import to_rpm, write_excitation, write_vibration
 from pipeline.errors import ConfigError, DataError
 from pipeline.files import write_json
@@ -81,7 +81,8 @@ def _refuse_replacing(files: InputFiles) -> None:
             "ingest must write the experiment's own files, but data.vibration, data.excitation or data.known names "
             "others: leave them out"
         )
-    if files.vibration.exists() and not is_ingested(files.vibration):
+    marks = read_marks(files.vibration) or {}
+    if files.vibration.exists() and ("schema" not in marks or "origin" in marks):
         raise DataError(
             f"ingest must not replace what it did not write, but '{files.vibration}' was generated or made elsewhere: "
             "choose another folder with output=FOLDER"

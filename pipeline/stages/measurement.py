@@ -6,7 +6,7 @@ from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import read_coefficients
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.noise import NoiseModel
-from pipeline.data.tables import origin_of
+from pipeline.data.tables import read_marks
 from pipeline.data.vibration_files import read_measured, require_made_for, require_nodes_of
 from pipeline.errors import DataError
 from pipeline.problem.measurement import Guess, Measurement
@@ -63,7 +63,7 @@ def _known(config: Config, files: InputFiles, nodes: tuple[int, ...], dataset: V
 
 
 def _require_generated_from(config: Config, files: InputFiles) -> None:
-    made_from = origin_of(files.vibration)
+    made_from = (read_marks(files.vibration) or {}).get("origin")
     if made_from is not None and made_from.split(" ")[0] != origin(config):
         raise DataError(
             f"'{files.vibration}' must have been generated from the configured machine, but it has "

@@ -8,9 +8,8 @@ import numpy as np
 
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import read_coefficients
-from pipeline.data.tables import fingerprint_of
 from pipeline.errors import DataError
-from pipeline.files import read_json
+from pipeline.files import hash_file, read_json
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.storage import ARCHITECTURE, WEIGHTS, load_model
 from pipeline.identification.uncertainty import UNCERTAINTY
@@ -29,7 +28,7 @@ def load_identified(config: Config, measurement: Measurement) -> IdentifiedModel
     identified = load_model(work.folder)
     laws = {
         "the data at hand": about.get("data_fingerprint") == measurement.dataset.fingerprint,
-        "the model beside it": about.get("model") == " ".join(fingerprint_of(path) for path in model_files),
+        "the model beside it": about.get("model") == " ".join(hash_file(path) for path in model_files),
         f"the bearings at nodes {list(measurement.rotor.bearing_nodes)}": identified.bearing_nodes
         == measurement.rotor.bearing_nodes,
         f"the unknowns {', '.join(config.identify.named())}": _same_unknowns(config, identified),

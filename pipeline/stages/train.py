@@ -13,9 +13,9 @@ import numpy as np
 from pipeline.config.promotion import has_value, value_at
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import write_coefficients
-from pipeline.data.tables import fingerprint_of, write_table
+from pipeline.data.tables import write_table
 from pipeline.data.vibration_files import to_rpm
-from pipeline.files import write_json
+from pipeline.files import hash_file, write_json
 from pipeline.identification.fit import fit
 from pipeline.identification.identified import Fit
 from pipeline.identification.outcome import Outcome
@@ -94,7 +94,7 @@ def _write(config: Config, measurement: Measurement, found: Fit, summary: Mappin
         "outcome": found.outcome.label,
         "data_fingerprint": measurement.dataset.fingerprint,
         "seed": config.seed,
-        "model": " ".join(fingerprint_of(path) for path in model),
+        "model": " ".join(hash_file(path) for path in model),
     }
     table, deviation = found.table(measurement.known), found.deviation(measurement.dataset.speeds)
     return [

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.config.schema import Config
-from pipeline.data.tables import fingerprint_of
+from pipeline.files import hash_file
 
 
 def _file(name: str, meaning: str) -> Any:
@@ -69,4 +69,4 @@ def origin_of_files(config: Config, files: InputFiles) -> str:
 
     Files of two generations, as an interrupted ``generate`` leaves them, do not fit each other.
     """
-    return f"{origin(config)} {fingerprint_of(files.excitation)} {fingerprint_of(files.known)}"
+    return f"{origin(config)} {hash_file(files.excitation)} {hash_file(files.known)}"

@@ -1099,7 +1099,8 @@ def test_an_excel_table_is_read_as_a_csv_is(tmp_path: Path) -> None:
     kinds = {"run": "text", "a": "number", "b": "number or blank"}
     csv, excel = (read_table(tmp_path / f"t.{ending}", kinds) for ending in ("csv", "xlsx"))
     assert csv["run"].tolist() == excel["run"].tolist() == ["007", "NA", "x"]
-    np.testing.assert_array_equal(csv[["a", "b"]].to_numpy(dtype=float), excel[["a", "b"]].to_numpy(dtype=float))
+    for name in ("a", "b"):
+        np.testing.assert_array_equal(csv[name], excel[name])
     frame.assign(a=pd.Timestamp("2026-05-01")).to_excel(tmp_path / "date.xlsx", index=False)
     frame.assign(a=True).to_excel(tmp_path / "true.xlsx", index=False)
     for name in ("date", "true"):

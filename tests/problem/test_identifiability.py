@@ -381,7 +381,7 @@ def test_frequencies_go_through_the_files(machine: MachineFactory, tmp_path: Pat
     )
     made = machine("experiment=all_coefficients", *FEW, f"machine.runs={runs}")
     vibration, excitation = tmp_path / "v.csv", tmp_path / "e.csv"
-    write_vibration(vibration, made.dataset, made.rotor)
+    write_vibration(vibration, made.dataset, {"rotor": made.rotor.fingerprint})
     write_excitation(excitation, made.dataset)
     read = read_dataset(vibration, excitation, made.rotor)
     np.testing.assert_allclose(read.frequencies, made.dataset.frequencies, rtol=1e-12)
