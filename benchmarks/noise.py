@@ -90,8 +90,7 @@ class _Ready:
 
 def _ready(experiment: str, folder: Path) -> _Ready:
     from pipeline.config.compose import compose_config
-    from pipeline.stages.measurement import load_measurement
-    from pipeline.stages.results import load_modelled
+    from pipeline.stages.measurement import load_measurement, load_modelled
 
     config = compose_config([f"experiment={experiment}", f"output='{folder}'", "tracking=none"])
     measurement = load_measurement(config)

@@ -12,7 +12,6 @@ from pipeline.comparison.cases import Machine, cases, main_case
 from pipeline.comparison.result import Result
 from pipeline.comparison.runner import ComparisonSetup, MethodRun, compare
 from pipeline.config.schema import Config
-from pipeline.data.simulate import simulate
 from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError
 from pipeline.files import write_json, write_text
@@ -20,12 +19,9 @@ from pipeline.methods.catalogue import METHODS
 from pipeline.reporting.comparison_figures import comparison_figure
 from pipeline.reporting.comparison_tables import Comparison, markdown, tables
 from pipeline.reporting.console import comparison_progress, say, table
-from pipeline.rotor.stored import load_modelled_bearings, load_rotor
-from pipeline.stages.execution import StageOutput, flat_metrics, use_threads
-from pipeline.stages.generate import excitations, own_frequencies, residual_unbalances
-from pipeline.stages.nodes import known_coefficients, require_nodes
-from pipeline.stages.workspace import workspace
-from pipeline.units import RAD_S_PER_RPM
+from pipeline.stages.execution import StageOutput, use_threads
+from pipeline.stages.generate import model_machine
+from pipeline.stages.workspace import locate_files, require_nodes
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -42,12 +38,13 @@ def run(config: Config) -> StageOutput:
             "use stage=evaluate, which shows least squares beside the fit"
         )
     use_threads(config)
-    machine = modelled_machine(config)
+    machine = Machine(*model_machine(config), config.machine.probes.seed)
+    require_nodes(machine.rotor, "identify.unbalance_planes", config.identify.unbalance_planes)
     require_nodes(machine.rotor, "comparison.location", [config.comparison.location or 0])
     setup = ComparisonSetup(machine, config.identify, config.comparison, config.seed)
     n_speeds = len(machine.vibration.speeds)
     runs = [MethodRun(m, case) for case in cases(config.comparison, n_speeds) for m in config.comparison.methods]
-    folder = workspace(config).folder
+    folder = locate_files(config).folder
     try:
         with comparison_progress(config.name, len(runs)) as progress:
             results = compare(setup, runs, folder / "comparison", progress)
@@ -56,33 +53,19 @@ def run(config: Config) -> StageOutput:
         raise SystemExit(130) from None
     names = tuple(config.identify.named())
     comparison = Comparison(tuple(results), main_case(config.comparison, n_speeds), names)
-    summary = summary_of(comparison)
+    summary = summarize(comparison)
     _print(config, comparison)
     written: list[Path] = [
         write_table(folder / "comparison.csv", _rows(results)),
         write_json(folder / "comparison.json", summary),
         write_text(folder / "comparison.md", markdown(comparison)),
-        comparison_figure(workspace(config).figure("comparison"), comparison),
+        comparison_figure(locate_files(config).figure("comparison"), comparison),
     ]
     tags = {"rotor_fingerprint": machine.rotor.fingerprint, "data_fingerprint": machine.vibration.fingerprint}
-    return StageOutput(flat_metrics(summary), tags, written)
+    return StageOutput(summary, tags, written)
 
 
-def modelled_machine(config: Config) -> Machine:
-    """The configured machine, and its vibration without noise at every node."""
-    speeds = np.array(config.machine.speeds.rpm()) * RAD_S_PER_RPM
-    rotor = load_rotor(config.machine.rotor)
-    known_coefficients(config, rotor.bearing_nodes)  # refuses exceptions without a bearing
-    bearings = load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
-    runs, residual = excitations(config), residual_unbalances(config)
-    require_nodes(rotor, "machine.runs", [excitation.node for excitation in (*runs, *residual)])
-    require_nodes(rotor, "identify.unbalance_planes", config.identify.unbalance_planes)
-    complete = simulate(rotor, bearings, (*runs, *residual), own_frequencies(config, speeds))
-    # The residual unbalance is in the vibration and nobody knows of it.
-    return Machine(rotor, bearings, replace(complete, excitations=runs), config.machine.probes.seed)
-
-
-def summary_of(comparison: Comparison) -> dict[str, object]:
+def summarize(comparison: Comparison) -> dict[str, object]:
     """Numbers by method, sensors and noise, and the response loss against the best other method in the main case."""
     methods: dict[str, object] = {}
     for method in comparison.methods:

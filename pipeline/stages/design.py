@@ -14,6 +14,7 @@ from pipeline.data.dataset import Excitation
 from pipeline.data.simulate import simulate
 from pipeline.errors import ConfigError
 from pipeline.files import write_json, write_text
+from pipeline.identification.quality import finite
 from pipeline.problem.design import (
     choose,
     plan_covariance,
@@ -27,11 +28,10 @@ from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, table
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor
 from pipeline.stages.diagnose import noise_words
-from pipeline.stages.execution import StageOutput, flat_metrics
-from pipeline.stages.generate import excitations, own_frequencies
+from pipeline.stages.execution import StageOutput
+from pipeline.stages.generate import configured_excitations, own_frequencies
 from pipeline.stages.measurement import measurement_of
-from pipeline.stages.nodes import require_nodes
-from pipeline.stages.workspace import workspace
+from pipeline.stages.workspace import locate_files, require_nodes
 from pipeline.units import RAD_S_PER_RPM
 
 
@@ -72,12 +72,12 @@ def run(config: Config) -> StageOutput:
     present = everything.unknowns.present
     chosen = [possible[c] for c in choose(information, present, design.runs, design.criterion)]
     plans = {
-        "configured": plan(excitations(config), own_frequencies(config, speeds)),
+        "configured": plan(configured_excitations(config), own_frequencies(config, speeds)),
         "designed": plan(list(itertools.chain.from_iterable(chosen))),
     }
     summary = _summary(config, plans)
     _print(config, summary, [acting[0].run for acting in chosen])
-    folder = workspace(config).folder
+    folder = locate_files(config).folder
     written = [
         write_text(folder / "designed_excitation.yaml", _excitation_yaml(config, chosen)),
         write_json(folder / "design.json", summary | {"runs": [acting[0].run for acting in chosen]}),
@@ -86,30 +86,26 @@ def run(config: Config) -> StageOutput:
         f"use them with: python -m pipeline stage=train {config.chosen} "
         f"{override('machine.runs_file', str(written[0]))} {override('output', f'{folder}_designed')}"
     )
-    return StageOutput(flat_metrics(summary), {"rotor_fingerprint": rotor.fingerprint}, written)
+    return StageOutput(summary, {"rotor_fingerprint": rotor.fingerprint}, written)
 
 
 def _summary(config: Config, plans: Mapping[str, Measurement]) -> dict[str, object]:
     predicted = {name: predict_deviations(plan) for name, plan in plans.items()}
     summary: dict[str, object] = {"stated_noise": config.stated_noise.model_dump(), "predicted": _finite(predicted)}
-    summary["worst"] = {name: _number(max(of.values())) for name, of in predicted.items()}
-    summary["gain"] = _number(max(predicted["configured"].values()) / max(predicted["designed"].values()))
+    summary["worst"] = {name: finite(max(of.values())) for name, of in predicted.items()}
+    summary["gain"] = finite(max(predicted["configured"].values()) / max(predicted["designed"].values()))
     if config.design.simulations > 1:
         generator = np.random.default_rng(config.seed)
         simulated = {
             name: simulate_deviations(plan, config.design.simulations, generator) for name, plan in plans.items()
         }
         summary["simulated"] = _finite(simulated)
-        summary["simulated_gain"] = _number(max(simulated["configured"].values()) / max(simulated["designed"].values()))
+        summary["simulated_gain"] = finite(max(simulated["configured"].values()) / max(simulated["designed"].values()))
     return summary
 
 
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
 def _finite(values: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float | None]]:
-    return {name: {key: _number(value) for key, value in of.items()} for name, of in values.items()}
+    return {name: {key: finite(value) for key, value in of.items()} for name, of in values.items()}
 
 
 def _excitation_yaml(config: Config, chosen: Sequence[Sequence[Excitation]]) -> str:

@@ -19,9 +19,9 @@ from pipeline.problem.identifiability import Verdict
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, table
 from pipeline.reporting.diagnosis_figures import diagnosis_figure
-from pipeline.stages.execution import StageOutput, flat_metrics
+from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_measurement
-from pipeline.stages.workspace import workspace
+from pipeline.stages.workspace import locate_files
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 def run(config: Config) -> StageOutput:
     """``diagnosis.json``, ``diagnosis.csv`` (a row a bearing and speed) and a figure over speed."""
-    measurement, work = load_measurement(config), workspace(config)
+    measurement, work = load_measurement(config), locate_files(config)
     diagnosis = diagnose(config, measurement)
     for report in diagnosis.reports:
         say(f"{config.name}: {report.sentence}")
@@ -40,7 +40,7 @@ def run(config: Config) -> StageOutput:
         write_table(work.folder / "diagnosis.csv", _rows(diagnosis)),
         diagnosis_figure(work.figure("diagnosis"), diagnosis.reports, diagnosis.relative, noise_words(config)),
     ]
-    return StageOutput(flat_metrics(summary), {"data_fingerprint": measurement.dataset.fingerprint}, written)
+    return StageOutput(summary, {"data_fingerprint": measurement.dataset.fingerprint}, written)
 
 
 def diagnose(config: Config, measurement: Measurement) -> Diagnosis:

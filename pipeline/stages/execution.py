@@ -35,7 +35,7 @@ def use_threads(config: Config) -> None:
 class StageOutput:
     """What a stage hands to the records."""
 
-    metrics: Mapping[str, float] = field(default_factory=dict)
+    metrics: Mapping[str, object] = field(default_factory=dict)  # nested; numbers are recorded by dotted names
     tags: Mapping[str, str] = field(default_factory=dict)
     files: Sequence[Path] = ()
     history: Sequence[Mapping[str, float]] = ()
@@ -57,7 +57,7 @@ def execute(config: Config, run: Callable[[Config], StageOutput]) -> None:
         ended=time.time(),
         parameters=parameters,
         tags={"pipeline.group": _group(parameters), "seed": str(config.seed)} | dict(output.tags),
-        metrics=output.metrics,
+        metrics=_flatten(output.metrics),
         history=output.history,
         files=[path for path in output.files if path.exists()],
         model=output.model,
@@ -79,13 +79,13 @@ def _group(parameters: Mapping[str, object]) -> str:
     return hashlib.sha256(json.dumps(shared, sort_keys=True).encode()).hexdigest()[:12]
 
 
-def flat_metrics(values: Mapping[str, object], prefix: str = "") -> dict[str, float]:
+def _flatten(values: Mapping[str, object], prefix: str = "") -> dict[str, float]:
     """Numbers of a nested mapping by dotted names."""
     result: dict[str, float] = {}
     for key, value in values.items():
         name = f"{prefix}{key}"
         if isinstance(value, Mapping):
-            result |= flat_metrics(value, f"{name}.")
+            result |= _flatten(value, f"{name}.")
         elif isinstance(value, (int, float)) and not isinstance(value, bool):
             result[name] = float(value)
     return result

@@ -30,8 +30,7 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor
 from pipeline.stages.execution import StageOutput
-from pipeline.stages.nodes import known_coefficients, require_nodes
-from pipeline.stages.workspace import InputFiles, input_files, workspace
+from pipeline.stages.workspace import Workspace, known_coefficients, locate_files, require_nodes
 
 
 def run(config: Config) -> StageOutput:
@@ -39,8 +38,8 @@ def run(config: Config) -> StageOutput:
 
     Raises ConfigError where the configuration says nothing to read.
     """
-    files, work, ingest = input_files(config), workspace(config), config.machine.recordings
-    _refuse_replacing(files)
+    work, ingest = locate_files(config), config.machine.recordings
+    _refuse_replacing(work)
     if isinstance(ingest, NoRecordingsConfig):
         raise ConfigError(
             "ingest must have recordings to read, but machine.recordings.format is none: say in a machine file "
@@ -56,16 +55,16 @@ def run(config: Config) -> StageOutput:
     known = _known(config, ingest, rotor, dataset.speeds)
     notes = [*measured.notes, *whirl_notes(dataset)]
     notes += size_notes(dataset, rotor, config.model.initial_stiffness, config.model.initial_damping)
-    written = [write_excitation(files.excitation, dataset)]
+    written = [write_excitation(work.excitation, dataset)]
     if known is not None:
-        written.append(write_coefficients(files.known, known, known_coefficients(config, rotor.bearing_nodes)))
-    written.append(write_vibration(files.vibration, dataset))
+        written.append(write_coefficients(work.known, known, known_coefficients(config, rotor.bearing_nodes)))
+    written.append(write_vibration(work.vibration, dataset))
     written += [
         write_json(work.folder / "ingest.json", _summarize(measured, ingest, notes)),
         bode_figure(work.figure("ingest_bode"), dataset, ingest.baseline),
         measured_orbit_figure(work.figure("ingest_orbits"), dataset, ingest.baseline),
     ]
-    _report(config, ingest, measured, files)
+    _report(config, ingest, measured, work)
     for note in notes:
         warn(note)
     return StageOutput(
@@ -75,16 +74,16 @@ def run(config: Config) -> StageOutput:
     )
 
 
-def _refuse_replacing(files: InputFiles) -> None:
-    if not files.own:
+def _refuse_replacing(work: Workspace) -> None:
+    if not work.own:
         raise DataError(
             "ingest must write the experiment's own files, but data.vibration, data.excitation or data.known names "
             "others: leave them out"
         )
-    marks = read_marks(files.vibration) or {}
-    if files.vibration.exists() and ("schema" not in marks or "origin" in marks):
+    marks = read_marks(work.vibration) or {}
+    if work.vibration.exists() and ("schema" not in marks or "origin" in marks):
         raise DataError(
-            f"ingest must not replace what it did not write, but '{files.vibration}' was generated or made elsewhere: "
+            f"ingest must not replace what it did not write, but '{work.vibration}' was generated or made elsewhere: "
             "choose another folder with output=FOLDER"
         )
 
@@ -147,7 +146,7 @@ def conventions(ingest: AnyRecordingsConfig) -> str:
     return f"time signals in {ingest.signal_unit}, {records}, tacho edge {ingest.tacho.edge}"
 
 
-def _report(config: Config, ingest: AnyRecordingsConfig, measured: MeasuredRuns, files: InputFiles) -> None:
+def _report(config: Config, ingest: AnyRecordingsConfig, measured: MeasuredRuns, work: Workspace) -> None:
     dataset = measured.dataset
     rows = []
     for i, run in enumerate(measured.runs):
@@ -173,9 +172,9 @@ def _report(config: Config, ingest: AnyRecordingsConfig, measured: MeasuredRuns,
     say(
         f"probes: {probes}\n"
         f"{config.name}: {len(dataset.runs)} runs, {len(rpm)} speeds from {rpm[0]:g} to {rpm[-1]:g} rpm, "
-        f"{len(dataset.channels)} channels in '{files.vibration}'"
+        f"{len(dataset.channels)} channels in '{work.vibration}'"
     )
-    if not files.known.exists():
+    if not work.known.exists():
         say(
             "some coefficients are taken as known (identify.unknowns): give their table as machine.recordings.known, "
             "or data.known"

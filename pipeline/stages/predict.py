@@ -21,11 +21,9 @@ from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, table
 from pipeline.reporting.twin_figures import orbit_figure, response_figure, time_figure
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.stages.execution import StageOutput, flat_metrics
-from pipeline.stages.measurement import load_measurement
-from pipeline.stages.nodes import require_nodes
-from pipeline.stages.results import load_identified, load_modelled
-from pipeline.stages.workspace import workspace
+from pipeline.stages.execution import StageOutput
+from pipeline.stages.measurement import load_identified, load_measurement, load_modelled
+from pipeline.stages.workspace import locate_files, require_nodes
 from pipeline.twin.modes import CriticalSpeed, StabilityMargin, critical_speeds, stability_margin, whirl_modes
 from pipeline.twin.prediction import PredictedVibration, predict, with_deviation
 from pipeline.units import RAD_S_PER_RPM
@@ -47,7 +45,7 @@ class Twin:
 def twin_of(config: Config, measurement: Measurement) -> Twin:
     """The twin, training first where its model is missing. Raises ConfigError for an unbalance that a run has."""
     model = load_identified(config, measurement)
-    uncertainty = load_uncertainty(workspace(config).folder, model)
+    uncertainty = load_uncertainty(locate_files(config).folder, model)
     identified = model.table(measurement.known)
     modelled = load_modelled(config, measurement)
     systems = {"identified": identified} if modelled is None else {"modelled": modelled, "identified": identified}
@@ -86,7 +84,7 @@ def run(config: Config) -> StageOutput:
             for direction, e in zip("xy", error.T, strict=True)
         }
     _print(config, summary, vibration, at)
-    work = workspace(config)
+    work = locate_files(config)
     written = [
         write_json(work.folder / "prediction.json", summary),
         _write_table(work.folder / "prediction.csv", vibration),
@@ -94,7 +92,7 @@ def run(config: Config) -> StageOutput:
         orbit_figure(work.figure("prediction_orbit"), vibration, at),
         response_figure(work.figure("prediction_response"), vibration),
     ]
-    return StageOutput(flat_metrics(summary), {"data_fingerprint": measurement.dataset.fingerprint}, written)
+    return StageOutput(summary, {"data_fingerprint": measurement.dataset.fingerprint}, written)
 
 
 def _speed_index(config: Config, speeds: np.ndarray) -> int:

@@ -20,12 +20,11 @@ from pipeline.reporting.console import say, table, training_progress
 from pipeline.reporting.figures import robustness_figure
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.diagnose import say_diagnosis
-from pipeline.stages.execution import StageOutput, flat_metrics, use_threads
-from pipeline.stages.measurement import load_measurement
+from pipeline.stages.execution import StageOutput, use_threads
+from pipeline.stages.measurement import load_measurement, load_modelled
 from pipeline.stages.predict import same_run, unseen_excitations
-from pipeline.stages.results import load_modelled
 from pipeline.stages.train import say_promoted
-from pipeline.stages.workspace import workspace
+from pipeline.stages.workspace import locate_files
 from pipeline.twin.prediction import predict
 
 if TYPE_CHECKING:
@@ -68,7 +67,8 @@ def run(config: Config) -> StageOutput:
             record_trajectory=setup.constant,
         )
     modelled = load_modelled(config, measurement)  # read when training is over
-    work, answers = workspace(config), [training.identified(one).table(measurement.known) for one in found.parameters]
+    work = locate_files(config)
+    answers = [training.identified(one).table(measurement.known) for one in found.parameters]
     rows = _rows(config, found, answers, starts, modelled, measurement)
     summary = _summary(found, rows)
     error = None if modelled is None else _displacement_error(config, measurement, answers, modelled)
@@ -82,7 +82,7 @@ def run(config: Config) -> StageOutput:
     ]
     exit_code = 130 if Outcome.INTERRUPTED in found.outcomes else 0
     return StageOutput(
-        flat_metrics(summary | {"seconds": found.seconds}),
+        summary | {"seconds": found.seconds},
         {"data_fingerprint": measurement.dataset.fingerprint},
         written,
         exit_code=exit_code,

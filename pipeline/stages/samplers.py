@@ -12,7 +12,7 @@ from pipeline.data.tables import write_table
 from pipeline.files import write_json
 from pipeline.reporting.console import say, study_progress, table, warn
 from pipeline.reporting.study_figures import samplers_figure
-from pipeline.stages.execution import StageOutput, flat_metrics
+from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_measurement
 from pipeline.stages.tune import progress_of, study_problem
 from pipeline.tuning.finalists import TrialSummary, sampler_study, summarize
@@ -58,7 +58,7 @@ def run(config: Config) -> StageOutput:
         samplers_figure(folder / "figures" / "samplers.png", curves),
         write_json(folder / "samplers.json", summary),
     ]
-    return StageOutput(flat_metrics(summary), {"data_fingerprint": problem.measurement.dataset.fingerprint}, written)
+    return StageOutput(summary, {"data_fingerprint": problem.measurement.dataset.fingerprint}, written)
 
 
 def best_so_far(trials: list[TrialSummary]) -> np.ndarray:

@@ -20,12 +20,12 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_measurement
 from pipeline.stages.predict import Twin, twin_of
-from pipeline.stages.workspace import workspace
+from pipeline.stages.workspace import locate_files
 
 
 def run(config: Config) -> StageOutput:
     """``summary.txt``, which is printed too, and ``figures/summary.png``."""
-    work, measurement = workspace(config), load_measurement(config)
+    work, measurement = locate_files(config), load_measurement(config)
     twin = twin_of(config, measurement)
     results = _results(config, measurement, twin, read_json(work.training, "train again with stage=train"))
     picture = summary_figure(work.figure("summary"), results, config.name)

@@ -19,16 +19,16 @@ from pipeline.files import hash_file, write_json
 from pipeline.identification.fit import fit
 from pipeline.identification.identified import Fit
 from pipeline.identification.outcome import Outcome
-from pipeline.identification.quality import FAR_FROM_EXPECTED
+from pipeline.identification.quality import FAR_FROM_EXPECTED, finite
 from pipeline.identification.storage import save_model
 from pipeline.identification.training import setup_of
 from pipeline.identification.uncertainty import Uncertainty, save_uncertainty
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, training_progress, warn
 from pipeline.stages.diagnose import say_diagnosis
-from pipeline.stages.execution import StageOutput, flat_metrics, use_threads
+from pipeline.stages.execution import StageOutput, use_threads
 from pipeline.stages.measurement import load_measurement
-from pipeline.stages.workspace import workspace
+from pipeline.stages.workspace import locate_files
 
 
 def say_promoted(config: Config) -> None:
@@ -69,26 +69,26 @@ def run(config: Config) -> StageOutput:
     files = _write(config, measurement, found, summary)
     _report(config, found)
     return StageOutput(
-        metrics=flat_metrics({"training": summary | {"seconds": found.seconds}}),
+        metrics={"training": summary | {"seconds": found.seconds}},
         tags={"data_fingerprint": measurement.dataset.fingerprint, "outcome": found.outcome.label},
         files=files,
         history=[{key: value for key, value in row.items() if not isinstance(value, str)} for row in found.history],
-        model=workspace(config).folder,
+        model=locate_files(config).folder,
         exit_code=130 if found.outcome is Outcome.INTERRUPTED else 0,
     )
 
 
 def _summary(found: Fit) -> dict[str, object]:
     # A loss that overflowed is no JSON number.
-    summary: dict[str, object] = {"loss": found.loss if math.isfinite(found.loss) else None, "steps": found.steps}
+    summary: dict[str, object] = {"loss": finite(found.loss), "steps": found.steps}
     if found.held_out_loss is not None:
-        summary["held_out_loss"] = found.held_out_loss if math.isfinite(found.held_out_loss) else None
+        summary["held_out_loss"] = finite(found.held_out_loss)
     return summary | dict(found.quality.summary)
 
 
 def _write(config: Config, measurement: Measurement, found: Fit, summary: Mapping[str, object]) -> list[Path]:
     """Every file of the fit; tables without a row where the loss says nothing of them. Raises StorageError."""
-    work = workspace(config)
+    work = locate_files(config)
     model = [*save_model(work.folder, found.model), save_uncertainty(work.folder, found.uncertainty)]
     about = {
         "outcome": found.outcome.label,
@@ -148,7 +148,7 @@ def _report(config: Config, found: Fit) -> None:
         f"{config.name}: {found.outcome.value}\n"
         f"{_left_over(found)}, "
         f"{found.steps} steps in {found.seconds:.1f} s\n"
-        f"coefficients in '{workspace(config).identified}'"
+        f"coefficients in '{locate_files(config).identified}'"
     )
     misfit = found.quality.misfit
     # NaN compares false.

@@ -25,9 +25,8 @@ from pipeline.reporting.study_report import (
     trial_table,
 )
 from pipeline.stages.diagnose import say_diagnosis
-from pipeline.stages.execution import StageOutput, flat_metrics
-from pipeline.stages.measurement import load_measurement
-from pipeline.stages.results import load_modelled
+from pipeline.stages.execution import StageOutput
+from pipeline.stages.measurement import load_measurement, load_modelled
 from pipeline.tracking import ChildRecord
 from pipeline.tuning.attempts import results
 from pipeline.tuning.finalists import TrialSummary, choose, fingerprint, importances, summarize, train_finalists
@@ -79,7 +78,7 @@ def _report(config: Config, problem: StudyProblem, study: Any, searched: float) 
     folder, trials, mark = Path(config.tuning.folder), summarize(study), fingerprint(study, problem)
     if _is_current(folder, mark):
         say(f"{config.name}: the study has its {len(trials)} trials, and '{folder}' is what came of them")
-        return StageOutput(flat_metrics(read_json(folder / SUMMARY)))
+        return StageOutput(read_json(folder / SUMMARY))
     finalists = train_finalists(study, problem)
     report = StudyReport(
         config=config,
@@ -99,7 +98,7 @@ def _report(config: Config, problem: StudyProblem, study: Any, searched: float) 
         f"optuna-dashboard {without_password(config.tuning.storage)}"
     )
     return StageOutput(
-        flat_metrics(summary) | {"search_seconds": searched},
+        summary | {"search_seconds": searched},
         {"data_fingerprint": problem.measurement.dataset.fingerprint, "study": config.tuning.study},
         written,
         children=[child_record(trial) for trial in trials],

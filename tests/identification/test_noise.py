@@ -22,8 +22,7 @@ from pipeline.identification.training import FitSetup, setup_of
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.generate import excitations
-from pipeline.stages.measurement import load_measurement
-from pipeline.stages.results import load_modelled
+from pipeline.stages.measurement import load_measurement, load_modelled
 
 pytestmark = pytest.mark.slow
 

@@ -35,8 +35,7 @@ from pipeline.reporting.figures import figure
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.ross_adapter import assemble
 from pipeline.stages import run_stage
-from pipeline.stages.measurement import load_measurement
-from pipeline.stages.results import load_identified
+from pipeline.stages.measurement import load_identified, load_measurement
 
 SMALL = [
     "experiment=ball_bearing",

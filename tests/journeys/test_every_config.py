@@ -23,8 +23,7 @@ from pipeline.data.dataset import Excitation
 from pipeline.errors import ConfigError, DataError, IdentifiabilityError
 from pipeline.rotor.ross_adapter import ross_rotor
 from pipeline.stages import STAGES, check, evaluate, robustness, run_stage
-from pipeline.stages.measurement import load_measurement
-from pipeline.stages.results import load_identified, load_modelled
+from pipeline.stages.measurement import load_identified, load_measurement, load_modelled
 from pipeline.twin.prediction import predict
 from pipeline.units import RAD_S_PER_RPM
 
