@@ -92,12 +92,12 @@ def _run_stages(overrides: list[str], folder: Path | None) -> None:
 
 def _hydra(options: Namespace, folder: Path | None) -> None:
     """Check the overrides, then hand the command to Hydra."""
-    from pipeline.config.compose import prepared
+    from pipeline.config.compose import prepare_for_hydra
 
     if options.shell_completion or options.hydra_help:
         _hydra_main(Job(), [*options.overrides, *options.flags], options.cfg)
         return
-    with prepared(options.overrides, folder) as options.overrides:
+    with prepare_for_hydra(options.overrides, folder) as options.overrides:
         _hydra_main(_checked(options), [*options.overrides, *options.flags], options.cfg)
 
 
@@ -122,15 +122,15 @@ def _hydra_main(job: Job, arguments: list[str], shows: str | None) -> None:
 
 def _checked(options: Namespace) -> Job:
     """The job that Hydra may start: all its configurations compose and fit the schema."""
-    from pipeline.config.compose import compose_stages, composed_mapping, expanded
+    from pipeline.config.compose import compose_mapping, compose_stages, expand_sweeps
 
     if options.cfg or options.info:
-        composed_mapping(options.overrides)
+        compose_mapping(options.overrides)
         return Job()
     if not options.multirun:
         compose_stages(options.overrides)
         return Job()
-    jobs, fixed = expanded(options.overrides)
+    jobs, fixed = expand_sweeps(options.overrides)
     job = Job(multirun=True, fixed=fixed, count=len(jobs))
     _refuse_shared_folders(job, jobs)
     return job
@@ -196,19 +196,19 @@ class Job:
     def _run(self, composed: DictConfig) -> None:
         from omegaconf import OmegaConf
 
-        from pipeline.config.compose import effective, stages_of
+        from pipeline.config.compose import list_stages, validate_stages
         from pipeline.stages import run_stage
 
         overrides = list(_job().overrides.task)
         if self.multirun:
             composed.output = self.folder(composed.output, overrides)
             # Studies of different values are different studies.
-            if {"tune", "samplers"} & set(stages_of(cast("dict[str, Any]", OmegaConf.to_container(composed)))):
+            if {"tune", "samplers"} & set(list_stages(cast("dict[str, Any]", OmegaConf.to_container(composed)))):
                 composed.tuning.folder = self.folder(composed.tuning.folder, overrides)
                 composed.tuning.study = self.folder(composed.tuning.study, overrides)
             print(f"{self._which()} -> {composed.output}", flush=True)
         mapping: Any = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
-        for config in effective(mapping, overrides):
+        for config in validate_stages(mapping, overrides):
             run_stage(config)
 
     def _which(self) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from pipeline.config.messages import written as override
+from pipeline.config.messages import quote_override
 from pipeline.config.runs import CandidateConfig
 from pipeline.config.schema import Config
 from pipeline.data.dataset import Excitation
@@ -84,7 +84,7 @@ def run(config: Config) -> StageOutput:
     ]
     say(
         f"use them with: python -m pipeline stage=train {config.chosen} "
-        f"{override('machine.runs_file', str(written[0]))} {override('output', f'{folder}_designed')}"
+        f"{quote_override('machine.runs_file', str(written[0]))} {quote_override('output', f'{folder}_designed')}"
     )
     return StageOutput(summary, {"rotor_fingerprint": rotor.fingerprint}, written)
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from pipeline.config.messages import written
-from pipeline.config.own_machines import absolute, plain_name
+from pipeline.config.messages import quote_override
+from pipeline.config.own_machines import make_absolute, plain_name
 from pipeline.config.schema import Config
 from pipeline.errors import ConfigError, DataError
 from pipeline.files import write_text
@@ -20,12 +20,12 @@ def run(config: Config) -> StageOutput:
     """The machine file, and the next command. Raises ConfigError without ``machine.file``, DataError where it is."""
     if config.machine.file is None:
         raise ConfigError("stage=new must know the file to write, but has none: add machine.file=my_machine.yaml")
-    path = absolute(config.machine.file)
+    path = make_absolute(config.machine.file)
     if path.suffix not in (".yaml", ".yml"):
         raise ConfigError(f"machine.file must end in .yaml, but got '{path.name}': add the ending")
     if os.path.lexists(path):
         raise DataError(f"stage=new must not replace a file, but '{path}' is there: choose another name, or move it")
-    command = f"python -m pipeline {{}} {written('machine.file', config.machine.file)}"
+    command = f"python -m pipeline {{}} {quote_override('machine.file', config.machine.file)}"
     write_text(path, template(path, config.new.bearings, config.new.data))
     say(f"machine file in '{path}'")
     if config.new.data == "simulated":
@@ -50,5 +50,5 @@ def template(path: Path, bearings: str, data: str) -> str:
             wanted = set(line.split()[1:]) <= tags
         elif wanted:
             lines.append(line)
-    command = f"python -m pipeline stage=train {written('machine.file', path.name)}"
+    command = f"python -m pipeline stage=train {quote_override('machine.file', path.name)}"
     return "".join(lines).replace("{command}", command).replace("{name}", plain_name(path))

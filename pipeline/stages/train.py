@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.config.promotion import has_value, value_at
+from pipeline.config.promotion import get_value, has_value
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import write_coefficients
 from pipeline.data.tables import write_table
@@ -42,7 +42,7 @@ def say_promoted(config: Config) -> None:
         return
     words = [f"{config.name}: tuned values of {source} in force: {_listed(promoted.in_force)}"]
     if promoted.overridden:
-        now = {key: value_at(config, key) for key in promoted.overridden if has_value(config, key)}
+        now = {key: get_value(config, key) for key in promoted.overridden if has_value(config, key)}
         words.append(f"given on the command line instead of tuned: {_listed(now)}")
     say("\n".join(words))
 

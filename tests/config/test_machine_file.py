@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 
 from pipeline import cache
 from pipeline.__main__ import main
-from pipeline.config.compose import compose_config, compose_stages, composed_mapping, expanded, prepared
+from pipeline.config.compose import compose_config, compose_mapping, compose_stages, expand_sweeps, prepare_for_hydra
 from pipeline.config.loader import CONF, options
-from pipeline.config.renames import KEYS, OPTIONS, new_name
+from pipeline.config.renames import KEYS, OPTIONS, rename
 from pipeline.config.schema import Config
 from pipeline.errors import ConfigError, DataError
 from pipeline.stages import run_stage
@@ -139,7 +139,7 @@ def test_the_cache_sees_the_content(folder: Path, monkeypatch: pytest.MonkeyPatc
     path = machine_file(folder)
     first = compose_config([given_by(path)])
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pipeline.config.compose.composed_mapping", None)  # must not be called
+        patch.setattr("pipeline.config.compose.compose_mapping", None)  # must not be called
         assert compose_config([given_by(path)]) == first
     path.write_text(path.read_text().replace("kxx: 4.0e7", "kxx: 5.0e7"))
     assert compose_config([given_by(path)]).machine.bearings.kxx == 5e7
@@ -175,10 +175,10 @@ def test_a_folder_of_machines_and_experiments(folder: Path) -> None:
     (folder / "experiment" / "theirs.yaml").write_text(text + "machine: {probes: {seed: 3}, runs_file: null}\n")
     config = compose_config(["experiment=theirs"], folder)
     assert (config.name, config.machine.probes.seed, config.machine.probes.at) == ("theirs", 3, "bearings")
-    mapping = composed_mapping(["machine=mine"], folder)
+    mapping = compose_mapping(["machine=mine"], folder)
     assert mapping["machine"]["runs_file"] == str(folder / "machine" / "x")
     assert (mapping["name"], len(mapping["identify"]["unknowns"])) == ("mine", 8)
-    assert composed_mapping(["machine=mine", "experiment=noisy_direct"], folder)["name"] == "mine_noisy_direct"
+    assert compose_mapping(["machine=mine", "experiment=noisy_direct"], folder)["name"] == "mine_noisy_direct"
     with refused("a file in conf/machine", "'mine'", kind=ConfigError):
         compose_config(["machine=mine"])  # nothing is left of it
 
@@ -215,9 +215,9 @@ def test_a_folder_that_is_refused(files: dict[str, str], words: str, folder: Pat
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_text(text)
     with refused(words, str(folder), kind=ConfigError):
-        composed_mapping([], folder)
+        compose_mapping([], folder)
     with refused("--config-dir must be a folder", kind=ConfigError):
-        composed_mapping([], folder / "nowhere")
+        compose_mapping([], folder / "nowhere")
 
 
 # --- mistakes --------------------------------------------------------------------------------------------
@@ -272,7 +272,7 @@ def test_a_path_that_is_no_file(folder: Path) -> None:
 
 def main_or_raise(arguments: list[str]) -> None:
     """What `main` does before Hydra, its errors raised."""
-    with prepared([argument for argument in arguments if argument != "-m"], None):
+    with prepare_for_hydra([argument for argument in arguments if argument != "-m"], None):
         pass
 
 
@@ -370,7 +370,7 @@ def test_a_machine_alone_has_its_name_and_an_experiment_of_its_kind(name: str) -
 
 def test_jobs_of_a_multirun_over_machines() -> None:
     """Each in its folder."""
-    jobs, _ = expanded(["machine=one_disc,two_discs"])
+    jobs, _ = expand_sweeps(["machine=one_disc,two_discs"])
     assert jobs == [["machine=one_disc"], ["machine=two_discs"]]
 
 
@@ -405,12 +405,12 @@ def test_jobs_of_a_multirun_over_machines() -> None:
 def test_an_old_key_is_refused_with_its_new_name(override: str, words: str) -> None:
     """Also added, deleted and swept."""
     with refused(words, kind=ConfigError):
-        composed_mapping([override])
+        compose_mapping([override])
 
 
 def test_every_new_name_is_there() -> None:
     """The table of renames names keys of the configuration, and machines of conf/."""
-    mapping = composed_mapping()
+    mapping = compose_mapping()
     for new in KEYS.values():
         node: Any = mapping
         for part in new.split("."):
@@ -419,8 +419,8 @@ def test_every_new_name_is_there() -> None:
     chosen = {new for of in OPTIONS.values() for new in of.values() if "=" not in new}
     assert chosen <= set(options("machine"))
     assert not set(OPTIONS) & {path.name for path in CONF.iterdir()}
-    assert new_name("design.runs") is None
-    assert new_name("machine.rotor.file") is None
+    assert rename("design.runs") is None
+    assert rename("machine.rotor.file") is None
 
 
 # --- stage=new -----------------------------------------------------------------------------------------------

@@ -32,7 +32,7 @@ from measured_files import (
 from pydantic import TypeAdapter, ValidationError
 
 from pipeline.__main__ import main
-from pipeline.config.compose import compose_config, composed_mapping, validated
+from pipeline.config.compose import compose_config, compose_mapping, validate
 from pipeline.config.loader import options
 from pipeline.config.measured import unbalance_phase
 from pipeline.config.recordings import RecordingsConfig
@@ -151,14 +151,14 @@ def test_a_missing_convention_is_refused_by_name(convention: str) -> None:
 
 @cache
 def _mapping() -> str:
-    return json.dumps(composed_mapping(["experiment=ball_bearing", "tracking=none"]))
+    return json.dumps(compose_mapping(["experiment=ball_bearing", "tracking=none"]))
 
 
 def with_ingest(section: dict[str, Any], **more: Any) -> Config:
     """The configuration of ball_bearing with a section ``ingest``."""
     mapping = json.loads(_mapping())
     mapping["machine"]["recordings"] = section
-    return validated(mapping | {"stage": "ingest"} | more)
+    return validate(mapping | {"stage": "ingest"} | more)
 
 
 ONE = RUNS[0] | {"file": "a.csv"}

@@ -126,7 +126,7 @@ def test_a_kept_configuration_is_the_composed_one(experiment: str, own_cache: Pa
     first = compose_config(overrides)
     assert len(list((own_cache / "configurations").iterdir())) == 1
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compose, "composed_mapping", None)  # must not be called
+        patch.setattr(compose, "compose_mapping", None)  # must not be called
         assert compose_config(overrides) == first
 
 
