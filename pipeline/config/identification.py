@@ -9,7 +9,7 @@ from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from pipeline.coefficients import CoefficientName
 from pipeline.config.quantities import Damping, Stiffness
-from pipeline.config.section import NonNegativeInt, Section
+from pipeline.config.section import NonNegativeInt, Section, Share
 from pipeline.unknowns import BearingUnknowns, Structure, UnknownSet, unknown_set
 
 
@@ -134,7 +134,7 @@ class LossConfig(Section):
 
     kind: Literal["residual", "preconditioned", "response"]
     scaling: Literal["per_speed", "none"]
-    regularisation: Annotated[float, Field(ge=0, lt=1)]
+    regularisation: Share
     noise: Literal["stated", "estimated"] = "stated"
     robust: bool = True
 
@@ -189,7 +189,7 @@ class TrainingConfig(Section):
 
     holdout_every: NonNegativeInt
     holdout_runs: tuple[str, ...] = ()
-    tolerance: Annotated[float, Field(ge=0, lt=1)]
+    tolerance: Share
 
     @model_validator(mode="after")
     def _leaves_training_speeds(self) -> TrainingConfig:

@@ -19,6 +19,7 @@ from pipeline.config.measured import (
     VectorConventionsConfig,
 )
 from pipeline.config.quantities import Frequency, Sensitivity, SignalUnit, volts
+from pipeline.config.runs import check_frequency
 from pipeline.config.section import Section
 
 Edge = Literal["rising", "falling"]
@@ -68,14 +69,7 @@ class TableRunConfig(MeasuredRunConfig):
 
     @model_validator(mode="after")
     def _synchronous(self) -> TableRunConfig:
-        own = [self.frequency_hz, self.frequency_ratio]
-        if None not in own:
-            raise ValueError(f"run '{self.name}' must have frequency_hz or frequency_ratio, but it has both")
-        if self.unbalances and own != [None, None]:
-            raise ValueError(
-                f"run '{self.name}' must have no unbalances where its forces have a frequency of their own, but it has "
-                "some: put them into another run"
-            )
+        check_frequency(self.name, self.frequency_hz, self.frequency_ratio, bool(self.unbalances))
         return self
 
 

@@ -68,26 +68,22 @@ class VibrationDataset:
 
     def at(self, speeds: np.ndarray) -> VibrationDataset:
         """The same at the ``speeds`` (indices)."""
-        own, subtracted = self.own_frequencies, self.subtracted
-        return replace(
-            self,
-            speeds=self.speeds[speeds],
-            displacement=self.displacement[speeds],
-            own_frequencies=None if own is None else own[speeds],
-            subtracted=None if subtracted is None else subtracted[speeds],
-        )
+        return self._select(speeds, slice(None))
 
     def of_runs(self, runs: np.ndarray) -> VibrationDataset:
         """The ``runs`` (indices) alone."""
         names = tuple(self.runs[r] for r in runs)
+        acting = tuple(excitation for excitation in self.excitations if excitation.run in names)
+        return replace(self._select(slice(None), runs), runs=names, excitations=acting)
+
+    def _select(self, speeds: np.ndarray | slice, runs: np.ndarray | slice) -> VibrationDataset:
         own, subtracted = self.own_frequencies, self.subtracted
         return replace(
             self,
-            runs=names,
-            displacement=self.displacement[..., runs],
-            excitations=tuple(excitation for excitation in self.excitations if excitation.run in names),
-            own_frequencies=None if own is None else own[:, runs],
-            subtracted=None if subtracted is None else subtracted[..., runs],
+            speeds=self.speeds[speeds],
+            displacement=self.displacement[speeds][..., runs],
+            own_frequencies=None if own is None else own[speeds][:, runs],
+            subtracted=None if subtracted is None else subtracted[speeds][..., runs],
         )
 
     def sensor_matrix(self, n_dof: int) -> np.ndarray:

@@ -212,12 +212,20 @@ def _decode_marks(metadata: Mapping[bytes, bytes] | None) -> dict[str, str]:
     return {key.removeprefix(_MARK): value for key, value in texts.items() if key.startswith(_MARK)}
 
 
-def write_table(path: Path, table: Mapping[str, Any] | pd.DataFrame, marks: Mapping[str, str] | None = None) -> Path:
+def write_table(
+    path: Path,
+    table: Mapping[str, Any] | pd.DataFrame | Sequence[Mapping[str, Any]],
+    marks: Mapping[str, str] | None = None,
+) -> Path:
     """Write CSV or Parquet, by the file's ending. Numbers keep every digit; NaN is a blank. Raises StorageError.
 
-    ``table`` has a sequence of values by the name of each column. A Parquet file keeps ``marks`` for
+    ``table`` has a sequence of values by the name of each column, or is a sequence of rows;
+    what a row lacks is a blank. A Parquet file keeps ``marks`` for
     :func:`read_marks`.
     """
+    if isinstance(table, Sequence):
+        names = dict.fromkeys(name for row in table for name in row)
+        table = {name: [row.get(name) for row in table] for name in names}
     columns = {str(name): np.asarray(table[name]) for name in table}
     # By the ending of `path`: the temporary file beside it has another name.
     if path.suffix == ".parquet":

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,9 +21,6 @@ from pipeline.reporting.console import comparison_progress, say, table
 from pipeline.stages.execution import StageOutput, use_threads
 from pipeline.stages.generate import model_machine
 from pipeline.stages.workspace import locate_files, require_nodes
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 
 def run(config: Config) -> StageOutput:
@@ -56,7 +52,7 @@ def run(config: Config) -> StageOutput:
     summary = summarize(comparison)
     _print(config, comparison)
     written: list[Path] = [
-        write_table(folder / "comparison.csv", _rows(results)),
+        write_table(folder / "comparison.csv", _tabulate(results)),
         write_json(folder / "comparison.json", summary),
         write_text(folder / "comparison.md", markdown(comparison)),
         comparison_figure(locate_files(config).figure("comparison"), comparison),
@@ -99,23 +95,20 @@ def _key(noise: float) -> str:
     return f"{100 * noise:g}_percent".replace(".", "_")
 
 
-def _rows(results: list[Result]) -> pd.DataFrame:
+def _tabulate(results: list[Result]) -> list[dict[str, object]]:
     """A row a coefficient, and one without coefficient where there is no answer."""
-    import pandas as pd
-
+    names = ("median_error", "p95_error", "median_deviation", "within_interval")
+    blank = {"bearing_node": None, "coefficient": None, **{f"{name}_percent": None for name in names}}
     rows: list[dict[str, object]] = []
     for r in results:
-        about = r.model_dump(exclude={"coefficients"})
+        about = r.model_dump(exclude={"coefficients"}) | blank
         found = [(node, name, of) for node, by_name in r.coefficients.items() for name, of in by_name.items()]
-        rows += [{**about, "bearing_node": node, "coefficient": name, **of.model_dump()} for node, name, of in found]
+        for node, name, of in found:
+            errors = {f"{name}_percent": value for name, value in of.model_dump().items()}
+            rows.append(about | {"bearing_node": node, "coefficient": name} | errors)
         if not found:
             rows.append(about)
-    columns = [*Result.model_fields, "bearing_node", "coefficient", *_COEFFICIENT_COLUMNS]
-    frame = pd.DataFrame(rows, columns=[name for name in columns if name != "coefficients"])
-    return frame.rename(columns={name: f"{name}_percent" for name in _COEFFICIENT_COLUMNS})
-
-
-_COEFFICIENT_COLUMNS = ("median_error", "p95_error", "median_deviation", "within_interval")
+    return rows
 
 
 def _print(config: Config, comparison: Comparison) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
@@ -23,9 +21,6 @@ from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_measurement
 from pipeline.stages.workspace import locate_files
 
-if TYPE_CHECKING:
-    import pandas as pd
-
 
 def run(config: Config) -> StageOutput:
     """``diagnosis.json``, ``diagnosis.csv`` (a row a bearing and speed) and a figure over speed."""
@@ -37,7 +32,7 @@ def run(config: Config) -> StageOutput:
     summary = {"stated_noise": config.stated_noise.model_dump(), "bearings": _summary(diagnosis)}
     written = [
         write_json(work.folder / "diagnosis.json", summary),
-        write_table(work.folder / "diagnosis.csv", _rows(diagnosis)),
+        write_table(work.folder / "diagnosis.csv", _tabulate(diagnosis)),
         diagnosis_figure(work.figure("diagnosis"), diagnosis.reports, diagnosis.relative, noise_words(config)),
     ]
     return StageOutput(summary, {"data_fingerprint": measurement.dataset.fingerprint}, written)
@@ -95,17 +90,15 @@ def _summary(diagnosis: Diagnosis) -> dict[str, object]:
     return result
 
 
-def _rows(diagnosis: Diagnosis) -> pd.DataFrame:
-    import pandas as pd
-
-    frames = []
+def _tabulate(diagnosis: Diagnosis) -> list[dict[str, object]]:
+    """A row a bearing and speed."""
+    rows: list[dict[str, object]] = []
     for report in diagnosis.reports:
         for node in report.nodes:
             b = diagnosis.answer.nodes.index(node)
-            columns: dict[str, object] = {
-                "bearing_node": node,
+            columns = {
                 "speed_rpm": to_rpm(report.speeds),
-                "unknowns": len(report.unknowns),
+                "unknowns": np.full(len(report.speeds), len(report.unknowns)),
                 "rank": report.rank,
                 "condition_number": report.condition,
                 "orbit_rank": report.orbit_rank,
@@ -115,8 +108,9 @@ def _rows(diagnosis: Diagnosis) -> pd.DataFrame:
             columns |= {
                 f"{name}_std": diagnosis.deviation[b, :, COEFFICIENTS.index(name)] for name in diagnosis.relative(node)
             }
-            frames.append(pd.DataFrame(columns))
-    return pd.concat(frames, ignore_index=True)
+            names, values = list(columns), [column.tolist() for column in columns.values()]
+            rows += [{"bearing_node": node, **dict(zip(names, row, strict=True))} for row in zip(*values, strict=True)]
+    return rows
 
 
 def _print(config: Config, diagnosis: Diagnosis) -> None:

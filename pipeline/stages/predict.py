@@ -143,8 +143,6 @@ def _modal_summary(found: list[CriticalSpeed], margin: StabilityMargin) -> dict[
 
 
 def _write_table(path: Path, vibration: dict[str, PredictedVibration]) -> Path:
-    import pandas as pd
-
     columns = {"speed_rpm": to_rpm(next(iter(vibration.values())).speeds)}
     for name, predicted in vibration.items():
         for d, direction in enumerate("xy"):
@@ -152,7 +150,7 @@ def _write_table(path: Path, vibration: dict[str, PredictedVibration]) -> Path:
             if predicted.deviation is not None:
                 columns[f"{direction}_{name}_amplitude_std_m"] = predicted.deviation[:, d]
             columns[f"{direction}_{name}_phase_deg"] = np.degrees(np.angle(predicted.displacement[:, d]))
-    return write_table(path, pd.DataFrame(columns))
+    return write_table(path, columns)
 
 
 def _print(config: Config, summary: Mapping[str, Any], vibration: dict[str, PredictedVibration], at: int) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,9 +17,6 @@ from pipeline.stages.tune import progress_of, study_problem
 from pipeline.tuning.finalists import TrialSummary, sampler_study, summarize
 from pipeline.tuning.parallel import run_study
 from pipeline.tuning.worker import ROUNDING
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 
 def run(config: Config) -> StageOutput:
@@ -53,8 +49,14 @@ def run(config: Config) -> StageOutput:
         for sampler, runs in curves.items()
     }
     _print(config, {sampler: runs[:, -1] for sampler, runs in curves.items()})
+    rows = [
+        {"sampler": sampler, "seed": seed, "trial": trial, "best_held_out_loss": loss}
+        for sampler, runs in curves.items()
+        for seed, run in zip(spec.seeds, runs, strict=True)
+        for trial, loss in enumerate(run, start=1)
+    ]
     written = [
-        write_table(folder / "samplers.csv", _table(curves, spec.seeds)),
+        write_table(folder / "samplers.csv", rows),
         samplers_figure(folder / "figures" / "samplers.png", curves),
         write_json(folder / "samplers.json", summary),
     ]
@@ -69,18 +71,6 @@ def best_so_far(trials: list[TrialSummary]) -> np.ndarray:
     """
     losses = [t.loss if t.state == "complete" and t.loss is not None else np.inf for t in trials[1:]]
     return np.minimum.accumulate(np.maximum(losses, ROUNDING))
-
-
-def _table(curves: dict[str, np.ndarray], seeds: tuple[int, ...]) -> pd.DataFrame:
-    import pandas as pd
-
-    rows = [
-        {"sampler": sampler, "seed": seed, "trial": trial, "best_held_out_loss": loss}
-        for sampler, runs in curves.items()
-        for seed, run in zip(seeds, runs, strict=True)
-        for trial, loss in enumerate(run, start=1)
-    ]
-    return pd.DataFrame(rows)
 
 
 def _print(config: Config, best: dict[str, np.ndarray]) -> None:
