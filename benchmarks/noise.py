@@ -78,12 +78,12 @@ class _Ready:
         """A function that measures the machine once more, with other noise of 1 %."""
         import numpy as np
 
-        from pipeline.data.sensors import Sensors, both_directions, measure
+        from pipeline.data.sensors import Sensors, list_directions, measure
         from pipeline.data.simulate import simulate
         from pipeline.stages.generate import excitations
 
         clean = simulate(self.measurement.rotor, self.modelled, excitations(self.config))
-        sensors = Sensors(both_directions(self.measurement.rotor.bearing_nodes), multiplicative=0.01)
+        sensors = Sensors(list_directions(self.measurement.rotor.bearing_nodes), multiplicative=0.01)
         generator = np.random.default_rng(0)
         return lambda: replace(self.measurement, dataset=measure(clean, sensors, generator))
 

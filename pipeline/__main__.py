@@ -40,9 +40,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run_command(arguments: list[str]) -> None:
     if {"-h", "--help"} & set(arguments):
-        from pipeline.usage import usage
+        from pipeline.usage import format_usage
 
-        print(usage())
+        print(format_usage())
     elif "--version" in arguments:
         print(f"pipeline {__version__}")
     else:

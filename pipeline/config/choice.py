@@ -10,9 +10,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.config.loader import compose, options, parse_overrides, text_of
+from pipeline.config.loader import compose, get_text, list_options, parse_overrides
 from pipeline.config.messages import quote_override
-from pipeline.config.own_machines import make_absolute, plain_name, store_machine
+from pipeline.config.own_machines import clean_name, make_absolute, store_machine
 from pipeline.config.promotion import is_overridden
 from pipeline.errors import ConfigError
 
@@ -38,25 +38,25 @@ def choose(parsed: Sequence[Override], loader: ConfigLoader) -> list[Override]:
     """
     by_key = {override.key_or_group: override for override in parsed if not override.is_delete()}
     stage, file, machine, experiment = map(by_key.get, ("stage", "machine.file", "machine", "experiment"))
-    if stage is not None and "new" in re.findall(r"\w+", text_of(stage)):  # the file is yet to be written
+    if stage is not None and "new" in re.findall(r"\w+", get_text(stage)):  # the file is yet to be written
         return [*parsed, *parse_overrides([] if "tracking" in by_key else ["tracking=none"], loader)]
     rest = [override for override in parsed if override is not file]
     path = None if file is None else _locate(file)
     if file is not None and path is not None:
         if machine is not None:
             raise ConfigError(
-                f"a command must have one machine, but got {text_of(machine)} and {text_of(file)}: leave one out"
+                f"a command must have one machine, but got {get_text(machine)} and {get_text(file)}: leave one out"
             )
         (machine,) = parse_overrides([f"machine={store_machine(path)}"], loader)
         rest.insert(0, machine)
     elif machine is None or not isinstance(machine.value(), str) or machine.is_sweep_override():
         return _begin_anew(rest, loader)
     rest = _begin_anew(rest, loader)
-    name = str(machine.value()) if path is None else plain_name(path)
+    name = str(machine.value()) if path is None else clean_name(path)
     if experiment is None:
         more = [*_choose_experiment(_compose_machine(rest, loader)), f"name={name}"]
     else:
-        own = str(machine.value()) not in options("machine") and isinstance(experiment.value(), str)
+        own = str(machine.value()) not in list_options("machine") and isinstance(experiment.value(), str)
         given = str(experiment.value())
         more = [f"name={name}_{given}"] if own and not given.startswith(DEFAULTS) else []
     keys = {override.key_or_group for override in parsed}
@@ -67,12 +67,12 @@ def choose(parsed: Sequence[Override], loader: ConfigLoader) -> list[Override]:
 def _locate(file: Override) -> Path | None:
     """The machine file; None for null."""
     if file.is_sweep_override():
-        raise ConfigError(f"machine.file must be one file, but got '{text_of(file)}': give a command for each")
+        raise ConfigError(f"machine.file must be one file, but got '{get_text(file)}': give a command for each")
     value = file.value()
     if value is None:
         return None
     if not isinstance(value, str) or not value:
-        raise ConfigError(f"machine.file must be the path of a machine file, but got '{text_of(file)}'")
+        raise ConfigError(f"machine.file must be the path of a machine file, but got '{get_text(file)}'")
     return make_absolute(value)
 
 
@@ -81,7 +81,7 @@ def _begin_anew(parsed: Sequence[Override], loader: ConfigLoader) -> list[Overri
 
     Such are ``machine.bearings.kind=rotor_file`` and ``machine.bearings={kind: linear, kxx: 1e7, kyy: 1e7}``.
     """
-    sections = {id(override): _new_kind(override) for override in parsed}
+    sections = {id(override): _find_kind(override) for override in parsed}
     if not any(sections.values()):
         return list(parsed)
     there = _compose_machine([o for o in parsed if o.key_or_group in ("machine", "experiment")], loader)
@@ -96,14 +96,14 @@ def _begin_anew(parsed: Sequence[Override], loader: ConfigLoader) -> list[Overri
     return made
 
 
-def _new_kind(override: Override) -> tuple[str, str, Any, str] | None:
+def _find_kind(override: Override) -> tuple[str, str, Any, str] | None:
     """Section, name and value of its kind, and the section's text; None for an override that gives no kind."""
     key, value = override.key_or_group, override.value()
     section, _, tag = key.rpartition(".")
     if override.is_delete() or override.is_sweep_override() or not key.startswith("machine."):
         return None
     if isinstance(value, dict) and (tags := [tag for tag in _KINDS if tag in value]):
-        return key, tags[0], value[tags[0]], text_of(override).partition("=")[2]
+        return key, tags[0], value[tags[0]], get_text(override).partition("=")[2]
     if tag in _KINDS and isinstance(value, str):
         return section, tag, value, f"{{{tag}: {value}}}"
     return None

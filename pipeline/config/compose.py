@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.cache import identity, keep, look_up
+from pipeline.cache import hash_parts, keep, look_up
 from pipeline.config import loader
 from pipeline.config.messages import explain_schema_errors, quote_value, suggest
 from pipeline.errors import ConfigError
@@ -75,7 +75,7 @@ def _identify(overrides: Sequence[str], folder: Path | None) -> str | None:
     if "$" in "".join(overrides) or any(b"$" in files[path] for path in outside):  # the environment resolves it
         return None
     contents = (part for path, content in files.items() for part in (str(path), content))
-    return identity(*contents, *map(importlib.metadata.version, _PACKAGES), json.dumps(list(overrides)))
+    return hash_parts(*contents, *map(importlib.metadata.version, _PACKAGES), json.dumps(list(overrides)))
 
 
 def _read(content: bytes) -> list[Config] | None:
@@ -176,7 +176,7 @@ def prepare_for_hydra(overrides: Sequence[str], folder: Path | None) -> Iterator
 
     with store_files(folder):
         with loader.start_hydra() as hydra:
-            chosen = [loader.text_of(o) for o in choose(loader.parse_overrides(overrides, hydra), hydra)]
+            chosen = [loader.get_text(o) for o in choose(loader.parse_overrides(overrides, hydra), hydra)]
             files = ConfigStore.instance().repo
         ConfigStore.instance().repo = files  # Hydra's state is as it was, but for them
         yield chosen

@@ -22,7 +22,7 @@ VERSION_BASE = "1.3"
 FILE_KEY = "machine.file="
 
 
-def options(group: str) -> list[str]:
+def list_options(group: str) -> list[str]:
     """The names that ``group=NAME`` takes."""
     return sorted(path.stem for path in (CONF / group).glob("*.yaml"))
 
@@ -55,7 +55,7 @@ def compose(parsed: Sequence[Override], loader: ConfigLoader) -> dict[str, Any]:
 
     _check_group_values(parsed, loader)
     try:
-        config = hydra.compose(ROOT_CONFIG, overrides=[text_of(override) for override in parsed])
+        config = hydra.compose(ROOT_CONFIG, overrides=[get_text(override) for override in parsed])
         mapping = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
     except MissingConfigException as error:
         raise ConfigError(_explain_missing(error)) from None
@@ -75,7 +75,7 @@ def _is_group(override: Override, loader: ConfigLoader) -> bool:
     return bool(loader.get_group_options(override.key_or_group))
 
 
-def text_of(override: Override) -> str:
+def get_text(override: Override) -> str:
     """The override as it was written."""
     assert override.input_line is not None
     return override.input_line
@@ -91,7 +91,7 @@ def parse_overrides(overrides: Sequence[str], loader: ConfigLoader) -> list[Over
 
     from pipeline.config.stage_names import STAGES
 
-    names = {"stage": STAGES, "experiment": options("experiment")}
+    names = {"stage": STAGES, "experiment": list_options("experiment")}
     parser = OverridesParser.create(config_loader=loader)
     parsed = []
     for text in overrides:
@@ -118,7 +118,7 @@ def refuse_sweeps(parsed: Sequence[Override]) -> None:
     """Raise ConfigError for an override of several values."""
     for override in parsed:
         if override.is_sweep_override():
-            key, _, values = text_of(override).partition("=")
+            key, _, values = get_text(override).partition("=")
             raise ConfigError(
                 f"a single run must have one value for {key}, but got '{values}'; "
                 f"add -m to run all of them, or write {key}=[...] for a list and \"{key}='...'\" for a text"
@@ -128,17 +128,17 @@ def refuse_sweeps(parsed: Sequence[Override]) -> None:
 def list_values(override: Override) -> list[str]:
     """The override as each job of a multirun has it."""
     if not override.is_sweep_override():
-        return [text_of(override)]
+        return [get_text(override)]
     key = override.get_key_element()
     if override.is_hydra_override():
         raise ConfigError(
-            f"a multirun must sweep over keys of the pipeline, but got '{text_of(override)}'; give one value"
+            f"a multirun must sweep over keys of the pipeline, but got '{get_text(override)}'; give one value"
         )
     if not override.is_discrete_sweep():
-        raise ConfigError(f"a multirun must list its values, but got '{text_of(override)}'; write such as {key}=1,2,3")
+        raise ConfigError(f"a multirun must list its values, but got '{get_text(override)}'; write such as {key}=1,2,3")
     every = [f"{key}={value}" for value in override.sweep_string_iterator()]
     if not every:
-        raise ConfigError(f"a multirun must have a value for each key, but '{text_of(override)}' stands for none")
+        raise ConfigError(f"a multirun must have a value for each key, but '{get_text(override)}' stands for none")
     return every
 
 
@@ -161,7 +161,7 @@ def _explain_missing(error: Any) -> str:
     place = re.match(r"In '([^']+)'", str(error))
     inside = place is not None and place[1] not in (ROOT_CONFIG, "hydra/config")
     return (f"in conf/{place[1]}.yaml, " if place and inside else "") + explain_option(
-        group, name, error.options or options(group)
+        group, name, error.options or list_options(group)
     )
 
 
@@ -187,7 +187,7 @@ def _explain_keys(parsed: Sequence[Override], loader: ConfigLoader) -> list[str]
     from omegaconf import OmegaConf
 
     groups = [o for o in parsed if isinstance(o.value(), (str, list)) and _is_group(o, loader)]
-    plain = [text_of(o) for o in groups if not o.is_add()]
+    plain = [get_text(o) for o in groups if not o.is_add()]
     try:
         config = hydra.compose(ROOT_CONFIG, overrides=plain, return_hydra_config=True)
     except HydraException:
@@ -203,7 +203,7 @@ def _explain_keys(parsed: Sequence[Override], loader: ConfigLoader) -> list[str]
 
 
 def _explain_addition(override: Override, tree: Any) -> str:
-    key, text = override.key_or_group, text_of(override)
+    key, text = override.key_or_group, get_text(override)
     if key not in tree["hydra"]["runtime"]["choices"] and key not in list_paths(tree):
         return ""
     return f"only a new key must have a +, but {key} is there and got '{text}'; write '{text.lstrip('+')}'"

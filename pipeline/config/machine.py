@@ -7,7 +7,7 @@ from typing import Any
 from pydantic import Field, PositiveFloat, ValidationInfo, field_validator, model_validator
 
 from pipeline.config.bearings import BearingConfig, PerNodeBearingConfig
-from pipeline.config.measured import MeasuredRunConfig, unbalance_phase
+from pipeline.config.measured import MeasuredRunConfig, convert_phase
 from pipeline.config.recordings import AnyRecordingsConfig, NoRecordingsConfig, RecordingsConfig
 from pipeline.config.rotor import RotorConfig
 from pipeline.config.runs import CandidateConfig, ForceConfig, ProbesConfig, RunConfig, SpeedsConfig, UnbalanceConfig
@@ -110,7 +110,7 @@ def _plan_run(run: MeasuredRunConfig, recordings: AnyRecordingsConfig) -> RunCon
             UnbalanceConfig(
                 node=one.node,
                 magnitude=one.magnitude,
-                phase=unbalance_phase(one.phase, recordings.shaft_angle or "from_x", recordings.tacho.angle),
+                phase=convert_phase(one.phase, recordings.shaft_angle or "from_x", recordings.tacho.angle),
             )
             for one in run.unbalances
         ),

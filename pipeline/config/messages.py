@@ -60,9 +60,9 @@ def _explain(item: Any, mapping: Mapping[str, Any], model: type[BaseModel]) -> s
     if kind == "missing":
         return f"{'.'.join(path)}: must be given, but is missing"
     if kind == "union_tag_not_found":
-        return f"{'.'.join([*path, _tag_key(context)])}: must be given, but is missing"
+        return f"{'.'.join([*path, _read_tag(context)])}: must be given, but is missing"
     if kind == "union_tag_invalid":
-        return _explain_choice([*path, _tag_key(context)], context["tag"], context["expected_tags"])
+        return _explain_choice([*path, _read_tag(context)], context["tag"], context["expected_tags"])
     if kind == "literal_error" and isinstance(value, str):
         return _explain_choice(path, value, context["expected"])
     return f"{'.'.join(path) or 'configuration'}: {_state_law(kind, item['msg'])}{_state_value(kind, value)}"
@@ -73,7 +73,7 @@ def _explain_choice(path: Sequence[str], value: str, expected: str) -> str:
     return f"{'.'.join(path)}: must be one of these, but got {value!r}" + suggest(value, choices)
 
 
-def _tag_key(context: Mapping[str, Any]) -> str:
+def _read_tag(context: Mapping[str, Any]) -> str:
     return str(context["discriminator"]).strip("'")
 
 

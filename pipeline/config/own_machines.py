@@ -79,13 +79,13 @@ def store_machine(path: Path) -> str:
     if "file" in content:
         raise ConfigError(f"machine.file must be given on the command line alone, but '{path}' has a key 'file'")
     refuse_renamed_in(content, path, in_machine=True)
-    name = f"{plain_name(path)}-{hashlib.sha256(str(path).encode() + path.read_bytes()).hexdigest()[:8]}"
+    name = f"{clean_name(path)}-{hashlib.sha256(str(path).encode() + path.read_bytes()).hexdigest()[:8]}"
     node = _resolve_paths(content, _PATHS, path.parent) | {"file": str(path)}
     ConfigStore.instance().store(name, node, group="machine", provider=str(path))
     return name
 
 
-def plain_name(path: Path) -> str:
+def clean_name(path: Path) -> str:
     """The name of a file as an experiment may have it: letters, digits, hyphens, underscores."""
     return re.sub(r"[^A-Za-z0-9_-]+", "_", path.stem)
 

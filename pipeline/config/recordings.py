@@ -18,7 +18,7 @@ from pipeline.config.measured import (
     Text,
     VectorConventionsConfig,
 )
-from pipeline.config.quantities import Frequency, Sensitivity, SignalUnit, volts
+from pipeline.config.quantities import Frequency, Sensitivity, SignalUnit, to_volts
 from pipeline.config.runs import check_frequency
 from pipeline.config.section import Section
 
@@ -111,7 +111,7 @@ class SignalConfig(MeasuredConfig):
             raise ValueError("must give records (constant_speed or run_up) for time signals, but it is missing")
         if self.records == "run_up" and self.speeds is None:
             raise ValueError("must give speeds (start_rpm, stop_rpm, step_rpm) to track in a run-up, but got null")
-        voltage = volts(self.signal_unit) is not None
+        voltage = to_volts(self.signal_unit) is not None
         for name, scale in scales.items():
             if voltage and scale is None:
                 raise ValueError(

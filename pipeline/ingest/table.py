@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.config.measured import CsvConfig
-from pipeline.config.quantities import metres
+from pipeline.config.quantities import to_metres
 from pipeline.config.recordings import TableRecordingsConfig, TableRunConfig
 from pipeline.data.tables import Columns, TextFormat, read_table
 from pipeline.errors import DataError, nearest
@@ -108,7 +108,7 @@ def _rows(table: Columns, speed: str, amplitude: str, phase: str, where: str) ->
 def _track(config: TableRecordingsConfig, rows: _Rows) -> Track:
     said = config.conventions
     phase = np.radians(rows.phase) if said.phase_unit == "deg" else rows.phase
-    vectors = to_vectors(rows.amplitude, phase, metres(said.length), said.amplitude, said.phase)
+    vectors = to_vectors(rows.amplitude, phase, to_metres(said.length), said.amplitude, said.phase)
     return ascending(rows.speed * RAD_S[said.speed], vectors, rows.where)
 
 

@@ -70,7 +70,7 @@ def summarize(comparison: Comparison) -> dict[str, object]:
             for noise in comparison.along("noise"):
                 error = comparison.error(method, replace(sensors, noise=noise.noise))
                 if np.isfinite(error):
-                    errors.setdefault(sensors.sensors, {})[_key(noise.noise)] = error
+                    errors.setdefault(sensors.sensors, {})[_name_noise(noise.noise)] = error
         by_speeds = {
             str(case.speeds): comparison.error(method, case)
             for case in comparison.along("speeds")
@@ -91,7 +91,7 @@ def summarize(comparison: Comparison) -> dict[str, object]:
     return summary
 
 
-def _key(noise: float) -> str:
+def _name_noise(noise: float) -> str:
     return f"{100 * noise:g}_percent".replace(".", "_")
 
 

@@ -29,11 +29,11 @@ def run(config: Config) -> StageOutput:
     for report in diagnosis.reports:
         say(f"{config.name}: {report.sentence}")
     _print(config, diagnosis)
-    summary = {"stated_noise": config.stated_noise.model_dump(), "bearings": _summary(diagnosis)}
+    summary = {"stated_noise": config.stated_noise.model_dump(), "bearings": _summarize(diagnosis)}
     written = [
         write_json(work.folder / "diagnosis.json", summary),
         write_table(work.folder / "diagnosis.csv", _tabulate(diagnosis)),
-        diagnosis_figure(work.figure("diagnosis"), diagnosis.reports, diagnosis.relative, noise_words(config)),
+        diagnosis_figure(work.figure("diagnosis"), diagnosis.reports, diagnosis.relative, describe_noise(config)),
     ]
     return StageOutput(summary, {"data_fingerprint": measurement.dataset.fingerprint}, written)
 
@@ -54,13 +54,13 @@ def say_diagnosis(config: Config, measurement: Measurement) -> Diagnosis:
             method = "least squares" if diagnosis.by_least_squares else "the fit"
             text += (
                 f"; condition number {np.median(report.condition):.2g} (worst {report.condition.max():.2g}); at "
-                f"{noise_words(config)} {method} gives {name} to {100 * deviation:.2g} %"
+                f"{describe_noise(config)} {method} gives {name} to {100 * deviation:.2g} %"
             )
         say(f"{config.name}: {text}")
     return diagnosis
 
 
-def noise_words(config: Config) -> str:
+def describe_noise(config: Config) -> str:
     """The stated noise, such as ``0.1 % noise``."""
     noise = config.stated_noise
     parts = [f"{100 * noise.multiplicative:g} %"] if noise.multiplicative else []
@@ -68,7 +68,7 @@ def noise_words(config: Config) -> str:
     return " and ".join(parts) + " noise"
 
 
-def _summary(diagnosis: Diagnosis) -> dict[str, object]:
+def _summarize(diagnosis: Diagnosis) -> dict[str, object]:
     """By node; an infinite number is null, as JSON has none."""
     result: dict[str, object] = {}
     for report in diagnosis.reports:
@@ -130,4 +130,4 @@ def _print(config: Config, diagnosis: Diagnosis) -> None:
                 report.free_combination(),
             ]
         )
-    table(f"{config.name}: what the data determine at each speed, at {noise_words(config)} (medians)", header, rows)
+    table(f"{config.name}: what the data determine at each speed, at {describe_noise(config)} (medians)", header, rows)

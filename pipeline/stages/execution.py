@@ -56,7 +56,7 @@ def execute(config: Config, run: Callable[[Config], StageOutput]) -> None:
         started=started,
         ended=time.time(),
         parameters=parameters,
-        tags={"pipeline.group": _group(parameters), "seed": str(config.seed)} | dict(output.tags),
+        tags={"pipeline.group": _hash_parameters(parameters), "seed": str(config.seed)} | dict(output.tags),
         metrics=_flatten(output.metrics),
         history=output.history,
         files=[path for path in output.files if path.exists()],
@@ -71,7 +71,7 @@ def execute(config: Config, run: Callable[[Config], StageOutput]) -> None:
         raise SystemExit(output.exit_code)
 
 
-def _group(parameters: Mapping[str, object]) -> str:
+def _hash_parameters(parameters: Mapping[str, object]) -> str:
     """Stages of one experiment with the same configuration share this tag."""
     shared = {
         key: value for key, value in parameters.items() if key not in ("stage", "tracking", "check", "comparison")

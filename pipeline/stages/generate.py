@@ -9,7 +9,7 @@ import numpy as np
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import write_coefficients
 from pipeline.data.dataset import Excitation, VibrationDataset
-from pipeline.data.sensors import Channels, Sensors, both_directions, measure
+from pipeline.data.sensors import Channels, Sensors, list_directions, measure
 from pipeline.data.simulate import simulate
 from pipeline.data.tables import read_marks
 from pipeline.data.vibration_files import write_excitation, write_vibration
@@ -19,7 +19,7 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor
 from pipeline.stages.execution import StageOutput
-from pipeline.stages.workspace import hash_origin, known_coefficients, locate_files, require_nodes
+from pipeline.stages.workspace import hash_origin, list_known, locate_files, require_nodes
 from pipeline.twin.modes import StabilityMargin, stability_margin, whirl_modes
 from pipeline.units import RAD_S_PER_RPM
 
@@ -43,7 +43,7 @@ def run(config: Config) -> StageOutput:
     dataset = measure(complete, configure_sensors(config, rotor), generator)
     write_excitation(work.excitation, dataset)
     write_coefficients(work.modelled, bearings)
-    write_coefficients(work.known, bearings, known_coefficients(config, rotor.bearing_nodes))
+    write_coefficients(work.known, bearings, list_known(config, rotor.bearing_nodes))
     made_for = {"rotor": rotor.fingerprint, "origin": hash_origin(config, work)}
     write_vibration(work.vibration, dataset, made_for)
     # A tenth of the speeds shows the trend; the eigenvalues of all would take longer than the vibration.
@@ -72,11 +72,11 @@ def model_machine(config: Config) -> tuple[RotorModel, BearingTable, VibrationDa
     """The configured machine, and its vibration without noise at every node."""
     speeds = np.array(config.machine.speeds.rpm()) * RAD_S_PER_RPM
     rotor = load_rotor(config.machine.rotor)
-    known_coefficients(config, rotor.bearing_nodes)  # refuses exceptions without a bearing
+    list_known(config, rotor.bearing_nodes)  # refuses exceptions without a bearing
     bearings = load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
-    runs, residual = configured_excitations(config), _residual_unbalances(config)
+    runs, residual = configure_excitations(config), _configure_residual(config)
     require_nodes(rotor, "machine.runs", [excitation.node for excitation in (*runs, *residual)])
-    complete = simulate(rotor, bearings, (*runs, *residual), own_frequencies(config, speeds))
+    complete = simulate(rotor, bearings, (*runs, *residual), configure_frequencies(config, speeds))
     # The residual unbalance is in the vibration and nobody knows of it.
     return rotor, bearings, replace(complete, excitations=runs)
 
@@ -88,7 +88,7 @@ def _describe_margin(margin: StabilityMargin) -> str:
     return f"smallest logarithmic decrement {margin.smallest_logarithmic_decrement:.3f} at {at:.0f} rpm"
 
 
-def configured_excitations(config: Config) -> tuple[Excitation, ...]:
+def configure_excitations(config: Config) -> tuple[Excitation, ...]:
     """The configured runs."""
     acting: list[Excitation] = []
     for run in config.machine.runs:
@@ -97,7 +97,7 @@ def configured_excitations(config: Config) -> tuple[Excitation, ...]:
     return tuple(acting)
 
 
-def _residual_unbalances(config: Config) -> tuple[Excitation, ...]:
+def _configure_residual(config: Config) -> tuple[Excitation, ...]:
     """The configured residual unbalance, in every run that turns with the rotor."""
     turning = [run for run in config.machine.runs if not run.frequency_hz and not run.frequency_ratio]
     return tuple(
@@ -112,7 +112,7 @@ def configure_sensors(config: Config, rotor: RotorModel) -> Sensors:
     spec = config.machine.probes
     channels: Channels | None = None
     if spec.at == "bearings":
-        channels = both_directions(rotor.bearing_nodes)
+        channels = list_directions(rotor.bearing_nodes)
     elif spec.at != "all":
         require_nodes(rotor, "machine.probes.at", [probe.node for probe in spec.at])
         # An angle such as 45 deg is a text or a number of radians: rounded, it is 45 again.
@@ -120,7 +120,7 @@ def configure_sensors(config: Config, rotor: RotorModel) -> Sensors:
     return Sensors(channels, spec.additive, spec.multiplicative, spec.runout, spec.quantisation)
 
 
-def own_frequencies(config: Config, speeds: np.ndarray) -> np.ndarray | None:
+def configure_frequencies(config: Config, speeds: np.ndarray) -> np.ndarray | None:
     """(S, R) rad/s of the configured runs at ``speeds`` (S,) rad/s; None where all are synchronous."""
     runs = config.machine.runs
     if not any(run.frequency_hz or run.frequency_ratio for run in runs):

@@ -30,7 +30,7 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor
 from pipeline.stages.execution import StageOutput
-from pipeline.stages.workspace import Workspace, known_coefficients, locate_files, require_nodes
+from pipeline.stages.workspace import Workspace, list_known, locate_files, require_nodes
 
 
 def run(config: Config) -> StageOutput:
@@ -52,12 +52,12 @@ def run(config: Config) -> StageOutput:
         require_nodes(rotor, f"machine.recordings.runs, run '{measured_run.name}',", acting)
     measured = read_measured_runs(ingest)
     dataset = measured.dataset
-    known = _known(config, ingest, rotor, dataset.speeds)
+    known = _load_known(config, ingest, rotor, dataset.speeds)
     notes = [*measured.notes, *whirl_notes(dataset)]
     notes += size_notes(dataset, rotor, config.model.initial_stiffness, config.model.initial_damping)
     written = [write_excitation(work.excitation, dataset)]
     if known is not None:
-        written.append(write_coefficients(work.known, known, known_coefficients(config, rotor.bearing_nodes)))
+        written.append(write_coefficients(work.known, known, list_known(config, rotor.bearing_nodes)))
     written.append(write_vibration(work.vibration, dataset))
     written += [
         write_json(work.folder / "ingest.json", _summarize(measured, ingest, notes)),
@@ -88,10 +88,12 @@ def _refuse_replacing(work: Workspace) -> None:
         )
 
 
-def _known(config: Config, ingest: AnyRecordingsConfig, rotor: RotorModel, speeds: np.ndarray) -> BearingTable | None:
+def _load_known(
+    config: Config, ingest: AnyRecordingsConfig, rotor: RotorModel, speeds: np.ndarray
+) -> BearingTable | None:
     """What training takes as known; None where it needs some and nothing says them."""
     nodes = rotor.bearing_nodes
-    needed = known_coefficients(config, nodes)
+    needed = list_known(config, nodes)
     if ingest.known == AS_MODELLED:
         return load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
     if ingest.known is not None:
@@ -106,7 +108,7 @@ def _summarize(measured: MeasuredRuns, ingest: AnyRecordingsConfig, notes: list[
     rpm = to_rpm(dataset.speeds)
     return {
         "format": ingest.format,
-        "conventions": conventions(ingest),
+        "conventions": describe_conventions(ingest),
         "speeds": {"count": len(rpm), "first_rpm": float(rpm[0]), "last_rpm": float(rpm[-1])},
         "nodes": sorted({node for node, _ in dataset.channels}),
         "baseline": ingest.baseline,
@@ -127,7 +129,7 @@ def _summarize_run(measured: MeasuredRuns, index: int) -> dict[str, object]:
     }
 
 
-def conventions(ingest: AnyRecordingsConfig) -> str:
+def describe_conventions(ingest: AnyRecordingsConfig) -> str:
     """What the numbers in the files were taken for."""
     if isinstance(ingest, TableRecordingsConfig):
         said = ingest.conventions
@@ -164,7 +166,7 @@ def _report(config: Config, ingest: AnyRecordingsConfig, measured: MeasuredRuns,
             ]
         )
     header = ["run", "file", "speeds", "rpm", "largest, um", "excited by"]
-    table(f"{config.name}: read as {conventions(ingest)}", header, rows)
+    table(f"{config.name}: read as {describe_conventions(ingest)}", header, rows)
     probes = ", ".join(
         f"{name} (node {probe.node}, {np.degrees(probe.angle):g} deg)" for name, probe in ingest.probes.items()
     )

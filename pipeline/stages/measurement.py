@@ -26,7 +26,7 @@ from pipeline.stages.workspace import (
     Workspace,
     hash_machine,
     hash_origin,
-    known_coefficients,
+    list_known,
     locate_files,
     require_nodes,
 )
@@ -48,18 +48,18 @@ def load_measurement(config: Config) -> Measurement:
     n_nodes = config.machine.rotor.n_nodes if config.machine.rotor.file is None else None
     dataset = read_measured(files.vibration, files.excitation, config.data.baseline, n_nodes)
     if n_nodes is not None:
-        known = _known(config, files, config.machine.rotor.bearing_nodes, dataset)
+        known = _read_known(config, files, config.machine.rotor.bearing_nodes, dataset)
         rotor = load_rotor(config.machine.rotor)
     else:
         rotor = load_rotor(config.machine.rotor)
         require_nodes_of(dataset, rotor.n_nodes, files.vibration, files.excitation)
-        known = _known(config, files, rotor.bearing_nodes, dataset)
+        known = _read_known(config, files, rotor.bearing_nodes, dataset)
     require_made_for(files.vibration, rotor)
     require_nodes(rotor, "identify.unbalance_planes", config.identify.unbalance_planes)
-    return measurement_of(config, rotor, dataset, known)
+    return build_measurement(config, rotor, dataset, known)
 
 
-def measurement_of(config: Config, rotor: RotorModel, dataset: VibrationDataset, known: BearingTable) -> Measurement:
+def build_measurement(config: Config, rotor: RotorModel, dataset: VibrationDataset, known: BearingTable) -> Measurement:
     """The measurement that a configuration asks about, from data that are at hand."""
     noise, model = config.stated_noise, config.model
     return Measurement(
@@ -72,8 +72,8 @@ def measurement_of(config: Config, rotor: RotorModel, dataset: VibrationDataset,
     )
 
 
-def _known(config: Config, files: Workspace, nodes: tuple[int, ...], dataset: VibrationDataset) -> BearingTable:
-    return read_coefficients(files.known, nodes, dataset.speeds, known_coefficients(config, nodes))
+def _read_known(config: Config, files: Workspace, nodes: tuple[int, ...], dataset: VibrationDataset) -> BearingTable:
+    return read_coefficients(files.known, nodes, dataset.speeds, list_known(config, nodes))
 
 
 def _require_generated_from(config: Config, files: Workspace) -> None:
@@ -107,7 +107,7 @@ def load_identified(config: Config, measurement: Measurement) -> IdentifiedModel
         "the model beside it": about.get("model") == " ".join(hash_file(path) for path in model_files),
         f"the bearings at nodes {list(measurement.rotor.bearing_nodes)}": identified.bearing_nodes
         == measurement.rotor.bearing_nodes,
-        f"the unknowns {', '.join(config.identify.named())}": _same_unknowns(config, identified),
+        f"the unknowns {', '.join(config.identify.named())}": _match_unknowns(config, identified),
     }
     for law, holds in laws.items():
         if not holds:
@@ -117,7 +117,7 @@ def load_identified(config: Config, measurement: Measurement) -> IdentifiedModel
     return identified
 
 
-def _same_unknowns(config: Config, identified: IdentifiedModel) -> bool:
+def _match_unknowns(config: Config, identified: IdentifiedModel) -> bool:
     wanted, found = config.identify.unknowns_of(identified.bearing_nodes), identified.unknowns
     order = [found.names.index(name) for name in wanted.names] if set(wanted.names) == set(found.names) else []
     return bool(order) and np.array_equal(wanted.expansion, found.expansion[..., order])

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 from pipeline.config.messages import quote_override
-from pipeline.config.own_machines import make_absolute, plain_name
+from pipeline.config.own_machines import clean_name, make_absolute
 from pipeline.config.schema import Config
 from pipeline.errors import ConfigError, DataError
 from pipeline.files import write_text
@@ -26,7 +26,7 @@ def run(config: Config) -> StageOutput:
     if os.path.lexists(path):
         raise DataError(f"stage=new must not replace a file, but '{path}' is there: choose another name, or move it")
     command = f"python -m pipeline {{}} {quote_override('machine.file', config.machine.file)}"
-    write_text(path, template(path, config.new.bearings, config.new.data))
+    write_text(path, fill_template(path, config.new.bearings, config.new.data))
     say(f"machine file in '{path}'")
     if config.new.data == "simulated":
         say(f"it runs as it is; next: {command.format('stage=train')}")
@@ -38,7 +38,7 @@ def run(config: Config) -> StageOutput:
     return StageOutput(files=[path])
 
 
-def template(path: Path, bearings: str, data: str) -> str:
+def fill_template(path: Path, bearings: str, data: str) -> str:
     """The text of a machine file for this kind of bearings and source of data.
 
     In ``machine_file.yaml``, a line such as ``#: simulated fluid_film`` begins a part of files that are all of that.
@@ -51,4 +51,4 @@ def template(path: Path, bearings: str, data: str) -> str:
         elif wanted:
             lines.append(line)
     command = f"python -m pipeline stage=train {quote_override('machine.file', path.name)}"
-    return "".join(lines).replace("{command}", command).replace("{name}", plain_name(path))
+    return "".join(lines).replace("{command}", command).replace("{name}", clean_name(path))

@@ -42,7 +42,7 @@ class Twin:
     at: int  # index of the prediction's speed
 
 
-def twin_of(config: Config, measurement: Measurement) -> Twin:
+def build_twin(config: Config, measurement: Measurement) -> Twin:
     """The twin, training first where its model is missing. Raises ConfigError for an unbalance that a run has."""
     model = load_identified(config, measurement)
     uncertainty = load_uncertainty(locate_files(config).folder, model)
@@ -51,9 +51,9 @@ def twin_of(config: Config, measurement: Measurement) -> Twin:
     systems = {"identified": identified} if modelled is None else {"modelled": modelled, "identified": identified}
     nodes = [config.machine.prediction.node, *(unbalance.node for unbalance in config.machine.prediction.unbalances)]
     require_nodes(measurement.rotor, "machine.prediction", nodes)
-    at = _speed_index(config, measurement.dataset.speeds)
-    unseen = unseen_excitations(config)
-    if (run := same_run(unseen, measurement.dataset.excitations)) is not None:
+    at = _find_speed(config, measurement.dataset.speeds)
+    unseen = list_unseen(config)
+    if (run := find_same_run(unseen, measurement.dataset.excitations)) is not None:
         raise ConfigError(
             f"machine.prediction.unbalances must be an unbalance that training never saw, but run '{run}' is the same"
         )
@@ -74,9 +74,9 @@ def twin_of(config: Config, measurement: Measurement) -> Twin:
 def run(config: Config) -> StageOutput:
     """``prediction.json``, ``prediction.csv`` and Figure 6."""
     measurement = load_measurement(config)
-    twin = twin_of(config, measurement)
+    twin = build_twin(config, measurement)
     vibration, at = dict(twin.vibration), twin.at
-    summary: dict[str, Any] = {name: _modal_summary(twin.critical[name], twin.margin[name]) for name in twin.systems}
+    summary: dict[str, Any] = {name: _summarize_modes(twin.critical[name], twin.margin[name]) for name in twin.systems}
     if "modelled" in vibration:
         error = vibration["identified"].error_percent(vibration["modelled"])
         summary["displacement"] = {
@@ -95,7 +95,7 @@ def run(config: Config) -> StageOutput:
     return StageOutput(summary, {"data_fingerprint": measurement.dataset.fingerprint}, written)
 
 
-def _speed_index(config: Config, speeds: np.ndarray) -> int:
+def _find_speed(config: Config, speeds: np.ndarray) -> int:
     rpm, wanted = to_rpm(speeds), config.machine.prediction.speed_rpm
     nearest = int(np.abs(rpm - wanted).argmin())
     if abs(rpm[nearest] - wanted) > 1e-6 * wanted:
@@ -106,7 +106,7 @@ def _speed_index(config: Config, speeds: np.ndarray) -> int:
     return nearest
 
 
-def unseen_excitations(config: Config) -> tuple[Excitation, ...]:
+def list_unseen(config: Config) -> tuple[Excitation, ...]:
     """The unbalances that the twin is judged by, as one run."""
     return tuple(
         Excitation("prediction", "unbalance", u.node, u.magnitude, u.phase)
@@ -114,7 +114,7 @@ def unseen_excitations(config: Config) -> tuple[Excitation, ...]:
     )
 
 
-def same_run(unseen: tuple[Excitation, ...], seen: tuple[Excitation, ...]) -> str | None:
+def find_same_run(unseen: tuple[Excitation, ...], seen: tuple[Excitation, ...]) -> str | None:
     """The run of ``seen`` whose excitation is ``unseen``; None where training never saw it."""
 
     def shape(forces: list[Excitation]) -> set[tuple[object, ...]]:
@@ -124,7 +124,7 @@ def same_run(unseen: tuple[Excitation, ...], seen: tuple[Excitation, ...]) -> st
     return next((run for run in runs if shape([e for e in seen if e.run == run]) == shape(list(unseen))), None)
 
 
-def _modal_summary(found: list[CriticalSpeed], margin: StabilityMargin) -> dict[str, object]:
+def _summarize_modes(found: list[CriticalSpeed], margin: StabilityMargin) -> dict[str, object]:
     return {
         "critical_speeds": {
             f"{i + 1}": {

@@ -40,14 +40,14 @@ def say_promoted(config: Config) -> None:
     if not promoted.in_force and not promoted.overridden:
         say(f"{config.name}: configured values, which {source} found no better ones for")
         return
-    words = [f"{config.name}: tuned values of {source} in force: {_listed(promoted.in_force)}"]
+    words = [f"{config.name}: tuned values of {source} in force: {_format_values(promoted.in_force)}"]
     if promoted.overridden:
         now = {key: get_value(config, key) for key in promoted.overridden if has_value(config, key)}
-        words.append(f"given on the command line instead of tuned: {_listed(now)}")
+        words.append(f"given on the command line instead of tuned: {_format_values(now)}")
     say("\n".join(words))
 
 
-def _listed(values: Mapping[str, object]) -> str:
+def _format_values(values: Mapping[str, object]) -> str:
     shown = (f"{key}={value:.4g}" if isinstance(value, float) else f"{key}={value}" for key, value in values.items())
     return ", ".join(shown) or "none"
 
@@ -65,7 +65,7 @@ def run(config: Config) -> StageOutput:
         )
     with training_progress(config.name) as progress:
         found = fit(measurement, setup_of(config), progress, diagnosis)
-    summary = _summary(found)
+    summary = _summarize(found)
     files = _write(config, measurement, found, summary)
     _report(config, found)
     return StageOutput(
@@ -78,7 +78,7 @@ def run(config: Config) -> StageOutput:
     )
 
 
-def _summary(found: Fit) -> dict[str, object]:
+def _summarize(found: Fit) -> dict[str, object]:
     # A loss that overflowed is no JSON number.
     summary: dict[str, object] = {"loss": finite(found.loss), "steps": found.steps}
     if found.held_out_loss is not None:
@@ -100,14 +100,14 @@ def _write(config: Config, measurement: Measurement, found: Fit, summary: Mappin
     return [
         *model,
         write_coefficients(work.identified, table, deviation=deviation),
-        write_table(work.folder / "bad_points.csv", _bad_points(found)),
-        write_table(work.folder / "residual_unbalance.csv", _residual_unbalance(found.uncertainty)),
-        write_table(work.history, _columns(found.history)),
+        write_table(work.folder / "bad_points.csv", _tabulate_bad_points(found)),
+        write_table(work.folder / "residual_unbalance.csv", _tabulate_unbalance(found.uncertainty)),
+        write_table(work.history, _tabulate_history(found.history)),
         write_json(work.training, about | dict(summary)),
     ]
 
 
-def _bad_points(found: Fit) -> dict[str, list[Any]]:
+def _tabulate_bad_points(found: Fit) -> dict[str, list[Any]]:
     """Readings, and how many deviations they are off."""
     names = ("run", "speed_rpm", "node", "direction", "deviations")
     rows = [astuple(point) for point in found.quality.bad_points]
@@ -115,7 +115,7 @@ def _bad_points(found: Fit) -> dict[str, list[Any]]:
     return columns | {"speed_rpm": to_rpm(np.array(columns["speed_rpm"])).tolist()}
 
 
-def _residual_unbalance(uncertainty: Uncertainty | None) -> dict[str, Any]:
+def _tabulate_unbalance(uncertainty: Uncertainty | None) -> dict[str, Any]:
     """kg m and degrees."""
     found = np.zeros(0, dtype=complex) if uncertainty is None else uncertainty.residual_unbalance
     return {
@@ -126,12 +126,12 @@ def _residual_unbalance(uncertainty: Uncertainty | None) -> dict[str, Any]:
     }
 
 
-def _columns(history: Sequence[Mapping[str, float | str]]) -> dict[str, list[float | str]]:
+def _tabulate_history(history: Sequence[Mapping[str, float | str]]) -> dict[str, list[float | str]]:
     """The history without its clock."""
     return {name: [row[name] for row in history] for name in history[0] if name != "seconds"}
 
 
-def _left_over(found: Fit) -> str:
+def _describe_misfit(found: Fit) -> str:
     """The loss in words."""
     if found.quality.misfit is None:
         held_out = "" if found.held_out_loss is None else f", on held-out speeds {found.held_out_loss:.3g}"
@@ -146,7 +146,7 @@ def _left_over(found: Fit) -> str:
 def _report(config: Config, found: Fit) -> None:
     say(
         f"{config.name}: {found.outcome.value}\n"
-        f"{_left_over(found)}, "
+        f"{_describe_misfit(found)}, "
         f"{found.steps} steps in {found.seconds:.1f} s\n"
         f"coefficients in '{locate_files(config).identified}'"
     )

@@ -77,7 +77,7 @@ def require_nodes(rotor: RotorModel, key: str, nodes: Sequence[int]) -> None:
             raise ConfigError(f"{key} must use nodes 0 to {rotor.n_nodes - 1} of the rotor, but got node {node}")
 
 
-def known_coefficients(config: Config, nodes: Sequence[int]) -> dict[int, tuple[str, ...]]:
+def list_known(config: Config, nodes: Sequence[int]) -> dict[int, tuple[str, ...]]:
     """The coefficients of each bearing that are not identified. Raises ConfigError for an exception without bearing."""
     for node in config.identify.bearings:
         if node not in nodes:

@@ -13,7 +13,7 @@ from conftest import DATA, Artifacts
 
 from pipeline.config.compose import compose_config
 from pipeline.config.schema import Config
-from pipeline.data.sensors import Sensors, both_directions, measure
+from pipeline.data.sensors import Sensors, list_directions, measure
 from pipeline.data.simulate import simulate
 from pipeline.identification.fit import fit
 from pipeline.identification.monte_carlo import MonteCarlo, monte_carlo
@@ -78,7 +78,7 @@ class Ready:
     def measured_again(self) -> Callable[[], Measurement]:
         """A function that measures the machine once more, with other noise of 1 %."""
         machine = simulate(self.measurement.rotor, self.modelled, excitations(self.config))
-        sensors = Sensors(both_directions(self.measurement.rotor.bearing_nodes), multiplicative=0.01)
+        sensors = Sensors(list_directions(self.measurement.rotor.bearing_nodes), multiplicative=0.01)
         generator = np.random.default_rng(0)
         return lambda: replace(self.measurement, dataset=measure(machine, sensors, generator))
 

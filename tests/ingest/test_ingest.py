@@ -33,8 +33,8 @@ from pydantic import TypeAdapter, ValidationError
 
 from pipeline.__main__ import main
 from pipeline.config.compose import compose_config, compose_mapping, validate
-from pipeline.config.loader import options
-from pipeline.config.measured import unbalance_phase
+from pipeline.config.loader import list_options
+from pipeline.config.measured import convert_phase
 from pipeline.config.recordings import RecordingsConfig
 from pipeline.config.schema import Config
 from pipeline.data.dataset import VibrationDataset
@@ -133,9 +133,9 @@ def test_the_high_spot_of_a_stiff_rotor_is_where_the_unbalance_is(tmp_path: Path
 
 def test_angles_on_the_shaft() -> None:
     """With the rotation, against it, or from x at the pulse."""
-    assert unbalance_phase(0.3, "with_rotation", 1.0) == pytest.approx(1.3)
-    assert unbalance_phase(0.3, "against_rotation", 1.0) == pytest.approx(0.7)
-    assert unbalance_phase(0.3, "from_x", None) == pytest.approx(0.3)
+    assert convert_phase(0.3, "with_rotation", 1.0) == pytest.approx(1.3)
+    assert convert_phase(0.3, "against_rotation", 1.0) == pytest.approx(0.7)
+    assert convert_phase(0.3, "from_x", None) == pytest.approx(0.3)
 
 
 MISSING = ["length", "amplitude", "phase", "phase_unit", "speed"]
@@ -272,7 +272,7 @@ def test_a_configuration_that_says_too_little(case: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", options("machine"))
+@pytest.mark.parametrize("name", list_options("machine"))
 def test_the_machines_are_configurations(name: str) -> None:
     """Each file of conf/machine fits the schema, and again after it was one; alone it has its own name."""
     config = compose_config([f"machine={name}"])

@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 
 from pipeline.__main__ import Job, main
 from pipeline.config.compose import compose_config, compose_mapping, expand_sweeps, validate
-from pipeline.config.loader import CONF, options
+from pipeline.config.loader import CONF, list_options
 from pipeline.config.schema import Config
 from pipeline.errors import ConfigError, DataError
 from pipeline.stages import STAGES
@@ -67,7 +67,7 @@ def test_help_is_no_mistake(tmp_path: Path) -> None:
 def test_help_names_every_stage_and_experiment(option: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([option]) == 0
     words = capsys.readouterr().out
-    for name in [*STAGES, *options("experiment"), "--cfg job", "artifacts/NAME", "-m"]:
+    for name in [*STAGES, *list_options("experiment"), "--cfg job", "artifacts/NAME", "-m"]:
         assert name in words
     assert all(len(line) <= 110 for line in words.splitlines())
 
@@ -89,7 +89,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("experiment", options("experiment"))
+@pytest.mark.parametrize("experiment", list_options("experiment"))
 def test_every_experiment_composes_under_its_own_name(experiment: str) -> None:
     config = compose_config([f"experiment={experiment}"])
     assert config.name == experiment

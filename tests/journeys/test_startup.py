@@ -18,7 +18,7 @@ from pipeline import cache
 from pipeline.__main__ import main
 from pipeline.config import compose
 from pipeline.config.compose import compose_config, compose_stages
-from pipeline.config.loader import options
+from pipeline.config.loader import list_options
 from pipeline.config.rotor import RotorConfig
 from pipeline.data.tables import read_table, write_table
 from pipeline.errors import ConfigError
@@ -119,7 +119,7 @@ def test_a_mistake_in_a_data_file_is_told_before_anything_heavy(
 # --- the cache ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("experiment", options("experiment"))
+@pytest.mark.parametrize("experiment", list_options("experiment"))
 def test_a_kept_configuration_is_the_composed_one(experiment: str, own_cache: Path) -> None:
     """The second time from the cache, and equal to the last bit."""
     overrides = [f"experiment={experiment}", "seed=3"]
@@ -165,8 +165,8 @@ def test_the_oldest_entries_go(own_cache: Path, monkeypatch: pytest.MonkeyPatch)
 
 def test_parts_of_an_identity_are_kept_apart() -> None:
     """Two ways to cut the same bytes are two things."""
-    assert cache.identity("ab", "c") != cache.identity("a", "bc")
-    assert cache.identity("ab", b"c") == cache.identity(b"ab", "c")
+    assert cache.hash_parts("ab", "c") != cache.hash_parts("a", "bc")
+    assert cache.hash_parts("ab", b"c") == cache.hash_parts(b"ab", "c")
 
 
 def test_a_kept_rotor_is_the_assembled_one(own_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:

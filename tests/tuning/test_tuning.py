@@ -452,7 +452,7 @@ def test_the_median_over_seeds_decides(default: list[float], others: list[tuple[
 
 def test_the_best_so_far_leaves_the_default_out() -> None:
     """Samplers are compared by what they found themselves; rounding counts as equal, pruned trials not at all."""
-    from pipeline.stages.samplers import best_so_far
+    from pipeline.stages.samplers import track_best
     from pipeline.tuning.finalists import TrialSummary
     from pipeline.tuning.worker import ROUNDING
 
@@ -462,7 +462,7 @@ def test_the_best_so_far_leaves_the_default_out() -> None:
         TrialSummary(number=i, state=state, loss=loss, parameters={}, curve={})
         for i, (state, loss) in enumerate(zip(states, losses, strict=True))
     ]
-    assert best_so_far(trials).tolist() == [1e-2, 1e-2, 1e-3, 1e-3, ROUNDING]
+    assert track_best(trials).tolist() == [1e-2, 1e-2, 1e-3, 1e-3, ROUNDING]
 
 
 def test_speeds_are_held_out_inside_the_range() -> None:
