@@ -18,7 +18,7 @@ _MOST = 300
 """Entries of a kind; beyond, the oldest go."""
 
 
-def identity(*parts: bytes | str) -> str:
+def hash_parts(*parts: bytes | str) -> str:
     """The hash of ``parts``, which are kept apart: ("ab", "c") and ("a", "bc") differ."""
     digest = hashlib.sha256()
     for part in parts:

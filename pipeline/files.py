@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import os
 from collections.abc import Callable, Mapping
@@ -49,6 +50,11 @@ def _write(path: Path, text: str) -> None:
 def write_json(path: Path, value: Mapping[str, Any]) -> Path:
     """Write JSON, indented; NaN and infinities are refused by ValueError. Raises StorageError."""
     return write_text(path, json.dumps(value, indent=2, allow_nan=False) + "\n")
+
+
+def hash_file(path: Path) -> str:
+    """Identity of a file's bytes; empty where there is no file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:16] if path.is_file() else ""
 
 
 def _refuse_constant(name: str) -> None:

@@ -22,7 +22,7 @@ from pipeline.config.comparison import ComparisonConfig, MethodName
 from pipeline.config.identification import IdentifyConfig
 from pipeline.errors import DataError, PipelineError
 from pipeline.files import read_json, write_json
-from pipeline.processes import later_interrupt, limited_threads
+from pipeline.processes import delay_interrupt, limit_threads
 
 _PACKAGES = ("comparison", "data", "identification", "methods", "problem", "rotor")
 Done = Callable[[int, int, Result], None]
@@ -114,7 +114,7 @@ def _run_all(setup: ComparisonSetup, runs: Sequence[MethodRun]) -> Iterator[tupl
     context = multiprocessing.get_context("spawn")  # torch and BLAS don't survive a fork
     with ProcessPoolExecutor(workers, context, _begin, (setup,)) as pool:
         try:
-            with limited_threads(1), later_interrupt():
+            with limit_threads(1), delay_interrupt():
                 futures = {pool.submit(_work, run): run for run in runs}
             while futures:
                 finished, _ = wait(futures, return_when=FIRST_COMPLETED)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import Field, PositiveInt
 
 from pipeline.config.quantities import Angle, Mass, PositiveAngle, Stiffness
-from pipeline.config.section import NonNegativeInt, Section
+from pipeline.config.section import NonNegativeInt, Section, Share
 
 
 class AsBuiltConfig(Section):
@@ -23,7 +23,7 @@ class AsBuiltConfig(Section):
     coupling_stiffness: Stiffness | None = None
     coupling_mass: Mass | None = None
     coupling_node: NonNegativeInt = 0  # of the model
-    unbalance_magnitude: float = Field(default=0.0, ge=0, lt=1)
+    unbalance_magnitude: Share = 0.0
     unbalance_phase: PositiveAngle | None = None
-    probe_gain: float = Field(default=0.0, ge=0, lt=1)
+    probe_gain: Share = 0.0
     probe_angle: Angle | None = None

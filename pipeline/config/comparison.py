@@ -8,7 +8,7 @@ from pydantic import Field, PositiveInt, model_validator
 
 from pipeline.config.identification import LossConfig, ModelConfig, OptimizerConfig, TrainingConfig
 from pipeline.config.quantities import Damping, Stiffness
-from pipeline.config.section import NonNegativeInt, Section
+from pipeline.config.section import NonNegativeInt, Section, Share
 
 MethodName = Literal[
     "least_squares",
@@ -62,7 +62,7 @@ class ComparisonConfig(Section):
     """
 
     methods: tuple[MethodName, ...] = Field(min_length=1)
-    noise: tuple[Annotated[float, Field(ge=0, lt=1)], ...] = Field(min_length=1)
+    noise: tuple[Share, ...] = Field(min_length=1)
     sensors: tuple[SensorSet, ...] = Field(min_length=1)
     speeds: tuple[Annotated[int, Field(ge=2)], ...] = Field(min_length=1)
     location: NonNegativeInt | None = None

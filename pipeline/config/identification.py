@@ -9,7 +9,7 @@ from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from pipeline.coefficients import CoefficientName
 from pipeline.config.quantities import Damping, Length, Mass, PositiveAngle, Stiffness
-from pipeline.config.section import NonNegativeInt, Section
+from pipeline.config.section import NonNegativeInt, Section, Share
 from pipeline.unknowns import BearingUnknowns, Structure, UnknownSet, unknown_set
 
 
@@ -20,8 +20,7 @@ class OneBearingConfig(Section):
     structure: Structure | None = None
 
 
-Share = Annotated[float, Field(gt=0, lt=1)]
-"""Standard deviation as a share of the stated value."""
+PositiveShare = Annotated[float, Field(gt=0, lt=1)]
 
 
 class ModelParametersConfig(Section):
@@ -30,18 +29,18 @@ class ModelParametersConfig(Section):
     See :mod:`pipeline.problem.model_parameters` for what each moves; null stands for exactly known.
     """
 
-    youngs_modulus: Share | None = None
-    density: Share | None = None
-    disc_mass: Share | None = None
-    disc_inertia: Share | None = None
+    youngs_modulus: PositiveShare | None = None
+    density: PositiveShare | None = None
+    disc_mass: PositiveShare | None = None
+    disc_inertia: PositiveShare | None = None
     coupling_stiffness: Stiffness | None = None
     coupling_mass: Mass | None = None
-    unbalance_magnitude: Share | None = None
+    unbalance_magnitude: PositiveShare | None = None
     unbalance_phase: PositiveAngle | None = None
-    probe_gain: Share | None = None
+    probe_gain: PositiveShare | None = None
     probe_angle: PositiveAngle | None = None
     probe_position: Length | None = None
-    known_coefficients: Share | None = None
+    known_coefficients: PositiveShare | None = None
 
     @property
     def deviations(self) -> dict[str, float]:
@@ -166,7 +165,7 @@ class LossConfig(Section):
 
     kind: Literal["residual", "preconditioned", "response"]
     scaling: Literal["per_speed", "none"]
-    regularisation: Annotated[float, Field(ge=0, lt=1)]
+    regularisation: Share
     noise: Literal["stated", "estimated"] = "stated"
     robust: bool = True
 
@@ -221,7 +220,7 @@ class TrainingConfig(Section):
 
     holdout_every: NonNegativeInt
     holdout_runs: tuple[str, ...] = ()
-    tolerance: Annotated[float, Field(ge=0, lt=1)]
+    tolerance: Share
 
     @model_validator(mode="after")
     def _leaves_training_speeds(self) -> TrainingConfig:

@@ -25,7 +25,7 @@ AS_MODELLED = "bearings"
 """In place of a file of known coefficients: those of the machine's ``bearings``."""
 
 
-def unbalance_phase(phase: float, shaft_angle: str, tacho: float | None) -> float:
+def convert_phase(phase: float, shaft_angle: str, tacho: float | None) -> float:
     """Angle p (rad) from x at the pulse of an unbalance at ``phase`` (rad) as ``shaft_angle`` says; tacho's in rad."""
     if shaft_angle == "from_x" or tacho is None:
         return phase

@@ -22,7 +22,7 @@ from pipeline.rotor.parameters import OF_COUPLING, OF_DISC, OF_SHAFT, ModelParam
 from pipeline.rotor.stored import load_rotor
 
 
-def built_rotor(rotor: RotorConfig, built: AsBuiltConfig) -> RotorModel:
+def build_rotor(rotor: RotorConfig, built: AsBuiltConfig) -> RotorModel:
     """The rotor as it was built, with ``refinement`` elements for each of the model.
 
     Raises ConfigError where the rotor file can't be read.
@@ -55,20 +55,24 @@ def simulate_as_built(
 ) -> VibrationDataset:
     """As :func:`pipeline.data.simulate.simulate`, x and y at every node of the model, without noise.
 
-    ``rotor`` is that of :func:`built_rotor`; ``bearings`` and ``excitations`` have the nodes of the model.
+    ``rotor`` is that of :func:`build_rotor`; ``bearings`` and ``excitations`` have the nodes of the model.
     """
     n, angle = built.refinement, built.unbalance_phase or 0.0
-    acting = [replace(one, node=n * one.node) for one in excitations]
+    acting = list(refine_nodes(excitations, built))
     for i, one in enumerate(acting):
         if one.kind == "unbalance":
             size, turn = generator.standard_normal(2)
             magnitude = one.magnitude * (1 + built.unbalance_magnitude * size)
             acting[i] = replace(one, magnitude=magnitude, phase=one.phase + angle * turn)
-    fine = replace(bearings, nodes=tuple(n * node for node in bearings.nodes))
-    found = simulate(rotor, fine, tuple(acting), own_frequencies)
+    found = simulate(rotor, bearings, tuple(acting), own_frequencies)
     keep = [p for p, (node, _) in enumerate(found.channels) if node % n == 0]
     channels = tuple((found.channels[p][0] // n, found.channels[p][1]) for p in keep)
     return replace(found, channels=channels, displacement=found.displacement[:, keep], excitations=tuple(excitations))
+
+
+def refine_nodes(excitations: Sequence[Excitation], built: AsBuiltConfig) -> tuple[Excitation, ...]:
+    """The same, at the nodes of the rotor as it was built."""
+    return tuple(replace(one, node=built.refinement * one.node) for one in excitations)
 
 
 def misplace_probes(

@@ -13,8 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.data.columns import read_columns
-from pipeline.data.tables import write_table
+from pipeline.data.tables import read_table, write_table
 from pipeline.data.vibration_files import to_rpm
 from pipeline.errors import DataError
 from pipeline.rotor.bearing_table import BearingTable
@@ -54,8 +53,8 @@ def read_coefficients(
     """
     every = [name for name in COEFFICIENTS if of is None or any(name in of[node] for node in nodes)]
     kinds = {"bearing_node": "number", "speed_rpm": "number"}
-    table = read_columns(
-        path, kinds | {name: "number" if _by_all(name, nodes, of) else "number or blank" for name in every}
+    table = read_table(
+        path, kinds | {name: "number" if _is_known_everywhere(name, nodes, of) else "number or blank" for name in every}
     )
     # Speeds of two files are the same where they agree to a millionth of an rpm.
     rpm, at_node = np.round(table["speed_rpm"], 6), table["bearing_node"]
@@ -69,7 +68,7 @@ def read_coefficients(
             has = sorted({int(n) for n in at_node})
             raise DataError(f"'{path}' must have rows for the bearing at node {node}, but it has bearings at {has}")
         names = list(COEFFICIENTS if of is None else of[node])
-        found = _at_speeds(rpm[rows], np.stack([at_node, *(table[name] for name in names)])[:, rows], wanted)
+        found = _select_speeds(rpm[rows], np.stack([at_node, *(table[name] for name in names)])[:, rows], wanted)
         missing = np.flatnonzero(np.isnan(found).any(axis=0))
         if len(missing):
             raise DataError(
@@ -82,12 +81,12 @@ def read_coefficients(
     return BearingTable(tuple(nodes), speeds, values)
 
 
-def _at_speeds(rpm: np.ndarray, values: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+def _select_speeds(rpm: np.ndarray, values: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """(N, W) of ``values`` (N, V) at ``rpm`` (V,): those at the ``wanted`` (W,), NaN where there are none."""
     order = np.argsort(rpm)
     nearest = order[np.searchsorted(rpm, wanted, sorter=order).clip(max=len(rpm) - 1)]
     return np.where(rpm[nearest] == wanted, values[:, nearest], np.nan)
 
 
-def _by_all(name: str, nodes: Sequence[int], of: Mapping[int, Sequence[str]] | None) -> bool:
+def _is_known_everywhere(name: str, nodes: Sequence[int], of: Mapping[int, Sequence[str]] | None) -> bool:
     return of is None or all(name in of[node] for node in nodes)

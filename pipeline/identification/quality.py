@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.data.dataset import direction_name
+from pipeline.data.dataset import name_direction
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.output_error import OutputError
-from pipeline.identification.output_error_fit import OutputErrorFit
+from pipeline.identification.output_error_fit import FittedParameter, OutputErrorFit
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.residual import per_speed_least_squares
 
@@ -45,6 +45,7 @@ class Quality:
     summary: Mapping[str, Any]  # part of metrics.json
     bad_points: tuple[BadPoint, ...] = field(default=())
     inflation: float = 1.0  # of the variances, where neighbouring speeds deviate together
+    model_parameters: tuple[FittedParameter, ...] = ()
 
     @property
     def misfit(self) -> float | None:
@@ -100,10 +101,20 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
     if not stated:
         channels = fit.start.measurement.dataset.channels
         summary["noise_factor"] = {
-            f"node {node} {direction_name(angle)}": float(f)
+            f"node {node} {name_direction(angle)}": float(f)
             for (node, angle), f in zip(channels, fit.factor, strict=True)
         }
-    return Quality({"fit": summary}, bad, variance_inflation(correlation))
+    whole: dict[str, object] = {"fit": summary}
+    if posterior:
+        whole["model_parameters"] = {
+            one.parameter.name: {
+                "prior_deviation": one.parameter.deviation,
+                "value": one.value * one.parameter.deviation,
+                "deviation": one.deviation * one.parameter.deviation,
+            }
+            for one in posterior
+        }
+    return Quality(whole, bad, variance_inflation(correlation), posterior)
 
 
 def mismatch(square: float | None, freedom: int, whiteness: float) -> dict[str, float | None]:
@@ -158,7 +169,7 @@ def _bad_points(fit: OutputErrorFit, plain: list[np.ndarray]) -> tuple[BadPoint,
         for s, p, r in np.argwhere(np.abs(off) > BAD_POINT):
             node, angle = dataset.channels[p]
             run, size = dataset.runs[block.runs[r]], float(np.abs(off[s, p, r]))
-            found.append(BadPoint(run, float(dataset.speeds[s]), node, direction_name(angle), size))
+            found.append(BadPoint(run, float(dataset.speeds[s]), node, name_direction(angle), size))
     return tuple(found)
 
 

@@ -8,23 +8,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pipeline.config.measured import CsvConfig
-from pipeline.config.quantities import metres
+from pipeline.config.quantities import to_metres
 from pipeline.config.recordings import TableRecordingsConfig, TableRunConfig
-from pipeline.data.tables import TextFormat, read_table
+from pipeline.data.tables import Columns, TextFormat, read_table
 from pipeline.errors import DataError, nearest
 from pipeline.ingest.conventions import RAD_S, to_vectors
 from pipeline.ingest.tracks import RunTracks, Track, ascending
 
 _BROAD = 2.0
 """Phases that differ by more than this pass a resonance if they are radians, and hardly differ if they are degrees."""
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 
 def read_table_runs(config: TableRecordingsConfig) -> tuple[RunTracks, ...]:
@@ -62,7 +58,6 @@ def _wide(config: TableRecordingsConfig, run: TableRunConfig, path: Path) -> dic
     pairs = {name: run.columns.get(name) or probe.columns for name, probe in config.probes.items()}
     columns = [config.columns.speed, *(c for pair in pairs.values() if pair for c in (pair.amplitude, pair.phase))]
     table = read_table(path, dict.fromkeys(columns, "number"), text=text_format(config.csv))
-    _check_once(table, columns, path)
     return {
         name: _rows(table, config.columns.speed, pair.amplitude, pair.phase, f"'{path}'")
         for name, pair in pairs.items()
@@ -75,10 +70,9 @@ def _long(config: TableRecordingsConfig, run: TableRunConfig, path: Path) -> dic
     kinds = {names.run: "text", names.probe: "text"}
     kinds |= dict.fromkeys((names.speed, names.amplitude, names.phase), "number")
     table = read_table(path, kinds, text=text_format(config.csv))
-    _check_once(table, list(kinds), path)
     _check_runs(config, list(dict.fromkeys(table[names.run])), path)
-    mine = table[table[names.run] == run.name]
-    if mine.empty:
+    mine = _select(table, names.run, run.name)
+    if not len(mine[names.run]):
         raise DataError(
             f"'{path}' must have rows of run '{run.name}' in the column '{names.run}', but it has "
             f"{nearest(run.name, set(table[names.run]))}"
@@ -86,8 +80,8 @@ def _long(config: TableRecordingsConfig, run: TableRunConfig, path: Path) -> dic
     found = {}
     for name, probe in config.probes.items():
         label = probe.label or name
-        rows = mine[mine[names.probe] == label]
-        if rows.empty:
+        rows = _select(mine, names.probe, label)
+        if not len(rows[names.probe]):
             raise DataError(
                 f"'{path}' must have rows of probe '{label}' in run '{run.name}', but it has "
                 f"{nearest(label, set(mine[names.probe]))}"
@@ -97,19 +91,24 @@ def _long(config: TableRecordingsConfig, run: TableRunConfig, path: Path) -> dic
     return found
 
 
-def _rows(table: pd.DataFrame, speed: str, amplitude: str, phase: str, where: str) -> _Rows:
+def _select(table: Columns, name: str, value: str) -> Columns:
+    rows = table[name] == value
+    return {column: values[rows] for column, values in table.items()}
+
+
+def _rows(table: Columns, speed: str, amplitude: str, phase: str, where: str) -> _Rows:
     if (table[amplitude] < 0).any():
         raise DataError(
             f"{where} must have amplitudes of zero or more in the column '{amplitude}', but got "
             f"{table[amplitude].min():g}"
         )
-    return _Rows(table[speed].to_numpy(), table[amplitude].to_numpy(), table[phase].to_numpy(), where)
+    return _Rows(table[speed], table[amplitude], table[phase], where)
 
 
 def _track(config: TableRecordingsConfig, rows: _Rows) -> Track:
     said = config.conventions
     phase = np.radians(rows.phase) if said.phase_unit == "deg" else rows.phase
-    vectors = to_vectors(rows.amplitude, phase, metres(said.length), said.amplitude, said.phase)
+    vectors = to_vectors(rows.amplitude, phase, to_metres(said.length), said.amplitude, said.phase)
     return ascending(rows.speed * RAD_S[said.speed], vectors, rows.where)
 
 
@@ -127,15 +126,6 @@ def _unit_note(phases: Sequence[np.ndarray], unit: str, path: Path) -> tuple[str
             "degrees (machine.recordings.conventions.phase_unit=deg)?",
         )
     return ()
-
-
-def _check_once(table: pd.DataFrame, columns: Sequence[str], path: Path) -> None:
-    """pandas calls the second column of a name by another name, and takes the first without a word."""
-    for name in columns:
-        if f"{name}.1" in table.columns and f"{name}.1" not in columns:
-            raise DataError(
-                f"'{path}' must have the column '{name}' once, but it has it twice: give each a name of its own"
-            )
 
 
 def _check_runs(config: TableRecordingsConfig, there: Sequence[str], path: Path) -> None:

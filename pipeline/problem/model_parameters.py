@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.data.dataset import Excitation, VibrationDataset, direction_name, force_vectors
+from pipeline.data.dataset import Excitation, VibrationDataset, assemble_forces, name_direction
 from pipeline.errors import ConfigError
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel, translation_dof
@@ -79,7 +79,7 @@ def _places(
                 yield f"{one.run} node {one.node}", i, one.run
     if kind in OF_PROBE:
         for p, (node, angle) in enumerate(dataset.channels):
-            yield f"node {node} {direction_name(angle)}", p, ""
+            yield f"node {node} {name_direction(angle)}", p, ""
     if kind == "known_coefficients":
         for b, c in np.argwhere(~unknowns.identified & known.values.any(axis=1)):
             yield f"{COEFFICIENTS[c]} node {known.nodes[b]}", int(b), COEFFICIENTS[c]
@@ -124,7 +124,7 @@ def force_change(
     own = [e for i, e in _numbered(dataset.excitations) if (e.run, i) == (parameter.detail, parameter.place)]
     if not own:
         return None
-    force = force_vectors(rotor, tuple(own), dataset.runs, dataset.frequencies)
+    force = assemble_forces(rotor, tuple(own), dataset.runs, dataset.frequencies)
     if parameter.kind == "unbalance_phase":
         return 1j * parameter.deviation * force
     return parameter.deviation / (1 + parameter.deviation * value) * force

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.data.dataset import VibrationDataset, force_vectors, runs_by_frequency
+from pipeline.data.dataset import VibrationDataset, assemble_forces, group_runs
 from pipeline.problem.model_parameters import (
     force_change,
     sensor_change,
@@ -61,9 +61,9 @@ def _solved(
     """Every block of runs on reference bearings."""
     speeds, at_bearings = dataset.speeds, bearing_dof(rotor)
     impedance = _impedance(rotor, len(speeds), reference)
-    forces = force_vectors(rotor, dataset.excitations, dataset.runs, dataset.frequencies)
+    forces = assemble_forces(rotor, dataset.excitations, dataset.runs, dataset.frequencies)
     system = banded(rotor)
-    for runs, w in runs_by_frequency(dataset.frequencies):
+    for runs, w in group_runs(dataset.frequencies):
         own_planes = list(planes) if np.allclose(w, speeds, rtol=1e-9) else []
         width = len(runs) + len(own_planes) + at_bearings.size
         right = np.zeros((len(speeds), rotor.n_dof, width), dtype=complex)

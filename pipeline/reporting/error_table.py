@@ -79,6 +79,10 @@ def _shown(column: str, value: float) -> str:
     return f"{value / 1e5:.5f}e5" if column in ("modelled", "identified") else f"{value:.2g}"
 
 
+MISMATCH = 0.05
+"""Deviations less probable than this speak against the model: of a right one, they do so in one of twenty data sets."""
+
+
 def quality_words(quality: Mapping[str, Any]) -> str:
     """What is known of a fit without a truth, from the summary of its quality."""
     if "residual" in quality:
@@ -92,6 +96,13 @@ def quality_words(quality: Mapping[str, Any]) -> str:
         f"whiteness: neighbouring speeds correlate by {white['autocorrelation']:.3f} "
         f"({white['over_its_deviation']:+.1f} standard deviations from none); {fit['bad_points']} readings far off",
     ]
+    probability = fit["mismatch"]["probability"]
+    if probability is not None:
+        explained = "explain" if probability >= MISMATCH else "do not explain"
+        lines.append(
+            f"the model and the stated noise {explained} the readings (such deviations, or larger ones, have the "
+            f"probability {probability:.2g})"
+        )
     for kind in ("held_out_speeds", "held_out_runs"):
         if kind in fit:
             held = fit[kind]

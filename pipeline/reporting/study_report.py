@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.config.promotion import value_at
+from pipeline.config.promotion import get_value
 from pipeline.config.schema import Config
 from pipeline.evaluation.errors import coefficient_errors, worst_mean_error
 from pipeline.identification.chebyshev import ChebyshevFit
@@ -280,10 +280,12 @@ def _limits(report: StudyReport) -> list[str]:
 
 
 def _values(report: StudyReport) -> str:
-    changed = {key: value for key, value in report.best.values.items() if value_at(report.config, key) != value}
+    changed = {key: value for key, value in report.best.values.items() if get_value(report.config, key) != value}
     if not changed:
         return ""
-    rows = [f"| `{key}` | {_short(value_at(report.config, key))} | {_short(value)} |" for key, value in changed.items()]
+    rows = [
+        f"| `{key}` | {_short(get_value(report.config, key))} | {_short(value)} |" for key, value in changed.items()
+    ]
     return "\n".join(["| value | default | promoted |", "|---|---|---|", *rows])
 
 

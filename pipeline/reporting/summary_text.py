@@ -13,7 +13,7 @@ import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS, unit
 from pipeline.config.schema import Config
-from pipeline.data.dataset import VibrationDataset, direction_name
+from pipeline.data.dataset import VibrationDataset, name_direction
 from pipeline.data.vibration_files import to_rpm
 from pipeline.evaluation.errors import relative_errors
 from pipeline.rotor.bearing_table import BearingTable
@@ -228,7 +228,7 @@ def _prediction(config: Config, results: Results) -> str:
 def channel_words(channel: tuple[int, float]) -> str:
     """Such as ``x at node 3``, or ``45 deg at node 3``."""
     node, angle = channel
-    name = direction_name(angle)
+    name = name_direction(angle)
     return f"{name if name in 'xy' else f'{name} deg'} at node {node}"
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.cache import identity, keep, look_up
+from pipeline.cache import hash_parts, keep, look_up
 from pipeline.config.bearings import BearingConfig
 from pipeline.config.rotor import RotorConfig
 from pipeline.rotor.bearing_table import BearingTable
@@ -25,7 +25,7 @@ _ENTRY = "rotor"
 def made_from(config: RotorConfig) -> str:
     """Identity of what a rotor is assembled from: configuration, its file's bytes, ROSS's version, and our own code."""
     file = Path(config.file) if config.file is not None else None
-    return identity(
+    return hash_parts(
         # Where a rotor file lies makes no other rotor.
         json.dumps(config.model_dump(mode="json", exclude={"file"}), sort_keys=True),
         file.read_bytes() if file is not None and file.is_file() else b"",
@@ -56,7 +56,7 @@ def load_modelled_bearings(config: RotorConfig, bearing: BearingConfig, speeds: 
     Raises ConfigError where the rotor file can't be read, or the bearings give no finite coefficients.
     """
     speeds = np.ascontiguousarray(speeds, dtype=float)
-    key = identity(made_from(config), bearing.model_dump_json(), speeds.tobytes())
+    key = hash_parts(made_from(config), bearing.model_dump_json(), speeds.tobytes())
     arrays = _arrays(look_up(_BEARINGS, key))
     if arrays is not None and {"nodes", "values"} <= arrays.keys():
         return BearingTable(tuple(arrays["nodes"].astype(int).tolist()), speeds, arrays["values"])

@@ -35,7 +35,7 @@ def use_threads(config: Config) -> None:
 class StageOutput:
     """What a stage hands to the records."""
 
-    metrics: Mapping[str, float] = field(default_factory=dict)
+    metrics: Mapping[str, object] = field(default_factory=dict)  # nested; numbers are recorded by dotted names
     tags: Mapping[str, str] = field(default_factory=dict)
     files: Sequence[Path] = ()
     history: Sequence[Mapping[str, float]] = ()
@@ -56,8 +56,8 @@ def execute(config: Config, run: Callable[[Config], StageOutput]) -> None:
         started=started,
         ended=time.time(),
         parameters=parameters,
-        tags={"pipeline.group": _group(parameters), "seed": str(config.seed)} | dict(output.tags),
-        metrics=output.metrics,
+        tags={"pipeline.group": _hash_parameters(parameters), "seed": str(config.seed)} | dict(output.tags),
+        metrics=_flatten(output.metrics),
         history=output.history,
         files=[path for path in output.files if path.exists()],
         model=output.model,
@@ -71,7 +71,7 @@ def execute(config: Config, run: Callable[[Config], StageOutput]) -> None:
         raise SystemExit(output.exit_code)
 
 
-def _group(parameters: Mapping[str, object]) -> str:
+def _hash_parameters(parameters: Mapping[str, object]) -> str:
     """Stages of one experiment with the same configuration share this tag."""
     shared = {
         key: value for key, value in parameters.items() if key not in ("stage", "tracking", "check", "comparison")
@@ -79,13 +79,13 @@ def _group(parameters: Mapping[str, object]) -> str:
     return hashlib.sha256(json.dumps(shared, sort_keys=True).encode()).hexdigest()[:12]
 
 
-def flat_metrics(values: Mapping[str, object], prefix: str = "") -> dict[str, float]:
+def _flatten(values: Mapping[str, object], prefix: str = "") -> dict[str, float]:
     """Numbers of a nested mapping by dotted names."""
     result: dict[str, float] = {}
     for key, value in values.items():
         name = f"{prefix}{key}"
         if isinstance(value, Mapping):
-            result |= flat_metrics(value, f"{name}.")
+            result |= _flatten(value, f"{name}.")
         elif isinstance(value, (int, float)) and not isinstance(value, bool):
             result[name] = float(value)
     return result

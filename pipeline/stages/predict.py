@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.config.schema import Config
+from pipeline.data.as_built import build_rotor, refine_nodes
 from pipeline.data.dataset import Excitation
 from pipeline.data.tables import write_table
 from pipeline.data.vibration_files import to_rpm
@@ -21,11 +22,9 @@ from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, table
 from pipeline.reporting.twin_figures import orbit_figure, response_figure, time_figure
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.stages.execution import StageOutput, flat_metrics
-from pipeline.stages.measurement import load_measurement
-from pipeline.stages.nodes import require_nodes
-from pipeline.stages.results import load_identified, load_modelled
-from pipeline.stages.workspace import workspace
+from pipeline.stages.execution import StageOutput
+from pipeline.stages.measurement import load_identified, load_measurement, load_modelled, update_measurement
+from pipeline.stages.workspace import locate_files, require_nodes
 from pipeline.twin.modes import CriticalSpeed, StabilityMargin, critical_speeds, stability_margin, whirl_modes
 from pipeline.twin.prediction import PredictedVibration, predict, with_deviation
 from pipeline.units import RAD_S_PER_RPM
@@ -44,30 +43,34 @@ class Twin:
     at: int  # index of the prediction's speed
 
 
-def twin_of(config: Config, measurement: Measurement) -> Twin:
+def build_twin(config: Config, measurement: Measurement) -> Twin:
     """The twin, training first where its model is missing. Raises ConfigError for an unbalance that a run has."""
     model = load_identified(config, measurement)
-    uncertainty = load_uncertainty(workspace(config).folder, model)
-    identified = model.table(measurement.known)
+    uncertainty = load_uncertainty(locate_files(config).folder, model)
+    updated = update_measurement(measurement, uncertainty)
+    identified = model.table(updated.updated_known)
     modelled = load_modelled(config, measurement)
-    systems = {"identified": identified} if modelled is None else {"modelled": modelled, "identified": identified}
     nodes = [config.machine.prediction.node, *(unbalance.node for unbalance in config.machine.prediction.unbalances)]
     require_nodes(measurement.rotor, "machine.prediction", nodes)
-    at = _speed_index(config, measurement.dataset.speeds)
-    unseen = unseen_excitations(config)
-    if (run := same_run(unseen, measurement.dataset.excitations)) is not None:
+    at = _find_speed(config, measurement.dataset.speeds)
+    unseen = list_unseen(config)
+    if (run := find_same_run(unseen, measurement.dataset.excitations)) is not None:
         raise ConfigError(
             f"machine.prediction.unbalances must be an unbalance that training never saw, but run '{run}' is the same"
         )
-    vibration = {
-        name: predict(measurement.rotor, system, unseen, config.machine.prediction.node)
-        for name, system in systems.items()
-    }
+    node, built = config.machine.prediction.node, config.machine.as_built
+    systems = {"identified": identified} if modelled is None else {"modelled": modelled, "identified": identified}
+    rotors = {"modelled": measurement.rotor, "identified": updated.updated_rotor}
+    vibration = {name: predict(rotors[name], system, unseen, node) for name, system in systems.items()}
+    if modelled is not None and built is not None:  # the truth has nodes of its own
+        rotors["modelled"] = build_rotor(config.machine.rotor, built)
+        acting = refine_nodes(unseen, built)
+        vibration["modelled"] = predict(rotors["modelled"], modelled, acting, built.refinement * node)
     if uncertainty is not None:
         vibration["identified"] = with_deviation(
-            vibration["identified"], measurement.rotor, identified, unseen, model, uncertainty
+            vibration["identified"], updated, identified, unseen, model, uncertainty
         )
-    modes = {name: whirl_modes(measurement.rotor, system) for name, system in systems.items()}
+    modes = {name: whirl_modes(rotors[name], system) for name, system in systems.items()}
     critical = {name: critical_speeds(of) for name, of in modes.items()}
     margin = {name: stability_margin(of) for name, of in modes.items()}
     return Twin(model, uncertainty, systems, vibration, critical, margin, at)
@@ -76,9 +79,9 @@ def twin_of(config: Config, measurement: Measurement) -> Twin:
 def run(config: Config) -> StageOutput:
     """``prediction.json``, ``prediction.csv`` and Figure 6."""
     measurement = load_measurement(config)
-    twin = twin_of(config, measurement)
+    twin = build_twin(config, measurement)
     vibration, at = dict(twin.vibration), twin.at
-    summary: dict[str, Any] = {name: _modal_summary(twin.critical[name], twin.margin[name]) for name in twin.systems}
+    summary: dict[str, Any] = {name: _summarize_modes(twin.critical[name], twin.margin[name]) for name in twin.systems}
     if "modelled" in vibration:
         error = vibration["identified"].error_percent(vibration["modelled"])
         summary["displacement"] = {
@@ -86,7 +89,7 @@ def run(config: Config) -> StageOutput:
             for direction, e in zip("xy", error.T, strict=True)
         }
     _print(config, summary, vibration, at)
-    work = workspace(config)
+    work = locate_files(config)
     written = [
         write_json(work.folder / "prediction.json", summary),
         _write_table(work.folder / "prediction.csv", vibration),
@@ -94,10 +97,10 @@ def run(config: Config) -> StageOutput:
         orbit_figure(work.figure("prediction_orbit"), vibration, at),
         response_figure(work.figure("prediction_response"), vibration),
     ]
-    return StageOutput(flat_metrics(summary), {"data_fingerprint": measurement.dataset.fingerprint}, written)
+    return StageOutput(summary, {"data_fingerprint": measurement.dataset.fingerprint}, written)
 
 
-def _speed_index(config: Config, speeds: np.ndarray) -> int:
+def _find_speed(config: Config, speeds: np.ndarray) -> int:
     rpm, wanted = to_rpm(speeds), config.machine.prediction.speed_rpm
     nearest = int(np.abs(rpm - wanted).argmin())
     if abs(rpm[nearest] - wanted) > 1e-6 * wanted:
@@ -108,7 +111,7 @@ def _speed_index(config: Config, speeds: np.ndarray) -> int:
     return nearest
 
 
-def unseen_excitations(config: Config) -> tuple[Excitation, ...]:
+def list_unseen(config: Config) -> tuple[Excitation, ...]:
     """The unbalances that the twin is judged by, as one run."""
     return tuple(
         Excitation("prediction", "unbalance", u.node, u.magnitude, u.phase)
@@ -116,7 +119,7 @@ def unseen_excitations(config: Config) -> tuple[Excitation, ...]:
     )
 
 
-def same_run(unseen: tuple[Excitation, ...], seen: tuple[Excitation, ...]) -> str | None:
+def find_same_run(unseen: tuple[Excitation, ...], seen: tuple[Excitation, ...]) -> str | None:
     """The run of ``seen`` whose excitation is ``unseen``; None where training never saw it."""
 
     def shape(forces: list[Excitation]) -> set[tuple[object, ...]]:
@@ -126,7 +129,7 @@ def same_run(unseen: tuple[Excitation, ...], seen: tuple[Excitation, ...]) -> st
     return next((run for run in runs if shape([e for e in seen if e.run == run]) == shape(list(unseen))), None)
 
 
-def _modal_summary(found: list[CriticalSpeed], margin: StabilityMargin) -> dict[str, object]:
+def _summarize_modes(found: list[CriticalSpeed], margin: StabilityMargin) -> dict[str, object]:
     return {
         "critical_speeds": {
             f"{i + 1}": {
@@ -145,8 +148,6 @@ def _modal_summary(found: list[CriticalSpeed], margin: StabilityMargin) -> dict[
 
 
 def _write_table(path: Path, vibration: dict[str, PredictedVibration]) -> Path:
-    import pandas as pd
-
     columns = {"speed_rpm": to_rpm(next(iter(vibration.values())).speeds)}
     for name, predicted in vibration.items():
         for d, direction in enumerate("xy"):
@@ -154,7 +155,7 @@ def _write_table(path: Path, vibration: dict[str, PredictedVibration]) -> Path:
             if predicted.deviation is not None:
                 columns[f"{direction}_{name}_amplitude_std_m"] = predicted.deviation[:, d]
             columns[f"{direction}_{name}_phase_deg"] = np.degrees(np.angle(predicted.displacement[:, d]))
-    return write_table(path, pd.DataFrame(columns))
+    return write_table(path, columns)
 
 
 def _print(config: Config, summary: Mapping[str, Any], vibration: dict[str, PredictedVibration], at: int) -> None:

@@ -25,9 +25,8 @@ from pipeline.reporting.study_report import (
     trial_table,
 )
 from pipeline.stages.diagnose import say_diagnosis
-from pipeline.stages.execution import StageOutput, flat_metrics
-from pipeline.stages.measurement import load_measurement
-from pipeline.stages.results import load_modelled
+from pipeline.stages.execution import StageOutput
+from pipeline.stages.measurement import load_measurement, load_modelled
 from pipeline.tracking import ChildRecord
 from pipeline.tuning.attempts import results
 from pipeline.tuning.finalists import TrialSummary, choose, fingerprint, importances, summarize, train_finalists
@@ -39,7 +38,7 @@ from pipeline.tuning.worker import Seen
 SUMMARY = "summary.json"
 
 
-def study_problem(config: Config, measurement: Measurement) -> StudyProblem:
+def pose_study(config: Config, measurement: Measurement) -> StudyProblem:
     """What a study of ``config`` searches on. Raises ConfigError where no speed is held out."""
     if not config.training.holdout_every:
         raise ConfigError(
@@ -56,13 +55,13 @@ def run(config: Config) -> StageOutput:
     if is_shared(config.tuning):
         open_storage(config.tuning)  # one that can't be reached is said at once, before the data are read
     measurement = load_measurement(config)
-    problem, folder = study_problem(config, measurement), Path(config.tuning.folder)
+    problem, folder = pose_study(config, measurement), Path(config.tuning.folder)
     prepare_residual(measurement, setup_of(config))  # what is not identifiable needs no study
     say_diagnosis(config, measurement)
     started = time.perf_counter()
     try:
         with study_progress(config.name, config.tuning.n_trials) as shown:
-            study, sentences = run_study(problem, progress_of(shown, config.tuning.n_trials))
+            study, sentences = run_study(problem, follow_progress(shown, config.tuning.n_trials))
         searched = time.perf_counter() - started
         for sentence in sentences:
             warn(f"{config.name}: {sentence}")
@@ -79,14 +78,14 @@ def _report(config: Config, problem: StudyProblem, study: Any, searched: float) 
     folder, trials, mark = Path(config.tuning.folder), summarize(study), fingerprint(study, problem)
     if _is_current(folder, mark):
         say(f"{config.name}: the study has its {len(trials)} trials, and '{folder}' is what came of them")
-        return StageOutput(flat_metrics(read_json(folder / SUMMARY)))
+        return StageOutput(read_json(folder / SUMMARY))
     finalists = train_finalists(study, problem)
     report = StudyReport(
         config=config,
         trials=trials,
         finalists=finalists,
         best=choose(finalists, config.tuning),
-        chebyshev=fit_chebyshev(problem.measurement, _judging_setup(config)),
+        chebyshev=fit_chebyshev(problem.measurement, _prepare_judge(config)),
         importances=importances(study),
         known=problem.measurement.known,
         modelled=load_modelled(config, problem.measurement),  # read when the choice is made
@@ -99,20 +98,20 @@ def _report(config: Config, problem: StudyProblem, study: Any, searched: float) 
         f"optuna-dashboard {without_password(config.tuning.storage)}"
     )
     return StageOutput(
-        flat_metrics(summary) | {"search_seconds": searched},
+        summary | {"search_seconds": searched},
         {"data_fingerprint": problem.measurement.dataset.fingerprint, "study": config.tuning.study},
         written,
-        children=[child_record(trial) for trial in trials],
+        children=[record_trial(trial) for trial in trials],
     )
 
 
-def _judging_setup(config: Config) -> FitSetup:
+def _prepare_judge(config: Config) -> FitSetup:
     """Training with the loss that trials are compared by, whatever they are trained with."""
     setup = setup_of(config)
     return replace(setup, loss=setup.loss.model_copy(update={"scaling": "per_speed"}))
 
 
-def progress_of(shown: StudyProgress, total: int) -> Seen:
+def follow_progress(shown: StudyProgress, total: int) -> Seen:
     """What a worker calls between its steps to show how far the study is: once a second, for the database's sake."""
     due = 0.0
 
@@ -154,7 +153,7 @@ def _write(config: Config, report: StudyReport, summary: dict[str, object], fold
     ]
 
 
-def child_record(trial: TrialSummary) -> ChildRecord:
+def record_trial(trial: TrialSummary) -> ChildRecord:
     """A trial as a run below the study's."""
     metrics = {"held_out_loss": trial.loss, "training_seconds": trial.seconds, "epochs": trial.epochs}
     return ChildRecord(

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from pipeline.errors import PipelineError
-from pipeline.processes import later_interrupt, let_interrupt_through, limited_threads, threads_each
+from pipeline.processes import delay_interrupt, let_interrupt_through, limit_threads, share_threads
 from pipeline.tuning.attempts import repeat_stopped, results
 from pipeline.tuning.storage import settle, storage_errors
 from pipeline.tuning.study import StudyProblem, open_study
@@ -42,7 +42,7 @@ def run_study(problem: StudyProblem, seen: Seen) -> tuple[optuna.Study, list[str
 
         study = open_study(problem)
         _wait_for_the_silent(study, problem, look)
-        threads = threads_each(config.threads, config.tuning.workers)
+        threads = share_threads(config.threads, config.tuning.workers)
         torch.set_num_threads(threads)
         todo = config.tuning.n_trials - len(results(study))
         with _others(problem, min(config.tuning.workers, todo) - 1, threads) as others:
@@ -103,9 +103,9 @@ def pool(workers: int, threads: int) -> Iterator[Callable[..., Iterator[Any]]]:
     if workers == 1:
         yield map
         return
-    each = threads_each(threads, workers)
+    each = share_threads(threads, workers)
     # New interpreters, since torch and BLAS don't survive a fork.
-    with limited_threads(each), later_interrupt():
+    with limit_threads(each), delay_interrupt():
         processes = multiprocessing.get_context("spawn").Pool(workers, _begin, (each,))
     with processes:  # terminates them at its end
         yield processes.imap
@@ -123,7 +123,7 @@ def _others(problem: StudyProblem, count: int, threads: int) -> Iterator[list[An
     """``count`` more workers; they have ended at the end of the block."""
     context = multiprocessing.get_context("spawn")
     workers = [context.Process(target=_work_beside, args=(problem, threads), daemon=True) for _ in range(count)]
-    with limited_threads(threads), later_interrupt():
+    with limit_threads(threads), delay_interrupt():
         for worker in workers:
             worker.start()
     try:

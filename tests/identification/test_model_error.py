@@ -9,7 +9,7 @@ import pytest
 
 from pipeline.config.as_built import AsBuiltConfig
 from pipeline.config.compose import compose_config
-from pipeline.data.as_built import built_rotor, simulate_as_built
+from pipeline.data.as_built import build_rotor, simulate_as_built
 from pipeline.data.sensors import measure
 from pipeline.identification.output_error import OutputError
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
@@ -20,7 +20,7 @@ from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.parameters import ModelParameter
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor
-from pipeline.stages.generate import excitations, sensors
+from pipeline.stages.generate import configure_excitations, configure_sensors
 from pipeline.stages.measurement import measurement_of
 from pipeline.units import RAD_S_PER_RPM
 
@@ -42,10 +42,10 @@ def measured(built: AsBuiltConfig, seed: int = 0) -> tuple[Measurement, BearingT
     machine = CONFIG.machine
     speeds = np.array(machine.speeds.rpm()) * RAD_S_PER_RPM
     rotor = load_rotor(machine.rotor)
-    bearings, acting = load_modelled_bearings(machine.rotor, machine.bearings, speeds), excitations(CONFIG)
+    bearings, acting = load_modelled_bearings(machine.rotor, machine.bearings, speeds), configure_excitations(CONFIG)
     generator = np.random.default_rng(seed)
-    complete = simulate_as_built(built_rotor(machine.rotor, built), built, bearings, acting, None, generator)
-    data = measure(replace(complete, excitations=acting), sensors(CONFIG, rotor), generator)
+    complete = simulate_as_built(build_rotor(machine.rotor, built), built, bearings, acting, None, generator)
+    data = measure(replace(complete, excitations=acting), configure_sensors(CONFIG, rotor), generator)
     return measurement_of(CONFIG, rotor, data, bearings), bearings
 
 
