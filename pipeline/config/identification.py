@@ -232,15 +232,16 @@ class TrainingConfig(Section):
 
 
 class RobustnessConfig(Section):
-    """What is varied: initial guesses (log-spaced, for every unknown stiffness), seeds, or the noise of modelled
-    data.
+    """What is varied: initial guesses (log-spaced, for every unknown stiffness), seeds, the noise of modelled data, or
+    (``refit``) all that differs from one measurement of the modelled machine to the next.
     """
 
-    over: Literal["initial_guess", "seed", "noise"]
+    over: Literal["initial_guess", "seed", "noise", "refit"]
     lowest_stiffness: Stiffness
     highest_stiffness: Stiffness
     count: Annotated[int, Field(ge=2, le=1000)]
     seeds: tuple[NonNegativeInt, ...] = Field(min_length=1)
+    workers: PositiveInt = 1  # processes of refits
 
     @model_validator(mode="after")
     def _ascending(self) -> RobustnessConfig:

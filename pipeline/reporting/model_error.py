@@ -58,9 +58,7 @@ def print_budget(name: str, budget: Budget) -> None:
         [coefficient, *(f"{values[a]:.2g}" for values in budget.percent.values())]
         for a, coefficient in enumerate(budget.coefficients)
     ]
-    title = (
-        f"{name}: systematic budget, percent of the coefficient that each tolerance makes of it (medians over speed)"
-    )
+    title = f"{name}: systematic budget, what each tolerance does to a coefficient in percent (medians over speed)"
     table(title, ["coefficient", *budget.rows], rows)
 
 
@@ -72,7 +70,7 @@ def budget_figure(path: Path, budget: Budget) -> Path:
         ax = axes[0, 0]
         ax.grid(False)
         shade = np.log10(np.clip(values, 0.1, 100.0))
-        ax.imshow(shade, cmap="cividis_r", vmin=-1, vmax=2, aspect="auto")
+        ax.imshow(shade, cmap="Blues", vmin=-1, vmax=2, aspect="auto")
         for i, j in np.ndindex(values.shape):
             colour = "white" if shade[i, j] > 1 else "black"
             ax.text(j, i, f"{values[i, j]:.2g}", ha="center", va="center", fontsize=7, color=colour)

@@ -46,6 +46,10 @@ def run(config: Config) -> StageOutput:
         from pipeline.stages import noise_study  # it imports what this module has
 
         return noise_study.run(config)
+    if config.robustness.over == "refit":
+        from pipeline.stages import refit_study
+
+        return refit_study.run(config)
     measurement, setup = load_measurement(config), setup_of(config)
     use_threads(config)
     say_promoted(config)
