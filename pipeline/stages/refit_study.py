@@ -1,7 +1,8 @@
 """The same machine measured again and again (``robustness.over=refit``): each time from the data to the bands.
 
 Every data set has its own noise and, as ``machine.as_built`` says, its own errors of weights and probes. Every fit is
-complete: its start, its choice of features and its weights are its own. So the coverage is that of one who measures once.
+complete: its start, its choice of features and its weights are its own. So the coverage is that of one who measures
+once.
 """
 
 from __future__ import annotations
@@ -24,13 +25,11 @@ from pipeline.identification.fit import fit
 from pipeline.identification.losses import loss_of
 from pipeline.identification.training import setup_of
 from pipeline.reporting.console import say, table
+from pipeline.reporting.error_table import MISMATCH
 from pipeline.stages.execution import StageOutput, use_threads
 from pipeline.stages.generate import model_machine, read_probes
 from pipeline.stages.measurement import build_measurement, update_measurement
 from pipeline.stages.workspace import locate_files
-
-MISMATCH = 0.05
-"""Probability of the deviations below which the model is rejected."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +52,8 @@ def refit(config: Config, seed: int) -> Refit:
     found = fit(measurement, setup)
     answer = found.table(update_measurement(measurement, found.uncertainty).updated_known)
     deviation = found.deviation(truth.speeds)
-    assert deviation is not None and found.quality.misfit is not None
+    assert deviation is not None
+    assert found.quality.misfit is not None
     unknowns = measurement.unknowns
     reached, real = unknowns.leading(answer.values), unknowns.leading(truth.values)
     error, spread = reached - real, unknowns.leading(np.nan_to_num(deviation))
