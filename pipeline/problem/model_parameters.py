@@ -181,12 +181,13 @@ def _probe(parameters: Sequence[ModelParameter], values: np.ndarray, channel: in
 def _channel(dataset: VibrationDataset, channel: int, n_dof: int, probe: Mapping[str, float]) -> np.ndarray:
     """(n,) a channel's row: near its node the shaft runs straight, x' = beta and y' = -alpha."""
     node, angle = dataset.channels[channel]
-    turned = np.radians(angle) + probe["probe_angle"]
+    cosine, sine = project_direction(angle)
+    turned = (cosine + 1j * sine) * np.exp(1j * probe["probe_angle"])
     x, y = np.zeros(n_dof), np.zeros(n_dof)
     first = translation_dof(node, 0)
     x[[first, first + 3]] = 1.0, probe["probe_position"]
     y[[first + 1, first + 2]] = 1.0, -probe["probe_position"]
-    return np.asarray((1 + probe["probe_gain"]) * (np.cos(turned) * x + np.sin(turned) * y))
+    return np.asarray((1 + probe["probe_gain"]) * (turned.real * x + turned.imag * y))
 
 
 def without_probes(parameters: Sequence[ModelParameter]) -> tuple[ModelParameter, ...]:

@@ -12,9 +12,9 @@ from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
@@ -30,6 +30,9 @@ from pipeline.stages.execution import StageOutput, use_threads
 from pipeline.stages.generate import model_machine, read_probes
 from pipeline.stages.measurement import build_measurement, update_measurement
 from pipeline.stages.workspace import locate_files
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +100,8 @@ def _refit_all(config: Config) -> Iterator[Refit]:
 
 
 def _tabulate(found: list[Refit]) -> pd.DataFrame:
+    import pandas as pd
+
     return pd.DataFrame(
         {
             "data_set": g,
