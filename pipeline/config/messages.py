@@ -199,7 +199,7 @@ def explain_key(key: str, tree: Any) -> str:
 def list_paths(tree: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
     """The dotted paths of all mapping keys; Hydra's own left out, and those that are themselves a dotted path."""
     for name, value in tree.items():
-        if (prefix or name != "hydra") and "." not in name:
+        if (prefix or name != "hydra") and "." not in str(name):  # nodes are numbers
             yield f"{prefix}{name}"
             if isinstance(value, Mapping):
                 yield from list_paths(value, f"{prefix}{name}.")

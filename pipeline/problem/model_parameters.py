@@ -13,7 +13,13 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.data.dataset import Excitation, VibrationDataset, assemble_forces, name_direction
+from pipeline.data.dataset import (
+    Excitation,
+    VibrationDataset,
+    assemble_forces,
+    name_direction,
+    project_direction,
+)
 from pipeline.errors import ConfigError
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel, translation_dof
