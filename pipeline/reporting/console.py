@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.progress import Progress as ProgressBar
+    from rich.progress import TaskID
 
     from pipeline.comparison.result import Result
     from pipeline.identification.training import Progress
@@ -52,33 +54,13 @@ def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> N
 
 @contextmanager
 def training_progress(name: str) -> Iterator[Progress]:
-    """A bar with the loss and the rate, on a terminal; nothing elsewhere."""
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
-    from rich.progress import Progress as ProgressBar
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("loss {task.fields[loss]}"),
-        TextColumn("{task.fields[rate]}"),
-        TimeElapsedColumn(),
-    )
-    console = _console(True)
-    with ProgressBar(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task(name, total=None, loss="", rate="")
+    """A bar with the loss and the rate of a training."""
+    with _bar(name, None) as (bar, task):
 
         def update(phase: str, step: int, total: int, loss: float) -> None:
-            """Move the bar; the rate is rich's."""
-            speed = bar.tasks[0].speed
-            rate = f"{speed:.0f} steps/s" if speed else ""
+            rate = f"{bar.tasks[0].speed:.0f} steps/s" if bar.tasks[0].speed else ""
             bar.update(
-                task,
-                description=f"{name} {phase}",
-                completed=step,
-                total=total,
-                loss=f"{loss:.3g}",
-                rate=rate,
+                task, description=f"{name} {phase}", completed=step, total=total, words=f"loss {loss:.3g} {rate}"
             )
 
         yield update
@@ -86,50 +68,45 @@ def training_progress(name: str) -> Iterator[Progress]:
 
 @contextmanager
 def study_progress(name: str, total: int) -> Iterator[StudyProgress]:
-    """One bar for a study, with its best value so far and the time left, on a terminal; nothing elsewhere."""
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
-    from rich.progress import Progress as ProgressBar
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("trials, best held-out loss {task.fields[best]}, left:"),
-        TimeRemainingColumn(elapsed_when_finished=True),
-    )
-    console = _console(True)
-    bar = ProgressBar(
-        *columns, console=console, transient=True, disable=not console.is_terminal, speed_estimate_period=3600
-    )
-    with bar:
-        task = bar.add_task(name, total=total, best="-")
+    """A bar for the trials of a study, with its best loss so far."""
+    with _bar(name, total) as (bar, task):
 
         def update(done: int, best: float | None) -> None:
-            bar.update(task, completed=done, best="-" if best is None else f"{best:.3g}")
+            words = f"trials, best held-out loss {'-' if best is None else f'{best:.3g}'}, left:"
+            bar.update(task, completed=done, words=words)
 
         yield update
 
 
 @contextmanager
 def comparison_progress(name: str, total: int) -> Iterator[Callable[[int, int, Result], None]]:
-    """One bar for a comparison, with the newest result and the time left, on a terminal; nothing elsewhere."""
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
-    from rich.progress import Progress as ProgressBar
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[newest]} left:"),
-        TimeRemainingColumn(elapsed_when_finished=True),
-    )
-    console = _console(True)
-    with ProgressBar(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task(name, total=total, newest="")
+    """A bar for the results of a comparison, with the newest of them."""
+    with _bar(name, total) as (bar, task):
 
         def update(done: int, of: int, result: Result) -> None:
-            """Move the bar."""
-            newest = f"{result.method}, {result.sensors}, {100 * result.noise:g} % in {result.seconds:.1f} s,"
-            bar.update(task, completed=done, total=of, newest=newest)
+            newest = f"{result.method}, {result.sensors}, {100 * result.noise:g} % in {result.seconds:.1f} s"
+            bar.update(task, completed=done, total=of, words=f"{newest}, left:")
 
         yield update
+
+
+@contextmanager
+def _bar(name: str, total: int | None) -> Iterator[tuple[ProgressBar, TaskID]]:
+    """A bar on a terminal, nothing elsewhere; it ends with the time left, or the time taken where no total is known."""
+    from rich import progress
+
+    console = _console(True)
+    time = progress.TimeRemainingColumn(elapsed_when_finished=True) if total else progress.TimeElapsedColumn()
+    bar = progress.Progress(
+        progress.TextColumn("{task.description}"),
+        progress.BarColumn(),
+        progress.MofNCompleteColumn(),
+        progress.TextColumn("{task.fields[words]}"),
+        time,
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+        speed_estimate_period=3600 if total else 30,
+    )
+    with bar:
+        yield bar, bar.add_task(name, total=total, words="")

@@ -225,7 +225,7 @@ def _prediction(config: Config, results: Results) -> str:
     )
 
 
-def channel_words(channel: tuple[int, float]) -> str:
+def name_channel(channel: tuple[int, float]) -> str:
     """Such as ``x at node 3``, or ``45 deg at node 3``."""
     node, angle = channel
     name = direction_name(angle)

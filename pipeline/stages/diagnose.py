@@ -18,7 +18,7 @@ from pipeline.problem.diagnosis import Diagnosis
 from pipeline.problem.identifiability import Verdict
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, table
-from pipeline.reporting.diagnosis_figures import diagnosis_figure
+from pipeline.reporting.figures import diagnosis_figure
 from pipeline.stages.execution import StageOutput, flat_metrics
 from pipeline.stages.measurement import load_measurement
 from pipeline.stages.workspace import workspace

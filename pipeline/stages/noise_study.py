@@ -19,7 +19,7 @@ from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_
 from pipeline.identification.output_error_start import start_at
 from pipeline.identification.training import setup_of
 from pipeline.reporting.console import table, training_progress
-from pipeline.reporting.noise_figures import noise_figure
+from pipeline.reporting.figures import noise_figure
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.diagnose import say_diagnosis
 from pipeline.stages.execution import StageOutput, flat_metrics, use_threads
