@@ -7,7 +7,6 @@ import json
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.errors import without_password
@@ -19,14 +18,8 @@ TAG_LENGTH = 8000
 _FORBIDDEN_IN_NAME = re.compile(r"[^\w .:/-]")
 
 
-@dataclass(frozen=True)
-class MetricValue:
-    """A finite ``value`` of the metric ``name`` at ``step``, at ``time`` (ms since 1970)."""
-
-    name: str
-    value: float
-    step: int
-    time: int
+MetricValue = tuple[str, float, int, int]
+"""Name, finite value, time (ms since 1970) and step: what :class:`mlflow.entities.Metric` takes, in its order."""
 
 
 def name_of(text: str) -> str:
@@ -82,7 +75,7 @@ def flat_tags(tags: Mapping[str, object]) -> dict[str, str]:
 def final_metrics(metrics: Mapping[str, float], time: float) -> tuple[list[MetricValue], list[str]]:
     """The finite metrics at ``time`` (s since 1970), step 0; and the names of those that are not finite."""
     finite = {name: value for name, value in metrics.items() if _is_finite(value)}
-    values = [MetricValue(name_of(name), float(value), 0, _ms(time)) for name, value in finite.items()]
+    values = [(name_of(name), float(value), _ms(time), 0) for name, value in finite.items()]
     return values, [name for name in metrics if name not in finite]
 
 
@@ -103,7 +96,7 @@ def history_metrics(
             if name == "step" or isinstance(value, str):
                 continue
             if _is_finite(value):
-                values.append(MetricValue(name_of(name), float(value), int(row["step"]), time))
+                values.append((name_of(name), float(value), time, int(row["step"])))
             else:
                 skipped[name] = None
     return values, list(skipped)

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
-from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from pipeline.errors import without_password
 from pipeline.tracking.beside import log_beside
-from pipeline.tracking.database import DatabaseProblem
 from pipeline.tracking.entries import (
     MetricValue,
     final_metrics,
@@ -23,9 +21,11 @@ from pipeline.tracking.entries import (
     plain,
     shortened,
 )
+from pipeline.tracking.model import log_model
 from pipeline.tracking.provenance import provenance_tags
 from pipeline.tracking.quiet import quiet_mlflow
 from pipeline.tracking.record import ChildRecord, StageRecord, TrackingSettings
+from pipeline.tracking.store import DatabaseProblem, open_experiment
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
@@ -68,8 +68,6 @@ def get_ready() -> None:
 
 
 def _log(record: StageRecord, settings: TrackingSettings) -> list[str]:
-    from pipeline.tracking.store import open_experiment
-
     client, experiment_id = open_experiment(settings, record.experiment)
     run = client.create_run(
         experiment_id, start_time=round(1000 * record.started), tags=_tags(record), run_name=record.stage
@@ -99,11 +97,11 @@ def _log_parts(client: MlflowClient, run: Run, record: StageRecord, patience_sec
     not_finite: list[str] = []
 
     parts.log("the parameters", lambda: _log_parameters(client, run_id, record))
-    parts.log("the configuration", lambda: _log_configuration(client, run_id, record))
+    parts.log("the configuration", lambda: client.log_text(run_id, _write_yaml(record), "config.yaml"))
     # The model comes before the metrics, which belong to it too.
     model_id: str | None = None
     if (folder := record.model) is not None:
-        model_id = parts.log("the model", lambda: _log_model(client, run, folder, record))
+        model_id = parts.log("the model", lambda: log_model(client, run, folder, flat_parameters(record.parameters)))
     not_finite += parts.log("the metrics", lambda: _log_final(client, run_id, record, model_id)) or []
     not_finite += parts.log("the history", lambda: _log_history(client, run_id, record)) or []
     for path, artifact_folder in _artifact_folders(record.files):
@@ -144,23 +142,17 @@ class _Parts:
 
 def _log_parameters(client: MlflowClient, run_id: str, record: StageRecord) -> None:
     from mlflow.entities import Param
+    from mlflow.utils import chunk_list
 
-    parameters = (Param(name, text) for name, text in flat_parameters(record.parameters).items())
-    for batch in _batches(parameters, _PARAMETERS_A_BATCH):
+    parameters = [Param(name, text) for name, text in flat_parameters(record.parameters).items()]
+    for batch in chunk_list(parameters, _PARAMETERS_A_BATCH):
         client.log_batch(run_id, params=batch)
 
 
-def _log_configuration(client: MlflowClient, run_id: str, record: StageRecord) -> None:
+def _write_yaml(record: StageRecord) -> str:
     import yaml
 
-    text = yaml.safe_dump(plain(record.parameters), sort_keys=False, allow_unicode=True)
-    client.log_text(run_id, text, "config.yaml")
-
-
-def _log_model(client: MlflowClient, run: Run, folder: Path, record: StageRecord) -> str:
-    from pipeline.tracking.model import log_model
-
-    return log_model(client, run, folder, flat_parameters(record.parameters))
+    return str(yaml.safe_dump(plain(record.parameters), sort_keys=False, allow_unicode=True))
 
 
 def _log_final(client: MlflowClient, run_id: str, record: StageRecord, model_id: str | None) -> list[str]:
@@ -169,11 +161,12 @@ def _log_final(client: MlflowClient, run_id: str, record: StageRecord, model_id:
     return not_finite
 
 
-def _log_metrics(client: MlflowClient, run_id: str, values: Iterable[MetricValue], model_id: str | None = None) -> None:
+def _log_metrics(client: MlflowClient, run_id: str, values: Sequence[MetricValue], model_id: str | None = None) -> None:
     from mlflow.entities import Metric
+    from mlflow.utils import chunk_list
 
-    metrics = (Metric(m.name, m.value, m.time, m.step, model_id=model_id, run_id=run_id) for m in values)
-    for batch in _batches(metrics, _METRICS_A_BATCH):
+    metrics = [Metric(*value, model_id=model_id, run_id=run_id) for value in values]
+    for batch in chunk_list(metrics, _METRICS_A_BATCH):
         client.log_batch(run_id, metrics=batch)
 
 
@@ -194,7 +187,7 @@ def _log_child(client: MlflowClient, run: Run, record: StageRecord, child: Child
         run.info.experiment_id, start_time=round(1000 * started), tags=tags, run_name=child.name
     ).info.run_id
     values = final_metrics(child.metrics, ended)[0] + history_metrics(child.history, started, ended)[0]
-    metrics = [Metric(m.name, m.value, m.time, m.step) for m in values[:_METRICS_A_BATCH]]
+    metrics = [Metric(*value) for value in values[:_METRICS_A_BATCH]]
     parameters = [Param(name, text) for name, text in flat_parameters(child.parameters).items()]
     client.log_batch(below, metrics=metrics, params=parameters[:_PARAMETERS_A_BATCH])
     client.set_terminated(below, "FAILED" if child.failed else "FINISHED", end_time=round(1000 * ended))
@@ -215,12 +208,6 @@ def _artifact_folders(files: Sequence[Path]) -> Iterator[tuple[Path, str]]:
             folder = f"{folder}/{path.parent.name}"
         taken.add((folder, path.name))
         yield path, folder
-
-
-def _batches(items: Iterable[_T], size: int) -> Iterator[list[_T]]:
-    iterator = iter(items)
-    while batch := list(islice(iterator, size)):
-        yield batch
 
 
 def _reason(error: Exception) -> str:

@@ -21,7 +21,6 @@ from conftest import unknown_at_all
 
 import pipeline
 from pipeline.tracking import StageRecord, TrackingSettings, track, tracker
-from pipeline.tracking.database import DatabaseProblem, prepare_database
 from pipeline.tracking.entries import (
     NAME_LENGTH,
     PARAMETER_LENGTH,
@@ -31,9 +30,10 @@ from pipeline.tracking.entries import (
     name_of,
     without_password,
 )
+from pipeline.tracking.model import coefficient_table
 from pipeline.tracking.provenance import provenance_tags
 from pipeline.tracking.quiet import quiet_mlflow
-from pipeline.tracking.table import coefficient_table
+from pipeline.tracking.store import DatabaseProblem, prepare_database
 
 pytestmark = pytest.mark.slow  # it trains, or starts processes
 
