@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 from pipeline.methods import critical_speeds, kalman, kriging, least_squares, multi_frequency, spline
-from pipeline.methods.fem_nn import fitted_by
+from pipeline.methods.fem_nn import fit_by
 from pipeline.methods.method import Method
 
 METHODS: dict[str, Method] = {
     method.name: method
     for method in (
         Method(
-            "least_squares",
-            "per-speed least squares",
-            "Tiwari, Lees, Friswell 2002",
-            "nothing",
-            least_squares.plain,
+            "least_squares", "per-speed least squares", "Tiwari, Lees, Friswell 2002", "nothing", least_squares.plain
         ),
         Method(
             "tikhonov",
@@ -36,14 +32,9 @@ METHODS: dict[str, Method] = {
             "Qiu, Tieu 1997; Tiwari, Chakravarthy 2006",
             "a shaker or hammer",
             multi_frequency.multi_frequency,
+            takes_planes=True,
         ),
-        Method(
-            "kalman",
-            "Kalman filter and least squares",
-            "Kang et al. 2020",
-            "the noise, a guess",
-            kalman.kalman,
-        ),
+        Method("kalman", "Kalman filter and least squares", "Kang et al. 2020", "the noise, a guess", kalman.kalman),
         Method(
             "kriging",
             "Kriging and differential evolution",
@@ -58,33 +49,28 @@ METHODS: dict[str, Method] = {
             "bounds, modelled critical speeds",
             critical_speeds.critical_speeds,
         ),
-        Method(
-            "spline",
-            "output error, spline",
-            "SciPy least squares",
-            "the noise, a guess",
-            spline.spline,
-        ),
+        Method("spline", "output error, spline", "SciPy least squares", "the noise, a guess", spline.spline),
         Method(
             "residual",
             "FEM-NN, residual",
             "the paper, eq. 6",
             "a guess",
-            fitted_by(lambda options: options.settings.residual),
+            fit_by(lambda options: options.settings.residual),
         ),
         Method(
             "preconditioned",
             "FEM-NN, preconditioned residual",
             "docs/all_coefficients.md",
             "a guess",
-            fitted_by(lambda options: options.settings.preconditioned),
+            fit_by(lambda options: options.settings.preconditioned),
         ),
         Method(
             "response",
             "FEM-NN, response",
             "docs/noise.md",
             "the noise, a guess",
-            fitted_by(lambda options: options.settings.response, with_unbalance=True),
+            fit_by(lambda options: options.settings.response),
+            takes_planes=True,
         ),
     )
 }

@@ -23,7 +23,7 @@ import numpy as np
 from pipeline.coefficients import column, is_direct, is_stiffness
 from pipeline.config.comparison import PriorConfig
 from pipeline.data.dataset import DIRECTIONS, force_vectors
-from pipeline.methods.method import Estimate, MethodOptions, Reason, Refusal, drop_unbalance, estimate
+from pipeline.methods.method import Estimate, MethodOptions, Reason, Refusal, estimate
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.model import translation_dof
 from pipeline.units import RAD_S_PER_RPM
@@ -40,9 +40,8 @@ _WINDOW = 5
 """Speeds on either side of a crossing that a straight line is fitted through."""
 
 
-def critical_speeds(measurement: Measurement, options: MethodOptions) -> Estimate:
+def critical_speeds(data: Measurement, options: MethodOptions) -> Estimate:
     """Constant stiffnesses of bearings that are all the same; raises Refusal for all else."""
-    data = drop_unbalance(measurement)
     names = data.unknowns.names
     if not all(is_direct(name) and is_stiffness(name) for name in names):
         raise Refusal(Reason.STIFFNESS_ALONE, f"{', '.join(names)} are asked for")

@@ -14,24 +14,21 @@ from pipeline.identification.losses import loss_of
 from pipeline.identification.training import FitSetup
 from pipeline.methods.method import (
     Estimate,
-    Identify,
     MethodOptions,
     Reason,
     Refusal,
     doubt_of,
-    drop_unbalance,
     refuse_undetermined,
     residual_or_refusal,
 )
 from pipeline.problem.measurement import Measurement
 
 
-def fitted_by(section: Callable[[MethodOptions], FitConfig], with_unbalance: bool = False) -> Identify:
-    """The method that fits as a section of the settings says; ``with_unbalance`` it takes balance planes, too."""
+def fit_by(section: Callable[[MethodOptions], FitConfig]) -> Callable[[Measurement, MethodOptions], Estimate]:
+    """The method that fits as a section of the settings says."""
 
-    def identify(measurement: Measurement, options: MethodOptions) -> Estimate:
+    def identify(data: Measurement, options: MethodOptions) -> Estimate:
         own = section(options)
-        data = measurement if with_unbalance else drop_unbalance(measurement)
         setup = FitSetup(own.model, own.loss, own.optimizer, own.training, options.seed)
         loss = loss_of(own.loss)
         if not loss.weighs_noise:

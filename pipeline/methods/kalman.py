@@ -14,7 +14,6 @@ from pipeline.methods.method import (
     MethodOptions,
     Reason,
     Refusal,
-    drop_unbalance,
     estimate,
     require_determined,
 )
@@ -26,9 +25,8 @@ _LEAST_SETTLED = 0.5
 """Share of the speeds; with fewer the answer is none."""
 
 
-def kalman(measurement: Measurement, options: MethodOptions) -> Estimate:
+def kalman(data: Measurement, options: MethodOptions) -> Estimate:
     """Coefficients of each speed by itself, from any sensors whose runs are enough."""
-    data = drop_unbalance(measurement)
     require_determined(data, together=False)
     values, settled = filter_bearings(data)
     if settled.mean() < _LEAST_SETTLED:

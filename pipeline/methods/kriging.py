@@ -25,9 +25,10 @@ from pipeline.methods.method import (
     MethodOptions,
     Reason,
     Refusal,
+    derive_response,
     doubt_of,
-    drop_unbalance,
     estimate,
+    real_rows,
     require_determined,
 )
 from pipeline.problem.measurement import Measurement
@@ -49,9 +50,8 @@ _GENERATIONS = 60
 _POPULATION = 10
 
 
-def kriging(measurement: Measurement, options: MethodOptions) -> Estimate:
+def kriging(data: Measurement, options: MethodOptions) -> Estimate:
     """Direct coefficients, from any sensors; raises Refusal for more than a few unknowns."""
-    data = drop_unbalance(measurement)
     unknowns, speeds = data.unknowns, data.dataset.speeds
     if not all(is_direct(name) for name in unknowns.names):
         raise Refusal(Reason.EITHER_SIGN, f"{', '.join(unknowns.names)} are asked for")
@@ -99,8 +99,12 @@ def _interpolate(speeds: np.ndarray, chosen: np.ndarray, values: np.ndarray) -> 
 
 def _predict(part: Measurement, x: np.ndarray) -> np.ndarray:
     """(S, P, R) m of one point (A,), the logarithms of the unknowns, the same at every speed."""
-    values = part.unknowns.from_active(np.repeat(np.exp(x)[None], len(part.dataset.speeds), axis=0))
-    return part.response.predict(part.table(values))
+    return part.response.predict(part.table(_unknowns(part, x)))
+
+
+def _unknowns(part: Measurement, x: np.ndarray) -> np.ndarray:
+    """(M, S, U) of one point (A,)."""
+    return part.unknowns.from_active(np.repeat(np.exp(x)[None], len(part.dataset.speeds), axis=0))
 
 
 def _match(part: Measurement, prior: PriorConfig, generator: np.random.Generator) -> np.ndarray:
@@ -108,7 +112,7 @@ def _match(part: Measurement, prior: PriorConfig, generator: np.random.Generator
 
     def deviations(x: np.ndarray) -> np.ndarray:
         """(2 S P R,) logarithms of predicted over measured displacement, of one point (A,)."""
-        return _real_rows(np.log(_predict(part, x) / part.dataset.displacement)).ravel()
+        return real_rows(np.log(_predict(part, x) / part.dataset.displacement)).ravel()
 
     limits = {
         True: (prior.lowest_stiffness, prior.highest_stiffness),
@@ -186,16 +190,8 @@ def _evolve(cube: np.ndarray, rows: np.ndarray, generator: np.random.Generator) 
 
 def _deviation(part: Measurement, x: np.ndarray) -> np.ndarray:
     """(A,) the Cramer-Rao bound of the readings that were matched."""
-    values = part.unknowns.from_active(np.repeat(np.exp(x)[None], len(part.dataset.speeds), axis=0))
-    by_coefficient = part.response.sensitivity(part.table(values))
-    by = np.einsum("sprbc,bca->spra", by_coefficient, part.unknowns.influence) * np.exp(x)
-    rows = _real_rows(by * (np.sqrt(2) / part.deviation)[..., None]).reshape(-1, len(x))
+    by = derive_response(part, _unknowns(part, x)) * np.exp(x)
+    rows = real_rows(by * (np.sqrt(2) / part.deviation)[..., None]).reshape(-1, len(x))
     size = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
     singular, right = np.linalg.svd(rows / size, full_matrices=False)[1:]
     return np.asarray(np.sqrt(((right / singular[:, None]) ** 2).sum(axis=0)) / size)
-
-
-def _real_rows(values: np.ndarray) -> np.ndarray:
-    """Complex numbers (S, P, R, ..) as rows of each speed (S, 2 P R, ..): real parts, then imaginary ones."""
-    flat = values.reshape(len(values), -1, *values.shape[3:])
-    return np.concatenate([flat.real, flat.imag], axis=1)

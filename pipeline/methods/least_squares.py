@@ -12,7 +12,6 @@ from pipeline.methods.method import (
     MethodOptions,
     Reason,
     Refusal,
-    drop_unbalance,
     estimate,
     residual_or_refusal,
 )
@@ -32,23 +31,21 @@ _ROUNDS = 4
 """The weights of total least squares depend on its answer: so often they are made again."""
 
 
-def plain(measurement: Measurement, options: MethodOptions) -> Estimate:
+def plain(data: Measurement, options: MethodOptions) -> Estimate:
     """Tiwari, Lees and Friswell (2002): minimise the residual ``|A p + y|`` of each speed.
 
     Noise in the displacements is in A, too, which biases the answer (errors in variables).
     """
-    data = drop_unbalance(measurement)
     members = residual_or_refusal(data, options).by_member()
     values, _ = per_speed_least_squares(members)
     return estimate(data, values, _deviation(data, values, _inverse(members, np.zeros(members.matrix.shape[:2]))))
 
 
-def tikhonov(measurement: Measurement, options: MethodOptions) -> Estimate:
+def tikhonov(data: Measurement, options: MethodOptions) -> Estimate:
     """The same, minimising ``|A p + y|^2 + (strength |p|)^2`` with p in units of A's columns.
 
     The strength of each speed minimises the generalised cross-validation function (Golub, Heath and Wahba 1979).
     """
-    data = drop_unbalance(measurement)
     members = residual_or_refusal(data, options).by_member()
     if members.matrix.shape[2] <= members.unknowns.present.sum(axis=1).max():
         raise Refusal(
@@ -60,13 +57,12 @@ def tikhonov(measurement: Measurement, options: MethodOptions) -> Estimate:
     return estimate(data, values, _deviation(data, values, inverse))
 
 
-def total(measurement: Measurement, options: MethodOptions) -> Estimate:
+def total(data: Measurement, options: MethodOptions) -> Estimate:
     """Weighted total least squares (De Troyer et al. 2012): consistent, because it knows the noise of A and y.
 
     With rows weighted by the covariance of the residual, ``E[M'M] = M0'M0 + C`` for the noisy ``M = [A y]``: the answer
     is the vector ``[p, 1]`` that minimises ``|M v|^2 / (v' C v)``.
     """
-    data = drop_unbalance(measurement)
     residual = residual_or_refusal(data, options)
     values, _ = per_speed_least_squares(residual)
     derivative = _derivative(data)

@@ -71,9 +71,6 @@ class Estimate:
     doubt: str = ""  # what speaks against it: it does not explain its readings
 
 
-Identify = Callable[[Measurement, MethodOptions], Estimate]
-
-
 @dataclass(frozen=True)
 class Method:
     """One method, and what a reader must know to choose it."""
@@ -82,7 +79,12 @@ class Method:
     label: str
     source: str
     beforehand: str  # data and priors that it needs beside the measurement
-    identify: Identify
+    solve: Callable[[Measurement, MethodOptions], Estimate]
+    takes_planes: bool = False  # it identifies a residual unbalance, too
+
+    def identify(self, measurement: Measurement, options: MethodOptions) -> Estimate:
+        """What the method makes of the measurement, without the runs that are not for it. Raises Refusal."""
+        return self.solve(measurement if self.takes_planes else drop_unbalance(measurement), options)
 
 
 def estimate(
@@ -149,6 +151,18 @@ def drop_unbalance(measurement: Measurement) -> Measurement:
     part = measurement.select(None, keep)
     vars(part).pop("response", None)  # it has planes
     return replace(part, unknowns=replace(part.unknowns, planes=()))
+
+
+def real_rows(values: np.ndarray) -> np.ndarray:
+    """Complex numbers (S, P, R, ..) as rows of each speed (S, 2 P R, ..): real parts, then imaginary ones."""
+    flat = values.reshape(len(values), -1, *values.shape[3:])
+    return np.concatenate([flat.real, flat.imag], axis=1)
+
+
+def derive_response(measurement: Measurement, values: np.ndarray) -> np.ndarray:
+    """(S, P, R, A) derivative of the response by the active unknowns, at unknowns (M, S, U)."""
+    by_coefficient = measurement.response.sensitivity(measurement.table(values))
+    return np.einsum("sprbc,bca->spra", by_coefficient, measurement.unknowns.influence)
 
 
 def doubt_of(misfit: float | None) -> str:

@@ -20,13 +20,13 @@ from pipeline.methods.method import (
     Estimate,
     MethodOptions,
     Refusal,
+    derive_response,
     doubt_of,
-    drop_unbalance,
     estimate,
+    real_rows,
     require_determined,
 )
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.response import ResponseEquations
 
 GROWTH = (1, 2, 4, 6, 9, 13, 19, 28, 41)
 """Spline coefficients an unknown: a constant, a power law, cubic splines; the last size is a value for each speed."""
@@ -52,9 +52,7 @@ class Parameters:
 
     def values(self, x: np.ndarray) -> np.ndarray:
         """(M, S, U) unknowns."""
-        return self.task.unknowns.from_active(
-            self.size * np.where(self.positive, np.exp(np.where(self.positive, x, 0.0)), x)
-        )
+        return self.task.unknowns.from_active(np.where(self.positive, self.slope(x), self.size * x))
 
     def from_values(self, values: np.ndarray) -> np.ndarray:
         """(S, A) from unknowns (M, S, U); what must be positive is kept above a thousandth of its size."""
@@ -68,15 +66,13 @@ class Parameters:
         """(S, A) derivative of the unknowns by x."""
         return np.asarray(self.size * np.where(self.positive, np.exp(np.where(self.positive, x, 0.0)), 1.0))
 
-    def sensitivity(self, equations: ResponseEquations, x: np.ndarray) -> np.ndarray:
-        """(S, P, R, A) derivative of the response by x."""
-        return self.derivative(equations, self.values(x)) * self.slope(x)[:, None, None]
+    def predict(self, x: np.ndarray) -> np.ndarray:
+        """(S, P, R) m, the response."""
+        return self.task.response.predict(self.task.table(self.values(x)))
 
-    def derivative(self, equations: ResponseEquations, values: np.ndarray) -> np.ndarray:
-        """(S, P, R, A) derivative of the response by the active unknowns, at unknowns (M, S, U)."""
-        task = self.task
-        by_coefficient = equations.sensitivity(task.table(values))
-        return np.einsum("sprbc,bca->spra", by_coefficient, task.unknowns.influence)
+    def sensitivity(self, x: np.ndarray) -> np.ndarray:
+        """(S, P, R, A) derivative of the response by x."""
+        return derive_response(self.task, self.values(x)) * self.slope(x)[:, None, None]
 
 
 _SMALLEST = 1e-3
@@ -92,34 +88,25 @@ def parameters_of(task: Measurement, size: np.ndarray | None = None) -> Paramete
     )
 
 
-def real_rows(values: np.ndarray) -> np.ndarray:
-    """Complex numbers (S, P, R, ..) as rows of each speed (S, 2 P R, ..): real parts, then imaginary ones."""
-    flat = values.reshape(len(values), -1, *values.shape[3:])
-    return np.concatenate([flat.real, flat.imag], axis=1)
-
-
 @dataclass(frozen=True, eq=False)
 class _Problem:
     """What does not change with the size of the spline."""
 
     task: Measurement
     parameters: Parameters
-    equations: ResponseEquations
     weight: np.ndarray  # (S, P, R) 1/m: root of 2 over the deviation, so that real and imaginary part count
 
     def deviations(self, x: np.ndarray) -> np.ndarray:
         """(S, rows) whitened, for x (S, A)."""
-        predicted = self.equations.predict(self.task.table(self.parameters.values(x)))
-        return real_rows((predicted - self.task.dataset.displacement) * self.weight)
+        return real_rows((self.parameters.predict(x) - self.task.dataset.displacement) * self.weight)
 
     def sensitivity(self, x: np.ndarray) -> np.ndarray:
         """(S, rows, A) derivative of :meth:`deviations` by x."""
-        return real_rows(self.parameters.sensitivity(self.equations, x) * self.weight[..., None])
+        return real_rows(self.parameters.sensitivity(x) * self.weight[..., None])
 
     def reweighted(self, x: np.ndarray) -> _Problem:
         """With the noise of the predicted readings: weights of the measured ones, whose noise they share, bias."""
-        predicted = self.equations.predict(self.task.table(self.parameters.values(x)))
-        deviation = self.task.deviation_of(predicted, self.task.dataset.subtracted)
+        deviation = self.task.deviation_of(self.parameters.predict(x), self.task.dataset.subtracted)
         return replace(self, weight=np.sqrt(2.0) / deviation)
 
 
@@ -140,12 +127,11 @@ class _Fit:
         return self.chi_square + 2 * self.z.size
 
 
-def spline(measurement: Measurement, options: MethodOptions) -> Estimate:
+def spline(task: Measurement, options: MethodOptions) -> Estimate:
     """The spline of the size that Akaike's criterion chooses, and its Cramer-Rao deviations."""
-    task = drop_unbalance(measurement)
     require_determined(task, together=True)
     parameters, starts = _starts(task, options)
-    problem = _Problem(task, parameters, task.response, np.sqrt(2.0) / task.deviation)
+    problem = _Problem(task, parameters, np.sqrt(2.0) / task.deviation)
     fits = [_best_start(problem, starts, options.constant)]
     n_speeds = len(task.dataset.speeds)
     for count in [] if options.constant else [*(k for k in GROWTH[1:] if k < n_speeds), n_speeds]:
