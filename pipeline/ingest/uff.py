@@ -15,7 +15,7 @@ from pipeline.config.quantities import metres
 from pipeline.config.recordings import UffRecordConfig, UffRecordingsConfig, UffRunConfig
 from pipeline.errors import DataError, nearest
 from pipeline.ingest.conventions import RAD_S, to_lead
-from pipeline.ingest.tracks import RunTracks, ascending
+from pipeline.ingest.tracks import RunTracks, sort_track
 
 _MARK = re.compile(rb"    -1(?=[ \t]*(?:[\r\n]|$))")
 _TIME, _FREQUENCY, _RPM = 17, 18, 19
@@ -133,7 +133,7 @@ def _functions(
         _check_displacement(record, where)
         notes += _notes(record, file, said, where)
         vectors = to_lead(record.values, metres(said.length), said.amplitude, said.phase)
-        tracks[name] = ascending(record.abscissa * RAD_S[said.speed], vectors, where)
+        tracks[name] = sort_track(record.abscissa * RAD_S[said.speed], vectors, where)
     return RunTracks(run.name, f"'{file.path}'", tracks, tracks, tuple(dict.fromkeys(notes)))
 
 

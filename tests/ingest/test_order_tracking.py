@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from pipeline.config.measured import OrderTrackingConfig as Settings
 from pipeline.errors import DataError
-from pipeline.ingest.order_tracking import Settings, Signals, covered, steady_vectors, sweep_vectors
+from pipeline.ingest.order_tracking import Signals, covered, steady_vectors, sweep_vectors
 from pipeline.ingest.tacho import find_pulses, shaft_angle
 
 RPM = np.pi / 30
