@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-import hashlib
 import multiprocessing
-import os
 import signal
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from pydantic import ValidationError
 
+from pipeline.cache import identity
 from pipeline.comparison.cases import Case, Machine
 from pipeline.comparison.result import Result, result_of
 from pipeline.config.comparison import ComparisonConfig, MethodName
 from pipeline.config.identification import IdentifyConfig
 from pipeline.errors import DataError, PipelineError
 from pipeline.files import read_json, write_json
-from pipeline.processes import later_interrupt, limited_threads
+from pipeline.processes import end_with_parent, later_interrupt, limited_threads
 
 _PACKAGES = ("comparison", "data", "identification", "methods", "problem", "rotor")
 Done = Callable[[int, int, Result], None]
@@ -59,25 +56,16 @@ class ComparisonSetup:
     def fingerprint(self) -> str:
         """Equal where results are: of machine, unknowns, settings and the program; not of which cases are asked for."""
         machine = self.machine
-        parts = [
+        root = Path(__file__).parents[1]
+        return identity(
             machine.rotor.fingerprint,
             machine.vibration.fingerprint,
-            hashlib.sha256(machine.modelled.values.tobytes()).hexdigest(),
-            str(machine.noise_seed),
+            machine.modelled.values.tobytes(),
             self.identify.model_dump_json(),
             self.settings.model_dump_json(exclude={"methods", "noise", "sensors", "speeds", "data_sets", "workers"}),
-            str(self.seed),
-            _program(),
-        ]
-        return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
-
-
-def _program() -> str:
-    digest, root = hashlib.sha256(), Path(__file__).parents[1]
-    for package in _PACKAGES:
-        for path in sorted((root / package).glob("*.py")):
-            digest.update(path.read_bytes())
-    return digest.hexdigest()
+            f"{machine.noise_seed} {self.seed}",
+            *(path.read_bytes() for package in _PACKAGES for path in sorted((root / package).glob("*.py"))),
+        )
 
 
 def compare(setup: ComparisonSetup, runs: Sequence[MethodRun], folder: Path, done: Done) -> list[Result]:
@@ -144,15 +132,9 @@ def _begin(setup: ComparisonSetup) -> None:
     # The parent gets Ctrl-C too, and says when it is over: what is at work then ends, and the process in its own time.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _leave)
-    threading.Thread(target=_end_with, args=(multiprocessing.parent_process(),), daemon=True).start()
+    end_with_parent()
     torch.set_num_threads(1)
     _setup = setup
-
-
-def _end_with(parent: Any) -> None:
-    """A process that was killed can't end those that it started."""
-    parent.join()
-    os._exit(1)
 
 
 def _leave(*_: object) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from pipeline.comparison.cases import Case
 from pipeline.comparison.result import Result
 from pipeline.methods.catalogue import METHODS
+from pipeline.reporting.console import markdown_table
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,9 +153,4 @@ def tables(comparison: Comparison) -> list[tuple[str, list[str], list[list[str]]
 
 def markdown(comparison: Comparison) -> str:
     """All tables."""
-    return "\n".join(f"{title}\n\n{_table(header, rows)}" for title, header, rows in tables(comparison))
-
-
-def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
-    return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows)]) + "\n"
+    return "\n".join(f"{title}\n\n{markdown_table(header, rows)}" for title, header, rows in tables(comparison))

@@ -1,4 +1,4 @@
-"""Lines, tables and progress on the terminal."""
+"""Lines, tables and progress on the terminal, and the tables as Markdown."""
 
 from __future__ import annotations
 
@@ -50,6 +50,12 @@ def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> N
     for row in rows:
         drawn.add_row(*row)
     _console(False).print(drawn, markup=False, crop=False)
+
+
+def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """The same as Markdown, for a file."""
+    lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
+    return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows)]) + "\n"
 
 
 @contextmanager

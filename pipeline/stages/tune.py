@@ -17,13 +17,7 @@ from pipeline.identification.training import FitSetup, setup_of
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import StudyProgress, say, study_progress, warn
 from pipeline.reporting.study_figures import study_figures
-from pipeline.reporting.study_report import (
-    StudyReport,
-    finalist_table,
-    report_text,
-    summary_of,
-    trial_table,
-)
+from pipeline.reporting.study_report import StudyReport, finalist_table, summarize_study, trial_table, write_report
 from pipeline.stages.diagnose import say_diagnosis
 from pipeline.stages.execution import StageOutput, flat_metrics
 from pipeline.stages.measurement import load_measurement
@@ -91,7 +85,7 @@ def _report(config: Config, problem: StudyProblem, study: Any, searched: float) 
         known=problem.measurement.known,
         modelled=load_modelled(config, problem.measurement),  # read when the choice is made
     )
-    summary = summary_of(report) | {"study_fingerprint": mark}
+    summary = summarize_study(report) | {"study_fingerprint": mark}
     written = _write(config, report, summary, folder)
     say(
         f"{config.name}: {len(trials)} trials in {searched:.0f} s; {summary['verdict']}\n"
@@ -148,7 +142,7 @@ def _write(config: Config, report: StudyReport, summary: dict[str, object], fold
         write_table(folder / "trials.csv", trial_table(report)),
         write_table(folder / "finalists.csv", finalist_table(report)),
         *study_figures(folder / "figures", report.trials, config.tuning.space, report.importances, report.finalists),
-        write_text(folder / "README.md", report_text(report)),
+        write_text(folder / "README.md", write_report(report)),
         write_text(folder / BEST, head + yaml.safe_dump(values.model_dump(mode="json"), sort_keys=False)),
         write_json(folder / SUMMARY, summary),
     ]

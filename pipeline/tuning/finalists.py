@@ -16,8 +16,8 @@ from pipeline.config.promotion import with_values
 from pipeline.config.tuning import TuningConfig, Value
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.outcome import Outcome
-from pipeline.identification.residual_loss import ResidualTraining, initial_parameters, prepare_residual
-from pipeline.identification.training import Minimum, minimise, setup_of
+from pipeline.identification.residual_loss import initial_parameters, prepare_residual
+from pipeline.identification.training import minimise, setup_of
 from pipeline.tuning.attempts import results
 from pipeline.tuning.parallel import pool
 from pipeline.tuning.space import values_of
@@ -53,12 +53,9 @@ class Finalist:
     trial: int
     values: Mapping[str, Value]
     losses: np.ndarray
-    training: ResidualTraining
-    minimum: Minimum  # of all seeds
-
-    def identified(self, g: int) -> IdentifiedModel:
-        """The model of seed g."""
-        return self.training.identified(self.minimum.parameters[g])
+    models: Sequence[IdentifiedModel]  # of each seed, as are the outcomes
+    outcomes: Sequence[Outcome]
+    seconds: float  # of all seeds
 
     @property
     def median(self) -> float:
@@ -68,10 +65,10 @@ class Finalist:
 
 def summarize(study: optuna.Study) -> list[TrialSummary]:
     """The study's finished trials; one that was stopped is not told beside its repeat."""
-    return [_summary(place, trial) for place, trial in results(study).items()]
+    return [_summarize(place, trial) for place, trial in results(study).items()]
 
 
-def _summary(place: int, trial: FrozenTrial) -> TrialSummary:
+def _summarize(place: int, trial: FrozenTrial) -> TrialSummary:
     attributes = trial.user_attrs
     return TrialSummary(
         number=place,
@@ -103,13 +100,13 @@ def train_finalists(study: optuna.Study, problem: StudyProblem) -> list[Finalist
         runs = list(run_all(_train_seed, each))
     count = len(config.seeds)
     return [
-        _finalist(problem, place, values, runs[i * count : (i + 1) * count])
+        _join_seeds(problem, place, values, runs[i * count : (i + 1) * count])
         for i, (place, values) in enumerate(chosen.items())
     ]
 
 
-_Run = tuple[np.ndarray, tuple[Outcome, ...], np.ndarray, int, float]
-"""Parameters (1, M, Q), outcomes, loss, steps and seconds: what comes back from another process."""
+_Run = tuple[np.ndarray, Outcome, float]
+"""Parameters (1, M, Q), outcome and seconds: what comes back from another process, where torch's tensors would not."""
 
 
 def _train_seed(given: tuple[StudyProblem, int, Mapping[str, Value], int]) -> _Run:
@@ -120,26 +117,16 @@ def _train_seed(given: tuple[StudyProblem, int, Mapping[str, Value], int]) -> _R
     found = minimise(training.problem, start, setup, held_out=training.held_out)
     if Outcome.INTERRUPTED in found.outcomes:
         raise KeyboardInterrupt
-    # A tensor of torch's would not outlive its process.
-    return found.parameters.numpy(), found.outcomes, found.loss, found.steps, found.seconds
+    return found.parameters.numpy(), found.outcomes[0], found.seconds
 
 
-def _finalist(problem: StudyProblem, place: int, values: Mapping[str, Value], runs: Sequence[_Run]) -> Finalist:
+def _join_seeds(problem: StudyProblem, place: int, values: Mapping[str, Value], runs: Sequence[_Run]) -> Finalist:
     import torch
 
     training = prepare_residual(problem.measurement, setup_of(with_values(problem.config, values, f"trial {place}")))
-    parameters, outcomes, loss, steps, seconds = zip(*runs, strict=True)
-    found = Minimum(
-        parameters=torch.from_numpy(np.concatenate(parameters)),
-        outcomes=tuple(outcome for (outcome,) in outcomes),
-        loss=np.concatenate(loss),
-        held_out_loss=None,  # not as configured: finalists are compared by that of each speed
-        steps=max(steps),
-        seconds=sum(seconds),
-        history=(),
-        trajectory=(),
-    )
-    return Finalist(place, values, training.per_speed_held_out_loss(found.parameters), training, found)
+    parameters = torch.from_numpy(np.concatenate([run[0] for run in runs]))
+    losses, models = training.per_speed_held_out_loss(parameters), [training.identified(one) for one in parameters]
+    return Finalist(place, values, losses, models, [run[1] for run in runs], sum(run[2] for run in runs))
 
 
 def choose(finalists: Sequence[Finalist], config: TuningConfig) -> Finalist:

@@ -5,14 +5,13 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from pipeline.errors import PipelineError
-from pipeline.processes import later_interrupt, let_interrupt_through, limited_threads, threads_each
+from pipeline.processes import end_with_parent, later_interrupt, let_interrupt_through, limited_threads, threads_each
 from pipeline.tuning.attempts import repeat_stopped, results
 from pipeline.tuning.storage import settle, storage_errors
 from pipeline.tuning.study import StudyProblem, open_study
@@ -141,7 +140,7 @@ def _work_beside(problem: StudyProblem, threads: int) -> None:
     import torch
 
     torch.set_num_threads(threads)
-    threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
+    end_with_parent()
     try:
         let_interrupt_through()
         with storage_errors(problem.config.tuning), _interrupts() as check:
@@ -150,10 +149,3 @@ def _work_beside(problem: StudyProblem, threads: int) -> None:
         os._exit(0)  # without Python's words on an interrupt
     except PipelineError:
         os._exit(2)  # what is wrong with the storage, the parent finds and says too
-
-
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    parent.join()
-    os._exit(1)

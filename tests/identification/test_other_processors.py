@@ -205,7 +205,7 @@ def test_of_equal_finalists_the_better_trial_is_promoted() -> None:
     config = compose_config(["experiment=ball_bearing", "tuned=false"]).tuning
 
     def finalist(trial: int, loss: float) -> Finalist:
-        return Finalist(trial, {}, np.full(5, loss), None, None)
+        return Finalist(trial, {}, np.full(5, loss), (), (), 0.0)
 
     for one, other in ((1e-15, 9e-16), (9e-16, 1e-15)):
         assert choose([finalist(0, 1e-3), finalist(4, one), finalist(9, other)], config).trial == 4

@@ -425,7 +425,7 @@ def test_samplers_are_compared_at_equal_budget(finished: Path, capsys: pytest.Ca
 def _finalist(trial: int, *losses: float) -> Any:
     from pipeline.tuning.finalists import Finalist
 
-    return Finalist(trial, {"model.width": trial}, np.array(losses), None, None)
+    return Finalist(trial, {"model.width": trial}, np.array(losses), (), (), 0.0)
 
 
 @pytest.mark.parametrize(
