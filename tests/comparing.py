@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from pipeline.comparison.cases import Case, Machine, measurement_of
+from pipeline.comparison.cases import Case, Machine, take_measurement
 from pipeline.config.compose import compose_config
 from pipeline.config.schema import Config
 from pipeline.methods.catalogue import METHODS
@@ -30,7 +30,7 @@ def machine(*overrides: str) -> Machine:
 def task(case: Case, *overrides: str) -> Measurement:
     """What a method sees of a case."""
     config = composed(*overrides)
-    return measurement_of(machine(*overrides), case, config.identify, config.comparison)
+    return take_measurement(machine(*overrides), case, config.identify, config.comparison)
 
 
 def options(*overrides: str) -> MethodOptions:

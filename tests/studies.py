@@ -22,7 +22,7 @@ from pipeline.config.compose import compose_config
 from pipeline.errors import ConfigError, PipelineError
 from pipeline.stages.measurement import load_measurement
 from pipeline.stages.tune import study_problem
-from pipeline.tuning.attempts import results
+from pipeline.tuning.attempts import list_results
 from pipeline.tuning.study import StudyProblem
 
 if TYPE_CHECKING:
@@ -127,7 +127,7 @@ def told(problem: StudyProblem) -> list[Told]:
                 *(place, t.state.name, t.params, t.value, t.intermediate_values),
                 {name: value for name, value in t.user_attrs.items() if name not in own},
             )
-            for place, t in (results(study) if study else {}).items()
+            for place, t in (list_results(study) if study else {}).items()
         ]
 
 

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 
 from pipeline.cache import identity
 from pipeline.comparison.cases import Case, Machine
-from pipeline.comparison.result import Result, result_of
+from pipeline.comparison.result import Result, judge_method
 from pipeline.config.comparison import ComparisonConfig, MethodName
 from pipeline.config.identification import IdentifyConfig
 from pipeline.errors import DataError, PipelineError
@@ -51,7 +51,7 @@ class ComparisonSetup:
 
     def result(self, run: MethodRun) -> Result:
         """Do the work."""
-        return result_of(self.machine, run.method, run.case, self.identify, self.settings, self.seed)
+        return judge_method(self.machine, run.method, run.case, self.identify, self.settings, self.seed)
 
     def fingerprint(self) -> str:
         """Equal where results are: of machine, unknowns, settings and the program; not of which cases are asked for."""

@@ -43,7 +43,7 @@ def read_measured_runs(config: AnyRecordingsConfig) -> MeasuredRuns:
     """Read all runs and bring them to common speeds and to x and y. Raises DataError and ConfigError."""
     check_probes(config.probes)
     runs = _read_runs(config)
-    notes = [note for run in runs for note in run.notes] + _zero_notes(runs)
+    notes = [note for run in runs for note in run.notes] + _note_zeros(runs)
     asynchronous = {run.name for run in config.runs if isinstance(run, TableRunConfig) and run.asynchronous}
     if config.slow_roll is not None:  # runout turns with the shaft
         slow = config.slow_roll
@@ -57,8 +57,8 @@ def read_measured_runs(config: AnyRecordingsConfig) -> MeasuredRuns:
         tuple(run.name for run in runs),
         resolved.channels,
         resolved.displacement,
-        excitations(config),
-        _own_frequencies(config.runs, speeds) if asynchronous else None,
+        list_excitations(config),
+        _list_frequencies(config.runs, speeds) if asynchronous else None,
     )
     notes += [
         f"the probes at node {node} contradict each other by {100 * misfit:.2g} % of what they measure: check "
@@ -101,7 +101,7 @@ def remove_runout(run: RunTracks, slow_roll: SlowRollConfig) -> RunTracks:
     return replace(run, tracks=tracks)
 
 
-def excitations(config: AnyRecordingsConfig) -> tuple[Excitation, ...]:
+def list_excitations(config: AnyRecordingsConfig) -> tuple[Excitation, ...]:
     """What excited the runs; the phases of unbalances as angles from x at the pulse."""
     acting: list[Excitation] = []
     for run in config.runs:
@@ -112,7 +112,7 @@ def excitations(config: AnyRecordingsConfig) -> tuple[Excitation, ...]:
     return tuple(acting)
 
 
-def _own_frequencies(runs: Sequence[MeasuredRunConfig], speeds: np.ndarray) -> np.ndarray:
+def _list_frequencies(runs: Sequence[MeasuredRunConfig], speeds: np.ndarray) -> np.ndarray:
     """(S, R) rad/s."""
     columns = []
     for run in runs:
@@ -122,7 +122,7 @@ def _own_frequencies(runs: Sequence[MeasuredRunConfig], speeds: np.ndarray) -> n
     return np.stack(columns, axis=1)
 
 
-def _zero_notes(runs: Sequence[RunTracks]) -> list[str]:
+def _note_zeros(runs: Sequence[RunTracks]) -> list[str]:
     """A sentence for every probe whose missing values may have been written as zeros."""
     return [
         f"probe '{probe}' of run '{run.name}' is exactly zero at {count} of {len(track.speeds)} speeds: are values "

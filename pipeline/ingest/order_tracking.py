@@ -91,7 +91,7 @@ class _Answer:
     variance: np.ndarray  # (P,) of the complex numbers
 
 
-def steady_vectors(signals: Signals, settings: OrderTrackingConfig) -> tuple[float, np.ndarray]:
+def fit_steady(signals: Signals, settings: OrderTrackingConfig) -> tuple[float, np.ndarray]:
     """Mean speed in rad/s and 1X vectors (P,) of a record at constant speed, fitted to all of it.
 
     Raises DataError where the speed is not constant to 1 %, or the record is too short or too coarse.
@@ -110,11 +110,11 @@ def steady_vectors(signals: Signals, settings: OrderTrackingConfig) -> tuple[flo
     centre = 0.5 * (signals.angle.start + signals.angle.end)
     half = 0.5 * (signals.angle.end - signals.angle.start)
     basis = _Basis((1, settings.degree or 0, *[0] * (settings.orders - 1)))
-    *_, answer = _answer(signals, np.exp(1j * signals.angle.angle(signals.time)), centre, [half], basis)
+    *_, answer = _fit_each(signals, np.exp(1j * signals.angle.angle(signals.time)), centre, [half], basis)
     return mean, answer.vectors
 
 
-def sweep_vectors(signals: Signals, speeds: np.ndarray, settings: OrderTrackingConfig) -> np.ndarray:
+def fit_sweep(signals: Signals, speeds: np.ndarray, settings: OrderTrackingConfig) -> np.ndarray:
     """1X vectors (S, P) of a run-up or run-down at ``speeds`` (S,) rad/s, each where it is passed first.
 
     Raises DataError where a window around a speed is not inside the record: nothing is extrapolated.
@@ -128,11 +128,11 @@ def sweep_vectors(signals: Signals, speeds: np.ndarray, settings: OrderTrackingC
     found = []
     for centre, speed in zip(centres, speeds, strict=True):
         halves = _list_windows(signals, float(centre), float(speed), settings)
-        found.append(_choose(_answer(signals, turning, float(centre), halves, basis)))
+        found.append(_choose(_fit_each(signals, turning, float(centre), halves, basis)))
     return np.array(found)
 
 
-def covered(signals: Signals, settings: OrderTrackingConfig) -> tuple[float, float]:
+def find_range(signals: Signals, settings: OrderTrackingConfig) -> tuple[float, float]:
     """The lowest and the highest speed (rad/s) around which a window fits into the record."""
     _, speed = _fit_windows(signals, settings, 4001)
     turned = np.diff(signals.angle.angle(np.array([signals.angle.start, signals.angle.end])))
@@ -153,7 +153,7 @@ def _fit_windows(signals: Signals, settings: OrderTrackingConfig, count: int) ->
 
 def _find_passages(signals: Signals, speeds: np.ndarray, settings: OrderTrackingConfig) -> np.ndarray:
     """(S,) s, when each speed is passed first, at least half a window from both ends of the record."""
-    low, high = covered(signals, settings)
+    low, high = find_range(signals, settings)
     if low > high or speeds.min() < low * (1 - 1e-6) or speeds.max() > high * (1 + 1e-6):
         revolutions = settings.revolutions or FEWEST_REVOLUTIONS
         range_ = f"{format_rpm(low)} to {format_rpm(high)} rpm" if low <= high else "nothing"
@@ -191,7 +191,7 @@ def _list_windows(signals: Signals, centre: float, speed: float, settings: Order
     return halves
 
 
-def _answer(
+def _fit_each(
     signals: Signals, turning: np.ndarray, centre: float, halves: list[float], basis: _Basis
 ) -> Iterator[_Answer]:
     """The fit in each of the nested windows, ascending; the sums of one are kept for the next."""

@@ -46,7 +46,7 @@ _Rows = tuple[np.ndarray, np.ndarray, np.ndarray, str]
 """Speed, amplitude and phase (S,) of one probe in one run, in the file's units; and its name in messages."""
 
 
-def text_format(csv: CsvConfig) -> TextFormat:
+def read_format(csv: CsvConfig) -> TextFormat:
     """How the configuration says that CSV files are written."""
     return TextFormat(csv.delimiter, csv.decimal, csv.skip_rows)
 
@@ -54,7 +54,7 @@ def text_format(csv: CsvConfig) -> TextFormat:
 def _read_wide(config: TableRecordingsConfig, run: TableRunConfig, path: Path) -> dict[str, _Rows]:
     pairs = {name: run.columns.get(name) or probe.columns for name, probe in config.probes.items()}
     columns = [config.columns.speed, *(c for pair in pairs.values() if pair for c in (pair.amplitude, pair.phase))]
-    table = read_table(path, dict.fromkeys(columns, "number"), text=text_format(config.csv))
+    table = read_table(path, dict.fromkeys(columns, "number"), text=read_format(config.csv))
     _check_once(table, columns, path)
     return {
         name: _take_rows(table, config.columns.speed, pair.amplitude, pair.phase, f"'{path}'")
@@ -67,7 +67,7 @@ def _read_long(config: TableRecordingsConfig, run: TableRunConfig, path: Path) -
     names = config.columns
     kinds = {names.run: "text", names.probe: "text"}
     kinds |= dict.fromkeys((names.speed, names.amplitude, names.phase), "number")
-    table = read_table(path, kinds, text=text_format(config.csv))
+    table = read_table(path, kinds, text=read_format(config.csv))
     _check_once(table, list(kinds), path)
     _check_runs(config, list(dict.fromkeys(table[names.run])), path)
     mine = table[table[names.run] == run.name]

@@ -91,7 +91,7 @@ def find_pulses(
     return Pulses(time[before] + share * step, float(np.median(step)), sharp)
 
 
-def shaft_angle(pulses: np.ndarray, per_revolution: int, where: str, marks: np.ndarray | None = None) -> ShaftAngle:
+def fit_angle(pulses: np.ndarray, per_revolution: int, where: str, marks: np.ndarray | None = None) -> ShaftAngle:
     """The angle from ``pulses`` (N,) s; with several a revolution, ``marks`` (M,) s says where zero is.
 
     Raises DataError for too few pulses, and for missing or doubled ones.

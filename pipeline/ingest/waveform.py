@@ -11,12 +11,12 @@ import numpy as np
 from pipeline.config.quantities import metres, volts, volts_per_metre
 from pipeline.config.recordings import UffRecordingsConfig, UffRunConfig, WaveformRecordingsConfig, WaveformRunConfig
 from pipeline.errors import DataError
-from pipeline.ingest.order_tracking import Signals, covered, steady_vectors, sweep_vectors
-from pipeline.ingest.recordings import Clock, Recording, checked, read_recording
-from pipeline.ingest.table import note_cut, text_format
-from pipeline.ingest.tacho import Pulses, find_pulses, shaft_angle
+from pipeline.ingest.order_tracking import Signals, find_range, fit_steady, fit_sweep
+from pipeline.ingest.recordings import Clock, Recording, check_recording, read_recording
+from pipeline.ingest.table import note_cut, read_format
+from pipeline.ingest.tacho import Pulses, find_pulses, fit_angle
 from pipeline.ingest.tracks import RunTracks, Track, format_rpm, sort_track
-from pipeline.ingest.uff import signal_records
+from pipeline.ingest.uff import find_signals
 from pipeline.units import RAD_S_PER_RPM
 
 SLOW_WINDOWS = 10
@@ -59,7 +59,7 @@ def _fit_records(config: SignalRecordingsConfig, name: str, source: str, records
     vectors: list[np.ndarray] = []
     notes: list[str] = []
     for record in records:
-        speed, found = steady_vectors(record.signals, config.tracking)
+        speed, found = fit_steady(record.signals, config.tracking)
         speeds.append(speed)
         vectors.append(found)
         notes += record.notes
@@ -84,7 +84,7 @@ def _fit_sweep(config: SignalRecordingsConfig, name: str, source: str, record: _
     slow: dict[str, Track] = {}
     if config.slow_roll is not None and config.slow_roll.below_rpm is not None:
         limit = config.slow_roll.below_rpm * RAD_S_PER_RPM
-        lowest, _ = covered(record.signals, config.tracking)
+        lowest, _ = find_range(record.signals, config.tracking)
         if lowest >= limit:
             raise DataError(
                 f"{record.signals.where} must have data below machine.recordings.slow_roll.below_rpm="
@@ -96,7 +96,7 @@ def _fit_sweep(config: SignalRecordingsConfig, name: str, source: str, record: _
 
 
 def _track(config: SignalRecordingsConfig, record: _Record, speeds: np.ndarray) -> dict[str, Track]:
-    vectors = sweep_vectors(record.signals, speeds, config.tracking)
+    vectors = fit_sweep(record.signals, speeds, config.tracking)
     return {
         probe: sort_track(speeds, vectors[:, p], f"{record.signals.where}, probe '{probe}',")
         for p, probe in enumerate(config.probes)
@@ -118,14 +118,14 @@ def _read(config: SignalRecordingsConfig, run: WaveformRunConfig | UffRunConfig,
         others = [tacho, *([config.tacho.mark_channel] if config.tacho.mark_channel else [])]
         rate = run.sample_rate or config.sample_rate
         clock = Clock(config.time, config.time_unit, rate, config.sample_rate_attribute)
-        recording = read_recording(path, [*names.values(), *others], clock, text_format(config.csv))
+        recording = read_recording(path, [*names.values(), *others], clock, read_format(config.csv))
         values = {name: recording.channels[channel] for name, channel in names.items()}
         notes = note_cut(path) if path.suffix.lower() in (".csv", ".txt") else ()
         if config.tacho.mark_channel is not None:
             channel = config.tacho.mark_channel
             marks = _find_pulses(config, recording, channel, f"{where}, channel '{channel}',").times
     pulses = _find_pulses(config, recording, tacho, f"{where}, channel '{tacho}',")
-    angle = shaft_angle(pulses.times, per_revolution, f"{where}, channel '{tacho}',", marks)
+    angle = fit_angle(pulses.times, per_revolution, f"{where}, channel '{tacho}',", marks)
     return _Record(Signals(recording.time, _to_metres(config, values), angle, where), pulses, notes)
 
 
@@ -136,9 +136,9 @@ def _find_pulses(config: SignalRecordingsConfig, recording: Recording, channel: 
 
 
 def _read_uff(config: UffRecordingsConfig, run: UffRunConfig, path: Path) -> Recording:
-    records, tacho = signal_records(config, run, path)
+    records, tacho = find_signals(config, run, path)
     channels = {name: record.values for name, record in zip(config.probes, records, strict=True)}
-    return checked(path, channels | {_TACHO: tacho.values, "time": tacho.abscissa}, Clock("time", "s"), None)
+    return check_recording(path, channels | {_TACHO: tacho.values, "time": tacho.abscissa}, Clock("time", "s"), None)
 
 
 def _to_metres(config: SignalRecordingsConfig, values: Mapping[str, np.ndarray]) -> np.ndarray:

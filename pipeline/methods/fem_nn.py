@@ -17,9 +17,9 @@ from pipeline.methods.method import (
     MethodOptions,
     Reason,
     Refusal,
-    doubt_of,
+    doubt,
     refuse_undetermined,
-    residual_or_refusal,
+    require_residual,
 )
 from pipeline.problem.measurement import Measurement
 
@@ -32,7 +32,7 @@ def fit_by(section: Callable[[MethodOptions], FitConfig]) -> Callable[[Measureme
         setup = FitSetup(own.model, own.loss, own.optimizer, own.training, options.seed)
         loss = loss_of(own.loss)
         if not loss.weighs_noise:
-            residual_or_refusal(data, options)
+            require_residual(data, options)
         diagnosis = loss.diagnose(data, setup)
         refuse_undetermined(diagnosis.reports)
         try:
@@ -43,6 +43,6 @@ def fit_by(section: Callable[[MethodOptions], FitConfig]) -> Callable[[Measureme
         if found.uncertainty is not None:
             words += f", {found.quality.summary['fit']['chi_square']['numbers']} numbers"
         speeds = data.dataset.speeds
-        return Estimate(found.table(data.known), found.deviation(speeds), words, doubt_of(found.quality.misfit))
+        return Estimate(found.table(data.known), found.deviation(speeds), words, doubt(found.quality.misfit))
 
     return identify

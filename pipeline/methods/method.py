@@ -87,7 +87,7 @@ class Method:
         return self.solve(measurement if self.takes_planes else drop_unbalance(measurement), options)
 
 
-def estimate(
+def make_estimate(
     measurement: Measurement, values: np.ndarray, deviation: np.ndarray, words: str = "", doubt: str = ""
 ) -> Estimate:
     """The answer, from unknowns (M, S, U) and their standard deviations (M, S, U)."""
@@ -95,17 +95,17 @@ def estimate(
     return Estimate(measurement.table(values), stated, words, doubt)
 
 
-def bearing_equations_or_refusal(measurement: Measurement) -> BearingEquations:
+def require_bearing_equations(measurement: Measurement) -> BearingEquations:
     """The equations at the bearings. Raises Refusal where they are not measured."""
     try:
         return measurement.equations
     except DataError:
-        raise Refusal(Reason.BEARINGS_NOT_MEASURED, f"the sensors are at {sensors_in_words(measurement)}") from None
+        raise Refusal(Reason.BEARINGS_NOT_MEASURED, f"the sensors are at {describe_sensors(measurement)}") from None
 
 
-def residual_or_refusal(measurement: Measurement, options: MethodOptions) -> LinearResidual:
+def require_residual(measurement: Measurement, options: MethodOptions) -> LinearResidual:
     """The residual in the unknowns. Raises Refusal where the runs do not determine them at any speed."""
-    equations = bearing_equations_or_refusal(measurement)
+    equations = require_bearing_equations(measurement)
     refuse_undetermined(judge_identifiability(equations, measurement.residual, options.constant))
     return measurement.residual
 
@@ -128,11 +128,11 @@ def require_determined(measurement: Measurement, together: bool) -> None:
         nodes = {node for node, _ in measurement.dataset.channels}
         raise Refusal(
             Reason.NOT_DETERMINED,
-            f"at {where} {sensors_in_words(measurement)} leave{'s' * (len(nodes) == 1)} a combination of them free",
+            f"at {where} {describe_sensors(measurement)} leave{'s' * (len(nodes) == 1)} a combination of them free",
         )
 
 
-def sensors_in_words(measurement: Measurement) -> str:
+def describe_sensors(measurement: Measurement) -> str:
     """The nodes that are measured."""
     nodes = list(dict.fromkeys(node for node, _ in measurement.dataset.channels))
     return f"node{'s' * (len(nodes) > 1)} {', '.join(map(str, nodes))}"
@@ -153,19 +153,19 @@ def drop_unbalance(measurement: Measurement) -> Measurement:
     return replace(part, unknowns=replace(part.unknowns, planes=()))
 
 
-def real_rows(values: np.ndarray) -> np.ndarray:
+def stack_rows(values: np.ndarray) -> np.ndarray:
     """Complex numbers (S, P, R, ..) as rows of each speed (S, 2 P R, ..): real parts, then imaginary ones."""
     flat = values.reshape(len(values), -1, *values.shape[3:])
     return np.concatenate([flat.real, flat.imag], axis=1)
 
 
-def derive_response(measurement: Measurement, values: np.ndarray) -> np.ndarray:
+def differentiate_response(measurement: Measurement, values: np.ndarray) -> np.ndarray:
     """(S, P, R, A) derivative of the response by the active unknowns, at unknowns (M, S, U)."""
     by_coefficient = measurement.response.sensitivity(measurement.table(values))
     return np.einsum("sprbc,bca->spra", by_coefficient, measurement.unknowns.influence)
 
 
-def doubt_of(misfit: float | None) -> str:
+def doubt(misfit: float | None) -> str:
     """Words for a chi-square far above what is expected; none for one that is not."""
     if misfit is None or misfit <= FAR_FROM_EXPECTED:  # NaN is not either
         return ""

@@ -15,16 +15,16 @@ from typing import Any
 import numpy as np
 
 from pipeline.coefficients import is_direct
-from pipeline.methods.least_squares import total
+from pipeline.methods.least_squares import solve_total
 from pipeline.methods.method import (
     Estimate,
     MethodOptions,
     Refusal,
-    derive_response,
-    doubt_of,
-    estimate,
-    real_rows,
+    differentiate_response,
+    doubt,
+    make_estimate,
     require_determined,
+    stack_rows,
 )
 from pipeline.problem.measurement import Measurement
 
@@ -72,13 +72,13 @@ class Parameters:
 
     def sensitivity(self, x: np.ndarray) -> np.ndarray:
         """(S, P, R, A) derivative of the response by x."""
-        return derive_response(self.task, self.values(x)) * self.slope(x)[:, None, None]
+        return differentiate_response(self.task, self.values(x)) * self.slope(x)[:, None, None]
 
 
 _SMALLEST = 1e-3
 
 
-def parameters_of(task: Measurement, size: np.ndarray | None = None) -> Parameters:
+def make_parameters(task: Measurement, size: np.ndarray | None = None) -> Parameters:
     """The free numbers, with sizes (M, U) of the unknowns or the configured guesses."""
     of = task.guess.sizes(task.unknowns) if size is None else size
     return Parameters(
@@ -98,11 +98,11 @@ class _Problem:
 
     def deviations(self, x: np.ndarray) -> np.ndarray:
         """(S, rows) whitened, for x (S, A)."""
-        return real_rows((self.parameters.predict(x) - self.task.dataset.displacement) * self.weight)
+        return stack_rows((self.parameters.predict(x) - self.task.dataset.displacement) * self.weight)
 
     def sensitivity(self, x: np.ndarray) -> np.ndarray:
         """(S, rows, A) derivative of :meth:`deviations` by x."""
-        return real_rows(self.parameters.sensitivity(x) * self.weight[..., None])
+        return stack_rows(self.parameters.sensitivity(x) * self.weight[..., None])
 
     def reweighted(self, x: np.ndarray) -> _Problem:
         """With the noise of the predicted readings: weights of the measured ones, whose noise they share, bias."""
@@ -127,61 +127,60 @@ class _Fit:
         return self.chi_square + 2 * self.z.size
 
 
-def spline(task: Measurement, options: MethodOptions) -> Estimate:
+def identify_by_spline(task: Measurement, options: MethodOptions) -> Estimate:
     """The spline of the size that Akaike's criterion chooses, and its Cramer-Rao deviations."""
     require_determined(task, together=True)
-    parameters, starts = _starts(task, options)
+    parameters, starts = _list_starts(task, options)
     problem = _Problem(task, parameters, np.sqrt(2.0) / task.deviation)
-    fits = [_best_start(problem, starts, options.constant)]
+    fits = [_choose_start(problem, starts, options.constant)]
     n_speeds = len(task.dataset.speeds)
     for count in [] if options.constant else [*(k for k in GROWTH[1:] if k < n_speeds), n_speeds]:
-        fits.append(_improved(problem, count, fits[-1].x))
+        fits.append(_improve(problem, count, fits[-1].x))
         best = min(fits, key=lambda fit: fit.criterion)
         if len(fits) - 1 - fits.index(best) >= _LOOK_AHEAD:
             break
     best = min(fits, key=lambda fit: fit.criterion)
     problem = problem.reweighted(best.x)
-    best = _fitted(problem, best.basis.shape[1], best.x)
-    deviation = _deviation(problem, best) * parameters.slope(best.x)
+    best = _fit(problem, best.basis.shape[1], best.x)
+    deviation = _bound_deviation(problem, best) * parameters.slope(best.x)
     expected = 2 * task.dataset.displacement.size - best.z.size
     words = f"{best.z.size} numbers, chi-square {best.chi_square:.4g} where {expected} is expected"
-    doubt = doubt_of(best.chi_square / expected)
     spread = task.unknowns.from_active(deviation)
-    return estimate(task, parameters.values(best.x), spread, words, doubt)
+    return make_estimate(task, parameters.values(best.x), spread, words, doubt(best.chi_square / expected))
 
 
-def _best_start(problem: _Problem, starts: list[np.ndarray], constant: bool) -> _Fit:
+def _choose_start(problem: _Problem, starts: list[np.ndarray], constant: bool) -> _Fit:
     """Constants; where there are several starts, the one that is best when it has become a small spline."""
-    made = sorted((_improved(problem, 1, x) for x in starts), key=lambda fit: fit.chi_square)
+    made = sorted((_improve(problem, 1, x) for x in starts), key=lambda fit: fit.chi_square)
     if len(made) == 1 or constant:
         return made[0]
 
     def promise(fit: _Fit) -> float:
         x = fit.x
         for count in GROWTH[1:_SMALL]:
-            x = _improved(problem, count, x).x if count < len(x) else x
+            x = _improve(problem, count, x).x if count < len(x) else x
         return float((problem.deviations(x) ** 2).sum())
 
     return min(made[:_KEPT_STARTS], key=promise)
 
 
-def _starts(task: Measurement, options: MethodOptions) -> tuple[Parameters, list[np.ndarray]]:
+def _list_starts(task: Measurement, options: MethodOptions) -> tuple[Parameters, list[np.ndarray]]:
     """Constants (S, A) to begin with: the medians of a linear answer, or the guess in several sizes."""
     n_speeds = len(task.dataset.speeds)
     try:
-        found = task.unknowns.leading(total(task, options).coefficients.values)
+        found = task.unknowns.leading(solve_total(task, options).coefficients.values)
     except (Refusal, np.linalg.LinAlgError):
-        parameters = parameters_of(task)
+        parameters = make_parameters(task)
         guess = np.repeat(task.guess.sizes(task.unknowns)[:, None], n_speeds, axis=1)
         return parameters, [
             np.where(parameters.positive, parameters.from_values(size * guess), 0.0) for size in GUESSES
         ]
     middle = np.median(found, axis=1)
-    parameters = parameters_of(task, np.where(middle != 0, np.abs(middle), 1.0))
+    parameters = make_parameters(task, np.where(middle != 0, np.abs(middle), 1.0))
     return parameters, [np.repeat(parameters.from_values(middle[:, None]), n_speeds, axis=0)]
 
 
-def basis(speeds: np.ndarray, count: int) -> np.ndarray:
+def make_basis(speeds: np.ndarray, count: int) -> np.ndarray:
     """(S, K) cubic splines of the logarithm of the speed; as many as speeds are a value for each."""
     from scipy.interpolate import BSpline
 
@@ -198,21 +197,21 @@ def basis(speeds: np.ndarray, count: int) -> np.ndarray:
     return np.asarray(BSpline.design_matrix(place, knots, 3).toarray())
 
 
-def _improved(problem: _Problem, count: int, start: np.ndarray) -> _Fit:
-    """:func:`_fitted`, once more where an unknown has all but vanished: as an exponential, nothing draws it back."""
-    fit = _fitted(problem, count, start)
+def _improve(problem: _Problem, count: int, start: np.ndarray) -> _Fit:
+    """:func:`_fit`, once more where an unknown has all but vanished: as an exponential, nothing draws it back."""
+    fit = _fit(problem, count, start)
     x = fit.x
     gone = problem.parameters.positive & (np.median(x, axis=0) < np.log(_VANISHED))
     if not gone.any():
         return fit
-    return min(fit, _fitted(problem, count, np.where(gone, 0.0, x)), key=lambda one: one.chi_square)
+    return min(fit, _fit(problem, count, np.where(gone, 0.0, x)), key=lambda one: one.chi_square)
 
 
-def _fitted(problem: _Problem, count: int, start: np.ndarray) -> _Fit:
+def _fit(problem: _Problem, count: int, start: np.ndarray) -> _Fit:
     """SciPy's trust-region least squares from the spline nearest to ``start`` (S, A)."""
     from scipy.optimize import least_squares
 
-    own = basis(problem.task.dataset.speeds, count)
+    own = make_basis(problem.task.dataset.speeds, count)
     first = np.linalg.lstsq(own, start, rcond=None)[0]
     large = first.size > _DENSE
 
@@ -221,7 +220,7 @@ def _fitted(problem: _Problem, count: int, start: np.ndarray) -> _Fit:
 
     def jacobian(z: np.ndarray) -> Any:
         by_speed = problem.sensitivity(own @ z.reshape(first.shape))
-        return _sparse(by_speed, own) if large else _dense(by_speed, own)
+        return _make_sparse(by_speed, own) if large else _make_dense(by_speed, own)
 
     with np.errstate(over="ignore", invalid="ignore"):  # a step too far is taken back
         found = least_squares(
@@ -238,13 +237,13 @@ def _fitted(problem: _Problem, count: int, start: np.ndarray) -> _Fit:
     return _Fit(own, found.x.reshape(first.shape), 2 * float(found.cost))
 
 
-def _dense(by_speed: np.ndarray, own: np.ndarray) -> np.ndarray:
+def _make_dense(by_speed: np.ndarray, own: np.ndarray) -> np.ndarray:
     """(S rows, K A) derivative by the spline's coefficients."""
     return np.einsum("sra,sk->srka", by_speed, own).reshape(by_speed.shape[0] * by_speed.shape[1], -1)
 
 
-def _sparse(by_speed: np.ndarray, own: np.ndarray) -> Any:
-    """:func:`_dense`, without its zeros."""
+def _make_sparse(by_speed: np.ndarray, own: np.ndarray) -> Any:
+    """:func:`_make_dense`, without its zeros."""
     from scipy.sparse import csr_array
 
     n_speeds, n_rows, n_active = by_speed.shape
@@ -256,7 +255,7 @@ def _sparse(by_speed: np.ndarray, own: np.ndarray) -> Any:
     return csr_array((data.ravel(), (row.ravel(), column.ravel())), shape=shape)
 
 
-def _information(problem: _Problem, fit: _Fit) -> np.ndarray:
+def _sum_information(problem: _Problem, fit: _Fit) -> np.ndarray:
     """(K A, K A)."""
     local = problem.sensitivity(fit.x)
     local = local.swapaxes(1, 2) @ local
@@ -264,13 +263,13 @@ def _information(problem: _Problem, fit: _Fit) -> np.ndarray:
     return np.einsum("sk,sab,sl->kalb", own, local, own, optimize=True).reshape(fit.z.size, fit.z.size)
 
 
-def _deviation(problem: _Problem, fit: _Fit) -> np.ndarray:
+def _bound_deviation(problem: _Problem, fit: _Fit) -> np.ndarray:
     """(S, A) standard deviation of x."""
     count, active = fit.z.shape
     if count == len(fit.basis):  # every speed for itself
         rows = problem.sensitivity(fit.x)
         spread = np.linalg.pinv(rows.swapaxes(1, 2) @ rows, hermitian=True)
         return np.sqrt(np.maximum(np.einsum("saa->sa", spread), 0.0))
-    covariance = np.linalg.pinv(_information(problem, fit), hermitian=True).reshape(count, active, count, active)
+    covariance = np.linalg.pinv(_sum_information(problem, fit), hermitian=True).reshape(count, active, count, active)
     spread = np.einsum("sk,kala,sl->sa", fit.basis, covariance, fit.basis, optimize=True)
     return np.sqrt(np.maximum(spread, 0.0))

@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.comparison.cases import Case
 from pipeline.comparison.result import Result
 from pipeline.methods.catalogue import METHODS
-from pipeline.reporting.console import markdown_table
+from pipeline.reporting.console import format_markdown
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ class Comparison:
         error = self.error(method, case)
         if np.isnan(error):
             return rows[0].outcome.replace("_", " ")
-        return error_text(error) + (" ?" if any(r.doubt for r in rows) else "")
+        return format_error(error) + (" ?" if any(r.doubt for r in rows) else "")
 
     def along(self, key: str) -> list[Case]:
         """The main case with every value of ``noise``, ``sensors`` or ``speeds`` that there is."""
@@ -100,12 +100,12 @@ ROUNDING_PERCENT = 1e-8
 """Errors below it are rounding: their digits differ from one processor to another, and are not printed."""
 
 
-def error_text(error: float) -> str:
+def format_error(error: float) -> str:
     """An error in percent, to two digits where it has them."""
     return f"{error:.2g}" if error >= ROUNDING_PERCENT else f"< {ROUNDING_PERCENT:g}".replace("e-0", "e-")
 
 
-def noise_text(noise: float) -> str:
+def format_noise(noise: float) -> str:
     """A share as percent."""
     return f"{100 * noise:g} %"
 
@@ -113,17 +113,17 @@ def noise_text(noise: float) -> str:
 SENSOR_TEXT = {"all": "all nodes", "bearings": "bearings", "location": "one location"}
 
 
-def heading(key: str) -> Callable[[Case], str]:
+def choose_heading(key: str) -> Callable[[Case], str]:
     """The head of a column of :meth:`Comparison.along`."""
     texts: dict[str, Callable[[Case], str]] = {
-        "noise": lambda case: noise_text(case.noise),
+        "noise": lambda case: format_noise(case.noise),
         "sensors": lambda case: SENSOR_TEXT[case.sensors],
         "speeds": lambda case: f"{case.speeds} speeds",
     }
     return texts[key]
 
 
-def tables(comparison: Comparison) -> list[tuple[str, list[str], list[list[str]]]]:
+def make_tables(comparison: Comparison) -> list[tuple[str, list[str], list[list[str]]]]:
     """(title, header, rows) of every table; the first column names the method."""
     main, made = comparison.main, []
     by_noise = [
@@ -132,14 +132,14 @@ def tables(comparison: Comparison) -> list[tuple[str, list[str], list[list[str]]
     ]
     for key, columns in [*by_noise, ("speeds", comparison.along("speeds"))]:
         rows = [[METHODS[m].label, *(comparison.cell(m, case) for case in columns)] for m in comparison.methods]
-        fixed = ", ".join(heading(other)(columns[0]) for other in ("noise", "sensors", "speeds") if other != key)
+        fixed = ", ".join(choose_heading(other)(columns[0]) for other in ("noise", "sensors", "speeds") if other != key)
         title = f"median error % of the worst coefficient against {key}; {fixed}"
-        made.append((title, ["method", *(heading(key)(case) for case in columns)], rows))
-    fixed, each = ", ".join(heading(key)(main) for key in ("noise", "sensors", "speeds")), []
+        made.append((title, ["method", *(choose_heading(key)(case) for case in columns)], rows))
+    fixed, each = ", ".join(choose_heading(key)(main) for key in ("noise", "sensors", "speeds")), []
     for m in comparison.methods:
         errors = comparison.by_coefficient(m)
         each.append(
-            [METHODS[m].label, *(error_text(errors[name]) if name in errors else "" for name in comparison.names)]
+            [METHODS[m].label, *(format_error(errors[name]) if name in errors else "" for name in comparison.names)]
         )
     made.append((f"median error % of each coefficient; {fixed}", ["method", *comparison.names], each))
     about = []
@@ -151,6 +151,6 @@ def tables(comparison: Comparison) -> list[tuple[str, list[str], list[list[str]]
     return made
 
 
-def markdown(comparison: Comparison) -> str:
+def write_markdown(comparison: Comparison) -> str:
     """All tables."""
-    return "\n".join(f"{title}\n\n{markdown_table(header, rows)}" for title, header, rows in tables(comparison))
+    return "\n".join(f"{title}\n\n{format_markdown(header, rows)}" for title, header, rows in make_tables(comparison))

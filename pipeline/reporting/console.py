@@ -20,7 +20,7 @@ StudyProgress = Callable[[int, "float | None"], None]
 
 
 @cache
-def _console(stderr: bool) -> Console:
+def _open_console(stderr: bool) -> Console:
     from rich.console import Console
 
     console = Console(stderr=stderr, highlight=False, soft_wrap=True)
@@ -31,12 +31,12 @@ def _console(stderr: bool) -> Console:
 
 def say(text: str) -> None:
     """A line of result on stdout."""
-    _console(False).print(text, markup=False)
+    _open_console(False).print(text, markup=False)
 
 
 def warn(text: str) -> None:
     """A line that needs attention, on stderr."""
-    _console(True).print(f"warning: {text}", markup=False, style="yellow")
+    _open_console(True).print(f"warning: {text}", markup=False, style="yellow")
 
 
 def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
@@ -49,10 +49,10 @@ def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> N
         drawn.add_column(name, justify="left" if i == 0 else "right", no_wrap=True)
     for row in rows:
         drawn.add_row(*row)
-    _console(False).print(drawn, markup=False, crop=False)
+    _open_console(False).print(drawn, markup=False, crop=False)
 
 
-def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def format_markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """The same as Markdown, for a file."""
     lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
     return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows)]) + "\n"
@@ -61,7 +61,7 @@ def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 @contextmanager
 def training_progress(name: str) -> Iterator[Progress]:
     """A bar with the loss and the rate of a training."""
-    with _bar(name, None) as (bar, task):
+    with _show_bar(name, None) as (bar, task):
 
         def update(phase: str, step: int, total: int, loss: float) -> None:
             rate = f"{bar.tasks[0].speed:.0f} steps/s" if bar.tasks[0].speed else ""
@@ -75,7 +75,7 @@ def training_progress(name: str) -> Iterator[Progress]:
 @contextmanager
 def study_progress(name: str, total: int) -> Iterator[StudyProgress]:
     """A bar for the trials of a study, with its best loss so far."""
-    with _bar(name, total) as (bar, task):
+    with _show_bar(name, total) as (bar, task):
 
         def update(done: int, best: float | None) -> None:
             words = f"trials, best held-out loss {'-' if best is None else f'{best:.3g}'}, left:"
@@ -87,7 +87,7 @@ def study_progress(name: str, total: int) -> Iterator[StudyProgress]:
 @contextmanager
 def comparison_progress(name: str, total: int) -> Iterator[Callable[[int, int, Result], None]]:
     """A bar for the results of a comparison, with the newest of them."""
-    with _bar(name, total) as (bar, task):
+    with _show_bar(name, total) as (bar, task):
 
         def update(done: int, of: int, result: Result) -> None:
             newest = f"{result.method}, {result.sensors}, {100 * result.noise:g} % in {result.seconds:.1f} s"
@@ -97,11 +97,11 @@ def comparison_progress(name: str, total: int) -> Iterator[Callable[[int, int, R
 
 
 @contextmanager
-def _bar(name: str, total: int | None) -> Iterator[tuple[ProgressBar, TaskID]]:
+def _show_bar(name: str, total: int | None) -> Iterator[tuple[ProgressBar, TaskID]]:
     """A bar on a terminal, nothing elsewhere; it ends with the time left, or the time taken where no total is known."""
     from rich import progress
 
-    console = _console(True)
+    console = _open_console(True)
     time = progress.TimeRemainingColumn(elapsed_when_finished=True) if total else progress.TimeElapsedColumn()
     bar = progress.Progress(
         progress.TextColumn("{task.description}"),

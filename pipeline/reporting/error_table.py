@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-def error_table(
+def make_error_table(
     answer: BearingTable,
     names: Sequence[Sequence[str]],
     modelled: BearingTable | None,
@@ -55,7 +55,7 @@ def print_error_table(name: str, errors: pd.DataFrame) -> None:
     """The table on the screen."""
     columns = [column for column in _SHOWN if column in errors]
     rows = [
-        [f"node {row['bearing_node']} {row['coefficient']}", *(_shown(column, row[column]) for column in columns)]
+        [f"node {row['bearing_node']} {row['coefficient']}", *(_format(column, row[column]) for column in columns)]
         for _, row in errors.iterrows()
     ]
     what = "identified against modelled" if "modelled" in errors else "identified"
@@ -75,11 +75,11 @@ _SHOWN = {
 }
 
 
-def _shown(column: str, value: float) -> str:
+def _format(column: str, value: float) -> str:
     return f"{value / 1e5:.5f}e5" if column in ("modelled", "identified") else f"{value:.2g}"
 
 
-def quality_words(quality: Mapping[str, Any]) -> str:
+def describe_quality(quality: Mapping[str, Any]) -> str:
     """What is known of a fit without a truth, from the summary of its quality."""
     if "residual" in quality:
         residual = quality["residual"]["mean_over_bearing_force"]

@@ -13,7 +13,7 @@ import numpy as np
 from pipeline.coefficients import COEFFICIENTS, is_direct, unit
 from pipeline.data.tables import read_table
 from pipeline.data.vibration_files import to_rpm
-from pipeline.evaluation.errors import relative_errors
+from pipeline.evaluation.errors import measure_relative_errors
 from pipeline.files import write_beside
 from pipeline.rotor.bearing_table import BearingTable
 
@@ -47,7 +47,7 @@ _STYLE: dict[Any, Any] = {
 }
 
 
-def legend_above(ax: Any) -> None:
+def place_legend(ax: Any) -> None:
     """Put the legend in one line above the axes, where no curve can pass."""
     ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderaxespad=0.2)
 
@@ -76,7 +76,9 @@ def draw_band(
 
 
 @contextmanager
-def figure(path: Path, rows: int, columns: int, width: float, height: float, **options: Any) -> Iterator[np.ndarray]:
+def open_figure(
+    path: Path, rows: int, columns: int, width: float, height: float, **options: Any
+) -> Iterator[np.ndarray]:
     """Axes (rows, columns) of a figure, written to ``path`` when the block ends well. Raises StorageError."""
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -89,7 +91,7 @@ def figure(path: Path, rows: int, columns: int, width: float, height: float, **o
         write_beside(path, lambda beside: drawn.savefig(beside))
 
 
-def coefficient_figure(
+def draw_coefficients(
     path: Path,
     letter: str,
     identified: BearingTable,
@@ -107,7 +109,7 @@ def coefficient_figure(
     compared = modelled is not None and not named.isdisjoint(names)
     ratios, height = ([2.2, 1], 6.2) if compared else ([1], 4.0)
     options: dict[str, Any] = {"sharex": True, "gridspec_kw": {"height_ratios": ratios}}
-    with figure(path, len(ratios), len(identified.nodes), 10.5, height, **options) as axes:
+    with open_figure(path, len(ratios), len(identified.nodes), 10.5, height, **options) as axes:
         for b, node in enumerate(identified.nodes):
             for name, look in zip(names, LOOKS, strict=False):
                 _draw_coefficient(axes[:, b], b, name, look, identified, modelled, name in unknowns[b], deviation)
@@ -145,7 +147,7 @@ def _draw_coefficient(
     if modelled is not None:
         true = modelled.coefficient(name)[b]
         axes[0].plot(rpm, true, color=colour, lw=1.5, label=f"{name} modelled")
-        error = np.maximum(relative_errors(identified, modelled, name)[b], 1e-14)
+        error = np.maximum(measure_relative_errors(identified, modelled, name)[b], 1e-14)
         axes[-1].semilogy(rpm, error, color=colour, lw=1.2)
         if stated is not None:
             axes[-1].semilogy(rpm, 196.0 * stated / np.abs(true), color=colour, lw=1.0, ls=":")
@@ -154,10 +156,10 @@ def _draw_coefficient(
         draw_band(axes[0], rpm, values, stated, colour)
 
 
-def history_figure(path: Path, history: Path, label: str) -> Path:
+def draw_history(path: Path, history: Path, label: str) -> Path:
     """The loss, which ``label`` names, over the steps of training, on training and held-out speeds."""
     table = read_table(history, {"step": "number", "phase": "text", "loss": "number"})
-    with figure(path, 1, 1, 7.5, 4.2) as axes:
+    with open_figure(path, 1, 1, 7.5, 4.2) as axes:
         ax = axes[0, 0]
         ax.semilogy(table["step"], table["loss"], color=BLUE, label="training speeds")
         if "held_out_loss" in table:
@@ -179,7 +181,7 @@ def history_figure(path: Path, history: Path, label: str) -> Path:
     return path
 
 
-def robustness_figure(
+def draw_robustness(
     path: Path,
     training: ResidualTraining,
     found: Minimum,
@@ -197,7 +199,7 @@ def robustness_figure(
     paths = np.stack([model.physical(one, scale).detach().numpy() for _, one in found.trajectory])  # (T, G, M, U)
     nodes = training.measurement.rotor.bearing_nodes
     members = paths.shape[2]
-    with figure(path, members, len(unknowns), 5.2 * len(unknowns), 3.4 * members, sharex=True) as axes:
+    with open_figure(path, members, len(unknowns), 5.2 * len(unknowns), 3.4 * members, sharex=True) as axes:
         for m in range(members):
             for u, name in enumerate(unknowns):
                 ax = axes[m, u]
@@ -214,7 +216,7 @@ def robustness_figure(
 
 
 def _draw_final_errors(path: Path, rows: pd.DataFrame, over: str) -> Path:
-    with figure(path, 1, 1, 8.0, 4.2) as axes:
+    with open_figure(path, 1, 1, 8.0, 4.2) as axes:
         ax = axes[0, 0]
         has_truth = rows["mean_error_percent"].notna().all()
         quantity = "mean_error_percent" if has_truth else "loss"
@@ -230,11 +232,11 @@ def _draw_final_errors(path: Path, rows: pd.DataFrame, over: str) -> Path:
     return path
 
 
-def noise_figure(path: Path, rows: pd.DataFrame) -> Path:
+def draw_noise_study(path: Path, rows: pd.DataFrame) -> Path:
     """Above, the median error over speed of every data set; below, the share of speeds inside the 95 % interval."""
     groups = list(rows.groupby(["bearing_node", "coefficient"], sort=False))
     generator = np.random.default_rng(0)
-    with figure(path, 2, 1, max(6.0, 0.75 * len(groups) + 2), 6.0, sharex=True) as axes:
+    with open_figure(path, 2, 1, max(6.0, 0.75 * len(groups) + 2), 6.0, sharex=True) as axes:
         above, below = axes[:, 0]
         for i, (_, group) in enumerate(groups):
             errors, aside = group["median_error_percent"], i + generator.uniform(-0.25, 0.25, len(group))
@@ -249,14 +251,14 @@ def noise_figure(path: Path, rows: pd.DataFrame) -> Path:
     return path
 
 
-def diagnosis_figure(
+def draw_diagnosis(
     path: Path, reports: Sequence[Identifiability], relative: Callable[[int], Mapping[str, np.ndarray]], noise: str
 ) -> Path:
     """Condition number over speed, and below it the deviation of each coefficient that the ``noise`` implies.
 
     ``relative`` gives, for the node of a bearing, the standard deviation (S,) over the coefficient by its name.
     """
-    with figure(path, 2, len(reports), 5.4 * len(reports), 6.6, sharex=True, sharey="row") as axes:
+    with open_figure(path, 2, len(reports), 5.4 * len(reports), 6.6, sharex=True, sharey="row") as axes:
         for a, report in enumerate(reports):
             rpm = to_rpm(report.speeds)
             above, below = axes[0, a], axes[1, a]

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from pipeline.config.tuning import Dimension, Value
-from pipeline.reporting.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, figure, legend_above
+from pipeline.reporting.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, open_figure, place_legend
 from pipeline.tuning.finalists import Finalist, TrialSummary
 
 _STATES = {"complete": (BLUE, "o"), "pruned": (ORANGE, "x"), "failed": (PURPLE, "s")}
 _LOSS = "held-out loss (share of the bearing force)"
 
 
-def study_figures(
+def draw_study(
     folder: Path,
     trials: Sequence[TrialSummary],
     space: Mapping[str, Dimension],
@@ -26,19 +26,19 @@ def study_figures(
 ) -> list[Path]:
     """All figures of a study in ``folder``; those that need more trials than there are, are left out."""
     done = [trial for trial in trials if trial.loss is not None]
-    written = [_finalists(folder / "finalists.png", finalists)]
+    written = [_draw_finalists(folder / "finalists.png", finalists)]
     if done:
-        written += [_history(folder / "history.png", trials), _slices(folder / "slice.png", done, space)]
-        written.append(_parallel(folder / "parallel_coordinates.png", done, space))
+        written += [_draw_history(folder / "history.png", trials), _draw_slices(folder / "slice.png", done, space)]
+        written.append(_draw_parallel(folder / "parallel_coordinates.png", done, space))
     if any(trial.curve for trial in trials):
-        written.append(_curves(folder / "learning_curves.png", trials))
+        written.append(_draw_curves(folder / "learning_curves.png", trials))
     if importances:
-        written.append(_importance(folder / "importance.png", importances))
+        written.append(_draw_importance(folder / "importance.png", importances))
     return written
 
 
-def _history(path: Path, trials: Sequence[TrialSummary]) -> Path:
-    with figure(path, 1, 1, 8.0, 4.4) as axes:
+def _draw_history(path: Path, trials: Sequence[TrialSummary]) -> Path:
+    with open_figure(path, 1, 1, 8.0, 4.4) as axes:
         ax = axes[0, 0]
         for state, (colour, marker) in _STATES.items():
             losses = {t.number: t.loss for t in trials if t.state == state and t.loss is not None}
@@ -53,12 +53,12 @@ def _history(path: Path, trials: Sequence[TrialSummary]) -> Path:
             best = np.minimum.accumulate(list(complete.values()))
             ax.step(list(complete), best, where="post", color=GREY, lw=1.2, label="best so far")
         ax.set(xlabel="trial (0 is the configured default)", ylabel=_LOSS)
-        legend_above(ax)
+        place_legend(ax)
     return path
 
 
-def _curves(path: Path, trials: Sequence[TrialSummary]) -> Path:
-    with figure(path, 1, 1, 8.0, 4.4) as axes:
+def _draw_curves(path: Path, trials: Sequence[TrialSummary]) -> Path:
+    with open_figure(path, 1, 1, 8.0, 4.4) as axes:
         ax, named = axes[0, 0], set()
         for trial in sorted((t for t in trials if t.curve), key=lambda t: t.number == 0):
             colour, width, alpha, label = _STATES.get(trial.state, (GREY,))[0], 0.9, 0.7, trial.state
@@ -68,13 +68,13 @@ def _curves(path: Path, trials: Sequence[TrialSummary]) -> Path:
             ax.semilogy(list(trial.curve), list(trial.curve.values()), marker=".", ms=4, **look)
             named.add(label)
         ax.set(xlabel="part of the last optimiser's epochs (%)", ylabel=_LOSS)
-        legend_above(ax)
+        place_legend(ax)
     return path
 
 
-def _importance(path: Path, importances: Mapping[str, float]) -> Path:
+def _draw_importance(path: Path, importances: Mapping[str, float]) -> Path:
     names = [name for name, share in importances.items() if share > 0.005][::-1]
-    with figure(path, 1, 1, 7.0, 1.2 + 0.35 * len(names)) as axes:
+    with open_figure(path, 1, 1, 7.0, 1.2 + 0.35 * len(names)) as axes:
         ax = axes[0, 0]
         ax.barh(names, [100 * importances[name] for name in names], color=BLUE)
         ax.set_xlabel("importance: what sets the best trials apart (%)")
@@ -82,22 +82,22 @@ def _importance(path: Path, importances: Mapping[str, float]) -> Path:
     return path
 
 
-def _names(trials: Sequence[TrialSummary], space: Mapping[str, Dimension], least: float) -> list[str]:
+def _list_names(trials: Sequence[TrialSummary], space: Mapping[str, Dimension], least: float) -> list[str]:
     """The parameters that ``least`` trials have."""
     return [name for name in space if sum(name in trial.parameters for trial in trials) >= least]
 
 
-def _slices(path: Path, trials: Sequence[TrialSummary], space: Mapping[str, Dimension]) -> Path:
+def _draw_slices(path: Path, trials: Sequence[TrialSummary], space: Mapping[str, Dimension]) -> Path:
     """The loss over each parameter; later trials are darker."""
-    names = _names(trials, space, 1)
+    names = _list_names(trials, space, 1)
     columns = min(4, len(names))
     rows = math.ceil(len(names) / columns)
     last = max(trial.number for trial in trials) or 1
-    with figure(path, rows, columns, 3.1 * columns, 2.6 * rows, sharey=True) as axes:
+    with open_figure(path, rows, columns, 3.1 * columns, 2.6 * rows, sharey=True) as axes:
         for ax in axes.flat[len(names) :]:
             ax.set_axis_off()
         for ax, name in zip(axes.flat, names, strict=False):
-            choices = _choices(space[name])
+            choices = _list_choices(space[name])
             for state, (_, marker) in _STATES.items():
                 some = [t for t in trials if name in t.parameters and t.state == state]
                 x = [choices.index(str(t.parameters[name])) if choices else t.parameters[name] for t in some]
@@ -112,7 +112,7 @@ def _slices(path: Path, trials: Sequence[TrialSummary], space: Mapping[str, Dime
     return path
 
 
-def _choices(dimension: Dimension) -> list[str]:
+def _list_choices(dimension: Dimension) -> list[str]:
     """Empty for a range."""
     return [str(value) for value in dimension.options() or ()]
 
@@ -131,15 +131,15 @@ def _set_ticks(ax: Any, choices: Sequence[str], log: bool) -> None:
         ax.xaxis.set_minor_formatter(NullFormatter())
 
 
-def _parallel(path: Path, trials: Sequence[TrialSummary], space: Mapping[str, Dimension]) -> Path:
+def _draw_parallel(path: Path, trials: Sequence[TrialSummary], space: Mapping[str, Dimension]) -> Path:
     """A line a trial through the parameters that half of the trials have, coloured by its loss."""
-    names = _names(trials, space, len(trials) / 2)
+    names = _list_names(trials, space, len(trials) / 2)
     trials = sorted(trials, key=lambda trial: -(trial.loss or math.nan))  # the best lie above the others
     losses = np.log10([trial.loss or math.nan for trial in trials])
-    with figure(path, 1, 1, min(1.25 * len(names) + 2.5, 15.0), 4.6) as axes:
+    with open_figure(path, 1, 1, min(1.25 * len(names) + 2.5, 15.0), 4.6) as axes:
         ax, heights = axes[0, 0], np.empty((len(trials), len(names)))
         for x, name in enumerate(names):
-            heights[:, x], captions = _heights([t.parameters.get(name) for t in trials], space[name])
+            heights[:, x], captions = _scale_values([t.parameters.get(name) for t in trials], space[name])
             ax.axvline(x, color=GREY, lw=0.6)
             look: dict[str, Any] = {"xytext": (4, 0), "textcoords": "offset points", "fontsize": 7, "va": "center"}
             for caption, height in captions.items():
@@ -156,9 +156,9 @@ def _parallel(path: Path, trials: Sequence[TrialSummary], space: Mapping[str, Di
     return path
 
 
-def _heights(values: Sequence[Value | None], dimension: Dimension) -> tuple[np.ndarray, dict[str, float]]:
+def _scale_values(values: Sequence[Value | None], dimension: Dimension) -> tuple[np.ndarray, dict[str, float]]:
     """(trials,) 0 to 1 on the axis of a parameter, NaN where a trial lacks it; and the captions with their heights."""
-    if choices := _choices(dimension):
+    if choices := _list_choices(dimension):
         captions = {name: i / max(len(choices) - 1, 1) for i, name in enumerate(choices)}
         return np.array([captions.get(str(value), math.nan) for value in values]), captions
     numbers = np.array([math.nan if value is None else float(value) for value in values])
@@ -169,9 +169,9 @@ def _heights(values: Sequence[Value | None], dimension: Dimension) -> tuple[np.n
     return (scaled - low) / (high - low), {f"{np.nanmin(numbers):.3g}": 0.0, f"{np.nanmax(numbers):.3g}": 1.0}
 
 
-def _finalists(path: Path, finalists: Sequence[Finalist]) -> Path:
+def _draw_finalists(path: Path, finalists: Sequence[Finalist]) -> Path:
     """Every seed of the default and of the finalists: whether a difference is more than luck."""
-    with figure(path, 1, 1, 6.5, 4.0) as axes:
+    with open_figure(path, 1, 1, 6.5, 4.0) as axes:
         ax = axes[0, 0]
         for x, finalist in enumerate(finalists):
             losses = finalist.losses[np.isfinite(finalist.losses)]
@@ -181,18 +181,18 @@ def _finalists(path: Path, finalists: Sequence[Finalist]) -> Path:
         names = ["default" if f.trial == 0 else f"trial {f.trial}" for f in finalists]
         ax.set_xticks(range(len(names)), names)
         ax.set(ylabel=_LOSS, xlabel="one dot a seed", xlim=(-0.6, len(names) - 0.4))
-        legend_above(ax)
+        place_legend(ax)
     return path
 
 
-def samplers_figure(path: Path, best: Mapping[str, np.ndarray]) -> Path:
+def draw_samplers(path: Path, best: Mapping[str, np.ndarray]) -> Path:
     """Best loss so far over the trials: the median of a sampler's studies, and their range."""
-    with figure(path, 1, 1, 8.0, 4.4) as axes:
+    with open_figure(path, 1, 1, 8.0, 4.4) as axes:
         ax = axes[0, 0]
         for (name, losses), colour in zip(best.items(), (BLUE, ORANGE, GREEN), strict=False):
             trials = 1 + np.arange(losses.shape[1])
             ax.fill_between(trials, losses.min(axis=0), losses.max(axis=0), color=colour, alpha=0.15, lw=0)
             ax.semilogy(trials, np.median(losses, axis=0), color=colour, lw=1.8, label=name)
         ax.set(xlabel="trial", ylabel=f"best {_LOSS}", yscale="log")
-        legend_above(ax)
+        place_legend(ax)
     return path

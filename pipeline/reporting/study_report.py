@@ -12,10 +12,10 @@ import numpy as np
 
 from pipeline.config.promotion import value_at
 from pipeline.config.schema import Config
-from pipeline.evaluation.errors import coefficient_errors, worst_mean_error
+from pipeline.evaluation.errors import find_worst_mean, measure_errors
 from pipeline.identification.chebyshev import ChebyshevFit
 from pipeline.identification.identified import IdentifiedModel
-from pipeline.reporting.console import markdown_table
+from pipeline.reporting.console import format_markdown
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.tuning.finalists import Finalist, TrialSummary
 
@@ -62,8 +62,8 @@ class StudyReport:
     def _errors(self, found: IdentifiedModel) -> dict[str, float]:
         if self.modelled is None:
             return {}
-        errors = coefficient_errors(found.table(self.known), self.modelled, found.unknowns.by_bearing)
-        return {name: worst_mean_error(errors, name) for name in self.names}
+        errors = measure_errors(found.table(self.known), self.modelled, found.unknowns.by_bearing)
+        return {name: find_worst_mean(errors, name) for name in self.names}
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -79,7 +79,7 @@ class StudyReport:
 # --- tables ------------------------------------------------------------------------------------------
 
 
-def trial_table(report: StudyReport) -> pd.DataFrame:
+def tabulate_trials(report: StudyReport) -> pd.DataFrame:
     """One row a trial."""
     import pandas as pd
 
@@ -90,7 +90,7 @@ def trial_table(report: StudyReport) -> pd.DataFrame:
     return trials.astype({"epochs": "Int64"}).join(parameters.reindex(columns=list(report.config.tuning.space)))
 
 
-def finalist_table(report: StudyReport) -> pd.DataFrame:
+def tabulate_finalists(report: StudyReport) -> pd.DataFrame:
     """One row a finalist and seed."""
     import pandas as pd
 
@@ -111,9 +111,9 @@ def summarize_study(report: StudyReport) -> dict[str, object]:
     summary: dict[str, object] = {
         "experiment": report.config.name,
         "promoted_trial": report.best.trial,
-        "verdict": verdict(report),
+        "verdict": judge_study(report),
         "trials": dict(Counter(t.state for t in report.trials)),
-        "held_out_loss_gain": _ratio(report.default.median, report.best.median),
+        "held_out_loss_gain": _divide(report.default.median, report.best.median),
         "default": _summarize_finalist(report, report.default),
         "tuned": _summarize_finalist(report, report.best),
     }
@@ -124,7 +124,7 @@ def summarize_study(report: StudyReport) -> dict[str, object]:
             "mean_error_percent": report.chebyshev_errors,
         }
     if report.errors:
-        summary["error_gain"] = {name: _ratio(*report.medians(name)) for name in report.names}
+        summary["error_gain"] = {name: _divide(*report.medians(name)) for name in report.names}
     return summary
 
 
@@ -140,11 +140,11 @@ def _summarize_finalist(report: StudyReport, finalist: Finalist) -> dict[str, ob
     return summary
 
 
-def _ratio(before: float, after: float) -> float | None:
+def _divide(before: float, after: float) -> float | None:
     return before / after if np.isfinite(before) and after > 0 else None
 
 
-def verdict(report: StudyReport) -> str:
+def judge_study(report: StudyReport) -> str:
     """Whether tuning helped, in a sentence."""
     default, best = report.default, report.best
     if best is not default:
@@ -186,7 +186,7 @@ def write_report(report: StudyReport) -> str:
         f"{seconds:.0f} s of training, sampler {tuning.sampler} with seed {tuning.sampler_seed}, the first "
         f"{tuning.startup_trials} at random. Trial 0 is the configured default.",
         f"    {command}",
-        f"**Result.** {verdict(report).capitalize()}.",
+        f"**Result.** {judge_study(report).capitalize()}.",
         _compare(report),
         *_explain_limits(report),
         _list_values(report),
@@ -231,7 +231,7 @@ def _compare(report: StudyReport) -> str:
     caption = f"Median over {len(report.config.tuning.seeds)} seeds (lowest to highest)"
     if names:
         caption += "; errors are the mean over speed of the worse bearing, evaluated after the choice"
-    return f"{markdown_table(head, rows)}\n{caption}."
+    return f"{format_markdown(head, rows)}\n{caption}."
 
 
 def _explain_limits(report: StudyReport) -> list[str]:
@@ -271,7 +271,7 @@ def _list_values(report: StudyReport) -> str:
     if not changed:
         return ""
     rows = [[f"`{key}`", _shorten(value_at(report.config, key)), _shorten(value)] for key, value in changed.items()]
-    return markdown_table(["value", "default", "promoted"], rows).rstrip()
+    return format_markdown(["value", "default", "promoted"], rows).rstrip()
 
 
 def _shorten(value: object) -> str:

@@ -21,7 +21,7 @@ from pipeline.reporting.figures import (
     PURPLE,
     draw_band,
     draw_markers,
-    figure,
+    open_figure,
 )
 from pipeline.reporting.summary_text import Results, name_channel
 from pipeline.units import RAD_S_PER_RPM
@@ -32,9 +32,9 @@ _POINTS = 15
 """Markers a curve: several curves share a panel, each with its own phase."""
 
 
-def summary_figure(path: Path, results: Results, title: str) -> Path:
+def draw_summary(path: Path, results: Results, title: str) -> Path:
     """Stiffness, damping, one run at one probe, and the predicted unbalance response, all over the speed."""
-    with figure(path, 2, 2, 12.0, 8.2) as axes:
+    with open_figure(path, 2, 2, 12.0, 8.2) as axes:
         _draw_coefficients(axes[0, 0], results, "k")
         _draw_coefficients(axes[0, 1], results, "c")
         _draw_run(axes[1, 0], results)

@@ -9,8 +9,17 @@ from typing import Any
 import numpy as np
 
 from pipeline.data.vibration_files import to_rpm
-from pipeline.reporting.figures import BLUE, GREY, MICROMETRES, ORANGE, draw_band, draw_markers, figure, legend_above
-from pipeline.twin.prediction import PredictedVibration, time_curve
+from pipeline.reporting.figures import (
+    BLUE,
+    GREY,
+    MICROMETRES,
+    ORANGE,
+    draw_band,
+    draw_markers,
+    open_figure,
+    place_legend,
+)
+from pipeline.twin.prediction import PredictedVibration, sample_motion
 
 
 def _draw(ax: Any, name: str, x: np.ndarray, y: np.ndarray, colour: str) -> None:
@@ -20,41 +29,41 @@ def _draw(ax: Any, name: str, x: np.ndarray, y: np.ndarray, colour: str) -> None
         draw_markers(ax, x, y, colour, "predicted by the twin")
 
 
-def time_figure(path: Path, vibration: Mapping[str, PredictedVibration], at: int) -> Path:
+def draw_time(path: Path, vibration: Mapping[str, PredictedVibration], at: int) -> Path:
     """Figure 6 (a) and (b): x and y of the node over two turns."""
-    with figure(path, 2, 1, 8.0, 5.6, sharex=True) as axes:
+    with open_figure(path, 2, 1, 8.0, 5.6, sharex=True) as axes:
         for name, predicted in vibration.items():
-            time, curve = time_curve(predicted.displacement[at], predicted.speeds[at])
+            time, curve = sample_motion(predicted.displacement[at], predicted.speeds[at])
             for d, colour in enumerate((BLUE, ORANGE)):
                 _draw(axes[d, 0], name, 1e3 * time, MICROMETRES * curve[:, d], colour)
                 axes[d, 0].set_ylabel(f"{'xy'[d]}-displacement (µm)")
         where = f"node {predicted.node} at {to_rpm(predicted.speeds)[at]:g} rpm"
         axes[0, 0].figure.suptitle(f"{where}, unbalance never seen in training")
         axes[1, 0].set_xlabel("time (ms)")
-        legend_above(axes[0, 0])
+        place_legend(axes[0, 0])
     return path
 
 
-def orbit_figure(path: Path, vibration: Mapping[str, PredictedVibration], at: int) -> Path:
+def draw_orbit(path: Path, vibration: Mapping[str, PredictedVibration], at: int) -> Path:
     """The orbit of the node at one speed."""
-    with figure(path, 1, 1, 5.4, 5.2) as axes:
+    with open_figure(path, 1, 1, 5.4, 5.2) as axes:
         ax = axes[0, 0]
         for name, predicted in vibration.items():
-            _, curve = time_curve(predicted.displacement[at], predicted.speeds[at], turns=1.0)
+            _, curve = sample_motion(predicted.displacement[at], predicted.speeds[at], turns=1.0)
             _draw(ax, name, MICROMETRES * curve[:, 0], MICROMETRES * curve[:, 1], BLUE)
         ax.figure.suptitle(f"orbit of node {predicted.node} at {to_rpm(predicted.speeds)[at]:g} rpm")
         ax.set(xlabel="x-displacement (µm)", ylabel="y-displacement (µm)")
         ax.set_aspect("equal", adjustable="datalim")
-        legend_above(ax)
+        place_legend(ax)
     return path
 
 
-def response_figure(path: Path, vibration: Mapping[str, PredictedVibration]) -> Path:
+def draw_response(path: Path, vibration: Mapping[str, PredictedVibration]) -> Path:
     """Amplitude and phase over all speeds, and the error of the prediction."""
     rows = 1 + len(vibration)
     found = vibration["identified"]
     rpm = to_rpm(found.speeds)
-    with figure(path, rows, 2, 10.5, 2.4 * rows, sharex=True) as axes:
+    with open_figure(path, rows, 2, 10.5, 2.4 * rows, sharex=True) as axes:
         for d, (direction, colour) in enumerate(zip("xy", (BLUE, ORANGE), strict=True)):
             for name, predicted in vibration.items():
                 q = predicted.displacement[:, d]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.comparison.cases import Machine, cases, main_case
+from pipeline.comparison.cases import Machine, choose_main_case, list_cases
 from pipeline.comparison.result import Result
 from pipeline.comparison.runner import ComparisonSetup, MethodRun, compare
 from pipeline.config.schema import Config
@@ -17,8 +17,8 @@ from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError
 from pipeline.files import write_json, write_text
 from pipeline.methods.catalogue import METHODS
-from pipeline.reporting.comparison_figures import comparison_figure
-from pipeline.reporting.comparison_tables import Comparison, markdown, tables
+from pipeline.reporting.comparison_figures import draw_comparison
+from pipeline.reporting.comparison_tables import Comparison, make_tables, write_markdown
 from pipeline.reporting.console import comparison_progress, say, table
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor
 from pipeline.stages.execution import StageOutput, flat_metrics, use_threads
@@ -46,7 +46,7 @@ def run(config: Config) -> StageOutput:
     require_nodes(machine.rotor, "comparison.location", [config.comparison.location or 0])
     setup = ComparisonSetup(machine, config.identify, config.comparison, config.seed)
     n_speeds = len(machine.vibration.speeds)
-    runs = [MethodRun(m, case) for case in cases(config.comparison, n_speeds) for m in config.comparison.methods]
+    runs = [MethodRun(m, case) for case in list_cases(config.comparison, n_speeds) for m in config.comparison.methods]
     folder = workspace(config).folder
     try:
         with comparison_progress(config.name, len(runs)) as progress:
@@ -55,14 +55,14 @@ def run(config: Config) -> StageOutput:
         say(f"{config.name}: interrupted; what is done is kept, and the same command goes on from there")
         raise SystemExit(130) from None
     names = tuple(config.identify.named())
-    comparison = Comparison(tuple(results), main_case(config.comparison, n_speeds), names)
+    comparison = Comparison(tuple(results), choose_main_case(config.comparison, n_speeds), names)
     summary = summary_of(comparison)
     _print(config, comparison)
     written: list[Path] = [
         write_table(folder / "comparison.csv", _rows(results)),
         write_json(folder / "comparison.json", summary),
-        write_text(folder / "comparison.md", markdown(comparison)),
-        comparison_figure(workspace(config).figure("comparison"), comparison),
+        write_text(folder / "comparison.md", write_markdown(comparison)),
+        draw_comparison(workspace(config).figure("comparison"), comparison),
     ]
     tags = {"rotor_fingerprint": machine.rotor.fingerprint, "data_fingerprint": machine.vibration.fingerprint}
     return StageOutput(flat_metrics(summary), tags, written)
@@ -136,7 +136,7 @@ _COEFFICIENT_COLUMNS = ("median_error", "p95_error", "median_deviation", "within
 
 
 def _print(config: Config, comparison: Comparison) -> None:
-    for title, header, rows in tables(comparison):
+    for title, header, rows in make_tables(comparison):
         table(f"{config.name}: {title}", header, rows)
     for method, outcomes in comparison.outcomes().items():
         for words in outcomes.values():

@@ -18,7 +18,7 @@ from pipeline.problem.diagnosis import Diagnosis
 from pipeline.problem.identifiability import Verdict
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, table
-from pipeline.reporting.figures import diagnosis_figure
+from pipeline.reporting.figures import draw_diagnosis
 from pipeline.stages.execution import StageOutput, flat_metrics
 from pipeline.stages.measurement import load_measurement
 from pipeline.stages.workspace import workspace
@@ -38,7 +38,7 @@ def run(config: Config) -> StageOutput:
     written = [
         write_json(work.folder / "diagnosis.json", summary),
         write_table(work.folder / "diagnosis.csv", _rows(diagnosis)),
-        diagnosis_figure(work.figure("diagnosis"), diagnosis.reports, diagnosis.relative, noise_words(config)),
+        draw_diagnosis(work.figure("diagnosis"), diagnosis.reports, diagnosis.relative, noise_words(config)),
     ]
     return StageOutput(flat_metrics(summary), {"data_fingerprint": measurement.dataset.fingerprint}, written)
 

@@ -20,7 +20,7 @@ from pipeline.rotor.stored import load_modelled_bearings, load_rotor
 from pipeline.stages.execution import StageOutput, flat_metrics
 from pipeline.stages.nodes import known_coefficients, require_nodes
 from pipeline.stages.workspace import input_files, origin_of_files, workspace
-from pipeline.twin.modes import StabilityMargin, stability_margin, whirl_modes
+from pipeline.twin.modes import StabilityMargin, find_modes, measure_stability
 from pipeline.units import RAD_S_PER_RPM
 
 
@@ -52,7 +52,7 @@ def run(config: Config) -> StageOutput:
     write_coefficients(files.known, bearings, known_coefficients(config, rotor.bearing_nodes))
     write_vibration(files.vibration, dataset, rotor, origin_of_files(config, files))
     # A tenth of the speeds shows the trend; the eigenvalues of all would take longer than the vibration.
-    margin = stability_margin(whirl_modes(rotor, bearings.at(np.arange(0, len(speeds), 10))))
+    margin = measure_stability(find_modes(rotor, bearings.at(np.arange(0, len(speeds), 10))))
     say(
         f"{config.name}: {len(dataset.runs)} runs, {len(speeds)} speeds, {len(dataset.channels)} channels in "
         f"'{files.vibration}'\n" + _margin_text(margin)

@@ -23,9 +23,9 @@ from pipeline.errors import ConfigError, DataError
 from pipeline.files import write_json
 from pipeline.ingest.dataset import MeasuredRuns, read_measured_runs
 from pipeline.ingest.known import read_known
-from pipeline.ingest.plausibility import size_notes, whirl_notes
+from pipeline.ingest.plausibility import note_size, note_whirl
 from pipeline.reporting.console import say, table, warn
-from pipeline.reporting.ingest_figures import bode_figure, measured_orbit_figure
+from pipeline.reporting.ingest_figures import draw_bode, draw_measured_orbits
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor
@@ -54,16 +54,16 @@ def run(config: Config) -> StageOutput:
     measured = read_measured_runs(ingest)
     dataset = measured.dataset
     known = _known(config, ingest, rotor, dataset.speeds)
-    notes = [*measured.notes, *whirl_notes(dataset)]
-    notes += size_notes(dataset, rotor, config.model.initial_stiffness, config.model.initial_damping)
+    notes = [*measured.notes, *note_whirl(dataset)]
+    notes += note_size(dataset, rotor, config.model.initial_stiffness, config.model.initial_damping)
     written = [write_excitation(files.excitation, dataset)]
     if known is not None:
         written.append(write_coefficients(files.known, known, known_coefficients(config, rotor.bearing_nodes)))
     written.append(write_vibration(files.vibration, dataset))
     written += [
         write_json(work.folder / "ingest.json", _summarize(measured, ingest, notes)),
-        bode_figure(work.figure("ingest_bode"), dataset, ingest.baseline),
-        measured_orbit_figure(work.figure("ingest_orbits"), dataset, ingest.baseline),
+        draw_bode(work.figure("ingest_bode"), dataset, ingest.baseline),
+        draw_measured_orbits(work.figure("ingest_orbits"), dataset, ingest.baseline),
     ]
     _report(config, ingest, measured, files)
     for note in notes:

@@ -10,14 +10,14 @@ import numpy as np
 from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError, PipelineError
-from pipeline.evaluation.errors import CoefficientErrors, coefficient_errors
+from pipeline.evaluation.errors import CoefficientErrors, measure_errors
 from pipeline.files import write_json
 from pipeline.identification.outcome import Outcome
 from pipeline.identification.residual_loss import ResidualTraining, initial_parameters, prepare_residual
 from pipeline.identification.training import FitSetup, Minimum, minimise, setup_of
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, table, training_progress
-from pipeline.reporting.figures import robustness_figure
+from pipeline.reporting.figures import draw_robustness
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.diagnose import say_diagnosis
 from pipeline.stages.execution import StageOutput, flat_metrics, use_threads
@@ -78,7 +78,7 @@ def run(config: Config) -> StageOutput:
     written = [
         write_json(work.folder / "robustness.json", summary),
         write_table(work.folder / "robustness.csv", rows),
-        robustness_figure(work.figure("robustness"), training, found, config.robustness.over, rows, modelled),
+        draw_robustness(work.figure("robustness"), training, found, config.robustness.over, rows, modelled),
     ]
     exit_code = 130 if Outcome.INTERRUPTED in found.outcomes else 0
     return StageOutput(
@@ -111,7 +111,7 @@ def _rows(
 
     rows, names = [], measurement.unknowns.by_bearing
     for g, (start, answer) in enumerate(zip(starts, answers, strict=True)):
-        errors = None if modelled is None else coefficient_errors(answer, modelled, names)
+        errors = None if modelled is None else measure_errors(answer, modelled, names)
         for b, node in enumerate(answer.nodes):
             for name in names[b]:
                 rows.append(

@@ -11,11 +11,11 @@ from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
 from pipeline.files import write_json
 from pipeline.reporting.console import say, study_progress, table, warn
-from pipeline.reporting.study_figures import samplers_figure
+from pipeline.reporting.study_figures import draw_samplers
 from pipeline.stages.execution import StageOutput, flat_metrics
 from pipeline.stages.measurement import load_measurement
 from pipeline.stages.tune import progress_of, study_problem
-from pipeline.tuning.finalists import TrialSummary, sampler_study, summarize
+from pipeline.tuning.finalists import TrialSummary, replace_sampler, summarize
 from pipeline.tuning.parallel import run_study
 from pipeline.tuning.worker import ROUNDING
 
@@ -33,7 +33,7 @@ def run(config: Config) -> StageOutput:
         for seed in spec.seeds:
             for sampler in spec.samplers:
                 with study_progress(f"{config.name}: {sampler}, seed {seed}", config.tuning.n_trials) as shown:
-                    one = sampler_study(problem, sampler, seed)
+                    one = replace_sampler(problem, sampler, seed)
                     study, sentences = run_study(one, progress_of(shown, config.tuning.n_trials))
                 for sentence in sentences:
                     warn(sentence)
@@ -55,7 +55,7 @@ def run(config: Config) -> StageOutput:
     _print(config, {sampler: runs[:, -1] for sampler, runs in curves.items()})
     written = [
         write_table(folder / "samplers.csv", _table(curves, spec.seeds)),
-        samplers_figure(folder / "figures" / "samplers.png", curves),
+        draw_samplers(folder / "figures" / "samplers.png", curves),
         write_json(folder / "samplers.json", summary),
     ]
     return StageOutput(flat_metrics(summary), {"data_fingerprint": problem.measurement.dataset.fingerprint}, written)

@@ -14,8 +14,8 @@ from pipeline.identification.losses import loss_of
 from pipeline.identification.uncertainty import Uncertainty
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say
-from pipeline.reporting.summary_figure import summary_figure
-from pipeline.reporting.summary_text import Results, ShownRun, summary_text
+from pipeline.reporting.summary_figure import draw_summary
+from pipeline.reporting.summary_text import Results, ShownRun, write_summary
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_measurement
@@ -28,8 +28,8 @@ def run(config: Config) -> StageOutput:
     work, measurement = workspace(config), load_measurement(config)
     twin = twin_of(config, measurement)
     results = _results(config, measurement, twin, read_json(work.training, "train again with stage=train"))
-    picture = summary_figure(work.figure("summary"), results, config.name)
-    text = summary_text(config, results, picture)
+    picture = draw_summary(work.figure("summary"), results, config.name)
+    text = write_summary(config, results, picture)
     written = [write_text(work.folder / "summary.txt", text), picture]
     say(text.rstrip("\n"))
     return StageOutput(tags={"data_fingerprint": measurement.dataset.fingerprint}, files=written)

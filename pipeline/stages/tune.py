@@ -16,15 +16,21 @@ from pipeline.identification.residual_loss import prepare_residual
 from pipeline.identification.training import FitSetup, setup_of
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import StudyProgress, say, study_progress, warn
-from pipeline.reporting.study_figures import study_figures
-from pipeline.reporting.study_report import StudyReport, finalist_table, summarize_study, trial_table, write_report
+from pipeline.reporting.study_figures import draw_study
+from pipeline.reporting.study_report import (
+    StudyReport,
+    summarize_study,
+    tabulate_finalists,
+    tabulate_trials,
+    write_report,
+)
 from pipeline.stages.diagnose import say_diagnosis
 from pipeline.stages.execution import StageOutput, flat_metrics
 from pipeline.stages.measurement import load_measurement
 from pipeline.stages.results import load_modelled
 from pipeline.tracking import ChildRecord
-from pipeline.tuning.attempts import results
-from pipeline.tuning.finalists import TrialSummary, choose, fingerprint, importances, summarize, train_finalists
+from pipeline.tuning.attempts import list_results
+from pipeline.tuning.finalists import TrialSummary, choose, hash_study, measure_importances, summarize, train_finalists
 from pipeline.tuning.parallel import run_study
 from pipeline.tuning.storage import is_shared, open_storage
 from pipeline.tuning.study import StudyProblem
@@ -70,7 +76,7 @@ def run(config: Config) -> StageOutput:
 
 def _report(config: Config, problem: StudyProblem, study: Any, searched: float) -> StageOutput:
     """The finalists, the choice, and the files of ``studies/NAME/``; nothing where they are up to date."""
-    folder, trials, mark = Path(config.tuning.folder), summarize(study), fingerprint(study, problem)
+    folder, trials, mark = Path(config.tuning.folder), summarize(study), hash_study(study, problem)
     if _is_current(folder, mark):
         say(f"{config.name}: the study has its {len(trials)} trials, and '{folder}' is what came of them")
         return StageOutput(flat_metrics(read_json(folder / SUMMARY)))
@@ -81,7 +87,7 @@ def _report(config: Config, problem: StudyProblem, study: Any, searched: float) 
         finalists=finalists,
         best=choose(finalists, config.tuning),
         chebyshev=fit_chebyshev(problem.measurement, _judging_setup(config)),
-        importances=importances(study),
+        importances=measure_importances(study),
         known=problem.measurement.known,
         modelled=load_modelled(config, problem.measurement),  # read when the choice is made
     )
@@ -115,7 +121,7 @@ def progress_of(shown: StudyProgress, total: int) -> Seen:
         if time.monotonic() < due:
             return
         due = time.monotonic() + 1.0
-        finished = results(study).values()
+        finished = list_results(study).values()
         losses = [10**trial.value for trial in finished if trial.state.name == "COMPLETE" and trial.value is not None]
         shown(min(len(finished), total), min(losses, default=None))
 
@@ -139,9 +145,9 @@ def _write(config: Config, report: StudyReport, summary: dict[str, object], fold
         "# Training uses these values; one given on the command line wins, and tuned=false leaves them all out.\n"
     )
     return [
-        write_table(folder / "trials.csv", trial_table(report)),
-        write_table(folder / "finalists.csv", finalist_table(report)),
-        *study_figures(folder / "figures", report.trials, config.tuning.space, report.importances, report.finalists),
+        write_table(folder / "trials.csv", tabulate_trials(report)),
+        write_table(folder / "finalists.csv", tabulate_finalists(report)),
+        *draw_study(folder / "figures", report.trials, config.tuning.space, report.importances, report.finalists),
         write_text(folder / "README.md", write_report(report)),
         write_text(folder / BEST, head + yaml.safe_dump(values.model_dump(mode="json"), sort_keys=False)),
         write_json(folder / SUMMARY, summary),

@@ -37,7 +37,7 @@ def log_model(client: MlflowClient, run: Run, folder: Path, parameters: Mapping[
     from mlflow.entities import LoggedModelOutput, LoggedModelStatus
 
     weights, description = folder / "model.safetensors", folder / "model.json"
-    signature = _signature(folder)
+    signature = _describe_signature(folder)
     logged = client.create_logged_model(
         run.info.experiment_id, name=MODEL_NAME, source_run_id=run.info.run_id, params=dict(parameters)
     )
@@ -79,11 +79,11 @@ def _save(path: Path, logged: LoggedModel, signature: ModelSignature, weights: P
             code_paths=[str(_PACKAGE_FOLDER)],
             signature=signature,
             input_example=pd.DataFrame({SPEED: [_EXAMPLE_RPM]}),
-            pip_requirements=_pinned_requirements(),
+            pip_requirements=_pin_requirements(),
         )
 
 
-def _signature(folder: Path) -> ModelSignature:
+def _describe_signature(folder: Path) -> ModelSignature:
     """One speed in; a bearing node, that speed and the coefficients this model identifies out."""
     from mlflow.models import ModelSignature
     from mlflow.types import ColSpec, Schema
@@ -97,7 +97,7 @@ def _signature(folder: Path) -> ModelSignature:
     )
 
 
-def _pinned_requirements() -> list[str]:
+def _pin_requirements() -> list[str]:
     """The predictor's packages at the versions here, less a build's own mark such as ``+cpu``."""
     return [f"{name}=={importlib.metadata.version(name).partition('+')[0]}" for name in _REQUIREMENTS]
 
@@ -108,7 +108,7 @@ class CoefficientModel(Protocol):
     def coefficients(self, speed_rad_s: np.ndarray, /) -> dict[int, dict[str, np.ndarray]]: ...
 
 
-def coefficient_table(model: CoefficientModel, speed_rpm: np.ndarray) -> pd.DataFrame:
+def tabulate_coefficients(model: CoefficientModel, speed_rpm: np.ndarray) -> pd.DataFrame:
     """The columns of ``identified_coefficients.csv``: a row for each bearing and speed, bearing by bearing.
 
     :param speed_rpm: rotor speeds, shape (n,), rev/min

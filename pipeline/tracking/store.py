@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pipeline.timeout import run_within
-from pipeline.tracking.entries import name_of
+from pipeline.tracking.entries import clean_name
 from pipeline.tracking.record import TrackingSettings
 
 if TYPE_CHECKING:
@@ -34,15 +34,15 @@ def open_experiment(settings: TrackingSettings, name: str) -> tuple[MlflowClient
     """
     # MLflow takes an empty URI for a database in the working directory.
     if settings.uri.startswith("sqlite:") or not settings.uri:
-        path = _database_path(settings.uri)
+        path = _parse_path(settings.uri)
         prepare_database(path, settings.timeout_seconds)
-        location = f"{_artifact_root(path)}/{name_of(name).replace('/', '_')}"
+        location = f"{_locate_artifacts(path)}/{clean_name(name).replace('/', '_')}"
         return _open(f"{_SQLITE}{path}", name, location)
     # Neither the look-up of a host's name nor MLflow's retries for a database heed a time limit of their own.
     return run_within(settings.timeout_seconds, lambda: _open(settings.uri, name, None))
 
 
-def _database_path(uri: str) -> Path:
+def _parse_path(uri: str) -> Path:
     database = uri.removeprefix(_SQLITE)
     if not uri.startswith(_SQLITE) or database in ("", ":memory:") or "?" in database:
         raise DatabaseProblem(
@@ -104,7 +104,7 @@ def prepare_database(path: Path, timeout_seconds: float) -> None:
         raise DatabaseProblem(f"the database {path} can't be made there ({reason})") from error
 
 
-def _artifact_root(path: Path) -> str:
+def _locate_artifacts(path: Path) -> str:
     """The URI of the folder, beside the database ``path``, for the artifacts of its runs."""
     return (path.parent / ARTIFACT_FOLDER).as_uri()
 
@@ -120,7 +120,7 @@ def _create(path: Path) -> None:
 
     unfinished = path.with_name(f"{path.name}-new-{os.getpid()}")
     try:
-        store = SqlAlchemyStore(f"{_SQLITE}{unfinished}", _artifact_root(path))
+        store = SqlAlchemyStore(f"{_SQLITE}{unfinished}", _locate_artifacts(path))
         store.engine.dispose()
         os.replace(unfinished, path)
     finally:

@@ -14,15 +14,15 @@ from pipeline.errors import without_password
 from pipeline.tracking.beside import log_beside
 from pipeline.tracking.entries import (
     MetricValue,
-    final_metrics,
-    flat_parameters,
-    flat_tags,
-    history_metrics,
-    plain,
-    shortened,
+    collect_final,
+    collect_history,
+    flatten_parameters,
+    flatten_tags,
+    shorten,
+    simplify,
 )
 from pipeline.tracking.model import log_model
-from pipeline.tracking.provenance import provenance_tags
+from pipeline.tracking.provenance import describe_provenance
 from pipeline.tracking.quiet import quiet_mlflow
 from pipeline.tracking.record import ChildRecord, StageRecord, TrackingSettings
 from pipeline.tracking.store import DatabaseProblem, open_experiment
@@ -55,7 +55,7 @@ def track(record: StageRecord, settings: TrackingSettings) -> list[str]:
     except Exception as error:
         place = without_password(settings.uri)
         return [
-            f"Stage '{record.stage}' of '{record.experiment}' is not in MLflow ({place}): {_reason(error)}. "
+            f"Stage '{record.stage}' of '{record.experiment}' is not in MLflow ({place}): {_tell_reason(error)}. "
             "Its files are kept. Check tracking.uri, or switch tracking off with tracking.enabled=false."
         ]
 
@@ -70,7 +70,7 @@ def get_ready() -> None:
 def _log(record: StageRecord, settings: TrackingSettings) -> list[str]:
     client, experiment_id = open_experiment(settings, record.experiment)
     run = client.create_run(
-        experiment_id, start_time=round(1000 * record.started), tags=_tags(record), run_name=record.stage
+        experiment_id, start_time=round(1000 * record.started), tags=_make_tags(record), run_name=record.stage
     )
     run_id = run.info.run_id
     try:
@@ -82,13 +82,13 @@ def _log(record: StageRecord, settings: TrackingSettings) -> list[str]:
     try:
         client.set_terminated(run_id, record.status, end_time=round(1000 * record.ended))
     except Exception as error:
-        problems.append(f"MLflow does not know that stage '{record.stage}' has ended: {_reason(error)}.")
+        problems.append(f"MLflow does not know that stage '{record.stage}' has ended: {_tell_reason(error)}.")
     return problems
 
 
-def _tags(record: StageRecord) -> dict[str, str]:
+def _make_tags(record: StageRecord) -> dict[str, str]:
     place = {"pipeline.experiment": record.experiment, "pipeline.stage": record.stage}
-    return flat_tags(provenance_tags() | place | dict(record.tags))
+    return flatten_tags(describe_provenance() | place | dict(record.tags))
 
 
 def _log_parts(client: MlflowClient, run: Run, record: StageRecord, patience_seconds: float) -> list[str]:
@@ -101,10 +101,10 @@ def _log_parts(client: MlflowClient, run: Run, record: StageRecord, patience_sec
     # The model comes before the metrics, which belong to it too.
     model_id: str | None = None
     if (folder := record.model) is not None:
-        model_id = parts.log("the model", lambda: log_model(client, run, folder, flat_parameters(record.parameters)))
+        model_id = parts.log("the model", lambda: log_model(client, run, folder, flatten_parameters(record.parameters)))
     not_finite += parts.log("the metrics", lambda: _log_final(client, run_id, record, model_id)) or []
     not_finite += parts.log("the history", lambda: _log_history(client, run_id, record)) or []
-    for path, artifact_folder in _artifact_folders(record.files):
+    for path, artifact_folder in _sort_files(record.files):
         parts.log(f"the file {path}", partial(_log_file, client, run_id, path, artifact_folder))
     for child in record.children:
         parts.log(child.name, partial(_log_child, client, run, record, child))
@@ -136,7 +136,7 @@ class _Parts:
             return action()
         except Exception as error:
             self._patience_seconds -= time.monotonic() - begin
-            self.problems.append(f"MLflow does not have {what} of stage '{self._stage}': {_reason(error)}.")
+            self.problems.append(f"MLflow does not have {what} of stage '{self._stage}': {_tell_reason(error)}.")
             return None
 
 
@@ -144,7 +144,7 @@ def _log_parameters(client: MlflowClient, run_id: str, record: StageRecord) -> N
     from mlflow.entities import Param
     from mlflow.utils import chunk_list
 
-    parameters = [Param(name, text) for name, text in flat_parameters(record.parameters).items()]
+    parameters = [Param(name, text) for name, text in flatten_parameters(record.parameters).items()]
     for batch in chunk_list(parameters, _PARAMETERS_A_BATCH):
         client.log_batch(run_id, params=batch)
 
@@ -152,11 +152,11 @@ def _log_parameters(client: MlflowClient, run_id: str, record: StageRecord) -> N
 def _write_yaml(record: StageRecord) -> str:
     import yaml
 
-    return str(yaml.safe_dump(plain(record.parameters), sort_keys=False, allow_unicode=True))
+    return str(yaml.safe_dump(simplify(record.parameters), sort_keys=False, allow_unicode=True))
 
 
 def _log_final(client: MlflowClient, run_id: str, record: StageRecord, model_id: str | None) -> list[str]:
-    values, not_finite = final_metrics(record.metrics, record.ended)
+    values, not_finite = collect_final(record.metrics, record.ended)
     _log_metrics(client, run_id, values, model_id)
     return not_finite
 
@@ -171,7 +171,7 @@ def _log_metrics(client: MlflowClient, run_id: str, values: Sequence[MetricValue
 
 
 def _log_history(client: MlflowClient, run_id: str, record: StageRecord) -> list[str]:
-    values, not_finite = history_metrics(record.history, record.started, record.ended)
+    values, not_finite = collect_history(record.history, record.started, record.ended)
     _log_metrics(client, run_id, values)
     return not_finite
 
@@ -182,13 +182,13 @@ def _log_child(client: MlflowClient, run: Run, record: StageRecord, child: Child
 
     started, ended = child.started or record.started, child.ended or record.ended
     place = {"pipeline.experiment": record.experiment, "pipeline.stage": record.stage}
-    tags = flat_tags(place | dict(child.tags) | {"mlflow.parentRunId": run.info.run_id})
+    tags = flatten_tags(place | dict(child.tags) | {"mlflow.parentRunId": run.info.run_id})
     below = client.create_run(
         run.info.experiment_id, start_time=round(1000 * started), tags=tags, run_name=child.name
     ).info.run_id
-    values = final_metrics(child.metrics, ended)[0] + history_metrics(child.history, started, ended)[0]
+    values = collect_final(child.metrics, ended)[0] + collect_history(child.history, started, ended)[0]
     metrics = [Metric(*value) for value in values[:_METRICS_A_BATCH]]
-    parameters = [Param(name, text) for name, text in flat_parameters(child.parameters).items()]
+    parameters = [Param(name, text) for name, text in flatten_parameters(child.parameters).items()]
     client.log_batch(below, metrics=metrics, params=parameters[:_PARAMETERS_A_BATCH])
     client.set_terminated(below, "FAILED" if child.failed else "FINISHED", end_time=round(1000 * ended))
 
@@ -199,7 +199,7 @@ def _log_file(client: MlflowClient, run_id: str, path: Path, folder: str) -> Non
     client.log_artifact(run_id, str(path), folder)
 
 
-def _artifact_folders(files: Sequence[Path]) -> Iterator[tuple[Path, str]]:
+def _sort_files(files: Sequence[Path]) -> Iterator[tuple[Path, str]]:
     """Each file with its artifact folder; a second file of one name goes below its own folder's name."""
     taken: set[tuple[str, str]] = set()
     for path in files:
@@ -210,12 +210,12 @@ def _artifact_folders(files: Sequence[Path]) -> Iterator[tuple[Path, str]]:
         yield path, folder
 
 
-def _reason(error: Exception) -> str:
+def _tell_reason(error: Exception) -> str:
     """The heart of an error's text, on one line, without passwords."""
     text = " ".join(str(error).split()) or type(error).__name__
     system = re.search(r"\[Errno -?\d+\] ([\w ]+)", text)
     if system and "Max retries exceeded" in text:
         text = f"the server can't be reached ({system.group(1).strip().lower()})"
     if not isinstance(error, DatabaseProblem):
-        text = shortened(text, _REASON_LENGTH)
+        text = shorten(text, _REASON_LENGTH)
     return without_password(text).rstrip(".")

@@ -18,9 +18,9 @@ from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.outcome import Outcome
 from pipeline.identification.residual_loss import initial_parameters, prepare_residual
 from pipeline.identification.training import minimise, setup_of
-from pipeline.tuning.attempts import results
-from pipeline.tuning.parallel import pool
-from pipeline.tuning.space import values_of
+from pipeline.tuning.attempts import list_results
+from pipeline.tuning.parallel import open_pool
+from pipeline.tuning.space import translate
 from pipeline.tuning.study import StudyProblem
 from pipeline.tuning.worker import ROUNDING
 
@@ -65,7 +65,7 @@ class Finalist:
 
 def summarize(study: optuna.Study) -> list[TrialSummary]:
     """The study's finished trials; one that was stopped is not told beside its repeat."""
-    return [_summarize(place, trial) for place, trial in results(study).items()]
+    return [_summarize(place, trial) for place, trial in list_results(study).items()]
 
 
 def _summarize(place: int, trial: FrozenTrial) -> TrialSummary:
@@ -88,15 +88,15 @@ def _summarize(place: int, trial: FrozenTrial) -> TrialSummary:
 def train_finalists(study: optuna.Study, problem: StudyProblem) -> list[Finalist]:
     """The default, then the best other trials, each trained with every seed of ``tuning.seeds``."""
     config = problem.config.tuning
-    complete = [(trial.value, place) for place, trial in results(study).items() if trial.state.name == "COMPLETE"]
+    complete = [(trial.value, place) for place, trial in list_results(study).items() if trial.state.name == "COMPLETE"]
     chosen: dict[int, dict[str, Value]] = {0: {}}
     for _, place in sorted(complete):
-        values = values_of(config.space, results(study)[place].params)
+        values = translate(config.space, list_results(study)[place].params)
         if place and len(chosen) <= config.finalists and values not in chosen.values():
             chosen[place] = values
     # One training at a time, as in `stage=train`: a batch would go on until its slowest seed is done.
     each = [(problem, place, values, seed) for place, values in chosen.items() for seed in config.seeds]
-    with pool(min(config.workers, len(each)), problem.config.threads) as run_all:
+    with open_pool(min(config.workers, len(each)), problem.config.threads) as run_all:
         runs = list(run_all(_train_seed, each))
     count = len(config.seeds)
     return [
@@ -142,7 +142,7 @@ def choose(finalists: Sequence[Finalist], config: TuningConfig) -> Finalist:
     return best if gained and best.median < luckiest else default
 
 
-def importances(study: optuna.Study) -> dict[str, float]:
+def measure_importances(study: optuna.Study) -> dict[str, float]:
     """Share of each parameter in what sets the best trials apart, largest first (Optuna's PED-ANOVA).
 
     Empty where there are too few trials to tell.
@@ -157,7 +157,7 @@ def importances(study: optuna.Study) -> dict[str, float]:
         return {}
 
 
-def sampler_study(problem: StudyProblem, sampler: str, seed: int) -> StudyProblem:
+def replace_sampler(problem: StudyProblem, sampler: str, seed: int) -> StudyProblem:
     """The same problem as a study of its own with another sampler."""
     tuning = problem.config.tuning.model_copy(
         update={
@@ -170,10 +170,10 @@ def sampler_study(problem: StudyProblem, sampler: str, seed: int) -> StudyProble
     return replace(problem, config=problem.config.model_copy(update={"tuning": tuning}))
 
 
-def fingerprint(study: optuna.Study, problem: StudyProblem) -> str:
+def hash_study(study: optuna.Study, problem: StudyProblem) -> str:
     """Identity of everything that a report is made from: the trials, and how finalists are chosen."""
     tuning = problem.config.tuning
-    trials = [(place, t.state.name, t.value, sorted(t.params.items())) for place, t in results(study).items()]
+    trials = [(place, t.state.name, t.value, sorted(t.params.items())) for place, t in list_results(study).items()]
     choice = (tuning.finalists, tuning.seeds, tuning.least_gain, tuning.n_trials, tuning.study)
     text = json.dumps([problem.fingerprints(), trials, choice], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]

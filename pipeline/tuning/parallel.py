@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 from pipeline.errors import PipelineError
 from pipeline.processes import end_with_parent, later_interrupt, let_interrupt_through, limited_threads, threads_each
-from pipeline.tuning.attempts import repeat_stopped, results
-from pipeline.tuning.storage import settle, storage_errors
+from pipeline.tuning.attempts import list_results, repeat_stopped
+from pipeline.tuning.storage import settle, translate_errors
 from pipeline.tuning.study import StudyProblem, open_study
 from pipeline.tuning.worker import Seen, work
 
@@ -33,7 +33,7 @@ def run_study(problem: StudyProblem, seen: Seen) -> tuple[optuna.Study, list[str
     import torch
 
     config = problem.config
-    with storage_errors(config.tuning), _interrupts() as check:
+    with translate_errors(config.tuning), _catch_interrupts() as check:
 
         def look(study: optuna.Study) -> None:
             check()
@@ -43,8 +43,8 @@ def run_study(problem: StudyProblem, seen: Seen) -> tuple[optuna.Study, list[str
         _wait_for_the_silent(study, problem, look)
         threads = threads_each(config.threads, config.tuning.workers)
         torch.set_num_threads(threads)
-        todo = config.tuning.n_trials - len(results(study))
-        with _others(problem, min(config.tuning.workers, todo) - 1, threads) as others:
+        todo = config.tuning.n_trials - len(list_results(study))
+        with _start_others(problem, min(config.tuning.workers, todo) - 1, threads) as others:
             try:
                 work(study, problem, look)
             except KeyboardInterrupt:
@@ -61,7 +61,7 @@ def run_study(problem: StudyProblem, seen: Seen) -> tuple[optuna.Study, list[str
 
 
 @contextmanager
-def _interrupts() -> Iterator[Callable[[], None]]:
+def _catch_interrupts() -> Iterator[Callable[[], None]]:
     """What it gives raises KeyboardInterrupt where Ctrl-C came in the block.
 
     One in the middle of a call of the storage, or while Optuna tells the end of a trial, would leave the trial running
@@ -97,7 +97,7 @@ def _wait_for_the_silent(study: optuna.Study, problem: StudyProblem, seen: Seen)
 
 
 @contextmanager
-def pool(workers: int, threads: int) -> Iterator[Callable[..., Iterator[Any]]]:
+def open_pool(workers: int, threads: int) -> Iterator[Callable[..., Iterator[Any]]]:
     """``map`` over as many processes; one worker is this process. Ctrl-C ends the others at once."""
     if workers == 1:
         yield map
@@ -118,7 +118,7 @@ def _begin(threads: int) -> None:
 
 
 @contextmanager
-def _others(problem: StudyProblem, count: int, threads: int) -> Iterator[list[Any]]:
+def _start_others(problem: StudyProblem, count: int, threads: int) -> Iterator[list[Any]]:
     """``count`` more workers; they have ended at the end of the block."""
     context = multiprocessing.get_context("spawn")
     workers = [context.Process(target=_work_beside, args=(problem, threads), daemon=True) for _ in range(count)]
@@ -143,7 +143,7 @@ def _work_beside(problem: StudyProblem, threads: int) -> None:
     end_with_parent()
     try:
         let_interrupt_through()
-        with storage_errors(problem.config.tuning), _interrupts() as check:
+        with translate_errors(problem.config.tuning), _catch_interrupts() as check:
             work(open_study(problem), problem, lambda _: check())
     except KeyboardInterrupt:
         os._exit(0)  # without Python's words on an interrupt

@@ -28,7 +28,7 @@ from pipeline.methods.method import Reason
 from pipeline.problem.kalman_filter import _gain
 from pipeline.problem.noise import bearing_rows, residual_sensitivity
 from pipeline.problem.residual import bearing_equations, linear_residual
-from pipeline.reporting.comparison_tables import Comparison, noise_text
+from pipeline.reporting.comparison_tables import Comparison, format_noise
 from pipeline.stages.compare import modelled_machine
 
 FEW = ("experiment=hydrostatic_stiffness", "machine.speeds.step_rpm=500")
@@ -251,7 +251,7 @@ def test_the_summary_takes_means_over_data_sets_and_names_refusals() -> None:
     assert made.cell("multi_frequency", main_one) == "one frequency"
     assert made.cell("kriging", main_one) == "0.5 ?"
     assert made.best_other("response", main_one, "kxx") == ("kriging", 4.0)
-    assert [noise_text(case.noise) for case in made.along("noise")] == ["0 %", "1 %"]
+    assert [format_noise(case.noise) for case in made.along("noise")] == ["0 %", "1 %"]
     assert made.outcomes() == {"multi_frequency": {"one_frequency": ""}}
 
 

@@ -230,6 +230,6 @@ def test_committed_studies_keep_the_default_with_room_to_spare(name: str) -> Non
 @pytest.mark.parametrize(("error", "text"), [(4.2e-12, "< 1e-8"), (0.0, "< 1e-8"), (1.234e-7, "1.2e-07"), (26.1, "26")])
 def test_digits_of_rounding_are_not_printed(error: float, text: str) -> None:
     """They differ from processor to processor."""
-    from pipeline.reporting.comparison_tables import error_text
+    from pipeline.reporting.comparison_tables import format_error
 
-    assert error_text(error) == text
+    assert format_error(error) == text

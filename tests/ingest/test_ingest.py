@@ -43,7 +43,7 @@ from pipeline.data.vibration_files import read_dataset, write_excitation, write_
 from pipeline.errors import ConfigError
 from pipeline.ingest.dataset import read_measured_runs
 from pipeline.ingest.known import read_known
-from pipeline.ingest.plausibility import size_notes, whirl_notes
+from pipeline.ingest.plausibility import note_size, note_whirl
 from pipeline.stages import ingest, run_stage
 
 RPM = np.pi / 30
@@ -897,7 +897,7 @@ KNOWN = ["kxy", "kyx", "cxx", "cxy", "cyx", "cyy"]
 @pytest.fixture
 def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """They take most of the time of the stage, and have a test of their own."""
-    for name in ("bode_figure", "measured_orbit_figure"):
+    for name in ("draw_bode", "draw_measured_orbits"):
         monkeypatch.setattr(ingest, name, lambda path, *_: path)
 
 
@@ -1010,8 +1010,8 @@ def test_units_that_the_model_contradicts_are_warned_of(
     assert "times smaller than the rotor's on bearings of" in warned
     assert "the orbits of run 'one' turn backward at" in warned
     made = machine("experiment=ball_bearing", "machine.speeds.step_rpm=245", TWO)
-    assert size_notes(made.dataset, made.rotor, 1e7, 1e3) == []
-    assert whirl_notes(made.dataset) == []
+    assert note_size(made.dataset, made.rotor, 1e7, 1e3) == []
+    assert note_whirl(made.dataset) == []
 
 
 @pytest.mark.usefixtures("no_figures")
@@ -1072,16 +1072,16 @@ def test_figures_show_something(tmp_path: Path) -> None:
     """Pictures of some size with curves in several colours; one speed, and a baseline that stands still, among them."""
     from matplotlib import image
 
-    from pipeline.reporting.ingest_figures import bode_figure, measured_orbit_figure
+    from pipeline.reporting.ingest_figures import draw_bode, draw_measured_orbits
 
     dataset = read(table_config(wide_runs(tmp_path)))
     displacement = dataset.displacement * np.array([0.0, 1.0])
     still = VibrationDataset(dataset.speeds, dataset.runs, dataset.channels, displacement, dataset.excitations)
     one = VibrationDataset(dataset.speeds[:1], dataset.runs, dataset.channels, displacement[:1], dataset.excitations)
     for path in (
-        bode_figure(tmp_path / "a.png", still, "one"),
-        measured_orbit_figure(tmp_path / "b.png", dataset, None),
-        measured_orbit_figure(tmp_path / "c.png", one, "one"),
+        draw_bode(tmp_path / "a.png", still, "one"),
+        draw_measured_orbits(tmp_path / "b.png", dataset, None),
+        draw_measured_orbits(tmp_path / "c.png", one, "one"),
     ):
         pixels = image.imread(path)
         assert min(pixels.shape[:2]) > 500

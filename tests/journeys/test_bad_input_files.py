@@ -31,7 +31,7 @@ from pipeline.errors import ConfigError, DataError, IdentifiabilityError, Pipeli
 from pipeline.evaluation.thresholds import read_rules
 from pipeline.files import read_json, write_beside, write_json
 from pipeline.identification.storage import load_model, save_model
-from pipeline.reporting.figures import figure
+from pipeline.reporting.figures import open_figure
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.ross_adapter import assemble
 from pipeline.stages import run_stage
@@ -870,7 +870,7 @@ NUMBERS = pd.DataFrame(np.random.default_rng(2).random((2000, 4)), columns=list(
 
 
 def _picture(path: Path) -> None:
-    with figure(path, 1, 1, 4, 4) as axes:
+    with open_figure(path, 1, 1, 4, 4) as axes:
         axes[0, 0].imshow(np.random.default_rng(3).random((50, 50)))
 
 

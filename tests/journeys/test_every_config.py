@@ -380,7 +380,7 @@ def test_a_missing_file_is_made_again(
 ) -> None:
     """Whichever input of evaluate is gone, its stage runs first and says so; the result is the same."""
     folder = Path(shutil.copytree(made("ball_bearing"), tmp_path / "x"))
-    monkeypatch.setattr(evaluate, "coefficient_figure", lambda path, *_: path)  # they take most of the time
+    monkeypatch.setattr(evaluate, "draw_coefficients", lambda path, *_: path)  # they take most of the time
     before = contents(folder)
     (folder / name).unlink()
     run("evaluate", "ball_bearing", folder)

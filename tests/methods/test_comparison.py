@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from comparing import answer, composed, errors, machine, options, task
 
-from pipeline.comparison.cases import Case, cases, main_case
+from pipeline.comparison.cases import Case, choose_main_case, list_cases
 from pipeline.config.comparison import METHOD_NAMES
 from pipeline.methods.catalogue import METHODS
 from pipeline.methods.method import Reason, Refusal
@@ -148,11 +148,14 @@ def test_stated_deviations_hold(method: str, overrides: tuple[str, ...]) -> None
 def test_the_cases_are_each_once_and_the_main_one_is_there() -> None:
     """Fewer speeds than are asked for are all of them."""
     settings = composed(*FILM, "comparison.speeds=[10,60,591]").comparison
-    made = cases(settings, 60)
+    made = list_cases(settings, 60)
     assert len(set(made)) == len(made)
-    assert main_case(settings, 60) == Case(0.01, "bearings", 60)
+    assert choose_main_case(settings, 60) == Case(0.01, "bearings", 60)
     assert {case.speeds for case in made} == {10, 60}
-    assert sum(case == replace(main_case(settings, 60), data_set=case.data_set) for case in made) == settings.data_sets
+    assert (
+        sum(case == replace(choose_main_case(settings, 60), data_set=case.data_set) for case in made)
+        == settings.data_sets
+    )
 
 
 def test_noise_is_the_same_but_for_its_size() -> None:

@@ -23,7 +23,7 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.dynamic_stiffness import apply, banded, solve
 from pipeline.rotor.model import RotorModel, bearing_dof, translation_dof
 from pipeline.rotor.ross_adapter import assemble, ross_rotor
-from pipeline.twin.modes import critical_speeds, whirl_modes
+from pipeline.twin.modes import find_critical_speeds, find_modes
 from pipeline.units import RAD_S_PER_RPM
 
 STEEL = {"density": 7810.0, "youngs_modulus": 211e9, "shear_modulus": 81.2e9}
@@ -158,7 +158,7 @@ def test_jeffcott_critical_speed() -> None:
     speeds = expected * np.linspace(0.8, 1.2, 8)
     rotor = jeffcott(1.0)
     table = bearings_of((0, 4), speeds, kxx=1e10, kyy=1e10)
-    found = critical_speeds(whirl_modes(rotor, table))
+    found = find_critical_speeds(find_modes(rotor, table))
     assert len(found) == 2  # forward and backward, the same without gyroscopic effect
     assert [critical.speed for critical in found] == pytest.approx([expected, expected], rel=2e-5)
 

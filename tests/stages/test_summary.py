@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.config.compose import compose_config
-from pipeline.reporting.summary_text import WIDTH, engineering
+from pipeline.reporting.summary_text import WIDTH, format_engineering
 from pipeline.stages import run_stage
 
 LINES = 40
@@ -92,4 +92,4 @@ def test_the_same_again(experiment: str, folder: Path) -> None:
 )
 def test_engineering_notation(value: float, deviation: float | None, text: str) -> None:
     """Powers of 1000, and as many digits as are known."""
-    assert engineering(value, deviation) == text
+    assert format_engineering(value, deviation) == text

@@ -25,13 +25,13 @@ from pipeline.tracking.entries import (
     NAME_LENGTH,
     PARAMETER_LENGTH,
     TAG_LENGTH,
-    flat_parameters,
-    history_metrics,
-    name_of,
+    clean_name,
+    collect_history,
+    flatten_parameters,
     without_password,
 )
-from pipeline.tracking.model import coefficient_table
-from pipeline.tracking.provenance import provenance_tags
+from pipeline.tracking.model import tabulate_coefficients
+from pipeline.tracking.provenance import describe_provenance
 from pipeline.tracking.quiet import quiet_mlflow
 from pipeline.tracking.store import DatabaseProblem, prepare_database
 
@@ -460,7 +460,7 @@ def test_logged_model_predicts_in_a_new_process(settings: TrackingSettings, mode
     assert done.returncode == 0, done.stderr
     *tables, package = done.stdout.splitlines()
     assert not Path(package).is_relative_to(CHECKOUT), "the model brings its own code"
-    expected = coefficient_table(load_model(model_folder), np.array([1500.0, 3000.0]))
+    expected = tabulate_coefficients(load_model(model_folder), np.array([1500.0, 3000.0]))
     assert len(tables) == 2
     for text in tables:
         table = json.loads(text)
@@ -513,7 +513,7 @@ def test_table_of_bearings_with_different_coefficients() -> None:
         def coefficients(self, speeds: np.ndarray) -> dict[int, dict[str, np.ndarray]]:
             return {3: {"cxx": speeds, "kxx": 2 * speeds}, 7: {"kxx": 5 * speeds}}
 
-    table = coefficient_table(Stub(), np.array([30.0, 60.0]))
+    table = tabulate_coefficients(Stub(), np.array([30.0, 60.0]))
     assert list(table.columns) == ["bearing_node", "speed_rpm", "kxx", "cxx"]
     assert list(table["bearing_node"]) == [3, 3, 7, 7]
     assert list(table["speed_rpm"]) == [30.0, 60.0, 30.0, 60.0]
@@ -532,7 +532,7 @@ def test_parameters_read_like_overrides() -> None:
         "uri": "postgresql://anna:secret@host/db",
         "odd key!": (1, None),
     }
-    assert flat_parameters(parameters) == {
+    assert flatten_parameters(parameters) == {
         "a.b.c": "1.5",
         "a.b.d": "true",
         "a.empty": "{}",
@@ -541,7 +541,7 @@ def test_parameters_read_like_overrides() -> None:
         "uri": "postgresql://anna:***@host/db",
         "odd key_": "[1, null]",
     }
-    assert flat_parameters({}) == {}
+    assert flatten_parameters({}) == {}
 
 
 @pytest.mark.parametrize(
@@ -558,7 +558,7 @@ def test_parameters_read_like_overrides() -> None:
 def test_names(name: str, expected: str, quiet: None) -> None:
     from mlflow.utils.validation import _validate_metric_name
 
-    assert name_of(name) == expected
+    assert clean_name(name) == expected
     _validate_metric_name(expected)
 
 
@@ -574,7 +574,7 @@ def test_limits_are_those_of_mlflow(quiet: None) -> None:
 
 def test_history_row_without_step_is_an_error() -> None:
     with pytest.raises(KeyError):
-        history_metrics([{"loss": 1.0}], STARTED, ENDED)
+        collect_history([{"loss": 1.0}], STARTED, ENDED)
 
 
 def test_passwords_are_masked() -> None:
@@ -589,19 +589,19 @@ def test_provenance_of_a_repository(tmp_path: Path) -> None:
         subprocess.run(["git", *identity, "-C", str(tmp_path), *arguments], check=True, capture_output=True)
 
     git("init", "-q")
-    assert "git.revision" not in provenance_tags(tmp_path), "no commit yet"
+    assert "git.revision" not in describe_provenance(tmp_path), "no commit yet"
     git("commit", "-q", "--allow-empty", "-m", "first")
-    tags = provenance_tags(tmp_path)
+    tags = describe_provenance(tmp_path)
     assert len(tags["git.revision"]) == 40
     assert tags["git.dirty"] == "false"
     (tmp_path / "new.py").touch()
-    assert provenance_tags(tmp_path)["git.dirty"] == "true"
+    assert describe_provenance(tmp_path)["git.dirty"] == "true"
 
 
 def test_provenance_without_git(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert not [name for name in provenance_tags(tmp_path / "gone") if name.startswith("git.")]
+    assert not [name for name in describe_provenance(tmp_path / "gone") if name.startswith("git.")]
     monkeypatch.setenv("PATH", str(tmp_path))
-    assert not [name for name in provenance_tags(CHECKOUT) if name.startswith("git.")]
+    assert not [name for name in describe_provenance(CHECKOUT) if name.startswith("git.")]
 
 
 def test_surroundings_are_put_back(monkeypatch: pytest.MonkeyPatch) -> None:

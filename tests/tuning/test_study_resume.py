@@ -22,9 +22,9 @@ from pipeline.__main__ import main
 from pipeline.errors import ConfigError
 from pipeline.identification.outcome import Outcome
 from pipeline.tuning import worker
-from pipeline.tuning.attempts import REPEATS, attempts, repeat_stopped
+from pipeline.tuning.attempts import REPEATS, list_attempts, repeat_stopped
 from pipeline.tuning.parallel import run_study
-from pipeline.tuning.space import default_parameters
+from pipeline.tuning.space import find_default
 from pipeline.tuning.study import StudyProblem, open_study
 from studies import (
     ALONE,
@@ -77,7 +77,7 @@ def test_a_study_that_is_undisturbed_has_trials_of_every_kind(undisturbed: Undis
     """What the studies of this file are compared with: complete and pruned trials, all of them different."""
     trials = undisturbed()
     assert len(trials) == TRIALS
-    assert trials[0][2] == default_parameters(cheap.config)
+    assert trials[0][2] == find_default(cheap.config)
     assert {state for _, state, *_ in trials} == {"COMPLETE", "PRUNED"}
     assert len({value for _, _, _, value, _, _ in trials}) == TRIALS
     assert all(curve for *_, curve, _ in trials)
@@ -136,7 +136,7 @@ def test_a_stopped_trial_is_repeated_at_its_place(make: Make) -> None:
     ask().set_user_attr("worker", "x")  # number 3, beyond the total
     study.tell(ask(), state=optuna.trial.TrialState.FAIL)  # number 4, a repeat that is stopped as well
     assert [trial.number for trial in repeat_stopped(study, config)] == [0, 6, 7]
-    assert [trial.number for trial in attempts(study)] == [0, 6, 7, 3]
+    assert [trial.number for trial in list_attempts(study)] == [0, 6, 7, 3]
 
 
 def test_a_trial_that_died_before_its_first_heartbeat_is_repeated(make: Make, undisturbed: Undisturbed) -> None:

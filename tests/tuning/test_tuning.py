@@ -23,7 +23,7 @@ from pipeline.config.compose import compose_config
 from pipeline.config.promotion import with_values
 from pipeline.config.schema import Config
 from pipeline.errors import ConfigError, DataError
-from pipeline.tuning.space import applies, default_parameters, suggest, values_of
+from pipeline.tuning.space import applies, find_default, suggest, translate
 
 pytestmark = pytest.mark.slow  # it trains, or starts processes
 
@@ -47,8 +47,8 @@ def untuned(*overrides: str) -> Config:
 def test_trial_0_is_the_configured_default(name: str) -> None:
     """The default's parameters stand for the very configuration that they were read from."""
     config = untuned(f"experiment={name}")
-    parameters = default_parameters(config)
-    assert with_values(config, values_of(config.tuning.space, parameters), "default") == config
+    parameters = find_default(config)
+    assert with_values(config, translate(config.tuning.space, parameters), "default") == config
 
 
 class Draws:
@@ -82,7 +82,7 @@ def test_every_point_of_the_space_is_a_configuration(name: str, data: st.DataObj
     parameters = suggest(trial, space)
     assert trial.asked == list(parameters)
     assert [key for key in space if key in parameters] == [key for key in space if applies(space[key], parameters)]
-    made = with_values(config, values_of(space, parameters), "trial")
+    made = with_values(config, translate(space, parameters), "trial")
     for section in ("machine", "data", "identify", "tuning", "seed"):
         assert getattr(made, section) == getattr(config, section)
     assert made.training.holdout_every == config.training.holdout_every
@@ -110,17 +110,17 @@ def test_a_space_must_contain_the_default_and_fit_the_schema(overrides: list[str
     """Where it does not, a sentence says which dimension and what to do; where it does, nothing is said."""
     config = untuned("stage=tune", *overrides)
     if not words:
-        assert default_parameters(config)
+        assert find_default(config)
         return
     with pytest.raises(ConfigError, match=words):
-        default_parameters(config)
+        find_default(config)
 
 
 @pytest.mark.parametrize("name", ["adam", "adam_lbfgs", "adam_levenberg_marquardt", "levenberg_marquardt"])
 def test_each_optimizer_is_told_from_the_others(name: str) -> None:
     """A default of any configured optimiser is the choice of that name."""
     high = "tuning.space.adam_epochs.high=5000"
-    assert default_parameters(untuned(f"optimizer={name}", high))["optimizer"] == name
+    assert find_default(untuned(f"optimizer={name}", high))["optimizer"] == name
 
 
 # --- samplers ----------------------------------------------------------------------------------------
@@ -140,16 +140,16 @@ def test_a_study_reopened_before_every_trial_draws_the_same(name: str) -> None:
     """The draws depend on seed, trial and parameter, not on how long the sampler has lived."""
     import optuna
 
-    from pipeline.tuning.samplers import seeded_sampler
+    from pipeline.tuning.samplers import make_sampler
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     config = untuned(f"tuning.sampler={name}", "tuning.startup_trials=4").tuning
-    at_once = optuna.create_study(sampler=seeded_sampler(config))
+    at_once = optuna.create_study(sampler=make_sampler(config))
     storage = optuna.storages.InMemoryStorage()
     optuna.create_study(storage=storage, study_name="x")
     for _ in range(12):
         _parabola(at_once, config)
-        _parabola(optuna.load_study(study_name="x", storage=storage, sampler=seeded_sampler(config)), config)
+        _parabola(optuna.load_study(study_name="x", storage=storage, sampler=make_sampler(config)), config)
     reopened = optuna.load_study(study_name="x", storage=storage)
     assert [t.params for t in reopened.trials] == [t.params for t in at_once.trials]
     assert len({tuple(t.params.values()) for t in at_once.trials}) == 12, "no point is drawn twice"
@@ -159,11 +159,11 @@ def test_the_sampler_seed_matters() -> None:
     """Another seed is another study."""
     import optuna
 
-    from pipeline.tuning.samplers import seeded_sampler
+    from pipeline.tuning.samplers import make_sampler
 
     first = []
     for seed in (0, 1):
-        study = optuna.create_study(sampler=seeded_sampler(untuned(f"tuning.sampler_seed={seed}").tuning))
+        study = optuna.create_study(sampler=make_sampler(untuned(f"tuning.sampler_seed={seed}").tuning))
         first.append(study.ask().suggest_float("x", 0, 1))
     assert first[0] != first[1]
 
