@@ -59,8 +59,7 @@ def note_whirl(dataset: VibrationDataset) -> list[str]:
         if backward.mean() > 0.5:
             notes.append(
                 f"the orbits of run '{run}' turn backward at {100 * backward.mean():.0f} % of speeds and nodes, and an "
-                "unbalance turns the shaft forward, from x to y: check the sense of the phase (lag or lead) "
-                "and the probes' "
-                "angles"
+                "unbalance turns the shaft forward, from x to y: check the sense of the phase (lag or lead) and the "
+                "probes' angles"
             )
     return notes

@@ -85,10 +85,9 @@ def _read_time(
         back = np.flatnonzero(np.diff(time) <= 0)
         if len(back):
             raise DataError(
-                f"'{path}' must have ascending times in '{clock.channel}', but sample {back[0] + 2} is not "
-                "after the one "
-                f"before ({len(back)} in all): sort it, or write more digits, or give machine.recordings.sample_rate "
-                "in its place"
+                f"'{path}' must have ascending times in '{clock.channel}', but sample {back[0] + 2} is not after the "
+                f"one before ({len(back)} in all): sort it, or write more digits, or give "
+                "machine.recordings.sample_rate in its place"
             )
         return time
     if clock.rate is not None and stated is not None and abs(clock.rate / stated - 1) > 1e-6:
