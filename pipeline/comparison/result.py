@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -81,11 +82,8 @@ def judge_method(
     # Clean data have no noise that chi-square could be held against.
     doubt = answer.doubt if answer is not None and case.noise else ""
     return Result(
+        **asdict(case),
         method=method,
-        noise=case.noise,
-        sensors=case.sensors,
-        speeds=case.speeds,
-        data_set=case.data_set,
         outcome=outcome,
         words=words,
         doubt=doubt,

@@ -12,23 +12,22 @@ import numpy as np
 from pipeline.comparison.cases import Case
 from pipeline.methods.catalogue import METHODS
 from pipeline.reporting.comparison_tables import SENSOR_TEXT, Comparison, choose_heading
-from pipeline.reporting.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, open_figure
+from pipeline.reporting.figures import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, YELLOW, open_figure
 
 _LEAST = 1e-4
 """Percent; what is smaller is exact for every purpose, and drawn as a hollow marker on the edge."""
-_BLACK, _YELLOW = "#000000", "#E69F00"
 _LOOKS: dict[str, tuple[str, str, str]] = {
     "least_squares": (GREY, "-", "o"),
     "tikhonov": (GREY, "--", "s"),
     "total_least_squares": (SKY, "-", "^"),
     "multi_frequency": (GREEN, "-", "P"),
     "kalman": (PURPLE, "-", "v"),
-    "kriging": (_YELLOW, "-", "D"),
-    "critical_speeds": (_YELLOW, "--", "X"),
+    "kriging": (YELLOW, "-", "D"),
+    "critical_speeds": (YELLOW, "--", "X"),
     "spline": (BLUE, "--", "s"),
     "residual": (ORANGE, ":", "<"),
     "preconditioned": (ORANGE, "--", ">"),
-    "response": (_BLACK, "-", "o"),
+    "response": (BLACK, "-", "o"),
 }
 """Colour, line and marker: methods of one family share the colour."""
 

@@ -9,10 +9,9 @@ import numpy as np
 
 from pipeline.data.dataset import DIRECTIONS, VibrationDataset
 from pipeline.data.vibration_files import to_rpm
-from pipeline.reporting.figures import BLUE, GREEN, GREY, MARKERS, ORANGE, PURPLE, SKY, open_figure
+from pipeline.reporting.figures import BLACK, BLUE, GREEN, GREY, MARKERS, MICROMETRES, ORANGE, PURPLE, SKY, open_figure
 
-_MICROMETRES = 1e6
-_COLOURS = (BLUE, ORANGE, GREEN, PURPLE, SKY, "#000000")
+_COLOURS = (BLUE, ORANGE, GREEN, PURPLE, SKY, BLACK)
 _LINES = ("-", "--", "-.", ":")
 _ORBIT = np.linspace(0.0, 0.94, 200)
 """Parts of a turn, from the tacho pulse: the gap shows in which sense the orbit is run through."""
@@ -49,8 +48,8 @@ def draw_bode(path: Path, dataset: VibrationDataset, baseline: str | None) -> Pa
                 values = dataset.displacement[:, dataset.channels.index((node, angle))]
                 for r, look in enumerate(_choose_looks(dataset, baseline)):
                     mark = {"marker": few, "ms": 4, "mfc": "none"}
-                    above.semilogy(rpm, _MICROMETRES * np.abs(values[:, r]), **look, **mark)
-                    below.plot(rpm, _unwrap_degrees(values[:, r]), **look, **mark)
+                    above.semilogy(rpm, MICROMETRES * np.abs(values[:, r]), **look, **mark)
+                    below.plot(rpm, np.degrees(np.unwrap(np.angle(values[:, r]))), **look, **mark)
                 above.set_title(f"{direction} at node {node}")
             axes[2 * n, 0].set_ylabel("amplitude (µm, zero-to-peak)")
             axes[2 * n + 1, 0].set_ylabel("phase of Q (deg)")
@@ -58,10 +57,6 @@ def draw_bode(path: Path, dataset: VibrationDataset, baseline: str | None) -> Pa
             ax.set_xlabel("rotor speed (rpm)")
         _place_legend(axes[0, 0].figure, axes)
     return path
-
-
-def _unwrap_degrees(values: np.ndarray) -> np.ndarray:
-    return np.degrees(np.unwrap(np.angle(values)))
 
 
 def draw_measured_orbits(path: Path, dataset: VibrationDataset, baseline: str | None) -> Path:
@@ -77,18 +72,17 @@ def draw_measured_orbits(path: Path, dataset: VibrationDataset, baseline: str | 
             for s, at in enumerate(picked):
                 ax = axes[n, s]
                 for r, look in enumerate(_choose_looks(dataset, baseline)):
-                    x, y = (_MICROMETRES * (dataset.displacement[at, place, r] * turn).real for place in places)
+                    x, y = (MICROMETRES * (dataset.displacement[at, place, r] * turn).real for place in places)
                     ax.plot(x, y, **look)
-                    ax.plot(
-                        x[:1], y[:1], ls="", marker="o", ms=4 if look["color"] == GREY else 5.5, color=look["color"]
-                    )
+                    size = 4 if look["color"] == GREY else 5.5
+                    ax.plot(x[:1], y[:1], ls="", marker="o", ms=size, color=look["color"])
                 ax.set_aspect("equal", adjustable="datalim")
                 ax.locator_params(nbins=5)
                 ax.set_title(f"node {node}, {rpm[at]:.5g} rpm")
                 if n == len(nodes) - 1:
                     ax.set_xlabel("x (µm)")
             axes[n, 0].set_ylabel("y (µm)")
-        axes[0, 0].plot([], [], ls="", marker="o", ms=5.5, color="#000000", label="at the tacho pulse")
+        axes[0, 0].plot([], [], ls="", marker="o", ms=5.5, color=BLACK, label="at the tacho pulse")
         _place_legend(axes[0, 0].figure, axes)
     return path
 

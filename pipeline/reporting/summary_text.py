@@ -124,19 +124,15 @@ def _list_coefficients(config: Config, results: Results) -> list[str]:
     rows = [(b, name) for b, names in enumerate(results.unknowns) for name in names]
     for b, name in rows[:_MOST_ROWS]:
         row = f"  {f'node {results.identified.nodes[b]} {name}, {unit(name)}':<18}"
-        row += "".join(f"{_format_value(results, b, s, name):>22}" for s in at)
+        for s in at:
+            deviation = None if results.deviation is None else float(results.deviation[b, s, COEFFICIENTS.index(name)])
+            row += f"{format_engineering(float(results.identified.coefficient(name)[b, s]), deviation):>22}"
         if results.modelled is not None:
             row += f"{np.median(measure_relative_errors(results.identified, results.modelled, name)[b]):>12.2g}"
         lines.append(row)
     if len(rows) > _MOST_ROWS:
         lines.append(f"  and {len(rows) - _MOST_ROWS} more in 'identified_coefficients.csv'")
     return lines
-
-
-def _format_value(results: Results, b: int, s: int, name: str) -> str:
-    c = COEFFICIENTS.index(name)
-    deviation = None if results.deviation is None else float(results.deviation[b, s, c])
-    return format_engineering(float(results.identified.values[b, s, c]), deviation)
 
 
 def format_engineering(value: float, deviation: float | None = None) -> str:

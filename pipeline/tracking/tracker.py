@@ -95,6 +95,8 @@ def _log_parts(client: MlflowClient, run: Run, record: StageRecord, patience_sec
     run_id = run.info.run_id
     parts = _Parts(record.stage, patience_seconds)
     not_finite: list[str] = []
+    final = partial(collect_final, record.metrics, record.ended)
+    history = partial(collect_history, record.history, record.started, record.ended)
 
     parts.log("the parameters", lambda: _log_parameters(client, run_id, record))
     parts.log("the configuration", lambda: client.log_text(run_id, _write_yaml(record), "config.yaml"))
@@ -102,8 +104,8 @@ def _log_parts(client: MlflowClient, run: Run, record: StageRecord, patience_sec
     model_id: str | None = None
     if (folder := record.model) is not None:
         model_id = parts.log("the model", lambda: log_model(client, run, folder, flatten_parameters(record.parameters)))
-    not_finite += parts.log("the metrics", lambda: _log_final(client, run_id, record, model_id)) or []
-    not_finite += parts.log("the history", lambda: _log_history(client, run_id, record)) or []
+    not_finite += parts.log("the metrics", lambda: _log_metrics(client, run_id, final(), model_id)) or []
+    not_finite += parts.log("the history", lambda: _log_metrics(client, run_id, history())) or []
     for path, artifact_folder in _sort_files(record.files):
         parts.log(f"the file {path}", partial(_log_file, client, run_id, path, artifact_folder))
     for child in record.children:
@@ -155,24 +157,16 @@ def _write_yaml(record: StageRecord) -> str:
     return str(yaml.safe_dump(simplify(record.parameters), sort_keys=False, allow_unicode=True))
 
 
-def _log_final(client: MlflowClient, run_id: str, record: StageRecord, model_id: str | None) -> list[str]:
-    values, not_finite = collect_final(record.metrics, record.ended)
-    _log_metrics(client, run_id, values, model_id)
-    return not_finite
-
-
-def _log_metrics(client: MlflowClient, run_id: str, values: Sequence[MetricValue], model_id: str | None = None) -> None:
+def _log_metrics(
+    client: MlflowClient, run_id: str, found: tuple[list[MetricValue], list[str]], model_id: str | None = None
+) -> list[str]:
+    """Log the values that were ``found``; the names of those that are not finite."""
     from mlflow.entities import Metric
     from mlflow.utils import chunk_list
 
-    metrics = [Metric(*value, model_id=model_id, run_id=run_id) for value in values]
-    for batch in chunk_list(metrics, _METRICS_A_BATCH):
+    values, not_finite = found
+    for batch in chunk_list([Metric(*one, model_id=model_id, run_id=run_id) for one in values], _METRICS_A_BATCH):
         client.log_batch(run_id, metrics=batch)
-
-
-def _log_history(client: MlflowClient, run_id: str, record: StageRecord) -> list[str]:
-    values, not_finite = collect_history(record.history, record.started, record.ended)
-    _log_metrics(client, run_id, values)
     return not_finite
 
 

@@ -16,7 +16,6 @@ import numpy as np
 from pipeline.config.schema import Config
 from pipeline.errors import ConfigError, without_password
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.residual import BearingEquations
 from pipeline.tuning.samplers import make_pruner, make_sampler
 from pipeline.tuning.space import find_default
 from pipeline.tuning.storage import open_storage
@@ -39,6 +38,8 @@ class StudyProblem:
     def fingerprints(self) -> dict[str, dict[str, str]]:
         """Parts and the fingerprints of their pieces; a study of other ones is another study."""
         config, tuning = self.config, self.config.tuning
+        force = np.abs(self.measurement.equations.free_residual)
+        size = np.log(force.mean(axis=tuple(range(1, force.ndim))))  # the rotor, in one number a bearing
         sections = ("identify", "model", "loss", "optimizer", "training")
         return {
             "the search space": {name: _hash(d.model_dump(mode="json")) for name, d in tuning.space.items()}
@@ -46,7 +47,7 @@ class StudyProblem:
             "the data": {
                 "vibration, excitation and rotor": self.measurement.dataset.fingerprint,
                 "known coefficients": _hash(self.measurement.known.values.tobytes().hex()),
-                "equations": _hash(np.round(_measure_size(self.measurement.equations), 12).tolist()),
+                "equations": _hash(np.round(size, 12).tolist()),
             },
             "the configuration": {name: _hash(getattr(config, name).model_dump(mode="json")) for name in sections}
             | {"seed": str(config.seed)},
@@ -58,11 +59,6 @@ class StudyProblem:
 
 def _hash(value: object) -> str:
     return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:12]
-
-
-def _measure_size(equations: BearingEquations) -> np.ndarray:
-    """(B,) log of the mean bearing force: the rotor, in one number a bearing."""
-    return np.log(np.abs(equations.free_residual).mean(axis=tuple(range(1, equations.free_residual.ndim))))
 
 
 @cache

@@ -269,7 +269,7 @@ def test_interrupt_passes_through_and_marks_the_run(
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(tracker, "_log_history", interrupt)
+    monkeypatch.setattr(tracker, "collect_history", interrupt)
     with pytest.raises(KeyboardInterrupt):
         track(record(), settings)
     assert Logged(settings).run.info.status == "KILLED"
