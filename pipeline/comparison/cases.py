@@ -81,7 +81,7 @@ class Machine:
 
 
 def take_measurement(machine: Machine, case: Case, identify: IdentifyConfig, settings: ComparisonConfig) -> Measurement:
-    """What a method sees of a case: of the truth, what is known beforehand."""
+    """What a method sees of a case: the truth is hidden except for what is known."""
     unknowns = identify.unknowns_of(machine.rotor.bearing_nodes)
     truth, model = machine.truth(case), settings.response.model
     return Measurement(

@@ -42,7 +42,7 @@ class MethodRun:
 
 @dataclass(frozen=True, eq=False)
 class ComparisonSetup:
-    """Everything that a result follows from, but the run."""
+    """Everything that determines a result, except the run."""
 
     machine: Machine
     identify: IdentifyConfig
@@ -50,11 +50,11 @@ class ComparisonSetup:
     seed: int
 
     def result(self, run: MethodRun) -> Result:
-        """Do the work."""
+        """Let the method of the run identify its case."""
         return judge_method(self.machine, run.method, run.case, self.identify, self.settings, self.seed)
 
     def fingerprint(self) -> str:
-        """Equal where results are: of machine, unknowns, settings and the program; not of which cases are asked for."""
+        """The hash of machine, unknowns, settings and program; which cases are asked for does not change a result."""
         machine = self.machine
         root = Path(__file__).parents[1]
         return identity(
@@ -84,7 +84,7 @@ def compare(setup: ComparisonSetup, runs: Sequence[MethodRun], folder: Path, don
 
 
 def _read_kept(path: Path, fingerprint: str) -> Result | None:
-    """A result that is there already; None where it is of another configuration or program, or damaged."""
+    """A result that is there already; None where another configuration or program made it, or it is damaged."""
     if not path.exists():
         return None
     try:

@@ -106,7 +106,7 @@ def _read_time(
 
 @contextmanager
 def open_measured(path: Path, kind: str) -> Iterator[None]:
-    """Whatever the library raises that reads a file of the ``kind`` inside the block leaves it as a DataError."""
+    """Raise a DataError for whatever a library raises in the block while it reads a file of the ``kind``."""
     if not path.is_file():
         raise DataError(f"'{path}' must exist, but there is no such file")
     try:

@@ -121,7 +121,7 @@ def _note_unit(phases: np.ndarray, unit: str, path: Path) -> tuple[str, ...]:
 
 
 def _check_once(table: pd.DataFrame, columns: Sequence[str], path: Path) -> None:
-    """pandas calls the second column of a name by another name, and takes the first without a word."""
+    """Refuse a column that is there twice: pandas renames the second and uses the first without a warning."""
     for name in columns:
         if f"{name}.1" in table.columns and f"{name}.1" not in columns:
             raise DataError(

@@ -29,7 +29,7 @@ class Pulses:
     sharp: bool  # the edge is higher than what the interpolation sees of it: it lies anywhere between two samples
 
     def locked_error(self) -> float:
-        """s, by which all pulses may be late or early alike: sharp edges at a whole number of samples a period."""
+        """How late or early all pulses may be together (s): sharp edges at a whole number of samples a period."""
         if not self.sharp or len(self.times) < 3:
             return 0.0
         apart = np.diff(self.times) / self.step

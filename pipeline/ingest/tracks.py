@@ -34,7 +34,7 @@ class Track:
         return self.vectors[self.speeds < speed]
 
     def minus(self, vector: complex) -> Track:
-        """Without a runout (m)."""
+        """The same without a runout (m)."""
         return Track(self.speeds, self.vectors - vector)
 
 
@@ -134,7 +134,7 @@ def _interpolate(run: RunTracks, probe: str, track: Track, speeds: np.ndarray, k
 
 
 def format_rpm(speed: float) -> str:
-    """A speed in rad/s as rpm."""
+    """Write a speed in rad/s as rpm."""
     return f"{speed / RAD_S_PER_RPM:.6g}"
 
 

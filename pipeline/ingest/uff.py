@@ -45,7 +45,7 @@ class UffRecord:
 
     @property
     def name(self) -> str:
-        """For messages."""
+        """How messages call the record."""
         return f"{self.texts[0] if self.texts else 'no ID'} {list(self.response)}"
 
 

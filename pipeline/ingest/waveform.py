@@ -54,7 +54,7 @@ def read_signal_runs(config: SignalRecordingsConfig) -> tuple[RunTracks, ...]:
 
 
 def _fit_records(config: SignalRecordingsConfig, name: str, source: str, records: Iterable[_Record]) -> RunTracks:
-    """A vector a record."""
+    """Fit one vector for each record."""
     speeds: list[float] = []
     vectors: list[np.ndarray] = []
     notes: list[str] = []
@@ -77,7 +77,7 @@ def _fit_records(config: SignalRecordingsConfig, name: str, source: str, records
 
 
 def _fit_sweep(config: SignalRecordingsConfig, name: str, source: str, record: _Record) -> RunTracks:
-    """Vectors at the wanted speeds, and at low ones for the slow roll."""
+    """Fit vectors at the wanted speeds, and at low ones for the slow roll."""
     assert config.speeds is not None  # the schema has seen to it
     wanted = np.array(config.speeds.rpm()) * RAD_S_PER_RPM
     tracks = _track(config, record, wanted)

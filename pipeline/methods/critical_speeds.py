@@ -7,7 +7,7 @@ A critical speed is read off a response, measured or modelled, as the speed at w
 the real part of the apparent dynamic stiffness ``force / displacement`` is zero. That part is smooth through a
 resonance, however sharp, so the speed is found between those of the data.
 
-All bearings are taken for the same: each direction has one critical speed for one stiffness.
+All bearings are assumed to be the same: each direction has one critical speed for one stiffness.
 
 Legend: S speeds, P channels, R runs, D directions of the unknowns, N modelled machines.
 """

@@ -25,7 +25,7 @@ from pipeline.problem.measurement import Measurement
 
 
 def fit_by(section: Callable[[MethodOptions], FitConfig]) -> Callable[[Measurement, MethodOptions], Estimate]:
-    """The method that fits as a section of the settings says."""
+    """Make a method that fits as a section of the settings says."""
 
     def identify(data: Measurement, options: MethodOptions) -> Estimate:
         own = section(options)

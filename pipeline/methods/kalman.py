@@ -40,7 +40,7 @@ def _propagate_noise(data: Measurement, values: np.ndarray) -> np.ndarray:
     problem, active, measured = BearingFilter(data), data.unknowns.active, data.dataset.displacement
 
     def updated(of: np.ndarray, readings: np.ndarray) -> np.ndarray:
-        """(S, A)."""
+        """(S, A) after one more update."""
         found = problem.update(of, readings)
         return np.stack([found[m, :, u] for m, u in active], axis=1)
 

@@ -2,7 +2,7 @@
 
 The model is evaluated at points of a Latin hypercube within bounds that are known beforehand. A Gaussian process
 (Kriging) interpolates its response between them, differential evolution finds where the surrogate comes nearest to
-the measured response, and the hypercube is drawn anew, smaller, about the best point; that is repeated.
+the measured response, and a smaller hypercube is drawn about the best point; that is repeated.
 
 What is interpolated is the logarithm of predicted over measured displacement: amplitude and phase, whose noise is
 that of the readings, in a few principal components. Coefficients that change with the speed are found at some speeds,

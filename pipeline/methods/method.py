@@ -83,7 +83,7 @@ class Method:
     takes_planes: bool = False  # it identifies a residual unbalance, too
 
     def identify(self, measurement: Measurement, options: MethodOptions) -> Estimate:
-        """What the method makes of the measurement, without the runs that are not for it. Raises Refusal."""
+        """Answer from the measurement, less the runs that the method can't use. Raises Refusal."""
         return self.solve(measurement if self.takes_planes else drop_unbalance(measurement), options)
 
 
@@ -133,7 +133,7 @@ def require_determined(measurement: Measurement, together: bool) -> None:
 
 
 def describe_sensors(measurement: Measurement) -> str:
-    """The nodes that are measured."""
+    """Name the nodes that are measured."""
     nodes = list(dict.fromkeys(node for node, _ in measurement.dataset.channels))
     return f"node{'s' * (len(nodes) > 1)} {', '.join(map(str, nodes))}"
 
@@ -166,7 +166,7 @@ def differentiate_response(measurement: Measurement, values: np.ndarray) -> np.n
 
 
 def doubt(misfit: float | None) -> str:
-    """Words for a chi-square far above what is expected; none for one that is not."""
+    """Say that chi-square is far above what is expected; no words where it is not."""
     if misfit is None or misfit <= FAR_FROM_EXPECTED:  # NaN is not either
         return ""
     return f"chi-square is {misfit:.3g} times what is expected"

@@ -105,7 +105,7 @@ class _Problem:
         return stack_rows(self.parameters.sensitivity(x) * self.weight[..., None])
 
     def reweighted(self, x: np.ndarray) -> _Problem:
-        """With the noise of the predicted readings: weights of the measured ones, whose noise they share, bias."""
+        """The same with weights from the predicted readings: those from the measured ones share their noise, and bias."""
         deviation = self.task.deviation_of(self.parameters.predict(x), self.task.dataset.subtracted)
         return replace(self, weight=np.sqrt(2.0) / deviation)
 
@@ -123,7 +123,7 @@ class _Fit:
 
     @property
     def criterion(self) -> float:
-        """Akaike's."""
+        """Akaike's criterion."""
         return self.chi_square + 2 * self.z.size
 
 
@@ -256,7 +256,7 @@ def _make_sparse(by_speed: np.ndarray, own: np.ndarray) -> Any:
 
 
 def _sum_information(problem: _Problem, fit: _Fit) -> np.ndarray:
-    """(K A, K A)."""
+    """(K A, K A) information of the spline coefficients."""
     local = problem.sensitivity(fit.x)
     local = local.swapaxes(1, 2) @ local
     own = fit.basis

@@ -27,7 +27,7 @@ class Comparison:
 
     @property
     def methods(self) -> tuple[str, ...]:
-        """In their order."""
+        """The methods in the order of the results."""
         return tuple(dict.fromkeys(r.method for r in self.results))
 
     def error(self, method: str, case: Case, name: str | None = None) -> float:
@@ -58,7 +58,7 @@ class Comparison:
         return float(np.mean(shares)) if shares else None
 
     def seconds(self, method: str, case: Case) -> float:
-        """Median over the data sets."""
+        """Median processor time of an answer over the data sets."""
         return float(np.median([r.seconds for r in self.of(method, case)]))
 
     def cell(self, method: str, case: Case) -> str:
@@ -88,7 +88,7 @@ class Comparison:
         return best, self.error(method, case, name) / answered[best]
 
     def outcomes(self) -> dict[str, dict[str, str]]:
-        """Method -> outcome that is none -> its words."""
+        """Why a method gave no answer: method -> name of the reason -> its words."""
         result: dict[str, dict[str, str]] = {}
         for r in self.results:
             if not r.answered:
@@ -152,5 +152,5 @@ def make_tables(comparison: Comparison) -> list[tuple[str, list[str], list[list[
 
 
 def write_markdown(comparison: Comparison) -> str:
-    """All tables."""
+    """Write all tables as Markdown."""
     return "\n".join(f"{title}\n\n{format_markdown(header, rows)}" for title, header, rows in make_tables(comparison))

@@ -30,17 +30,17 @@ def _open_console(stderr: bool) -> Console:
 
 
 def say(text: str) -> None:
-    """A line of result on stdout."""
+    """Print a line of result on stdout."""
     _open_console(False).print(text, markup=False)
 
 
 def warn(text: str) -> None:
-    """A line that needs attention, on stderr."""
+    """Print a line that needs attention on stderr."""
     _open_console(True).print(f"warning: {text}", markup=False, style="yellow")
 
 
 def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """A table on stdout; the first column is left-aligned, the others right."""
+    """Print a table on stdout; the first column is left-aligned, the others right."""
     from rich import box
     from rich.table import Table
 
@@ -53,14 +53,14 @@ def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> N
 
 
 def format_markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """The same as Markdown, for a file."""
+    """Write the same table as Markdown, for a file."""
     lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
     return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows)]) + "\n"
 
 
 @contextmanager
 def training_progress(name: str) -> Iterator[Progress]:
-    """A bar with the loss and the rate of a training."""
+    """Show a bar with the loss and the rate of a training."""
     with _show_bar(name, None) as (bar, task):
 
         def update(phase: str, step: int, total: int, loss: float) -> None:
@@ -74,7 +74,7 @@ def training_progress(name: str) -> Iterator[Progress]:
 
 @contextmanager
 def study_progress(name: str, total: int) -> Iterator[StudyProgress]:
-    """A bar for the trials of a study, with its best loss so far."""
+    """Show a bar for the trials of a study, with its best loss so far."""
     with _show_bar(name, total) as (bar, task):
 
         def update(done: int, best: float | None) -> None:
@@ -86,7 +86,7 @@ def study_progress(name: str, total: int) -> Iterator[StudyProgress]:
 
 @contextmanager
 def comparison_progress(name: str, total: int) -> Iterator[Callable[[int, int, Result], None]]:
-    """A bar for the results of a comparison, with the newest of them."""
+    """Show a bar for the results of a comparison, with the newest of them."""
     with _show_bar(name, total) as (bar, task):
 
         def update(done: int, of: int, result: Result) -> None:
@@ -98,7 +98,7 @@ def comparison_progress(name: str, total: int) -> Iterator[Callable[[int, int, R
 
 @contextmanager
 def _show_bar(name: str, total: int | None) -> Iterator[tuple[ProgressBar, TaskID]]:
-    """A bar on a terminal, nothing elsewhere; it ends with the time left, or the time taken where no total is known."""
+    """Show a bar on a terminal, and nothing elsewhere, with the time left, or the time taken without a total."""
     from rich import progress
 
     console = _open_console(True)

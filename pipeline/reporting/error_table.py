@@ -52,7 +52,7 @@ def make_error_table(
 
 
 def print_error_table(name: str, errors: pd.DataFrame) -> None:
-    """The table on the screen."""
+    """Print the table on the screen."""
     columns = [column for column in _SHOWN if column in errors]
     rows = [
         [f"node {row['bearing_node']} {row['coefficient']}", *(_format(column, row[column]) for column in columns)]
@@ -80,7 +80,7 @@ def _format(column: str, value: float) -> str:
 
 
 def describe_quality(quality: Mapping[str, Any]) -> str:
-    """What is known of a fit without a truth, from the summary of its quality."""
+    """Say how well a fit explains its readings, from the summary of its quality; no truth is needed."""
     if "residual" in quality:
         residual = quality["residual"]["mean_over_bearing_force"]
         return f"no modelled coefficients, so no errors; residual {residual:.3g} of the bearing force"

@@ -24,7 +24,7 @@ def draw_study(
     importances: Mapping[str, float],
     finalists: Sequence[Finalist],
 ) -> list[Path]:
-    """All figures of a study in ``folder``; those that need more trials than there are, are left out."""
+    """Draw all figures of a study into ``folder``, except those that need more trials than there are."""
     done = [trial for trial in trials if trial.loss is not None]
     written = [_draw_finalists(folder / "finalists.png", finalists)]
     if done:
@@ -83,7 +83,7 @@ def _draw_importance(path: Path, importances: Mapping[str, float]) -> Path:
 
 
 def _list_names(trials: Sequence[TrialSummary], space: Mapping[str, Dimension], least: float) -> list[str]:
-    """The parameters that ``least`` trials have."""
+    """The parameters that at least ``least`` trials have."""
     return [name for name in space if sum(name in trial.parameters for trial in trials) >= least]
 
 
@@ -113,7 +113,7 @@ def _draw_slices(path: Path, trials: Sequence[TrialSummary], space: Mapping[str,
 
 
 def _list_choices(dimension: Dimension) -> list[str]:
-    """Empty for a range."""
+    """The values of a choice as texts; none for a range."""
     return [str(value) for value in dimension.options() or ()]
 
 

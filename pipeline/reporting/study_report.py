@@ -80,7 +80,7 @@ class StudyReport:
 
 
 def tabulate_trials(report: StudyReport) -> pd.DataFrame:
-    """One row a trial."""
+    """Make one row for each trial."""
     import pandas as pd
 
     fields = {"number": "trial", "state": "state", "loss": "held_out_loss", "seconds": "training_seconds"}
@@ -91,7 +91,7 @@ def tabulate_trials(report: StudyReport) -> pd.DataFrame:
 
 
 def tabulate_finalists(report: StudyReport) -> pd.DataFrame:
-    """One row a finalist and seed."""
+    """Make one row for each finalist and seed."""
     import pandas as pd
 
     frames = []
@@ -107,7 +107,7 @@ def tabulate_finalists(report: StudyReport) -> pd.DataFrame:
 
 
 def summarize_study(report: StudyReport) -> dict[str, object]:
-    """``summary.json``."""
+    """Collect the content of ``summary.json``."""
     summary: dict[str, object] = {
         "experiment": report.config.name,
         "promoted_trial": report.best.trial,
@@ -145,7 +145,7 @@ def _divide(before: float, after: float) -> float | None:
 
 
 def judge_study(report: StudyReport) -> str:
-    """Whether tuning helped, in a sentence."""
+    """Say in a sentence whether tuning helped."""
     default, best = report.default, report.best
     if best is not default:
         return (
@@ -168,7 +168,7 @@ def judge_study(report: StudyReport) -> str:
 
 
 def write_report(report: StudyReport) -> str:
-    """``README.md`` of the study."""
+    """Write the ``README.md`` of the study."""
     config, tuning = report.config, report.config.tuning
     states = Counter(t.state for t in report.trials)
     seconds = sum(t.seconds or 0.0 for t in report.trials)
@@ -212,7 +212,7 @@ _FIGURES = {
 
 
 def _compare(report: StudyReport) -> str:
-    """Default, finalists and the Chebyshev series side by side."""
+    """Set the default, the finalists and the Chebyshev series side by side."""
     names = report.names if report.errors else ()
     head = ["", "held-out loss", *(f"{name} error %" for name in names), "time of one training"]
     rows = []
@@ -235,7 +235,7 @@ def _compare(report: StudyReport) -> str:
 
 
 def _explain_limits(report: StudyReport) -> list[str]:
-    """How much there was to gain."""
+    """Say how much there was to gain."""
     if report.chebyshev is None:
         return []
     series, best = report.chebyshev, report.best

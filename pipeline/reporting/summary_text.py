@@ -63,7 +63,7 @@ class Results:
 
 
 def write_summary(config: Config, results: Results, picture: Path) -> str:
-    """The whole screen, with a last newline."""
+    """Write the whole screen; it ends with a newline."""
     head = _wrap(f"{config.name}: {config.description}", "", 1)
     parts = [
         *_wrap_entry("machine", _describe_machine(config, results)),
@@ -136,7 +136,7 @@ def _list_coefficients(config: Config, results: Results) -> list[str]:
 
 
 def format_engineering(value: float, deviation: float | None = None) -> str:
-    """Such as ``(12.34 +- 0.05)e6``, by powers of 1000."""
+    """Write a number by powers of 1000, such as ``(12.34 +- 0.05)e6``."""
     size = max(abs(value), deviation or 0.0)
     if not math.isfinite(size) or size == 0:
         return _format_deviation(value, deviation)
@@ -148,7 +148,7 @@ def format_engineering(value: float, deviation: float | None = None) -> str:
 
 
 def _format_deviation(value: float, deviation: float | None) -> str:
-    """Two digits of the deviation, five of a value without one."""
+    """Write two digits of the deviation, or five of a value without one."""
     size = max(abs(value), deviation or 0.0)
     if not math.isfinite(size) or size == 0:
         return f"{value:g}" if deviation is None else f"{value:g} +- {deviation:g}"
@@ -164,7 +164,7 @@ _MOST_DIGITS = 5
 
 
 def _describe_fit(training: Mapping[str, Any]) -> str:
-    """What is left over, and what was held out."""
+    """Say what the fit leaves over, and how well it predicts what was held out."""
     if "fit" not in training:
         loss, held_out = training.get("loss"), training.get("held_out_loss")
         words = "the loss overflowed" if loss is None else f"residual {loss:.2g} of the bearing force"
@@ -222,7 +222,7 @@ def _describe_prediction(config: Config, results: Results) -> str:
 
 
 def name_channel(channel: tuple[int, float]) -> str:
-    """Such as ``x at node 3``, or ``45 deg at node 3``."""
+    """Name a channel, such as ``x at node 3`` or ``45 deg at node 3``."""
     node, angle = channel
     name = direction_name(angle)
     return f"{name if name in 'xy' else f'{name} deg'} at node {node}"

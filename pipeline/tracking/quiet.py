@@ -1,4 +1,4 @@
-"""MLflow without its chatter, its telemetry and its long waits."""
+"""MLflow without log lines, telemetry and long waits."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ def quiet_mlflow(timeout_seconds: float) -> Iterator[None]:
         "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false",
         "MLFLOW_UV_AUTO_DETECT": "false",
     }
-    # What MLflow uses of SQLAlchemy's deprecated side is nothing a user can mend; raised as an error
-    # half-way through SQLAlchemy's set-up of its classes it would spoil them for the whole process.
+    # MLflow uses deprecated parts of SQLAlchemy, which a user can't change. A warning that is raised as an error while
+    # SQLAlchemy sets up its classes would leave them broken for the whole process.
     with patch.dict(os.environ, environment), warnings.catch_warnings(), ExitStack() as put_back:
         warnings.simplefilter("ignore")
         import mlflow  # noqa: F401  # for its effect: it sets the levels of these loggers when it is imported

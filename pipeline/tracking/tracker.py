@@ -120,7 +120,7 @@ def _log_parts(client: MlflowClient, run: Run, record: StageRecord, patience_sec
 
 
 class _Parts:
-    """Logs each part by itself, until the parts that failed have taken ``patience_seconds`` together."""
+    """It logs each part by itself, until the parts that failed have taken ``patience_seconds`` together."""
 
     def __init__(self, stage: str, patience_seconds: float) -> None:
         self.problems: list[str] = []
@@ -171,7 +171,7 @@ def _log_metrics(
 
 
 def _log_child(client: MlflowClient, run: Run, record: StageRecord, child: ChildRecord) -> None:
-    """A run below ``run``, in three requests: a study has many."""
+    """Log a run below ``run`` in three requests, since a study has many."""
     from mlflow.entities import Metric, Param
 
     started, ended = child.started or record.started, child.ended or record.ended
@@ -205,7 +205,7 @@ def _sort_files(files: Sequence[Path]) -> Iterator[tuple[Path, str]]:
 
 
 def _tell_reason(error: Exception) -> str:
-    """The heart of an error's text, on one line, without passwords."""
+    """The main part of an error's text, on one line, without passwords."""
     text = " ".join(str(error).split()) or type(error).__name__
     system = re.search(r"\[Errno -?\d+\] ([\w ]+)", text)
     if system and "Max retries exceeded" in text:

@@ -1,4 +1,4 @@
-"""The law on trials that were stopped: each is repeated with its parameters.
+"""Trials that were stopped: each is repeated with its parameters.
 
 A trial whose worker died, was interrupted or met a bug is failed without a ``reason``, by Optuna's heartbeats or
 by its worker. Its parameters go to the queue again, under a number of Optuna's own and with the attribute
@@ -44,7 +44,7 @@ def list_attempts(study: optuna.Study) -> list[FrozenTrial]:
 
 
 def list_results(study: optuna.Study) -> dict[int, FrozenTrial]:
-    """Place -> finished trial, by place; stopped ones are none."""
+    """Place -> finished trial; a trial that was stopped is not finished."""
     return {
         place: trial
         for place, trial in enumerate(list_attempts(study))
@@ -71,7 +71,7 @@ def _was_stopped(trial: FrozenTrial) -> bool:
 
 
 def _has_died_early(study: optuna.Study, trial: FrozenTrial, config: TuningConfig) -> bool:
-    """Fail a trial that died before its first heartbeat, which Optuna never takes for silent; whether it was one."""
+    """Fail a trial that died before its first heartbeat, which Optuna doesn't notice; True if it was one."""
     from optuna.exceptions import UpdateFinishedTrialError
     from optuna.trial import TrialState
 

@@ -64,7 +64,7 @@ class Finalist:
 
 
 def summarize(study: optuna.Study) -> list[TrialSummary]:
-    """The study's finished trials; one that was stopped is not told beside its repeat."""
+    """The study's finished trials; a trial that was stopped is there by its repeat alone."""
     return [_summarize(place, trial) for place, trial in list_results(study).items()]
 
 

@@ -62,7 +62,7 @@ def run_study(problem: StudyProblem, seen: Seen) -> tuple[optuna.Study, list[str
 
 @contextmanager
 def _catch_interrupts() -> Iterator[Callable[[], None]]:
-    """What it gives raises KeyboardInterrupt where Ctrl-C came in the block.
+    """Give a function that raises KeyboardInterrupt if Ctrl-C came in the block.
 
     One in the middle of a call of the storage, or while Optuna tells the end of a trial, would leave the trial running
     and end in errors of theirs.
@@ -83,7 +83,7 @@ def _catch_interrupts() -> Iterator[Callable[[], None]]:
 
 
 def _wait_for_the_silent(study: optuna.Study, problem: StudyProblem, seen: Seen) -> None:
-    """Where trials are running already, wait until those of dead workers are told by their silence.
+    """Where trials are running already, wait until the silence of dead workers shows.
 
     They come first in the queue then, and the study goes on in the order that it would have had.
     """
@@ -98,7 +98,7 @@ def _wait_for_the_silent(study: optuna.Study, problem: StudyProblem, seen: Seen)
 
 @contextmanager
 def open_pool(workers: int, threads: int) -> Iterator[Callable[..., Iterator[Any]]]:
-    """``map`` over as many processes; one worker is this process. Ctrl-C ends the others at once."""
+    """Give ``map`` over as many processes; one worker is this process. Ctrl-C ends the others at once."""
     if workers == 1:
         yield map
         return

@@ -76,7 +76,7 @@ def translate_errors(
 
 
 def _tell_reason(error: BaseException) -> str:
-    """The heart of an error's text, on one line, without passwords."""
+    """The main part of an error's text, on one line, without passwords."""
     cause = error.__cause__ or error
     text = str(getattr(cause, "strerror", None) or cause).partition("(Background on this")[0]
     text = without_password(re.sub(r"^\([\w.]+\)\s*", "", " ".join(text.split())) or type(cause).__name__)

@@ -78,7 +78,7 @@ def _run_next(study: optuna.Study, problem: StudyProblem, seen: Seen) -> None:
         if not begun:
             raise
     except (AssertionError, UnboundLocalError) as error:
-        hidden = error.__context__  # what Optuna's loop stumbles over where the storage does not take a trial's end
+        hidden = error.__context__  # what Optuna's loop meets where the storage does not take the end of a trial
         if isinstance(hidden, StorageInternalError):
             raise hidden from hidden.__cause__
         raise
