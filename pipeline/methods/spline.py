@@ -105,7 +105,7 @@ class _Problem:
         return stack_rows(self.parameters.sensitivity(x) * self.weight[..., None])
 
     def reweighted(self, x: np.ndarray) -> _Problem:
-        """The same with weights from the predicted readings: those from the measured ones share their noise, and bias."""
+        """The same with weights from the predicted readings: the measured ones share their noise, which biases."""
         deviation = self.task.deviation_of(self.parameters.predict(x), self.task.dataset.subtracted)
         return replace(self, weight=np.sqrt(2.0) / deviation)
 
