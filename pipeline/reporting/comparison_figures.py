@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.comparison.cases import Case
 from pipeline.methods.catalogue import METHODS
-from pipeline.reporting.comparison_tables import SENSOR_TEXT, Comparison, choose_heading
+from pipeline.reporting.comparison_tables import SENSOR_TEXT, Comparison, describe_case
 from pipeline.reporting.figures import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, YELLOW, open_figure
 
 _LEAST = 1e-4
@@ -78,7 +78,7 @@ def _draw_panel(ax: Any, comparison: Comparison, cases: Sequence[Case], key: str
         for place, error in zip(places[~joined], errors[~joined], strict=True):
             fill = "white" if error < _LEAST else colour
             ax.semilogy(place + 3 * shift, max(error, _LEAST), ls="", mfc=fill, clip_on=False, **look)
-    ax.set_xticks(places, [choose_heading(key)(case) for case in cases])
+    ax.set_xticks(places, [describe_case(case, key) for case in cases])
     ax.set_ylim(bottom=_LEAST)
     lines = {"noise": "noise of each reading", "speeds": "number of speeds"}[key]
     if silent:

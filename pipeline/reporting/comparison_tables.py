@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -110,17 +109,14 @@ def format_noise(noise: float) -> str:
     return f"{100 * noise:g} %"
 
 
+_KEYS = ("noise", "sensors", "speeds")
 SENSOR_TEXT = {"all": "all nodes", "bearings": "bearings", "location": "one location"}
 
 
-def choose_heading(key: str) -> Callable[[Case], str]:
-    """The head of a column of :meth:`Comparison.along`."""
-    texts: dict[str, Callable[[Case], str]] = {
-        "noise": lambda case: format_noise(case.noise),
-        "sensors": lambda case: SENSOR_TEXT[case.sensors],
-        "speeds": lambda case: f"{case.speeds} speeds",
-    }
-    return texts[key]
+def describe_case(case: Case, *keys: str) -> str:
+    """Name the ``noise``, ``sensors`` or ``speeds`` of a case."""
+    texts = {"noise": format_noise(case.noise), "sensors": SENSOR_TEXT[case.sensors], "speeds": f"{case.speeds} speeds"}
+    return ", ".join(texts[key] for key in keys)
 
 
 def make_tables(comparison: Comparison) -> list[tuple[str, list[str], list[list[str]]]]:
@@ -132,16 +128,16 @@ def make_tables(comparison: Comparison) -> list[tuple[str, list[str], list[list[
     ]
     for key, columns in [*by_noise, ("speeds", comparison.along("speeds"))]:
         rows = [[METHODS[m].label, *(comparison.cell(m, case) for case in columns)] for m in comparison.methods]
-        fixed = ", ".join(choose_heading(other)(columns[0]) for other in ("noise", "sensors", "speeds") if other != key)
+        fixed = describe_case(columns[0], *(other for other in _KEYS if other != key))
         title = f"median error % of the worst coefficient against {key}; {fixed}"
-        made.append((title, ["method", *(choose_heading(key)(case) for case in columns)], rows))
-    fixed, each = ", ".join(choose_heading(key)(main) for key in ("noise", "sensors", "speeds")), []
+        made.append((title, ["method", *(describe_case(case, key) for case in columns)], rows))
+    each = []
     for m in comparison.methods:
         errors = comparison.by_coefficient(m)
-        each.append(
-            [METHODS[m].label, *(format_error(errors[name]) if name in errors else "" for name in comparison.names)]
-        )
-    made.append((f"median error % of each coefficient; {fixed}", ["method", *comparison.names], each))
+        cells = [format_error(errors[name]) if name in errors else "" for name in comparison.names]
+        each.append([METHODS[m].label, *cells])
+    title = f"median error % of each coefficient; {describe_case(main, *_KEYS)}"
+    made.append((title, ["method", *comparison.names], each))
     about = []
     for m in comparison.methods:
         held = comparison.coverage(m, main)
