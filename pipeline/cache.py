@@ -42,12 +42,8 @@ def look_up(kind: str, key: str) -> bytes | None:
 
 def keep(kind: str, key: str, content: bytes) -> None:
     """Keep ``content`` under ``key``. Nothing is raised where that can't be done."""
-
-    def write(beside: Path) -> None:
-        beside.write_bytes(content)
-
     with contextlib.suppress(StorageError, OSError):
-        write_beside(path_of(kind, key), write)
+        write_beside(path_of(kind, key), lambda beside: beside.write_bytes(content))
         entries = sorted((FOLDER / kind).iterdir(), key=lambda entry: entry.stat().st_mtime)
         for entry in entries[:-_MOST]:
             entry.unlink(missing_ok=True)

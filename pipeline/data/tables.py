@@ -9,7 +9,7 @@ import csv
 import math
 import warnings
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice, zip_longest
 from pathlib import Path
@@ -73,12 +73,11 @@ def read_table(
             )
         if name in counts:
             column = table[names.index(name)]
-            found[name] = _to_texts(column) if kind == "text" else _to_numbers(path, name, column, kind, text.decimal)
+            if kind == "text":
+                found[name] = np.array(["" if value is None else str(value) for value in column], dtype=object)
+            else:
+                found[name] = _to_numbers(path, name, column, kind, text.decimal)
     return found
-
-
-def _to_texts(column: Iterable[Any]) -> np.ndarray:
-    return np.array(["" if value is None else str(value) for value in column], dtype=object)
 
 
 def _to_numbers(path: Path, name: str, column: Sequence[Any] | np.ndarray, kind: str, decimal: str) -> np.ndarray:

@@ -70,7 +70,8 @@ def summarize(comparison: Comparison) -> dict[str, object]:
             for noise in comparison.along("noise"):
                 error = comparison.error(method, replace(sensors, noise=noise.noise))
                 if np.isfinite(error):
-                    errors.setdefault(sensors.sensors, {})[_name_noise(noise.noise)] = error
+                    key = f"{100 * noise.noise:g}_percent".replace(".", "_")
+                    errors.setdefault(sensors.sensors, {})[key] = error
         by_speeds = {
             str(case.speeds): comparison.error(method, case)
             for case in comparison.along("speeds")
@@ -89,10 +90,6 @@ def summarize(comparison: Comparison) -> dict[str, object]:
         summary["response_over_best_other"] = {n: ratio for n, (_, ratio) in ratios.items() if np.isfinite(ratio)}
         summary["best_other"] = {name: best for name, (best, _) in ratios.items() if best}
     return summary
-
-
-def _name_noise(noise: float) -> str:
-    return f"{100 * noise:g}_percent".replace(".", "_")
 
 
 def _tabulate(results: list[Result]) -> list[dict[str, object]]:

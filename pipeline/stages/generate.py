@@ -19,7 +19,7 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor
 from pipeline.stages.execution import StageOutput
-from pipeline.stages.workspace import hash_origin, list_known, locate_files, require_nodes
+from pipeline.stages.workspace import hash_origin, list_known, locate_files, require_nodes, require_own
 from pipeline.twin.modes import StabilityMargin, stability_margin, whirl_modes
 from pipeline.units import RAD_S_PER_RPM
 
@@ -27,11 +27,7 @@ from pipeline.units import RAD_S_PER_RPM
 def run(config: Config) -> StageOutput:
     """Vibration, excitation, and the modelled and the known coefficients."""
     work = locate_files(config)
-    if not work.own:
-        raise DataError(
-            "generate must write the experiment's own files, but data.vibration, data.excitation or data.known "
-            "names others: leave them out"
-        )
+    require_own(work, "generate")
     marks = read_marks(work.vibration)
     if marks is not None and "origin" not in marks:
         raise DataError(

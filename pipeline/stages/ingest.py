@@ -30,7 +30,7 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor
 from pipeline.stages.execution import StageOutput
-from pipeline.stages.workspace import Workspace, list_known, locate_files, require_nodes
+from pipeline.stages.workspace import Workspace, list_known, locate_files, require_nodes, require_own
 
 
 def run(config: Config) -> StageOutput:
@@ -39,7 +39,13 @@ def run(config: Config) -> StageOutput:
     Raises ConfigError where the configuration says nothing to read.
     """
     work, ingest = locate_files(config), config.machine.recordings
-    _refuse_replacing(work)
+    require_own(work, "ingest")
+    marks = read_marks(work.vibration) or {}
+    if work.vibration.exists() and ("schema" not in marks or "origin" in marks):
+        raise DataError(
+            f"ingest must not replace what it did not write, but '{work.vibration}' was generated or made elsewhere: "
+            "choose another folder with output=FOLDER"
+        )
     if isinstance(ingest, NoRecordingsConfig):
         raise ConfigError(
             "ingest must have recordings to read, but machine.recordings.format is none: say in a machine file "
@@ -72,20 +78,6 @@ def run(config: Config) -> StageOutput:
         tags={"data_fingerprint": dataset.fingerprint},
         files=written,
     )
-
-
-def _refuse_replacing(work: Workspace) -> None:
-    if not work.own:
-        raise DataError(
-            "ingest must write the experiment's own files, but data.vibration, data.excitation or data.known names "
-            "others: leave them out"
-        )
-    marks = read_marks(work.vibration) or {}
-    if work.vibration.exists() and ("schema" not in marks or "origin" in marks):
-        raise DataError(
-            f"ingest must not replace what it did not write, but '{work.vibration}' was generated or made elsewhere: "
-            "choose another folder with output=FOLDER"
-        )
 
 
 def _load_known(

@@ -13,8 +13,8 @@ from pipeline.errors import ConfigError, PipelineError
 from pipeline.evaluation.errors import CoefficientErrors, coefficient_errors
 from pipeline.files import write_json
 from pipeline.identification.outcome import Outcome
-from pipeline.identification.residual_loss import ResidualTraining, initial_parameters, prepare_residual
-from pipeline.identification.training import FitSetup, Minimum, minimise, setup_of
+from pipeline.identification.residual_loss import initial_parameters, prepare_residual
+from pipeline.identification.training import Minimum, minimise, setup_of
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, table, training_progress
 from pipeline.reporting.figures import robustness_figure
@@ -29,7 +29,6 @@ from pipeline.twin.prediction import predict
 
 if TYPE_CHECKING:
     import pandas as pd
-    import torch
 
 
 def choose_starts(config: Config) -> np.ndarray:
@@ -47,6 +46,8 @@ def run(config: Config) -> StageOutput:
 
         return noise_study.run(config)
     measurement, setup = load_measurement(config), setup_of(config)
+    import torch  # when the data have been found sound
+
     use_threads(config)
     say_promoted(config)
     if config.robustness.over == "initial_guess" and not any(name.startswith("k") for name in config.identify.named()):
@@ -57,10 +58,14 @@ def run(config: Config) -> StageOutput:
     training = prepare_residual(measurement, setup)
     say_diagnosis(config, measurement)
     starts = choose_starts(config)
+    if config.robustness.over == "seed":
+        parameters = [initial_parameters(training, setup, int(seed)) for seed in starts]
+    else:
+        parameters = [initial_parameters(training, setup, config.seed, float(guess)) for guess in starts]
     with training_progress(f"{config.name}: {len(starts)} at once") as progress:
         found = minimise(
             training.problem,
-            _start_parameters(config, setup, training, starts),
+            torch.cat(parameters),
             setup,
             held_out=training.held_out,
             progress=progress,
@@ -87,15 +92,6 @@ def run(config: Config) -> StageOutput:
         written,
         exit_code=exit_code,
     )
-
-
-def _start_parameters(config: Config, setup: FitSetup, training: ResidualTraining, values: np.ndarray) -> torch.Tensor:
-    """(G, M, Q) parameters of every seed or guess."""
-    import torch
-
-    if config.robustness.over == "seed":
-        return torch.cat([initial_parameters(training, setup, int(value)) for value in values])
-    return torch.cat([initial_parameters(training, setup, config.seed, float(value)) for value in values])
 
 
 def _tabulate(

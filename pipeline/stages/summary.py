@@ -61,7 +61,9 @@ def _choose_run(
     held_out = config.training.holdout_runs if loss_of(config.loss).weighs_noise else ()
     r = data.runs.index(held_out[0] if held_out else data.runs[0])
     one = data.of_runs(np.array([r]))
-    reached = _predict_readings(measurement, _add_residual(one, uncertainty), bearings)
+    full = _add_residual(one, uncertainty)
+    response = solve_response(measurement.rotor, bearings, full.excitations, full.runs, full.own_frequencies)
+    reached = response[..., 0] @ full.sensor_matrix(measurement.rotor.n_dof).T  # (S, P) complex, m
     probe = int(np.abs(one.displacement).max(axis=(0, 2)).argmax())
     return ShownRun(data.runs[r], bool(held_out), probe, one.displacement[..., 0], reached)
 
@@ -75,9 +77,3 @@ def _add_residual(one: VibrationDataset, uncertainty: Uncertainty | None) -> Vib
         for node, u in zip(uncertainty.planes, uncertainty.residual_unbalance, strict=True)
     )
     return replace(one, excitations=(*one.excitations, *found))
-
-
-def _predict_readings(measurement: Measurement, one: VibrationDataset, bearings: BearingTable) -> np.ndarray:
-    """(S, P) complex, m: what the probes would read in the only run of ``one``."""
-    response = solve_response(measurement.rotor, bearings, one.excitations, one.runs, one.own_frequencies)
-    return response[..., 0] @ one.sensor_matrix(measurement.rotor.n_dof).T

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import astuple
 from pathlib import Path
 from typing import Any
@@ -102,7 +102,7 @@ def _write(config: Config, measurement: Measurement, found: Fit, summary: Mappin
         write_coefficients(work.identified, table, deviation=deviation),
         write_table(work.folder / "bad_points.csv", _tabulate_bad_points(found)),
         write_table(work.folder / "residual_unbalance.csv", _tabulate_unbalance(found.uncertainty)),
-        write_table(work.history, _tabulate_history(found.history)),
+        write_table(work.history, [{k: v for k, v in row.items() if k != "seconds"} for row in found.history]),
         write_json(work.training, about | dict(summary)),
     ]
 
@@ -124,11 +124,6 @@ def _tabulate_unbalance(uncertainty: Uncertainty | None) -> dict[str, Any]:
         "phase_deg": np.degrees(np.angle(found)),
         "magnitude_std": [] if uncertainty is None else uncertainty.unbalance_deviation(),
     }
-
-
-def _tabulate_history(history: Sequence[Mapping[str, float | str]]) -> dict[str, list[float | str]]:
-    """The history without its clock."""
-    return {name: [row[name] for row in history] for name in history[0] if name != "seconds"}
 
 
 def _describe_misfit(found: Fit) -> str:

@@ -13,7 +13,7 @@ from pipeline.errors import ConfigError, without_password
 from pipeline.files import read_json, write_json, write_text
 from pipeline.identification.chebyshev import fit_chebyshev
 from pipeline.identification.residual_loss import prepare_residual
-from pipeline.identification.training import FitSetup, setup_of
+from pipeline.identification.training import setup_of
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import StudyProgress, say, study_progress, warn
 from pipeline.reporting.study_figures import study_figures
@@ -36,6 +36,7 @@ from pipeline.tuning.study import StudyProblem
 from pipeline.tuning.worker import Seen
 
 SUMMARY = "summary.json"
+AGAIN = "run stage=tune again after moving it away"
 
 
 def pose_study(config: Config, measurement: Measurement) -> StudyProblem:
@@ -76,16 +77,20 @@ def run(config: Config) -> StageOutput:
 def _report(config: Config, problem: StudyProblem, study: Any, searched: float) -> StageOutput:
     """The finalists, the choice, and the files of ``studies/NAME/``; nothing where they are up to date."""
     folder, trials, mark = Path(config.tuning.folder), summarize(study), fingerprint(study, problem)
-    if _is_current(folder, mark):
+    files = (BEST, SUMMARY, "README.md", "trials.csv", "finalists.csv")
+    before = read_json(folder / SUMMARY, AGAIN) if all((folder / name).exists() for name in files) else {}
+    if before.get("study_fingerprint") == mark:
         say(f"{config.name}: the study has its {len(trials)} trials, and '{folder}' is what came of them")
-        return StageOutput(read_json(folder / SUMMARY))
+        return StageOutput(before)
     finalists = train_finalists(study, problem)
+    setup = setup_of(config)
+    judge = replace(setup, loss=setup.loss.model_copy(update={"scaling": "per_speed"}))  # trials are compared by it
     report = StudyReport(
         config=config,
         trials=trials,
         finalists=finalists,
         best=choose(finalists, config.tuning),
-        chebyshev=fit_chebyshev(problem.measurement, _prepare_judge(config)),
+        chebyshev=fit_chebyshev(problem.measurement, judge),
         importances=importances(study),
         known=problem.measurement.known,
         modelled=load_modelled(config, problem.measurement),  # read when the choice is made
@@ -105,12 +110,6 @@ def _report(config: Config, problem: StudyProblem, study: Any, searched: float) 
     )
 
 
-def _prepare_judge(config: Config) -> FitSetup:
-    """Training with the loss that trials are compared by, whatever they are trained with."""
-    setup = setup_of(config)
-    return replace(setup, loss=setup.loss.model_copy(update={"scaling": "per_speed"}))
-
-
 def follow_progress(shown: StudyProgress, total: int) -> Seen:
     """What a worker calls between its steps to show how far the study is: once a second, for the database's sake."""
     due = 0.0
@@ -125,12 +124,6 @@ def follow_progress(shown: StudyProgress, total: int) -> Seen:
         shown(min(len(finished), total), min(losses, default=None))
 
     return seen
-
-
-def _is_current(folder: Path, mark: str) -> bool:
-    if not all((folder / name).exists() for name in (BEST, SUMMARY, "README.md", "trials.csv", "finalists.csv")):
-        return False
-    return read_json(folder / SUMMARY, "run stage=tune again after moving it away").get("study_fingerprint") == mark
 
 
 def _write(config: Config, report: StudyReport, summary: dict[str, object], folder: Path) -> list[Path]:

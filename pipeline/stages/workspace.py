@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.schema import Config
-from pipeline.errors import ConfigError
+from pipeline.errors import ConfigError, DataError
 from pipeline.files import hash_file
 
 if TYPE_CHECKING:
@@ -53,6 +53,15 @@ def locate_files(config: Config) -> Workspace:
         Path(data.known or folder / "known_coefficients.csv"),
         own=not (data.vibration or data.excitation or data.known),
     )
+
+
+def require_own(work: Workspace, stage: str) -> None:
+    """Raise DataError where ``data`` names files: a stage must not write over what a user made."""
+    if not work.own:
+        raise DataError(
+            f"{stage} must write the experiment's own files, but data.vibration, data.excitation or data.known names "
+            "others: leave them out"
+        )
 
 
 def hash_machine(config: Config) -> str:
