@@ -23,7 +23,7 @@ from pipeline.config.rotor import RotorConfig
 from pipeline.data.tables import read_table, write_table
 from pipeline.errors import ConfigError
 from pipeline.rotor import ross_adapter
-from pipeline.rotor.stored import KIND, load_modelled_bearings, load_rotor, made_from
+from pipeline.rotor.stored import KIND, hash_rotor, load_modelled_bearings, load_rotor
 
 ROOT = Path(__file__).resolve().parents[2]
 FEW = [f"machine.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=500")]
@@ -189,7 +189,7 @@ def test_a_kept_rotor_is_the_assembled_one(own_cache: Path, monkeypatch: pytest.
     assert (again.bearing_nodes, again.disc_nodes) == (first.bearing_nodes, first.disc_nodes)
     assert again.total_mass == first.total_mass
     assert (kept.nodes, kept.values.tobytes()) == (bearings.nodes, bearings.values.tobytes())
-    cache.path_of(KIND, made_from(config.machine.rotor)).write_bytes(b"damaged")
+    cache.path_of(KIND, hash_rotor(config.machine.rotor)).write_bytes(b"damaged")
     assert load_rotor(config.machine.rotor).fingerprint == first.fingerprint
 
 
@@ -197,11 +197,11 @@ def test_another_rotor_has_another_entry(tmp_path: Path) -> None:
     """Configuration and bytes of the file count; where a file lies does not."""
     config = compose_config(BALL).machine.rotor
     heavier = config.model_copy(update={"shear_effects": False})
-    assert made_from(config) != made_from(heavier)
+    assert hash_rotor(config) != hash_rotor(heavier)
     places = [tmp_path / name for name in ("here.toml", "there.toml", "other.toml")]
     for place, text in zip(places, ("rotor", "rotor", "another"), strict=True):
         place.write_text(text)
-    here, there, other = (made_from(RotorConfig(file=str(place))) for place in places)
+    here, there, other = (hash_rotor(RotorConfig(file=str(place))) for place in places)
     assert here == there != other
 
 
