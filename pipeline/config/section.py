@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 NonNegativeInt = Annotated[int, Field(ge=0)]
 Share = Annotated[float, Field(ge=0, lt=1)]
-"""Of one: 0.01 is a percent."""
+"""A share: 0.01 is a percent."""
 
 
 class Section(BaseModel):

@@ -34,8 +34,7 @@ def run(config: Config) -> StageOutput:
             "use stage=evaluate, which shows least squares beside the fit"
         )
     use_threads(config)
-    machine = Machine(*model_machine(config), config.machine.probes.seed)
-    require_nodes(machine.rotor, "identify.unbalance_planes", config.identify.unbalance_planes)
+    machine = build_machine(config)
     require_nodes(machine.rotor, "comparison.location", [config.comparison.location or 0])
     setup = ComparisonSetup(machine, config.identify, config.comparison, config.seed)
     n_speeds = len(machine.vibration.speeds)
@@ -59,6 +58,13 @@ def run(config: Config) -> StageOutput:
     ]
     tags = {"rotor_fingerprint": machine.rotor.fingerprint, "data_fingerprint": machine.vibration.fingerprint}
     return StageOutput(summary, tags, written)
+
+
+def build_machine(config: Config) -> Machine:
+    """The configured machine, and its vibration without noise at every node."""
+    machine = Machine(*model_machine(config), config.machine.probes.seed)
+    require_nodes(machine.rotor, "identify.unbalance_planes", config.identify.unbalance_planes)
+    return machine
 
 
 def summarize(comparison: Comparison) -> dict[str, object]:
