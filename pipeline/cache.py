@@ -1,4 +1,4 @@
-"""What is dear to make and cheap to keep: files under the hash of everything that they are made from.
+"""Results that cost much to make and little to keep: files under the hash of everything that they are made from.
 
 All experiments share it. It lies in the checkout (``.cache/``), which git ignores; it may be deleted at any time, and
 one that can't be written only costs time.
@@ -28,7 +28,7 @@ def hash_parts(*parts: bytes | str) -> str:
 
 
 def path_of(kind: str, key: str) -> Path:
-    """Where the entry ``key`` of a ``kind`` lies, or would."""
+    """Return the path of the entry ``key`` of a ``kind``, which may not be there."""
     return FOLDER / kind / key
 
 

@@ -1,4 +1,4 @@
-"""What a configuration may say of bearings: one class a kind. SI."""
+"""The schema of bearings: one class for each kind. SI."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ Columns = dict[str, np.ndarray]
 
 @dataclass(frozen=True)
 class TextFormat:
-    """How a CSV file is written; ``skip_rows`` are lines before the header (of an Excel sheet, too)."""
+    """The format of a CSV file; ``skip_rows`` are lines before the header (also in an Excel sheet)."""
 
     delimiter: str = ","
     decimal: str = "."
@@ -193,8 +193,11 @@ def _first_line(error: Exception) -> str:
 
 
 def read_marks(path: Path) -> dict[str, str] | None:
-    """What a Parquet file that was written here says of itself: ``schema``; where it was generated, ``rotor`` (its
-    fingerprint) and ``origin`` (identity of the configuration). None where it is no complete Parquet file, or CSV."""
+    """Read what a Parquet file says about itself; None where it is no complete Parquet file.
+
+    Each file that was written here has ``schema``. A generated one also has ``rotor``, the rotor's fingerprint, and
+    ``origin``, the identity of its configuration.
+    """
     import pyarrow.lib
     import pyarrow.parquet as parquet
 

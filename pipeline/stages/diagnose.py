@@ -1,4 +1,4 @@
-"""What the data determine: rank, condition number, free combination and predicted deviation of every bearing."""
+"""Tell what the data determine: rank, condition number, free combination and predicted deviation of each bearing."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def run(config: Config) -> StageOutput:
 
 
 def diagnose(config: Config, measurement: Measurement) -> Diagnosis:
-    """What the measurement determines by the configured loss. Raises DataError for sensors that do not suffice."""
+    """Diagnose the measurement by the configured loss. Raises DataError for sensors that do not suffice."""
     setup = setup_of(config)
     return loss_of(setup.loss).diagnose(measurement, setup)
 
@@ -69,7 +69,7 @@ def describe_noise(config: Config) -> str:
 
 
 def _summarize(diagnosis: Diagnosis) -> dict[str, object]:
-    """By node; an infinite number is null, as JSON has none."""
+    """Return the diagnosis by node; an infinite number is null, since JSON has none."""
     result: dict[str, object] = {}
     for report in diagnosis.reports:
         shared = {

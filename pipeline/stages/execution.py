@@ -1,4 +1,4 @@
-"""How a stage is run: missing inputs first, then the stage, then its record."""
+"""Run a stage: missing inputs first, then the stage, then its record."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def use_threads(config: Config) -> None:
 
 @dataclass(frozen=True)
 class StageOutput:
-    """What a stage hands to the records."""
+    """A stage hands this to the records."""
 
     metrics: Mapping[str, object] = field(default_factory=dict)  # nested; numbers are recorded by dotted names
     tags: Mapping[str, str] = field(default_factory=dict)

@@ -83,7 +83,7 @@ def run(config: Config) -> StageOutput:
 def _load_known(
     config: Config, ingest: AnyRecordingsConfig, rotor: RotorModel, speeds: np.ndarray
 ) -> BearingTable | None:
-    """What training takes as known; None where it needs some and nothing says them."""
+    """Return the coefficients that training takes as known; None where nothing gives those that it needs."""
     nodes = rotor.bearing_nodes
     needed = list_known(config, nodes)
     if ingest.known == AS_MODELLED:
@@ -122,7 +122,7 @@ def _summarize_run(measured: MeasuredRuns, index: int) -> dict[str, object]:
 
 
 def describe_conventions(ingest: AnyRecordingsConfig) -> str:
-    """What the numbers in the files were taken for."""
+    """Describe what the numbers in the files were taken for."""
     if isinstance(ingest, TableRecordingsConfig):
         said = ingest.conventions
         return (

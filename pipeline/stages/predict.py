@@ -31,7 +31,7 @@ from pipeline.units import RAD_S_PER_RPM
 
 @dataclass(frozen=True, eq=False)
 class Twin:
-    """What the identified system does, and the modelled one where there is a truth: everything by the system's name."""
+    """The behaviour of the identified system, and of the modelled one where there is a truth, by the system's name."""
 
     identified: IdentifiedModel
     uncertainty: Uncertainty | None

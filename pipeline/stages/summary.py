@@ -1,4 +1,4 @@
-"""What an engineer wants at the end: the results on one screen and in one picture."""
+"""Put the results on one screen and in one picture."""
 
 from __future__ import annotations
 

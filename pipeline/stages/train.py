@@ -32,7 +32,7 @@ from pipeline.stages.workspace import locate_files
 
 
 def say_promoted(config: Config) -> None:
-    """Which values of a study are in force, and which the command line overrode."""
+    """Say which values of a study are in force, and which the command line overrode."""
     promoted = config.promoted
     if promoted is None:
         return

@@ -40,7 +40,7 @@ AGAIN = "run stage=tune again after moving it away"
 
 
 def pose_study(config: Config, measurement: Measurement) -> StudyProblem:
-    """What a study of ``config`` searches on. Raises ConfigError where no speed is held out."""
+    """Return the problem that a study of ``config`` searches on. Raises ConfigError where no speed is held out."""
     if not config.training.holdout_every:
         raise ConfigError(
             "a study must judge its trials on held-out speeds, but training.holdout_every is 0: give it 10, or another "
@@ -111,7 +111,7 @@ def _report(config: Config, problem: StudyProblem, study: Any, searched: float) 
 
 
 def follow_progress(shown: StudyProgress, total: int) -> Seen:
-    """What a worker calls between its steps to show how far the study is: once a second, for the database's sake."""
+    """Return what a worker calls between its steps to show how far the study is; it asks the database once a second."""
     due = 0.0
 
     def seen(study: Any) -> None:

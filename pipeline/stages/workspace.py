@@ -44,7 +44,7 @@ class Workspace:
 
 
 def locate_files(config: Config) -> Workspace:
-    """Where the experiment's files are, or will be."""
+    """Return the places of the experiment's files, which may not be there yet."""
     folder, data = Path(config.output), config.data
     return Workspace(
         folder,
@@ -65,7 +65,7 @@ def require_own(work: Workspace, stage: str) -> None:
 
 
 def hash_machine(config: Config) -> str:
-    """Identity of what data are generated from: the machine, but what was recorded of it."""
+    """Return the identity of what data are generated from: the machine without its recordings."""
     kept = {"rotor", "bearings", "probes", "speeds", "runs", "residual_unbalance"}
     parts = config.machine.model_dump(mode="json", include=kept)
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
