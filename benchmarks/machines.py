@@ -39,9 +39,9 @@ class Machine:
     @property
     def frequencies(self) -> np.ndarray | None:
         """(S, R) rad/s of the excitation; None where it turns with the rotor."""
-        from pipeline.stages.generate import own_frequencies
+        from pipeline.stages.generate import configure_frequencies
 
-        return own_frequencies(self.config, self.speeds)
+        return configure_frequencies(self.config, self.speeds)
 
     @cached_property
     def response(self) -> np.ndarray:
@@ -67,15 +67,15 @@ class Machine:
 
     def measured(self, dataset: VibrationDataset, config: Config) -> Measurement:
         """Other data of the machine, as another configuration asks about them; the bearings are the known ones."""
-        from pipeline.stages.measurement import measurement_of
+        from pipeline.stages.measurement import build_measurement
 
-        return measurement_of(config, self.rotor, dataset, self.bearings)
+        return build_measurement(config, self.rotor, dataset, self.bearings)
 
     def respond(self) -> np.ndarray:
         """:attr:`response`, computed each time."""
-        from pipeline.data.simulate import forced_response
+        from pipeline.data.simulate import solve_response
 
-        return forced_response(self.rotor, self.bearings, self.excitations, self.runs, self.frequencies)
+        return solve_response(self.rotor, self.bearings, self.excitations, self.runs, self.frequencies)
 
 
 @cache
@@ -85,13 +85,13 @@ def machine(*overrides: str) -> Machine:
 
     from pipeline.config.compose import compose_config
     from pipeline.rotor.ross_adapter import assemble, bearing_table
-    from pipeline.stages.generate import excitations
+    from pipeline.stages.generate import configure_excitations
     from pipeline.units import RAD_S_PER_RPM
 
     config = compose_config(overrides)
     speeds = np.array(config.machine.speeds.rpm()) * RAD_S_PER_RPM
     bearings = bearing_table(config.machine.rotor, config.machine.bearings, speeds)
-    return Machine(config, assemble(config.machine.rotor), bearings, excitations(config))
+    return Machine(config, assemble(config.machine.rotor), bearings, configure_excitations(config))
 
 
 def refined(experiment: str, factor: int, *overrides: str) -> Machine:

@@ -78,20 +78,19 @@ class _Ready:
         """A function that measures the machine once more, with other noise of 1 %."""
         import numpy as np
 
-        from pipeline.data.sensors import Sensors, both_directions, measure
+        from pipeline.data.sensors import Sensors, list_directions, measure
         from pipeline.data.simulate import simulate
-        from pipeline.stages.generate import excitations
+        from pipeline.stages.generate import configure_excitations
 
-        clean = simulate(self.measurement.rotor, self.modelled, excitations(self.config))
-        sensors = Sensors(both_directions(self.measurement.rotor.bearing_nodes), multiplicative=0.01)
+        clean = simulate(self.measurement.rotor, self.modelled, configure_excitations(self.config))
+        sensors = Sensors(list_directions(self.measurement.rotor.bearing_nodes), multiplicative=0.01)
         generator = np.random.default_rng(0)
         return lambda: replace(self.measurement, dataset=measure(clean, sensors, generator))
 
 
 def _ready(experiment: str, folder: Path) -> _Ready:
     from pipeline.config.compose import compose_config
-    from pipeline.stages.measurement import load_measurement
-    from pipeline.stages.results import load_modelled
+    from pipeline.stages.measurement import load_measurement, load_modelled
 
     config = compose_config([f"experiment={experiment}", f"output='{folder}'", "tracking=none"])
     measurement = load_measurement(config)

@@ -27,7 +27,7 @@ _EXPERIMENT = "experiment=hydrostatic_stiffness"
 )
 def study_overhead() -> Times:
     """What is not training, as a share."""
-    from pipeline.stages.tune import child_record
+    from pipeline.stages.tune import record_trial
     from pipeline.tracking import StageRecord, TrackingSettings, track
 
     overhead, whole = [], []
@@ -35,7 +35,7 @@ def study_overhead() -> Times:
         with TemporaryDirectory() as folder:
             trials, wall = _studied(Path(folder), "tuning.n_trials=24")
             settings = TrackingSettings(True, f"sqlite:///{folder}/mlflow.db", 30.0)
-            children = [child_record(trial) for trial in trials]
+            children = [record_trial(trial) for trial in trials]
             record = StageRecord("x", "tune", time.time() - 1, time.time(), {}, {}, {}, children=children)
             track(replace(record, children=()), settings)  # makes the database
             tracking = seconds(partial(track, record, settings))

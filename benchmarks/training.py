@@ -67,12 +67,12 @@ def guesses_at_once() -> Times:
 
     from pipeline.identification.residual_loss import initial_parameters, prepare_residual
     from pipeline.identification.training import minimise
-    from pipeline.stages.robustness import starting_points
+    from pipeline.stages.robustness import choose_starts
 
     made = machine("experiment=ball_bearing")
     setup = endless(made.config)
     prepared = prepare_residual(made.measurement, setup)
-    guesses = starting_points(made.config)
+    guesses = choose_starts(made.config)
     together = torch.cat([initial_parameters(prepared, setup, made.config.seed, float(guess)) for guess in guesses])
     alone = together[40:41]
     return in_turns(

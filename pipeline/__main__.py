@@ -35,32 +35,32 @@ _LONGEST_FOLDER = 120
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command line and return its exit code."""
     arguments = list(sys.argv[1:] if argv is None else argv)
-    return exit_code(lambda: _command(arguments))
+    return exit_code(lambda: _run_command(arguments))
 
 
-def _command(arguments: list[str]) -> None:
+def _run_command(arguments: list[str]) -> None:
     if {"-h", "--help"} & set(arguments):
-        from pipeline.usage import usage
+        from pipeline.usage import format_usage
 
-        print(usage())
+        print(format_usage())
     elif "--version" in arguments:
         print(f"pipeline {__version__}")
     else:
-        folder, others = _folder(arguments)
+        folder, others = _split_folder(arguments)
         if all(map(_is_plain, others)):
             _run_stages(others, folder)
         else:
             from pipeline.usage import parse_options
 
-            _hydra(parse_options(others), folder)
+            _run_hydra(parse_options(others), folder)
 
 
 def _is_plain(argument: str) -> bool:
     """An override of the pipeline's own keys: a command of these alone needs nothing of Hydra's launchers."""
-    return "=" in argument and not argument.startswith("-") and not _key(argument).startswith("hydra")
+    return "=" in argument and not argument.startswith("-") and not _parse_key(argument).startswith("hydra")
 
 
-def _folder(arguments: list[str]) -> tuple[Path | None, list[str]]:
+def _split_folder(arguments: list[str]) -> tuple[Path | None, list[str]]:
     """The folder of ``--config-dir``, which is read here and not by Hydra, and the other arguments."""
     folder, others, rest = None, [], iter(arguments)
     for argument in rest:
@@ -90,18 +90,18 @@ def _run_stages(overrides: list[str], folder: Path | None) -> None:
 # --- Hydra ---------------------------------------------------------------------------------------
 
 
-def _hydra(options: Namespace, folder: Path | None) -> None:
+def _run_hydra(options: Namespace, folder: Path | None) -> None:
     """Check the overrides, then hand the command to Hydra."""
-    from pipeline.config.compose import prepared
+    from pipeline.config.compose import prepare_for_hydra
 
     if options.shell_completion or options.hydra_help:
-        _hydra_main(Job(), [*options.overrides, *options.flags], options.cfg)
+        _call_hydra(Job(), [*options.overrides, *options.flags], options.cfg)
         return
-    with prepared(options.overrides, folder) as options.overrides:
-        _hydra_main(_checked(options), [*options.overrides, *options.flags], options.cfg)
+    with prepare_for_hydra(options.overrides, folder) as options.overrides:
+        _call_hydra(_check(options), [*options.overrides, *options.flags], options.cfg)
 
 
-def _hydra_main(job: Job, arguments: list[str], shows: str | None) -> None:
+def _call_hydra(job: Job, arguments: list[str], shows: str | None) -> None:
     """Hydra's own entry point, on ``conf/``."""
     import hydra
     from hydra.errors import HydraException
@@ -109,7 +109,7 @@ def _hydra_main(job: Job, arguments: list[str], shows: str | None) -> None:
 
     from pipeline.config.loader import CONF, ROOT_CONFIG, VERSION_BASE
 
-    with _process(["pipeline", *arguments]):
+    with _replace_command(["pipeline", *arguments]):
         try:
             hydra.main(config_path=str(CONF), config_name=ROOT_CONFIG, version_base=VERSION_BASE)(job)()
         except SystemExit as stop:
@@ -120,17 +120,17 @@ def _hydra_main(job: Job, arguments: list[str], shows: str | None) -> None:
             raise ConfigError(f"Hydra must be able to start this, but says: {error}") from None
 
 
-def _checked(options: Namespace) -> Job:
+def _check(options: Namespace) -> Job:
     """The job that Hydra may start: all its configurations compose and fit the schema."""
-    from pipeline.config.compose import compose_stages, composed_mapping, expanded
+    from pipeline.config.compose import compose_mapping, compose_stages, expand_sweeps
 
     if options.cfg or options.info:
-        composed_mapping(options.overrides)
+        compose_mapping(options.overrides)
         return Job()
     if not options.multirun:
         compose_stages(options.overrides)
         return Job()
-    jobs, fixed = expanded(options.overrides)
+    jobs, fixed = expand_sweeps(options.overrides)
     job = Job(multirun=True, fixed=fixed, count=len(jobs))
     _refuse_shared_folders(job, jobs)
     return job
@@ -158,18 +158,16 @@ def _refuse_shared_folders(job: Job, jobs: list[list[str]]) -> None:
 
 
 @contextmanager
-def _process(argv: list[str]) -> Iterator[None]:
+def _replace_command(argv: list[str]) -> Iterator[None]:
     """The command line that Hydra reads, and its errors raised to us instead of printed."""
-    saved = sys.argv, os.environ.get("HYDRA_FULL_ERROR")
-    sys.argv, os.environ["HYDRA_FULL_ERROR"] = argv, "1"
+    from pipeline.processes import change_environment
+
+    before, sys.argv = sys.argv, argv
     try:
-        yield
+        with change_environment({"HYDRA_FULL_ERROR": "1"}):
+            yield
     finally:
-        sys.argv = saved[0]
-        if saved[1] is None:
-            del os.environ["HYDRA_FULL_ERROR"]
-        else:
-            os.environ["HYDRA_FULL_ERROR"] = saved[1]
+        sys.argv = before
 
 
 @dataclass(frozen=True)
@@ -189,34 +187,38 @@ class Job:
             return
         if not self.multirun or code == INTERRUPTED:
             raise SystemExit(code)
-        say_and_return(f"{self._which()} failed", code)
-        folder = _job().launcher.get("submitit_folder")
+        say_and_return(f"{self._describe()} failed", code)
+        folder = _get_job().launcher.get("submitit_folder")
         raise JobFailed(code, folder and str(Path(folder).parent))  # Hydra goes on with the other jobs
 
     def _run(self, composed: DictConfig) -> None:
         from omegaconf import OmegaConf
 
-        from pipeline.config.compose import effective, stages_of
+        from pipeline.config.compose import list_stages, validate_stages
         from pipeline.stages import run_stage
 
-        overrides = list(_job().overrides.task)
+        overrides = list(_get_job().overrides.task)
         if self.multirun:
             composed.output = self.folder(composed.output, overrides)
             # Studies of different values are different studies.
-            if {"tune", "samplers"} & set(stages_of(cast("dict[str, Any]", OmegaConf.to_container(composed)))):
+            if {"tune", "samplers"} & set(list_stages(cast("dict[str, Any]", OmegaConf.to_container(composed)))):
                 composed.tuning.folder = self.folder(composed.tuning.folder, overrides)
                 composed.tuning.study = self.folder(composed.tuning.study, overrides)
-            print(f"{self._which()} -> {composed.output}", flush=True)
+            print(f"{self._describe()} -> {composed.output}", flush=True)
         mapping: Any = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
-        for config in effective(mapping, overrides):
+        for config in validate_stages(mapping, overrides):
             run_stage(config)
 
-    def _which(self) -> str:
-        return f"[{_job().job.num + 1}/{self.count}] {' '.join(_job().overrides.task)}"
+    def _describe(self) -> str:
+        return f"[{_get_job().job.num + 1}/{self.count}] {' '.join(_get_job().overrides.task)}"
 
     def folder(self, output: str, overrides: Sequence[str]) -> str:
         """The folder of the job with these overrides: no other job of the multirun has it."""
-        swept = [o for o in overrides if _key(o) not in self.fixed | _NOT_IN_FOLDER and not _key(o).startswith("hydra")]
+        swept = [
+            o
+            for o in overrides
+            if _parse_key(o) not in self.fixed | _NOT_IN_FOLDER and not _parse_key(o).startswith("hydra")
+        ]
         if not swept:
             return output
         raw = "__".join(override.lstrip("+~").replace("=", "-", 1) for override in swept)
@@ -226,14 +228,14 @@ class Job:
         return str(Path(output) / name)
 
 
-def _job() -> Any:
+def _get_job() -> Any:
     """Hydra's record of the job that runs."""
     from hydra.core.hydra_config import HydraConfig
 
     return HydraConfig.get()
 
 
-def _key(override: str) -> str:
+def _parse_key(override: str) -> str:
     return override.lstrip("+~").partition("=")[0].partition("@")[0]
 
 

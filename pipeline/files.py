@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import os
 from collections.abc import Callable, Mapping
@@ -12,7 +13,7 @@ from typing import Any
 from pipeline.errors import DataError, StorageError
 
 
-def write_beside(path: Path, write: Callable[[Path], None]) -> Path:
+def write_beside(path: Path, write: Callable[[Path], object]) -> Path:
     """Let ``write`` make the file under a temporary name in the same folder, then rename it to ``path``.
 
     Raises StorageError (full disk, read-only folder, a file where a folder should be); nothing is left
@@ -39,16 +40,17 @@ def write_beside(path: Path, write: Callable[[Path], None]) -> Path:
 
 def write_text(path: Path, text: str) -> Path:
     """Write ``text`` in UTF-8. Raises StorageError."""
-    return write_beside(path, lambda beside: _write(beside, text))
-
-
-def _write(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")
+    return write_beside(path, lambda beside: beside.write_text(text, encoding="utf-8"))
 
 
 def write_json(path: Path, value: Mapping[str, Any]) -> Path:
     """Write JSON, indented; NaN and infinities are refused by ValueError. Raises StorageError."""
     return write_text(path, json.dumps(value, indent=2, allow_nan=False) + "\n")
+
+
+def hash_file(path: Path) -> str:
+    """Identity of a file's bytes; empty where there is no file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:16] if path.is_file() else ""
 
 
 def _refuse_constant(name: str) -> None:

@@ -6,25 +6,30 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
 from multiprocessing import resource_tracker
 
 _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
-def threads_each(threads: int, workers: int) -> int:
+def share_threads(threads: int, workers: int) -> int:
     """Threads of each worker: together no more than the machine has cores."""
     # Not every system can limit a process to some of its cores.
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return max(1, min(threads, cores // workers))
 
 
-@contextmanager
-def limited_threads(threads: int) -> Iterator[None]:
+def limit_threads(threads: int) -> AbstractContextManager[None]:
     """Interpreters started in the block find the limit of their threads in the environment: BLAS reads it there."""
-    before = {name: os.environ.get(name) for name in _THREADS}
-    os.environ.update(dict.fromkeys(_THREADS, str(threads)))
+    return change_environment(dict.fromkeys(_THREADS, str(threads)))
+
+
+@contextmanager
+def change_environment(values: Mapping[str, str]) -> Iterator[None]:
+    """Environment variables have these values in the block, and afterwards those of before."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
     try:
         yield
     finally:
@@ -48,7 +53,7 @@ def end_with_parent() -> None:
 
 
 @contextmanager
-def later_interrupt() -> Iterator[None]:
+def delay_interrupt() -> Iterator[None]:
     """Ctrl-C waits until the end of the block, and in processes started in it until they let it through: one that
     came while they import would end them with a traceback."""
     if hasattr(signal, "pthread_sigmask"):
@@ -61,6 +66,6 @@ def later_interrupt() -> Iterator[None]:
 
 
 def let_interrupt_through() -> None:
-    """End :func:`later_interrupt` in a process that was started in it."""
+    """End :func:`delay_interrupt` in a process that was started in it."""
     if hasattr(signal, "pthread_sigmask"):  # not on Windows
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})

@@ -12,13 +12,13 @@ if TYPE_CHECKING:
     from argparse import Namespace
 
 
-def usage() -> str:
+def format_usage() -> str:
     """The whole help."""
-    from pipeline.config.loader import options
+    from pipeline.config.loader import list_options
     from pipeline.config.stage_names import STAGES
 
-    experiments = {name: _description(name) for name in options("experiment")}
-    machines = textwrap.fill(", ".join(options("machine")), 100, initial_indent="  ", subsequent_indent="  ")
+    experiments = {name: _description(name) for name in list_options("experiment")}
+    machines = textwrap.fill(", ".join(list_options("machine")), 100, initial_indent="  ", subsequent_indent="  ")
     return f"""\
 usage: python -m pipeline stage=STAGE experiment=NAME|machine.file=FILE [KEY=VALUE ...] [-m]
 

@@ -12,7 +12,7 @@ from pipeline.config.schema import Config
 from pipeline.methods.catalogue import METHODS
 from pipeline.methods.method import Estimate, MethodOptions
 from pipeline.problem.measurement import Measurement
-from pipeline.stages.compare import modelled_machine
+from pipeline.stages.compare import build_machine
 
 
 @cache
@@ -24,7 +24,7 @@ def composed(*overrides: str) -> Config:
 @cache
 def machine(*overrides: str) -> Machine:
     """The modelled machine of an experiment."""
-    return modelled_machine(composed(*overrides))
+    return build_machine(composed(*overrides))
 
 
 def task(case: Case, *overrides: str) -> Measurement:

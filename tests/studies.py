@@ -21,7 +21,7 @@ import pytest
 from pipeline.config.compose import compose_config
 from pipeline.errors import ConfigError, PipelineError
 from pipeline.stages.measurement import load_measurement
-from pipeline.stages.tune import study_problem
+from pipeline.stages.tune import pose_study
 from pipeline.tuning.attempts import list_results
 from pipeline.tuning.study import StudyProblem
 
@@ -52,7 +52,7 @@ ALONE = {"sampler": "random", "pruner": "none"}
 def cheap_problem(folder: Path) -> StudyProblem:
     """The problem of all studies here; ``folder`` gets its data. Its storage is each test's own."""
     config = compose_config([*CHEAP, f"output='{folder}'"])
-    return study_problem(config, load_measurement(config))
+    return pose_study(config, load_measurement(config))
 
 
 def with_tuning(problem: StudyProblem, **tuning: Any) -> StudyProblem:

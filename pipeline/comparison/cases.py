@@ -10,7 +10,7 @@ from pipeline.config.comparison import ComparisonConfig, SensorSet
 from pipeline.config.identification import IdentifyConfig
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.noise import NoiseModel
-from pipeline.data.sensors import Channels, Sensors, both_directions, measure
+from pipeline.data.sensors import Channels, Sensors, list_directions, measure
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
@@ -76,8 +76,8 @@ class Machine:
         if sensors == "all":
             return None
         if sensors == "bearings":
-            return both_directions(self.rotor.bearing_nodes)
-        return both_directions((self.rotor.n_nodes // 2 if location is None else location,))
+            return list_directions(self.rotor.bearing_nodes)
+        return list_directions((self.rotor.n_nodes // 2 if location is None else location,))
 
 
 def take_measurement(machine: Machine, case: Case, identify: IdentifyConfig, settings: ComparisonConfig) -> Measurement:

@@ -12,14 +12,14 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from pipeline.cache import identity
+from pipeline.cache import hash_parts
 from pipeline.comparison.cases import Case, Machine
 from pipeline.comparison.result import Result, judge_method
 from pipeline.config.comparison import ComparisonConfig, MethodName
 from pipeline.config.identification import IdentifyConfig
 from pipeline.errors import DataError, PipelineError
 from pipeline.files import read_json, write_json
-from pipeline.processes import end_with_parent, later_interrupt, limited_threads
+from pipeline.processes import delay_interrupt, end_with_parent, limit_threads
 
 _PACKAGES = ("comparison", "data", "identification", "methods", "problem", "rotor")
 Done = Callable[[int, int, Result], None]
@@ -57,7 +57,7 @@ class ComparisonSetup:
         """The hash of machine, unknowns, settings and program; which cases are asked for does not change a result."""
         machine = self.machine
         root = Path(__file__).parents[1]
-        return identity(
+        return hash_parts(
             machine.rotor.fingerprint,
             machine.vibration.fingerprint,
             machine.modelled.values.tobytes(),
@@ -102,7 +102,7 @@ def _run_all(setup: ComparisonSetup, runs: Sequence[MethodRun]) -> Iterator[tupl
     context = multiprocessing.get_context("spawn")  # torch and BLAS don't survive a fork
     with ProcessPoolExecutor(workers, context, _begin, (setup,)) as pool:
         try:
-            with limited_threads(1), later_interrupt():
+            with limit_threads(1), delay_interrupt():
                 futures = {pool.submit(_work, run): run for run in runs}
             while futures:
                 finished, _ = wait(futures, return_when=FIRST_COMPLETED)

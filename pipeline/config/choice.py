@@ -1,18 +1,19 @@
-"""What a command chooses: a machine, of ``conf/`` or of the user's own, and an experiment.
+"""A command chooses a machine, from ``conf/`` or from a file of the user, and an experiment.
 
 A machine without an experiment is identified as its kind suggests (``conf/experiment/default``), under its own name.
 """
 
 from __future__ import annotations
 
-import os
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.config.loader import composed, parsed_overrides, text_of
-from pipeline.config.messages import written
-from pipeline.config.own_machines import absolute, is_own, plain_name, store_machine
+from pipeline.config.loader import compose, get_text, list_options, parse_overrides
+from pipeline.config.messages import quote_override
+from pipeline.config.own_machines import clean_name, make_absolute, store_machine
+from pipeline.config.promotion import is_overridden
 from pipeline.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -22,166 +23,147 @@ if TYPE_CHECKING:
     from pipeline.config.schema import Config
 
 DEFAULTS = "default/"
-"""Where the experiments of machines without one are, below ``conf/experiment``."""
+"""The folder below ``conf/experiment`` that has the experiments of machines without one."""
 _CHANGING = {"cylindrical", "journal_table", "rotor_file"}
 """Kinds of bearings whose coefficients change with the speed, or may."""
 _KINDS = ("kind", "format")
 """Keys that say what the others of their section may be."""
 
 
-def with_choice(parsed: Sequence[Override], loader: ConfigLoader) -> list[Override]:
+def choose(parsed: Sequence[Override], loader: ConfigLoader) -> list[Override]:
     """``parsed`` with an option of the group ``machine`` in place of ``machine.file``, and with the default experiment
     of a machine that comes without one.
 
     Raises ConfigError for a machine file that can't be read.
     """
     by_key = {override.key_or_group: override for override in parsed if not override.is_delete()}
-    if "new" in _stages(by_key.get("stage")):  # the file is yet to be written
-        return [*parsed, *parsed_overrides([] if "tracking" in by_key else ["tracking=none"], loader)]
-    file, machine, experiment = (by_key.get(key) for key in ("machine.file", "machine", "experiment"))
+    stage, file, machine, experiment = map(by_key.get, ("stage", "machine.file", "machine", "experiment"))
+    if stage is not None and "new" in re.findall(r"\w+", get_text(stage)):  # the file is yet to be written
+        return [*parsed, *parse_overrides([] if "tracking" in by_key else ["tracking=none"], loader)]
     rest = [override for override in parsed if override is not file]
-    if file is not None and (path := _path(file)) is not None:
+    path = None if file is None else _locate(file)
+    if file is not None and path is not None:
         if machine is not None:
             raise ConfigError(
-                f"a command must have one machine, but got {text_of(machine)} and {text_of(file)}: leave one out"
+                f"a command must have one machine, but got {get_text(machine)} and {get_text(file)}: leave one out"
             )
-        (machine,) = parsed_overrides([f"machine={store_machine(path)}"], loader)
+        (machine,) = parse_overrides([f"machine={store_machine(path)}"], loader)
         rest.insert(0, machine)
-        name = plain_name(path)
-    elif machine is not None and isinstance(machine.value(), str) and not machine.is_sweep_override():
-        name = str(machine.value())
+    elif machine is None or not isinstance(machine.value(), str) or machine.is_sweep_override():
+        return _begin_anew(rest, loader)
+    rest = _begin_anew(rest, loader)
+    name = str(machine.value()) if path is None else clean_name(path)
+    if experiment is None:
+        more = [*_choose_experiment(_compose_machine(rest, loader)), f"name={name}"]
     else:
-        return _begun_anew(rest, loader)
-    if experiment is not None:
-        own = is_own(str(machine.value())) and isinstance(experiment.value(), str)
+        own = str(machine.value()) not in list_options("machine") and isinstance(experiment.value(), str)
         given = str(experiment.value())
         more = [f"name={name}_{given}"] if own and not given.startswith(DEFAULTS) else []
-    else:
-        more = [*_default_experiment(_machine(_begun_anew(rest, loader), loader)), f"name={name}"]
     keys = {override.key_or_group for override in parsed}
-    more = [text for text in more if not _given(text.partition("=")[0], keys)]
-    return [*_begun_anew(rest, loader), *parsed_overrides(more, loader)]
+    more = [text for text in more if not is_overridden(text.partition("=")[0], keys)]
+    return [*rest, *parse_overrides(more, loader)]
 
 
-def _stages(override: Override | None) -> list[Any]:
-    value = None if override is None else override.value()
-    return value if isinstance(value, list) else [value]
-
-
-def _path(file: Override) -> Path | None:
-    """The machine file; None for null."""
+def _locate(file: Override) -> Path | None:
+    """Return the path of the machine file; None for null."""
     if file.is_sweep_override():
-        raise ConfigError(f"machine.file must be one file, but got '{text_of(file)}': give a command for each")
+        raise ConfigError(f"machine.file must be one file, but got '{get_text(file)}': give a command for each")
     value = file.value()
     if value is None:
         return None
     if not isinstance(value, str) or not value:
-        raise ConfigError(f"machine.file must be the path of a machine file, but got '{text_of(file)}'")
-    return absolute(value)
+        raise ConfigError(f"machine.file must be the path of a machine file, but got '{get_text(file)}'")
+    return make_absolute(value)
 
 
-def _begun_anew(parsed: Sequence[Override], loader: ConfigLoader) -> list[Override]:
+def _begin_anew(parsed: Sequence[Override], loader: ConfigLoader) -> list[Override]:
     """``parsed`` so that a section of the machine whose kind is given anew has nothing of the former kind.
 
     Such are ``machine.bearings.kind=rotor_file`` and ``machine.bearings={kind: linear, kxx: 1e7, kyy: 1e7}``.
     """
-    sections = {id(override): _new_kind(override) for override in parsed}
+    sections = {id(override): _find_kind(override) for override in parsed}
     if not any(sections.values()):
         return list(parsed)
-    there = _machine([o for o in parsed if o.key_or_group in ("machine", "experiment")], loader)
+    there = _compose_machine([o for o in parsed if o.key_or_group in ("machine", "experiment")], loader)
     made: list[Override] = []
     for override in parsed:
         key, tag, value, text = sections[id(override)] or ("", "", None, "")
-        former = _at(there, key) if key else None
-        if former is None or (override.key_or_group != key and former.get(tag) == value):
+        former = _look_up(there, key) if key else {}
+        if not former or (override.key_or_group != key and former.get(tag) == value):
             made.append(override)
         else:
-            made += parsed_overrides([f"~{key}", f"+{key}={text}"], loader)
+            made += parse_overrides([f"~{key}", f"+{key}={text}"], loader)
     return made
 
 
-def _new_kind(override: Override) -> tuple[str, str, Any, str] | None:
-    """Section, name and value of its kind, and the section's text; None for an override that gives no kind."""
+def _find_kind(override: Override) -> tuple[str, str, Any, str] | None:
+    """Return section, name and value of its kind, and the section's text; None where the override gives no kind."""
     key, value = override.key_or_group, override.value()
     section, _, tag = key.rpartition(".")
     if override.is_delete() or override.is_sweep_override() or not key.startswith("machine."):
         return None
     if isinstance(value, dict) and (tags := [tag for tag in _KINDS if tag in value]):
-        return key, tags[0], value[tags[0]], text_of(override).partition("=")[2]
+        return key, tags[0], value[tags[0]], get_text(override).partition("=")[2]
     if tag in _KINDS and isinstance(value, str):
         return section, tag, value, f"{{{tag}: {value}}}"
     return None
 
 
-def _at(machine: Mapping[str, Any], key: str) -> Mapping[str, Any] | None:
-    node: Any = {"machine": machine}
-    for part in key.split("."):
+def _look_up(machine: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    """Return the section at a dotted key such as ``machine.bearings.nodes.21``; empty where there is none."""
+    node: Any = machine
+    for part in key.split(".")[1:]:
         inside = node if isinstance(node, Mapping) else {}
         node = inside.get(part, inside.get(int(part)) if part.isdigit() else None)
-    return node if isinstance(node, Mapping) else None
+    return node if isinstance(node, Mapping) else {}
 
 
-def _given(key: str, keys: set[str]) -> bool:
-    """Whether the command line has ``key``, or a section that it belongs to."""
-    return any(key == one or key.startswith(f"{one}.") for one in keys)
-
-
-def _machine(parsed: Sequence[Override], loader: ConfigLoader) -> Mapping[str, Any]:
-    """The machine as composed, without what it can't be composed with: that is told with the whole."""
+def _compose_machine(parsed: Sequence[Override], loader: ConfigLoader) -> Mapping[str, Any]:
+    """Compose the machine alone. A mistake gives an empty mapping: it is told when the whole is composed."""
     keys = ("machine", "experiment")
     of_machine = [o for o in parsed if o.key_or_group.partition(".")[0] in keys and not o.is_sweep_override()]
     try:
-        machine = composed(of_machine, loader).get("machine")
+        machine = compose(of_machine, loader).get("machine")
     except ConfigError:
         return {}
     return machine if isinstance(machine, Mapping) else {}
 
 
-def _default_experiment(machine: Mapping[str, Any]) -> list[str]:
-    """Overrides: what is identified of a machine of this kind, and at which noise."""
-    bearings, recordings, probes = (_section(machine, key) for key in ("bearings", "recordings", "probes"))
-    nodes = bearings.get("nodes")
-    each = [bearings, *(nodes.values() if isinstance(nodes, Mapping) else ())]
+def _choose_experiment(machine: Mapping[str, Any]) -> list[str]:
+    """Return the overrides that say what is identified of a machine of this kind, and at which noise."""
+    bearings, recordings, probes = (_look_up(machine, f"machine.{key}") for key in ("bearings", "recordings", "probes"))
+    each = [bearings, *_look_up(machine, "machine.bearings.nodes").values()]
     kinds = {one.get("kind") for one in each if isinstance(one, Mapping)}
     option = "fluid_film" if kinds & _CHANGING else "rolling"
     if recordings.get("format", "none") != "none":
         baseline = recordings.get("baseline")
         more = [f"data.baseline='{baseline}'"] if isinstance(baseline, str) else []
         return [f"experiment={DEFAULTS}{option}_measured", *more]
-    noise = [probes.get(key) for key in ("additive", "multiplicative")]
-    stated = zip(("additive", "multiplicative"), noise, strict=True) if any(map(_is_noise, noise)) else ()
-    return [f"experiment={DEFAULTS}{option}", *(f"stated_noise.{key}={value}" for key, value in stated)]
-
-
-def _section(machine: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    section = machine.get(key)
-    return section if isinstance(section, Mapping) else {}
+    noise = {key: probes.get(key) for key in ("additive", "multiplicative")}
+    stated = noise if any(map(_is_noise, noise.values())) else {}
+    return [f"experiment={DEFAULTS}{option}", *(f"stated_noise.{key}={value}" for key, value in stated.items())]
 
 
 def _is_noise(value: Any) -> bool:
-    """Whether a number, or a text such as ``0.1 um``, is above zero."""
+    """Tell whether a number, or a text such as ``0.1 um``, is above zero."""
     try:
         return float(str(value).partition(" ")[0]) > 0
     except ValueError:
         return False
 
 
-def chosen_by(config: Config, overrides: Sequence[str], folder: Path | None) -> str:
-    """The overrides that chose machine and experiment, as a shell takes them in another command."""
+def name_choice(config: Config, overrides: Sequence[str], folder: Path | None) -> str:
+    """Return the overrides that chose machine and experiment, as a shell takes them in another command."""
     given = dict(override.lstrip("+").partition("=")[::2] for override in overrides)
     parts = []
     if folder is not None:
-        parts.append(written("--config-dir", str(folder)))
+        parts.append(quote_override("--config-dir", str(folder)))
     if config.machine.file is not None and config.stage != "new":
-        parts.append(written("machine.file", _short(config.machine.file)))
+        path, here = Path(config.machine.file), Path.cwd()
+        short = path.relative_to(here) if path.is_relative_to(here) else path
+        parts.append(quote_override("machine.file", str(short)))
     elif "machine" in given:
         parts.append(f"machine={given['machine']}")
     if "experiment" in given and not given["experiment"].startswith(DEFAULTS):
         parts.append(f"experiment={given['experiment']}")
     return " ".join(parts)
-
-
-def _short(path: str) -> str:
-    """Relative where the file lies below the working folder."""
-    folder = os.getcwd()
-    return os.path.relpath(path, folder) if Path(path).is_relative_to(folder) else path

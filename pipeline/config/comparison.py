@@ -1,4 +1,4 @@
-"""What a configuration may say of the comparison of methods. SI; noise as a share of the reading."""
+"""The schema of the comparison of methods. SI; noise as a share of the reading."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pydantic import Field, PositiveInt, model_validator
 
 from pipeline.config.identification import LossConfig, ModelConfig, OptimizerConfig, TrainingConfig
 from pipeline.config.quantities import Damping, Stiffness
-from pipeline.config.section import NonNegativeInt, Section
+from pipeline.config.section import NonNegativeInt, Section, Share
 
 MethodName = Literal[
     "least_squares",
@@ -44,7 +44,7 @@ class PriorConfig(Section):
 
 
 class FitConfig(Section):
-    """How a network is trained in the comparison."""
+    """The training of a network in the comparison."""
 
     model: ModelConfig
     loss: LossConfig
@@ -62,7 +62,7 @@ class ComparisonConfig(Section):
     """
 
     methods: tuple[MethodName, ...] = Field(min_length=1)
-    noise: tuple[Annotated[float, Field(ge=0, lt=1)], ...] = Field(min_length=1)
+    noise: tuple[Share, ...] = Field(min_length=1)
     sensors: tuple[SensorSet, ...] = Field(min_length=1)
     speeds: tuple[Annotated[int, Field(ge=2)], ...] = Field(min_length=1)
     location: NonNegativeInt | None = None

@@ -1,26 +1,30 @@
 """From ``conf/``, a machine file and overrides to a checked :class:`~pipeline.config.schema.Config`.
 
 Its errors, and pydantic's, leave here as :class:`~pipeline.errors.ConfigError`: the law, what came, the next step.
+What was composed before comes from the cache, without Hydra and pint, whose import takes a second.
 """
 
 from __future__ import annotations
 
+import importlib.metadata
 import itertools
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pipeline.cache import hash_parts, keep, look_up
 from pipeline.config import loader
-from pipeline.config.kept import keep_configurations, kept, made_from
-from pipeline.config.messages import schema_errors, shown, suggestion
+from pipeline.config.messages import explain_schema_errors, quote_value, suggest
 from pipeline.errors import ConfigError
 
 if TYPE_CHECKING:
     from pipeline.config.schema import Config
 
-ALONE = ("new",)
-"""Stages that no other goes with: before a machine file is written, nothing can read it."""
+_CACHED = "configurations"
+_PACKAGES = ("hydra-core", "pydantic", "pint")
+_PACKAGE = Path(__file__).parents[1]
 
 
 def compose_config(overrides: Sequence[str] = (), folder: Path | None = None) -> Config:
@@ -32,50 +36,73 @@ def compose_config(overrides: Sequence[str] = (), folder: Path | None = None) ->
 def compose_stages(overrides: Sequence[str] = (), folder: Path | None = None) -> list[Config]:
     """The configurations, one a stage, that ``python -m pipeline OVERRIDES`` would run one after the other.
 
-    ``folder`` is that of ``--config-dir``. What was composed before comes from the cache, without Hydra and pint,
-    which take a second.
+    ``folder`` is that of ``--config-dir``.
     """
-    from pipeline.config.own_machines import contents
-
-    outside = contents(overrides, folder)
-    key = None if outside is None else made_from(loader.CONF, overrides, outside)
-    configs = None if key is None else kept(key)
+    key = _identify(overrides, folder)
+    content = None if key is None else look_up(_CACHED, key)
+    configs = None if content is None else _read(content)
     if configs is None:
-        mapping = composed_mapping(overrides, folder)
-        configs = _validated_stages(mapping)
-        if key is not None and _is_all_in_the_key(mapping, overrides, outside or ()):
-            keep_configurations(key, configs)
-    return [_in_force(config, overrides, folder) for config in configs]
+        configs = _validate_stages(compose_mapping(overrides, folder))
+        content = json.dumps([config.model_dump(mode="json") for config in configs]).encode()
+        if key is not None and configs[0].machine.runs_file is None and _read(content) == configs:
+            keep(_CACHED, key, content)
+    return [_complete(config, overrides, folder) for config in configs]
 
 
-def effective(mapping: Mapping[str, Any], overrides: Sequence[str]) -> list[Config]:
-    """``mapping`` as a Config for each of its stages, with the promoted values of its study; ``overrides`` win over
-    them."""
-    return [_in_force(config, overrides, None) for config in _validated_stages(mapping)]
+def validate_stages(mapping: Mapping[str, Any], overrides: Sequence[str]) -> list[Config]:
+    """``mapping`` as a Config for each of its stages, with the values that its study promoted; ``overrides`` win."""
+    return [_complete(config, overrides, None) for config in _validate_stages(mapping)]
 
 
-def _in_force(config: Config, overrides: Sequence[str], folder: Path | None) -> Config:
-    from pipeline.config.choice import chosen_by
-    from pipeline.config.promotion import with_promoted
+def _complete(config: Config, overrides: Sequence[str], folder: Path | None) -> Config:
+    from pipeline.config.choice import name_choice
+    from pipeline.config.promotion import apply_promoted
 
-    return with_promoted(config, overrides).model_copy(update={"chosen_by": chosen_by(config, overrides, folder)})
-
-
-def _validated_stages(mapping: Mapping[str, Any]) -> list[Config]:
-    complete = _with_runs_file(mapping)
-    return [validated(dict(complete) | {"stage": stage}) for stage in stages_of(mapping)]
+    return apply_promoted(config, overrides).model_copy(update={"chosen_by": name_choice(config, overrides, folder)})
 
 
-def stages_of(mapping: Mapping[str, Any]) -> list[str]:
+def _identify(overrides: Sequence[str], folder: Path | None) -> str | None:
+    """Identity of all that a configuration is composed from: ``conf``, the schema, the packages, the overrides, and the
+    files outside ``conf`` that they name. None where one of them can't be read."""
+    from pipeline.config.own_machines import list_files
+
+    schema = [*sorted(Path(__file__).parent.glob("*.py")), _PACKAGE / "coefficients.py", _PACKAGE / "unknowns.py"]
+    try:
+        outside = list_files(overrides, folder)
+        files = {path: path.read_bytes() for path in (*sorted(loader.CONF.rglob("*.yaml")), *schema, *outside)}
+    except (OSError, ValueError):
+        return None
+    if "$" in "".join(overrides) or any(b"$" in files[path] for path in outside):  # the environment resolves it
+        return None
+    contents = (part for path, content in files.items() for part in (str(path), content))
+    return hash_parts(*contents, *map(importlib.metadata.version, _PACKAGES), json.dumps(list(overrides)))
+
+
+def _read(content: bytes) -> list[Config] | None:
+    """The configurations of a command; None where the entry is damaged."""
+    from pipeline.config.schema import Config
+
+    try:
+        return [Config.model_validate(mapping) for mapping in json.loads(content)]
+    except (ValueError, TypeError):  # pydantic's errors are ValueErrors
+        return None
+
+
+def _validate_stages(mapping: Mapping[str, Any]) -> list[Config]:
+    complete = _insert_runs(mapping)
+    return [validate(dict(complete) | {"stage": stage}) for stage in list_stages(mapping)]
+
+
+def list_stages(mapping: Mapping[str, Any]) -> list[str]:
     """The stages of a command, in the order given. Raises ConfigError for an unknown one, and one given twice."""
     given = mapping.get("stage")
     stages: list[Any] = given if isinstance(given, list) and given else [given]
     for stage in stages:
         _require_stage(stage)
     if len(set(stages)) < len(stages):
-        raise ConfigError(f"stage must name each stage once, but got {shown(given)}")
-    if len(stages) > 1 and set(stages) & set(ALONE):
-        raise ConfigError(f"stage=new must be a command of its own, but got {shown(given)}")
+        raise ConfigError(f"stage must name each stage once, but got {quote_value(given)}")
+    if len(stages) > 1 and "new" in stages:  # before a machine file is written, nothing can read it
+        raise ConfigError(f"stage=new must be a command of its own, but got {quote_value(given)}")
     return stages
 
 
@@ -83,24 +110,15 @@ def _require_stage(stage: object) -> None:
     from pipeline.config.stage_names import STAGES
 
     if not isinstance(stage, str) or stage not in STAGES:
-        raise ConfigError(f"stage must be one of the stages, but got {shown(stage)}{suggestion(str(stage), STAGES)}")
+        raise ConfigError(f"stage must be one of the stages, but got {quote_value(stage)}{suggest(str(stage), STAGES)}")
 
 
-def _is_all_in_the_key(mapping: Mapping[str, Any], overrides: Sequence[str], outside: Sequence[str | bytes]) -> bool:
-    """Whether nothing comes from a file of runs, or from what the environment resolves."""
-    section = mapping.get("machine")
-    from_file = isinstance(section, Mapping) and bool(section.get("runs_file"))
-    resolved = any("$" in override for override in overrides) or any(b"$" in o for o in outside if isinstance(o, bytes))
-    return not from_file and not resolved
-
-
-def _with_runs_file(mapping: Mapping[str, Any]) -> Mapping[str, Any]:
+def _insert_runs(mapping: Mapping[str, Any]) -> Mapping[str, Any]:
     """``mapping`` with the speeds and runs of ``machine.runs_file``, such as ``stage=design`` writes."""
     import yaml
 
     section = mapping.get("machine")
-    file = section.get("runs_file") if isinstance(section, Mapping) else None
-    if not file:
+    if not isinstance(section, Mapping) or not (file := section.get("runs_file")):
         return mapping
     try:
         read = yaml.safe_load(Path(str(file)).read_text(encoding="utf-8"))
@@ -110,24 +128,23 @@ def _with_runs_file(mapping: Mapping[str, Any]) -> Mapping[str, Any]:
             f"such: {error}"
         ) from None
     if not isinstance(read, dict) or set(read) != {"speeds", "runs"}:
-        came = ", ".join(map(str, read)) if isinstance(read, dict) and read else shown(read)
+        came = ", ".join(map(str, read)) if isinstance(read, dict) and read else quote_value(read)
         raise ConfigError(f"machine.runs_file must have speeds and runs and nothing else, but '{file}' has {came}")
-    assert isinstance(section, Mapping)
     return dict(mapping) | {"machine": dict(section) | read}
 
 
-def composed_mapping(overrides: Sequence[str] = (), folder: Path | None = None) -> dict[str, Any]:
+def compose_mapping(overrides: Sequence[str] = (), folder: Path | None = None) -> dict[str, Any]:
     """The composed configuration, interpolations resolved, before the schema has seen it."""
-    from pipeline.config.choice import with_choice
-    from pipeline.config.own_machines import own_files
+    from pipeline.config.choice import choose
+    from pipeline.config.own_machines import store_files
 
-    with loader.hydra_on_conf() as hydra, own_files(folder):
-        parsed = loader.parsed_overrides(overrides, hydra)
+    with loader.start_hydra() as hydra, store_files(folder):
+        parsed = loader.parse_overrides(overrides, hydra)
         loader.refuse_sweeps(parsed)
-        return loader.composed(with_choice(parsed, hydra), hydra)
+        return loader.compose(choose(parsed, hydra), hydra)
 
 
-def validated(mapping: Mapping[str, Any]) -> Config:
+def validate(mapping: Mapping[str, Any]) -> Config:
     """``mapping`` as a Config."""
     from pydantic import ValidationError
 
@@ -137,29 +154,29 @@ def validated(mapping: Mapping[str, Any]) -> Config:
     try:
         return Config.model_validate(mapping)
     except ValidationError as error:
-        raise ConfigError(schema_errors(error, mapping, Config)) from None
+        raise ConfigError(explain_schema_errors(error, mapping, Config)) from None
 
 
-def expanded(overrides: Sequence[str]) -> tuple[list[list[str]], frozenset[str]]:
+def expand_sweeps(overrides: Sequence[str]) -> tuple[list[list[str]], frozenset[str]]:
     """The overrides of every job of a multirun, and the keys that are the same in all of them."""
-    with loader.hydra_on_conf() as hydra:
-        parsed = loader.parsed_overrides(overrides, hydra)
-        choices = [loader.choices(override) for override in parsed]
+    with loader.start_hydra() as hydra:
+        parsed = loader.parse_overrides(overrides, hydra)
+        values = [loader.list_values(override) for override in parsed]
     fixed = frozenset(override.key_or_group for override in parsed if not override.is_sweep_override())
-    return [list(job) for job in itertools.product(*choices)], fixed
+    return [list(job) for job in itertools.product(*values)], fixed
 
 
 @contextmanager
-def prepared(overrides: Sequence[str], folder: Path | None) -> Iterator[list[str]]:
+def prepare_for_hydra(overrides: Sequence[str], folder: Path | None) -> Iterator[list[str]]:
     """``overrides`` as Hydra itself takes them, the last of each key; meanwhile its store has the user's own files."""
     from hydra.core.config_store import ConfigStore
 
-    from pipeline.config.choice import with_choice
-    from pipeline.config.own_machines import own_files
+    from pipeline.config.choice import choose
+    from pipeline.config.own_machines import store_files
 
-    with own_files(folder):
-        with loader.hydra_on_conf() as hydra:
-            chosen = [loader.text_of(o) for o in with_choice(loader.parsed_overrides(overrides, hydra), hydra)]
+    with store_files(folder):
+        with loader.start_hydra() as hydra:
+            chosen = [loader.get_text(o) for o in choose(loader.parse_overrides(overrides, hydra), hydra)]
             files = ConfigStore.instance().repo
         ConfigStore.instance().repo = files  # Hydra's state is as it was, but for them
         yield chosen

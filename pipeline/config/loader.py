@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from pipeline.config.messages import bad_syntax, no_option, paths, unknown_key
+from pipeline.config.messages import explain_key, explain_option, explain_syntax, list_paths
 from pipeline.config.renames import refuse_renamed
 from pipeline.errors import ConfigError
 
@@ -22,13 +22,13 @@ VERSION_BASE = "1.3"
 FILE_KEY = "machine.file="
 
 
-def options(group: str) -> list[str]:
+def list_options(group: str) -> list[str]:
     """The names that ``group=NAME`` takes."""
     return sorted(path.stem for path in (CONF / group).glob("*.yaml"))
 
 
 @contextmanager
-def hydra_on_conf() -> Iterator[ConfigLoader]:
+def start_hydra() -> Iterator[ConfigLoader]:
     """Hydra set up on ``conf/``; its global state is afterwards as it was, also inside a running job."""
     from hydra import initialize_config_dir
     from hydra.core.global_hydra import GlobalHydra
@@ -45,27 +45,27 @@ def hydra_on_conf() -> Iterator[ConfigLoader]:
         Singleton.set_state(state)
 
 
-def composed(parsed: Sequence[Override], loader: ConfigLoader) -> dict[str, Any]:
+def compose(parsed: Sequence[Override], loader: ConfigLoader) -> dict[str, Any]:
     """The configuration of these overrides, interpolations resolved, before the schema has seen it."""
+    import hydra
     import yaml
-    from hydra import compose
     from hydra.errors import HydraException, MissingConfigException
     from omegaconf import OmegaConf
     from omegaconf.errors import OmegaConfBaseException
 
     _check_group_values(parsed, loader)
     try:
-        config = compose(ROOT_CONFIG, overrides=[text_of(override) for override in parsed])
+        config = hydra.compose(ROOT_CONFIG, overrides=[get_text(override) for override in parsed])
         mapping = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
     except MissingConfigException as error:
-        raise ConfigError(_missing_option(error)) from None
+        raise ConfigError(_explain_missing(error)) from None
     except HydraException as error:
-        raise ConfigError("\n".join(_unknown_keys(parsed, loader)) or _said(error)) from None
+        raise ConfigError("\n".join(_explain_keys(parsed, loader)) or _quote_hydra(error)) from None
     except OmegaConfBaseException as error:
-        raise ConfigError(_unresolved(error)) from None
+        raise ConfigError(_explain_unresolved(error)) from None
     except (AssertionError, AttributeError, TypeError, ValueError) as error:
         # Hydra has no error of its own for some overrides, such as ~experiment=[a].
-        raise ConfigError(_said(error)) from None
+        raise ConfigError(_quote_hydra(error)) from None
     except yaml.YAMLError as error:
         raise ConfigError(f"a file in conf/ must be YAML, but {error}") from None
     return cast("dict[str, Any]", mapping)
@@ -75,7 +75,7 @@ def _is_group(override: Override, loader: ConfigLoader) -> bool:
     return bool(loader.get_group_options(override.key_or_group))
 
 
-def text_of(override: Override) -> str:
+def get_text(override: Override) -> str:
     """The override as it was written."""
     assert override.input_line is not None
     return override.input_line
@@ -84,11 +84,14 @@ def text_of(override: Override) -> str:
 # --- overrides ---------------------------------------------------------------------------------
 
 
-def parsed_overrides(overrides: Sequence[str], loader: ConfigLoader) -> list[Override]:
+def parse_overrides(overrides: Sequence[str], loader: ConfigLoader) -> list[Override]:
     """The last override of each key. Raises ConfigError for what Hydra can't read, and for a key of old."""
     from hydra.core.override_parser.overrides_parser import OverridesParser
     from hydra.errors import HydraException
 
+    from pipeline.config.stage_names import STAGES
+
+    names = {"stage": STAGES, "experiment": list_options("experiment")}
     parser = OverridesParser.create(config_loader=loader)
     parsed = []
     for text in overrides:
@@ -97,51 +100,41 @@ def parsed_overrides(overrides: Sequence[str], loader: ConfigLoader) -> list[Ove
         except HydraException:
             path = text.lstrip("+").removeprefix(FILE_KEY)
             if path in (text, "") or "'" in path or '"' in path:
-                raise ConfigError(_bad_syntax(text)) from None
+                raise ConfigError(explain_syntax(text, names)) from None
             parsed += parser.parse_overrides([f"{FILE_KEY}'{path}'"])  # a path as it is, such as ~/rig (1)/ü.yaml
         if not parsed[-1].key_or_group:  # "=3"
-            raise ConfigError(_bad_syntax(text))
+            raise ConfigError(explain_syntax(text, names))
         refuse_renamed(parsed[-1].key_or_group, parsed[-1].value(), text)
-    return _last_of_each(parsed)
-
-
-def _last_of_each(parsed: Sequence[Override]) -> list[Override]:
-    """The last override of each key, as a shell user expects; Hydra itself refuses a group given twice."""
+    # The last override of each key wins, as a shell user expects; Hydra itself refuses a group given twice.
     last = {(override.get_key_element(), override.is_delete()): override for override in parsed}
     return [override for override in parsed if last[override.get_key_element(), override.is_delete()] is override]
-
-
-def _bad_syntax(text: str) -> str:
-    from pipeline.config.stage_names import STAGES
-
-    return bad_syntax(text, {"stage": STAGES, "experiment": options("experiment")})
 
 
 def refuse_sweeps(parsed: Sequence[Override]) -> None:
     """Raise ConfigError for an override of several values."""
     for override in parsed:
         if override.is_sweep_override():
-            key, _, values = text_of(override).partition("=")
+            key, _, values = get_text(override).partition("=")
             raise ConfigError(
                 f"a single run must have one value for {key}, but got '{values}'; "
                 f"add -m to run all of them, or write {key}=[...] for a list and \"{key}='...'\" for a text"
             )
 
 
-def choices(override: Override) -> list[str]:
+def list_values(override: Override) -> list[str]:
     """The override as each job of a multirun has it."""
     if not override.is_sweep_override():
-        return [text_of(override)]
+        return [get_text(override)]
     key = override.get_key_element()
     if override.is_hydra_override():
         raise ConfigError(
-            f"a multirun must sweep over keys of the pipeline, but got '{text_of(override)}'; give one value"
+            f"a multirun must sweep over keys of the pipeline, but got '{get_text(override)}'; give one value"
         )
     if not override.is_discrete_sweep():
-        raise ConfigError(f"a multirun must list its values, but got '{text_of(override)}'; write such as {key}=1,2,3")
+        raise ConfigError(f"a multirun must list its values, but got '{get_text(override)}'; write such as {key}=1,2,3")
     every = [f"{key}={value}" for value in override.sweep_string_iterator()]
     if not every:
-        raise ConfigError(f"a multirun must have a value for each key, but '{text_of(override)}' stands for none")
+        raise ConfigError(f"a multirun must have a value for each key, but '{get_text(override)}' stands for none")
     return every
 
 
@@ -156,25 +149,25 @@ def _check_group_values(parsed: Sequence[Override], loader: ConfigLoader) -> Non
         fits = isinstance(value, dict) or all(isinstance(name, str) for name in names)
         if not fits and not (override.is_delete() and value is None) and _is_group(override, loader):
             group = override.key_or_group
-            raise ConfigError(no_option(group, value, loader.get_group_options(group)))
+            raise ConfigError(explain_option(group, value, loader.get_group_options(group)))
 
 
-def _missing_option(error: Any) -> str:
+def _explain_missing(error: Any) -> str:
     group, _, name = (error.missing_cfg_file or "").rpartition("/")
     place = re.match(r"In '([^']+)'", str(error))
     inside = place is not None and place[1] not in (ROOT_CONFIG, "hydra/config")
-    return (f"in conf/{place[1]}.yaml, " if place and inside else "") + no_option(
-        group, name, error.options or options(group)
+    return (f"in conf/{place[1]}.yaml, " if place and inside else "") + explain_option(
+        group, name, error.options or list_options(group)
     )
 
 
-def _said(error: Exception) -> str:
+def _quote_hydra(error: Exception) -> str:
     """Hydra's own words, for the rare cases that have no sentence of ours."""
     words = [line.strip() for line in f"{error}\n{error.__cause__ or ''}".splitlines()]
     return f"the overrides must fit conf/, but Hydra says: {' '.join(word for word in words if word)}"
 
 
-def _unresolved(error: Any) -> str:
+def _explain_unresolved(error: Any) -> str:
     from omegaconf.errors import MissingMandatoryValue
 
     key = error.full_key or "a value"
@@ -183,30 +176,30 @@ def _unresolved(error: Any) -> str:
     return f"{key} must refer to what exists, but got: {str(error).splitlines()[0]}"
 
 
-def _unknown_keys(parsed: Sequence[Override], loader: ConfigLoader) -> list[str]:
+def _explain_keys(parsed: Sequence[Override], loader: ConfigLoader) -> list[str]:
     """A sentence for every override of a key that the chosen groups don't have."""
-    from hydra import compose
+    import hydra
     from hydra.errors import HydraException
     from omegaconf import OmegaConf
 
     groups = [o for o in parsed if isinstance(o.value(), (str, list)) and _is_group(o, loader)]
-    plain = [text_of(o) for o in groups if not o.is_add()]
+    plain = [get_text(o) for o in groups if not o.is_add()]
     try:
-        config = compose(ROOT_CONFIG, overrides=plain, return_hydra_config=True)
+        config = hydra.compose(ROOT_CONFIG, overrides=plain, return_hydra_config=True)
     except HydraException:
         return []  # the groups themselves don't compose: Hydra's words tell more
     tree = OmegaConf.to_container(config, resolve=False)
-    added = [_already_there(o, tree) for o in parsed if o.is_add()]
-    changed = [unknown_key(o.key_or_group, tree) for o in parsed if not (_adds(o) or o.package or o in groups)]
+    added = [_explain_addition(o, tree) for o in parsed if o.is_add()]
+    changed = [
+        explain_key(o.key_or_group, tree)
+        for o in parsed
+        if not (o.is_add() or o.is_force_add() or o.package or o in groups)
+    ]
     return [sentence for sentence in [*added, *changed] if sentence]
 
 
-def _adds(override: Override) -> bool:
-    return override.is_add() or override.is_force_add()
-
-
-def _already_there(override: Override, tree: Any) -> str:
-    key, text = override.key_or_group, text_of(override)
-    if key not in tree["hydra"]["runtime"]["choices"] and key not in paths(tree):
+def _explain_addition(override: Override, tree: Any) -> str:
+    key, text = override.key_or_group, get_text(override)
+    if key not in tree["hydra"]["runtime"]["choices"] and key not in list_paths(tree):
         return ""
     return f"only a new key must have a +, but {key} is there and got '{text}'; write '{text.lstrip('+')}'"

@@ -1,4 +1,4 @@
-"""What a configuration may say of a machine: everything that is its own, in one section. SI, speeds in rpm."""
+"""The schema of a machine: everything that belongs to it, in one section. SI, speeds in rpm."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ from typing import Any
 from pydantic import Field, PositiveFloat, ValidationInfo, field_validator, model_validator
 
 from pipeline.config.bearings import BearingConfig, PerNodeBearingConfig
-from pipeline.config.measured import MeasuredRunConfig, unbalance_phase
-from pipeline.config.probes import ProbesConfig
-from pipeline.config.recordings import AnyRecordingsConfig, NoRecordingsConfig, RecordingsConfig, TableRunConfig
+from pipeline.config.measured import MeasuredRunConfig, convert_phase
+from pipeline.config.recordings import AnyRecordingsConfig, NoRecordingsConfig, RecordingsConfig
 from pipeline.config.rotor import RotorConfig
-from pipeline.config.runs import CandidateConfig, ForceConfig, RunConfig, SpeedsConfig, UnbalanceConfig
+from pipeline.config.runs import CandidateConfig, ForceConfig, ProbesConfig, RunConfig, SpeedsConfig, UnbalanceConfig
 from pipeline.config.section import NonNegativeInt, Section
 
 
@@ -65,7 +64,7 @@ class MachineConfig(Section):
         recordings = info.data["recordings"]
         if isinstance(recordings, NoRecordingsConfig):
             raise ValueError("must be given (a list of runs, each with unbalances or forces), but is missing")
-        return [_as_run(run, recordings) for run in recordings.runs if run.unbalances or run.forces]
+        return [_plan_run(run, recordings) for run in recordings.runs if run.unbalances or run.forces]
 
     @model_validator(mode="after")
     def _names(self) -> MachineConfig:
@@ -103,20 +102,19 @@ class MachineConfig(Section):
         return self
 
 
-def _as_run(run: MeasuredRunConfig, recordings: AnyRecordingsConfig) -> RunConfig:
+def _plan_run(run: MeasuredRunConfig, recordings: AnyRecordingsConfig) -> RunConfig:
     """A recorded run as one that could be simulated: phases as angles from x."""
-    own = (run.frequency_hz, run.frequency_ratio) if isinstance(run, TableRunConfig) else (None, None)
     return RunConfig(
         name=run.name,
         unbalances=tuple(
             UnbalanceConfig(
                 node=one.node,
                 magnitude=one.magnitude,
-                phase=unbalance_phase(one.phase, recordings.shaft_angle or "from_x", recordings.tacho.angle),
+                phase=convert_phase(one.phase, recordings.shaft_angle or "from_x", recordings.tacho.angle),
             )
             for one in run.unbalances
         ),
         forces=tuple(ForceConfig(**one.model_dump()) for one in run.forces),
-        frequency_hz=own[0],
-        frequency_ratio=own[1],
+        frequency_hz=getattr(run, "frequency_hz", None),
+        frequency_ratio=getattr(run, "frequency_ratio", None),
     )

@@ -21,13 +21,13 @@ _LAWS = {  # where pydantic speaks of Python's types
 _SUBJECT = re.compile(r"^[A-Z]\w*(?: \w+)? should (?=be |have |match |start |end )")
 
 
-def schema_errors(error: ValidationError, mapping: Mapping[str, Any], model: type[BaseModel]) -> str:
+def explain_schema_errors(error: ValidationError, mapping: Mapping[str, Any], model: type[BaseModel]) -> str:
     """Every error of ``mapping`` against ``model`` as a line of its own, then the next step."""
     errors = error.errors(include_url=False)
     wrong_inside = {item["loc"][:n] for item in errors for n in range(len(item["loc"]))}
     # A list whose items are wrong is "too short", since none of them counts.
     errors = [item for item in errors if item["type"] != "too_short" or item["loc"] not in wrong_inside]
-    lines = list(dict.fromkeys(_line(item, mapping, model) for item in errors))
+    lines = list(dict.fromkeys(_explain(item, mapping, model) for item in errors))
     values = "this value" if len(lines) == 1 else f"these {len(lines)} values"
     machine = mapping.get("machine")
     file = machine.get("file") if isinstance(machine, Mapping) else None
@@ -37,62 +37,62 @@ def schema_errors(error: ValidationError, mapping: Mapping[str, Any], model: typ
     )
 
 
-def suggestion(name: str, candidates: Iterable[str]) -> str:
+def suggest(name: str, candidates: Iterable[str]) -> str:
     """:func:`pipeline.errors.nearest` with the mark that joins it to the sentence before."""
     words = nearest(name, candidates)
     return f" {words}" if words.startswith("(") else f"; {words}"
 
 
-def shown(value: Any) -> str:
+def quote_value(value: Any) -> str:
     """``value`` as it would be written in a config, shortened."""
     words = {None: "null", True: "true", False: "false"}
     text = words[value] if value is None or isinstance(value, bool) else repr(value)
     return text if len(text) <= _LONGEST_SHOWN else text[: _LONGEST_SHOWN - 3] + "..."
 
 
-def _line(item: Any, mapping: Mapping[str, Any], model: type[BaseModel]) -> str:
-    path, value = _located(item["loc"], mapping)
+def _explain(item: Any, mapping: Mapping[str, Any], model: type[BaseModel]) -> str:
+    path, value = _locate(item["loc"], mapping)
     context, kind = item.get("ctx", {}), item["type"]
     if kind == "extra_forbidden":
-        return f"{'.'.join(path)}: must be a key that the schema knows, but '{path[-1]}' is not" + suggestion(
-            path[-1], _fields_beside(item["loc"], model)
+        return f"{'.'.join(path)}: must be a key that the schema knows, but '{path[-1]}' is not" + suggest(
+            path[-1], _list_fields(item["loc"], model)
         )
     if kind == "missing":
         return f"{'.'.join(path)}: must be given, but is missing"
     if kind == "union_tag_not_found":
-        return f"{'.'.join([*path, _tag_key(context)])}: must be given, but is missing"
+        return f"{'.'.join([*path, _read_tag(context)])}: must be given, but is missing"
     if kind == "union_tag_invalid":
-        return _choice([*path, _tag_key(context)], context["tag"], context["expected_tags"])
+        return _explain_choice([*path, _read_tag(context)], context["tag"], context["expected_tags"])
     if kind == "literal_error" and isinstance(value, str):
-        return _choice(path, value, context["expected"])
-    return f"{'.'.join(path) or 'configuration'}: {_law(kind, item['msg'])}{_came(kind, value)}"
+        return _explain_choice(path, value, context["expected"])
+    return f"{'.'.join(path) or 'configuration'}: {_state_law(kind, item['msg'])}{_state_value(kind, value)}"
 
 
-def _choice(path: Sequence[str], value: str, expected: str) -> str:
+def _explain_choice(path: Sequence[str], value: str, expected: str) -> str:
     choices = re.findall(r"'([^']*)'", expected)
-    return f"{'.'.join(path)}: must be one of these, but got {value!r}" + suggestion(value, choices)
+    return f"{'.'.join(path)}: must be one of these, but got {value!r}" + suggest(value, choices)
 
 
-def _tag_key(context: Mapping[str, Any]) -> str:
+def _read_tag(context: Mapping[str, Any]) -> str:
     return str(context["discriminator"]).strip("'")
 
 
-def _law(kind: str, message: str) -> str:
+def _state_law(kind: str, message: str) -> str:
     if kind in _LAWS:
         return _LAWS[kind]
     message = _SUBJECT.sub("must ", message.removeprefix("Value error, "))
     if kind.endswith(("_parsing", "_from_float", "_short", "_long")):
-        # Behind the comma pydantic says what came, in words that _came replaces by the value itself.
+        # Behind the comma pydantic says what came, in words that _state_value replaces by the value itself.
         return message.partition(", ")[0]
     return message
 
 
-def _came(kind: str, value: Any) -> str:
+def _state_value(kind: str, value: Any) -> str:
     # A sentence of the schema itself says what came; a mapping in full would hide the law.
-    return "" if kind == "value_error" or isinstance(value, Mapping) else f", but got {shown(value)}"
+    return "" if kind == "value_error" or isinstance(value, Mapping) else f", but got {quote_value(value)}"
 
 
-def _located(loc: Sequence[int | str], mapping: Any) -> tuple[list[str], Any]:
+def _locate(loc: Sequence[int | str], mapping: Any) -> tuple[list[str], Any]:
     """The path and the value as the user wrote them: pydantic's ``loc`` also names union tags."""
     path: list[str] = []
     node = mapping
@@ -107,37 +107,33 @@ def _located(loc: Sequence[int | str], mapping: Any) -> tuple[list[str], Any]:
     return path, node
 
 
-def _fields_beside(loc: Sequence[int | str], model: type[BaseModel]) -> set[str]:
+def _list_fields(loc: Sequence[int | str], model: type[BaseModel]) -> set[str]:
     """Names of the fields that may stand where ``loc`` ends."""
     models = {model}
     for part in loc[:-1]:
         if isinstance(part, int):
             continue
         fields = [owner.model_fields[part] for owner in models if part in owner.model_fields]
-        inner = {inside for field in fields for inside in _models(field.annotation)}
-        models = inner or _tagged(models, part) or models
+        inner = {inside for field in fields for inside in _list_models(field.annotation)}
+        tagged = {m for m in models if any(part in get_args(field.annotation) for field in m.model_fields.values())}
+        models = inner or tagged or models
     return {name for owner in models for name in owner.model_fields}
 
 
-def _models(annotation: Any) -> Iterator[type[BaseModel]]:
+def _list_models(annotation: Any) -> Iterator[type[BaseModel]]:
     """Every model class inside an annotation such as ``tuple[A, ...] | None``."""
     from pydantic import BaseModel
 
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     for argument in get_args(annotation):
-        yield from _models(argument)
-
-
-def _tagged(models: set[type[BaseModel]], tag: str) -> set[type[BaseModel]]:
-    """The members of a union that carry ``tag`` as a literal."""
-    return {m for m in models if any(tag in get_args(field.annotation) for field in m.model_fields.values())}
+        yield from _list_models(argument)
 
 
 # --- overrides ---------------------------------------------------------------------------------
 
 
-def bad_syntax(text: str, names: Mapping[str, Iterable[str]]) -> str:
+def explain_syntax(text: str, names: Mapping[str, Iterable[str]]) -> str:
     """An override that Hydra can't read; ``names`` may stand in it without their key, such as a stage."""
     key, equals, value = text.partition("=")
     if not equals or not key:
@@ -151,7 +147,7 @@ def bad_syntax(text: str, names: Mapping[str, Iterable[str]]) -> str:
     return f"an override must quote a value with special characters, but got '{text}'; write {quoted}"
 
 
-def written(key: str, value: str) -> str:
+def quote_override(key: str, value: str) -> str:
     """``key=value`` as a shell and Hydra take it."""
     if re.fullmatch(r"[A-Za-z0-9_./-]+( [A-Za-z0-9_./-]+)*", value) or key.startswith("-"):
         return shlex.quote(f"{key}={value}")
@@ -159,16 +155,16 @@ def written(key: str, value: str) -> str:
     return shlex.quote(f"{key}='{escaped}'")
 
 
-def no_option(group: str, name: Any, known: Sequence[str]) -> str:
+def explain_option(group: str, name: Any, known: Sequence[str]) -> str:
     """A name that the config group doesn't have."""
     place = "an installed Hydra plugin" if group.startswith("hydra/") else f"a file in conf/{group}"
     if not known:
         absolute = f"/{group.rpartition('/')[2]}"
         return f"{group} must be {place}, but there is none; a defaults list names conf's groups as '{absolute}'"
-    return f"{group} must be {place}, but got {shown(name)}{suggestion(str(name), known)}"
+    return f"{group} must be {place}, but got {quote_value(name)}{suggest(str(name), known)}"
 
 
-def unknown_key(key: str, tree: Any) -> str:
+def explain_key(key: str, tree: Any) -> str:
     """A sentence if ``key`` is not in ``tree``, the composed configuration; otherwise nothing."""
     law = "an override must name a key of the configuration, but "
     path: list[str] = []
@@ -180,13 +176,13 @@ def unknown_key(key: str, tree: Any) -> str:
         elif isinstance(node, list) and part.isdigit() and int(part) < len(node):
             node = node[int(part)]
         elif isinstance(node, dict):
-            places = [place for place in paths(tree) if place.endswith(f".{key}")]
+            places = [place for place in list_paths(tree) if place.endswith(f".{key}")]
             if places:
                 depth = min(place.count(".") for place in places)
                 near = [place for place in places if place.count(".") == depth]
                 return f"{law}there is no '{key}'; did you mean {' or '.join(map(repr, near[:3]))}?"
             names = (str(name) for name in node if owner or name != "hydra")
-            return f"{law}{owner or 'it'} has no '{part}'{suggestion(part, names)}"
+            return f"{law}{owner or 'it'} has no '{part}'{suggest(part, names)}"
         elif isinstance(node, list):
             items = f"the items 0 to {len(node) - 1}" if node else "no items"
             return f"{law}{owner} has {items}, not '{part}'"
@@ -196,10 +192,10 @@ def unknown_key(key: str, tree: Any) -> str:
     return ""
 
 
-def paths(tree: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+def list_paths(tree: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
     """The dotted paths of all mapping keys; Hydra's own left out, and those that are themselves a dotted path."""
     for name, value in tree.items():
         if (prefix or name != "hydra") and "." not in name:
             yield f"{prefix}{name}"
             if isinstance(value, Mapping):
-                yield from paths(value, f"{prefix}{name}.")
+                yield from list_paths(value, f"{prefix}{name}.")

@@ -9,13 +9,13 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
-from pipeline.config.loader import CONF, FILE_KEY, options
+from pipeline.config.loader import CONF, FILE_KEY
 from pipeline.config.measured import AS_MODELLED
 from pipeline.config.renames import refuse_renamed_in
 from pipeline.errors import ConfigError, nearest
@@ -29,32 +29,24 @@ _DATA_PATHS = ("data.vibration", "data.excitation", "data.known")
 _PACKAGE = re.compile(r"^# *@package +(\S+)", re.MULTILINE)
 
 
-def absolute(path: str | Path, folder: Path | None = None) -> Path:
+def make_absolute(path: str | Path, folder: Path | None = None) -> Path:
     """``path`` from ``folder`` (the working folder), with the user's home in place of ``~``."""
     return Path(os.path.abspath((folder or Path()) / Path(path).expanduser()))
 
 
-def written_file(overrides: Sequence[str]) -> str | None:
-    """The text of the last ``machine.file=...``, without quotes; None where there is none. Needs no parser."""
-    given = [override.lstrip("+") for override in overrides]
-    texts = [text[len(FILE_KEY) :] for text in given if text.startswith(FILE_KEY)]
-    return texts[-1].strip().strip("'\"") if texts else None
+def list_files(overrides: Sequence[str], folder: Path | None) -> list[Path]:
+    """All files outside ``conf/`` that a command names: those of ``--config-dir``, and the last ``machine.file=...``.
 
-
-def contents(overrides: Sequence[str], folder: Path | None) -> list[str | bytes] | None:
-    """Paths and bytes of all files outside ``conf/`` that a command names; None where one can't be read."""
-    files = [] if folder is None else [path for _, path in _files_of(folder)]
-    named = written_file(overrides)
-    if named is not None:
-        files.append(absolute(named))
-    try:
-        return [part for path in files for part in (str(path), path.read_bytes())]
-    except (OSError, ValueError):
-        return None
+    It needs no parser.
+    """
+    given = [text.lstrip("+") for text in overrides]
+    named = [text[len(FILE_KEY) :].strip().strip("'\"") for text in given if text.startswith(FILE_KEY)]
+    inside = [] if folder is None else [path for _, path in _list_folder(folder)]
+    return inside + [make_absolute(path) for path in named[-1:]]
 
 
 @contextmanager
-def own_files(folder: Path | None) -> Iterator[None]:
+def store_files(folder: Path | None) -> Iterator[None]:
     """Let Hydra's store have the files of ``folder``, and forget in the end all that was put into it."""
     from hydra.core.config_store import ConfigStore
 
@@ -69,16 +61,11 @@ def own_files(folder: Path | None) -> Iterator[None]:
         ConfigStore.instance().repo = before | registered
 
 
-def is_own(machine: str) -> bool:
-    """Whether a machine is none of ``conf/``."""
-    return machine not in options("machine")
-
-
 def store_machine(path: Path) -> str:
     """Put a machine file into Hydra's store; its name there, which has the hash of path and content in it."""
     from hydra.core.config_store import ConfigStore
 
-    content = _mapping(path, "machine.file")
+    content = _read_yaml(path, "machine.file")
     if "defaults" in content:
         raise ConfigError(
             f"a machine file must be complete in itself, but '{path}' has a defaults list: write its keys out, or put "
@@ -92,13 +79,13 @@ def store_machine(path: Path) -> str:
     if "file" in content:
         raise ConfigError(f"machine.file must be given on the command line alone, but '{path}' has a key 'file'")
     refuse_renamed_in(content, path, in_machine=True)
-    name = f"{plain_name(path)}-{hashlib.sha256(str(path).encode() + path.read_bytes()).hexdigest()[:8]}"
-    node = _with_paths(content, _PATHS, path.parent) | {"file": str(path)}
+    name = f"{clean_name(path)}-{hashlib.sha256(str(path).encode() + path.read_bytes()).hexdigest()[:8]}"
+    node = _resolve_paths(content, _PATHS, path.parent) | {"file": str(path)}
     ConfigStore.instance().store(name, node, group="machine", provider=str(path))
     return name
 
 
-def plain_name(path: Path) -> str:
+def clean_name(path: Path) -> str:
     """The name of a file as an experiment may have it: letters, digits, hyphens, underscores."""
     return re.sub(r"[^A-Za-z0-9_-]+", "_", path.stem)
 
@@ -112,7 +99,7 @@ def _store_folder(folder: Path) -> None:
 
     if not folder.is_dir():
         raise ConfigError(f"--config-dir must be a folder, but '{folder}' is none")
-    files = list(_files_of(folder))
+    files = _list_folder(folder)
     if not files:
         raise ConfigError(
             f"--config-dir must be a folder with machines in machine/ or experiments in experiment/, but '{folder}' "
@@ -124,29 +111,28 @@ def _store_folder(folder: Path) -> None:
             raise ConfigError(
                 f"a file of --config-dir must have a name of its own, but conf/ has {name}.yaml too: rename '{path}'"
             )
-        content = _mapping(path, f"a file of --config-dir in {group}/")
+        content = _read_yaml(path, f"a file of --config-dir in {group}/")
         paths = _PATHS if group == "machine" else (*(f"machine.{key}" for key in _PATHS), *_DATA_PATHS)
         if group.startswith(("machine", "experiment")):
             refuse_renamed_in(content, path, in_machine=group.startswith("machine"))
-            content = _with_paths(content, paths, path.parent)
+            content = _resolve_paths(content, paths, path.parent)
         package = _PACKAGE.search(path.read_text(encoding="utf-8"))
         ConfigStore.instance().store(
             option, content, group=group, package=package[1] if package else None, provider=str(path)
         )
 
 
-def _files_of(folder: Path) -> Iterator[tuple[str, Path]]:
+def _list_folder(folder: Path) -> list[tuple[str, Path]]:
     """Group and option, such as machine/mine, and path of every file that Hydra may be asked for."""
     groups = sorted(path.name for path in CONF.iterdir() if path.is_dir())
-    for group in groups:
-        for path in sorted((folder / group).rglob("*.yaml")):
-            yield path.relative_to(folder).with_suffix("").as_posix(), path
+    paths = [path for group in groups for path in sorted((folder / group).rglob("*.yaml"))]
+    return [(path.relative_to(folder).with_suffix("").as_posix(), path) for path in paths]
 
 
 # --- YAML ----------------------------------------------------------------------------------------
 
 
-def _mapping(path: Path, what: str) -> dict[str, Any]:
+def _read_yaml(path: Path, what: str) -> dict[str, Any]:
     """The keys of a YAML file, as Hydra would read them. Raises ConfigError."""
     import yaml
     from omegaconf import DictConfig, OmegaConf
@@ -159,53 +145,42 @@ def _mapping(path: Path, what: str) -> dict[str, Any]:
     try:
         read = OmegaConf.create(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise ConfigError(_missing(path, what)) from None
+        beside = sorted(file.name for file in path.parent.glob("*.yaml"))
+        hint = f": {nearest(path.name, beside)}" if beside else ""
+        raise ConfigError(
+            f"{what} must name a machine file, but there is no file '{path}'{hint}; correct the path, or write one "
+            "with stage=new"
+        ) from None
     except UnicodeDecodeError:
         raise ConfigError(f"{what} must be YAML in UTF-8, but '{path}' is not: is it a machine file?") from None
     except OSError as error:
         raise ConfigError(f"{what} must be readable, but '{path}' is not: {error.strerror}") from None
     except yaml.YAMLError as error:
-        raise ConfigError(f"{what} must be YAML, but '{path}' is not: {_problem(error)}") from None
+        mark, problem = getattr(error, "problem_mark", None), getattr(error, "problem", None)
+        place = f"line {mark.line + 1}, column {mark.column + 1}: {problem}" if mark else " ".join(str(error).split())
+        raise ConfigError(f"{what} must be YAML, but '{path}' is not: {place}") from None
     except AssertionError:  # a number
         read = None
     except (OmegaConfBaseException, ValueError, RecursionError) as error:
         raise ConfigError(f"{what} must be YAML with plain keys, but '{path}' is not: {error}") from None
     plain = OmegaConf.to_container(read, resolve=False) if isinstance(read, DictConfig) else None
-    if not isinstance(plain, dict) or not _says_something(plain):
+    if not isinstance(plain, dict) or all(value is None for value in plain.values()):
         raise ConfigError(f"{what} must have keys with values, such as `rotor:`, but '{path}' has none")
     return {str(key): value for key, value in plain.items()}
-
-
-def _says_something(mapping: Mapping[Any, Any]) -> bool:
-    return any(value is not None for value in mapping.values())
-
-
-def _missing(path: Path, what: str) -> str:
-    beside = sorted(file.name for file in path.parent.glob("*.yaml")) if path.parent.is_dir() else []
-    hint = f": {nearest(path.name, beside)}" if beside else ""
-    return (
-        f"{what} must name a machine file, but there is no file '{path}'{hint}; correct the path, or write one with "
-        "stage=new"
-    )
-
-
-def _problem(error: Any) -> str:
-    mark, problem = getattr(error, "problem_mark", None), getattr(error, "problem", None)
-    return f"line {mark.line + 1}, column {mark.column + 1}: {problem}" if mark else " ".join(str(error).split())
 
 
 # --- paths ---------------------------------------------------------------------------------------
 
 
-def _with_paths(content: dict[str, Any], keys: Sequence[str], folder: Path) -> dict[str, Any]:
+def _resolve_paths(content: dict[str, Any], keys: Sequence[str], folder: Path) -> dict[str, Any]:
     """``content`` with the paths of these keys absolute."""
     made = deepcopy(content)
     for key in keys:
-        _make_absolute(made, key.split("."), folder)
+        _resolve_path(made, key.split("."), folder)
     return made
 
 
-def _make_absolute(node: Any, key: Sequence[str], folder: Path) -> None:
+def _resolve_path(node: Any, key: Sequence[str], folder: Path) -> None:
     first, *rest = key
     places: list[Any] = [first] if isinstance(node, dict) and first in node else []
     if first == "*" and isinstance(node, list):
@@ -213,6 +188,6 @@ def _make_absolute(node: Any, key: Sequence[str], folder: Path) -> None:
     for place in places:
         inside = node[place]
         if rest:
-            _make_absolute(inside, rest, folder)
+            _resolve_path(inside, rest, folder)
         elif isinstance(inside, str) and inside and inside != AS_MODELLED and "${" not in inside:
-            node[place] = str(absolute(inside, folder))
+            node[place] = str(make_absolute(inside, folder))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from pipeline.config.messages import schema_errors
+from pipeline.config.messages import explain_schema_errors
 from pipeline.config.tuning import Key, Value
 from pipeline.errors import ConfigError, DataError
 
@@ -30,7 +30,7 @@ class PromotedTrial(BaseModel):
     values: dict[Key, Value]
 
 
-def with_values(config: Config, values: Mapping[str, Value], source: str) -> Config:
+def apply_values(config: Config, values: Mapping[str, Value], source: str) -> Config:
     """``config`` with ``values`` by dotted key; ``source`` says in a message where they come from.
 
     :raises ConfigError: where a key does not exist or a value breaks a law of the schema
@@ -51,17 +51,13 @@ def with_values(config: Config, values: Mapping[str, Value], source: str) -> Con
     try:
         return Config.model_validate(mapping)
     except ValidationError as error:
-        raise ConfigError(f"{source} must give values that the schema takes:\n{_errors(error, mapping)}") from None
+        raise ConfigError(
+            f"{source} must give values that the schema takes:\n{explain_schema_errors(error, mapping, Config)}"
+        ) from None
 
 
-def _errors(error: Any, mapping: Mapping[str, Any]) -> str:
-    from pipeline.config.schema import Config
-
-    return schema_errors(error, mapping, Config)
-
-
-def value_at(config: Config, key: str) -> Any:
-    """The value of a dotted key. Raises ConfigError where there is none."""
+def get_value(config: Config, key: str) -> Any:
+    """Return the value of a dotted key. Raises ConfigError where there is none."""
     place: Any = config
     for part in key.split("."):
         if not hasattr(place, part):
@@ -74,16 +70,16 @@ def value_at(config: Config, key: str) -> Any:
 
 
 def has_value(config: Config, key: str) -> bool:
-    """Whether the configuration has the dotted key: a model of another kind has others."""
+    """Tell whether the configuration has the dotted key: a model of another kind has others."""
     try:
-        value_at(config, key)
+        get_value(config, key)
     except ConfigError:
         return False
     return True
 
 
 def read_promoted(folder: Path) -> PromotedTrial | None:
-    """What the study of ``folder`` promoted; None where there is no study.
+    """Read what the study in ``folder`` promoted; None where there is no study.
 
     :raises DataError: where ``best.yaml`` is not what ``stage=tune`` writes
     """
@@ -92,34 +88,27 @@ def read_promoted(folder: Path) -> PromotedTrial | None:
 
     path = folder / BEST
     try:
-        text = path.read_text(encoding="utf-8")
+        return PromotedTrial.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
     except (FileNotFoundError, NotADirectoryError):
         return None
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataError(_unreadable(path, str(error))) from None
-    try:
-        return PromotedTrial.model_validate(yaml.safe_load(text))
-    except yaml.YAMLError as error:
-        raise DataError(_unreadable(path, " ".join(str(error).split()))) from None
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        raise DataError(_unreadable(path, f"{'.'.join(map(str, first['loc']))}: {first['msg']}")) from None
-
-
-def _unreadable(path: Path, reason: str) -> str:
-    return (
+        reason = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        reason = " ".join(str(error).split())
+    raise DataError(
         f"'{path}' must hold the values that a study promoted, but {reason}: run stage=tune again, or train with the "
         "configured values (tuned=false)"
     )
 
 
-def study_folder(config: Config) -> Path:
-    """Where the study's files are: below the working folder or, where there are none, beside conf/ like that itself."""
+def find_study(config: Config) -> Path:
+    """Return the folder of the study: below the working folder, or beside ``conf/`` where that has none."""
     folder = Path(config.tuning.folder)
     return folder if (folder / BEST).exists() else Path(__file__).parents[2] / folder
 
 
-def with_promoted(config: Config, overrides: Sequence[str]) -> Config:
+def apply_promoted(config: Config, overrides: Sequence[str]) -> Config:
     """``config`` with the promoted values of its study, where there are any; ``overrides`` of the command line win.
 
     :raises DataError: where ``best.yaml`` can't be read
@@ -129,14 +118,14 @@ def with_promoted(config: Config, overrides: Sequence[str]) -> Config:
 
     if not config.tuned or config.stage in UNTUNED_STAGES:
         return config
-    folder = study_folder(config)
+    folder = find_study(config)
     promoted = read_promoted(folder)
     if promoted is None:
         return config
     given = {override.lstrip("+~").partition("=")[0].partition("@")[0] for override in overrides}
-    in_force = {key: value for key, value in promoted.values.items() if not _overridden(key, given)}
+    in_force = {key: value for key, value in promoted.values.items() if not is_overridden(key, given)}
     source = f"'{folder / BEST}' (tuned=false leaves it out)"
-    return with_values(config, in_force, source).model_copy(
+    return apply_values(config, in_force, source).model_copy(
         update={
             "promoted": PromotedConfig(
                 study=promoted.study,
@@ -148,6 +137,6 @@ def with_promoted(config: Config, overrides: Sequence[str]) -> Config:
     )
 
 
-def _overridden(key: str, given: set[str]) -> bool:
-    """Whether the command line set ``key``, or a group that it belongs to such as ``model``."""
+def is_overridden(key: str, given: set[str]) -> bool:
+    """Tell whether the command line set ``key``, or a group that it belongs to such as ``model``."""
     return any(name == key or key.startswith(f"{name}.") for name in given)

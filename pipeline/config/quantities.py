@@ -16,7 +16,7 @@ from pydantic import BeforeValidator, Field
 
 
 @cache
-def _registry() -> Any:
+def _load_units() -> Any:
     import pint
 
     return pint.UnitRegistry()
@@ -39,13 +39,11 @@ def to_si(value: Any, unit: str, example: str) -> float:
 def _parse(text: str, unit: str, example: str) -> float:
     import pint
 
-    try:
+    if _is_number(text):
         return float(text)
-    except ValueError:
-        pass
     try:
         # pint's mil is an angle; a probe's is a length.
-        quantity = _registry().Quantity(re.sub(r"\bmils?\b", "thou", text))
+        quantity = _load_units().Quantity(re.sub(r"\bmils?\b", "thou", text))
     except pint.UndefinedUnitError as error:
         raise ValueError(f"must have a known unit (such as {example}), but got {text!r}: {error}") from None
     except Exception:  # pint's parser raises many kinds (tokenize, syntax, assertion errors) for other text
@@ -56,7 +54,7 @@ def _parse(text: str, unit: str, example: str) -> float:
         raise ValueError(f"must convert to {unit} (such as {example}), but got {text!r}") from None
 
 
-def _with_unit(value: Any, unit: str, example: str) -> str:
+def _check_unit(value: Any, unit: str, example: str) -> str:
     if not isinstance(value, str) or _is_number(value):
         raise ValueError(f"must carry its unit (such as {example}), but got {value!r}")
     if to_si(value, unit, example) == 0:
@@ -64,7 +62,7 @@ def _with_unit(value: Any, unit: str, example: str) -> str:
     return value
 
 
-def _unit(value: Any, units: tuple[str, ...], examples: str) -> str:
+def _check_unit_name(value: Any, units: tuple[str, ...], examples: str) -> str:
     if not isinstance(value, str) or not re.fullmatch(r"[^\W\d_]+", value):
         raise ValueError(f"must be a unit (such as {examples}), but got {value!r}")
     for unit in units:
@@ -75,14 +73,13 @@ def _unit(value: Any, units: tuple[str, ...], examples: str) -> str:
 
 
 def _is_number(text: str) -> bool:
-    try:
+    with contextlib.suppress(ValueError):
         float(text)
-    except ValueError:
-        return False
-    return True
+        return True
+    return False
 
 
-def _shaft_angle(value: Any) -> float:
+def _convert_angle(value: Any) -> float:
     angle = to_si(value, "rad", "45 deg")
     if isinstance(value, str) and not _is_number(value):
         return math.remainder(angle, 2 * math.pi)
@@ -91,45 +88,44 @@ def _shaft_angle(value: Any) -> float:
     return angle
 
 
-def metres(unit: str) -> float:
+def to_metres(unit: str) -> float:
     """Size of a length unit such as um, in m."""
     return to_si(f"1 {unit}", "m", "um")
 
 
-def volts(unit: str) -> float | None:
+def to_volts(unit: str) -> float | None:
     """Size of a unit such as mV in V; None where it is no voltage."""
-    try:
+    with contextlib.suppress(ValueError):
         return to_si(f"1 {unit}", "V", "mV")
-    except ValueError:
-        return None
+    return None
 
 
-def volts_per_metre(sensitivity: str) -> float:
+def to_volts_per_metre(sensitivity: str) -> float:
     """A sensitivity such as 200 mV/mil in V/m."""
     return to_si(sensitivity, "V / m", "7.87 V/mm")
 
 
-def _quantity(unit: str, example: str, **bounds: Any) -> Any:
+def _define_quantity(unit: str, example: str, **bounds: Any) -> Any:
     return Annotated[float, BeforeValidator(lambda value: to_si(value, unit, example)), Field(**bounds)]
 
 
-Length = _quantity("m", "150 mm", gt=0)
-Bore = _quantity("m", "0 mm", ge=0)
-Deviation = _quantity("m", "0.1 um", ge=0)
-Angle = _quantity("rad", "30 deg")
-Mass = _quantity("kg", "12 kg", gt=0)
-Inertia = _quantity("kg * m**2", "0.2 kg m^2", gt=0)
-Density = _quantity("kg / m**3", "7810 kg/m^3", gt=0)
-Pressure = _quantity("Pa", "211 GPa", gt=0)
-Force = _quantity("N", "500 N", gt=0)
-Viscosity = _quantity("Pa * s", "0.05 Pa s", gt=0)
-Stiffness = _quantity("N / m", "1e7 N/m", gt=0)
-Damping = _quantity("N * s / m", "1e4 N s/m", gt=0)
-UnbalanceMagnitude = _quantity("kg * m", "100 g mm", gt=0)
-Frequency = _quantity("Hz", "5120 Hz", gt=0)
-ShaftAngle = Annotated[float, BeforeValidator(_shaft_angle)]
+Length = _define_quantity("m", "150 mm", gt=0)
+Bore = _define_quantity("m", "0 mm", ge=0)
+Deviation = _define_quantity("m", "0.1 um", ge=0)
+Angle = _define_quantity("rad", "30 deg")
+Mass = _define_quantity("kg", "12 kg", gt=0)
+Inertia = _define_quantity("kg * m**2", "0.2 kg m^2", gt=0)
+Density = _define_quantity("kg / m**3", "7810 kg/m^3", gt=0)
+Pressure = _define_quantity("Pa", "211 GPa", gt=0)
+Force = _define_quantity("N", "500 N", gt=0)
+Viscosity = _define_quantity("Pa * s", "0.05 Pa s", gt=0)
+Stiffness = _define_quantity("N / m", "1e7 N/m", gt=0)
+Damping = _define_quantity("N * s / m", "1e4 N s/m", gt=0)
+UnbalanceMagnitude = _define_quantity("kg * m", "100 g mm", gt=0)
+Frequency = _define_quantity("Hz", "5120 Hz", gt=0)
+ShaftAngle = Annotated[float, BeforeValidator(_convert_angle)]
 """rad, between -pi and pi where it had a unit; a number that can only be degrees is refused."""
-LengthUnit = Annotated[str, BeforeValidator(lambda value: _unit(value, ("m",), "um, mil or mm"))]
-SignalUnit = Annotated[str, BeforeValidator(lambda value: _unit(value, ("V", "m"), "V, mV or um"))]
-Sensitivity = Annotated[str, BeforeValidator(lambda value: _with_unit(value, "V / m", "7.87 V/mm or 200 mV/mil"))]
+LengthUnit = Annotated[str, BeforeValidator(lambda value: _check_unit_name(value, ("m",), "um, mil or mm"))]
+SignalUnit = Annotated[str, BeforeValidator(lambda value: _check_unit_name(value, ("V", "m"), "V, mV or um"))]
+Sensitivity = Annotated[str, BeforeValidator(lambda value: _check_unit(value, "V / m", "7.87 V/mm or 200 mV/mil"))]
 """A displacement probe has it; negative where the voltage falls when the shaft comes nearer."""

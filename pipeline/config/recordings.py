@@ -1,4 +1,4 @@
-"""What a configuration may say of recordings, which ``stage=ingest`` reads: one class a format."""
+"""The schema of recordings, which ``stage=ingest`` reads: one class for each format."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from pipeline.config.measured import (
     Text,
     VectorConventionsConfig,
 )
-from pipeline.config.quantities import Frequency, Sensitivity, SignalUnit, volts
+from pipeline.config.quantities import Frequency, Sensitivity, SignalUnit, to_volts
+from pipeline.config.runs import check_frequency
 from pipeline.config.section import Section
 
 Edge = Literal["rising", "falling"]
@@ -48,7 +49,7 @@ class ColumnPairConfig(Section):
 
 
 class TableProbeConfig(ProbeConfig):
-    """With its columns (wide layout), or the text that stands for it in the probe column (long; its name)."""
+    """A probe with its columns (wide layout), or with the text that stands for it in the probe column (long)."""
 
     columns: ColumnPairConfig | None = None
     label: Text | None = None
@@ -68,14 +69,7 @@ class TableRunConfig(MeasuredRunConfig):
 
     @model_validator(mode="after")
     def _synchronous(self) -> TableRunConfig:
-        own = [self.frequency_hz, self.frequency_ratio]
-        if None not in own:
-            raise ValueError(f"run '{self.name}' must have frequency_hz or frequency_ratio, but it has both")
-        if self.unbalances and own != [None, None]:
-            raise ValueError(
-                f"run '{self.name}' must have no unbalances where its forces have a frequency of their own, but it has "
-                "some: put them into another run"
-            )
+        check_frequency(self.name, self.frequency_hz, self.frequency_ratio, bool(self.unbalances))
         return self
 
 
@@ -117,7 +111,7 @@ class SignalConfig(MeasuredConfig):
             raise ValueError("must give records (constant_speed or run_up) for time signals, but it is missing")
         if self.records == "run_up" and self.speeds is None:
             raise ValueError("must give speeds (start_rpm, stop_rpm, step_rpm) to track in a run-up, but got null")
-        voltage = volts(self.signal_unit) is not None
+        voltage = to_volts(self.signal_unit) is not None
         for name, scale in scales.items():
             if voltage and scale is None:
                 raise ValueError(
@@ -146,7 +140,7 @@ class SignalRunConfig(MeasuredRunConfig):
 
 
 class UffRecordConfig(Section):
-    """Which dataset 58 is meant: a text that one of its ID lines or its response entity is, or its response DOF."""
+    """A dataset 58 is found by a text that one of its ID lines or its response entity is, or by its response DOF."""
 
     record: Text | None = None
     response: tuple[int, int] | None = None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from pipeline.errors import ConfigError
@@ -63,10 +63,8 @@ OPTIONS = {
 }
 """Old group -> option -> the machine that has it, or the overrides that stand for it."""
 
-_SECTIONS = {key.partition(".")[0] for key in KEYS}
 
-
-def new_name(key: str) -> str | None:
+def rename(key: str) -> str | None:
     """The new name of an old key; None for a key that is none."""
     for old, new in KEYS.items():
         if key == old or key.startswith(f"{old}."):
@@ -78,14 +76,14 @@ def refuse_renamed(key: str, value: object, text: str) -> None:
     """Raise ConfigError where ``text``, the override ``key=value``, has a key or a group of old."""
     group = key.partition("@")[0].replace("/", ".")
     if group in OPTIONS and isinstance(value, str):
-        raise ConfigError(_of_option(group, value))
-    new = new_name(group)
+        raise ConfigError(_explain_option(group, value))
+    new = rename(group)
     if new is not None:
         given = f": write {text.replace(key, new, 1)}" if "=" in text and group != "excitation" else ""
         raise ConfigError(f"{key} is now {new}{given}")
 
 
-def _of_option(group: str, name: str) -> str:
+def _explain_option(group: str, name: str) -> str:
     new = OPTIONS[group].get(name)
     if new is None:
         part = KEYS.get(group, "machine.candidates").partition(".")[2]
@@ -98,25 +96,19 @@ def _of_option(group: str, name: str) -> str:
 
 def refuse_renamed_in(mapping: Mapping[str, Any], file: object, in_machine: bool) -> None:
     """The same for the keys of a YAML file: a machine's, or an experiment's with its defaults list."""
-    for key in _two_deep(mapping):
-        new = new_name(key)
-        if new is not None and in_machine:
+    for old, new in KEYS.items():
+        section, _, name = old.partition(".")
+        inside = mapping.get(section)
+        if section not in mapping or (name and not (isinstance(inside, Mapping) and name in inside)):
+            continue
+        if in_machine:
             new = new.removeprefix("machine").removeprefix(".") or "speeds and runs, without a section"
-        if new is not None and new != key:
-            raise ConfigError(f"in '{file}', {key} is now {new}: write it so")
+        if new != old:
+            raise ConfigError(f"in '{file}', {old} is now {new}: write it so")
     for item in mapping.get("defaults") or ():
         for name, option in item.items() if isinstance(item, Mapping) else ():
             group = str(name).removeprefix("override ").strip().lstrip("/").partition("@")[0]
             if group in OPTIONS:
-                raise ConfigError(f"in '{file}', {_of_option(group, str(option))}: write `override /machine: NAME`")
-
-
-def _two_deep(mapping: Mapping[str, Any]) -> Iterator[str]:
-    """The keys of the sections that were renamed, and one step below them."""
-    for key, value in mapping.items():
-        if key not in _SECTIONS:
-            continue
-        if isinstance(value, Mapping) and value:
-            yield from (f"{key}.{name}" for name in value)
-        else:
-            yield str(key)
+                raise ConfigError(
+                    f"in '{file}', {_explain_option(group, str(option))}: write `override /machine: NAME`"
+                )

@@ -1,4 +1,7 @@
-"""What a configuration may say of runs: speeds, excitation, noise, and designs of runs. SI, speeds in rpm."""
+"""The schema of runs: speeds, excitation, noise, probes, and designs of runs.
+
+SI, angles in rad, speeds in rpm.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ from typing import Annotated, Literal
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from pipeline.config.quantities import Angle, Deviation, Force, UnbalanceMagnitude
-from pipeline.config.section import NonNegativeInt, Section
+from pipeline.config.section import NonNegativeInt, Section, Share
 
 
 class SpeedsConfig(Section):
@@ -63,21 +66,26 @@ class RunConfig(Section):
     def _excited(self) -> RunConfig:
         if not self.unbalances and not self.forces:
             raise ValueError(f"run '{self.name}' must have an unbalance or a force, but it has none")
-        if self.frequency_hz is not None and self.frequency_ratio is not None:
-            raise ValueError(f"run '{self.name}' must have frequency_hz or frequency_ratio, but it has both")
-        if self.unbalances and (self.frequency_hz or self.frequency_ratio):
-            raise ValueError(
-                f"run '{self.name}' must have no unbalances where its forces have a frequency of their own (unbalances "
-                "turn with the rotor), but it has some: put them into another run"
-            )
+        check_frequency(self.name, self.frequency_hz, self.frequency_ratio, bool(self.unbalances))
         return self
+
+
+def check_frequency(name: str, hz: float | None, ratio: float | None, unbalanced: bool) -> None:
+    """Raise ValueError for a run with two frequencies of its own, or with one beside an unbalance."""
+    if hz is not None and ratio is not None:
+        raise ValueError(f"run '{name}' must have frequency_hz or frequency_ratio, but it has both")
+    if unbalanced and (hz or ratio):
+        raise ValueError(
+            f"run '{name}' must have no unbalances where its forces have a frequency of their own (unbalances turn "
+            "with the rotor), but it has some: put them into another run"
+        )
 
 
 class NoiseConfig(Section):
     """Root mean square of the noise of each measured complex displacement: ``additive``, and a share of its size."""
 
     additive: Deviation
-    multiplicative: Annotated[float, Field(ge=0, lt=1)]
+    multiplicative: Share
 
     @model_validator(mode="after")
     def _some(self) -> NoiseConfig:
@@ -86,8 +94,32 @@ class NoiseConfig(Section):
         return self
 
 
+class ProbeConfig(Section):
+    """A displacement probe at a node; its angle is measured from x towards y (two at 45 and 135 degrees are usual)."""
+
+    node: NonNegativeInt
+    angle: Angle
+
+
+class ProbesConfig(Section):
+    """The displacements that are measured, and what the probes add to them.
+
+    ``all`` and ``bearings`` stand for x and y at every node, or at the bearings. Noise is circular and complex: its
+    root mean square is ``additive`` and a share ``multiplicative`` of the reading. Runout is a vector of this size and
+    of random phase for each probe, the same at every speed and in every run that turns with the rotor. Readings are
+    multiples of ``quantisation``.
+    """
+
+    at: Literal["all", "bearings"] | tuple[ProbeConfig, ...]
+    additive: Deviation
+    multiplicative: Share
+    runout: Deviation
+    quantisation: Deviation
+    seed: NonNegativeInt
+
+
 class CandidateConfig(Section):
-    """What an experimenter can do: trial unbalances and rotating forces, at these nodes and phases."""
+    """An experimenter can use these trial unbalances and rotating forces, at these nodes and phases."""
 
     unbalance_nodes: tuple[NonNegativeInt, ...]
     unbalance: UnbalanceMagnitude
@@ -104,7 +136,7 @@ class CandidateConfig(Section):
 
 
 class DesignConfig(Section):
-    """Which runs ``stage=design`` chooses: so many of the candidates, best by the criterion over speeds."""
+    """``stage=design`` chooses so many runs from the candidates: the best by the criterion over speeds."""
 
     runs: PositiveInt
     criterion: Literal["A", "D"]

@@ -1,4 +1,4 @@
-"""What every part of a configuration has in common."""
+"""The base of every part of a configuration."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field
 
 NonNegativeInt = Annotated[int, Field(ge=0)]
+Share = Annotated[float, Field(ge=0, lt=1)]
+"""A share: 0.01 is a percent."""
 
 
 class Section(BaseModel):

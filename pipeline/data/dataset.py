@@ -1,4 +1,4 @@
-"""What was measured and what excited it.
+"""Measured vibration, and the forces that excited it.
 
 Coefficients and gyroscopic terms belong to the rotor speed, the dynamics to the excitation frequency w; the two are
 the same for unbalance (synchronous), and may differ for a shaker.
@@ -68,33 +68,29 @@ class VibrationDataset:
 
     def at(self, speeds: np.ndarray) -> VibrationDataset:
         """The same at the ``speeds`` (indices)."""
-        own, subtracted = self.own_frequencies, self.subtracted
-        return replace(
-            self,
-            speeds=self.speeds[speeds],
-            displacement=self.displacement[speeds],
-            own_frequencies=None if own is None else own[speeds],
-            subtracted=None if subtracted is None else subtracted[speeds],
-        )
+        return self._select(speeds, slice(None))
 
     def of_runs(self, runs: np.ndarray) -> VibrationDataset:
         """The ``runs`` (indices) alone."""
         names = tuple(self.runs[r] for r in runs)
+        acting = tuple(excitation for excitation in self.excitations if excitation.run in names)
+        return replace(self._select(slice(None), runs), runs=names, excitations=acting)
+
+    def _select(self, speeds: np.ndarray | slice, runs: np.ndarray | slice) -> VibrationDataset:
         own, subtracted = self.own_frequencies, self.subtracted
         return replace(
             self,
-            runs=names,
-            displacement=self.displacement[..., runs],
-            excitations=tuple(excitation for excitation in self.excitations if excitation.run in names),
-            own_frequencies=None if own is None else own[:, runs],
-            subtracted=None if subtracted is None else subtracted[..., runs],
+            speeds=self.speeds[speeds],
+            displacement=self.displacement[speeds][..., runs],
+            own_frequencies=None if own is None else own[speeds][:, runs],
+            subtracted=None if subtracted is None else subtracted[speeds][..., runs],
         )
 
     def sensor_matrix(self, n_dof: int) -> np.ndarray:
         """(P, n) what each channel shows of the rotor's lateral DOF."""
         matrix = np.zeros((len(self.channels), n_dof))
         for p, (node, angle) in enumerate(self.channels):
-            matrix[p, translation_dof(node, 0)], matrix[p, translation_dof(node, 1)] = direction_cosines(angle)
+            matrix[p, translation_dof(node, 0)], matrix[p, translation_dof(node, 1)] = project_direction(angle)
         return matrix
 
     def resolution(self) -> tuple[np.ndarray, np.ndarray]:
@@ -106,7 +102,7 @@ class VibrationDataset:
         dof, rows = [], []
         for node in dict.fromkeys(node for node, _ in self.channels):
             own = [p for p, (n, _) in enumerate(self.channels) if n == node]
-            cosines = np.array([direction_cosines(self.channels[p][1]) for p in own])
+            cosines = np.array([project_direction(self.channels[p][1]) for p in own])
             inverse = np.linalg.pinv(cosines, rcond=_SPAN)
             for direction in range(2):
                 if abs(inverse[direction] @ cosines[:, direction] - 1) < _SPAN:
@@ -120,7 +116,7 @@ _SPAN = 1e-6
 """Sine of the angle below which two probes look along the same line."""
 
 
-def direction_cosines(angle: float) -> tuple[float, float]:
+def project_direction(angle: float) -> tuple[float, float]:
     """Cosines with x and y of a direction in degrees, exact along the axes."""
     quarter, rest = divmod(angle, 90.0)
     if rest == 0.0:
@@ -128,12 +124,12 @@ def direction_cosines(angle: float) -> tuple[float, float]:
     return float(np.cos(np.radians(angle))), float(np.sin(np.radians(angle)))
 
 
-def direction_name(angle: float) -> str:
+def name_direction(angle: float) -> str:
     """``x``, ``y``, or the angle in degrees."""
     return next((name for name, of in DIRECTIONS.items() if of == angle), f"{angle:g}")
 
 
-def without_baseline(dataset: VibrationDataset, baseline: str) -> VibrationDataset:
+def subtract_baseline(dataset: VibrationDataset, baseline: str) -> VibrationDataset:
     """The other runs; those that turn with the rotor less the ``baseline``, and so less any residual unbalance."""
     b = dataset.runs.index(baseline)
     rest = dataset.of_runs(np.delete(np.arange(len(dataset.runs)), b))
@@ -142,7 +138,7 @@ def without_baseline(dataset: VibrationDataset, baseline: str) -> VibrationDatas
     return replace(rest, displacement=rest.displacement - subtracted, subtracted=subtracted)
 
 
-def runs_by_frequency(frequencies: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def group_runs(frequencies: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Runs that share their frequencies (S, R), as (indices of the runs, their frequencies (S,))."""
     if (frequencies == frequencies[:, :1]).all():  # as of unbalance; sorting them would take a while
         yield np.arange(frequencies.shape[1]), frequencies[:, 0]
@@ -152,7 +148,7 @@ def runs_by_frequency(frequencies: np.ndarray) -> Iterator[tuple[np.ndarray, np.
         yield np.flatnonzero(of.ravel() == i), columns[:, i]
 
 
-def force_vectors(
+def assemble_forces(
     rotor: RotorModel, excitations: tuple[Excitation, ...], runs: tuple[str, ...], frequencies: np.ndarray
 ) -> np.ndarray:
     """(S, n, R) complex forces in N at ``frequencies`` (S, R), or (S,) where they are the same in every run.

@@ -1,4 +1,4 @@
-"""What probes show of a vibration: the displacement along each, with runout, noise and quantisation."""
+"""Probes show the displacement along each of them, with runout, noise and quantisation."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.data.dataset import DIRECTIONS, VibrationDataset, direction_cosines
+from pipeline.data.dataset import DIRECTIONS, VibrationDataset, project_direction
 from pipeline.data.noise import NoiseModel
-from pipeline.data.simulate import with_noise
+from pipeline.data.simulate import add_noise
 
 Channels = tuple[tuple[int, float], ...]
 
@@ -24,7 +24,7 @@ class Sensors:
     quantisation: float = 0.0
 
 
-def both_directions(nodes: tuple[int, ...]) -> Channels:
+def list_directions(nodes: tuple[int, ...]) -> Channels:
     """x and y at the nodes."""
     return tuple((node, angle) for node in nodes for angle in DIRECTIONS.values())
 
@@ -34,18 +34,18 @@ def project(dataset: VibrationDataset, channels: Channels) -> VibrationDataset:
     place = {channel: p for p, channel in enumerate(dataset.channels)}
     readings = []
     for node, angle in channels:
-        shares = zip(direction_cosines(angle), DIRECTIONS.values(), strict=True)
+        shares = zip(project_direction(angle), DIRECTIONS.values(), strict=True)
         readings.append(sum(share * dataset.displacement[:, place[node, axis]] for share, axis in shares))
     return replace(dataset, channels=channels, displacement=np.stack(readings, axis=1))
 
 
 def measure(dataset: VibrationDataset, sensors: Sensors, generator: np.random.Generator) -> VibrationDataset:
-    """What the sensors make of a data set with x and y at every node."""
+    """Return what the sensors read from a data set with x and y at every node."""
     seen = dataset if sensors.channels is None else project(dataset, sensors.channels)
     # Noise comes first from the generator: with other runout, the same noise.
     if sensors.additive or sensors.multiplicative:
         noise = NoiseModel(sensors.additive, sensors.multiplicative)
-        seen = with_noise(seen, noise.deviation(seen.displacement), generator)
+        seen = add_noise(seen, noise.deviation(seen.displacement), generator)
     readings = seen.displacement
     if sensors.runout:
         phase = generator.uniform(0, 2 * np.pi, len(seen.channels))

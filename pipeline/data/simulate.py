@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.data.dataset import DIRECTIONS, Excitation, VibrationDataset, force_vectors, runs_by_frequency
+from pipeline.data.dataset import DIRECTIONS, Excitation, VibrationDataset, assemble_forces, group_runs
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.dynamic_stiffness import banded, solve
 from pipeline.rotor.model import TRANSLATIONS, RotorModel, bearing_dof, translation_dof
 
 
-def forced_response(
+def solve_response(
     rotor: RotorModel,
     bearings: BearingTable,
     excitations: tuple[Excitation, ...],
@@ -27,9 +27,9 @@ def forced_response(
     speeds, system, places = bearings.speeds, banded(rotor), bearing_dof(rotor)
     if frequencies is None:
         frequencies = np.repeat(speeds[:, None], len(runs), axis=1)
-    forces = force_vectors(rotor, excitations, runs, frequencies)
+    forces = assemble_forces(rotor, excitations, runs, frequencies)
     response = np.empty(forces.shape, dtype=complex)
-    for alike, w in runs_by_frequency(frequencies):
+    for alike, w in group_runs(frequencies):
         response[..., alike] = solve(system, w, speeds, forces[..., alike], bearings.impedance(w), places)
     return response
 
@@ -45,13 +45,13 @@ def simulate(
     ``own_frequencies`` (S, R) rad/s, runs in the order in which ``excitations`` first names them; None for synchronous.
     """
     runs = tuple(dict.fromkeys(excitation.run for excitation in excitations))
-    response = forced_response(rotor, bearings, excitations, runs, own_frequencies)
+    response = solve_response(rotor, bearings, excitations, runs, own_frequencies)
     channels = tuple((node, angle) for node in range(rotor.n_nodes) for angle in DIRECTIONS.values())
     measured = [translation_dof(node, direction) for node in range(rotor.n_nodes) for direction in range(TRANSLATIONS)]
     return VibrationDataset(bearings.speeds, runs, channels, response[:, measured], excitations, own_frequencies)
 
 
-def with_noise(dataset: VibrationDataset, deviation: np.ndarray, generator: np.random.Generator) -> VibrationDataset:
+def add_noise(dataset: VibrationDataset, deviation: np.ndarray, generator: np.random.Generator) -> VibrationDataset:
     """The data set with circular complex noise, ``E|n|^2 = deviation^2``; ``deviation`` (S, P, R) in m."""
     parts = generator.standard_normal((2, *dataset.displacement.shape)) / np.sqrt(2.0)
     return replace(dataset, displacement=dataset.displacement + deviation * (parts[0] + 1j * parts[1]))

@@ -1,12 +1,17 @@
-"""Reading tables that somebody else may have made, and refusing what isn't one."""
+"""Tables as columns of numpy arrays: reading those that somebody else may have made, and refusing what isn't one.
+
+They are read and written without pandas, whose import takes half a second.
+"""
 
 from __future__ import annotations
 
 import csv
-import hashlib
+import math
 import warnings
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice, zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,14 +24,14 @@ if TYPE_CHECKING:
     import pandas as pd
 
 SCHEMA = "1"
-_SCHEMA_KEY = b"bearing_identification.schema"
-_ROTOR_KEY = b"bearing_identification.rotor"
-_ORIGIN_KEY = b"bearing_identification.origin"
+_MARK = "bearing_identification."
+Columns = dict[str, np.ndarray]
+"""Name -> values: float arrays of numbers, object arrays of texts."""
 
 
 @dataclass(frozen=True)
 class TextFormat:
-    """How a CSV file is written; ``skip_rows`` are lines before the header (of an Excel sheet, too)."""
+    """The format of a CSV file; ``skip_rows`` are lines before the header (also in an Excel sheet)."""
 
     delimiter: str = ","
     decimal: str = "."
@@ -38,218 +43,217 @@ PLAIN = TextFormat()
 
 def read_table(
     path: Path, columns: Mapping[str, str], optional: Mapping[str, str] | None = None, text: TextFormat = PLAIN
-) -> pd.DataFrame:
-    """A CSV, Excel (.xlsx, its first sheet) or Parquet file with at least ``columns``.
+) -> Columns:
+    """The ``columns`` of a CSV, Excel (.xlsx, its first sheet) or Parquet file, and those ``optional`` ones it has.
 
-    ``columns``: name -> "number", "number or blank", or "text". Columns that are ``optional`` are held to their kind
-    where there are any.
+    Both: name -> "number", "number or blank" (NaN), or "text".
 
-    Raises DataError: no such file, unreadable or truncated, an older schema, no rows, a missing column, a
-    column of another type, NaN or infinite values.
+    Raises DataError: no such file, unreadable or truncated, an older schema, no rows, a column that is missing, there
+    twice or of another kind, NaN or infinite values.
     """
     if not path.is_file():
         raise DataError(f"'{path}' must exist, but there is no such file")
-    texts = {"run", *(name for name, kind in columns.items() if kind == "text")}
     if path.suffix == ".parquet":
-        table = _read_parquet(path)
+        names, table = _read_parquet(path)
     elif path.suffix.lower() in (".xlsx", ".xlsm"):
-        table = _read_excel(path, texts, text)
+        names, table = _read_excel(path, text)
     else:
-        table = _read_csv(path, texts, text)
+        names, table = _read_csv(path, text)
+    counts = Counter(names)
     for name in columns:
-        if name not in table.columns:
-            raise DataError(
-                f"'{path}' must have the column '{name}', but it has not: {nearest(name, map(str, table.columns))}"
-            )
-    if table.empty:
+        if name not in counts:
+            raise DataError(f"'{path}' must have the column '{name}', but it has not: {nearest(name, names)}")
+    if not table or not len(table[0]):
         raise DataError(f"'{path}' must have at least one row, but it has none")
-    there = {name: kind for name, kind in (optional or {}).items() if name in table.columns}
-    for name, kind in (dict(columns) | there).items():
-        if kind == "number":
-            table[name] = _numbers(path, table, name)
-        elif kind == "number or blank":
-            blank = table[name].isna() | (table[name].astype(str) == "")
-            table[name] = _numbers(path, table.assign(**{name: table[name].where(~blank, 0.0)}), name)
-            table.loc[blank, name] = np.nan
-        else:
-            table[name] = table[name].astype(str)
-    return table
+    found: Columns = {}
+    for name, kind in (dict(columns) | dict(optional or {})).items():
+        if counts[name] > 1:
+            raise DataError(
+                f"'{path}' must have the column '{name}' once, but it has it twice: give each a name of its own"
+            )
+        if name in counts:
+            column = table[names.index(name)]
+            if kind == "text":
+                found[name] = np.array(["" if value is None else str(value) for value in column], dtype=object)
+            else:
+                found[name] = _to_numbers(path, name, column, kind, text.decimal)
+    return found
 
 
-def _numbers(path: Path, table: pd.DataFrame, name: str) -> np.ndarray:
-    import pandas as pd
-
-    column = table[name]
-    values = pd.to_numeric(column, errors="coerce").to_numpy(dtype=float)
-    if column.dtype.kind not in "iuf":
-        # pandas takes true for 1, and a date for nanoseconds.
-        strange = column.map(lambda value: isinstance(value, (bool, np.bool_)) or hasattr(value, "year"))
-        values = np.where(strange, np.nan, values)
-    bad = np.flatnonzero(~np.isfinite(values))
+def _to_numbers(path: Path, name: str, column: Sequence[Any] | np.ndarray, kind: str, decimal: str) -> np.ndarray:
+    if isinstance(column, np.ndarray) and column.dtype.kind in "iuf":
+        values = column.astype(float)
+    else:
+        values = np.array([_to_number(value, decimal) for value in column])
+    bad = np.flatnonzero(np.isinf(values) if kind == "number or blank" else ~np.isfinite(values))
     if len(bad):
         raise DataError(
-            f"'{path}' must have finite numbers in the column '{name}', but row {bad[0] + 1} has "
-            f"{table[name].iloc[bad[0]]!r}" + (f" ({len(bad)} rows in all)" if len(bad) > 1 else "")
+            f"'{path}' must have finite numbers in the column '{name}', but row {bad[0] + 1} has {column[bad[0]]!r}"
+            + (f" ({len(bad)} rows in all)" if len(bad) > 1 else "")
         )
     return values
 
 
-def _read_csv(path: Path, texts: set[str], text: TextFormat) -> pd.DataFrame:
-    import pandas as pd
-
+def _to_number(value: Any, decimal: str) -> float:
+    """NaN for a blank; infinite for what is no finite number, such as a date or a truth."""
+    if value is None or value == "":
+        return math.nan
+    if isinstance(value, str):
+        # Python takes 1_000 for a thousand; beside a decimal comma, a point may stand for thousands.
+        if "_" in value or not value.isascii() or (decimal != "." and "." in value):
+            return math.inf
+        value = value.replace(decimal, ".")
+    elif isinstance(value, bool) or not isinstance(value, (int, float)):
+        return math.inf
     try:
-        with warnings.catch_warnings():
-            # A row with more fields than the header: pandas would drop some, or take the first for a name of the row.
-            warnings.simplefilter("error", pd.errors.ParserWarning)
-            # Texts are kept as they are: a run called 'NA' is a run.
-            return pd.read_csv(
-                path,
-                keep_default_na=False,
-                dtype=dict.fromkeys(texts, str),
-                index_col=False,
-                low_memory=False,
-                sep=text.delimiter,
-                decimal=text.decimal,
-                skiprows=text.skip_rows,
-            )
-    except (OSError, ValueError, OverflowError, pd.errors.ParserError, pd.errors.ParserWarning) as error:
-        raise DataError(f"'{path}' must be a CSV table, but it can't be read as one ({_first_line(error)})") from None
+        number = float(value)
+    except (ValueError, OverflowError):
+        return math.inf
+    return number if math.isfinite(number) else math.inf
 
 
-def _read_excel(path: Path, texts: set[str], text: TextFormat) -> pd.DataFrame:
-    import pandas as pd
+def _read_csv(path: Path, text: TextFormat) -> tuple[list[str], Sequence[Sequence[str]]]:
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = [row for row in csv.reader(islice(file, text.skip_rows, None), delimiter=text.delimiter) if row]
+        header = rows[0]
+        for i, row in enumerate(rows):
+            if len(row) > len(header):
+                raise ValueError(f"row {i} has {len(row)} fields, the header {len(header)}")
+            if any("\0" in field for field in row):
+                raise ValueError(f"row {i} has bytes that are no text")
+    except (OSError, ValueError, IndexError, csv.Error) as error:
+        words = "it is empty" if isinstance(error, IndexError) else _first_line(error)
+        raise DataError(f"'{path}' must be a CSV table, but it can't be read as one ({words})") from None
+    return header, [column[1:] for column in zip_longest(*rows, fillvalue="")]
 
+
+def _read_excel(path: Path, text: TextFormat) -> tuple[list[str], Sequence[Sequence[Any]]]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of styles and validations, which hold no data
-            return pd.read_excel(
-                path,
-                keep_default_na=False,
-                dtype=dict.fromkeys(texts, str),
-                skiprows=text.skip_rows,
-                engine="openpyxl",
-            )
+            import openpyxl
+
+            book = openpyxl.load_workbook(path, read_only=True, data_only=True, keep_links=False)
+            sheet = book.worksheets[0]
+            sheet.reset_dimensions()  # what other programs write there may be wrong
+            header, *rows = islice(sheet.iter_rows(values_only=True), text.skip_rows, None)
+            book.close()
     except Exception as error:  # for a damaged file openpyxl raises many kinds (zip, XML, key, attribute errors)
         raise DataError(
             f"'{path}' must be a complete Excel file (.xlsx), but it can't be read as one ({_first_line(error)})"
         ) from None
+    while rows and not any(value is not None for value in rows[-1]):
+        rows.pop()
+    columns = list(zip_longest(header, *rows))[: len(header)]
+    return [str(name) for name in header], [column[1:] for column in columns]
 
 
-def _read_parquet(path: Path) -> pd.DataFrame:
+def _read_parquet(path: Path) -> tuple[list[str], Sequence[Sequence[Any] | np.ndarray]]:
     import pyarrow.lib
     import pyarrow.parquet as parquet
 
     try:
-        stored = parquet.read_table(path)
-        # Without the notes that pandas leaves in a file: columns and types are all that is needed of it.
-        table = stored.replace_schema_metadata(None).to_pandas()
+        # parquet.read_table would import pyarrow's data sets, which takes as long as pandas.
+        stored = parquet.ParquetFile(path).read()
+        table = [_to_array(column) for column in stored.columns]
     except (OSError, ValueError, TypeError, pyarrow.lib.ArrowException) as error:
         raise DataError(
             f"'{path}' must be a complete Parquet file, but it can't be read ({_first_line(error)}): make it "
             "again with stage=generate"
         ) from None
-    schema = schema_of(stored.schema.metadata)
-    if schema is not None:
+    schema = _decode_marks(stored.schema.metadata).get("schema", SCHEMA)
+    if schema != SCHEMA:
         raise DataError(
             f"'{path}' must have the file schema {SCHEMA}, but it was written with schema {schema}: make it "
             "again with stage=generate"
         )
-    return table
+    return stored.column_names, table
 
 
-def schema_of(metadata: Mapping[bytes, bytes] | None) -> str | None:
-    """The schema of a Parquet file's notes where it is another than the one read here; else None."""
-    schema = (metadata or {}).get(_SCHEMA_KEY, SCHEMA.encode()).decode(errors="replace")
-    return schema if schema != SCHEMA else None
+def _to_array(column: Any) -> Sequence[Any] | np.ndarray:
+    """NaN for a number that is null. By DLPack: pyarrow's own way to numpy imports pandas."""
+    import pyarrow as pa
+
+    of = column.type
+    if pa.types.is_integer(of) and not column.null_count:
+        return np.array(np.from_dlpack(column.combine_chunks()))
+    if pa.types.is_integer(of) or pa.types.is_floating(of) or pa.types.is_decimal(of):
+        array = column.combine_chunks().cast("float64")
+        return np.array(np.from_dlpack(array.fill_null(float("nan")) if array.null_count else array))
+    if (pa.types.is_string(of) or pa.types.is_large_string(of)) and not column.null_count:
+        coded = column.combine_chunks().dictionary_encode()  # a few texts, many times each
+        return np.array(coded.dictionary.to_pylist(), dtype=object)[np.from_dlpack(coded.indices)]
+    values: list[Any] = column.to_pylist()
+    return values
 
 
 def _first_line(error: Exception) -> str:
     return (str(error).splitlines() or [type(error).__name__])[0][:200]
 
 
-def rotor_of(path: Path) -> str | None:
-    """Fingerprint of the rotor that a Parquet file was made for; None where it doesn't say (CSV, other makers)."""
-    return _stored(path, _ROTOR_KEY)
+def read_marks(path: Path) -> dict[str, str] | None:
+    """Read what a Parquet file says about itself; None where it is no complete Parquet file.
 
-
-def fingerprint_of(path: Path) -> str:
-    """Identity of a file's bytes; empty where there is no file."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()[:16] if path.is_file() else ""
-
-
-def origin_of(path: Path) -> str | None:
-    """Identity of the configuration that a Parquet file was generated from; None where it doesn't say."""
-    return _stored(path, _ORIGIN_KEY)
-
-
-def is_foreign(path: Path) -> bool:
-    """True for a complete Parquet file that was not generated here."""
-    import pyarrow.lib
-    import pyarrow.parquet as parquet
-
-    try:
-        return _ORIGIN_KEY not in (parquet.read_schema(path).metadata or {})
-    except (OSError, ValueError, pyarrow.lib.ArrowException):
-        return False
-
-
-def is_ingested(path: Path) -> bool:
-    """True for a complete Parquet file that was written here, and not generated."""
-    return _stored(path, _SCHEMA_KEY) is not None and origin_of(path) is None
-
-
-def _stored(path: Path, key: bytes) -> str | None:
+    Each file that was written here has ``schema``. A generated one also has ``rotor``, the rotor's fingerprint, and
+    ``origin``, the identity of its configuration.
+    """
     import pyarrow.lib
     import pyarrow.parquet as parquet
 
     if path.suffix != ".parquet":
         return None
     try:
-        stored = (parquet.read_schema(path).metadata or {}).get(key)
+        return _decode_marks(parquet.read_schema(path).metadata)
     except (OSError, ValueError, pyarrow.lib.ArrowException):
         return None  # a damaged file says so when its rows are read
-    return stored.decode(errors="replace") if stored is not None else None
+
+
+def _decode_marks(metadata: Mapping[bytes, bytes] | None) -> dict[str, str]:
+    texts = {key.decode(errors="replace"): value.decode(errors="replace") for key, value in (metadata or {}).items()}
+    return {key.removeprefix(_MARK): value for key, value in texts.items() if key.startswith(_MARK)}
 
 
 def write_table(
-    path: Path, table: Mapping[str, Any] | pd.DataFrame, rotor: str | None = None, origin: str | None = None
+    path: Path,
+    table: Mapping[str, Any] | pd.DataFrame | Sequence[Mapping[str, Any]],
+    marks: Mapping[str, str] | None = None,
 ) -> Path:
     """Write CSV or Parquet, by the file's ending. Numbers keep every digit; NaN is a blank. Raises StorageError.
 
-    ``table`` has a sequence of values by the name of each column. ``rotor`` and ``origin`` are kept in a Parquet file,
-    for :func:`rotor_of` and :func:`origin_of`.
+    ``table`` has a sequence of values by the name of each column, or is a sequence of rows;
+    what a row lacks is a blank. A Parquet file keeps ``marks`` for
+    :func:`read_marks`.
     """
+    if isinstance(table, Sequence):
+        names = dict.fromkeys(name for row in table for name in row)
+        table = {name: [row.get(name) for row in table] for name in names}
     columns = {str(name): np.asarray(table[name]) for name in table}
-
-    def write(beside: Path) -> None:
-        """By the ending of ``path``: ``beside`` has another name."""
-        if path.suffix == ".parquet":
-            marks = {_ROTOR_KEY: rotor, _ORIGIN_KEY: origin, _SCHEMA_KEY: SCHEMA}
-            _write_parquet(beside, columns, {key: mark.encode() for key, mark in marks.items() if mark is not None})
-        else:
-            _write_csv(beside, columns)
-
-    return write_beside(path, write)
+    # By the ending of `path`: the temporary file beside it has another name.
+    if path.suffix == ".parquet":
+        every = dict(marks or {}) | {"schema": SCHEMA}
+        return write_beside(path, lambda beside: _write_parquet(beside, columns, every))
+    return write_beside(path, lambda beside: _write_csv(beside, columns))
 
 
 def _write_csv(path: Path, columns: Mapping[str, np.ndarray]) -> None:
-    texts = [[_written(value) for value in column.tolist()] for column in columns.values()]
+    # A float as its shortest text that reads back to the same bits.
+    texts = [
+        ["" if value is None or value != value else str(value) for value in column.tolist()]
+        for column in columns.values()
+    ]
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
         writer.writerows(zip(*texts, strict=True))
 
 
-def _written(value: object) -> str:
-    """A float as its shortest text that reads back to the same bits."""
-    return "" if value is None or value != value else str(value)
-
-
-def _write_parquet(path: Path, columns: Mapping[str, np.ndarray], marks: Mapping[bytes, bytes]) -> None:
+def _write_parquet(path: Path, columns: Mapping[str, np.ndarray], marks: Mapping[str, str]) -> None:
     import pyarrow as pa
     import pyarrow.parquet as parquet
 
     stored = pa.table(
         {name: pa.array(column.tolist() if column.dtype == object else column) for name, column in columns.items()}
     )
-    parquet.write_table(stored.replace_schema_metadata(dict(marks)), path)
+    stored = stored.replace_schema_metadata({f"{_MARK}{key}": mark for key, mark in marks.items()})
+    parquet.write_table(stored, path)

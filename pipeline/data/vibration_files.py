@@ -9,13 +9,13 @@ Excitation: ``run, kind, node, magnitude, phase_deg, whirl``; kind ``unbalance``
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
-from pipeline.data.columns import Columns, read_columns
-from pipeline.data.dataset import DIRECTIONS, Excitation, VibrationDataset, direction_name, without_baseline
-from pipeline.data.tables import rotor_of, write_table
+from pipeline.data.dataset import DIRECTIONS, Excitation, VibrationDataset, name_direction, subtract_baseline
+from pipeline.data.tables import Columns, read_marks, read_table, write_table
 from pipeline.errors import DataError, nearest
 from pipeline.rotor.model import RotorModel
 from pipeline.units import RAD_S_PER_RPM
@@ -44,17 +44,15 @@ def to_rpm(speeds: np.ndarray) -> np.ndarray:
     return np.round(speeds / RAD_S_PER_RPM, 9)
 
 
-def write_vibration(
-    path: Path, dataset: VibrationDataset, rotor: RotorModel | None = None, origin: str | None = None
-) -> Path:
+def write_vibration(path: Path, dataset: VibrationDataset, marks: Mapping[str, str] | None = None) -> Path:
     """Write the displacements of all runs, the baseline run among them. Raises StorageError.
 
-    Generated data say for which ``rotor`` and from what ``origin``; measured data belong to no model of it.
+    Generated data have ``marks`` (see :func:`pipeline.data.tables.read_marks`); measured data belong to no model.
     """
     n_speeds, n_channels, n_runs = dataset.displacement.shape
     flat = dataset.displacement.transpose(2, 0, 1).ravel()  # run slowest, then speed, then channel
     nodes = np.array([node for node, _ in dataset.channels])
-    directions = np.array([direction_name(angle) for _, angle in dataset.channels])
+    directions = np.array([name_direction(angle) for _, angle in dataset.channels])
     columns = {
         "run": np.repeat(np.array(dataset.runs, dtype=object), n_speeds * n_channels),
         "speed_rpm": np.tile(np.repeat(to_rpm(dataset.speeds), n_channels), n_runs),
@@ -65,7 +63,7 @@ def write_vibration(
     }
     if dataset.own_frequencies is not None:
         columns[_FREQUENCY] = np.repeat(dataset.own_frequencies.T.ravel() / (2 * np.pi), n_channels)
-    return write_table(path, columns, None if rotor is None else rotor.fingerprint, origin)
+    return write_table(path, columns, marks)
 
 
 def write_excitation(path: Path, dataset: VibrationDataset) -> Path:
@@ -96,7 +94,7 @@ def read_dataset(vibration: Path, excitation: Path, rotor: RotorModel, baseline:
 
 def require_made_for(vibration: Path, rotor: RotorModel) -> None:
     """Raise DataError where the file says that it was generated for another rotor."""
-    made_for = rotor_of(vibration)
+    made_for = (read_marks(vibration) or {}).get("rotor")
     if made_for is not None and made_for != rotor.fingerprint:
         raise DataError(
             f"'{vibration}' must have been made for this rotor ({rotor.fingerprint}), but it was made for another "
@@ -117,11 +115,11 @@ def require_nodes_of(dataset: VibrationDataset, n_nodes: int, vibration: Path, e
 def read_measured(
     vibration: Path, excitation: Path, baseline: str | None = None, n_nodes: int | None = None
 ) -> VibrationDataset:
-    """As :func:`read_dataset`, before anything is known of the rotor but, perhaps, its number of nodes."""
-    table = read_columns(vibration, _VIBRATION, {_FREQUENCY: "number or blank"})
-    excitations = _excitations(read_columns(excitation, _EXCITATION), excitation, n_nodes)
-    nodes = _nodes(table["node"], vibration, n_nodes)
-    angles = _angles(table["direction"], vibration)
+    """Read both files as :func:`read_dataset` does, where at most the number of the rotor's nodes is known."""
+    table = read_table(vibration, _VIBRATION, {_FREQUENCY: "number or blank"})
+    excitations = _read_excitations(read_table(excitation, _EXCITATION), excitation, n_nodes)
+    nodes = _read_nodes(table["node"], vibration, n_nodes)
+    angles = _read_angles(table["direction"], vibration)
     rpm, amplitude = table["speed_rpm"], table["amplitude_m"]
     if (rpm <= 0).any():
         raise DataError(f"'{vibration}' must have speeds above zero, but got {rpm.min():g} rpm")
@@ -148,7 +146,7 @@ def read_measured(
     dataset = _assemble(table, nodes, angles, vibration, runs, excitations)
     if dataset.own_frequencies is not None:
         _check_synchronous(dataset, vibration)
-    return dataset if baseline is None else without_baseline(dataset, baseline)
+    return dataset if baseline is None else subtract_baseline(dataset, baseline)
 
 
 def _check_baseline(baseline: str, runs: tuple[str, ...], acting: set[str], vibration: Path, excitation: Path) -> None:
@@ -185,7 +183,7 @@ def _assemble(
         raise DataError(
             f"'{path}' must have every channel at every speed of every run, but {len(missing)} of {counts.size} are "
             "missing "
-            f"(the first: run '{runs[r]}', {rpm[s]:g} rpm, node {pairs[p][0]} {direction_name(pairs[p][1])})"
+            f"(the first: run '{runs[r]}', {rpm[s]:g} rpm, node {pairs[p][0]} {name_direction(pairs[p][1])})"
         )
     displacement = np.empty(shape, dtype=complex)
     values = table["amplitude_m"] * np.exp(1j * np.radians(table["phase_deg"]))
@@ -193,11 +191,11 @@ def _assemble(
     speeds = rpm * RAD_S_PER_RPM
     own = None
     if _FREQUENCY in table and not np.isnan(table[_FREQUENCY]).all():
-        own = _frequencies(table, path, speeds, runs, at_speed, at_run)
+        own = _read_frequencies(table, path, speeds, runs, at_speed, at_run)
     return VibrationDataset(speeds, runs, tuple(pairs), displacement, excitations, own)
 
 
-def _frequencies(
+def _read_frequencies(
     table: Columns, path: Path, speeds: np.ndarray, runs: tuple[str, ...], at_speed: np.ndarray, at_run: np.ndarray
 ) -> np.ndarray:
     """(S, R) rad/s."""
@@ -228,10 +226,10 @@ def _check_synchronous(dataset: VibrationDataset, path: Path) -> None:
             )
 
 
-def _excitations(table: Columns, path: Path, n_nodes: int | None) -> tuple[Excitation, ...]:
+def _read_excitations(table: Columns, path: Path, n_nodes: int | None) -> tuple[Excitation, ...]:
     _check_words(table["kind"], ("unbalance", "force"), path, "kind")
     _check_words(table["whirl"], ("forward", "backward"), path, "whirl")
-    nodes, magnitudes = _nodes(table["node"], path, n_nodes), table["magnitude"]
+    nodes, magnitudes = _read_nodes(table["node"], path, n_nodes), table["magnitude"]
     if (magnitudes <= 0).any():
         raise DataError(f"'{path}' must have magnitudes above zero, but got {magnitudes.min():g}")
     rows = zip(
@@ -243,7 +241,7 @@ def _excitations(table: Columns, path: Path, n_nodes: int | None) -> tuple[Excit
     )
 
 
-def _nodes(values: np.ndarray, path: Path, n_nodes: int | None) -> np.ndarray:
+def _read_nodes(values: np.ndarray, path: Path, n_nodes: int | None) -> np.ndarray:
     last = np.inf if n_nodes is None else n_nodes - 1
     bad = values[(values != np.round(values)) | (values < 0) | (values > last)]
     if len(bad):
@@ -252,9 +250,9 @@ def _nodes(values: np.ndarray, path: Path, n_nodes: int | None) -> np.ndarray:
     return values.astype(int)
 
 
-def _angles(directions: np.ndarray, path: Path) -> np.ndarray:
+def _read_angles(directions: np.ndarray, path: Path) -> np.ndarray:
     """Degrees from x towards y, 0 to 360."""
-    found = {direction: _angle(direction) for direction in set(directions.tolist())}
+    found = {direction: _read_angle(direction) for direction in set(directions.tolist())}
     for direction in directions.tolist():
         if not np.isfinite(found[direction]):
             raise DataError(
@@ -264,7 +262,7 @@ def _angles(directions: np.ndarray, path: Path) -> np.ndarray:
     return np.array([found[direction] for direction in directions.tolist()])
 
 
-def _angle(direction: str) -> float:
+def _read_angle(direction: str) -> float:
     if direction in DIRECTIONS:
         return DIRECTIONS[direction]
     try:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.data.dataset import direction_name
+from pipeline.data.dataset import name_direction
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.output_error import OutputError
 from pipeline.identification.output_error_fit import OutputErrorFit
@@ -94,7 +94,7 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
     if not np.allclose(fit.factor, 1.0):
         channels = fit.start.measurement.dataset.channels
         summary["noise_factor"] = {
-            f"node {node} {direction_name(angle)}": float(f)
+            f"node {node} {name_direction(angle)}": float(f)
             for (node, angle), f in zip(channels, fit.factor, strict=True)
         }
     return Quality({"fit": summary}, bad, variance_inflation(correlation))
@@ -128,7 +128,7 @@ def _bad_points(fit: OutputErrorFit, plain: list[np.ndarray]) -> tuple[BadPoint,
         for s, p, r in np.argwhere(np.abs(off) > BAD_POINT):
             node, angle = dataset.channels[p]
             run, size = dataset.runs[block.runs[r]], float(np.abs(off[s, p, r]))
-            found.append(BadPoint(run, float(dataset.speeds[s]), node, direction_name(angle), size))
+            found.append(BadPoint(run, float(dataset.speeds[s]), node, name_direction(angle), size))
     return tuple(found)
 
 

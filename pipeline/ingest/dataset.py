@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.config.measured import MeasuredRunConfig, SlowRollConfig, unbalance_phase
+from pipeline.config.measured import MeasuredRunConfig, SlowRollConfig, convert_phase
 from pipeline.config.recordings import (
     AnyRecordingsConfig,
     TableRecordingsConfig,
@@ -106,7 +106,7 @@ def list_excitations(config: AnyRecordingsConfig) -> tuple[Excitation, ...]:
     acting: list[Excitation] = []
     for run in config.runs:
         for one in run.unbalances:
-            phase = unbalance_phase(one.phase, config.shaft_angle or "from_x", config.tacho.angle)
+            phase = convert_phase(one.phase, config.shaft_angle or "from_x", config.tacho.angle)
             acting.append(Excitation(run.name, "unbalance", one.node, one.magnitude, phase))
         acting += [Excitation(run.name, "force", one.node, one.magnitude, one.phase, one.whirl) for one in run.forces]
     return tuple(acting)

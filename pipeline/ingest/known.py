@@ -31,12 +31,13 @@ def read_known(path: Path, nodes: Sequence[int], speeds: np.ndarray, of: Mapping
     for b, node in enumerate(nodes):
         if not of[node]:
             continue
-        rows = table[table["bearing_node"] == node].sort_values("speed_rpm")
+        rows = np.flatnonzero(table["bearing_node"] == node)
+        rows = rows[np.argsort(table["speed_rpm"][rows], kind="stable")]
         where = f"'{path}', bearing at node {node},"
-        if rows.empty:
+        if not len(rows):
             has = sorted({f"{number:g}" for number in table["bearing_node"]})
             raise DataError(f"'{path}' must have rows of the bearing at node {node}, but it has {', '.join(has)}")
-        given = rows["speed_rpm"].to_numpy(dtype=float)
+        given = table["speed_rpm"][rows]
         if (np.diff(given) == 0).any():
             raise DataError(f"{where} must have one row a speed, but some are there twice")
         if rpm[0] < given[0] * (1 - _ROUNDING) or rpm[-1] > given[-1] * (1 + _ROUNDING):
@@ -45,7 +46,7 @@ def read_known(path: Path, nodes: Sequence[int], speeds: np.ndarray, of: Mapping
                 f"{given[0]:.6g} to {given[-1]:.6g} rpm: nothing is extrapolated"
             )
         for name in of[node]:
-            column = rows[name].to_numpy(dtype=float)
+            column = table[name][rows]
             if np.isnan(column).any():
                 raise DataError(f"{where} must have {name} at every speed, but some are blank")
             values[b, :, COEFFICIENTS.index(name)] = _interpolate(given, column, np.clip(rpm, given[0], given[-1]))

@@ -6,7 +6,7 @@ import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.data.dataset import DIRECTIONS, VibrationDataset
-from pipeline.data.simulate import forced_response
+from pipeline.data.simulate import solve_response
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 
@@ -26,7 +26,7 @@ def compare_size(dataset: VibrationDataset, rotor: RotorModel, stiffness: float,
         for name in names:
             values[..., COEFFICIENTS.index(name)] = value
     bearings = BearingTable(rotor.bearing_nodes, dataset.speeds, values)
-    response = forced_response(rotor, bearings, dataset.excitations, dataset.runs, dataset.frequencies)
+    response = solve_response(rotor, bearings, dataset.excitations, dataset.runs, dataset.frequencies)
     modelled = np.abs((dataset.sensor_matrix(rotor.n_dof) @ response)[..., excited])
     measured = np.abs(dataset.displacement[..., excited])
     both = (modelled > 0) & (measured > 0)

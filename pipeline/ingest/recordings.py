@@ -51,8 +51,7 @@ def read_recording(path: Path, names: Sequence[str], clock: Clock, text: TextFor
     elif ending == ".tdms":
         channels, rate = _read_tdms(path, wanted)
     elif ending in (".csv", ".txt", ".xlsx", ".xlsm", ".parquet"):
-        table = read_table(path, dict.fromkeys(wanted, "number"), text=text)
-        channels, rate = {name: table[name].to_numpy(dtype=float) for name in wanted}, None
+        channels, rate = read_table(path, dict.fromkeys(wanted, "number"), text=text), None
     else:
         raise DataError(f"'{path}' must end in .csv, .txt, .xlsx, .h5, .hdf5 or .tdms, but it ends in '{path.suffix}'")
     return check_recording(path, channels, clock, rate)

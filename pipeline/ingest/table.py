@@ -7,23 +7,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pipeline.config.measured import CsvConfig
-from pipeline.config.quantities import metres
+from pipeline.config.quantities import to_metres
 from pipeline.config.recordings import TableRecordingsConfig, TableRunConfig
-from pipeline.data.tables import TextFormat, read_table
+from pipeline.data.tables import Columns, TextFormat, read_table
 from pipeline.errors import DataError, nearest
 from pipeline.ingest.conventions import RAD_S, to_vectors
 from pipeline.ingest.tracks import RunTracks, Track, sort_track
 
 _BROAD = 2.0
 """Phases that differ by more than this pass a resonance if they are radians, and hardly differ if they are degrees."""
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 
 def read_table_runs(config: TableRecordingsConfig) -> tuple[RunTracks, ...]:
@@ -55,7 +51,6 @@ def _read_wide(config: TableRecordingsConfig, run: TableRunConfig, path: Path) -
     pairs = {name: run.columns.get(name) or probe.columns for name, probe in config.probes.items()}
     columns = [config.columns.speed, *(c for pair in pairs.values() if pair for c in (pair.amplitude, pair.phase))]
     table = read_table(path, dict.fromkeys(columns, "number"), text=read_format(config.csv))
-    _check_once(table, columns, path)
     return {
         name: _take_rows(table, config.columns.speed, pair.amplitude, pair.phase, f"'{path}'")
         for name, pair in pairs.items()
@@ -68,10 +63,9 @@ def _read_long(config: TableRecordingsConfig, run: TableRunConfig, path: Path) -
     kinds = {names.run: "text", names.probe: "text"}
     kinds |= dict.fromkeys((names.speed, names.amplitude, names.phase), "number")
     table = read_table(path, kinds, text=read_format(config.csv))
-    _check_once(table, list(kinds), path)
     _check_runs(config, list(dict.fromkeys(table[names.run])), path)
-    mine = table[table[names.run] == run.name]
-    if mine.empty:
+    mine = _select(table, names.run, run.name)
+    if not len(mine[names.run]):
         raise DataError(
             f"'{path}' must have rows of run '{run.name}' in the column '{names.run}', but it has "
             f"{nearest(run.name, set(table[names.run]))}"
@@ -79,8 +73,8 @@ def _read_long(config: TableRecordingsConfig, run: TableRunConfig, path: Path) -
     found = {}
     for name, probe in config.probes.items():
         label = probe.label or name
-        rows = mine[mine[names.probe] == label]
-        if rows.empty:
+        rows = _select(mine, names.probe, label)
+        if not len(rows[names.probe]):
             raise DataError(
                 f"'{path}' must have rows of probe '{label}' in run '{run.name}', but it has "
                 f"{nearest(label, set(mine[names.probe]))}"
@@ -90,20 +84,25 @@ def _read_long(config: TableRecordingsConfig, run: TableRunConfig, path: Path) -
     return found
 
 
-def _take_rows(table: pd.DataFrame, speed: str, amplitude: str, phase: str, where: str) -> _Rows:
+def _select(table: Columns, name: str, value: str) -> Columns:
+    rows = table[name] == value
+    return {column: values[rows] for column, values in table.items()}
+
+
+def _take_rows(table: Columns, speed: str, amplitude: str, phase: str, where: str) -> _Rows:
     if (table[amplitude] < 0).any():
         raise DataError(
             f"{where} must have amplitudes of zero or more in the column '{amplitude}', but got "
             f"{table[amplitude].min():g}"
         )
-    return table[speed].to_numpy(), table[amplitude].to_numpy(), table[phase].to_numpy(), where
+    return table[speed], table[amplitude], table[phase], where
 
 
 def _make_track(config: TableRecordingsConfig, rows: _Rows) -> Track:
     said = config.conventions
     speed, amplitude, phase, where = rows
     angle = np.radians(phase) if said.phase_unit == "deg" else phase
-    vectors = to_vectors(amplitude, angle, metres(said.length), said.amplitude, said.phase)
+    vectors = to_vectors(amplitude, angle, to_metres(said.length), said.amplitude, said.phase)
     return sort_track(speed * RAD_S[said.speed], vectors, where)
 
 
@@ -118,15 +117,6 @@ def _note_unit(phases: np.ndarray, unit: str, path: Path) -> tuple[str, ...]:
         return ()
     span = f"{phases.min():.3g} to {phases.max():.3g}"
     return (f"'{path}' has phases from {span} that are said to be {said}: are they in {other}?",)
-
-
-def _check_once(table: pd.DataFrame, columns: Sequence[str], path: Path) -> None:
-    """Refuse a column that is there twice: pandas renames the second and uses the first without a warning."""
-    for name in columns:
-        if f"{name}.1" in table.columns and f"{name}.1" not in columns:
-            raise DataError(
-                f"'{path}' must have the column '{name}' once, but it has it twice: give each a name of its own"
-            )
 
 
 def _check_runs(config: TableRecordingsConfig, there: Sequence[str], path: Path) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.config.measured import VectorConventionsConfig
-from pipeline.config.quantities import metres
+from pipeline.config.quantities import to_metres
 from pipeline.config.recordings import UffRecordConfig, UffRecordingsConfig, UffRunConfig
 from pipeline.errors import DataError, nearest
 from pipeline.ingest.conventions import RAD_S, to_lead
@@ -131,7 +131,7 @@ def _read_functions(
             )
         _check_displacement(record, where)
         notes += _note_contradictions(record, file, said, where)
-        vectors = to_lead(record.values, metres(said.length), said.amplitude, said.phase)
+        vectors = to_lead(record.values, to_metres(said.length), said.amplitude, said.phase)
         tracks[name] = sort_track(record.abscissa * RAD_S[said.speed], vectors, where)
     return RunTracks(run.name, f"'{file.path}'", tracks, tracks, tuple(dict.fromkeys(notes)))
 
@@ -148,7 +148,7 @@ def _note_contradictions(record: UffRecord, file: UffFile, said: VectorConventio
     """Sentences on what the file says otherwise than the configuration, which is followed."""
     notes = []
     stated = _read_unit(record.ordinate_label) or file.metre
-    if stated is not None and not np.isclose(stated, metres(said.length), rtol=1e-3):
+    if stated is not None and not np.isclose(stated, to_metres(said.length), rtol=1e-3):
         words = f"'{record.ordinate_label}'" if _read_unit(record.ordinate_label) else f"{stated:g} m (dataset 164)"
         notes.append(
             f"{where} says that its lengths are in {words}, and machine.recordings.conventions.length is "
@@ -171,7 +171,7 @@ def _read_unit(label: str) -> float | None:
     """Size of the unit that a label names; None where it names none."""
     label = re.sub(r"(?i)\s*(pk-?pk|p-?p|0-?p|pk|rms)$", "", label.strip())
     try:
-        return metres(label) if re.fullmatch(r"[^\W\d_]+", label) else None
+        return to_metres(label) if re.fullmatch(r"[^\W\d_]+", label) else None
     except ValueError:
         return None
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.config.quantities import metres, volts, volts_per_metre
+from pipeline.config.quantities import to_metres, to_volts, to_volts_per_metre
 from pipeline.config.recordings import UffRecordingsConfig, UffRunConfig, WaveformRecordingsConfig, WaveformRunConfig
 from pipeline.errors import DataError
 from pipeline.ingest.order_tracking import Signals, find_range, fit_steady, fit_sweep
@@ -144,9 +144,9 @@ def _read_uff(config: UffRecordingsConfig, run: UffRunConfig, path: Path) -> Rec
 def _to_metres(config: SignalRecordingsConfig, values: Mapping[str, np.ndarray]) -> np.ndarray:
     """(n, P) m, of the probes in their order."""
     unit = config.signal_unit or ""
-    volt = volts(unit)
+    volt = to_volts(unit)
     columns = []
     for name, probe in config.probes.items():
-        size = metres(unit) if volt is None or probe.scale is None else volt / volts_per_metre(probe.scale)
+        size = to_metres(unit) if volt is None or probe.scale is None else volt / to_volts_per_metre(probe.scale)
         columns.append(values[name] * size)
     return np.stack(columns, axis=1)

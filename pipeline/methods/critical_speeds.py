@@ -22,7 +22,7 @@ import numpy as np
 
 from pipeline.coefficients import column, is_direct, is_stiffness
 from pipeline.config.comparison import PriorConfig
-from pipeline.data.dataset import DIRECTIONS, force_vectors
+from pipeline.data.dataset import DIRECTIONS, assemble_forces
 from pipeline.methods.method import Estimate, MethodOptions, Reason, Refusal, make_estimate
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.model import translation_dof
@@ -69,7 +69,7 @@ def _choose_place(data: Measurement, name: str) -> tuple[int, int, np.ndarray]:
     """Channel and run that show the resonance of an unknown best, and the force (S,) there: at an exciting node."""
     dataset, angle = data.dataset, list(DIRECTIONS.values())[column(name)]
     run = int(np.flatnonzero(data.synchronous())[0]) if data.synchronous().any() else 0
-    forces = force_vectors(data.rotor, dataset.excitations, dataset.runs, dataset.frequencies)
+    forces = assemble_forces(data.rotor, dataset.excitations, dataset.runs, dataset.frequencies)
     excited = [one.node for one in dataset.excitations if one.run == dataset.runs[run]]
     channels = [p for p, channel in enumerate(dataset.channels) if channel[1] == angle]
     if not channels or not excited:

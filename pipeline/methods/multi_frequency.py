@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.data.dataset import Excitation, VibrationDataset
-from pipeline.data.sensors import both_directions, project
+from pipeline.data.sensors import list_directions, project
 from pipeline.methods.method import (
     Estimate,
     MethodOptions,
@@ -62,7 +62,7 @@ def identify_by_frequencies(measurement: Measurement, options: MethodOptions) ->
 
 def _project_on_bearings(measurement: Measurement) -> Measurement:
     """The motion of the bearings alone: they then feel an unbalance anywhere on the shaft."""
-    channels = both_directions(measurement.rotor.bearing_nodes)
+    channels = list_directions(measurement.rotor.bearing_nodes)
     if not set(channels) <= set(measurement.dataset.channels):
         raise Refusal(Reason.BEARINGS_NOT_MEASURED, f"the sensors are at {describe_sensors(measurement)}")
     return replace(measurement, dataset=project(measurement.dataset, channels))

@@ -15,7 +15,7 @@ import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.data.dataset import VibrationDataset
-from pipeline.data.simulate import with_noise
+from pipeline.data.simulate import add_noise
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise import least_squares_deviation, residual_covariance, whiten
 from pipeline.problem.residual import LinearResidual, bearing_equations, linear_residual, per_speed_least_squares
@@ -114,7 +114,7 @@ def simulate_deviations(plan: Measurement, count: int, generator: np.random.Gene
     """The same, as the spread of ``count`` weighted least-squares fits to noisy data."""
     covariance = plan_covariance(plan)
     fits = [
-        per_speed_least_squares(whiten_plan(plan, with_noise(plan.dataset, plan.deviation, generator), covariance))[0]
+        per_speed_least_squares(whiten_plan(plan, add_noise(plan.dataset, plan.deviation, generator), covariance))[0]
         for _ in range(count)
     ]
     return _medians(plan, np.array(fits).std(axis=0, ddof=1))

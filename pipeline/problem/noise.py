@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS, column, is_stiffness, row
-from pipeline.data.dataset import VibrationDataset, runs_by_frequency
+from pipeline.data.dataset import VibrationDataset, group_runs
 from pipeline.problem.residual import LinearResidual
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.dynamic_stiffness import apply, banded, solve
@@ -44,7 +44,7 @@ def residual_sensitivity(rotor: RotorModel, dataset: VibrationDataset, bearings:
     result = np.empty(
         (len(dataset.speeds), len(dataset.runs), 2 * len(bearings.nodes), len(dataset.channels)), dtype=complex
     )
-    for runs, w in runs_by_frequency(dataset.frequencies):
+    for runs, w in group_runs(dataset.frequencies):
         for start in range(0, len(w), _CHUNK):
             few = np.arange(start, min(start + _CHUNK, len(w)))
             result[np.ix_(few, runs)] = _sensitivity(rotor, dataset, bearings.at(few), w[few])[:, None]

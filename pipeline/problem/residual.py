@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS, column, is_stiffness, row
-from pipeline.data.dataset import DIRECTIONS, VibrationDataset, force_vectors, runs_by_frequency
+from pipeline.data.dataset import DIRECTIONS, VibrationDataset, assemble_forces, group_runs
 from pipeline.errors import DataError, IdentifiabilityError
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.dynamic_stiffness import apply, banded, solve
@@ -65,14 +65,14 @@ def bearing_equations(rotor: RotorModel, dataset: VibrationDataset) -> BearingEq
                 )
     displacement = resolution @ dataset.displacement
     speeds = dataset.speeds
-    forces = force_vectors(rotor, dataset.excitations, dataset.runs, dataset.frequencies)
+    forces = assemble_forces(rotor, dataset.excitations, dataset.runs, dataset.frequencies)
     everything = np.arange(rotor.n_dof)
     unmeasured = np.setdiff1d(everything, measured)
     response = np.zeros((len(speeds), rotor.n_dof, len(dataset.runs)), dtype=complex)
     response[:, measured] = displacement
     rows = at_bearings.ravel()
     free = -forces[:, rows]
-    for runs, w in runs_by_frequency(dataset.frequencies):
+    for runs, w in group_runs(dataset.frequencies):
         if len(unmeasured):
             known = apply(rotor, unmeasured, measured, w, speeds, displacement[..., runs])
             right = forces[:, unmeasured][..., runs] - known

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.data.dataset import VibrationDataset, force_vectors, runs_by_frequency
+from pipeline.data.dataset import VibrationDataset, assemble_forces, group_runs
 from pipeline.problem.residual import BearingEquations
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.dynamic_stiffness import banded, solve
@@ -203,9 +203,9 @@ def response_equations(
     reference = stiffness * (1 + 1j * REFERENCE_LOSS)
     n_bearings = len(at_bearings)
     impedance = np.broadcast_to(reference * np.eye(2), (n_bearings, len(speeds), 2, 2))
-    forces = force_vectors(rotor, dataset.excitations, dataset.runs, dataset.frequencies)
+    forces = assemble_forces(rotor, dataset.excitations, dataset.runs, dataset.frequencies)
     system, blocks = banded(rotor), []
-    for runs, w in runs_by_frequency(dataset.frequencies):
+    for runs, w in group_runs(dataset.frequencies):
         own_planes = list(planes) if np.allclose(w, speeds, rtol=1e-9) else []
         right = np.zeros((len(speeds), rotor.n_dof, len(runs) + len(own_planes) + 2 * n_bearings), dtype=complex)
         right[..., : len(runs)] = forces[..., runs]

@@ -164,12 +164,13 @@ def draw_history(path: Path, history: Path, label: str) -> Path:
         ax.semilogy(table["step"], table["loss"], color=BLUE, label="training speeds")
         if "held_out_loss" in table:
             ax.semilogy(table["step"], table["held_out_loss"], color=ORANGE, ls="--", label="held-out speeds")
-        for phase, steps in table.groupby("phase", sort=False)["step"]:
+        for phase in dict.fromkeys(table["phase"]):
             if phase != "start":
-                ax.axvline(steps.iloc[0], color=GREY, lw=0.8, ls=":")
+                first = table["step"][table["phase"] == phase][0]
+                ax.axvline(first, color=GREY, lw=0.8, ls=":")
                 ax.annotate(
                     str(phase).replace("_", "-"),
-                    (steps.iloc[0], 1),
+                    (first, 1),
                     xycoords=("data", "axes fraction"),
                     xytext=(4, -12),
                     textcoords="offset points",

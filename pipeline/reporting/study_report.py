@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.config.promotion import value_at
+from pipeline.config.promotion import get_value
 from pipeline.config.schema import Config
 from pipeline.evaluation.errors import find_worst_mean, measure_errors
 from pipeline.identification.chebyshev import ChebyshevFit
@@ -267,10 +267,10 @@ def _explain_limits(report: StudyReport) -> list[str]:
 
 
 def _list_values(report: StudyReport) -> str:
-    changed = {key: value for key, value in report.best.values.items() if value_at(report.config, key) != value}
+    changed = {key: value for key, value in report.best.values.items() if get_value(report.config, key) != value}
     if not changed:
         return ""
-    rows = [[f"`{key}`", _shorten(value_at(report.config, key)), _shorten(value)] for key, value in changed.items()]
+    rows = [[f"`{key}`", _shorten(get_value(report.config, key)), _shorten(value)] for key, value in changed.items()]
     return format_markdown(["value", "default", "promoted"], rows).rstrip()
 
 

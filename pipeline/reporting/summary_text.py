@@ -13,7 +13,7 @@ import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS, unit
 from pipeline.config.schema import Config
-from pipeline.data.dataset import VibrationDataset, direction_name
+from pipeline.data.dataset import VibrationDataset, name_direction
 from pipeline.data.vibration_files import to_rpm
 from pipeline.evaluation.errors import measure_relative_errors
 from pipeline.rotor.bearing_table import BearingTable
@@ -224,7 +224,7 @@ def _describe_prediction(config: Config, results: Results) -> str:
 def name_channel(channel: tuple[int, float]) -> str:
     """Name a channel, such as ``x at node 3`` or ``45 deg at node 3``."""
     node, angle = channel
-    name = direction_name(angle)
+    name = name_direction(angle)
     return f"{name if name in 'xy' else f'{name} deg'} at node {node}"
 
 

@@ -10,7 +10,7 @@ from pipeline.errors import ConfigError, nearest
 from pipeline.evaluation.thresholds import Check, check_experiment, read_rules
 from pipeline.files import write_json
 from pipeline.reporting.console import say, table, warn
-from pipeline.stages.execution import StageOutput, flat_metrics
+from pipeline.stages.execution import StageOutput
 
 THRESHOLDS = Path(__file__).parents[2] / "conf" / "thresholds"
 
@@ -49,12 +49,12 @@ def run(config: Config) -> StageOutput:
         warn(f"{c.experiment}: {c.metric} must be {c.rule}, but {came}. The limit: {c.rule.why}")
     if not failed:
         say(f"all {len(checks)} metrics hold")
-    summary = {"checked": len(checks), "failed": len(failed), "share_of_threshold": _shares(checks)}
+    summary = {"checked": len(checks), "failed": len(failed), "share_of_threshold": _compute_shares(checks)}
     path = write_json(Path(config.output).parent / "check.json", summary)
-    return StageOutput(flat_metrics(summary), files=[path], exit_code=1 if failed else 0)
+    return StageOutput(summary, files=[path], exit_code=1 if failed else 0)
 
 
-def _shares(checks: list[Check]) -> dict[str, float]:
+def _compute_shares(checks: list[Check]) -> dict[str, float]:
     """The metric nearest to its threshold in each experiment, as a share of it; 1 and more fails."""
     shares: dict[str, float] = {}
     for c in checks:

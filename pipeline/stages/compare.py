@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,7 +11,6 @@ from pipeline.comparison.cases import Machine, choose_main_case, list_cases
 from pipeline.comparison.result import Result
 from pipeline.comparison.runner import ComparisonSetup, MethodRun, compare
 from pipeline.config.schema import Config
-from pipeline.data.simulate import simulate
 from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError
 from pipeline.files import write_json, write_text
@@ -20,15 +18,9 @@ from pipeline.methods.catalogue import METHODS
 from pipeline.reporting.comparison_figures import draw_comparison
 from pipeline.reporting.comparison_tables import Comparison, make_tables, write_markdown
 from pipeline.reporting.console import comparison_progress, say, table
-from pipeline.rotor.stored import load_modelled_bearings, load_rotor
-from pipeline.stages.execution import StageOutput, flat_metrics, use_threads
-from pipeline.stages.generate import excitations, own_frequencies, residual_unbalances
-from pipeline.stages.nodes import known_coefficients, require_nodes
-from pipeline.stages.workspace import workspace
-from pipeline.units import RAD_S_PER_RPM
-
-if TYPE_CHECKING:
-    import pandas as pd
+from pipeline.stages.execution import StageOutput, use_threads
+from pipeline.stages.generate import model_machine
+from pipeline.stages.workspace import locate_files, require_nodes
 
 
 def run(config: Config) -> StageOutput:
@@ -42,12 +34,12 @@ def run(config: Config) -> StageOutput:
             "use stage=evaluate, which shows least squares beside the fit"
         )
     use_threads(config)
-    machine = modelled_machine(config)
+    machine = build_machine(config)
     require_nodes(machine.rotor, "comparison.location", [config.comparison.location or 0])
     setup = ComparisonSetup(machine, config.identify, config.comparison, config.seed)
     n_speeds = len(machine.vibration.speeds)
     runs = [MethodRun(m, case) for case in list_cases(config.comparison, n_speeds) for m in config.comparison.methods]
-    folder = workspace(config).folder
+    folder = locate_files(config).folder
     try:
         with comparison_progress(config.name, len(runs)) as progress:
             results = compare(setup, runs, folder / "comparison", progress)
@@ -56,33 +48,26 @@ def run(config: Config) -> StageOutput:
         raise SystemExit(130) from None
     names = tuple(config.identify.named())
     comparison = Comparison(tuple(results), choose_main_case(config.comparison, n_speeds), names)
-    summary = summary_of(comparison)
+    summary = summarize(comparison)
     _print(config, comparison)
     written: list[Path] = [
-        write_table(folder / "comparison.csv", _rows(results)),
+        write_table(folder / "comparison.csv", _tabulate(results)),
         write_json(folder / "comparison.json", summary),
         write_text(folder / "comparison.md", write_markdown(comparison)),
-        draw_comparison(workspace(config).figure("comparison"), comparison),
+        draw_comparison(locate_files(config).figure("comparison"), comparison),
     ]
     tags = {"rotor_fingerprint": machine.rotor.fingerprint, "data_fingerprint": machine.vibration.fingerprint}
-    return StageOutput(flat_metrics(summary), tags, written)
+    return StageOutput(summary, tags, written)
 
 
-def modelled_machine(config: Config) -> Machine:
+def build_machine(config: Config) -> Machine:
     """The configured machine, and its vibration without noise at every node."""
-    speeds = np.array(config.machine.speeds.rpm()) * RAD_S_PER_RPM
-    rotor = load_rotor(config.machine.rotor)
-    known_coefficients(config, rotor.bearing_nodes)  # refuses exceptions without a bearing
-    bearings = load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
-    runs, residual = excitations(config), residual_unbalances(config)
-    require_nodes(rotor, "machine.runs", [excitation.node for excitation in (*runs, *residual)])
-    require_nodes(rotor, "identify.unbalance_planes", config.identify.unbalance_planes)
-    complete = simulate(rotor, bearings, (*runs, *residual), own_frequencies(config, speeds))
-    # The residual unbalance is in the vibration and nobody knows of it.
-    return Machine(rotor, bearings, replace(complete, excitations=runs), config.machine.probes.seed)
+    machine = Machine(*model_machine(config), config.machine.probes.seed)
+    require_nodes(machine.rotor, "identify.unbalance_planes", config.identify.unbalance_planes)
+    return machine
 
 
-def summary_of(comparison: Comparison) -> dict[str, object]:
+def summarize(comparison: Comparison) -> dict[str, object]:
     """Numbers by method, sensors and noise, and the response loss against the best other method in the main case."""
     methods: dict[str, object] = {}
     for method in comparison.methods:
@@ -91,7 +76,8 @@ def summary_of(comparison: Comparison) -> dict[str, object]:
             for noise in comparison.along("noise"):
                 error = comparison.error(method, replace(sensors, noise=noise.noise))
                 if np.isfinite(error):
-                    errors.setdefault(sensors.sensors, {})[_key(noise.noise)] = error
+                    key = f"{100 * noise.noise:g}_percent".replace(".", "_")
+                    errors.setdefault(sensors.sensors, {})[key] = error
         by_speeds = {
             str(case.speeds): comparison.error(method, case)
             for case in comparison.along("speeds")
@@ -112,27 +98,20 @@ def summary_of(comparison: Comparison) -> dict[str, object]:
     return summary
 
 
-def _key(noise: float) -> str:
-    return f"{100 * noise:g}_percent".replace(".", "_")
-
-
-def _rows(results: list[Result]) -> pd.DataFrame:
+def _tabulate(results: list[Result]) -> list[dict[str, object]]:
     """A row a coefficient, and one without coefficient where there is no answer."""
-    import pandas as pd
-
+    names = ("median_error", "p95_error", "median_deviation", "within_interval")
+    blank = {"bearing_node": None, "coefficient": None, **{f"{name}_percent": None for name in names}}
     rows: list[dict[str, object]] = []
     for r in results:
-        about = r.model_dump(exclude={"coefficients"})
+        about = r.model_dump(exclude={"coefficients"}) | blank
         found = [(node, name, of) for node, by_name in r.coefficients.items() for name, of in by_name.items()]
-        rows += [{**about, "bearing_node": node, "coefficient": name, **of.model_dump()} for node, name, of in found]
+        for node, name, of in found:
+            errors = {f"{name}_percent": value for name, value in of.model_dump().items()}
+            rows.append(about | {"bearing_node": node, "coefficient": name} | errors)
         if not found:
             rows.append(about)
-    columns = [*Result.model_fields, "bearing_node", "coefficient", *_COEFFICIENT_COLUMNS]
-    frame = pd.DataFrame(rows, columns=[name for name in columns if name != "coefficients"])
-    return frame.rename(columns={name: f"{name}_percent" for name in _COEFFICIENT_COLUMNS})
-
-
-_COEFFICIENT_COLUMNS = ("median_error", "p95_error", "median_deviation", "within_interval")
+    return rows
 
 
 def _print(config: Config, comparison: Comparison) -> None:

@@ -6,11 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.config.schema import Config
-from pipeline.data.tables import fingerprint_of
-from pipeline.files import write_text
+from pipeline.files import hash_file, write_text
 from pipeline.reporting.console import say
 from pipeline.stages.execution import StageOutput
-from pipeline.stages.workspace import workspace
+from pipeline.stages.workspace import locate_files
 
 _HOW: Any = {
     **dict.fromkeys(("stage", "tracking", "check", "threads", "device", "output", "promoted"), True),
@@ -27,7 +26,7 @@ def run(config: Config) -> StageOutput:
     import yaml
 
     mapping = config.model_dump(mode="json", exclude=_HOW)
-    mapping["rotor_file"] = fingerprint_of(Path(config.machine.rotor.file)) if config.machine.rotor.file else ""
-    path = write_text(workspace(config).config, yaml.safe_dump(mapping, sort_keys=False))
+    mapping["rotor_file"] = hash_file(Path(config.machine.rotor.file)) if config.machine.rotor.file else ""
+    path = write_text(locate_files(config).config, yaml.safe_dump(mapping, sort_keys=False))
     say(f"{config.name}: configuration in '{path}'")
     return StageOutput(files=[path])

@@ -7,13 +7,14 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from pipeline.config.messages import written as override
+from pipeline.config.messages import quote_override
 from pipeline.config.runs import CandidateConfig
 from pipeline.config.schema import Config
 from pipeline.data.dataset import Excitation
 from pipeline.data.simulate import simulate
 from pipeline.errors import ConfigError
 from pipeline.files import write_json, write_text
+from pipeline.identification.quality import finite
 from pipeline.problem.design import (
     choose,
     plan_covariance,
@@ -26,16 +27,15 @@ from pipeline.problem.design import (
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, table
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor
-from pipeline.stages.diagnose import noise_words
-from pipeline.stages.execution import StageOutput, flat_metrics
-from pipeline.stages.generate import excitations, own_frequencies
-from pipeline.stages.measurement import measurement_of
-from pipeline.stages.nodes import require_nodes
-from pipeline.stages.workspace import workspace
+from pipeline.stages.diagnose import describe_noise
+from pipeline.stages.execution import StageOutput
+from pipeline.stages.generate import configure_excitations, configure_frequencies
+from pipeline.stages.measurement import build_measurement
+from pipeline.stages.workspace import locate_files, require_nodes
 from pipeline.units import RAD_S_PER_RPM
 
 
-def candidates(can: CandidateConfig) -> tuple[tuple[Excitation, ...], ...]:
+def list_candidates(can: CandidateConfig) -> tuple[tuple[Excitation, ...], ...]:
     """Every run that could be made: single unbalances, pairs of them, and rotating forces."""
     made: list[tuple[Excitation, ...]] = []
 
@@ -55,7 +55,7 @@ def candidates(can: CandidateConfig) -> tuple[tuple[Excitation, ...], ...]:
 def run(config: Config) -> StageOutput:
     """``design.json`` and ``designed_excitation.yaml``, which can be used at once."""
     design, rotor = config.design, load_rotor(config.machine.rotor)
-    possible = candidates(config.machine.candidates)
+    possible = list_candidates(config.machine.candidates)
     require_nodes(rotor, "machine.candidates", [one.node for acting in possible for one in acting])
     if design.runs > len(possible):
         raise ConfigError(f"design.runs must be at most the {len(possible)} candidates, but got {design.runs}")
@@ -64,7 +64,7 @@ def run(config: Config) -> StageOutput:
     prior = load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
 
     def plan(acting: Sequence[Excitation], own: np.ndarray | None = None) -> Measurement:
-        return measurement_of(config, rotor, simulate(rotor, prior, tuple(acting), own), prior)
+        return build_measurement(config, rotor, simulate(rotor, prior, tuple(acting), own), prior)
 
     everything = plan(list(itertools.chain.from_iterable(possible)))
     white = whiten_plan(everything, everything.dataset, plan_covariance(everything))
@@ -72,47 +72,46 @@ def run(config: Config) -> StageOutput:
     present = everything.unknowns.present
     chosen = [possible[c] for c in choose(information, present, design.runs, design.criterion)]
     plans = {
-        "configured": plan(excitations(config), own_frequencies(config, speeds)),
+        "configured": plan(configure_excitations(config), configure_frequencies(config, speeds)),
         "designed": plan(list(itertools.chain.from_iterable(chosen))),
     }
-    summary = _summary(config, plans)
+    summary = _summarize(config, plans)
     _print(config, summary, [acting[0].run for acting in chosen])
-    folder = workspace(config).folder
+    folder = locate_files(config).folder
     written = [
-        write_text(folder / "designed_excitation.yaml", _excitation_yaml(config, chosen)),
+        write_text(folder / "designed_excitation.yaml", _format_runs(config, chosen)),
         write_json(folder / "design.json", summary | {"runs": [acting[0].run for acting in chosen]}),
     ]
     say(
         f"use them with: python -m pipeline stage=train {config.chosen} "
-        f"{override('machine.runs_file', str(written[0]))} {override('output', f'{folder}_designed')}"
+        f"{quote_override('machine.runs_file', str(written[0]))} {quote_override('output', f'{folder}_designed')}"
     )
-    return StageOutput(flat_metrics(summary), {"rotor_fingerprint": rotor.fingerprint}, written)
+    return StageOutput(summary, {"rotor_fingerprint": rotor.fingerprint}, written)
 
 
-def _summary(config: Config, plans: Mapping[str, Measurement]) -> dict[str, object]:
+def _summarize(config: Config, plans: Mapping[str, Measurement]) -> dict[str, object]:
     predicted = {name: predict_deviations(plan) for name, plan in plans.items()}
-    summary: dict[str, object] = {"stated_noise": config.stated_noise.model_dump(), "predicted": _finite(predicted)}
-    summary["worst"] = {name: _number(max(of.values())) for name, of in predicted.items()}
-    summary["gain"] = _number(max(predicted["configured"].values()) / max(predicted["designed"].values()))
+    summary: dict[str, object] = {
+        "stated_noise": config.stated_noise.model_dump(),
+        "predicted": _to_json(predicted),
+    }
+    summary["worst"] = {name: finite(max(of.values())) for name, of in predicted.items()}
+    summary["gain"] = finite(max(predicted["configured"].values()) / max(predicted["designed"].values()))
     if config.design.simulations > 1:
         generator = np.random.default_rng(config.seed)
         simulated = {
             name: simulate_deviations(plan, config.design.simulations, generator) for name, plan in plans.items()
         }
-        summary["simulated"] = _finite(simulated)
-        summary["simulated_gain"] = _number(max(simulated["configured"].values()) / max(simulated["designed"].values()))
+        summary["simulated"] = _to_json(simulated)
+        summary["simulated_gain"] = finite(max(simulated["configured"].values()) / max(simulated["designed"].values()))
     return summary
 
 
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+def _to_json(values: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float | None]]:
+    return {name: {key: finite(value) for key, value in of.items()} for name, of in values.items()}
 
 
-def _finite(values: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float | None]]:
-    return {name: {key: _number(value) for key, value in of.items()} for name, of in values.items()}
-
-
-def _excitation_yaml(config: Config, chosen: Sequence[Sequence[Excitation]]) -> str:
+def _format_runs(config: Config, chosen: Sequence[Sequence[Excitation]]) -> str:
     import yaml
 
     runs = []
@@ -121,14 +120,14 @@ def _excitation_yaml(config: Config, chosen: Sequence[Sequence[Excitation]]) -> 
         for key, kind in (("unbalances", "unbalance"), ("forces", "force")):
             of_kind = [one for one in acting if one.kind == kind]
             if of_kind:
-                run[key] = [_source(one) for one in of_kind]
+                run[key] = [_format_source(one) for one in of_kind]
         runs.append(run)
     content = {"speeds": config.machine.speeds.model_dump(), "runs": runs}
     head = f"# Chosen by: python -m pipeline stage=design {config.chosen}\n"
     return head + yaml.safe_dump(content, sort_keys=False)
 
 
-def _source(one: Excitation) -> dict[str, object]:
+def _format_source(one: Excitation) -> dict[str, object]:
     unit = "kg m" if one.kind == "unbalance" else "N"
     source: dict[str, object] = {"node": one.node, "magnitude": f"{one.magnitude:.12g} {unit}"}
     source["phase"] = f"{np.degrees(one.phase):.12g} deg"
@@ -143,9 +142,12 @@ def _print(config: Config, summary: Mapping[str, object], names: Sequence[str]) 
     sources = [predicted[name] for name in ("configured", "designed")]
     if isinstance(simulated, dict):
         sources += [simulated[name] for name in ("configured", "designed")]
-    rows = [[key, *(_percent(source[key]) for source in sources)] for key in sources[0]]
+    rows = [
+        [key, *("free" if source[key] is None else f"{100 * source[key]:.2g}" for source in sources)]
+        for key in sources[0]
+    ]
     table(
-        f"{config.name}: standard deviation of least squares at {noise_words(config)}, % of the coefficient",
+        f"{config.name}: standard deviation of least squares at {describe_noise(config)}, % of the coefficient",
         header,
         rows,
     )
@@ -156,7 +158,3 @@ def _print(config: Config, summary: Mapping[str, object], names: Sequence[str]) 
         return
     confirmed = "" if simulated is None else f" (in simulations {summary['simulated_gain']:.3g} times)"
     say(f"they lower the worst deviation {gain:.3g} times{confirmed}")
-
-
-def _percent(value: float | None) -> str:
-    return "free" if value is None else f"{100 * value:.2g}"

@@ -1,8 +1,6 @@
-"""What the data determine: rank, condition number, free combination and predicted deviation of every bearing."""
+"""Tell what the data determine: rank, condition number, free combination and predicted deviation of each bearing."""
 
 from __future__ import annotations
-
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,32 +17,29 @@ from pipeline.problem.identifiability import Verdict
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, table
 from pipeline.reporting.figures import draw_diagnosis
-from pipeline.stages.execution import StageOutput, flat_metrics
+from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_measurement
-from pipeline.stages.workspace import workspace
-
-if TYPE_CHECKING:
-    import pandas as pd
+from pipeline.stages.workspace import locate_files
 
 
 def run(config: Config) -> StageOutput:
     """``diagnosis.json``, ``diagnosis.csv`` (a row a bearing and speed) and a figure over speed."""
-    measurement, work = load_measurement(config), workspace(config)
+    measurement, work = load_measurement(config), locate_files(config)
     diagnosis = diagnose(config, measurement)
     for report in diagnosis.reports:
         say(f"{config.name}: {report.sentence}")
     _print(config, diagnosis)
-    summary = {"stated_noise": config.stated_noise.model_dump(), "bearings": _summary(diagnosis)}
+    summary = {"stated_noise": config.stated_noise.model_dump(), "bearings": _summarize(diagnosis)}
     written = [
         write_json(work.folder / "diagnosis.json", summary),
-        write_table(work.folder / "diagnosis.csv", _rows(diagnosis)),
-        draw_diagnosis(work.figure("diagnosis"), diagnosis.reports, diagnosis.relative, noise_words(config)),
+        write_table(work.folder / "diagnosis.csv", _tabulate(diagnosis)),
+        draw_diagnosis(work.figure("diagnosis"), diagnosis.reports, diagnosis.relative, describe_noise(config)),
     ]
-    return StageOutput(flat_metrics(summary), {"data_fingerprint": measurement.dataset.fingerprint}, written)
+    return StageOutput(summary, {"data_fingerprint": measurement.dataset.fingerprint}, written)
 
 
 def diagnose(config: Config, measurement: Measurement) -> Diagnosis:
-    """What the measurement determines by the configured loss. Raises DataError for sensors that do not suffice."""
+    """Diagnose the measurement by the configured loss. Raises DataError for sensors that do not suffice."""
     setup = setup_of(config)
     return loss_of(setup.loss).diagnose(measurement, setup)
 
@@ -59,13 +54,13 @@ def say_diagnosis(config: Config, measurement: Measurement) -> Diagnosis:
             method = "least squares" if diagnosis.by_least_squares else "the fit"
             text += (
                 f"; condition number {np.median(report.condition):.2g} (worst {report.condition.max():.2g}); at "
-                f"{noise_words(config)} {method} gives {name} to {100 * deviation:.2g} %"
+                f"{describe_noise(config)} {method} gives {name} to {100 * deviation:.2g} %"
             )
         say(f"{config.name}: {text}")
     return diagnosis
 
 
-def noise_words(config: Config) -> str:
+def describe_noise(config: Config) -> str:
     """The stated noise, such as ``0.1 % noise``."""
     noise = config.stated_noise
     parts = [f"{100 * noise.multiplicative:g} %"] if noise.multiplicative else []
@@ -73,8 +68,8 @@ def noise_words(config: Config) -> str:
     return " and ".join(parts) + " noise"
 
 
-def _summary(diagnosis: Diagnosis) -> dict[str, object]:
-    """By node; an infinite number is null, as JSON has none."""
+def _summarize(diagnosis: Diagnosis) -> dict[str, object]:
+    """Return the diagnosis by node; an infinite number is null, since JSON has none."""
     result: dict[str, object] = {}
     for report in diagnosis.reports:
         shared = {
@@ -95,17 +90,15 @@ def _summary(diagnosis: Diagnosis) -> dict[str, object]:
     return result
 
 
-def _rows(diagnosis: Diagnosis) -> pd.DataFrame:
-    import pandas as pd
-
-    frames = []
+def _tabulate(diagnosis: Diagnosis) -> list[dict[str, object]]:
+    """A row a bearing and speed."""
+    rows: list[dict[str, object]] = []
     for report in diagnosis.reports:
         for node in report.nodes:
             b = diagnosis.answer.nodes.index(node)
-            columns: dict[str, object] = {
-                "bearing_node": node,
+            columns = {
                 "speed_rpm": to_rpm(report.speeds),
-                "unknowns": len(report.unknowns),
+                "unknowns": np.full(len(report.speeds), len(report.unknowns)),
                 "rank": report.rank,
                 "condition_number": report.condition,
                 "orbit_rank": report.orbit_rank,
@@ -115,8 +108,9 @@ def _rows(diagnosis: Diagnosis) -> pd.DataFrame:
             columns |= {
                 f"{name}_std": diagnosis.deviation[b, :, COEFFICIENTS.index(name)] for name in diagnosis.relative(node)
             }
-            frames.append(pd.DataFrame(columns))
-    return pd.concat(frames, ignore_index=True)
+            names, values = list(columns), [column.tolist() for column in columns.values()]
+            rows += [{"bearing_node": node, **dict(zip(names, row, strict=True))} for row in zip(*values, strict=True)]
+    return rows
 
 
 def _print(config: Config, diagnosis: Diagnosis) -> None:
@@ -136,4 +130,4 @@ def _print(config: Config, diagnosis: Diagnosis) -> None:
                 report.free_combination(),
             ]
         )
-    table(f"{config.name}: what the data determine at each speed, at {noise_words(config)} (medians)", header, rows)
+    table(f"{config.name}: what the data determine at each speed, at {describe_noise(config)} (medians)", header, rows)

@@ -20,15 +20,14 @@ from pipeline.reporting.error_table import describe_quality, make_error_table, p
 from pipeline.reporting.figures import draw_coefficients, draw_history
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.diagnose import diagnose
-from pipeline.stages.execution import StageOutput, flat_metrics
-from pipeline.stages.measurement import load_measurement
-from pipeline.stages.results import load_identified, load_modelled, load_quality
-from pipeline.stages.workspace import workspace
+from pipeline.stages.execution import StageOutput
+from pipeline.stages.measurement import load_identified, load_measurement, load_modelled, load_quality
+from pipeline.stages.workspace import locate_files
 
 
 def run(config: Config) -> StageOutput:
     """Errors, their summary (worst bearing, parts per million), least-squares coefficients, Figures 3 and 4."""
-    work, measurement = workspace(config), load_measurement(config)
+    work, measurement = locate_files(config), load_measurement(config)
     identified = load_identified(config, measurement)
     uncertainty = load_uncertainty(work.folder, identified)
     deviation = None if uncertainty is None else uncertainty.deviation(identified, measurement.dataset.speeds)
@@ -66,9 +65,7 @@ def run(config: Config) -> StageOutput:
         write_json(work.metrics, metrics),
         write_json(work.folder / "summary.json", summary),
     ]
-    return StageOutput(
-        flat_metrics(metrics), {"data_fingerprint": measurement.dataset.fingerprint}, [*written, work.identified]
-    )
+    return StageOutput(metrics, {"data_fingerprint": measurement.dataset.fingerprint}, [*written, work.identified])
 
 
 def _measure_coverage(

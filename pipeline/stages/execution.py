@@ -1,4 +1,4 @@
-"""How a stage is run: missing inputs first, then the stage, then its record."""
+"""Run a stage: missing inputs first, then the stage, then its record."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ def use_threads(config: Config) -> None:
 
 @dataclass(frozen=True)
 class StageOutput:
-    """What a stage hands to the records."""
+    """A stage hands this to the records."""
 
-    metrics: Mapping[str, float] = field(default_factory=dict)
+    metrics: Mapping[str, object] = field(default_factory=dict)  # nested; numbers are recorded by dotted names
     tags: Mapping[str, str] = field(default_factory=dict)
     files: Sequence[Path] = ()
     history: Sequence[Mapping[str, float]] = ()
@@ -50,14 +50,17 @@ def execute(config: Config, run: Callable[[Config], StageOutput]) -> None:
     output = run(config)
     # The comparison's many settings are of its own stage alone.
     parameters = config.model_dump(mode="json", exclude=None if config.stage == "compare" else {"comparison"})
+    # Stages of one experiment with the same configuration share this tag.
+    shared = {key: parameters[key] for key in parameters if key not in ("stage", "tracking", "check", "comparison")}
+    group = hashlib.sha256(json.dumps(shared, sort_keys=True).encode()).hexdigest()[:12]
     record = StageRecord(
         experiment=config.name if config.stage != "check" else "check",  # it looks at all of them
         stage=config.stage,
         started=started,
         ended=time.time(),
         parameters=parameters,
-        tags={"pipeline.group": _group(parameters), "seed": str(config.seed)} | dict(output.tags),
-        metrics=output.metrics,
+        tags={"pipeline.group": group, "seed": str(config.seed)} | dict(output.tags),
+        metrics=_flatten(output.metrics),
         history=output.history,
         files=[path for path in output.files if path.exists()],
         model=output.model,
@@ -71,21 +74,13 @@ def execute(config: Config, run: Callable[[Config], StageOutput]) -> None:
         raise SystemExit(output.exit_code)
 
 
-def _group(parameters: Mapping[str, object]) -> str:
-    """Stages of one experiment with the same configuration share this tag."""
-    shared = {
-        key: value for key, value in parameters.items() if key not in ("stage", "tracking", "check", "comparison")
-    }
-    return hashlib.sha256(json.dumps(shared, sort_keys=True).encode()).hexdigest()[:12]
-
-
-def flat_metrics(values: Mapping[str, object], prefix: str = "") -> dict[str, float]:
+def _flatten(values: Mapping[str, object], prefix: str = "") -> dict[str, float]:
     """Numbers of a nested mapping by dotted names."""
     result: dict[str, float] = {}
     for key, value in values.items():
         name = f"{prefix}{key}"
         if isinstance(value, Mapping):
-            result |= flat_metrics(value, f"{name}.")
+            result |= _flatten(value, f"{name}.")
         elif isinstance(value, (int, float)) and not isinstance(value, bool):
             result[name] = float(value)
     return result

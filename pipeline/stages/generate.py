@@ -8,82 +8,83 @@ import numpy as np
 
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import write_coefficients
-from pipeline.data.dataset import Excitation
-from pipeline.data.sensors import Channels, Sensors, both_directions, measure
+from pipeline.data.dataset import Excitation, VibrationDataset
+from pipeline.data.sensors import Channels, Sensors, list_directions, measure
 from pipeline.data.simulate import simulate
-from pipeline.data.tables import is_foreign
+from pipeline.data.tables import read_marks
 from pipeline.data.vibration_files import write_excitation, write_vibration
 from pipeline.errors import DataError
 from pipeline.reporting.console import say, warn
+from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor
-from pipeline.stages.execution import StageOutput, flat_metrics
-from pipeline.stages.nodes import known_coefficients, require_nodes
-from pipeline.stages.workspace import input_files, origin_of_files, workspace
+from pipeline.stages.execution import StageOutput
+from pipeline.stages.workspace import hash_origin, list_known, locate_files, require_nodes, require_own
 from pipeline.twin.modes import StabilityMargin, find_modes, measure_stability
 from pipeline.units import RAD_S_PER_RPM
 
 
 def run(config: Config) -> StageOutput:
     """Vibration, excitation, and the modelled and the known coefficients."""
-    files = input_files(config)
-    if not files.own:
+    work = locate_files(config)
+    require_own(work, "generate")
+    marks = read_marks(work.vibration)
+    if marks is not None and "origin" not in marks:
         raise DataError(
-            "generate must write the experiment's own files, but data.vibration, data.excitation or data.known "
-            "names others: leave them out"
-        )
-    if is_foreign(files.vibration):
-        raise DataError(
-            f"generate must not replace what it did not write, but '{files.vibration}' was made elsewhere: move it and "
+            f"generate must not replace what it did not write, but '{work.vibration}' was made elsewhere: move it and "
             "give it as data.vibration=..., or choose another folder with output=FOLDER"
         )
-    speeds = np.array(config.machine.speeds.rpm()) * RAD_S_PER_RPM
-    rotor = load_rotor(config.machine.rotor)
-    bearings = load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
-    runs, residual = excitations(config), residual_unbalances(config)
-    require_nodes(rotor, "machine.runs", [excitation.node for excitation in (*runs, *residual)])
-    complete = simulate(rotor, bearings, (*runs, *residual), own_frequencies(config, speeds))
-    # The residual unbalance is in the vibration and nobody knows of it.
+    rotor, bearings, complete = model_machine(config)
     generator = np.random.default_rng(config.machine.probes.seed)
-    dataset = measure(replace(complete, excitations=runs), sensors(config, rotor), generator)
-    modelled = workspace(config).modelled
-    write_excitation(files.excitation, dataset)
-    write_coefficients(modelled, bearings)
-    write_coefficients(files.known, bearings, known_coefficients(config, rotor.bearing_nodes))
-    write_vibration(files.vibration, dataset, rotor, origin_of_files(config, files))
+    dataset = measure(complete, configure_sensors(config, rotor), generator)
+    write_excitation(work.excitation, dataset)
+    write_coefficients(work.modelled, bearings)
+    write_coefficients(work.known, bearings, list_known(config, rotor.bearing_nodes))
+    made_for = {"rotor": rotor.fingerprint, "origin": hash_origin(config, work)}
+    write_vibration(work.vibration, dataset, made_for)
     # A tenth of the speeds shows the trend; the eigenvalues of all would take longer than the vibration.
-    margin = measure_stability(find_modes(rotor, bearings.at(np.arange(0, len(speeds), 10))))
+    margin = measure_stability(find_modes(rotor, bearings.at(np.arange(0, len(dataset.speeds), 10))))
     say(
-        f"{config.name}: {len(dataset.runs)} runs, {len(speeds)} speeds, {len(dataset.channels)} channels in "
-        f"'{files.vibration}'\n" + _margin_text(margin)
+        f"{config.name}: {len(dataset.runs)} runs, {len(dataset.speeds)} speeds, {len(dataset.channels)} channels in "
+        f"'{work.vibration}'\n" + _describe_margin(margin)
     )
     if not margin.stable:
         warn(
             f"the modelled rotor is unstable somewhere (growth {margin.largest_growth:.3g} 1/s): its steady "
             "vibration can't be measured"
         )
+    stability = {
+        "largest_growth": margin.largest_growth,
+        "smallest_logarithmic_decrement": margin.smallest_logarithmic_decrement,
+    }
     return StageOutput(
-        metrics=flat_metrics(
-            {
-                "stability": {
-                    "largest_growth": margin.largest_growth,
-                    "smallest_logarithmic_decrement": margin.smallest_logarithmic_decrement,
-                }
-            }
-        ),
+        metrics={"stability": stability},
         tags={"data_fingerprint": dataset.fingerprint, "rotor_fingerprint": rotor.fingerprint},
-        files=[files.excitation, files.known, modelled],
+        files=[work.excitation, work.known, work.modelled],
     )
 
 
-def _margin_text(margin: StabilityMargin) -> str:
+def model_machine(config: Config) -> tuple[RotorModel, BearingTable, VibrationDataset]:
+    """The configured machine, and its vibration without noise at every node."""
+    speeds = np.array(config.machine.speeds.rpm()) * RAD_S_PER_RPM
+    rotor = load_rotor(config.machine.rotor)
+    list_known(config, rotor.bearing_nodes)  # refuses exceptions without a bearing
+    bearings = load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
+    runs, residual = configure_excitations(config), _configure_residual(config)
+    require_nodes(rotor, "machine.runs", [excitation.node for excitation in (*runs, *residual)])
+    complete = simulate(rotor, bearings, (*runs, *residual), configure_frequencies(config, speeds))
+    # The residual unbalance is in the vibration and nobody knows of it.
+    return rotor, bearings, replace(complete, excitations=runs)
+
+
+def _describe_margin(margin: StabilityMargin) -> str:
     if margin.smallest_logarithmic_decrement is None or margin.at_speed is None:
         return "no whirling mode below twice the top speed"
     at = margin.at_speed / RAD_S_PER_RPM
     return f"smallest logarithmic decrement {margin.smallest_logarithmic_decrement:.3f} at {at:.0f} rpm"
 
 
-def excitations(config: Config) -> tuple[Excitation, ...]:
+def configure_excitations(config: Config) -> tuple[Excitation, ...]:
     """The configured runs."""
     acting: list[Excitation] = []
     for run in config.machine.runs:
@@ -92,7 +93,7 @@ def excitations(config: Config) -> tuple[Excitation, ...]:
     return tuple(acting)
 
 
-def residual_unbalances(config: Config) -> tuple[Excitation, ...]:
+def _configure_residual(config: Config) -> tuple[Excitation, ...]:
     """The configured residual unbalance, in every run that turns with the rotor."""
     turning = [run for run in config.machine.runs if not run.frequency_hz and not run.frequency_ratio]
     return tuple(
@@ -102,12 +103,12 @@ def residual_unbalances(config: Config) -> tuple[Excitation, ...]:
     )
 
 
-def sensors(config: Config, rotor: RotorModel) -> Sensors:
+def configure_sensors(config: Config, rotor: RotorModel) -> Sensors:
     """The configured sensors."""
     spec = config.machine.probes
     channels: Channels | None = None
     if spec.at == "bearings":
-        channels = both_directions(rotor.bearing_nodes)
+        channels = list_directions(rotor.bearing_nodes)
     elif spec.at != "all":
         require_nodes(rotor, "machine.probes.at", [probe.node for probe in spec.at])
         # An angle such as 45 deg is a text or a number of radians: rounded, it is 45 again.
@@ -115,7 +116,7 @@ def sensors(config: Config, rotor: RotorModel) -> Sensors:
     return Sensors(channels, spec.additive, spec.multiplicative, spec.runout, spec.quantisation)
 
 
-def own_frequencies(config: Config, speeds: np.ndarray) -> np.ndarray | None:
+def configure_frequencies(config: Config, speeds: np.ndarray) -> np.ndarray | None:
     """(S, R) rad/s of the configured runs at ``speeds`` (S,) rad/s; None where all are synchronous."""
     runs = config.machine.runs
     if not any(run.frequency_hz or run.frequency_ratio for run in runs):

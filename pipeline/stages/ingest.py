@@ -17,7 +17,7 @@ from pipeline.config.recordings import (
 )
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import write_coefficients
-from pipeline.data.tables import is_ingested
+from pipeline.data.tables import read_marks
 from pipeline.data.vibration_files import to_rpm, write_excitation, write_vibration
 from pipeline.errors import ConfigError, DataError
 from pipeline.files import write_json
@@ -30,8 +30,7 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor
 from pipeline.stages.execution import StageOutput
-from pipeline.stages.nodes import known_coefficients, require_nodes
-from pipeline.stages.workspace import InputFiles, input_files, workspace
+from pipeline.stages.workspace import Workspace, list_known, locate_files, require_nodes, require_own
 
 
 def run(config: Config) -> StageOutput:
@@ -39,8 +38,14 @@ def run(config: Config) -> StageOutput:
 
     Raises ConfigError where the configuration says nothing to read.
     """
-    files, work, ingest = input_files(config), workspace(config), config.machine.recordings
-    _refuse_replacing(files)
+    work, ingest = locate_files(config), config.machine.recordings
+    require_own(work, "ingest")
+    marks = read_marks(work.vibration) or {}
+    if work.vibration.exists() and ("schema" not in marks or "origin" in marks):
+        raise DataError(
+            f"ingest must not replace what it did not write, but '{work.vibration}' was generated or made elsewhere: "
+            "choose another folder with output=FOLDER"
+        )
     if isinstance(ingest, NoRecordingsConfig):
         raise ConfigError(
             "ingest must have recordings to read, but machine.recordings.format is none: say in a machine file "
@@ -53,19 +58,19 @@ def run(config: Config) -> StageOutput:
         require_nodes(rotor, f"machine.recordings.runs, run '{measured_run.name}',", acting)
     measured = read_measured_runs(ingest)
     dataset = measured.dataset
-    known = _known(config, ingest, rotor, dataset.speeds)
+    known = _load_known(config, ingest, rotor, dataset.speeds)
     notes = [*measured.notes, *note_whirl(dataset)]
     notes += note_size(dataset, rotor, config.model.initial_stiffness, config.model.initial_damping)
-    written = [write_excitation(files.excitation, dataset)]
+    written = [write_excitation(work.excitation, dataset)]
     if known is not None:
-        written.append(write_coefficients(files.known, known, known_coefficients(config, rotor.bearing_nodes)))
-    written.append(write_vibration(files.vibration, dataset))
+        written.append(write_coefficients(work.known, known, list_known(config, rotor.bearing_nodes)))
+    written.append(write_vibration(work.vibration, dataset))
     written += [
         write_json(work.folder / "ingest.json", _summarize(measured, ingest, notes)),
         draw_bode(work.figure("ingest_bode"), dataset, ingest.baseline),
         draw_measured_orbits(work.figure("ingest_orbits"), dataset, ingest.baseline),
     ]
-    _report(config, ingest, measured, files)
+    _report(config, ingest, measured, work)
     for note in notes:
         warn(note)
     return StageOutput(
@@ -75,23 +80,12 @@ def run(config: Config) -> StageOutput:
     )
 
 
-def _refuse_replacing(files: InputFiles) -> None:
-    if not files.own:
-        raise DataError(
-            "ingest must write the experiment's own files, but data.vibration, data.excitation or data.known names "
-            "others: leave them out"
-        )
-    if files.vibration.exists() and not is_ingested(files.vibration):
-        raise DataError(
-            f"ingest must not replace what it did not write, but '{files.vibration}' was generated or made elsewhere: "
-            "choose another folder with output=FOLDER"
-        )
-
-
-def _known(config: Config, ingest: AnyRecordingsConfig, rotor: RotorModel, speeds: np.ndarray) -> BearingTable | None:
-    """What training takes as known; None where it needs some and nothing says them."""
+def _load_known(
+    config: Config, ingest: AnyRecordingsConfig, rotor: RotorModel, speeds: np.ndarray
+) -> BearingTable | None:
+    """Return the coefficients that training takes as known; None where nothing gives those that it needs."""
     nodes = rotor.bearing_nodes
-    needed = known_coefficients(config, nodes)
+    needed = list_known(config, nodes)
     if ingest.known == AS_MODELLED:
         return load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
     if ingest.known is not None:
@@ -106,7 +100,7 @@ def _summarize(measured: MeasuredRuns, ingest: AnyRecordingsConfig, notes: list[
     rpm = to_rpm(dataset.speeds)
     return {
         "format": ingest.format,
-        "conventions": conventions(ingest),
+        "conventions": describe_conventions(ingest),
         "speeds": {"count": len(rpm), "first_rpm": float(rpm[0]), "last_rpm": float(rpm[-1])},
         "nodes": sorted({node for node, _ in dataset.channels}),
         "baseline": ingest.baseline,
@@ -127,8 +121,8 @@ def _summarize_run(measured: MeasuredRuns, index: int) -> dict[str, object]:
     }
 
 
-def conventions(ingest: AnyRecordingsConfig) -> str:
-    """What the numbers in the files were taken for."""
+def describe_conventions(ingest: AnyRecordingsConfig) -> str:
+    """Describe what the numbers in the files were taken for."""
     if isinstance(ingest, TableRecordingsConfig):
         said = ingest.conventions
         return (
@@ -146,7 +140,7 @@ def conventions(ingest: AnyRecordingsConfig) -> str:
     return f"time signals in {ingest.signal_unit}, {records}, tacho edge {ingest.tacho.edge}"
 
 
-def _report(config: Config, ingest: AnyRecordingsConfig, measured: MeasuredRuns, files: InputFiles) -> None:
+def _report(config: Config, ingest: AnyRecordingsConfig, measured: MeasuredRuns, work: Workspace) -> None:
     dataset = measured.dataset
     rows = []
     for i, run in enumerate(measured.runs):
@@ -164,7 +158,7 @@ def _report(config: Config, ingest: AnyRecordingsConfig, measured: MeasuredRuns,
             ]
         )
     header = ["run", "file", "speeds", "rpm", "largest, um", "excited by"]
-    table(f"{config.name}: read as {conventions(ingest)}", header, rows)
+    table(f"{config.name}: read as {describe_conventions(ingest)}", header, rows)
     probes = ", ".join(
         f"{name} (node {probe.node}, {np.degrees(probe.angle):g} deg)" for name, probe in ingest.probes.items()
     )
@@ -172,9 +166,9 @@ def _report(config: Config, ingest: AnyRecordingsConfig, measured: MeasuredRuns,
     say(
         f"probes: {probes}\n"
         f"{config.name}: {len(dataset.runs)} runs, {len(rpm)} speeds from {rpm[0]:g} to {rpm[-1]:g} rpm, "
-        f"{len(dataset.channels)} channels in '{files.vibration}'"
+        f"{len(dataset.channels)} channels in '{work.vibration}'"
     )
-    if not files.known.exists():
+    if not work.known.exists():
         say(
             "some coefficients are taken as known (identify.unknowns): give their table as machine.recordings.known, "
             "or data.known"

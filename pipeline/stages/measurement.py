@@ -1,21 +1,35 @@
-"""The measurement of an experiment, from its files."""
+"""The measurement of an experiment, and what was identified from it, from their files."""
 
 from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
 
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import read_coefficients
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.noise import NoiseModel
-from pipeline.data.tables import origin_of
+from pipeline.data.tables import read_marks
 from pipeline.data.vibration_files import read_measured, require_made_for, require_nodes_of
 from pipeline.errors import DataError
+from pipeline.files import hash_file, read_json
+from pipeline.identification.identified import IdentifiedModel
+from pipeline.identification.storage import ARCHITECTURE, WEIGHTS, load_model
+from pipeline.identification.uncertainty import UNCERTAINTY
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_rotor
 from pipeline.stages.execution import make_missing
-from pipeline.stages.nodes import known_coefficients, require_nodes
-from pipeline.stages.workspace import InputFiles, input_files, origin, origin_of_files
+from pipeline.stages.workspace import (
+    Workspace,
+    hash_machine,
+    hash_origin,
+    list_known,
+    locate_files,
+    require_nodes,
+)
 
 
 def load_measurement(config: Config) -> Measurement:
@@ -25,7 +39,7 @@ def load_measurement(config: Config) -> Measurement:
 
     Raises DataError for files that break their laws, or that were generated from another configuration.
     """
-    files = input_files(config)
+    files = locate_files(config)
     if files.own:
         source = "generate" if config.machine.recordings.format == "none" else "ingest"
         make_missing(config, source, files.vibration, files.excitation, files.known)
@@ -34,18 +48,18 @@ def load_measurement(config: Config) -> Measurement:
     n_nodes = config.machine.rotor.n_nodes if config.machine.rotor.file is None else None
     dataset = read_measured(files.vibration, files.excitation, config.data.baseline, n_nodes)
     if n_nodes is not None:
-        known = _known(config, files, config.machine.rotor.bearing_nodes, dataset)
+        known = _read_known(config, files, config.machine.rotor.bearing_nodes, dataset)
         rotor = load_rotor(config.machine.rotor)
     else:
         rotor = load_rotor(config.machine.rotor)
         require_nodes_of(dataset, rotor.n_nodes, files.vibration, files.excitation)
-        known = _known(config, files, rotor.bearing_nodes, dataset)
+        known = _read_known(config, files, rotor.bearing_nodes, dataset)
     require_made_for(files.vibration, rotor)
     require_nodes(rotor, "identify.unbalance_planes", config.identify.unbalance_planes)
-    return measurement_of(config, rotor, dataset, known)
+    return build_measurement(config, rotor, dataset, known)
 
 
-def measurement_of(config: Config, rotor: RotorModel, dataset: VibrationDataset, known: BearingTable) -> Measurement:
+def build_measurement(config: Config, rotor: RotorModel, dataset: VibrationDataset, known: BearingTable) -> Measurement:
     """The measurement that a configuration asks about, from data that are at hand."""
     noise, model = config.stated_noise, config.model
     return Measurement(
@@ -58,21 +72,74 @@ def measurement_of(config: Config, rotor: RotorModel, dataset: VibrationDataset,
     )
 
 
-def _known(config: Config, files: InputFiles, nodes: tuple[int, ...], dataset: VibrationDataset) -> BearingTable:
-    return read_coefficients(files.known, nodes, dataset.speeds, known_coefficients(config, nodes))
+def _read_known(config: Config, files: Workspace, nodes: tuple[int, ...], dataset: VibrationDataset) -> BearingTable:
+    return read_coefficients(files.known, nodes, dataset.speeds, list_known(config, nodes))
 
 
-def _require_generated_from(config: Config, files: InputFiles) -> None:
-    made_from = origin_of(files.vibration)
-    if made_from is not None and made_from.split(" ")[0] != origin(config):
+def _require_generated_from(config: Config, files: Workspace) -> None:
+    made_from = (read_marks(files.vibration) or {}).get("origin")
+    if made_from is not None and made_from.split(" ")[0] != hash_machine(config):
         raise DataError(
             f"'{files.vibration}' must have been generated from the configured machine, but it has "
             "changed since: run stage=generate with the same overrides first, or choose another folder "
             "with output=FOLDER"
         )
-    if made_from not in (None, origin_of_files(config, files)):
+    if made_from not in (None, hash_origin(config, files)):
         raise DataError(
             f"'{files.vibration}', '{files.excitation}' and '{files.known}' must come from one stage=generate, but "
             "they do not belong together: run it again, or give files of your own as data.vibration=..., "
             "data.excitation=... and data.known=..."
         )
+
+
+# --- what was identified, and the truth ------------------------------------------------------------
+
+
+def load_identified(config: Config, measurement: Measurement) -> IdentifiedModel:
+    """The trained model, training first where it is missing. Raises DataError where other data trained it."""
+    work = locate_files(config)
+    model_files = [work.folder / name for name in (WEIGHTS, ARCHITECTURE, UNCERTAINTY)]
+    make_missing(config, "train", *model_files, work.training, work.history)
+    about = read_json(work.training)
+    identified = load_model(work.folder)
+    laws = {
+        "the data at hand": about.get("data_fingerprint") == measurement.dataset.fingerprint,
+        "the model beside it": about.get("model") == " ".join(hash_file(path) for path in model_files),
+        f"the bearings at nodes {list(measurement.rotor.bearing_nodes)}": identified.bearing_nodes
+        == measurement.rotor.bearing_nodes,
+        f"the unknowns {', '.join(config.identify.named())}": _match_unknowns(config, identified),
+    }
+    for law, holds in laws.items():
+        if not holds:
+            raise DataError(
+                f"'{work.training}' must belong to {law}, but it does not: run stage=train with the same overrides"
+            )
+    return identified
+
+
+def _match_unknowns(config: Config, identified: IdentifiedModel) -> bool:
+    wanted, found = config.identify.unknowns_of(identified.bearing_nodes), identified.unknowns
+    order = [found.names.index(name) for name in wanted.names] if set(wanted.names) == set(found.names) else []
+    return bool(order) and np.array_equal(wanted.expansion, found.expansion[..., order])
+
+
+QUALITY = ("fit", "residual", "condition_number")
+"""``training.json`` holds these parts of :class:`pipeline.identification.quality.Quality`."""
+
+
+def load_quality(config: Config) -> dict[str, Any]:
+    """Read how well the fit explains its readings. Raises DataError where ``training.json`` does not say it."""
+    path = locate_files(config).training
+    written = read_json(path, "train again with stage=train")
+    found = {name: written[name] for name in QUALITY if name in written}
+    if not found:
+        raise DataError(f"'{path}' must say how well the fit explains its readings, but it does not: train again")
+    return found
+
+
+def load_modelled(config: Config, measurement: Measurement) -> BearingTable | None:
+    """The truth of modelled data; None where there is none, as with measured data."""
+    work = locate_files(config)
+    if not work.own or not work.modelled.exists():
+        return None
+    return read_coefficients(work.modelled, measurement.rotor.bearing_nodes, measurement.dataset.speeds)

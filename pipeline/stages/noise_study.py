@@ -22,10 +22,9 @@ from pipeline.reporting.console import table, training_progress
 from pipeline.reporting.figures import draw_noise_study
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.diagnose import say_diagnosis
-from pipeline.stages.execution import StageOutput, flat_metrics, use_threads
-from pipeline.stages.measurement import load_measurement
-from pipeline.stages.results import load_modelled
-from pipeline.stages.workspace import workspace
+from pipeline.stages.execution import StageOutput, use_threads
+from pipeline.stages.measurement import load_measurement, load_modelled
+from pipeline.stages.workspace import locate_files
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -55,7 +54,7 @@ def run(config: Config) -> StageOutput:
     )
     rows, summary = _judge(fit, study, modelled)
     _print(config, rows, summary)
-    work = workspace(config)
+    work = locate_files(config)
     written = [
         write_json(work.folder / "robustness.json", summary),
         write_table(work.folder / "robustness.csv", rows),
@@ -63,7 +62,7 @@ def run(config: Config) -> StageOutput:
     ]
     interrupted = fit.minimum.outcomes[0] is Outcome.INTERRUPTED
     return StageOutput(
-        flat_metrics(summary),
+        summary,
         {"data_fingerprint": measurement.dataset.fingerprint},
         written,
         exit_code=130 * interrupted,

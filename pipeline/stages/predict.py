@@ -21,11 +21,9 @@ from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, table
 from pipeline.reporting.twin_figures import draw_orbit, draw_response, draw_time
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.stages.execution import StageOutput, flat_metrics
-from pipeline.stages.measurement import load_measurement
-from pipeline.stages.nodes import require_nodes
-from pipeline.stages.results import load_identified, load_modelled
-from pipeline.stages.workspace import workspace
+from pipeline.stages.execution import StageOutput
+from pipeline.stages.measurement import load_identified, load_measurement, load_modelled
+from pipeline.stages.workspace import locate_files, require_nodes
 from pipeline.twin.modes import CriticalSpeed, StabilityMargin, find_critical_speeds, find_modes, measure_stability
 from pipeline.twin.prediction import PredictedVibration, add_deviation, predict
 from pipeline.units import RAD_S_PER_RPM
@@ -33,7 +31,7 @@ from pipeline.units import RAD_S_PER_RPM
 
 @dataclass(frozen=True, eq=False)
 class Twin:
-    """What the identified system does, and the modelled one where there is a truth: everything by the system's name."""
+    """The behaviour of the identified system, and of the modelled one where there is a truth, by the system's name."""
 
     identified: IdentifiedModel
     uncertainty: Uncertainty | None
@@ -44,18 +42,18 @@ class Twin:
     at: int  # index of the prediction's speed
 
 
-def twin_of(config: Config, measurement: Measurement) -> Twin:
+def build_twin(config: Config, measurement: Measurement) -> Twin:
     """The twin, training first where its model is missing. Raises ConfigError for an unbalance that a run has."""
     model = load_identified(config, measurement)
-    uncertainty = load_uncertainty(workspace(config).folder, model)
+    uncertainty = load_uncertainty(locate_files(config).folder, model)
     identified = model.table(measurement.known)
     modelled = load_modelled(config, measurement)
     systems = {"identified": identified} if modelled is None else {"modelled": modelled, "identified": identified}
     nodes = [config.machine.prediction.node, *(unbalance.node for unbalance in config.machine.prediction.unbalances)]
     require_nodes(measurement.rotor, "machine.prediction", nodes)
-    at = _speed_index(config, measurement.dataset.speeds)
-    unseen = unseen_excitations(config)
-    if (run := same_run(unseen, measurement.dataset.excitations)) is not None:
+    at = _find_speed(config, measurement.dataset.speeds)
+    unseen = list_unseen(config)
+    if (run := find_same_run(unseen, measurement.dataset.excitations)) is not None:
         raise ConfigError(
             f"machine.prediction.unbalances must be an unbalance that training never saw, but run '{run}' is the same"
         )
@@ -76,9 +74,9 @@ def twin_of(config: Config, measurement: Measurement) -> Twin:
 def run(config: Config) -> StageOutput:
     """``prediction.json``, ``prediction.csv`` and Figure 6."""
     measurement = load_measurement(config)
-    twin = twin_of(config, measurement)
+    twin = build_twin(config, measurement)
     vibration, at = dict(twin.vibration), twin.at
-    summary: dict[str, Any] = {name: _modal_summary(twin.critical[name], twin.margin[name]) for name in twin.systems}
+    summary: dict[str, Any] = {name: _summarize_modes(twin.critical[name], twin.margin[name]) for name in twin.systems}
     if "modelled" in vibration:
         error = vibration["identified"].error_percent(vibration["modelled"])
         summary["displacement"] = {
@@ -86,7 +84,7 @@ def run(config: Config) -> StageOutput:
             for direction, e in zip("xy", error.T, strict=True)
         }
     _print(config, summary, vibration, at)
-    work = workspace(config)
+    work = locate_files(config)
     written = [
         write_json(work.folder / "prediction.json", summary),
         _write_table(work.folder / "prediction.csv", vibration),
@@ -94,10 +92,10 @@ def run(config: Config) -> StageOutput:
         draw_orbit(work.figure("prediction_orbit"), vibration, at),
         draw_response(work.figure("prediction_response"), vibration),
     ]
-    return StageOutput(flat_metrics(summary), {"data_fingerprint": measurement.dataset.fingerprint}, written)
+    return StageOutput(summary, {"data_fingerprint": measurement.dataset.fingerprint}, written)
 
 
-def _speed_index(config: Config, speeds: np.ndarray) -> int:
+def _find_speed(config: Config, speeds: np.ndarray) -> int:
     rpm, wanted = to_rpm(speeds), config.machine.prediction.speed_rpm
     nearest = int(np.abs(rpm - wanted).argmin())
     if abs(rpm[nearest] - wanted) > 1e-6 * wanted:
@@ -108,7 +106,7 @@ def _speed_index(config: Config, speeds: np.ndarray) -> int:
     return nearest
 
 
-def unseen_excitations(config: Config) -> tuple[Excitation, ...]:
+def list_unseen(config: Config) -> tuple[Excitation, ...]:
     """The unbalances that the twin is judged by, as one run."""
     return tuple(
         Excitation("prediction", "unbalance", u.node, u.magnitude, u.phase)
@@ -116,7 +114,7 @@ def unseen_excitations(config: Config) -> tuple[Excitation, ...]:
     )
 
 
-def same_run(unseen: tuple[Excitation, ...], seen: tuple[Excitation, ...]) -> str | None:
+def find_same_run(unseen: tuple[Excitation, ...], seen: tuple[Excitation, ...]) -> str | None:
     """The run of ``seen`` whose excitation is ``unseen``; None where training never saw it."""
 
     def shape(forces: list[Excitation]) -> set[tuple[object, ...]]:
@@ -126,7 +124,7 @@ def same_run(unseen: tuple[Excitation, ...], seen: tuple[Excitation, ...]) -> st
     return next((run for run in runs if shape([e for e in seen if e.run == run]) == shape(list(unseen))), None)
 
 
-def _modal_summary(found: list[CriticalSpeed], margin: StabilityMargin) -> dict[str, object]:
+def _summarize_modes(found: list[CriticalSpeed], margin: StabilityMargin) -> dict[str, object]:
     return {
         "critical_speeds": {
             f"{i + 1}": {
@@ -145,8 +143,6 @@ def _modal_summary(found: list[CriticalSpeed], margin: StabilityMargin) -> dict[
 
 
 def _write_table(path: Path, vibration: dict[str, PredictedVibration]) -> Path:
-    import pandas as pd
-
     columns = {"speed_rpm": to_rpm(next(iter(vibration.values())).speeds)}
     for name, predicted in vibration.items():
         for d, direction in enumerate("xy"):
@@ -154,7 +150,7 @@ def _write_table(path: Path, vibration: dict[str, PredictedVibration]) -> Path:
             if predicted.deviation is not None:
                 columns[f"{direction}_{name}_amplitude_std_m"] = predicted.deviation[:, d]
             columns[f"{direction}_{name}_phase_deg"] = np.degrees(np.angle(predicted.displacement[:, d]))
-    return write_table(path, pd.DataFrame(columns))
+    return write_table(path, columns)
 
 
 def _print(config: Config, summary: Mapping[str, Any], vibration: dict[str, PredictedVibration], at: int) -> None:

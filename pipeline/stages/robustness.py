@@ -13,27 +13,25 @@ from pipeline.errors import ConfigError, PipelineError
 from pipeline.evaluation.errors import CoefficientErrors, measure_errors
 from pipeline.files import write_json
 from pipeline.identification.outcome import Outcome
-from pipeline.identification.residual_loss import ResidualTraining, initial_parameters, prepare_residual
-from pipeline.identification.training import FitSetup, Minimum, minimise, setup_of
+from pipeline.identification.residual_loss import initial_parameters, prepare_residual
+from pipeline.identification.training import Minimum, minimise, setup_of
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, table, training_progress
 from pipeline.reporting.figures import draw_robustness
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.diagnose import say_diagnosis
-from pipeline.stages.execution import StageOutput, flat_metrics, use_threads
-from pipeline.stages.measurement import load_measurement
-from pipeline.stages.predict import same_run, unseen_excitations
-from pipeline.stages.results import load_modelled
+from pipeline.stages.execution import StageOutput, use_threads
+from pipeline.stages.measurement import load_measurement, load_modelled
+from pipeline.stages.predict import find_same_run, list_unseen
 from pipeline.stages.train import say_promoted
-from pipeline.stages.workspace import workspace
+from pipeline.stages.workspace import locate_files
 from pipeline.twin.prediction import predict
 
 if TYPE_CHECKING:
     import pandas as pd
-    import torch
 
 
-def starting_points(config: Config) -> np.ndarray:
+def choose_starts(config: Config) -> np.ndarray:
     """(G,) initial stiffnesses in N/m, log-spaced, or seeds."""
     spec = config.robustness
     if spec.over == "seed":
@@ -48,6 +46,8 @@ def run(config: Config) -> StageOutput:
 
         return noise_study.run(config)
     measurement, setup = load_measurement(config), setup_of(config)
+    import torch  # when the data have been found sound
+
     use_threads(config)
     say_promoted(config)
     if config.robustness.over == "initial_guess" and not any(name.startswith("k") for name in config.identify.named()):
@@ -57,21 +57,26 @@ def run(config: Config) -> StageOutput:
         )
     training = prepare_residual(measurement, setup)
     say_diagnosis(config, measurement)
-    starts = starting_points(config)
+    starts = choose_starts(config)
+    if config.robustness.over == "seed":
+        parameters = [initial_parameters(training, setup, int(seed)) for seed in starts]
+    else:
+        parameters = [initial_parameters(training, setup, config.seed, float(guess)) for guess in starts]
     with training_progress(f"{config.name}: {len(starts)} at once") as progress:
         found = minimise(
             training.problem,
-            _starts(config, setup, training, starts),
+            torch.cat(parameters),
             setup,
             held_out=training.held_out,
             progress=progress,
             record_trajectory=setup.constant,
         )
     modelled = load_modelled(config, measurement)  # read when training is over
-    work, answers = workspace(config), [training.identified(one).table(measurement.known) for one in found.parameters]
-    rows = _rows(config, found, answers, starts, modelled, measurement)
-    summary = _summary(found, rows)
-    error = None if modelled is None else _displacement_error(config, measurement, answers, modelled)
+    work = locate_files(config)
+    answers = [training.identified(one).table(measurement.known) for one in found.parameters]
+    rows = _tabulate(config, found, answers, starts, modelled, measurement)
+    summary = _summarize(found, rows)
+    error = None if modelled is None else _measure_displacement(config, measurement, answers, modelled)
     if error is not None:
         summary["displacement"] = {"worst_mean_error_percent": error}
     _print(config, summary, found)
@@ -82,23 +87,14 @@ def run(config: Config) -> StageOutput:
     ]
     exit_code = 130 if Outcome.INTERRUPTED in found.outcomes else 0
     return StageOutput(
-        flat_metrics(summary | {"seconds": found.seconds}),
+        summary | {"seconds": found.seconds},
         {"data_fingerprint": measurement.dataset.fingerprint},
         written,
         exit_code=exit_code,
     )
 
 
-def _starts(config: Config, setup: FitSetup, training: ResidualTraining, values: np.ndarray) -> torch.Tensor:
-    """(G, M, Q) parameters of every seed or guess."""
-    import torch
-
-    if config.robustness.over == "seed":
-        return torch.cat([initial_parameters(training, setup, int(value)) for value in values])
-    return torch.cat([initial_parameters(training, setup, config.seed, float(value)) for value in values])
-
-
-def _rows(
+def _tabulate(
     config: Config,
     found: Minimum,
     answers: list[BearingTable],
@@ -120,9 +116,9 @@ def _rows(
                         "bearing_node": node,
                         "coefficient": name,
                         "mean_value": float(answer.coefficient(name)[b].mean()),
-                        "mean_error_percent": _error(errors, node, name, "mean"),
-                        "median_error_percent": _error(errors, node, name, "median"),
-                        "p95_error_percent": _error(errors, node, name, "p95"),
+                        "mean_error_percent": _get_error(errors, node, name, "mean"),
+                        "median_error_percent": _get_error(errors, node, name, "median"),
+                        "p95_error_percent": _get_error(errors, node, name, "p95"),
                         "loss": float(found.loss[g]),
                         "outcome": found.outcomes[g].label,
                     }
@@ -130,12 +126,12 @@ def _rows(
     return pd.DataFrame(rows)
 
 
-def _error(errors: CoefficientErrors | None, node: int, name: str, kind: str) -> float:
+def _get_error(errors: CoefficientErrors | None, node: int, name: str, kind: str) -> float:
     found = None if errors is None else errors[node].get(name)
     return float("nan") if found is None else float(getattr(found, f"{kind}_error_percent"))
 
 
-def _summary(found: Minimum, rows: pd.DataFrame) -> dict[str, Any]:
+def _summarize(found: Minimum, rows: pd.DataFrame) -> dict[str, Any]:
     labels = [outcome.label for outcome in found.outcomes]
     coefficients: dict[str, dict[str, dict[str, float]]] = {}
     for (node, name), group in rows.groupby(["bearing_node", "coefficient"], sort=False):
@@ -156,15 +152,15 @@ def _summary(found: Minimum, rows: pd.DataFrame) -> dict[str, Any]:
     }
 
 
-def _displacement_error(
+def _measure_displacement(
     config: Config, measurement: Measurement, answers: list[BearingTable], modelled: BearingTable
 ) -> float | None:
     """Error of the vibration never seen, percent: the mean over speed, of the worst start and direction.
 
     None where this rotor lacks the prediction's nodes, a run has the very unbalance, or a start has no finite answer.
     """
-    unseen, node, rotor = unseen_excitations(config), config.machine.prediction.node, measurement.rotor
-    if max(node, *(force.node for force in unseen)) >= rotor.n_nodes or same_run(
+    unseen, node, rotor = list_unseen(config), config.machine.prediction.node, measurement.rotor
+    if max(node, *(force.node for force in unseen)) >= rotor.n_nodes or find_same_run(
         unseen, measurement.dataset.excitations
     ):
         return None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,20 +11,17 @@ from pipeline.data.tables import write_table
 from pipeline.files import write_json
 from pipeline.reporting.console import say, study_progress, table, warn
 from pipeline.reporting.study_figures import draw_samplers
-from pipeline.stages.execution import StageOutput, flat_metrics
+from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_measurement
-from pipeline.stages.tune import progress_of, study_problem
+from pipeline.stages.tune import follow_progress, pose_study
 from pipeline.tuning.finalists import TrialSummary, replace_sampler, summarize
 from pipeline.tuning.parallel import run_study
 from pipeline.tuning.worker import ROUNDING
 
-if TYPE_CHECKING:
-    import pandas as pd
-
 
 def run(config: Config) -> StageOutput:
     """``samplers.csv``, ``samplers.json`` and a figure in ``studies/NAME/``: the best loss after each trial."""
-    problem = study_problem(config, load_measurement(config))
+    problem = pose_study(config, load_measurement(config))
     folder, spec = Path(config.tuning.folder), config.tuning.comparison
     best: dict[str, list[np.ndarray]] = {sampler: [] for sampler in spec.samplers}
     seconds: dict[str, float] = dict.fromkeys(spec.samplers, 0.0)
@@ -34,11 +30,11 @@ def run(config: Config) -> StageOutput:
             for sampler in spec.samplers:
                 with study_progress(f"{config.name}: {sampler}, seed {seed}", config.tuning.n_trials) as shown:
                     one = replace_sampler(problem, sampler, seed)
-                    study, sentences = run_study(one, progress_of(shown, config.tuning.n_trials))
+                    study, sentences = run_study(one, follow_progress(shown, config.tuning.n_trials))
                 for sentence in sentences:
                     warn(sentence)
                 trials = summarize(study)
-                best[sampler].append(best_so_far(trials))
+                best[sampler].append(track_best(trials))
                 seconds[sampler] += sum(t.seconds or 0.0 for t in trials)
     except KeyboardInterrupt:
         warn(f"{config.name}: comparison interrupted; no finished trial is lost, and the same command goes on")
@@ -53,15 +49,21 @@ def run(config: Config) -> StageOutput:
         for sampler, runs in curves.items()
     }
     _print(config, {sampler: runs[:, -1] for sampler, runs in curves.items()})
+    rows = [
+        {"sampler": sampler, "seed": seed, "trial": trial, "best_held_out_loss": loss}
+        for sampler, runs in curves.items()
+        for seed, run in zip(spec.seeds, runs, strict=True)
+        for trial, loss in enumerate(run, start=1)
+    ]
     written = [
-        write_table(folder / "samplers.csv", _table(curves, spec.seeds)),
+        write_table(folder / "samplers.csv", rows),
         draw_samplers(folder / "figures" / "samplers.png", curves),
         write_json(folder / "samplers.json", summary),
     ]
-    return StageOutput(flat_metrics(summary), {"data_fingerprint": problem.measurement.dataset.fingerprint}, written)
+    return StageOutput(summary, {"data_fingerprint": problem.measurement.dataset.fingerprint}, written)
 
 
-def best_so_far(trials: list[TrialSummary]) -> np.ndarray:
+def track_best(trials: list[TrialSummary]) -> np.ndarray:
     """(trials,) lowest held-out loss of the complete trials up to each; the default, trial 0, is left out.
 
     Every study has the same default, which would hide what the sampler found by itself. Losses that are rounding
@@ -69,18 +71,6 @@ def best_so_far(trials: list[TrialSummary]) -> np.ndarray:
     """
     losses = [t.loss if t.state == "complete" and t.loss is not None else np.inf for t in trials[1:]]
     return np.minimum.accumulate(np.maximum(losses, ROUNDING))
-
-
-def _table(curves: dict[str, np.ndarray], seeds: tuple[int, ...]) -> pd.DataFrame:
-    import pandas as pd
-
-    rows = [
-        {"sampler": sampler, "seed": seed, "trial": trial, "best_held_out_loss": loss}
-        for sampler, runs in curves.items()
-        for seed, run in zip(seeds, runs, strict=True)
-        for trial, loss in enumerate(run, start=1)
-    ]
-    return pd.DataFrame(rows)
 
 
 def _print(config: Config, best: dict[str, np.ndarray]) -> None:

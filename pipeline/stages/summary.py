@@ -1,4 +1,4 @@
-"""What an engineer wants at the end: the results on one screen and in one picture."""
+"""Put the results on one screen and in one picture."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from pipeline.config.schema import Config
 from pipeline.data.dataset import Excitation, VibrationDataset
-from pipeline.data.simulate import forced_response
+from pipeline.data.simulate import solve_response
 from pipeline.files import read_json, write_text
 from pipeline.identification.losses import loss_of
 from pipeline.identification.uncertainty import Uncertainty
@@ -19,15 +19,15 @@ from pipeline.reporting.summary_text import Results, ShownRun, write_summary
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_measurement
-from pipeline.stages.predict import Twin, twin_of
-from pipeline.stages.workspace import workspace
+from pipeline.stages.predict import Twin, build_twin
+from pipeline.stages.workspace import locate_files
 
 
 def run(config: Config) -> StageOutput:
     """``summary.txt``, which is printed too, and ``figures/summary.png``."""
-    work, measurement = workspace(config), load_measurement(config)
-    twin = twin_of(config, measurement)
-    results = _results(config, measurement, twin, read_json(work.training, "train again with stage=train"))
+    work, measurement = locate_files(config), load_measurement(config)
+    twin = build_twin(config, measurement)
+    results = _collect_results(config, measurement, twin, read_json(work.training, "train again with stage=train"))
     picture = draw_summary(work.figure("summary"), results, config.name)
     text = write_summary(config, results, picture)
     written = [write_text(work.folder / "summary.txt", text), picture]
@@ -35,7 +35,7 @@ def run(config: Config) -> StageOutput:
     return StageOutput(tags={"data_fingerprint": measurement.dataset.fingerprint}, files=written)
 
 
-def _results(config: Config, measurement: Measurement, twin: Twin, training: dict[str, object]) -> Results:
+def _collect_results(config: Config, measurement: Measurement, twin: Twin, training: dict[str, object]) -> Results:
     speeds, uncertainty = measurement.dataset.speeds, twin.uncertainty
     return Results(
         rotor=measurement.rotor,
@@ -45,7 +45,7 @@ def _results(config: Config, measurement: Measurement, twin: Twin, training: dic
         unknowns=twin.identified.unknowns.by_bearing,
         deviation=None if uncertainty is None else uncertainty.deviation(twin.identified, speeds),
         training=training,
-        shown=_shown_run(config, measurement, twin.systems["identified"], uncertainty),
+        shown=_choose_run(config, measurement, twin.systems["identified"], uncertainty),
         vibration=twin.vibration,
         critical=twin.critical["identified"],
         margin=twin.margin["identified"],
@@ -53,7 +53,7 @@ def _results(config: Config, measurement: Measurement, twin: Twin, training: dic
     )
 
 
-def _shown_run(
+def _choose_run(
     config: Config, measurement: Measurement, bearings: BearingTable, uncertainty: Uncertainty | None
 ) -> ShownRun:
     """The first run that was not fitted, else the first of all, at the probe that moves most."""
@@ -61,12 +61,14 @@ def _shown_run(
     held_out = config.training.holdout_runs if loss_of(config.loss).weighs_noise else ()
     r = data.runs.index(held_out[0] if held_out else data.runs[0])
     one = data.of_runs(np.array([r]))
-    reached = _at_probes(measurement, _with_residual(one, uncertainty), bearings)
+    full = _add_residual(one, uncertainty)
+    response = solve_response(measurement.rotor, bearings, full.excitations, full.runs, full.own_frequencies)
+    reached = response[..., 0] @ full.sensor_matrix(measurement.rotor.n_dof).T  # (S, P) complex, m
     probe = int(np.abs(one.displacement).max(axis=(0, 2)).argmax())
     return ShownRun(data.runs[r], bool(held_out), probe, one.displacement[..., 0], reached)
 
 
-def _with_residual(one: VibrationDataset, uncertainty: Uncertainty | None) -> VibrationDataset:
+def _add_residual(one: VibrationDataset, uncertainty: Uncertainty | None) -> VibrationDataset:
     """The run with the residual unbalance that was found, if any and if it turns with the rotor."""
     if uncertainty is None or not np.allclose(one.frequencies[:, 0], one.speeds, rtol=1e-9):
         return one
@@ -75,9 +77,3 @@ def _with_residual(one: VibrationDataset, uncertainty: Uncertainty | None) -> Vi
         for node, u in zip(uncertainty.planes, uncertainty.residual_unbalance, strict=True)
     )
     return replace(one, excitations=(*one.excitations, *found))
-
-
-def _at_probes(measurement: Measurement, one: VibrationDataset, bearings: BearingTable) -> np.ndarray:
-    """(S, P) complex, m: what the probes would read in the only run of ``one``."""
-    response = forced_response(measurement.rotor, bearings, one.excitations, one.runs, one.own_frequencies)
-    return response[..., 0] @ one.sensor_matrix(measurement.rotor.n_dof).T

@@ -3,36 +3,36 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pipeline.config.promotion import has_value, value_at
+from pipeline.config.promotion import get_value, has_value
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import write_coefficients
-from pipeline.data.tables import fingerprint_of, write_table
+from pipeline.data.tables import write_table
 from pipeline.data.vibration_files import to_rpm
-from pipeline.files import write_json
+from pipeline.files import hash_file, write_json
 from pipeline.identification.fit import fit
 from pipeline.identification.identified import Fit
 from pipeline.identification.outcome import Outcome
-from pipeline.identification.quality import FAR_FROM_EXPECTED
+from pipeline.identification.quality import FAR_FROM_EXPECTED, finite
 from pipeline.identification.storage import save_model
 from pipeline.identification.training import setup_of
 from pipeline.identification.uncertainty import Uncertainty, save_uncertainty
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, training_progress, warn
 from pipeline.stages.diagnose import say_diagnosis
-from pipeline.stages.execution import StageOutput, flat_metrics, use_threads
+from pipeline.stages.execution import StageOutput, use_threads
 from pipeline.stages.measurement import load_measurement
-from pipeline.stages.workspace import workspace
+from pipeline.stages.workspace import locate_files
 
 
 def say_promoted(config: Config) -> None:
-    """Which values of a study are in force, and which the command line overrode."""
+    """Say which values of a study are in force, and which the command line overrode."""
     promoted = config.promoted
     if promoted is None:
         return
@@ -40,14 +40,14 @@ def say_promoted(config: Config) -> None:
     if not promoted.in_force and not promoted.overridden:
         say(f"{config.name}: configured values, which {source} found no better ones for")
         return
-    words = [f"{config.name}: tuned values of {source} in force: {_listed(promoted.in_force)}"]
+    words = [f"{config.name}: tuned values of {source} in force: {_format_values(promoted.in_force)}"]
     if promoted.overridden:
-        now = {key: value_at(config, key) for key in promoted.overridden if has_value(config, key)}
-        words.append(f"given on the command line instead of tuned: {_listed(now)}")
+        now = {key: get_value(config, key) for key in promoted.overridden if has_value(config, key)}
+        words.append(f"given on the command line instead of tuned: {_format_values(now)}")
     say("\n".join(words))
 
 
-def _listed(values: Mapping[str, object]) -> str:
+def _format_values(values: Mapping[str, object]) -> str:
     shown = (f"{key}={value:.4g}" if isinstance(value, float) else f"{key}={value}" for key, value in values.items())
     return ", ".join(shown) or "none"
 
@@ -65,49 +65,49 @@ def run(config: Config) -> StageOutput:
         )
     with training_progress(config.name) as progress:
         found = fit(measurement, setup_of(config), progress, diagnosis)
-    summary = _summary(found)
+    summary = _summarize(found)
     files = _write(config, measurement, found, summary)
     _report(config, found)
     return StageOutput(
-        metrics=flat_metrics({"training": summary | {"seconds": found.seconds}}),
+        metrics={"training": summary | {"seconds": found.seconds}},
         tags={"data_fingerprint": measurement.dataset.fingerprint, "outcome": found.outcome.label},
         files=files,
         history=[{key: value for key, value in row.items() if not isinstance(value, str)} for row in found.history],
-        model=workspace(config).folder,
+        model=locate_files(config).folder,
         exit_code=130 if found.outcome is Outcome.INTERRUPTED else 0,
     )
 
 
-def _summary(found: Fit) -> dict[str, object]:
+def _summarize(found: Fit) -> dict[str, object]:
     # A loss that overflowed is no JSON number.
-    summary: dict[str, object] = {"loss": found.loss if math.isfinite(found.loss) else None, "steps": found.steps}
+    summary: dict[str, object] = {"loss": finite(found.loss), "steps": found.steps}
     if found.held_out_loss is not None:
-        summary["held_out_loss"] = found.held_out_loss if math.isfinite(found.held_out_loss) else None
+        summary["held_out_loss"] = finite(found.held_out_loss)
     return summary | dict(found.quality.summary)
 
 
 def _write(config: Config, measurement: Measurement, found: Fit, summary: Mapping[str, object]) -> list[Path]:
     """Every file of the fit; tables without a row where the loss says nothing of them. Raises StorageError."""
-    work = workspace(config)
+    work = locate_files(config)
     model = [*save_model(work.folder, found.model), save_uncertainty(work.folder, found.uncertainty)]
     about = {
         "outcome": found.outcome.label,
         "data_fingerprint": measurement.dataset.fingerprint,
         "seed": config.seed,
-        "model": " ".join(fingerprint_of(path) for path in model),
+        "model": " ".join(hash_file(path) for path in model),
     }
     table, deviation = found.table(measurement.known), found.deviation(measurement.dataset.speeds)
     return [
         *model,
         write_coefficients(work.identified, table, deviation=deviation),
-        write_table(work.folder / "bad_points.csv", _bad_points(found)),
-        write_table(work.folder / "residual_unbalance.csv", _residual_unbalance(found.uncertainty)),
-        write_table(work.history, _columns(found.history)),
+        write_table(work.folder / "bad_points.csv", _tabulate_bad_points(found)),
+        write_table(work.folder / "residual_unbalance.csv", _tabulate_unbalance(found.uncertainty)),
+        write_table(work.history, [{k: v for k, v in row.items() if k != "seconds"} for row in found.history]),
         write_json(work.training, about | dict(summary)),
     ]
 
 
-def _bad_points(found: Fit) -> dict[str, list[Any]]:
+def _tabulate_bad_points(found: Fit) -> dict[str, list[Any]]:
     """Readings, and how many deviations they are off."""
     names = ("run", "speed_rpm", "node", "direction", "deviations")
     rows = [astuple(point) for point in found.quality.bad_points]
@@ -115,7 +115,7 @@ def _bad_points(found: Fit) -> dict[str, list[Any]]:
     return columns | {"speed_rpm": to_rpm(np.array(columns["speed_rpm"])).tolist()}
 
 
-def _residual_unbalance(uncertainty: Uncertainty | None) -> dict[str, Any]:
+def _tabulate_unbalance(uncertainty: Uncertainty | None) -> dict[str, Any]:
     """kg m and degrees."""
     found = np.zeros(0, dtype=complex) if uncertainty is None else uncertainty.residual_unbalance
     return {
@@ -126,12 +126,7 @@ def _residual_unbalance(uncertainty: Uncertainty | None) -> dict[str, Any]:
     }
 
 
-def _columns(history: Sequence[Mapping[str, float | str]]) -> dict[str, list[float | str]]:
-    """The history without its clock."""
-    return {name: [row[name] for row in history] for name in history[0] if name != "seconds"}
-
-
-def _left_over(found: Fit) -> str:
+def _describe_misfit(found: Fit) -> str:
     """The loss in words."""
     if found.quality.misfit is None:
         held_out = "" if found.held_out_loss is None else f", on held-out speeds {found.held_out_loss:.3g}"
@@ -146,9 +141,9 @@ def _left_over(found: Fit) -> str:
 def _report(config: Config, found: Fit) -> None:
     say(
         f"{config.name}: {found.outcome.value}\n"
-        f"{_left_over(found)}, "
+        f"{_describe_misfit(found)}, "
         f"{found.steps} steps in {found.seconds:.1f} s\n"
-        f"coefficients in '{workspace(config).identified}'"
+        f"coefficients in '{locate_files(config).identified}'"
     )
     misfit = found.quality.misfit
     # NaN compares false.

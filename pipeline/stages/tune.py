@@ -13,7 +13,7 @@ from pipeline.errors import ConfigError, without_password
 from pipeline.files import read_json, write_json, write_text
 from pipeline.identification.chebyshev import fit_chebyshev
 from pipeline.identification.residual_loss import prepare_residual
-from pipeline.identification.training import FitSetup, setup_of
+from pipeline.identification.training import setup_of
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import StudyProgress, say, study_progress, warn
 from pipeline.reporting.study_figures import draw_study
@@ -25,9 +25,8 @@ from pipeline.reporting.study_report import (
     write_report,
 )
 from pipeline.stages.diagnose import say_diagnosis
-from pipeline.stages.execution import StageOutput, flat_metrics
-from pipeline.stages.measurement import load_measurement
-from pipeline.stages.results import load_modelled
+from pipeline.stages.execution import StageOutput
+from pipeline.stages.measurement import load_measurement, load_modelled
 from pipeline.tracking import ChildRecord
 from pipeline.tuning.attempts import list_results
 from pipeline.tuning.finalists import TrialSummary, choose, hash_study, measure_importances, summarize, train_finalists
@@ -37,10 +36,11 @@ from pipeline.tuning.study import StudyProblem
 from pipeline.tuning.worker import Seen
 
 SUMMARY = "summary.json"
+AGAIN = "run stage=tune again after moving it away"
 
 
-def study_problem(config: Config, measurement: Measurement) -> StudyProblem:
-    """What a study of ``config`` searches on. Raises ConfigError where no speed is held out."""
+def pose_study(config: Config, measurement: Measurement) -> StudyProblem:
+    """Return the problem that a study of ``config`` searches on. Raises ConfigError where no speed is held out."""
     if not config.training.holdout_every:
         raise ConfigError(
             "a study must judge its trials on held-out speeds, but training.holdout_every is 0: give it 10, or another "
@@ -56,13 +56,13 @@ def run(config: Config) -> StageOutput:
     if is_shared(config.tuning):
         open_storage(config.tuning)  # one that can't be reached is said at once, before the data are read
     measurement = load_measurement(config)
-    problem, folder = study_problem(config, measurement), Path(config.tuning.folder)
+    problem, folder = pose_study(config, measurement), Path(config.tuning.folder)
     prepare_residual(measurement, setup_of(config))  # what is not identifiable needs no study
     say_diagnosis(config, measurement)
     started = time.perf_counter()
     try:
         with study_progress(config.name, config.tuning.n_trials) as shown:
-            study, sentences = run_study(problem, progress_of(shown, config.tuning.n_trials))
+            study, sentences = run_study(problem, follow_progress(shown, config.tuning.n_trials))
         searched = time.perf_counter() - started
         for sentence in sentences:
             warn(f"{config.name}: {sentence}")
@@ -77,16 +77,20 @@ def run(config: Config) -> StageOutput:
 def _report(config: Config, problem: StudyProblem, study: Any, searched: float) -> StageOutput:
     """The finalists, the choice, and the files of ``studies/NAME/``; nothing where they are up to date."""
     folder, trials, mark = Path(config.tuning.folder), summarize(study), hash_study(study, problem)
-    if _is_current(folder, mark):
+    files = (BEST, SUMMARY, "README.md", "trials.csv", "finalists.csv")
+    before = read_json(folder / SUMMARY, AGAIN) if all((folder / name).exists() for name in files) else {}
+    if before.get("study_fingerprint") == mark:
         say(f"{config.name}: the study has its {len(trials)} trials, and '{folder}' is what came of them")
-        return StageOutput(flat_metrics(read_json(folder / SUMMARY)))
+        return StageOutput(before)
     finalists = train_finalists(study, problem)
+    setup = setup_of(config)
+    judge = replace(setup, loss=setup.loss.model_copy(update={"scaling": "per_speed"}))  # trials are compared by it
     report = StudyReport(
         config=config,
         trials=trials,
         finalists=finalists,
         best=choose(finalists, config.tuning),
-        chebyshev=fit_chebyshev(problem.measurement, _judging_setup(config)),
+        chebyshev=fit_chebyshev(problem.measurement, judge),
         importances=measure_importances(study),
         known=problem.measurement.known,
         modelled=load_modelled(config, problem.measurement),  # read when the choice is made
@@ -99,21 +103,15 @@ def _report(config: Config, problem: StudyProblem, study: Any, searched: float) 
         f"optuna-dashboard {without_password(config.tuning.storage)}"
     )
     return StageOutput(
-        flat_metrics(summary) | {"search_seconds": searched},
+        summary | {"search_seconds": searched},
         {"data_fingerprint": problem.measurement.dataset.fingerprint, "study": config.tuning.study},
         written,
-        children=[child_record(trial) for trial in trials],
+        children=[record_trial(trial) for trial in trials],
     )
 
 
-def _judging_setup(config: Config) -> FitSetup:
-    """Training with the loss that trials are compared by, whatever they are trained with."""
-    setup = setup_of(config)
-    return replace(setup, loss=setup.loss.model_copy(update={"scaling": "per_speed"}))
-
-
-def progress_of(shown: StudyProgress, total: int) -> Seen:
-    """What a worker calls between its steps to show how far the study is: once a second, for the database's sake."""
+def follow_progress(shown: StudyProgress, total: int) -> Seen:
+    """Return what a worker calls between its steps to show how far the study is; it asks the database once a second."""
     due = 0.0
 
     def seen(study: Any) -> None:
@@ -126,12 +124,6 @@ def progress_of(shown: StudyProgress, total: int) -> Seen:
         shown(min(len(finished), total), min(losses, default=None))
 
     return seen
-
-
-def _is_current(folder: Path, mark: str) -> bool:
-    if not all((folder / name).exists() for name in (BEST, SUMMARY, "README.md", "trials.csv", "finalists.csv")):
-        return False
-    return read_json(folder / SUMMARY, "run stage=tune again after moving it away").get("study_fingerprint") == mark
 
 
 def _write(config: Config, report: StudyReport, summary: dict[str, object], folder: Path) -> list[Path]:
@@ -154,7 +146,7 @@ def _write(config: Config, report: StudyReport, summary: dict[str, object], fold
     ]
 
 
-def child_record(trial: TrialSummary) -> ChildRecord:
+def record_trial(trial: TrialSummary) -> ChildRecord:
     """A trial as a run below the study's."""
     metrics = {"held_out_loss": trial.loss, "training_seconds": trial.seconds, "epochs": trial.epochs}
     return ChildRecord(

@@ -1,15 +1,21 @@
-"""Names of an experiment's files, and the identity of what they are made from."""
+"""Names of an experiment's files, the identity of what they are made from, and the nodes that they speak of."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.schema import Config
-from pipeline.data.tables import fingerprint_of
+from pipeline.errors import ConfigError, DataError
+from pipeline.files import hash_file
+
+if TYPE_CHECKING:
+    from pipeline.rotor.model import RotorModel
 
 
 def _file(name: str, meaning: str) -> Any:
@@ -18,9 +24,13 @@ def _file(name: str, meaning: str) -> Any:
 
 @dataclass(frozen=True)
 class Workspace:
-    """Names of an experiment's files."""
+    """Names of an experiment's files; the first three are given in ``data`` or its own."""
 
     folder: Path
+    vibration: Path
+    excitation: Path
+    known: Path
+    own: bool  # all three are the experiment's own
     config = _file("config.yaml", "The composed configuration.")
     modelled = _file("modelled_coefficients.csv", "The truth of modelled data; training never reads it.")
     identified = _file("identified_coefficients.csv", "The answer of training.")
@@ -33,40 +43,55 @@ class Workspace:
         return self.folder / "figures" / f"{name}.png"
 
 
-@dataclass(frozen=True)
-class InputFiles:
-    """The files that training reads, given in ``data`` or the experiment's own."""
-
-    vibration: Path
-    excitation: Path
-    known: Path
-    own: bool  # all three are the experiment's own
-
-
-def workspace(config: Config) -> Workspace:
-    """The experiment's folder."""
-    return Workspace(Path(config.output))
-
-
-def input_files(config: Config) -> InputFiles:
-    """Where training finds its data."""
+def locate_files(config: Config) -> Workspace:
+    """Return the places of the experiment's files, which may not be there yet."""
     folder, data = Path(config.output), config.data
-    vibration = Path(data.vibration) if data.vibration else folder / "vibration.parquet"
-    excitation = Path(data.excitation) if data.excitation else folder / "excitation.csv"
-    known = Path(data.known) if data.known else folder / "known_coefficients.csv"
-    return InputFiles(vibration, excitation, known, not (data.vibration or data.excitation or data.known))
+    return Workspace(
+        folder,
+        Path(data.vibration or folder / "vibration.parquet"),
+        Path(data.excitation or folder / "excitation.csv"),
+        Path(data.known or folder / "known_coefficients.csv"),
+        own=not (data.vibration or data.excitation or data.known),
+    )
 
 
-def origin(config: Config) -> str:
-    """Identity of what data are generated from: the machine, but what was recorded of it."""
+def require_own(work: Workspace, stage: str) -> None:
+    """Raise DataError where ``data`` names files: a stage must not write over what a user made."""
+    if not work.own:
+        raise DataError(
+            f"{stage} must write the experiment's own files, but data.vibration, data.excitation or data.known names "
+            "others: leave them out"
+        )
+
+
+def hash_machine(config: Config) -> str:
+    """Return the identity of what data are generated from: the machine without its recordings."""
     kept = {"rotor", "bearings", "probes", "speeds", "runs", "residual_unbalance"}
     parts = config.machine.model_dump(mode="json", include=kept)
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def origin_of_files(config: Config, files: InputFiles) -> str:
-    """:func:`origin` and the identity of the files generated beside the vibration, which is written last.
+def hash_origin(config: Config, work: Workspace) -> str:
+    """:func:`hash_machine` and the identity of the files generated beside the vibration, which is written last.
 
     Files of two generations, as an interrupted ``generate`` leaves them, do not fit each other.
     """
-    return f"{origin(config)} {fingerprint_of(files.excitation)} {fingerprint_of(files.known)}"
+    return f"{hash_machine(config)} {hash_file(work.excitation)} {hash_file(work.known)}"
+
+
+def require_nodes(rotor: RotorModel, key: str, nodes: Sequence[int]) -> None:
+    """Raise ConfigError for a node that a rotor from a file lacks; other rotors are checked with the configuration."""
+    for node in nodes:
+        if node >= rotor.n_nodes:
+            raise ConfigError(f"{key} must use nodes 0 to {rotor.n_nodes - 1} of the rotor, but got node {node}")
+
+
+def list_known(config: Config, nodes: Sequence[int]) -> dict[int, tuple[str, ...]]:
+    """The coefficients of each bearing that are not identified. Raises ConfigError for an exception without bearing."""
+    for node in config.identify.bearings:
+        if node not in nodes:
+            raise ConfigError(
+                f"identify.bearings must name bearing nodes of the rotor ({', '.join(map(str, nodes))}), but got {node}"
+            )
+    unknown = {node: config.identify.at(node).coefficients for node in nodes}
+    return {node: tuple(name for name in COEFFICIENTS if name not in unknown[node]) for node in nodes}

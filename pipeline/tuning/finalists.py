@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.config.promotion import with_values
+from pipeline.config.promotion import apply_values
 from pipeline.config.tuning import TuningConfig, Value
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.outcome import Outcome
@@ -111,7 +111,7 @@ _Run = tuple[np.ndarray, Outcome, float]
 
 def _train_seed(given: tuple[StudyProblem, int, Mapping[str, Value], int]) -> _Run:
     problem, place, values, seed = given
-    setup = setup_of(with_values(problem.config, values, f"trial {place}"))
+    setup = setup_of(apply_values(problem.config, values, f"trial {place}"))
     training = prepare_residual(problem.measurement, setup)
     start = initial_parameters(training, setup, seed)
     found = minimise(training.problem, start, setup, held_out=training.held_out)
@@ -123,7 +123,7 @@ def _train_seed(given: tuple[StudyProblem, int, Mapping[str, Value], int]) -> _R
 def _join_seeds(problem: StudyProblem, place: int, values: Mapping[str, Value], runs: Sequence[_Run]) -> Finalist:
     import torch
 
-    training = prepare_residual(problem.measurement, setup_of(with_values(problem.config, values, f"trial {place}")))
+    training = prepare_residual(problem.measurement, setup_of(apply_values(problem.config, values, f"trial {place}")))
     parameters = torch.from_numpy(np.concatenate([run[0] for run in runs]))
     losses, models = training.per_speed_held_out_loss(parameters), [training.identified(one) for one in parameters]
     return Finalist(place, values, losses, models, [run[1] for run in runs], sum(run[2] for run in runs))

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from pipeline.errors import PipelineError
-from pipeline.processes import end_with_parent, later_interrupt, let_interrupt_through, limited_threads, threads_each
+from pipeline.processes import delay_interrupt, end_with_parent, let_interrupt_through, limit_threads, share_threads
 from pipeline.tuning.attempts import list_results, repeat_stopped
 from pipeline.tuning.storage import settle, translate_errors
 from pipeline.tuning.study import StudyProblem, open_study
@@ -41,7 +41,7 @@ def run_study(problem: StudyProblem, seen: Seen) -> tuple[optuna.Study, list[str
 
         study = open_study(problem)
         _wait_for_the_silent(study, problem, look)
-        threads = threads_each(config.threads, config.tuning.workers)
+        threads = share_threads(config.threads, config.tuning.workers)
         torch.set_num_threads(threads)
         todo = config.tuning.n_trials - len(list_results(study))
         with _start_others(problem, min(config.tuning.workers, todo) - 1, threads) as others:
@@ -102,9 +102,9 @@ def open_pool(workers: int, threads: int) -> Iterator[Callable[..., Iterator[Any
     if workers == 1:
         yield map
         return
-    each = threads_each(threads, workers)
+    each = share_threads(threads, workers)
     # New interpreters, since torch and BLAS don't survive a fork.
-    with limited_threads(each), later_interrupt():
+    with limit_threads(each), delay_interrupt():
         processes = multiprocessing.get_context("spawn").Pool(workers, _begin, (each,))
     with processes:  # terminates them at its end
         yield processes.imap
@@ -122,7 +122,7 @@ def _start_others(problem: StudyProblem, count: int, threads: int) -> Iterator[l
     """``count`` more workers; they have ended at the end of the block."""
     context = multiprocessing.get_context("spawn")
     workers = [context.Process(target=_work_beside, args=(problem, threads), daemon=True) for _ in range(count)]
-    with limited_threads(threads), later_interrupt():
+    with limit_threads(threads), delay_interrupt():
         for worker in workers:
             worker.start()
     try:

@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from pipeline.config.promotion import value_at, with_values
+from pipeline.config.promotion import apply_values, get_value
 from pipeline.config.schema import Config
 from pipeline.config.tuning import Choice, Dimension, FloatRange, IntegerRange, Preset, Value
 from pipeline.errors import ConfigError
@@ -80,14 +80,14 @@ def _find_default(config: Config, name: str, dimension: Dimension) -> Any:
         fitting = [
             choice
             for choice, values in dimension.choices.items()
-            if all(_is_same(value_at(config, key), value) for key, value in values.items())
+            if all(_is_same(get_value(config, key), value) for key, value in values.items())
         ]
         if fitting:  # the one that says most
             return max(fitting, key=lambda choice: len(dimension.choices[choice]))
         keys = dict.fromkeys(key for values in dimension.choices.values() for key in values)
-        came = ", ".join(f"{key} = {value_at(config, key)}" for key in keys)
+        came = ", ".join(f"{key} = {get_value(config, key)}" for key in keys)
         raise _refuse_default(name, came, f"the choices of {name} are {', '.join(dimension.choices)}")
-    value = value_at(config, dimension.key)
+    value = get_value(config, dimension.key)
     came = f"{dimension.key} = {value}"
     if isinstance(dimension, Choice):
         if not any(_is_same(value, choice) for choice in dimension.choices):
@@ -115,10 +115,10 @@ def _check_values(config: Config, name: str, dimension: Dimension) -> None:
     source = f"tuning.space.{name}"
     if isinstance(dimension, Preset):
         for values in dimension.choices.values():
-            with_values(config, _enable_phase(config, values), source)
+            apply_values(config, _enable_phase(config, values), source)
         return
     for value in dimension.choices if isinstance(dimension, Choice) else (dimension.low, dimension.high):
-        with_values(config, {dimension.key: value}, source)
+        apply_values(config, {dimension.key: value}, source)
 
 
 def _enable_phase(config: Config, values: Mapping[str, Value]) -> dict[str, Value]:

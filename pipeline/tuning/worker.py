@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from pipeline.config.promotion import with_values
+from pipeline.config.promotion import apply_values
 from pipeline.errors import PipelineError
 from pipeline.identification.outcome import Outcome
 from pipeline.identification.residual_loss import ResidualTraining, initial_parameters, prepare_residual
@@ -108,7 +108,7 @@ def run_trial(trial: optuna.trial.Trial, problem: StudyProblem, seen: Seen) -> f
     try:
         values = translate(config.tuning.space, suggest(trial, config.tuning.space))
         started = time.perf_counter()  # sampling is no training; where it fails, the time of that is all there is
-        setup = setup_of(with_values(config, values, f"trial {place}"))
+        setup = setup_of(apply_values(config, values, f"trial {place}"))
         training = prepare_residual(problem.measurement, setup)
         curve = _Curve(trial, training, phases(setup.optimizer)[-1], seen)
         start = initial_parameters(training, setup, config.seed)

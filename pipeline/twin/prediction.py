@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.data.dataset import DIRECTIONS, Excitation, VibrationDataset
-from pipeline.data.simulate import forced_response
+from pipeline.data.simulate import solve_response
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.uncertainty import Uncertainty
 from pipeline.problem.response import response_equations
@@ -34,7 +34,7 @@ def predict(
 ) -> PredictedVibration:
     """The response of ``node`` to ``unbalances`` (one run) at the speeds of ``bearings``."""
     runs = (unbalances[0].run,)
-    response = forced_response(rotor, bearings, unbalances, runs)
+    response = solve_response(rotor, bearings, unbalances, runs)
     places = [translation_dof(node, direction) for direction in range(TRANSLATIONS)]
     return PredictedVibration(node, bearings.speeds, response[:, places, 0])
 

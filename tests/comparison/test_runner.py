@@ -29,7 +29,6 @@ from pipeline.problem.kalman_filter import _gain
 from pipeline.problem.noise import bearing_rows, residual_sensitivity
 from pipeline.problem.residual import bearing_equations, linear_residual
 from pipeline.reporting.comparison_tables import Comparison, format_noise
-from pipeline.stages.compare import modelled_machine
 
 FEW = ("experiment=hydrostatic_stiffness", "machine.speeds.step_rpm=500")
 FAST = [
@@ -203,7 +202,7 @@ FEW_STEPS = [
 def test_every_method_says_something_of_other_machines(experiment: str, tmp_path: Path) -> None:
     """An answer, or the name of what it can't do; never an error."""
     config = compose_config([f"experiment={experiment}", *FIVE_SPEEDS, *FEW_STEPS, "comparison.workers=1"])
-    own = ComparisonSetup(modelled_machine(config), config.identify, config.comparison, config.seed)
+    own = ComparisonSetup(build_machine(config), config.identify, config.comparison, config.seed)
     sensors = ("bearings", "location")
     items = [MethodRun(method, Case(0.01, where, 5)) for where in sensors for method in METHODS]
     results = compare(own, items, tmp_path, nothing)

@@ -16,13 +16,13 @@ from hypothesis import strategies as st
 
 from pipeline import cache
 from pipeline.__main__ import main
-from pipeline.config.compose import compose_config, compose_stages, composed_mapping, expanded, prepared
-from pipeline.config.loader import CONF, options
-from pipeline.config.renames import KEYS, OPTIONS, new_name
+from pipeline.config.compose import compose_config, compose_mapping, compose_stages, expand_sweeps, prepare_for_hydra
+from pipeline.config.loader import CONF, list_options
+from pipeline.config.renames import KEYS, OPTIONS, rename
 from pipeline.config.schema import Config
 from pipeline.errors import ConfigError, DataError
 from pipeline.stages import run_stage
-from pipeline.stages.new import template
+from pipeline.stages.new import fill_template
 
 KINDS = [(bearings, data) for bearings in ("rolling", "fluid_film") for data in ("simulated", "recordings", "tables")]
 UNKNOWNS = {
@@ -44,7 +44,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def machine_file(folder: Path, name: str = "pump one.yaml", **changes: Any) -> Path:
     """A machine on rolling bearings, simulated, with other values of its top keys; None leaves one out."""
     path = folder / name
-    content = yaml.safe_load(template(path, "rolling", "simulated")) | changes
+    content = yaml.safe_load(fill_template(path, "rolling", "simulated")) | changes
     kept = {key: value for key, value in content.items() if value is not None}
     path.write_text(yaml.safe_dump(kept, sort_keys=False), encoding="utf-8")
     return path
@@ -103,7 +103,7 @@ def test_null_is_no_file() -> None:
 
 def test_paths_in_the_file_start_in_its_folder(folder: Path) -> None:
     """Those of rotor, runs, recordings and known tables; on the command line they start in the working folder."""
-    recordings = yaml.safe_load(template(folder, "rolling", "tables"))["recordings"]
+    recordings = yaml.safe_load(fill_template(folder, "rolling", "tables"))["recordings"]
     recordings["runs"][1]["file"] = "/data/first.csv"
     recordings["known"] = "known.csv"
     path = machine_file(
@@ -122,7 +122,7 @@ def test_paths_in_the_file_start_in_its_folder(folder: Path) -> None:
 
 def test_paths_of_many_files_and_of_one_for_all(folder: Path) -> None:
     """Records at constant speed; and the word that stands for no file."""
-    recordings = yaml.safe_load(template(folder, "rolling", "recordings"))["recordings"]
+    recordings = yaml.safe_load(fill_template(folder, "rolling", "recordings"))["recordings"]
     for run in recordings["runs"]:
         del run["file"]
     recordings["runs"][1]["files"] = ["a.h5", "../b.h5"]
@@ -139,7 +139,7 @@ def test_the_cache_sees_the_content(folder: Path, monkeypatch: pytest.MonkeyPatc
     path = machine_file(folder)
     first = compose_config([given_by(path)])
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pipeline.config.compose.composed_mapping", None)  # must not be called
+        patch.setattr("pipeline.config.compose.compose_mapping", None)  # must not be called
         assert compose_config([given_by(path)]) == first
     path.write_text(path.read_text().replace("kxx: 4.0e7", "kxx: 5.0e7"))
     assert compose_config([given_by(path)]).machine.bearings.kxx == 5e7
@@ -175,10 +175,10 @@ def test_a_folder_of_machines_and_experiments(folder: Path) -> None:
     (folder / "experiment" / "theirs.yaml").write_text(text + "machine: {probes: {seed: 3}, runs_file: null}\n")
     config = compose_config(["experiment=theirs"], folder)
     assert (config.name, config.machine.probes.seed, config.machine.probes.at) == ("theirs", 3, "bearings")
-    mapping = composed_mapping(["machine=mine"], folder)
+    mapping = compose_mapping(["machine=mine"], folder)
     assert mapping["machine"]["runs_file"] == str(folder / "machine" / "x")
     assert (mapping["name"], len(mapping["identify"]["unknowns"])) == ("mine", 8)
-    assert composed_mapping(["machine=mine", "experiment=noisy_direct"], folder)["name"] == "mine_noisy_direct"
+    assert compose_mapping(["machine=mine", "experiment=noisy_direct"], folder)["name"] == "mine_noisy_direct"
     with refused("a file in conf/machine", "'mine'", kind=ConfigError):
         compose_config(["machine=mine"])  # nothing is left of it
 
@@ -204,7 +204,7 @@ def test_the_folder_on_the_command_line(folder: Path, capsys: pytest.CaptureFixt
         ({}, "has none: move the files there"),
         ({"machine/two_discs.yaml": "speeds: {}"}, "a name of its own, but conf/ has machine/two_discs.yaml too"),
         ({"machine/mine.yaml": "rotor: ["}, "must be YAML"),
-        ({"machine/mine.yaml": "bearing: {kind: linear}"}, "bearing.kind is now bearings.kind"),
+        ({"machine/mine.yaml": "bearing: {kind: linear}"}, "bearing is now bearings"),
         ({"experiment/mine.yaml": "excitation: {speeds: {step_rpm: 5}}"}, "excitation.speeds is now machine.speeds"),
         ({"experiment/mine.yaml": "defaults: [{override /rotor: one_disc}]\nname: x"}, "machine=one_disc"),
     ],
@@ -215,9 +215,9 @@ def test_a_folder_that_is_refused(files: dict[str, str], words: str, folder: Pat
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_text(text)
     with refused(words, str(folder), kind=ConfigError):
-        composed_mapping([], folder)
+        compose_mapping([], folder)
     with refused("--config-dir must be a folder", kind=ConfigError):
-        composed_mapping([], folder / "nowhere")
+        compose_mapping([], folder / "nowhere")
 
 
 # --- mistakes --------------------------------------------------------------------------------------------
@@ -236,10 +236,10 @@ def test_a_folder_that_is_refused(files: dict[str, str], words: str, folder: Pat
         ("defaults: [two_discs]\nrotor: {}\n", ["complete in itself", "--config-dir"]),
         ("machine: {rotor: {}}\n", ["at its top", "below 'machine'"]),
         ("file: other.yaml\nrotor: {}\n", ["on the command line alone"]),
-        ("bearing: {kind: ball}\n", ["bearing.kind is now bearings.kind"]),
+        ("bearing: {kind: ball}\n", ["bearing is now bearings"]),
         ("sensors: {probes: all}\n", ["sensors.probes is now probes.at"]),
         ("excitation: {residual: []}\n", ["excitation.residual is now residual_unbalance"]),
-        ("ingest: {format: table}\n", ["ingest.format is now recordings.format"]),
+        ("ingest: {format: table}\n", ["ingest is now recordings"]),
         ("design: {candidates: {force: 10 N}}\n", ["design.candidates is now candidates"]),
         ("x: !!python/object/apply:os.system ['echo ran']\n", ["must"]),
     ],
@@ -272,7 +272,7 @@ def test_a_path_that_is_no_file(folder: Path) -> None:
 
 def main_or_raise(arguments: list[str]) -> None:
     """What `main` does before Hydra, its errors raised."""
-    with prepared([argument for argument in arguments if argument != "-m"], None):
+    with prepare_for_hydra([argument for argument in arguments if argument != "-m"], None):
         pass
 
 
@@ -321,7 +321,8 @@ def test_whatever_the_file_holds_the_answer_is_a_sentence(
 def test_recorded_runs_stand_for_those_of_a_design(folder: Path) -> None:
     """Speeds and runs of a measured machine are those of its recordings: angles from x, the baseline left out."""
     path = folder / "rig.yaml"
-    path.write_text(template(path, "rolling", "recordings").replace("tacho: {angle: 0 deg", "tacho: {angle: 90 deg"))
+    text = fill_template(path, "rolling", "recordings")
+    path.write_text(text.replace("tacho: {angle: 0 deg", "tacho: {angle: 90 deg"))
     config = compose_config([given_by(path)])
     machine = config.machine
     assert machine.speeds == machine.recordings.speeds
@@ -334,7 +335,7 @@ def test_recorded_runs_stand_for_those_of_a_design(folder: Path) -> None:
 def test_wrong_recordings_are_told_alone(folder: Path) -> None:
     """Not as speeds and runs that are missing."""
     path = folder / "rig.yaml"
-    path.write_text(template(path, "rolling", "recordings").replace("edge: rising", "edge: riising"))
+    path.write_text(fill_template(path, "rolling", "recordings").replace("edge: rising", "edge: riising"))
     with pytest.raises(ConfigError) as caught:
         compose_config([given_by(path)])
     assert [line.partition(":")[0] for line in str(caught.value).splitlines()[:-1]] == ["machine.recordings.tacho.edge"]
@@ -357,7 +358,7 @@ def test_a_new_kind_keeps_nothing_of_the_former() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", options("machine"))
+@pytest.mark.parametrize("name", list_options("machine"))
 def test_a_machine_alone_has_its_name_and_an_experiment_of_its_kind(name: str) -> None:
     """Rolling bearings are constants, the others functions of the speed; recordings have noise of a size to find."""
     config = compose_config([f"machine={name}"])
@@ -370,7 +371,7 @@ def test_a_machine_alone_has_its_name_and_an_experiment_of_its_kind(name: str) -
 
 def test_jobs_of_a_multirun_over_machines() -> None:
     """Each in its folder."""
-    jobs, _ = expanded(["machine=one_disc,two_discs"])
+    jobs, _ = expand_sweeps(["machine=one_disc,two_discs"])
     assert jobs == [["machine=one_disc"], ["machine=two_discs"]]
 
 
@@ -405,22 +406,22 @@ def test_jobs_of_a_multirun_over_machines() -> None:
 def test_an_old_key_is_refused_with_its_new_name(override: str, words: str) -> None:
     """Also added, deleted and swept."""
     with refused(words, kind=ConfigError):
-        composed_mapping([override])
+        compose_mapping([override])
 
 
 def test_every_new_name_is_there() -> None:
     """The table of renames names keys of the configuration, and machines of conf/."""
-    mapping = composed_mapping()
+    mapping = compose_mapping()
     for new in KEYS.values():
         node: Any = mapping
         for part in new.split("."):
             assert part in node, new
             node = node[part]
     chosen = {new for of in OPTIONS.values() for new in of.values() if "=" not in new}
-    assert chosen <= set(options("machine"))
+    assert chosen <= set(list_options("machine"))
     assert not set(OPTIONS) & {path.name for path in CONF.iterdir()}
-    assert new_name("design.runs") is None
-    assert new_name("machine.rotor.file") is None
+    assert rename("design.runs") is None
+    assert rename("machine.rotor.file") is None
 
 
 # --- stage=new -----------------------------------------------------------------------------------------------

@@ -28,7 +28,7 @@ from pipeline.config.identification import (
     OptimizerConfig,
     TrainingConfig,
 )
-from pipeline.config.loader import options
+from pipeline.config.loader import list_options
 from pipeline.errors import DataError, IdentifiabilityError
 from pipeline.identification.fit import fit
 from pipeline.identification.identified import IdentifiedModel
@@ -283,7 +283,7 @@ def test_known_truth_is_recovered(chain: str, parametrisation: str, ball: Machin
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", options("optimizer"))
+@pytest.mark.parametrize("name", list_options("optimizer"))
 @pytest.mark.parametrize("guess", [1.0, 1e8])
 def test_optimizers_of_conf_recover_the_truth(name: str, guess: float, ball: Machine) -> None:
     """Paper, Figure 2: with every file of conf/optimizer, as it is, the guess does not matter."""

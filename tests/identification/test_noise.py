@@ -13,7 +13,7 @@ from conftest import DATA, Artifacts
 
 from pipeline.config.compose import compose_config
 from pipeline.config.schema import Config
-from pipeline.data.sensors import Sensors, both_directions, measure
+from pipeline.data.sensors import Sensors, list_directions, measure
 from pipeline.data.simulate import simulate
 from pipeline.identification.fit import fit
 from pipeline.identification.monte_carlo import MonteCarlo, monte_carlo
@@ -21,9 +21,8 @@ from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_
 from pipeline.identification.training import FitSetup, setup_of
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.stages.generate import excitations
-from pipeline.stages.measurement import load_measurement
-from pipeline.stages.results import load_modelled
+from pipeline.stages.generate import configure_excitations
+from pipeline.stages.measurement import load_measurement, load_modelled
 
 pytestmark = pytest.mark.slow
 
@@ -78,8 +77,8 @@ class Ready:
 
     def measured_again(self) -> Callable[[], Measurement]:
         """A function that measures the machine once more, with other noise of 1 %."""
-        machine = simulate(self.measurement.rotor, self.modelled, excitations(self.config))
-        sensors = Sensors(both_directions(self.measurement.rotor.bearing_nodes), multiplicative=0.01)
+        machine = simulate(self.measurement.rotor, self.modelled, configure_excitations(self.config))
+        sensors = Sensors(list_directions(self.measurement.rotor.bearing_nodes), multiplicative=0.01)
         generator = np.random.default_rng(0)
         return lambda: replace(self.measurement, dataset=measure(machine, sensors, generator))
 

@@ -9,9 +9,9 @@ import pytest
 from conftest import Machine, MachineFactory, bearings_of
 
 from pipeline.config.compose import compose_config
-from pipeline.data.dataset import Excitation, VibrationDataset, without_baseline
+from pipeline.data.dataset import Excitation, VibrationDataset, subtract_baseline
 from pipeline.data.noise import NoiseModel
-from pipeline.data.sensors import Sensors, both_directions, measure, project
+from pipeline.data.sensors import Sensors, list_directions, measure, project
 from pipeline.data.simulate import simulate
 from pipeline.errors import ConfigError, IdentifiabilityError
 from pipeline.identification.fit import fit
@@ -34,7 +34,7 @@ def rotor_of(machine: MachineFactory) -> Machine:
 def noisy(machine: Machine, noise: float, seed: int, *more: Excitation) -> VibrationDataset:
     """Probes at the bearings with multiplicative noise."""
     clean = simulate(machine.rotor, machine.bearings, (*machine.excitations, *more))
-    sensors = Sensors(both_directions(machine.rotor.bearing_nodes), multiplicative=noise)
+    sensors = Sensors(list_directions(machine.rotor.bearing_nodes), multiplicative=noise)
     return measure(clean, sensors, np.random.default_rng(seed))
 
 
@@ -169,7 +169,7 @@ def test_a_residual_unbalance_is_found_with_the_coefficients(rotor_of: Machine) 
     runs = dict.fromkeys(e.run for e in rotor_of.excitations)
     hidden = tuple(Excitation(run, "unbalance", 4, 3e-5, 1.0) for run in runs)
     complete = simulate(rotor_of.rotor, rotor_of.bearings, (*rotor_of.excitations, *hidden))
-    sensors = Sensors(both_directions(rotor_of.rotor.bearing_nodes), multiplicative=1e-3)
+    sensors = Sensors(list_directions(rotor_of.rotor.bearing_nodes), multiplicative=1e-3)
     dataset = measure(replace(complete, excitations=rotor_of.excitations), sensors, np.random.default_rng(0))
     with_plane = fit_of(rotor_of, dataset, 1e-3, "identify.unbalance_planes=[4]")
     found = with_plane.residual_unbalance()[0]
@@ -184,9 +184,9 @@ def test_a_baseline_cancels_the_residual_unbalance(rotor_of: Machine) -> None:
     runs = tuple(dict.fromkeys(e.run for e in rotor_of.excitations))
     hidden = tuple(Excitation(run, "unbalance", 2, 8e-5, 2.0) for run in (*runs, "as_found"))
     complete = simulate(rotor_of.rotor, rotor_of.bearings, (*rotor_of.excitations, *hidden))
-    seen = project(replace(complete, excitations=rotor_of.excitations), both_directions((1, 5)))
-    less = without_baseline(seen, "as_found")
-    wanted = project(simulate(rotor_of.rotor, rotor_of.bearings, rotor_of.excitations), both_directions((1, 5)))
+    seen = project(replace(complete, excitations=rotor_of.excitations), list_directions((1, 5)))
+    less = subtract_baseline(seen, "as_found")
+    wanted = project(simulate(rotor_of.rotor, rotor_of.bearings, rotor_of.excitations), list_directions((1, 5)))
     assert less.runs == runs
     size = np.abs(seen.displacement).max()
     np.testing.assert_allclose(less.displacement, wanted.displacement, rtol=0, atol=1e-9 * size)
@@ -240,7 +240,7 @@ def test_bad_points_are_found_and_do_little(rotor_of: Machine) -> None:
 def test_the_noise_is_estimated_channel_by_channel(rotor_of: Machine) -> None:
     """Stated at 1 %, it is 3 % in one channel and 0.5 % in the others."""
     clean = simulate(rotor_of.rotor, rotor_of.bearings, rotor_of.excitations)
-    seen = project(clean, both_directions((1, 5)))
+    seen = project(clean, list_directions((1, 5)))
     generator = np.random.default_rng(0)
     size = np.array([0.03, 0.005, 0.005, 0.005])[:, None] * np.abs(seen.displacement)
     parts = generator.standard_normal((2, *seen.displacement.shape)) / np.sqrt(2)
@@ -257,7 +257,7 @@ def test_the_noise_is_estimated_from_repeated_runs_whatever_the_model(rotor_of: 
     every = (*rotor_of.excitations, *again)
     hidden = tuple(Excitation(run, "unbalance", 2, 3e-5, 2.0) for run in (*runs, *(f"{run}_again" for run in runs)))
     clean = replace(simulate(rotor_of.rotor, rotor_of.bearings, (*every, *hidden)), excitations=every)
-    sensors = Sensors(both_directions((1, 5)), multiplicative=0.02)
+    sensors = Sensors(list_directions((1, 5)), multiplicative=0.02)
     fit = fit_of(rotor_of, measure(clean, sensors, np.random.default_rng(0)), 0.01, "loss.noise=estimated")
     np.testing.assert_allclose(fit.factor, 2.0, rtol=0.15)
     assert mean_square(fit) > 2
@@ -272,7 +272,7 @@ def test_a_structure_is_respected_exactly(rotor_of: Machine, structure: str) -> 
     )
     dataset = measure(
         simulate(rotor_of.rotor, table, rotor_of.excitations),
-        Sensors(both_directions((1, 5)), multiplicative=0.01),
+        Sensors(list_directions((1, 5)), multiplicative=0.01),
         np.random.default_rng(0),
     )
     machine = replace(rotor_of, bearings=table)
@@ -298,7 +298,7 @@ def test_constant_coefficients(rotor_of: Machine) -> None:
     """A constant has no features but one."""
     table = bearings_of((1, 5), rotor_of.speeds, kxx=2e7, kyy=3e7, cxx=4e4, cyy=4e4)
     clean = simulate(rotor_of.rotor, table, rotor_of.excitations)
-    dataset = measure(clean, Sensors(both_directions((1, 5)), multiplicative=0.01), np.random.default_rng(0))
+    dataset = measure(clean, Sensors(list_directions((1, 5)), multiplicative=0.01), np.random.default_rng(0))
     fit = fit_of(replace(rotor_of, bearings=table), dataset, 0.01, "model=constant")
     found = fit.identified.table(table)
     np.testing.assert_allclose(found.coefficient("kxx"), 2e7, rtol=5e-3)
@@ -322,7 +322,7 @@ def test_an_odd_number_of_outputs_before_the_planes(rotor_of: Machine, planes: s
 def located(machine: Machine, noise: float) -> VibrationDataset:
     """x and y between the discs alone: two readings a run for four bearing forces."""
     clean = simulate(machine.rotor, machine.bearings, machine.excitations)
-    return measure(clean, Sensors(both_directions((3,)), multiplicative=noise), np.random.default_rng(1))
+    return measure(clean, Sensors(list_directions((3,)), multiplicative=noise), np.random.default_rng(1))
 
 
 @pytest.mark.slow

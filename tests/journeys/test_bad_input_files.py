@@ -25,7 +25,7 @@ from pipeline.config.compose import compose_config
 from pipeline.config.schema import Config, DataConfig
 from pipeline.data.coefficient_files import read_coefficients
 from pipeline.data.dataset import VibrationDataset
-from pipeline.data.tables import origin_of, write_table
+from pipeline.data.tables import read_marks, write_table
 from pipeline.data.vibration_files import read_dataset
 from pipeline.errors import ConfigError, DataError, IdentifiabilityError, PipelineError, StorageError
 from pipeline.evaluation.thresholds import read_rules
@@ -35,8 +35,7 @@ from pipeline.reporting.figures import open_figure
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.ross_adapter import assemble
 from pipeline.stages import run_stage
-from pipeline.stages.measurement import load_measurement
-from pipeline.stages.results import load_identified
+from pipeline.stages.measurement import load_identified, load_measurement
 
 SMALL = [
     "experiment=ball_bearing",
@@ -284,7 +283,7 @@ def test_a_truncated_parquet_file(base: Config, mine: Path) -> None:
     lengths = {*range(0, len(whole), len(whole) // 80), *range(16), *(len(whole) - n for n in range(1, 16))}
     for length in sorted(lengths):
         path.write_bytes(whole[:length])
-        assert origin_of(path) is None
+        assert read_marks(path) is None
         with refused("must be a complete Parquet file", "stage=generate"):
             read_dataset(path, mine / "excitation.csv", rotor)
     refused_by_train(base, mine, {}, "must be a complete Parquet file")
@@ -767,13 +766,14 @@ def small(base: Config, mine: Path) -> Path:
     for name in ("vibration.parquet", "known_coefficients.csv"):
         read = pd.read_parquet if name.endswith("parquet") else pd.read_csv
         table = read(mine / name)
-        write_table(mine / name, table[table["speed_rpm"] <= 1000], assemble(base.machine.rotor).fingerprint, "origin")
+        marks = {"rotor": assemble(base.machine.rotor).fingerprint, "origin": "origin"}
+        write_table(mine / name, table[table["speed_rpm"] <= 1000], marks)
     stored(pd.read_parquet(mine / "vibration.parquet"), mine / "vibration.csv")
     return mine
 
 
 def _dataset(folder: Path, base: Config, vibration: str = "vibration.parquet") -> VibrationDataset:
-    origin_of(folder / vibration)
+    read_marks(folder / vibration)
     return read_dataset(folder / vibration, folder / "excitation.csv", assemble(base.machine.rotor))
 
 

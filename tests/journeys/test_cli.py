@@ -20,8 +20,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.__main__ import Job, main
-from pipeline.config.compose import compose_config, composed_mapping, expanded, validated
-from pipeline.config.loader import CONF, options
+from pipeline.config.compose import compose_config, compose_mapping, expand_sweeps, validate
+from pipeline.config.loader import CONF, list_options
 from pipeline.config.schema import Config
 from pipeline.errors import ConfigError, DataError
 from pipeline.stages import STAGES
@@ -67,7 +67,7 @@ def test_help_is_no_mistake(tmp_path: Path) -> None:
 def test_help_names_every_stage_and_experiment(option: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([option]) == 0
     words = capsys.readouterr().out
-    for name in [*STAGES, *options("experiment"), "--cfg job", "artifacts/NAME", "-m"]:
+    for name in [*STAGES, *list_options("experiment"), "--cfg job", "artifacts/NAME", "-m"]:
         assert name in words
     assert all(len(line) <= 110 for line in words.splitlines())
 
@@ -89,7 +89,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("experiment", options("experiment"))
+@pytest.mark.parametrize("experiment", list_options("experiment"))
 def test_every_experiment_composes_under_its_own_name(experiment: str) -> None:
     config = compose_config([f"experiment={experiment}"])
     assert config.name == experiment
@@ -124,7 +124,7 @@ def test_composing_leaves_hydra_as_it_was() -> None:
     VersionBase.instance().setbase(Version("1.2"))
     try:
         with pytest.raises(ConfigError):
-            composed_mapping(["nothing=3"])
+            compose_mapping(["nothing=3"])
         assert not GlobalHydra.instance().is_initialized()
         assert HydraConfig.initialized() == configured
         assert VersionBase.instance().getbase() == Version("1.2")
@@ -142,7 +142,7 @@ def test_a_stage_may_compose_while_it_runs(
 
 
 def test_validated_takes_a_plain_mapping() -> None:
-    assert validated(_default() | {"seed": 4}).seed == 4
+    assert validate(_default() | {"seed": 4}).seed == 4
 
 
 # --- sentences -----------------------------------------------------------------------------------
@@ -152,7 +152,7 @@ FOREIGN = ("Traceback", "struct", "hydra.cc", "HYDRA_FULL_ERROR", "pydantic", "I
 
 @cache
 def _default() -> dict[str, Any]:
-    return composed_mapping()
+    return compose_mapping()
 
 
 MISTAKES = [
@@ -210,7 +210,7 @@ OVERRIDES = [
 @pytest.mark.parametrize(("overrides", "fragments"), OVERRIDES)
 def test_sentences_for_overrides(overrides: list[str], fragments: list[str]) -> None:
     with pytest.raises(ConfigError) as caught:
-        composed_mapping(overrides)
+        compose_mapping(overrides)
     assert [fragment for fragment in fragments if fragment not in str(caught.value)] == []
     assert [word for word in FOREIGN if word in str(caught.value)] == []
 
@@ -274,7 +274,7 @@ def _changed(changes: dict[str, Any]) -> dict[str, Any]:
 @pytest.mark.parametrize(("changes", "sentence"), VALUES)
 def test_sentences_for_values(changes: dict[str, Any], sentence: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        validated(_changed(changes))
+        validate(_changed(changes))
     assert sentence in str(caught.value)
     assert [word for word in FOREIGN if word in str(caught.value)] == []
     assert all(len(line) < 340 for line in str(caught.value).splitlines())
@@ -282,7 +282,7 @@ def test_sentences_for_values(changes: dict[str, Any], sentence: str) -> None:
 
 def test_every_error_of_the_schema_has_a_line_of_its_own() -> None:
     with pytest.raises(ConfigError) as caught:
-        validated(_changed({"seed": "x", "threads": 0, "loss.scaling": 5}))
+        validate(_changed({"seed": "x", "threads": 0, "loss.scaling": 5}))
     *lines, last = str(caught.value).splitlines()
     assert sorted(line.split(":")[0] for line in lines) == ["loss.scaling", "seed", "threads"]
     assert "these 3 values" in last
@@ -293,7 +293,7 @@ def test_every_error_of_the_schema_has_a_line_of_its_own() -> None:
 )
 def test_a_wrong_item_does_not_make_its_list_too_short(changes: dict[str, Any]) -> None:
     with pytest.raises(ConfigError) as caught:
-        validated(_changed(changes))
+        validate(_changed(changes))
     assert "at least 1 item" not in str(caught.value)
     assert str(caught.value).endswith(
         "Correct this value; `python -m pipeline --cfg job` prints the whole configuration."
@@ -490,7 +490,7 @@ def test_each_job_has_a_folder_named_by_what_was_swept(
     ],
 )
 def test_folders_say_what_was_swept(overrides: list[str], names: list[str]) -> None:
-    jobs, fixed = expanded(overrides)
+    jobs, fixed = expand_sweeps(overrides)
     assert [Job(True, fixed).folder("out", job) for job in jobs] == names
 
 
@@ -505,7 +505,7 @@ def test_the_stages_of_an_experiment_share_its_folder(runs: list[Config]) -> Non
 
 def test_values_that_are_no_file_names_get_folders_of_their_own(runs: list[Config]) -> None:
     lengths = "machine.rotor.shaft.0.length=150 mm,150/mm,'150:mm'"
-    jobs, fixed = expanded([lengths, "seed=3"])
+    jobs, fixed = expand_sweeps([lengths, "seed=3"])
     folders = [Job(True, fixed, len(jobs)).folder("out", job) for job in jobs]
     assert len(set(folders)) == len(jobs) == 3
     assert all(Path(folder).parent == Path("out") and " " not in folder for folder in folders)

@@ -17,20 +17,19 @@ import pytest
 from conftest import known_names
 
 from pipeline.config.compose import compose_config
-from pipeline.config.loader import CONF, options
+from pipeline.config.loader import CONF, list_options
 from pipeline.config.schema import Config
 from pipeline.data.dataset import Excitation
 from pipeline.errors import ConfigError, DataError, IdentifiabilityError
 from pipeline.rotor.ross_adapter import ross_rotor
 from pipeline.stages import STAGES, check, evaluate, robustness, run_stage
-from pipeline.stages.measurement import load_measurement
-from pipeline.stages.results import load_identified, load_modelled
+from pipeline.stages.measurement import load_identified, load_measurement, load_modelled
 from pipeline.twin.prediction import predict
 from pipeline.units import RAD_S_PER_RPM
 
 REFUSED = "compressor_journal_and_isotropic"  # not identifiable: no stage after diagnose
 MEASURED = "measured_demo"  # read, not generated: test_measured_demo.py
-EXPERIMENTS = [name for name in options("experiment") if name not in (REFUSED, MEASURED)]
+EXPERIMENTS = [name for name in list_options("experiment") if name not in (REFUSED, MEASURED)]
 LINE = ["generate", "train", "evaluate", "robustness", "predict"]
 FEW = [
     "tracking=none",
@@ -163,7 +162,7 @@ def home(group: str, option: str) -> str:
 CHOICES = [
     pytest.param(group, option, name, marks=[] if name == home(group, option) else pytest.mark.nightly)
     for group in GROUPS
-    for option in options(group)
+    for option in list_options(group)
     for name in WITH_OPTIONS
 ]
 MORE = [
@@ -262,7 +261,7 @@ COMBINATIONS = [
     pytest.param(*chosen, marks=[] if chosen in BY_DAY else pytest.mark.nightly)
     for chosen in product(
         ("constant", "network"),
-        options("optimizer"),
+        list_options("optimizer"),
         ("initial_guesses", "seeds"),  # noise_seeds is of another loss
     )
 ]
@@ -440,13 +439,13 @@ def test_the_twin_of_every_start_is_held_against_the_modelled_machine(
     """robustness.json: the worst mean error of the vibration never seen, computed here start by start."""
     folder = Path(shutil.copytree(made("hydrostatic_stiffness"), tmp_path / "x"))
     answers: list[Any] = []
-    real = robustness._rows
+    real = robustness._tabulate
 
     def spy(config: Any, found: Any, tables: Any, *others: Any) -> Any:
         answers.extend(tables)
         return real(config, found, tables, *others)
 
-    monkeypatch.setattr(robustness, "_rows", spy)
+    monkeypatch.setattr(robustness, "_tabulate", spy)
     run("robustness", "hydrostatic_stiffness", folder)
     config = composed("hydrostatic_stiffness").model_copy(update={"output": str(folder)})
     measurement = load_measurement(config)
@@ -738,8 +737,8 @@ def test_check_of_freshly_made_experiments(made: Made, capsys: pytest.CaptureFix
 def test_every_option_is_tried_by_day() -> None:
     """With one experiment, and each optimiser through all stages."""
     tried = [tuple(choice.values[:2]) for choice in CHOICES if not choice.marks]
-    assert sorted(tried) == [(group, option) for group in GROUPS for option in options(group)]
-    assert sorted(optimizer for _, optimizer, _ in BY_DAY) == options("optimizer")
+    assert sorted(tried) == [(group, option) for group in GROUPS for option in list_options(group)]
+    assert sorted(optimizer for _, optimizer, _ in BY_DAY) == list_options("optimizer")
 
 
 def test_all_stages_are_tried_here() -> None:

@@ -12,7 +12,7 @@ import pytest
 from conftest import Artifacts
 
 from pipeline.config.compose import compose_config
-from pipeline.config.loader import options
+from pipeline.config.loader import list_options
 from pipeline.evaluation.thresholds import check_experiment, read_rules
 from pipeline.stages import check, run_stage
 
@@ -40,7 +40,7 @@ DISPLACEMENT = 1e-3
 COEFFICIENTS = [(experiment, name) for experiment, of in BARS.items() for name in of]
 
 
-THRESHOLDS = options("thresholds")
+THRESHOLDS = list_options("thresholds")
 """Experiments that are held to something."""
 DATA_OF = ("vibration.parquet", "excitation.csv", "known_coefficients.csv")
 """What training reads."""
@@ -70,7 +70,7 @@ def test_the_committed_seed_is_the_one_measured() -> None:
 
 def test_every_experiment_has_a_bar() -> None:
     """A new experiment must be held to something, here or in the file of tests that is named after its kind."""
-    assert sorted([*BARS, *ALL_EIGHT, *NOISY, "measured_demo"]) == options("experiment")
+    assert sorted([*BARS, *ALL_EIGHT, *NOISY, "measured_demo"]) == list_options("experiment")
 
 
 @pytest.mark.parametrize(("experiment", "coefficient"), COEFFICIENTS)

@@ -11,8 +11,8 @@ from scipy.linalg import expm
 
 from pipeline.comparison.cases import Case
 from pipeline.data.dataset import Excitation, VibrationDataset
-from pipeline.data.sensors import both_directions
-from pipeline.data.simulate import forced_response
+from pipeline.data.sensors import list_directions
+from pipeline.data.simulate import solve_response
 from pipeline.methods.catalogue import METHODS
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.model import RotorModel, translation_dof
@@ -130,7 +130,7 @@ def test_impulse_records_give_all_coefficients_and_the_unbalance() -> None:
     time = np.arange(int(LENGTH * RATE)) / RATE
     force = np.where(time < PULSE, np.sin(np.pi * time / PULSE), 0.0)
     lines = 2 * np.pi * np.array([35.0, 60.0, 85.0, 110.0])
-    channels = both_directions(rotor.bearing_nodes)
+    channels = list_directions(rotor.bearing_nodes)
     sensors = VibrationDataset(np.array([speed]), (), channels, np.zeros((1, 4, 0)), ()).sensor_matrix(rotor.n_dof)
     runs, columns, acting, frequencies = [], [], [], []
     for direction in (0, 1):
@@ -150,7 +150,7 @@ def test_impulse_records_give_all_coefficients_and_the_unbalance() -> None:
     runs.append("weight")
     known = Excitation("weight", "unbalance", 4, 1e-4, 0.3)
     hidden = Excitation("weight", "unbalance", 2, abs(UNBALANCE), float(np.angle(UNBALANCE)))
-    turned = forced_response(rotor, truth, (known, hidden), ("weight",))
+    turned = solve_response(rotor, truth, (known, hidden), ("weight",))
     columns.append(sensors @ turned[0, :, 0])
     frequencies.append(speed)
     dataset = VibrationDataset(

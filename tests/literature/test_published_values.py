@@ -17,7 +17,7 @@ from pipeline.config.bearings import CylindricalBearingConfig
 from pipeline.config.compose import compose_config
 from pipeline.config.rotor import RotorConfig
 from pipeline.data.dataset import Excitation
-from pipeline.data.simulate import forced_response
+from pipeline.data.simulate import solve_response
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import translation_dof
 from pipeline.rotor.ross_adapter import assemble, bearing_table
@@ -148,7 +148,7 @@ def test_compressor_rotor_response() -> None:
     rotor = assemble(DTU_ROTOR)
     assert rotor.total_mass == pytest.approx(95.277, abs=1e-3)
     table = dtu_bearings(np.array([600.0, 1500.0, 3000.0, 6000.0]))
-    q = forced_response(rotor, table, (Excitation("a", "unbalance", 5, 1.6e-4, 0.0),), ("a",))
+    q = solve_response(rotor, table, (Excitation("a", "unbalance", 5, 1.6e-4, 0.0),), ("a",))
     places = [translation_dof(node, direction) for node in (5, 8) for direction in (0, 1)]
     found = 1e6 * np.abs(q[:, places, 0])
     published = [

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from pipeline.coefficients import COEFFICIENTS, column, is_stiffness, row
 from pipeline.config.identification import ConstantModelConfig, ModelConfig, NetworkModelConfig
-from pipeline.data.dataset import VibrationDataset, force_vectors
+from pipeline.data.dataset import VibrationDataset, assemble_forces
 from pipeline.errors import DataError, IdentifiabilityError
 from pipeline.identification.model import CoefficientModel, coefficient_model
 from pipeline.identification.residual_loss import ResidualProblem, data_scale, residual_problem, speed_scaling
@@ -109,7 +109,7 @@ def test_bearing_force_balances_the_rotor(hydrostatic: Machine) -> None:
     unit = np.zeros((hydrostatic.rotor.n_dof, 2))
     unit[0::4, 0] = unit[1::4, 1] = 1.0
     inertia = np.einsum("s,nd,sdr->snr", w**2, unit.T @ hydrostatic.rotor.mass, hydrostatic.response)
-    pushed = unit.T @ force_vectors(hydrostatic.rotor, hydrostatic.excitations, hydrostatic.runs, w)
+    pushed = unit.T @ assemble_forces(hydrostatic.rotor, hydrostatic.excitations, hydrostatic.runs, w)
     np.testing.assert_allclose(carried, inertia + pushed, rtol=0, atol=1e-9 * np.abs(pushed).max())
 
 
@@ -150,7 +150,7 @@ def full_norm(machine: Machine, coefficients: torch.Tensor) -> torch.Tensor:
             factor = 1.0 if is_stiffness(name) else 1j * ws
             d = d + coefficients[b, :, u, None, None] * factor * place
     q = torch.as_tensor(machine.response)
-    force = torch.as_tensor(force_vectors(rotor, machine.excitations, machine.runs, machine.speeds))
+    force = torch.as_tensor(assemble_forces(rotor, machine.excitations, machine.runs, machine.speeds))
     return (d @ q - force).abs().square().sum().sqrt()
 
 

@@ -18,7 +18,7 @@ from pipeline.config.compose import compose_config
 from pipeline.config.schema import Config
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.data.noise import NoiseModel
-from pipeline.data.simulate import simulate, with_noise
+from pipeline.data.simulate import add_noise, simulate
 from pipeline.errors import ConfigError, IdentifiabilityError
 from pipeline.identification.fit import fit
 from pipeline.identification.residual_loss import ResidualTraining, initial_parameters, prepare_residual
@@ -328,7 +328,7 @@ def test_the_predicted_deviation_is_the_spread_of_noisy_fits(
     predicted = least_squares_deviation(fits(rotor_of, dataset, unknowns, covariance))
     found = np.array(
         [
-            per_speed_least_squares(fits(rotor_of, with_noise(dataset, deviation, rng), unknowns, covariance))[0]
+            per_speed_least_squares(fits(rotor_of, add_noise(dataset, deviation, rng), unknowns, covariance))[0]
             for _ in range(200)
         ]
     )
@@ -381,7 +381,7 @@ def test_frequencies_go_through_the_files(machine: MachineFactory, tmp_path: Pat
     )
     made = machine("experiment=all_coefficients", *FEW, f"machine.runs={runs}")
     vibration, excitation = tmp_path / "v.csv", tmp_path / "e.csv"
-    write_vibration(vibration, made.dataset, made.rotor)
+    write_vibration(vibration, made.dataset, {"rotor": made.rotor.fingerprint})
     write_excitation(excitation, made.dataset)
     read = read_dataset(vibration, excitation, made.rotor)
     np.testing.assert_allclose(read.frequencies, made.dataset.frequencies, rtol=1e-12)

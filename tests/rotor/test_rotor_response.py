@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 
 from benchmarks.machines import refined
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.config.loader import options
+from pipeline.config.loader import list_options
 from pipeline.config.rotor import RotorConfig
-from pipeline.data.dataset import Excitation, force_vectors
-from pipeline.data.simulate import forced_response
+from pipeline.data.dataset import Excitation, assemble_forces
+from pipeline.data.simulate import solve_response
 from pipeline.errors import PipelineError
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.dynamic_stiffness import apply, banded, solve
@@ -85,7 +85,7 @@ def assert_equals_ross(machine: Machine) -> None:
 
 
 # ROSS computes forced responses at the rotor speed; those of other frequencies are compared with their dense twin.
-SYNCHRONOUS = [name for name in options("experiment") if name != "impulses"]
+SYNCHRONOUS = [name for name in list_options("experiment") if name != "impulses"]
 
 
 @pytest.mark.slow
@@ -146,7 +146,7 @@ def test_jeffcott_rotor(stiffness: float, damping: float) -> None:
     speeds = critical * np.array([0.1, 0.5, 0.9, 0.99, 1.01, 1.3, 3.0])
     table = bearings_of((0, 4), speeds, kxx=stiffness, kyy=stiffness, cxx=damping, cyy=damping)
     unbalance = Excitation("a", "unbalance", 2, 2e-4, 0.7)
-    response = forced_response(jeffcott(1e-6), table, (unbalance,), ("a",))[:, translation_dof(2, 0), 0]
+    response = solve_response(jeffcott(1e-6), table, (unbalance,), ("a",))[:, translation_dof(2, 0), 0]
     series = 1 / (1 / SHAFT_STIFFNESS + 1 / (2 * (stiffness + 1j * speeds * damping)))
     expected = 2e-4 * np.exp(0.7j) * speeds**2 / (series - speeds**2 * JEFFCOTT["mass"])
     assert np.abs(response / expected - 1).max() < 1e-6
@@ -206,7 +206,7 @@ def test_linear_in_the_unbalance(hydrostatic: Machine, first: float, second: flo
     few = hydrostatic.bearings.at(np.arange(0, 60, 12))
     a, b = Excitation("a", "unbalance", 2, first, phase), Excitation("b", "unbalance", 6, second, other)
     both = (replace(a, run="both"), replace(b, run="both"))
-    q = forced_response(hydrostatic.rotor, few, (a, b, *both), ("a", "b", "both"))
+    q = solve_response(hydrostatic.rotor, few, (a, b, *both), ("a", "b", "both"))
     assert np.abs(q[..., 2] - q[..., 0] - q[..., 1]).max() <= 1e-10 * np.abs(q[..., :2]).max()
 
 
@@ -219,7 +219,7 @@ def test_turning_the_unbalance_turns_the_response(
     few = hydrostatic.bearings.at(np.arange(0, 60, 12))
     before = Excitation("a", "unbalance", 4, 1e-4, phase)
     after = replace(before, run="b", phase=phase + turn, magnitude=1e-4 * scale)
-    q = forced_response(hydrostatic.rotor, few, (before, after), ("a", "b"))
+    q = solve_response(hydrostatic.rotor, few, (before, after), ("a", "b"))
     wanted = scale * np.exp(1j * turn) * q[..., 0]
     assert np.abs(q[..., 1] - wanted).max() <= 1e-10 * np.abs(wanted).max()
 
@@ -231,11 +231,11 @@ def test_isotropic_bearings_give_circular_orbits(hydrostatic: Machine) -> None:
         hydrostatic.speeds,
         **{"kxx": 2e7, "kyy": 2e7, "kxy": 3e6, "kyx": -3e6, "cxx": 2e4, "cyy": 2e4, "cxy": 1e3, "cyx": -1e3},
     )
-    q = forced_response(hydrostatic.rotor, table, hydrostatic.excitations, hydrostatic.runs)
+    q = solve_response(hydrostatic.rotor, table, hydrostatic.excitations, hydrostatic.runs)
     x, y = q[:, 0::4], q[:, 1::4]
     assert np.abs(y + 1j * x).max() <= 1e-10 * np.abs(x).max()
     backward = tuple(replace(e, whirl="backward") for e in hydrostatic.excitations)
-    q = forced_response(hydrostatic.rotor, table, backward, hydrostatic.runs)
+    q = solve_response(hydrostatic.rotor, table, backward, hydrostatic.runs)
     assert np.abs(q[:, 1::4] - 1j * q[:, 0::4]).max() <= 1e-10 * np.abs(q[:, 0::4]).max()
 
 
@@ -253,7 +253,7 @@ def test_turning_the_frame_turns_the_response(hydrostatic: Machine) -> None:
     values = np.stack(columns, axis=-1)
     turned = BearingTable(table.nodes, table.speeds, values)
     excitations = tuple(replace(e, phase=e.phase - math.pi / 2) for e in hydrostatic.excitations)
-    q = forced_response(hydrostatic.rotor, turned, excitations, hydrostatic.runs)
+    q = solve_response(hydrostatic.rotor, turned, excitations, hydrostatic.runs)
     pairs = q.reshape(len(q), -1, 2, q.shape[-1])  # (x, y) and (alpha, beta) of each node: both are vectors
     wanted = hydrostatic.response.reshape(pairs.shape)
     wanted = np.stack([wanted[:, :, 1], -wanted[:, :, 0]], axis=2)
@@ -313,7 +313,7 @@ def test_band_solve_of_some_dof_equals_the_dense_one(hydrostatic: Machine, rng: 
 def test_number_of_speeds_does_not_matter(count: int, hydrostatic: Machine) -> None:
     """Speeds are assembled in chunks: a response does not depend on which others are computed with it."""
     table = hydrostatic.bearings.at(np.arange(count))
-    q = forced_response(hydrostatic.rotor, table, hydrostatic.excitations, hydrostatic.runs)
+    q = solve_response(hydrostatic.rotor, table, hydrostatic.excitations, hydrostatic.runs)
     np.testing.assert_array_equal(q, hydrostatic.response[:count])
 
 
@@ -332,7 +332,7 @@ def test_response_satisfies_the_equation_of_motion(hydrostatic: Machine) -> None
     """Eq. 1: D Q = F, the residual of every row at rounding of the terms that cancel in it."""
     w = hydrostatic.speeds
     d = dense(hydrostatic.rotor, hydrostatic.bearings.impedance(), w, w)
-    force = force_vectors(hydrostatic.rotor, hydrostatic.excitations, hydrostatic.runs, w)
+    force = assemble_forces(hydrostatic.rotor, hydrostatic.excitations, hydrostatic.runs, w)
     terms = np.abs(d) @ np.abs(hydrostatic.response)
     assert (np.abs(d @ hydrostatic.response - force) <= 1e-12 * terms.max(axis=1, keepdims=True)).all()
 
@@ -345,7 +345,7 @@ def test_unbalance_force(hydrostatic: Machine) -> None:
         Excitation("b", "unbalance", 2, 1e-4, 0.3, "backward"),
         Excitation("c", "force", 3, 5.0, -1.0),
     )
-    force = force_vectors(hydrostatic.rotor, made, ("a", "b", "c"), w)
+    force = assemble_forces(hydrostatic.rotor, made, ("a", "b", "c"), w)
     size = 1e-4 * w**2 * np.exp(0.3j)
     np.testing.assert_allclose(force[:, 8:10, 0], np.stack([size, -1j * size], axis=1), rtol=1e-14)
     np.testing.assert_allclose(force[:, 8:10, 1], np.stack([size, 1j * size], axis=1), rtol=1e-14)
@@ -361,7 +361,7 @@ def test_singular_system_is_refused(hydrostatic: Machine) -> None:
     for matrix in matrices.values():
         matrix[0], matrix[:, 0] = 0.0, 0.0
     with pytest.raises(PipelineError, match=r"singular at 10\.472 rad/s"):
-        forced_response(replace(rotor, **matrices), hydrostatic.bearings, hydrostatic.excitations, hydrostatic.runs)
+        solve_response(replace(rotor, **matrices), hydrostatic.bearings, hydrostatic.excitations, hydrostatic.runs)
     with pytest.raises(PipelineError, match="singular"):
         solve(banded(rotor), np.ones(1), np.ones(1), np.full((1, rotor.n_dof, 1), np.nan))
 
@@ -384,5 +384,5 @@ def test_rigid_rotor_far_above_its_critical_speeds() -> None:
     rotor = assemble(RotorConfig.model_validate(config))
     speeds = np.array([6000.0]) * RAD_S_PER_RPM
     table = bearings_of((0, 2), speeds, kxx=100.0, kyy=100.0)
-    q = forced_response(rotor, table, (Excitation("a", "unbalance", 1, 1e-4, 0.0),), ("a",))
+    q = solve_response(rotor, table, (Excitation("a", "unbalance", 1, 1e-4, 0.0),), ("a",))
     assert q[0, 4, 0] == pytest.approx(-1e-4 / rotor.total_mass, rel=2e-3)

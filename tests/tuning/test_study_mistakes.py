@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from pipeline.__main__ import main
-from pipeline.config.compose import composed_mapping, validated
+from pipeline.config.compose import compose_mapping, validate
 from pipeline.config.schema import Config
 from pipeline.errors import StorageError
 from pipeline.tuning.parallel import run_study
@@ -73,13 +73,13 @@ BAD_SPACES: dict[str, tuple[dict[str, Any], list[str]]] = {
 
 @cache
 def _mapping() -> dict[str, Any]:
-    return composed_mapping(CHEAP)
+    return compose_mapping(CHEAP)
 
 
 def configured(**tuning: Any) -> Config:
     """The configuration of the cheap study with other values of ``tuning``, as the command line checks it."""
     mapping = _mapping()
-    return validated(mapping | {"stage": "tune", "tuning": mapping["tuning"] | tuning})
+    return validate(mapping | {"stage": "tune", "tuning": mapping["tuning"] | tuning})
 
 
 @pytest.mark.parametrize("mistake", BAD_SPACES)

@@ -20,7 +20,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.config.compose import compose_config
-from pipeline.config.promotion import with_values
+from pipeline.config.promotion import apply_values
 from pipeline.config.schema import Config
 from pipeline.errors import ConfigError, DataError
 from pipeline.tuning.space import applies, find_default, suggest, translate
@@ -48,7 +48,7 @@ def test_trial_0_is_the_configured_default(name: str) -> None:
     """The default's parameters stand for the very configuration that they were read from."""
     config = untuned(f"experiment={name}")
     parameters = find_default(config)
-    assert with_values(config, translate(config.tuning.space, parameters), "default") == config
+    assert apply_values(config, translate(config.tuning.space, parameters), "default") == config
 
 
 class Draws:
@@ -82,7 +82,7 @@ def test_every_point_of_the_space_is_a_configuration(name: str, data: st.DataObj
     parameters = suggest(trial, space)
     assert trial.asked == list(parameters)
     assert [key for key in space if key in parameters] == [key for key in space if applies(space[key], parameters)]
-    made = with_values(config, translate(space, parameters), "trial")
+    made = apply_values(config, translate(space, parameters), "trial")
     for section in ("machine", "data", "identify", "tuning", "seed"):
         assert getattr(made, section) == getattr(config, section)
     assert made.training.holdout_every == config.training.holdout_every
@@ -452,7 +452,7 @@ def test_the_median_over_seeds_decides(default: list[float], others: list[tuple[
 
 def test_the_best_so_far_leaves_the_default_out() -> None:
     """Samplers are compared by what they found themselves; rounding counts as equal, pruned trials not at all."""
-    from pipeline.stages.samplers import best_so_far
+    from pipeline.stages.samplers import track_best
     from pipeline.tuning.finalists import TrialSummary
     from pipeline.tuning.worker import ROUNDING
 
@@ -462,7 +462,7 @@ def test_the_best_so_far_leaves_the_default_out() -> None:
         TrialSummary(number=i, state=state, loss=loss, parameters={}, curve={})
         for i, (state, loss) in enumerate(zip(states, losses, strict=True))
     ]
-    assert best_so_far(trials).tolist() == [1e-2, 1e-2, 1e-3, 1e-3, ROUNDING]
+    assert track_best(trials).tolist() == [1e-2, 1e-2, 1e-3, 1e-3, ROUNDING]
 
 
 def test_speeds_are_held_out_inside_the_range() -> None:
@@ -491,7 +491,7 @@ def test_every_experiment_has_a_study_that_a_person_can_judge(name: str) -> None
     assert set(finalists[finalists["trial"] == 0]["seed"]) == set(tuning.seeds)
     assert len(tuning.seeds) >= 5
     best = yaml.safe_load((folder / "best.yaml").read_text())
-    assert with_values(untuned(f"experiment={name}"), best["values"], "best.yaml")
+    assert apply_values(untuned(f"experiment={name}"), best["values"], "best.yaml")
     for figure in re.findall(r"\(figures/(\w+\.png)\)", (folder / "README.md").read_text()):
         assert (folder / "figures" / figure).stat().st_size > 1000
 
