@@ -117,7 +117,6 @@ def _outs(stage: dict[str, Any]) -> list[str]:
 
 
 def test_every_experiment_is_in_the_graph() -> None:
-    """`dvc repro` makes them all, and each has one source of data."""
     lists = GRAPH["vars"][0]
     assert sorted({*lists["modelled"], *lists["identified"]}) == EXPERIMENTS
     assert sorted([*lists["modelled"], *experiments_of("ingest")]) == EXPERIMENTS
@@ -126,7 +125,6 @@ def test_every_experiment_is_in_the_graph() -> None:
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
 def test_what_check_reads_is_made(experiment: str) -> None:
-    """Every file that has a threshold is an output of the graph."""
     rules = yaml.safe_load((ROOT / "conf" / "thresholds" / f"{experiment}.yaml").read_text(encoding="utf-8"))
     made = {
         Path(out).name

@@ -115,9 +115,6 @@ def step_of(name: str) -> int:
     return room_of(name.removeprefix("pipeline."))
 
 
-# --- one straight line -----------------------------------------------------------------------------
-
-
 def test_every_module_has_a_place_on_the_line() -> None:
     """A new package of the pipeline must be put on the straight line, or this test would not watch it."""
     parts = {Path(file).parts[0].removesuffix(".py") for file in sources()} - {"__init__"}
@@ -157,13 +154,9 @@ def test_no_circle_of_imports() -> None:
 
 
 def test_the_picture_of_the_house_has_no_import_to_the_right() -> None:
-    """docs/house.py draws what the test above holds."""
     counts = count_imports()
     assert sum(map(sum, counts)) > 300
     assert not any(row[j] for i, row in enumerate(counts) for j in range(i + 1, len(row)))
-
-
-# --- walls -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("package", HOMES)
@@ -178,7 +171,6 @@ def test_a_package_is_imported_in_its_home_only(package: str) -> None:
 
 @pytest.mark.parametrize("package", HOMES)
 def test_a_package_is_not_imported_by_its_name_as_a_text(package: str) -> None:
-    """No way round the wall by importlib or __import__ with a constant."""
     for file, tree in sources().items():
         for call in ast.walk(tree):
             if isinstance(call, ast.Call) and ast.unparse(call.func).split(".")[-1] in (
@@ -204,7 +196,6 @@ def test_heavy_packages_wait_until_they_are_used() -> None:
 
 @pytest.mark.parametrize("file", ALL_HEAVY)
 def test_a_heavy_module_is_imported_inside_functions_only(file: str) -> None:
-    """What is excused from the rule above must itself wait until it is used."""
     module = "pipeline." + file.removesuffix(".py").replace("/", ".")
     users = [i for i in imports() if i.name == module or i.name.startswith(f"{module}.")]
     assert [str(i) for i in users if not (i.inside_function or i.for_types_only)] == []
@@ -247,13 +238,10 @@ def test_importing_is_light(modules: list[str], absent: list[str]) -> None:
 
 
 def test_every_module_can_be_imported_by_itself() -> None:
-    """No module needs another one to have been imported before."""
     for module in pkgutil.walk_packages([str(PACKAGE)], "pipeline."):
         if module.name not in {"pipeline.__main__", "pipeline.tracking.predictor"}:
             importlib.import_module(module.name)
 
-
-# --- files are data, never code ----------------------------------------------------------------------
 
 CODE_FROM_DATA = {
     *("pickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"),
@@ -265,7 +253,6 @@ BUILT_IN = {"eval", "exec", "compile", "__import__"}
 
 @pytest.mark.parametrize("file", sources())
 def test_no_data_become_code(file: str) -> None:
-    """No pickle, no torch.load, no eval: whatever a file holds, it can't run."""
     for node in ast.walk(sources()[file]):
         if isinstance(node, (ast.Attribute, ast.Name)):
             assert ast.unparse(node) not in CODE_FROM_DATA, f"line {node.lineno}"
@@ -304,14 +291,11 @@ def test_rpm_and_degrees_are_converted_at_the_edge() -> None:
     assert strangers == []
 
 
-# --- experiments -------------------------------------------------------------------------------------
-
 EXPERIMENTS = sorted(path.stem for path in (CONF / "experiment").glob("*.yaml"))
 
 
 @pytest.mark.parametrize("name", EXPERIMENTS)
 def test_the_head_of_an_experiment_says_its_command_and_cost(name: str) -> None:
-    """A person who opens the file sees at once how to run it, and how long that takes."""
     lines = (CONF / "experiment" / f"{name}.yaml").read_text(encoding="utf-8").splitlines()
     head = [line for line in lines[:6] if line.startswith("#")]
     command = [line for line in head if "python -m pipeline" in line]
@@ -322,7 +306,6 @@ def test_the_head_of_an_experiment_says_its_command_and_cost(name: str) -> None:
 
 @pytest.mark.parametrize("name", EXPERIMENTS)
 def test_an_experiment_has_a_name_a_description_and_thresholds(name: str) -> None:
-    """It is called like its file, says what it is, and can't get worse unnoticed."""
     config = yaml.safe_load((CONF / "experiment" / f"{name}.yaml").read_text(encoding="utf-8"))
     assert config["name"] == name
     assert len(config["description"]) > 20
@@ -332,7 +315,6 @@ def test_an_experiment_has_a_name_a_description_and_thresholds(name: str) -> Non
 
 
 def test_every_threshold_file_is_of_an_experiment() -> None:
-    """No threshold is left of an experiment that is gone."""
     assert sorted(path.stem for path in (CONF / "thresholds").glob("*.yaml")) == EXPERIMENTS
 
 

@@ -30,7 +30,6 @@ def staged(stage: str, experiment: str, folder: Path, *overrides: str) -> None:
 
 @pytest.mark.parametrize(("experiment", "metric"), [(name, metric) for name, bars in BARS.items() for metric in bars])
 def test_six_seeds_reach_the_bar(experiment: str, metric: str, artifacts: Artifacts) -> None:
-    """Every one of the sixteen coefficients, in double precision."""
     assert list(compose_config([f"experiment={experiment}"]).robustness.seeds) == [0, 1, 2, 3, 4, 5]
     summary = artifacts.read(experiment, "robustness")
     values = {
@@ -54,7 +53,6 @@ NEGATIVE = "compressor_journal_and_isotropic"
 
 
 def test_the_compressor_on_one_journal_bearing(artifacts: Artifacts, tmp_path: Path) -> None:
-    """Refused by training with the verdict of the diagnosis."""
     told = artifacts.read(NEGATIVE, "diagnosis")["bearings"]
     print(told)
     data = ("vibration.parquet", "excitation.csv", "known_coefficients.csv")
@@ -64,7 +62,6 @@ def test_the_compressor_on_one_journal_bearing(artifacts: Artifacts, tmp_path: P
 
 
 def test_a_backward_run_cures_the_compressor(tmp_path: Path) -> None:
-    """Solved when one backward run is added."""
     # The other core has a worker of pytest's own.
     staged("evaluate", NEGATIVE, tmp_path, "machine=compressor_journal_and_isotropic_backward")
     metrics = json.loads((tmp_path / NEGATIVE / "metrics.json").read_text())["coefficients"]

@@ -61,7 +61,6 @@ def shown(what: str, values: dict[str, float], bar: float) -> float:
 
 
 def test_the_committed_seed_is_the_one_measured() -> None:
-    """The bars are for the committed seed and five others, which robustness trains."""
     for experiment in EXPERIMENTS:
         config = compose_config([f"experiment={experiment}"])
         assert config.seed == COMMITTED
@@ -125,7 +124,6 @@ def test_the_twin_predicts_vibration_never_seen(experiment: str, artifacts: Arti
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
 def test_the_twin_of_every_start_predicts_vibration_never_seen(experiment: str, artifacts: Artifacts) -> None:
-    """The same for the models of all seeds and guesses, from robustness.json."""
     robustness = artifacts.read(experiment, "robustness")
     assert robustness["starts"] >= len(SEEDS)
     values = {f"{robustness['starts']} starts": robustness["displacement"]["worst_mean_error_percent"]}
@@ -236,7 +234,6 @@ def _with_all_numbers(value: Any, number: float) -> Any:
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
 def test_thresholds_are_no_laxer_than_the_bars(experiment: str) -> None:
-    """What CI holds is at least what the bars above ask."""
     rules = read_rules(check.THRESHOLDS / f"{experiment}.yaml")
     for name, bar in BARS[experiment].items():
         for file, metric in (("metrics.json", "mean"), ("robustness.json", "worst_mean")):

@@ -50,9 +50,6 @@ def imported_by(*arguments: str) -> tuple[int, str, set[str]]:
     return done.returncode, done.stderr, set(json.loads(listed[0].removeprefix("MODULES ")))
 
 
-# --- imports ---------------------------------------------------------------------------------------
-
-
 @pytest.mark.slow
 def test_training_again_needs_torch_and_little_else(tmp_path: Path) -> None:
     """Data there, rotor and configuration seen before: neither ROSS nor pandas nor Hydra nor torch's compiler."""
@@ -67,7 +64,6 @@ def test_training_again_needs_torch_and_little_else(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_rotor_file_seen_before_needs_no_ross(tmp_path: Path) -> None:
-    """The same for a rotor that ROSS has saved."""
     rotor = ROOT / "examples" / "measured_demo" / "rotor.toml"
     command = [
         *BALL,
@@ -102,7 +98,6 @@ VIBRATION = "run,speed_rpm,node,direction,amplitude_m"
 def test_a_mistake_in_a_data_file_is_told_before_anything_heavy(
     file: str, header: str, row: str, words: str, tmp_path: Path
 ) -> None:
-    """Neither ROSS nor torch is imported for the sentence."""
     texts = {
         "vibration.csv": "run,speed_rpm,node,direction,amplitude_m,phase_deg\none,500,0,x,1e-6,0\none,500,0,y,1e-6,0\n",
         "excitation.csv": "run,kind,node,magnitude,phase_deg,whirl\none,unbalance,1,1e-4,0,forward\n",
@@ -117,12 +112,8 @@ def test_a_mistake_in_a_data_file_is_told_before_anything_heavy(
     assert {"ross", "torch"} & modules == set()
 
 
-# --- the cache ---------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("experiment", options("experiment"))
 def test_a_kept_configuration_is_the_composed_one(experiment: str, own_cache: Path) -> None:
-    """The second time from the cache, and equal to the last bit."""
     overrides = [f"experiment={experiment}", "seed=3"]
     first = compose_config(overrides)
     assert len(list((own_cache / "configurations").iterdir())) == 1
@@ -132,7 +123,6 @@ def test_a_kept_configuration_is_the_composed_one(experiment: str, own_cache: Pa
 
 
 def test_a_damaged_entry_is_made_anew(own_cache: Path) -> None:
-    """Whatever lies in the cache, the answer is the same."""
     first = compose_config(BALL)
     (entry,) = (own_cache / "configurations").iterdir()
     for content in (b"", b"[]]", b'[{"stage": "train"}]', b"\xff\xfe"):
@@ -141,7 +131,6 @@ def test_a_damaged_entry_is_made_anew(own_cache: Path) -> None:
 
 
 def test_what_the_key_does_not_say_is_not_kept(own_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The environment may change between two commands."""
     for seed in ("3", "4"):
         monkeypatch.setenv("SEED_OF_THIS_TEST", seed)
         assert compose_config([*BALL, "seed=${oc.env:SEED_OF_THIS_TEST}"]).seed == int(seed)
@@ -149,14 +138,12 @@ def test_what_the_key_does_not_say_is_not_kept(own_cache: Path, monkeypatch: pyt
 
 
 def test_a_cache_that_cannot_be_written_costs_time_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A file where the folder should be."""
     (tmp_path / "cache").write_text("in the way")
     monkeypatch.setattr(cache, "FOLDER", tmp_path / "cache")
     assert compose_config(BALL) == compose_config(BALL)
 
 
 def test_the_oldest_entries_go(own_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The cache does not grow without end."""
     monkeypatch.setattr(cache, "_MOST", 3)
     for i in range(5):
         cache.keep("things", f"entry{i}", b"x")
@@ -165,13 +152,11 @@ def test_the_oldest_entries_go(own_cache: Path, monkeypatch: pytest.MonkeyPatch)
 
 
 def test_parts_of_an_identity_are_kept_apart() -> None:
-    """Two ways to cut the same bytes are two things."""
     assert cache.identity("ab", "c") != cache.identity("a", "bc")
     assert cache.identity("ab", b"c") == cache.identity(b"ab", "c")
 
 
 def test_a_kept_rotor_is_the_assembled_one(own_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Bit by bit, without ROSS; a damaged entry is assembled anew."""
     config = compose_config(BALL)
     speeds = np.array([100.0, 200.0])
     first, bearings = (
@@ -195,7 +180,6 @@ def test_a_kept_rotor_is_the_assembled_one(own_cache: Path, monkeypatch: pytest.
 
 
 def test_another_rotor_has_another_entry(tmp_path: Path) -> None:
-    """Configuration and bytes of the file count; where a file lies does not."""
     config = compose_config(BALL).machine.rotor
     heavier = config.model_copy(update={"shear_effects": False})
     assert made_from(config) != made_from(heavier)
@@ -206,11 +190,7 @@ def test_another_rotor_has_another_entry(tmp_path: Path) -> None:
     assert here == there != other
 
 
-# --- several stages ----------------------------------------------------------------------------------
-
-
 def test_stages_run_in_the_order_given(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """In one process, and each on the files of those before."""
     assert main(["stage=[generate,train,evaluate]", *BALL, f"output='{tmp_path}'"]) == 0
     said = capsys.readouterr().out
     assert said.index("channels in") < said.index("coefficients in") < said.index("identified against modelled")
@@ -227,13 +207,9 @@ def test_stages_run_in_the_order_given(tmp_path: Path, capsys: pytest.CaptureFix
     ],
 )
 def test_a_wrong_list_of_stages_is_refused_before_the_first_runs(stages: str, words: str, tmp_path: Path) -> None:
-    """A mistake in the last is told at once."""
     with refused(words, kind=ConfigError):
         compose_stages([f"stage={stages}", *BALL, f"output='{tmp_path / 'x'}'"])
     assert not (tmp_path / "x").exists()
-
-
-# --- MLflow beside the stage ---------------------------------------------------------------------------
 
 
 @pytest.mark.slow
@@ -262,14 +238,11 @@ def test_a_record_is_complete_also_where_the_process_beside_is_lost(killed: bool
 
 
 def test_without_tracking_no_process_is_started() -> None:
-    """`tracking=none` costs nothing."""
     from pipeline.tracking import beside, recorder_beside
 
     with recorder_beside(False):
         assert beside._running == []
 
-
-# --- tables ------------------------------------------------------------------------------------------
 
 KINDS = {"run": "text", "speed_rpm": "number", "amplitude_m": "number"}
 OPTIONAL = {"frequency_hz": "number or blank"}
@@ -300,7 +273,6 @@ def test_both_ways_read_the_same_bits(
     "text", ["run,speed_rpm,amplitude_m\none,1_000,1\n", "run,speed_rpm,amplitude_m\none,1,\n", ""]
 )
 def test_what_is_not_well_formed_takes_the_other_way(text: str, tmp_path: Path) -> None:
-    """And is refused there, by name."""
     (tmp_path / "x.csv").write_text(text)
     assert _well_formed(tmp_path / "x.csv", KINDS, {}) is None
     with refused("must"):

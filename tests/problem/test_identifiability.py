@@ -81,9 +81,6 @@ def reports_of(machine: Machine) -> tuple[Identifiability, ...]:
     return judge_identifiability(machine.equations, machine.measurement.residual, constant=False)
 
 
-# --- the rank theorem (shared by every axisymmetric rotor) -------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("bearings", "ranks"),
     [
@@ -160,9 +157,6 @@ def test_the_free_combination_changes_nothing_that_is_measured(rotor_of: Machine
     assert account.free_combination().count(" k") + account.free_combination().count(" c") >= 2
 
 
-# --- verdicts ----------------------------------------------------------------------------------------
-
-
 @pytest.mark.slow
 def test_verdicts_of_the_compressor(machine: MachineFactory) -> None:
     """The journal bearing can't be identified; the isotropic one can, by its structure; a backward run cures."""
@@ -195,9 +189,6 @@ def test_a_constant_is_identifiable_across_speeds(rotor_of: Machine) -> None:
     assert [one.verdict for one in constant] == [Verdict.ACROSS_SPEEDS] * 2
     assert [one.verdict for one in free] == [Verdict.NOT_IDENTIFIABLE] * 2
     assert "2 real equations" in free[0].reason
-
-
-# --- structures --------------------------------------------------------------------------------------
 
 
 def trained(machine: Machine, table: BearingTable, acting: tuple[Excitation, ...], *overrides: str) -> BearingTable:
@@ -236,7 +227,6 @@ def test_a_structure_is_respected_exactly(
 
 
 def test_bearings_alike_are_exactly_alike(rotor_of: Machine) -> None:
-    """One set of coefficients for both, from the equations of both."""
     table = table_of(rotor_of, ANISOTROPIC, ANISOTROPIC)
     found = trained(rotor_of, table, (*UNBALANCES, BACKWARD), "identify.shared=true")
     assert np.array_equal(found.values[0], found.values[1])
@@ -244,7 +234,6 @@ def test_bearings_alike_are_exactly_alike(rotor_of: Machine) -> None:
 
 
 def test_bearings_may_have_different_unknowns(rotor_of: Machine) -> None:
-    """What is not unknown at a bearing keeps its known value, to the last bit."""
     table = table_of(rotor_of, ANISOTROPIC, ISOTROPIC)
     exception = "+identify.bearings={5: {unknowns: [kxx, kyy], structure: isotropic}}"
     found = trained(rotor_of, table, (*UNBALANCES, BACKWARD), exception)
@@ -255,12 +244,8 @@ def test_bearings_may_have_different_unknowns(rotor_of: Machine) -> None:
 
 
 def test_a_structure_needs_both_of_a_pair() -> None:
-    """Half of a tied pair can't be known."""
     with pytest.raises(ValueError, match="ties cxy and cyx: both must be unknown or neither"):
         BearingUnknowns(("kxx", "cxy"), "symmetric_damping")
-
-
-# --- the preconditioned loss -------------------------------------------------------------------------
 
 
 def prepared_with(machine: Machine, *overrides: str) -> ResidualTraining:
@@ -304,9 +289,6 @@ def test_the_start_from_least_squares_is_near_the_answer(rotor_of: Machine) -> N
     assert losses[1] < 0.01 * losses[0]
 
 
-# --- noise -------------------------------------------------------------------------------------------
-
-
 def fits(machine: Machine, dataset: VibrationDataset, unknowns: UnknownSet, covariance: np.ndarray) -> LinearResidual:
     """The weighted equations of a data set."""
     return whiten(linear_residual(bearing_equations(machine.rotor, dataset), unknowns, machine.bearings), covariance)
@@ -339,7 +321,6 @@ def test_the_predicted_deviation_is_the_spread_of_noisy_fits(
 
 
 def test_what_is_free_has_an_infinite_deviation(rotor_of: Machine) -> None:
-    """No number is given for what the data do not determine."""
     table = table_of(rotor_of, ANISOTROPIC, ISOTROPIC)
     dataset = simulate(rotor_of.rotor, table, UNBALANCES)
     covariance = residual_covariance(
@@ -348,9 +329,6 @@ def test_what_is_free_has_an_infinite_deviation(rotor_of: Machine) -> None:
     equations = bearing_equations(rotor_of.rotor, dataset)
     system = linear_residual(equations, everything(table.nodes), table)
     assert np.isinf(least_squares_deviation(whiten(system, covariance))[0]).all()
-
-
-# --- excitation at a frequency of its own ------------------------------------------------------------
 
 
 def test_asynchronous_data_are_identified(machine: MachineFactory) -> None:
@@ -389,9 +367,6 @@ def test_frequencies_go_through_the_files(machine: MachineFactory, tmp_path: Pat
     blank = [",".join([*line.split(",")[:-1], ""]) if line.startswith("a,") else line for line in text]
     vibration.write_text("\n".join(blank) + "\n")
     np.testing.assert_allclose(read_dataset(vibration, excitation, made.rotor).frequencies, read.frequencies, rtol=1e-9)
-
-
-# --- the stages --------------------------------------------------------------------------------------
 
 
 def staged(stage: str, folder: Path, *overrides: str) -> Config:

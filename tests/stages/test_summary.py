@@ -44,7 +44,6 @@ def summarise(experiment: str, folder: Path) -> None:
 
 
 def test_the_results_fit_on_a_screen(experiment: str, folder: Path) -> None:
-    """40 lines of 100 columns; only a path may be longer, for it must be whole."""
     lines = (folder / "summary.txt").read_text(encoding="utf-8").splitlines()
     assert len(lines) <= LINES
     *others, last = lines
@@ -69,7 +68,6 @@ def test_the_screen_says_what_an_engineer_asks(experiment: str, folder: Path) ->
 
 
 def test_the_same_again(experiment: str, folder: Path) -> None:
-    """Over its own files it writes the same bytes, the picture too."""
     files = [folder / "summary.txt", folder / "figures" / "summary.png"]
     first = [file.read_bytes() for file in files]
     assert first[1].startswith(b"\x89PNG")

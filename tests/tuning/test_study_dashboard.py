@@ -65,9 +65,6 @@ def studied(tmp_path_factory: pytest.TempPathFactory) -> Studied:
     return Studied(config, study)
 
 
-# --- Optuna's dashboard ----------------------------------------------------------------------------
-
-
 Data = Callable[[str], Any]
 
 
@@ -121,9 +118,6 @@ def test_the_dashboard_has_the_study(dashboard: Data, studied: Studied) -> None:
         assert {"outcome", "epochs", "held_out_loss", "training_seconds"} <= attributes
     (default,) = (a["value"] for a in detail["trials"][0]["user_attrs"] if a["key"] == "note")
     assert default == "the configured default"
-
-
-# --- MLflow ----------------------------------------------------------------------------------------
 
 
 @pytest.fixture
