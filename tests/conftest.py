@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -51,6 +52,14 @@ def pytest_configure(config: pytest.Config) -> None:
     chosen = str(config.option.markexpr)
     if "nightly" in chosen and "not nightly" not in chosen:
         settings.load_profile("nightly")
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Where slow tests are left out, their modules are not even imported: that takes seconds."""
+    if "not slow" not in config.option.markexpr or collection_path.suffix != ".py":
+        return None
+    slow = re.search("^pytestmark = pytest.mark.slow", collection_path.read_text(encoding="utf-8"), re.M)
+    return True if slow else None
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -213,8 +222,10 @@ def finished(base: Config, run: Run, tmp_path_factory: pytest.TempPathFactory) -
     from running import LINE
 
     folder = tmp_path_factory.mktemp("finished") / "ball"
-    for stage in LINE:
-        run(stage, base, folder)
+    with pytest.MonkeyPatch.context() as patch:  # pictures take most of the time, and have tests of their own
+        patch.setattr("matplotlib.figure.Figure.savefig", lambda _, path, **__: path.write_bytes(b"a picture"))
+        for stage in LINE:
+            run(stage, base, folder)
     return folder
 
 

@@ -212,14 +212,13 @@ def test_a_training_that_fails_has_a_named_outcome(
 
 
 def test_a_rotor_that_ross_has_saved(run: Run, tmp_path: Path) -> None:
-    """A rotor file gives the same data as the configuration it was made from, and the bearings are found."""
+    """A rotor file gives the same data as the configuration it was made from."""
     config = few("ball_bearing")
     speeds = np.array(config.machine.speeds.rpm()) * RAD_S_PER_RPM
     file = tmp_path / "my rotor.toml"
     ross_rotor(config.machine.rotor, config.machine.bearings, speeds).save(file)
     from_file = [f"machine.rotor.file='{file}'", "machine.bearings.kind=rotor_file", "machine.rotor.bearing_nodes=[]"]
-    run("train", few("ball_bearing", *from_file), tmp_path / "file")
-    assert len(pd.read_csv(tmp_path / "file" / "identified_coefficients.csv")) == 2 * len(speeds)
+    run("generate", few("ball_bearing", *from_file), tmp_path / "file")
     run("generate", config, tmp_path / "config")
     for name in ("modelled_coefficients.csv", "excitation.csv"):
         one, other = (pd.read_csv(tmp_path / folder / name) for folder in ("file", "config"))

@@ -21,9 +21,13 @@ EXPERIMENTS = {
     "noisy_all": FEW,  # sixteen coefficients with deviations
     "measured_demo": ["machine=measured_demo_table"],  # no truth, a run that is not fitted
 }
+BY_DAY = ("ball_bearing", "measured_demo")
 
 
-@pytest.fixture(scope="module", params=EXPERIMENTS)
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(name, marks=[] if name in BY_DAY else pytest.mark.slow) for name in EXPERIMENTS],
+)
 def experiment(request: pytest.FixtureRequest) -> str:
     """The experiment's name."""
     return str(request.param)
@@ -67,6 +71,7 @@ def test_the_screen_says_what_an_engineer_asks(experiment: str, folder: Path) ->
     assert ("held-out run both_discs predicted" in text) == (experiment == "measured_demo")
 
 
+@pytest.mark.slow
 def test_the_same_again(experiment: str, folder: Path) -> None:
     files = [folder / "summary.txt", folder / "figures" / "summary.png"]
     first = [file.read_bytes() for file in files]
