@@ -236,6 +236,24 @@ def mine(finished: Path, tmp_path: Path) -> Path:
 
 
 @pytest.fixture
+def refused_by_train(run: Run, base: Config, mine: Path) -> Callable[..., None]:
+    """Training on ``files`` in place of those of ``mine`` is refused, and its output folder is not even made."""
+    from damaged import measured
+    from running import contents
+
+    def act(
+        files: dict[str, Path], *fragments: str, kind: type[PipelineError] | None = None, of: Config = base
+    ) -> None:
+        output, before = mine.parent / "output", contents(mine)
+        with refused(*fragments, kind=kind):
+            run("train", of, output, data=measured(mine, **files))
+        assert not output.exists()
+        assert contents(mine) == before
+
+    return act
+
+
+@pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with spaces in its name, and another one that commands are given in."""
     (tmp_path / "elsewhere").mkdir()

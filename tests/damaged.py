@@ -8,11 +8,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from conftest import Run, refused
-from running import FEW_SPEEDS, contents
+from running import FEW_SPEEDS
 
-from pipeline.config.schema import Config, DataConfig
-from pipeline.errors import DataError, PipelineError
+from pipeline.config.schema import DataConfig
 
 SMALL = [
     "experiment=ball_bearing",
@@ -27,23 +25,19 @@ SMALL = [
 SPEEDS = np.arange(500.0, 5501.0, 500.0)
 FILES = {"vibration": "vibration.parquet", "excitation": "excitation.csv", "known": "known_coefficients.csv"}
 Change = Callable[[pd.DataFrame], pd.DataFrame]
+Law = tuple[str, Change, str]
+"""What a sentence says that a table must have, a change of the table, and what the sentence says that came."""
+Refused = Callable[..., None]
+
+
+def loaded(path: Path) -> pd.DataFrame:
+    """A table as it is."""
+    return pd.read_parquet(path) if path.suffix == ".parquet" else pd.read_csv(path)
 
 
 def measured(folder: Path, **files: Path) -> DataConfig:
     """The data set of ``folder`` given as somebody's own files, some of them by other names."""
     return DataConfig(**{key: str(files.get(key, folder / name)) for key, name in FILES.items()})
-
-
-def refused_by_train(
-    run: Run, base: Config, folder: Path, files: dict[str, Path], *fragments: str, kind: type[PipelineError] = DataError
-) -> None:
-    """Training on ``files`` is refused, and its output folder is not even made."""
-    output = folder.parent / "output"
-    before = contents(folder)
-    with refused(*fragments, kind=kind):
-        run("train", base, output, data=measured(folder, **files))
-    assert not output.exists()
-    assert contents(folder) == before
 
 
 def stored(table: pd.DataFrame, path: Path) -> Path:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import Run, refused, with_machine
-from damaged import SMALL, measured, refused_by_train
+from damaged import SMALL, Refused, measured
 from running import contents
 
 from pipeline.__main__ import main
@@ -24,7 +24,7 @@ from pipeline.stages.measurement import load_measurement
 from pipeline.stages.results import load_identified
 
 
-def test_a_truncated_parquet_file(run: Run, base: Config, mine: Path) -> None:
+def test_a_truncated_parquet_file(base: Config, refused_by_train: Refused, mine: Path) -> None:
     """A Parquet file cut off anywhere is refused by training and by what looks at its marks."""
     rotor, path = assemble(base.machine.rotor), mine / "vibration.parquet"
     whole = path.read_bytes()
@@ -34,36 +34,34 @@ def test_a_truncated_parquet_file(run: Run, base: Config, mine: Path) -> None:
         assert origin_of(path) is None
         with refused("must be a complete Parquet file", "stage=generate"):
             read_dataset(path, mine / "excitation.csv", rotor)
-    refused_by_train(run, base, mine, {}, "must be a complete Parquet file")
+    refused_by_train({}, "must be a complete Parquet file")
 
 
-def test_an_older_schema(run: Run, base: Config, mine: Path) -> None:
+def with_marks(path: Path, marks: dict[bytes, bytes] | None) -> None:
+    """Write a Parquet file again with other marks beside its own, or with none."""
     import pyarrow.parquet as parquet
 
-    path = mine / "vibration.parquet"
     table = parquet.read_table(path)
-    marks = dict(table.schema.metadata) | {b"bearing_identification.schema": b"0"}
-    parquet.write_table(table.replace_schema_metadata(marks), path)
-    refused_by_train(run, base, mine, {}, "must have the file schema 1", "schema 0", "stage=generate")
+    parquet.write_table(table.replace_schema_metadata({} if marks is None else table.schema.metadata | marks), path)
 
 
-@pytest.mark.parametrize("change", ["schema", "rotor", "origin"])
-def test_marks_that_are_no_text(change: str, run: Run, base: Config, mine: Path) -> None:
-    import pyarrow.parquet as parquet
+def test_an_older_schema(refused_by_train: Refused, mine: Path) -> None:
+    with_marks(mine / "vibration.parquet", {b"bearing_identification.schema": b"0"})
+    refused_by_train({}, "must have the file schema 1", "schema 0", "stage=generate")
 
-    path = mine / "vibration.parquet"
-    table = parquet.read_table(path)
-    marks = dict(table.schema.metadata) | {f"bearing_identification.{change}".encode(): b"\xff\xfe"}
-    parquet.write_table(table.replace_schema_metadata(marks), path)
+
+@pytest.mark.parametrize("mark", [b"schema", b"rotor", b"origin"])
+def test_marks_that_are_no_text(mark: bytes, run: Run, base: Config, mine: Path) -> None:
+    with_marks(mine / "vibration.parquet", {b"bearing_identification." + mark: b"\xff\xfe"})
     with refused("must"):
         run("train", base, mine)
 
 
-def test_data_of_another_rotor(run: Run, base: Config, mine: Path) -> None:
+def test_data_of_another_rotor(run: Run, base: Config, refused_by_train: Refused, mine: Path) -> None:
     """Vibration that was made for another shaft is refused, also where it is given as a data set."""
     shaft = base.machine.rotor.shaft[0].model_copy(update={"outer_diameter": 0.036})
     other = with_machine(base, rotor=base.machine.rotor.model_copy(update={"shaft": (shaft,)}))
-    refused_by_train(run, other, mine, {}, "must have been made for this rotor", "made for another")
+    refused_by_train({}, "must have been made for this rotor", "made for another", of=other)
     with refused("must have been generated from the configured machine", "stage=generate"):
         run("train", other, mine)
 
@@ -80,10 +78,8 @@ def test_a_bearing_changed_since_generate(stage: str, run: Run, base: Config, mi
 
 def test_own_data_that_nobody_marked_are_never_overwritten(run: Run, base: Config, mine: Path) -> None:
     """A measured file in the experiment's folder is not replaced by a generated one."""
-    import pyarrow.parquet as parquet
-
     path = mine / "vibration.parquet"
-    parquet.write_table(parquet.read_table(path).replace_schema_metadata({}), path)
+    with_marks(path, None)
     (mine / "known_coefficients.csv").unlink()
     before = path.read_bytes()
     with suppress(PipelineError):
