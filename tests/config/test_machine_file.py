@@ -307,6 +307,7 @@ def test_a_machine_alone_has_its_name_and_an_experiment_of_its_kind(name: str) -
     rolling = config.machine.bearings.kind in ("ball", "linear")
     assert config.model.kind == ("constant" if rolling else "network")
     assert config.identify.unknowns == UNKNOWNS["rolling" if rolling else "fluid_film"]
+    assert Config.model_validate(config.model_dump()).model_copy(update={"chosen_by": config.chosen_by}) == config
 
 
 def test_jobs_of_a_multirun_over_machines() -> None:

@@ -17,8 +17,6 @@ from reading import BARE, ONE, RPM, RUNS, _mapping, parsed, read, waves, wide_ru
 
 from pipeline.__main__ import main
 from pipeline.config.compose import compose_config
-from pipeline.config.loader import options
-from pipeline.config.schema import Config
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.vibration_files import read_dataset
 from pipeline.errors import ConfigError
@@ -122,15 +120,6 @@ def test_a_configuration_that_says_too_little(case: str) -> None:
     section, words = BAD_CONFIG[case]
     with refused(words, "machine.recordings", kind=ConfigError):
         with_ingest(section)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", options("machine"))
-def test_the_machines_are_configurations(name: str) -> None:
-    """Each file of conf/machine fits the schema, and again after it was one; alone it has its own name."""
-    config = compose_config([f"machine={name}"])
-    assert config.name == name
-    assert Config.model_validate(config.model_dump()).model_copy(update={"chosen_by": config.chosen_by}) == config
 
 
 KNOWN = ["kxy", "kyx", "cxx", "cxy", "cyx", "cyy"]

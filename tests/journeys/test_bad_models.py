@@ -143,25 +143,23 @@ WEIGHTS: dict[str, Callable[[Path], object]] = {
 }
 
 
-@pytest.mark.parametrize("case", WEIGHTS)
-def test_weights_that_are_damaged(case: str, run: Run, base: Config, mine: Path) -> None:
-    WEIGHTS[case](mine / "model.safetensors")
-    with refused("must hold a complete trained model", "stage=train"):
-        run("evaluate", base, mine)
+ACCOUNTS = ["", "[]", "null", "{", '{"data_fingerprint": 1}', "[" * 100_000, "\xff"]
+HISTORIES = ["", "x,y\n1,2\n", "step,phase,loss\n1,adam,many\n", "\0\0"]
+TRAINED: list[tuple[str, Callable[[Path], object], str]] = [
+    *(("model.safetensors", damage, "must hold a complete trained model") for damage in WEIGHTS.values()),
+    *(("training.json", lambda path, text=text: path.write_text(text, encoding="latin-1"), "") for text in ACCOUNTS),
+    *(("history.csv", lambda path, text=text: path.write_text(text), "") for text in HISTORIES),
+]
 
 
-@pytest.mark.parametrize("text", ["", "[]", "null", "{", '{"data_fingerprint": 1}', "[" * 100_000, "\xff"])
-def test_an_account_of_training_that_is_damaged(text: str, run: Run, base: Config, mine: Path) -> None:
-    (mine / "training.json").write_text(text, encoding="latin-1")
-    with refused("training.json", "must"):
-        run("evaluate", base, mine)
-
-
-@pytest.mark.parametrize("text", ["", "x,y\n1,2\n", "step,phase,loss\n1,adam,many\n", "\0\0"])
-def test_a_history_that_is_damaged(text: str, run: Run, base: Config, mine: Path) -> None:
-    (mine / "history.csv").write_text(text)
+@pytest.mark.parametrize(("name", "damage", "words"), TRAINED)
+def test_a_file_of_training_that_is_damaged(
+    name: str, damage: Callable[[Path], object], words: str, run: Run, base: Config, mine: Path
+) -> None:
+    """Weights, account or history of another model, or of none, are refused before metrics are written."""
+    damage(mine / name)
     before = contents(mine)
-    with refused("history.csv", "must"):
+    with refused("must", words, "stage=train" if words else name):
         run("evaluate", base, mine)
     assert contents(mine) == before
 

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import Artifacts
+from conftest import Artifacts, Run
 
 from pipeline.config.compose import compose_config
 from pipeline.config.loader import options
 from pipeline.evaluation.thresholds import check_experiment, read_rules
-from pipeline.stages import check, run_stage
+from pipeline.stages import check
 
 pytestmark = pytest.mark.slow
 
@@ -44,12 +44,6 @@ THRESHOLDS = options("thresholds")
 """Experiments that are held to something."""
 DATA_OF = ("vibration.parquet", "excitation.csv", "known_coefficients.csv")
 """What training reads."""
-
-
-def run(stage: str, experiment: str, folder: Path, *overrides: str) -> None:
-    """One stage of an experiment in ``folder``."""
-    given = [f"experiment={experiment}", f"stage={stage}", "tracking=none", f"output='{folder}'"]
-    run_stage(compose_config([*given, *overrides]))
 
 
 def shown(what: str, values: dict[str, float], bar: float) -> float:
@@ -104,10 +98,10 @@ def test_every_other_start_reaches_the_bar(experiment: str, coefficient: str, ar
     assert told == pytest.approx(values.max())
 
 
-def test_constants_do_not_depend_on_the_seed(artifacts: Artifacts, tmp_path: Path) -> None:
+def test_constants_do_not_depend_on_the_seed(artifacts: Artifacts, run: Run, tmp_path: Path) -> None:
     """Ball bearings have no random start: another seed trains the same bits."""
     other = artifacts.copied("ball_bearing", DATA_OF, tmp_path / "x")
-    run("train", "ball_bearing", other, "seed=5")
+    run("train", ["experiment=ball_bearing", "seed=5"], other)
     names = ("model.safetensors", "identified_coefficients.csv")
     folder = artifacts("ball_bearing", *names)
     for name in names:
@@ -163,11 +157,11 @@ def test_table_1_is_the_papers(artifacts: Artifacts) -> None:
 
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
-def test_training_again_gives_the_same_bits(experiment: str, artifacts: Artifacts, tmp_path: Path) -> None:
+def test_training_again_gives_the_same_bits(experiment: str, artifacts: Artifacts, run: Run, tmp_path: Path) -> None:
     """The full training, once more from its data and in another process, writes the same model and coefficients."""
     names = ["model.safetensors", "model.json", "identified_coefficients.csv", "training.json", "history.csv"]
     folder, again = artifacts(experiment, *names), artifacts.copied(experiment, DATA_OF, tmp_path / "x")
-    run("train", experiment, again)
+    run("train", [f"experiment={experiment}"], again)
     assert [name for name in names if (again / name).read_bytes() != (folder / name).read_bytes()] == []
 
 
@@ -181,10 +175,10 @@ def judged(artifacts: Artifacts, tmp_path: Path) -> Path:
 
 
 def test_check_passes_on_what_the_graph_made(
-    judged: Path, artifacts: Artifacts, capsys: pytest.CaptureFixture[str]
+    run: Run, judged: Path, artifacts: Artifacts, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """`stage=check`: no committed threshold is passed. This is what fails CI when accuracy gets worse."""
-    run("check", "ball_bearing", judged / "ball_bearing")  # SystemExit(1) otherwise
+    run("check", ["experiment=ball_bearing"], judged / "ball_bearing")  # SystemExit(1) otherwise
     said = capsys.readouterr().out
     print(said)
     assert "metrics hold" in said
@@ -193,7 +187,7 @@ def test_check_passes_on_what_the_graph_made(
     assert json.loads((judged / "check.json").read_text(encoding="utf-8")) == artifacts.read(".", "check")
 
 
-def test_check_fails_where_one_metric_got_worse(judged: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_fails_where_one_metric_got_worse(run: Run, judged: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """With one metric ten thousand times as large, the same check names it and exits with 1."""
     path = judged / "hydrostatic_damping" / "metrics.json"
     metrics = json.loads(path.read_text(encoding="utf-8"))
@@ -201,7 +195,7 @@ def test_check_fails_where_one_metric_got_worse(judged: Path, capsys: pytest.Cap
     of["cxx"]["mean_error_percent"] *= 1e4
     path.write_text(json.dumps(metrics), encoding="utf-8")
     with pytest.raises(SystemExit) as stop:
-        run("check", "ball_bearing", judged / "ball_bearing")
+        run("check", ["experiment=ball_bearing"], judged / "ball_bearing")
     assert stop.value.code == 1
     said = capsys.readouterr()
     assert said.out.count("FAILED") == 1

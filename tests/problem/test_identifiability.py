@@ -11,11 +11,10 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
-from conftest import Machine, MachineFactory, bearings_of
+from conftest import Machine, MachineFactory, Run, bearings_of
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.compose import compose_config
-from pipeline.config.schema import Config
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.data.noise import NoiseModel
 from pipeline.data.simulate import simulate, with_noise
@@ -34,7 +33,6 @@ from pipeline.problem.residual import (
     per_speed_least_squares,
 )
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.stages import run_stage
 from pipeline.unknowns import BearingUnknowns, UnknownSet, unknown_set
 
 EIGHT = "identify.unknowns=[kxx,kxy,kyx,kyy,cxx,cxy,cyx,cyy]"
@@ -369,21 +367,13 @@ def test_frequencies_go_through_the_files(machine: MachineFactory, tmp_path: Pat
     np.testing.assert_allclose(read_dataset(vibration, excitation, made.rotor).frequencies, read.frequencies, rtol=1e-9)
 
 
-def staged(stage: str, folder: Path, *overrides: str) -> Config:
-    """Run a stage of an experiment in a folder."""
-    given = [f"stage={stage}", "tracking=none", f"output='{folder}'", *overrides]
-    config = compose_config(given)
-    run_stage(config)
-    return config
-
-
 @pytest.mark.slow
-def test_diagnose_writes_its_account(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_diagnose_writes_its_account(run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """JSON, a table with a row a bearing and speed, a figure; the verdict. No modelled coefficient is read."""
     chosen = ("experiment=compressor_journal_and_isotropic", "machine.speeds.step_rpm=300")
-    staged("generate", tmp_path / "my data", *chosen)
+    run("generate", chosen, tmp_path / "my data")
     (tmp_path / "my data" / "modelled_coefficients.csv").unlink()
-    staged("diagnose", tmp_path / "my data", *chosen)
+    run("diagnose", chosen, tmp_path / "my data")
     said = capsys.readouterr().out
     assert "bearing at node 8: not identifiable, because" in said
     assert "bearing at node 21: identifiable" in said
@@ -398,24 +388,24 @@ def test_diagnose_writes_its_account(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 
 @pytest.mark.slow
-def test_training_of_what_is_not_identifiable(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_training_of_what_is_not_identifiable(run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """It stops with the sentence, and force=true goes on with the same sentence as a line."""
     chosen = ("experiment=compressor_journal_and_isotropic", "machine.speeds.step_rpm=300")
     with pytest.raises(IdentifiabilityError, match=r"node 8: not identifiable, .*rank 1 of 2.*force=true"):
-        staged("train", tmp_path / "x", *chosen)
+        run("train", chosen, tmp_path / "x")
     assert not (tmp_path / "x" / "model.json").exists()
-    staged("train", tmp_path / "x", *chosen, "force=true", "optimizer.levenberg_marquardt.steps=2")
+    run("train", [*chosen, "force=true", "optimizer.levenberg_marquardt.steps=2"], tmp_path / "x")
     assert "bearing at node 8: not identifiable" in capsys.readouterr().out
     assert (tmp_path / "x" / "model.json").exists()
 
 
 @pytest.mark.slow
 def test_design_beats_the_papers_runs_and_simulations_confirm_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The worst deviation falls at least 3 times; 200 noisy fits at 0.1 % give the same ratio within 20 %."""
     folder = tmp_path / "my design"
-    staged("design", folder, "experiment=all_coefficients")
+    run("design", ["experiment=all_coefficients"], folder)
     summary = json.loads((folder / "design.json").read_text())
     print(f"gain {summary['gain']:.3g}, in simulations {summary['simulated_gain']:.3g}")
     assert summary["stated_noise"] == {"additive": 0.0, "multiplicative": 0.001}
@@ -426,15 +416,15 @@ def test_design_beats_the_papers_runs_and_simulations_confirm_it(
 
 
 @pytest.mark.slow
-def test_a_design_can_be_used_at_once(tmp_path: Path) -> None:
+def test_a_design_can_be_used_at_once(run: Run, tmp_path: Path) -> None:
     """``machine.runs_file`` takes it; a file that holds something else is refused by name."""
     few = ("experiment=all_coefficients", "machine.speeds.step_rpm=500", "design.speeds=5", "design.simulations=0")
-    staged("design", tmp_path / "a", *few)
+    run("design", few, tmp_path / "a")
     file = tmp_path / "a" / "designed_excitation.yaml"
     config = compose_config(["experiment=all_coefficients", f"machine.runs_file='{file}'"])
     assert [run.name for run in config.machine.runs] == json.loads((tmp_path / "a" / "design.json").read_text())["runs"]
     assert config.machine.speeds.step_rpm == 500
-    staged("generate", tmp_path / "b", "experiment=all_coefficients", f"machine.runs_file='{file}'")
+    run("generate", ["experiment=all_coefficients", f"machine.runs_file='{file}'"], tmp_path / "b")
     (tmp_path / "c.yaml").write_text("- 1")
     with pytest.raises(ConfigError, match=r"machine\.runs_file must have speeds and runs"):
         compose_config([f"machine.runs_file='{tmp_path / 'c.yaml'}'"])

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from conftest import Run
 
 from pipeline.config.compose import compose_config
 from pipeline.reporting.summary_text import WIDTH, engineering
-from pipeline.stages import run_stage
 
 LINES = 40
 FEW = [
@@ -34,17 +34,11 @@ def experiment(request: pytest.FixtureRequest) -> str:
 
 
 @pytest.fixture(scope="module")
-def folder(experiment: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(experiment: str, run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The artifacts after ``stage=summary`` alone."""
     made = tmp_path_factory.mktemp(experiment)
-    summarise(experiment, made)
+    run("summary", [f"experiment={experiment}", *EXPERIMENTS[experiment]], made)
     return made
-
-
-def summarise(experiment: str, folder: Path) -> None:
-    """Run the stage."""
-    overrides = ["stage=summary", f"experiment={experiment}", "tracking=none", f"output='{folder}'"]
-    run_stage(compose_config([*overrides, *EXPERIMENTS[experiment]]))
 
 
 def test_the_results_fit_on_a_screen(experiment: str, folder: Path) -> None:
@@ -72,11 +66,11 @@ def test_the_screen_says_what_an_engineer_asks(experiment: str, folder: Path) ->
 
 
 @pytest.mark.slow
-def test_the_same_again(experiment: str, folder: Path) -> None:
+def test_the_same_again(experiment: str, run: Run, folder: Path) -> None:
     files = [folder / "summary.txt", folder / "figures" / "summary.png"]
     first = [file.read_bytes() for file in files]
     assert first[1].startswith(b"\x89PNG")
-    summarise(experiment, folder)
+    run("summary", [f"experiment={experiment}", *EXPERIMENTS[experiment]], folder)
     assert [file.read_bytes() for file in files] == first
 
 
