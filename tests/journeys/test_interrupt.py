@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import ANSWER, DATA, Run
-from running import names_in
+from running import FEW_SPEEDS, names_in
 
 from pipeline.config.compose import compose_config
 from pipeline.config.schema import Config
@@ -33,7 +33,7 @@ ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT), "TERM": "xterm", "COLUMNS":
 COARSE = [
     "experiment=ball_bearing",
     "tracking=none",
-    *(f"machine.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=500")),
+    *FEW_SPEEDS,
     "robustness.count=3",
 ]
 LONG = ["optimizer=adam", "optimizer.adam.steps=100000000", "optimizer.adam.patience=100000000"]

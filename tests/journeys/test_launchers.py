@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import ANSWER, DATA
-from running import python
+from running import FEW_SPEEDS, python
 
 from pipeline.__main__ import main
 from pipeline.identification.storage import load_model
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.slow
 
 CHEAP = [
     "tracking=none",
-    *(f"machine.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=500")),
+    *FEW_SPEEDS,
     *("optimizer.adam.steps=10", "optimizer.levenberg_marquardt.steps=0"),
 ]
 # As a network of the speed, which begins elsewhere for each seed; single parameters all begin at the same guess.

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from running import FEW_SPEEDS
 
 from pipeline.config.compose import compose_config
 from pipeline.config.schema import Config
@@ -27,7 +28,7 @@ pytestmark = pytest.mark.slow
 STUDY = [
     "experiment=ball_bearing",
     "stage=tune",
-    *(f"machine.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=500")),
+    *FEW_SPEEDS,
     # So few steps that the losses of the trials differ.
     *("optimizer.adam.steps=60", "optimizer.levenberg_marquardt.steps=3"),
     *("tuning.space.adam_epochs.high=150", "tuning.space.lbfgs_epochs.high=40"),

@@ -81,13 +81,6 @@ def configured(**tuning: Any) -> Config:
     return validated(mapping | {"stage": "tune", "tuning": mapping["tuning"] | tuning})
 
 
-@pytest.mark.parametrize("mistake", BAD_SPACES)
-def test_a_mistake_in_the_search_space(mistake: str) -> None:
-    space, fragments = BAD_SPACES[mistake]
-    with refused(*fragments):
-        configured(space=space)
-
-
 BAD_VALUES = [
     ({"sampler": "tpee"}, ["tuning.sampler: must be one of these, but got 'tpee'", "did you mean 'tpe'?"]),
     ({"pruner": "medain"}, ["tuning.pruner: must be one of these", "did you mean 'median'?"]),
@@ -105,8 +98,11 @@ BAD_VALUES = [
 ]
 
 
-@pytest.mark.parametrize(("tuning", "fragments"), BAD_VALUES)
-def test_a_mistake_in_another_value_of_a_study(tuning: dict[str, Any], fragments: list[str]) -> None:
+@pytest.mark.parametrize(
+    ("tuning", "fragments"), [*(({"space": space}, words) for space, words in BAD_SPACES.values()), *BAD_VALUES]
+)
+def test_a_mistake_in_a_study(tuning: dict[str, Any], fragments: list[str]) -> None:
+    """It is answered before anything runs, by a sentence that names the dimension or the key."""
     with refused(*fragments):
         configured(**tuning)
 
