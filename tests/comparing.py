@@ -5,20 +5,13 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
+from running import composed
 
 from pipeline.comparison.cases import Case, Machine, take_measurement
-from pipeline.config.compose import compose_config
-from pipeline.config.schema import Config
 from pipeline.methods.catalogue import METHODS
 from pipeline.methods.method import Estimate, MethodOptions
 from pipeline.problem.measurement import Measurement
 from pipeline.stages.compare import build_machine
-
-
-@cache
-def composed(*overrides: str) -> Config:
-    """Composing takes longer than most methods."""
-    return compose_config(overrides)
 
 
 @cache

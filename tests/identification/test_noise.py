@@ -50,7 +50,6 @@ def test_the_error_of_a_hundred_data_sets_is_that_of_the_bound(experiment: str, 
 
 @pytest.mark.parametrize("experiment", BARS)
 def test_a_typical_data_set_reaches_the_bar(experiment: str, artifacts: Artifacts) -> None:
-    """The median over a hundred data sets of the median error over speed."""
     errors = flat(artifacts.read(experiment, "robustness")["coefficients"], "median_error_percent")
     print(experiment, errors)
     assert max(errors.values()) <= BARS[experiment]
@@ -127,5 +126,4 @@ def test_the_error_falls_in_proportion_to_the_noise(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("experiment", BARS)
 def test_the_fit_converged(experiment: str, artifacts: Artifacts) -> None:
-    """By itself, not by its budget; sixteen unknowns at 591 speeds as well as four."""
     assert artifacts.read(experiment, "training")["outcome"] == "converged"

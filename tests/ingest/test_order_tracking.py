@@ -87,9 +87,6 @@ def tracked(shaft: Shaft, signals: Signals, rpm: np.ndarray, settings: Settings 
     return fit_sweep(signals, rpm * RPM, settings or Settings())
 
 
-# --- the bar ----------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("rpm", [437.0, 1503.0, 1997.0, 5981.0])
 @pytest.mark.parametrize("rate", [5000.0, 10000.0])
 def test_constant_speed_at_one_percent_noise(rate: float, rpm: float, rng: np.random.Generator) -> None:
@@ -146,7 +143,6 @@ def test_a_tacho_with_sharp_edges(rng: np.random.Generator) -> None:
 
 
 def test_without_noise_the_answer_is_exact(rng: np.random.Generator) -> None:
-    """What the window leaves is far below the bar where nothing hides it."""
     shaft = Shaft(5000.0, 600.0, 6000.0, 30.0)
     exact = Signals(shaft.time, shaft.signals(0.0, rng), _Exact(shaft), "x")
     amplitude, phase = errors(tracked(shaft, exact, GRID[::5]), shaft.vectors(GRID[::5]))
@@ -201,7 +197,6 @@ def test_two_x_does_not_leak_where_it_is_fitted(rng: np.random.Generator) -> Non
 
 
 def test_a_held_speed_in_a_run_up(rng: np.random.Generator) -> None:
-    """Where the speed is held for a while, the vector there is as good as elsewhere."""
     rate, t = 5000.0, np.arange(5000 * 30) / 5000.0
     rpm = np.interp(t, [0, 10, 20, 30], [900.0, 1500.0, 1500.0, 2100.0])
     phi = np.cumsum(rpm) * RPM / rate
@@ -214,9 +209,6 @@ def test_a_held_speed_in_a_run_up(rng: np.random.Generator) -> None:
     amplitude, phase = errors(fit_sweep(Signals(t, values, angle, "x"), wanted, Settings())[:, 0], np.full(4, true))
     assert amplitude.max() < 0.2
     assert phase.max() < 0.2
-
-
-# --- pulses -------------------------------------------------------------------------------------------
 
 
 def test_pulse_times_are_interpolated(rng: np.random.Generator) -> None:
@@ -251,7 +243,6 @@ def test_a_run_up_from_standstill_has_regular_pulses() -> None:
 
 
 def test_noise_on_the_levels_makes_no_pulses(rng: np.random.Generator) -> None:
-    """The hysteresis is passed by pulses only."""
     shaft = Shaft(5000.0, 900.0, 900.0, 4.0)
     noisy = shaft.tacho(rng) + 0.4 * rng.standard_normal(len(shaft.time))
     assert len(find_pulses(shaft.time, noisy, "rising", None, None, "x").times) == 60
@@ -315,7 +306,6 @@ BAD: dict[str, tuple[Bad, str]] = {
 
 @pytest.mark.parametrize("case", BAD)
 def test_what_can_not_be_tracked_is_refused(case: str, rng: np.random.Generator) -> None:
-    """A sentence with the record's name, what is wrong with it, and what to do."""
     act, words = BAD[case]
     with pytest.raises(DataError) as caught:
         act(rng)

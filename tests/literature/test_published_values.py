@@ -24,8 +24,6 @@ from pipeline.rotor.ross_adapter import assemble, bearing_table
 from pipeline.twin.modes import find_modes, measure_stability
 from pipeline.units import RAD_S_PER_RPM
 
-# --- ball bearing ---------------------------------------------------------------------------------
-
 
 @pytest.mark.slow
 def test_ball_bearing_stiffness() -> None:
@@ -37,8 +35,6 @@ def test_ball_bearing_stiffness() -> None:
     assert not table.coefficient("kxy").any()
     assert not table.coefficient("kyx").any()
 
-
-# --- Friswell's oil bearing and rotor --------------------------------------------------------------
 
 FRISWELL_BEARING = CylindricalBearingConfig.model_validate(
     {
@@ -84,8 +80,6 @@ def test_friswells_rotor_is_unstable_from_2100_rpm() -> None:
     assert (modes.growth > 0).tolist() == [False] * 5 + [True] * 3
     assert not measure_stability(modes).stable
 
-
-# --- the compressor rotor of DTU -------------------------------------------------------------------
 
 SHAFT_MM = [
     *[(25, 30), (40, 65), (35, 70), (40, 70), (50, 70), (50, 70), (55, 90), (60, 99.6), (60, 99.6)],

@@ -41,9 +41,6 @@ def dense(rotor: RotorModel, impedance: np.ndarray | None, frequencies: np.ndarr
     return np.array(matrices)
 
 
-# --- ROSS ----------------------------------------------------------------------------------------
-
-
 def ross_responses(machine: Machine, speeds: np.ndarray) -> np.ndarray:
     """(S, n, R) responses that ROSS computes: six DOF a node, of which 0, 1, 3, 4 are x, y, alpha, beta."""
     rotor = ross_rotor(machine.config.machine.rotor, machine.config.machine.bearings, speeds)
@@ -113,8 +110,6 @@ def test_response_equals_ross_on_finer_meshes(experiment: str) -> None:
     assert made.rotor.n_nodes == 25
     assert_equals_ross(made)
 
-
-# --- closed forms --------------------------------------------------------------------------------
 
 JEFFCOTT = {"length": 1.0, "diameter": 0.02, "mass": 10.0}
 SHAFT_STIFFNESS = 48 * STEEL["youngs_modulus"] * (math.pi * 0.02**4 / 64) / 1.0**3  # 48 E I / L^3, N/m
@@ -192,8 +187,6 @@ def test_beam_frequencies_converge_with_the_fourth_power_of_the_element_length()
     rates = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
     assert rates == pytest.approx(np.full((2, 2), 4.0), abs=0.1)
 
-
-# --- laws ----------------------------------------------------------------------------------------
 
 AMPLITUDES = st.floats(1e-6, 1e-2)
 PHASES = st.floats(-math.pi, math.pi)
@@ -282,9 +275,6 @@ def test_reciprocity(hydrostatic: Machine) -> None:
     opposite = receptance(rotor, w, -w, film.mT.copy())
     assert np.abs(spinning.mT - opposite).max() < 1e-10 * np.abs(spinning).max()
     assert np.abs(spinning - spinning.mT).max() > 1e-2 * np.abs(spinning).max()
-
-
-# --- the band solve and its dense twin -----------------------------------------------------------
 
 
 def test_band_solve_equals_the_dense_one(hydrostatic: Machine, rng: np.random.Generator) -> None:

@@ -31,9 +31,6 @@ def system(rotor: RotorModel, bearings: BearingTable, s: int) -> tuple[np.ndarra
     return stiffness, damping
 
 
-# --- modes ---------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", ["hydrostatic", "ball"])
 def test_modes_equal_those_of_the_dense_pencil(name: str, request: pytest.FixtureRequest) -> None:
     """Oracle: scipy's generalised eigenvalues of the pencil (A, B), no mass inverted, at three speeds."""
@@ -126,9 +123,6 @@ def test_gyroscopic_splitting(hydrostatic: Machine) -> None:
     assert (forward[1::2] / forward[0::2] - 1 > 1e-3).any()
 
 
-# --- critical speeds -----------------------------------------------------------------------------
-
-
 def test_critical_speeds_of_the_ball_bearing_rotor(machine: MachineFactory) -> None:
     """Direct method: without damping D(w) = K - w^2 (M - j G), so that the critical speeds are eigenvalues of
     K q = w^2 (M - j G) q; two lie near 3800 rpm.
@@ -191,11 +185,7 @@ def test_speed_exactly_on_the_line(critical: float) -> None:
 
 
 def test_one_speed_has_no_crossing() -> None:
-    """A measurement at a single speed tells of no crossing, and breaks nothing."""
     assert find_critical_speeds(made_modes(np.array([50.0]), np.array([60.0]))) == []
-
-
-# --- stability -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("share", "stable"), [(0.0, True), (0.95, True), (1.05, False), (-1.05, False)])
@@ -231,9 +221,6 @@ def test_margin_says_where(hydrostatic: Machine) -> None:
     below = modes.frequency <= 2 * modes.speeds.max()
     assert margin.smallest_logarithmic_decrement == modes.logarithmic_decrement[below].min()
     assert margin.largest_growth == modes.growth.max()
-
-
-# --- vibration -----------------------------------------------------------------------------------
 
 
 @given(
