@@ -80,9 +80,9 @@ class _Ready:
 
         from pipeline.data.sensors import Sensors, list_directions, measure
         from pipeline.data.simulate import simulate
-        from pipeline.stages.generate import excitations
+        from pipeline.stages.generate import configure_excitations
 
-        clean = simulate(self.measurement.rotor, self.modelled, excitations(self.config))
+        clean = simulate(self.measurement.rotor, self.modelled, configure_excitations(self.config))
         sensors = Sensors(list_directions(self.measurement.rotor.bearing_nodes), multiplicative=0.01)
         generator = np.random.default_rng(0)
         return lambda: replace(self.measurement, dataset=measure(clean, sensors, generator))

@@ -1,4 +1,4 @@
-"""What is dear to make and cheap to keep: files under the hash of everything that they are made from.
+"""Results that cost much to make and little to keep: files under the hash of everything that they are made from.
 
 All experiments share it. It lies in the checkout (``.cache/``), which git ignores; it may be deleted at any time, and
 one that can't be written only costs time.
@@ -28,7 +28,7 @@ def hash_parts(*parts: bytes | str) -> str:
 
 
 def path_of(kind: str, key: str) -> Path:
-    """Where the entry ``key`` of a ``kind`` lies, or would."""
+    """Return the path of the entry ``key`` of a ``kind``, which may not be there."""
     return FOLDER / kind / key
 
 
@@ -42,12 +42,8 @@ def look_up(kind: str, key: str) -> bytes | None:
 
 def keep(kind: str, key: str, content: bytes) -> None:
     """Keep ``content`` under ``key``. Nothing is raised where that can't be done."""
-
-    def write(beside: Path) -> None:
-        beside.write_bytes(content)
-
     with contextlib.suppress(StorageError, OSError):
-        write_beside(path_of(kind, key), write)
+        write_beside(path_of(kind, key), lambda beside: beside.write_bytes(content))
         entries = sorted((FOLDER / kind).iterdir(), key=lambda entry: entry.stat().st_mtime)
         for entry in entries[:-_MOST]:
             entry.unlink(missing_ok=True)

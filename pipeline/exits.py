@@ -1,4 +1,4 @@
-"""How a command ends: what went wrong in one sentence, and the exit code."""
+"""A command ends with its exit code, and with one sentence where something went wrong."""
 
 from __future__ import annotations
 

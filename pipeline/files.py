@@ -13,7 +13,7 @@ from typing import Any
 from pipeline.errors import DataError, StorageError
 
 
-def write_beside(path: Path, write: Callable[[Path], None]) -> Path:
+def write_beside(path: Path, write: Callable[[Path], object]) -> Path:
     """Let ``write`` make the file under a temporary name in the same folder, then rename it to ``path``.
 
     Raises StorageError (full disk, read-only folder, a file where a folder should be); nothing is left
@@ -40,11 +40,7 @@ def write_beside(path: Path, write: Callable[[Path], None]) -> Path:
 
 def write_text(path: Path, text: str) -> Path:
     """Write ``text`` in UTF-8. Raises StorageError."""
-    return write_beside(path, lambda beside: _write(beside, text))
-
-
-def _write(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")
+    return write_beside(path, lambda beside: beside.write_text(text, encoding="utf-8"))
 
 
 def write_json(path: Path, value: Mapping[str, Any]) -> Path:

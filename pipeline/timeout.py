@@ -11,7 +11,10 @@ _T = TypeVar("_T")
 
 
 def run_within(seconds: float, function: Callable[[], _T]) -> _T:
-    """What ``function`` returns or raises, or a :class:`TimeoutError`; its thread is then left to itself."""
+    """Return what ``function`` returns, or raise what it raises; after ``seconds``, raise :class:`TimeoutError`.
+
+    The thread of a function that takes too long is left to itself.
+    """
     answer: Future[_T] = Future()
 
     def work() -> None:

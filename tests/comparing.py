@@ -5,32 +5,25 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
+from running import composed
 
-from pipeline.comparison.cases import Case, Machine, measurement_of
-from pipeline.config.compose import compose_config
-from pipeline.config.schema import Config
+from pipeline.comparison.cases import Case, Machine, take_measurement
 from pipeline.methods.catalogue import METHODS
 from pipeline.methods.method import Estimate, MethodOptions
 from pipeline.problem.measurement import Measurement
-from pipeline.stages.compare import modelled_machine
-
-
-@cache
-def composed(*overrides: str) -> Config:
-    """Composing takes longer than most methods."""
-    return compose_config(overrides)
+from pipeline.stages.compare import build_machine
 
 
 @cache
 def machine(*overrides: str) -> Machine:
     """The modelled machine of an experiment."""
-    return modelled_machine(composed(*overrides))
+    return build_machine(composed(*overrides))
 
 
 def task(case: Case, *overrides: str) -> Measurement:
     """What a method sees of a case."""
     config = composed(*overrides)
-    return measurement_of(machine(*overrides), case, config.identify, config.comparison)
+    return take_measurement(machine(*overrides), case, config.identify, config.comparison)
 
 
 def options(*overrides: str) -> MethodOptions:

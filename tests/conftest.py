@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -53,24 +54,26 @@ def pytest_configure(config: pytest.Config) -> None:
         settings.load_profile("nightly")
 
 
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Where slow tests are left out, their modules are not even imported: that takes seconds."""
+    if "not slow" not in config.option.markexpr or collection_path.suffix != ".py":
+        return None
+    slow = re.search("^pytestmark = pytest.mark.slow", collection_path.read_text(encoding="utf-8"), re.M)
+    return True if slow else None
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """With more examples, a test of examples is one of the nightly ones."""
-    if settings.get_current_profile_name() != "nightly":
-        return
+    """What lies in nightly/ is nightly; with more examples, so is a test of examples."""
+    more = settings.get_current_profile_name() == "nightly"
     for item in items:
-        if getattr(getattr(item, "obj", None), "is_hypothesis_test", False):
+        if item.path.parent.name == "nightly" or (more and getattr(item.obj, "is_hypothesis_test", False)):
             item.add_marker("nightly")
 
 
 def examples(count: int) -> settings:
     """``count`` examples, and ten times as many where the profile is the nightly one."""
     return settings(max_examples=count * settings().max_examples // 100)
-
-
-def at_night(*values: object) -> list[Any]:
-    """Parameters that `-m nightly` tries, beside those of every day."""
-    return [pytest.param(value, marks=pytest.mark.nightly) for value in values]
 
 
 DATA = {"vibration.parquet", "excitation.csv", "known_coefficients.csv", "modelled_coefficients.csv"}
@@ -83,6 +86,7 @@ ANSWER = {
 
 
 MachineFactory = Callable[..., Machine]
+Run = Callable[..., "Config"]
 
 
 def bearings_of(nodes: tuple[int, ...], speeds: np.ndarray, **coefficients: float) -> BearingTable:
@@ -162,7 +166,102 @@ def one_thread() -> Iterator[None]:
     torch.set_num_threads(before)
 
 
-# --- what the graph made ---------------------------------------------------------------------------
+@pytest.fixture(scope="session")
+def run() -> Run:
+    """``run(stage, of, folder)``: a stage of a configuration, or of overrides, in a folder; its configuration.
+
+    Keywords are sections that take the place of the configuration's own.
+    """
+    from running import composed
+
+    from pipeline.stages import run_stage
+
+    def run_in(stage: str, of: Config | Sequence[str], folder: Path, **sections: object) -> Config:
+        config = of if hasattr(of, "model_copy") else composed("tracking=none", *of)
+        config = config.model_copy(update={"stage": stage, "output": str(folder)} | sections)
+        run_stage(config)
+        return config
+
+    return run_in
+
+
+class Made:
+    """``made(experiment)``: the folder of an experiment of which every stage has run; not to be written to."""
+
+    def __init__(self, run: Run, root: Path) -> None:
+        self.run, self.root = run, root
+
+    def __call__(self, experiment: str) -> Path:
+        """Run with few speeds and steps, once."""
+        from running import LINE, few
+
+        folder = self.root / experiment
+        for stage in LINE if not folder.exists() else ():
+            self.run(stage, few(experiment), folder)
+        return folder
+
+
+@pytest.fixture(scope="session")
+def made(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Made:
+    """The experiments run so far, each once."""
+    return Made(run, tmp_path_factory.mktemp("made"))
+
+
+@pytest.fixture(scope="session")
+def base() -> Config:
+    """Two ball bearings, eleven speeds, two runs, few steps."""
+    from damaged import SMALL
+    from running import composed
+
+    return composed(*SMALL)
+
+
+@pytest.fixture(scope="session")
+def finished(base: Config, run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder in which every stage of ``base`` has run."""
+    from running import LINE
+
+    folder = tmp_path_factory.mktemp("finished") / "ball"
+    with pytest.MonkeyPatch.context() as patch:  # pictures take most of the time, and have tests of their own
+        patch.setattr("matplotlib.figure.Figure.savefig", lambda _, path, **__: path.write_bytes(b"a picture"))
+        for stage in LINE:
+            run(stage, base, folder)
+    return folder
+
+
+@pytest.fixture
+def mine(finished: Path, tmp_path: Path) -> Path:
+    """A copy of the finished folder, to be damaged."""
+    return Path(shutil.copytree(finished, tmp_path / "my messung ü"))
+
+
+@pytest.fixture
+def refused_by_train(run: Run, base: Config, mine: Path) -> Callable[..., None]:
+    """Training on ``files`` in place of those of ``mine`` is refused, and its output folder is not even made."""
+    from damaged import measured
+    from running import contents
+
+    def act(
+        files: dict[str, Path], *fragments: str, kind: type[PipelineError] | None = None, of: Config = base
+    ) -> None:
+        output, before = mine.parent / "output", contents(mine)
+        with refused(*fragments, kind=kind):
+            run("train", of, output, data=measured(mine, **files))
+        assert not output.exists()
+        assert contents(mine) == before
+
+    return act
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with spaces in its name, and another one that commands are given in."""
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    made = tmp_path / "my rig, übersee"
+    made.mkdir()
+    return made
+
 
 ARTIFACTS = Path(__file__).resolve().parents[1] / "artifacts"
 
@@ -199,9 +298,6 @@ class Artifacts:
 def artifacts() -> Artifacts:
     """``artifacts(experiment, files)``: the folder of what the graph made for an experiment."""
     return Artifacts(ARTIFACTS)
-
-
-# --- studies ---------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="session")
@@ -252,9 +348,6 @@ def undisturbed(
         return known[key]
 
     return trials
-
-
-# --- global state --------------------------------------------------------------------------------
 
 
 @pytest.fixture(autouse=True)
@@ -313,12 +406,12 @@ def _global_state() -> dict[str, Any]:
 
 
 @contextmanager
-def refused(*fragments: str, kind: type[PipelineError] | None = None) -> Iterator[None]:
+def refused(*fragments: str, kind: type[PipelineError] | None = None) -> Iterator[pytest.ExceptionInfo[Exception]]:
     """The block must end in an error of ours (a DataError if nothing is said) whose text has all ``fragments``."""
     from pipeline.errors import DataError
 
     with pytest.raises(kind or DataError) as caught:
-        yield
+        yield caught
     sentence = str(caught.value)
     assert [fragment for fragment in fragments if fragment not in sentence] == [], sentence
     assert "Traceback" not in sentence

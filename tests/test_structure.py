@@ -115,9 +115,6 @@ def step_of(name: str) -> int:
     return room_of(name.removeprefix("pipeline."))
 
 
-# --- one straight line -----------------------------------------------------------------------------
-
-
 def test_every_module_has_a_place_on_the_line() -> None:
     """A new package of the pipeline must be put on the straight line, or this test would not watch it."""
     parts = {Path(file).parts[0].removesuffix(".py") for file in sources()} - {"__init__"}
@@ -157,13 +154,9 @@ def test_no_circle_of_imports() -> None:
 
 
 def test_the_picture_of_the_house_has_no_import_to_the_right() -> None:
-    """docs/house.py draws what the test above holds."""
     counts = count_imports()
     assert sum(map(sum, counts)) > 300
     assert not any(row[j] for i, row in enumerate(counts) for j in range(i + 1, len(row)))
-
-
-# --- walls -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("package", HOMES)
@@ -174,19 +167,6 @@ def test_a_package_is_imported_in_its_home_only(package: str) -> None:
     assert strangers == []
     homes = [home for home in HOMES[package] if (PACKAGE / home).exists()]
     assert [home for home in homes if not any(i.file.startswith(home) for i in users)] == []
-
-
-@pytest.mark.parametrize("package", HOMES)
-def test_a_package_is_not_imported_by_its_name_as_a_text(package: str) -> None:
-    """No way round the wall by importlib or __import__ with a constant."""
-    for file, tree in sources().items():
-        for call in ast.walk(tree):
-            if isinstance(call, ast.Call) and ast.unparse(call.func).split(".")[-1] in (
-                "import_module",
-                "__import__",
-            ):
-                words = [a.value for a in call.args if isinstance(a, ast.Constant)]
-                assert not any(str(word).partition(".")[0] == package for word in words), file
 
 
 def test_heavy_packages_wait_until_they_are_used() -> None:
@@ -204,7 +184,6 @@ def test_heavy_packages_wait_until_they_are_used() -> None:
 
 @pytest.mark.parametrize("file", ALL_HEAVY)
 def test_a_heavy_module_is_imported_inside_functions_only(file: str) -> None:
-    """What is excused from the rule above must itself wait until it is used."""
     module = "pipeline." + file.removesuffix(".py").replace("/", ".")
     users = [i for i in imports() if i.name == module or i.name.startswith(f"{module}.")]
     assert [str(i) for i in users if not (i.inside_function or i.for_types_only)] == []
@@ -247,13 +226,10 @@ def test_importing_is_light(modules: list[str], absent: list[str]) -> None:
 
 
 def test_every_module_can_be_imported_by_itself() -> None:
-    """No module needs another one to have been imported before."""
     for module in pkgutil.walk_packages([str(PACKAGE)], "pipeline."):
         if module.name not in {"pipeline.__main__", "pipeline.tracking.predictor"}:
             importlib.import_module(module.name)
 
-
-# --- files are data, never code ----------------------------------------------------------------------
 
 CODE_FROM_DATA = {
     *("pickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"),
@@ -263,55 +239,58 @@ CODE_FROM_DATA = {
 BUILT_IN = {"eval", "exec", "compile", "__import__"}
 
 
-@pytest.mark.parametrize("file", sources())
-def test_no_data_become_code(file: str) -> None:
-    """No pickle, no torch.load, no eval: whatever a file holds, it can't run."""
-    for node in ast.walk(sources()[file]):
-        if isinstance(node, (ast.Attribute, ast.Name)):
-            assert ast.unparse(node) not in CODE_FROM_DATA, f"line {node.lineno}"
-        if isinstance(node, ast.Call):
-            assert not (isinstance(node.func, ast.Name) and node.func.id in BUILT_IN), f"line {node.lineno}"
-            said = ast.unparse(node.func)
-            assert not said.endswith(".read_pickle"), f"line {node.lineno}"
-            assert not any(k.arg == "allow_pickle" for k in node.keywords), f"line {node.lineno}"
-            if said in ("os.system", "os.popen"):
-                raise AssertionError(f"{said} in line {node.lineno}")
-            shell = [k for k in node.keywords if k.arg == "shell"]
-            assert not any(getattr(k.value, "value", True) for k in shell), f"line {node.lineno}"
-    named = {i.root for i in imports() if i.file == file}
-    assert not named & CODE_FROM_DATA
+@cache
+def words() -> tuple[tuple[str, ast.expr, str], ...]:
+    """File, node and text of every name, attribute and call of the package."""
+    kinds = (ast.Attribute, ast.Name, ast.Call)
+    return tuple(
+        (file, node, ast.unparse(node.func if isinstance(node, ast.Call) else node))
+        for file, tree in sources().items()
+        for node in ast.walk(tree)
+        if isinstance(node, kinds)
+    )
 
 
-@pytest.mark.parametrize("file", sources())
-def test_every_module_says_what_it_is_for(file: str) -> None:
+def test_no_data_become_code() -> None:
+    """No pickle, no torch.load, no eval, no shell; and no way round a wall by importlib with a constant."""
+    for file, node, said in words():
+        where = f"{file}, line {node.lineno}: {said}"
+        if not isinstance(node, ast.Call):
+            assert said not in CODE_FROM_DATA, where
+            continue
+        assert said not in BUILT_IN | {"os.system", "os.popen"}, where
+        assert not said.endswith(".read_pickle"), where
+        given = {k.arg: getattr(k.value, "value", True) for k in node.keywords}
+        assert "allow_pickle" not in given, where
+        assert not given.get("shell"), where
+        if said.split(".")[-1] in ("import_module", "__import__"):
+            named = {str(a.value).partition(".")[0] for a in node.args if isinstance(a, ast.Constant)}
+            assert not named & HOMES.keys(), where
+    assert not {i.root for i in imports()} & CODE_FROM_DATA
+
+
+def test_every_module_says_what_it_is_for() -> None:
     """Each module starts with a sentence, and each public class and function of a module has one."""
-    tree = sources()[file]
-    assert ast.get_docstring(tree)
-    for node in tree.body:
-        public = isinstance(node, (ast.FunctionDef, ast.ClassDef)) and not node.name.startswith("_")
-        assert not public or ast.get_docstring(node), node.name
+    silent = []
+    for file, tree in sources().items():
+        public = [n for n in tree.body if isinstance(n, ast.FunctionDef | ast.ClassDef) and not n.name.startswith("_")]
+        silent += [f"{file}: {getattr(n, 'name', '')}" for n in [tree, *public] if not ast.get_docstring(n)]
+    assert silent == []
 
 
 def test_rpm_and_degrees_are_converted_at_the_edge() -> None:
     """SI inside: the factors of rpm and degrees appear at the config, the files and what a person sees."""
     inner = {"problem", "identification", "rotor", "twin"}
-    strangers = []
-    for file, tree in sources().items():
-        if Path(file).parts[0] in inner:
-            words = {ast.unparse(node) for node in ast.walk(tree) if isinstance(node, (ast.Name, ast.Attribute))}
-            found = {"RAD_S_PER_RPM", "to_rpm", "np.degrees", "np.radians", "np.deg2rad", "np.rad2deg"}
-            strangers += [f"{file}: {word}" for word in sorted(words & (found | {"math.degrees", "math.radians"}))]
-    assert strangers == []
+    factors = {"RAD_S_PER_RPM", "to_rpm", *(f"np.{name}" for name in ("degrees", "radians", "deg2rad", "rad2deg"))}
+    factors |= {"math.degrees", "math.radians"}
+    assert [(file, said) for file, _, said in words() if Path(file).parts[0] in inner and said in factors] == []
 
-
-# --- experiments -------------------------------------------------------------------------------------
 
 EXPERIMENTS = sorted(path.stem for path in (CONF / "experiment").glob("*.yaml"))
 
 
 @pytest.mark.parametrize("name", EXPERIMENTS)
 def test_the_head_of_an_experiment_says_its_command_and_cost(name: str) -> None:
-    """A person who opens the file sees at once how to run it, and how long that takes."""
     lines = (CONF / "experiment" / f"{name}.yaml").read_text(encoding="utf-8").splitlines()
     head = [line for line in lines[:6] if line.startswith("#")]
     command = [line for line in head if "python -m pipeline" in line]
@@ -322,7 +301,6 @@ def test_the_head_of_an_experiment_says_its_command_and_cost(name: str) -> None:
 
 @pytest.mark.parametrize("name", EXPERIMENTS)
 def test_an_experiment_has_a_name_a_description_and_thresholds(name: str) -> None:
-    """It is called like its file, says what it is, and can't get worse unnoticed."""
     config = yaml.safe_load((CONF / "experiment" / f"{name}.yaml").read_text(encoding="utf-8"))
     assert config["name"] == name
     assert len(config["description"]) > 20
@@ -332,7 +310,6 @@ def test_an_experiment_has_a_name_a_description_and_thresholds(name: str) -> Non
 
 
 def test_every_threshold_file_is_of_an_experiment() -> None:
-    """No threshold is left of an experiment that is gone."""
     assert sorted(path.stem for path in (CONF / "thresholds").glob("*.yaml")) == EXPERIMENTS
 
 

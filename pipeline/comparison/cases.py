@@ -29,19 +29,19 @@ class Case:
     data_set: int = 0  # which noise
 
 
-def main_sensors(settings: ComparisonConfig) -> SensorSet:
+def choose_main_sensors(settings: ComparisonConfig) -> SensorSet:
     """The sensors of the main case: those at the bearings, if they are asked for."""
     return "bearings" if "bearings" in settings.sensors else settings.sensors[0]
 
 
-def main_case(settings: ComparisonConfig, n_speeds: int) -> Case:
+def choose_main_case(settings: ComparisonConfig, n_speeds: int) -> Case:
     """The largest noise at as many speeds as there are."""
-    return Case(max(settings.noise), main_sensors(settings), min(max(settings.speeds), n_speeds))
+    return Case(max(settings.noise), choose_main_sensors(settings), min(max(settings.speeds), n_speeds))
 
 
-def cases(settings: ComparisonConfig, n_speeds: int) -> tuple[Case, ...]:
+def list_cases(settings: ComparisonConfig, n_speeds: int) -> tuple[Case, ...]:
     """Every noise with every sensor set at all speeds, and the main case with fewer speeds and with other noise."""
-    main = main_case(settings, n_speeds)
+    main = choose_main_case(settings, n_speeds)
     made = [Case(noise, sensors, main.speeds) for sensors in settings.sensors for noise in settings.noise]
     made += [replace(main, speeds=min(count, n_speeds)) for count in settings.speeds]
     made += [replace(main, data_set=i) for i in range(settings.data_sets)]
@@ -80,8 +80,8 @@ class Machine:
         return list_directions((self.rotor.n_nodes // 2 if location is None else location,))
 
 
-def measurement_of(machine: Machine, case: Case, identify: IdentifyConfig, settings: ComparisonConfig) -> Measurement:
-    """What a method sees of a case: of the truth, what is known beforehand."""
+def take_measurement(machine: Machine, case: Case, identify: IdentifyConfig, settings: ComparisonConfig) -> Measurement:
+    """What a method sees of a case: the truth is hidden except for what is known."""
     unknowns = identify.unknowns_of(machine.rotor.bearing_nodes)
     truth, model = machine.truth(case), settings.response.model
     return Measurement(

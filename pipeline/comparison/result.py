@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.comparison.cases import Case, Machine, measurement_of
+from pipeline.comparison.cases import Case, Machine, take_measurement
 from pipeline.config.comparison import ComparisonConfig, MethodName, SensorSet
 from pipeline.config.identification import IdentifyConfig
-from pipeline.evaluation.errors import measure_coverage, relative_errors
+from pipeline.evaluation.errors import measure_coverage, measure_relative_errors
 from pipeline.methods.catalogue import METHODS
 from pipeline.methods.method import Estimate, MethodOptions, Reason, Refusal
 from pipeline.problem.measurement import Measurement
@@ -65,27 +66,24 @@ class Result(BaseModel):
 ANSWERED = "answered"
 
 
-def result_of(
+def judge_method(
     machine: Machine, method: MethodName, case: Case, identify: IdentifyConfig, settings: ComparisonConfig, seed: int
 ) -> Result:
     """Let a method identify a case. The truth is looked at when it has answered."""
-    data = measurement_of(machine, case, identify, settings)
+    data = take_measurement(machine, case, identify, settings)
     started = time.process_time()
     answer, outcome, words = _ask(method, data, MethodOptions(settings, seed))
     seconds = time.process_time() - started  # of the processor: what else runs does not count
     found: dict[str, dict[str, CoefficientResult]] = {}
     if answer is not None and np.isfinite(answer.coefficients.values).all():
-        found = _errors(data, answer, machine, case)
+        found = _measure_errors(data, answer, machine, case)
     elif answer is not None:
         outcome = Reason.NOT_FINITE.name.lower()
     # Clean data have no noise that chi-square could be held against.
     doubt = answer.doubt if answer is not None and case.noise else ""
     return Result(
+        **asdict(case),
         method=method,
-        noise=case.noise,
-        sensors=case.sensors,
-        speeds=case.speeds,
-        data_set=case.data_set,
         outcome=outcome,
         words=words,
         doubt=doubt,
@@ -104,14 +102,14 @@ def _ask(method: MethodName, data: Measurement, options: MethodOptions) -> tuple
     return answer, ANSWERED, answer.words
 
 
-def _errors(
+def _measure_errors(
     data: Measurement, answer: Estimate, machine: Machine, case: Case
 ) -> dict[str, dict[str, CoefficientResult]]:
     truth = machine.truth(case)
     result: dict[str, dict[str, CoefficientResult]] = {}
     for b, node in enumerate(truth.nodes):
         for name in data.unknowns.coefficients(b):
-            relative = relative_errors(answer.coefficients, truth, name)[b]
+            relative = measure_relative_errors(answer.coefficients, truth, name)[b]
             relative = relative[~np.isnan(relative)]
             if not len(relative):
                 continue

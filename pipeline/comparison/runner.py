@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-import hashlib
 import multiprocessing
-import os
 import signal
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from pydantic import ValidationError
 
+from pipeline.cache import hash_parts
 from pipeline.comparison.cases import Case, Machine
-from pipeline.comparison.result import Result, result_of
+from pipeline.comparison.result import Result, judge_method
 from pipeline.config.comparison import ComparisonConfig, MethodName
 from pipeline.config.identification import IdentifyConfig
 from pipeline.errors import DataError, PipelineError
 from pipeline.files import read_json, write_json
-from pipeline.processes import delay_interrupt, limit_threads
+from pipeline.processes import delay_interrupt, end_with_parent, limit_threads
 
 _PACKAGES = ("comparison", "data", "identification", "methods", "problem", "rotor")
 Done = Callable[[int, int, Result], None]
@@ -45,7 +42,7 @@ class MethodRun:
 
 @dataclass(frozen=True, eq=False)
 class ComparisonSetup:
-    """Everything that a result follows from, but the run."""
+    """Everything that determines a result, except the run."""
 
     machine: Machine
     identify: IdentifyConfig
@@ -53,31 +50,22 @@ class ComparisonSetup:
     seed: int
 
     def result(self, run: MethodRun) -> Result:
-        """Do the work."""
-        return result_of(self.machine, run.method, run.case, self.identify, self.settings, self.seed)
+        """Let the method of the run identify its case."""
+        return judge_method(self.machine, run.method, run.case, self.identify, self.settings, self.seed)
 
     def fingerprint(self) -> str:
-        """Equal where results are: of machine, unknowns, settings and the program; not of which cases are asked for."""
+        """The hash of machine, unknowns, settings and program; which cases are asked for does not change a result."""
         machine = self.machine
-        parts = [
+        root = Path(__file__).parents[1]
+        return hash_parts(
             machine.rotor.fingerprint,
             machine.vibration.fingerprint,
-            hashlib.sha256(machine.modelled.values.tobytes()).hexdigest(),
-            str(machine.noise_seed),
+            machine.modelled.values.tobytes(),
             self.identify.model_dump_json(),
             self.settings.model_dump_json(exclude={"methods", "noise", "sensors", "speeds", "data_sets", "workers"}),
-            str(self.seed),
-            _program(),
-        ]
-        return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
-
-
-def _program() -> str:
-    digest, root = hashlib.sha256(), Path(__file__).parents[1]
-    for package in _PACKAGES:
-        for path in sorted((root / package).glob("*.py")):
-            digest.update(path.read_bytes())
-    return digest.hexdigest()
+            f"{machine.noise_seed} {self.seed}",
+            *(path.read_bytes() for package in _PACKAGES for path in sorted((root / package).glob("*.py"))),
+        )
 
 
 def compare(setup: ComparisonSetup, runs: Sequence[MethodRun], folder: Path, done: Done) -> list[Result]:
@@ -96,7 +84,7 @@ def compare(setup: ComparisonSetup, runs: Sequence[MethodRun], folder: Path, don
 
 
 def _read_kept(path: Path, fingerprint: str) -> Result | None:
-    """A result that is there already; None where it is of another configuration or program, or damaged."""
+    """A result that is there already; None where another configuration or program made it, or it is damaged."""
     if not path.exists():
         return None
     try:
@@ -144,15 +132,9 @@ def _begin(setup: ComparisonSetup) -> None:
     # The parent gets Ctrl-C too, and says when it is over: what is at work then ends, and the process in its own time.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _leave)
-    threading.Thread(target=_end_with, args=(multiprocessing.parent_process(),), daemon=True).start()
+    end_with_parent()
     torch.set_num_threads(1)
     _setup = setup
-
-
-def _end_with(parent: Any) -> None:
-    """A process that was killed can't end those that it started."""
-    parent.join()
-    os._exit(1)
 
 
 def _leave(*_: object) -> None:

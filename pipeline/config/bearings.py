@@ -1,4 +1,4 @@
-"""What a configuration may say of bearings: one class a kind. SI."""
+"""The schema of bearings: one class for each kind. SI."""
 
 from __future__ import annotations
 
@@ -79,9 +79,8 @@ class RotorFileBearingConfig(Section):
     kind: Literal["rotor_file"]
 
 
-AnyBearingConfig = Annotated[
-    BallBearingConfig | CylindricalBearingConfig | JournalTableConfig | LinearBearingConfig, Field(discriminator="kind")
-]
+_SingleBearing = BallBearingConfig | CylindricalBearingConfig | JournalTableConfig | LinearBearingConfig
+AnyBearingConfig = Annotated[_SingleBearing, Field(discriminator="kind")]
 
 
 class PerNodeBearingConfig(Section):
@@ -91,12 +90,4 @@ class PerNodeBearingConfig(Section):
     nodes: dict[NonNegativeInt, AnyBearingConfig] = Field(min_length=1)
 
 
-BearingConfig = Annotated[
-    BallBearingConfig
-    | CylindricalBearingConfig
-    | JournalTableConfig
-    | LinearBearingConfig
-    | PerNodeBearingConfig
-    | RotorFileBearingConfig,
-    Field(discriminator="kind"),
-]
+BearingConfig = Annotated[_SingleBearing | PerNodeBearingConfig | RotorFileBearingConfig, Field(discriminator="kind")]

@@ -1,4 +1,4 @@
-"""What a command chooses: a machine, of ``conf/`` or of the user's own, and an experiment.
+"""A command chooses a machine, from ``conf/`` or from a file of the user, and an experiment.
 
 A machine without an experiment is identified as its kind suggests (``conf/experiment/default``), under its own name.
 """
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pipeline.config.schema import Config
 
 DEFAULTS = "default/"
-"""Where the experiments of machines without one are, below ``conf/experiment``."""
+"""The folder below ``conf/experiment`` that has the experiments of machines without one."""
 _CHANGING = {"cylindrical", "journal_table", "rotor_file"}
 """Kinds of bearings whose coefficients change with the speed, or may."""
 _KINDS = ("kind", "format")
@@ -65,7 +65,7 @@ def choose(parsed: Sequence[Override], loader: ConfigLoader) -> list[Override]:
 
 
 def _locate(file: Override) -> Path | None:
-    """The machine file; None for null."""
+    """Return the path of the machine file; None for null."""
     if file.is_sweep_override():
         raise ConfigError(f"machine.file must be one file, but got '{get_text(file)}': give a command for each")
     value = file.value()
@@ -97,7 +97,7 @@ def _begin_anew(parsed: Sequence[Override], loader: ConfigLoader) -> list[Overri
 
 
 def _find_kind(override: Override) -> tuple[str, str, Any, str] | None:
-    """Section, name and value of its kind, and the section's text; None for an override that gives no kind."""
+    """Return section, name and value of its kind, and the section's text; None where the override gives no kind."""
     key, value = override.key_or_group, override.value()
     section, _, tag = key.rpartition(".")
     if override.is_delete() or override.is_sweep_override() or not key.startswith("machine."):
@@ -110,7 +110,7 @@ def _find_kind(override: Override) -> tuple[str, str, Any, str] | None:
 
 
 def _look_up(machine: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    """The section of a dotted key such as ``machine.bearings.nodes.21``; empty where there is none."""
+    """Return the section at a dotted key such as ``machine.bearings.nodes.21``; empty where there is none."""
     node: Any = machine
     for part in key.split(".")[1:]:
         inside = node if isinstance(node, Mapping) else {}
@@ -119,7 +119,7 @@ def _look_up(machine: Mapping[str, Any], key: str) -> Mapping[str, Any]:
 
 
 def _compose_machine(parsed: Sequence[Override], loader: ConfigLoader) -> Mapping[str, Any]:
-    """The machine as composed, without what it can't be composed with: that is told with the whole."""
+    """Compose the machine alone. A mistake gives an empty mapping: it is told when the whole is composed."""
     keys = ("machine", "experiment")
     of_machine = [o for o in parsed if o.key_or_group.partition(".")[0] in keys and not o.is_sweep_override()]
     try:
@@ -130,7 +130,7 @@ def _compose_machine(parsed: Sequence[Override], loader: ConfigLoader) -> Mappin
 
 
 def _choose_experiment(machine: Mapping[str, Any]) -> list[str]:
-    """Overrides: what is identified of a machine of this kind, and at which noise."""
+    """Return the overrides that say what is identified of a machine of this kind, and at which noise."""
     bearings, recordings, probes = (_look_up(machine, f"machine.{key}") for key in ("bearings", "recordings", "probes"))
     each = [bearings, *_look_up(machine, "machine.bearings.nodes").values()]
     kinds = {one.get("kind") for one in each if isinstance(one, Mapping)}
@@ -145,7 +145,7 @@ def _choose_experiment(machine: Mapping[str, Any]) -> list[str]:
 
 
 def _is_noise(value: Any) -> bool:
-    """Whether a number, or a text such as ``0.1 um``, is above zero."""
+    """Tell whether a number, or a text such as ``0.1 um``, is above zero."""
     try:
         return float(str(value).partition(" ")[0]) > 0
     except ValueError:
@@ -153,7 +153,7 @@ def _is_noise(value: Any) -> bool:
 
 
 def name_choice(config: Config, overrides: Sequence[str], folder: Path | None) -> str:
-    """The overrides that chose machine and experiment, as a shell takes them in another command."""
+    """Return the overrides that chose machine and experiment, as a shell takes them in another command."""
     given = dict(override.lstrip("+").partition("=")[::2] for override in overrides)
     parts = []
     if folder is not None:

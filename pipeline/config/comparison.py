@@ -1,4 +1,4 @@
-"""What a configuration may say of the comparison of methods. SI; noise as a share of the reading."""
+"""The schema of the comparison of methods. SI; noise as a share of the reading."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class PriorConfig(Section):
 
 
 class FitConfig(Section):
-    """How a network is trained in the comparison."""
+    """The training of a network in the comparison."""
 
     model: ModelConfig
     loss: LossConfig

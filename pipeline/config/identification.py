@@ -1,4 +1,4 @@
-"""What a configuration may say of the fit: unknowns, model, loss, optimiser and training."""
+"""The schema of the fit: unknowns, model, loss, optimiser and training."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pipeline.unknowns import BearingUnknowns, Structure, UnknownSet, unknown_se
 
 
 class OneBearingConfig(Section):
-    """What one bearing has otherwise than the rest; null stands for what the rest has."""
+    """One bearing differs from the rest in these values; null stands for the value of the rest."""
 
     unknowns: tuple[CoefficientName, ...] | None = None
     structure: Structure | None = None
@@ -77,12 +77,12 @@ class IdentifyConfig(Section):
         return self
 
     def at(self, node: int) -> BearingUnknowns:
-        """What is unknown of the bearing at ``node``. Raises ValueError for a structure that half of is known."""
+        """Return what is unknown at the bearing of ``node``. Raises ValueError where half of a structure is known."""
         one = self.bearings.get(node, OneBearingConfig())
         return BearingUnknowns(self.unknowns if one.unknowns is None else one.unknowns, one.structure or self.structure)
 
     def unknowns_of(self, nodes: Sequence[int]) -> UnknownSet:
-        """What is unknown of the bearings at these nodes."""
+        """Return what is unknown at the bearings of these nodes."""
         return unknown_set({node: self.at(node) for node in nodes}, self.shared, self.unbalance_planes)
 
     def named(self) -> tuple[str, ...]:
@@ -171,7 +171,7 @@ class LossConfig(Section):
 
     @property
     def preconditioned(self) -> bool:
-        """Whether the residual is multiplied by the pseudo-inverse of its derivative."""
+        """True where the residual is multiplied by the pseudo-inverse of its derivative."""
         return self.kind == "preconditioned"
 
 

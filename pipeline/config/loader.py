@@ -105,11 +105,7 @@ def parse_overrides(overrides: Sequence[str], loader: ConfigLoader) -> list[Over
         if not parsed[-1].key_or_group:  # "=3"
             raise ConfigError(explain_syntax(text, names))
         refuse_renamed(parsed[-1].key_or_group, parsed[-1].value(), text)
-    return _keep_last(parsed)
-
-
-def _keep_last(parsed: Sequence[Override]) -> list[Override]:
-    """The last override of each key, as a shell user expects; Hydra itself refuses a group given twice."""
+    # The last override of each key wins, as a shell user expects; Hydra itself refuses a group given twice.
     last = {(override.get_key_element(), override.is_delete()): override for override in parsed}
     return [override for override in parsed if last[override.get_key_element(), override.is_delete()] is override]
 

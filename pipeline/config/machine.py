@@ -1,4 +1,4 @@
-"""What a configuration may say of a machine: everything that is its own, in one section. SI, speeds in rpm."""
+"""The schema of a machine: everything that belongs to it, in one section. SI, speeds in rpm."""
 
 from __future__ import annotations
 

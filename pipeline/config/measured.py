@@ -1,4 +1,4 @@
-"""What a configuration may say of measured data in any format: conventions, probes, runs, runout, tacho.
+"""The schema of measured data in any format: conventions, probes, runs, runout, tacho.
 
 No convention has a default: a file that does not say how its numbers are meant spoils more than noise does. The
 equations behind the words are in :mod:`pipeline.ingest.conventions`. Values are SI, speeds in rpm.
@@ -33,7 +33,7 @@ def convert_phase(phase: float, shaft_angle: str, tacho: float | None) -> float:
 
 
 class VectorConventionsConfig(Section):
-    """What complex numbers over the speed mean: unit and kind of size, sense of the angle, unit of the speed."""
+    """The meaning of complex numbers over the speed: unit and kind of size, sense of the angle, unit of the speed."""
 
     length: LengthUnit
     amplitude: AmplitudeKind
@@ -42,7 +42,7 @@ class VectorConventionsConfig(Section):
 
 
 class ConventionsConfig(VectorConventionsConfig):
-    """What amplitudes, phases and speeds in a table mean."""
+    """The meaning of amplitudes, phases and speeds in a table."""
 
     phase_unit: Literal["deg", "rad"]
 
@@ -115,13 +115,13 @@ class SlowRollConfig(Section):
 
 
 class TachoAngleConfig(Section):
-    """Where the tacho probe sits, from x towards y; null where no unbalance is measured from its mark."""
+    """The angle of the tacho probe from x towards y; null where no unbalance is measured from its mark."""
 
     angle: ShaftAngle | None = None
 
 
 class OrderTrackingConfig(Section):
-    """How 1X vectors are fitted to time signals; see :mod:`pipeline.ingest.order_tracking`."""
+    """The fit of 1X vectors to time signals; see :mod:`pipeline.ingest.order_tracking`."""
 
     orders: Annotated[int, Field(ge=1, le=10)] = 3
     degree: Annotated[int, Field(ge=0, le=8)] | None = None
@@ -129,7 +129,7 @@ class OrderTrackingConfig(Section):
 
 
 class CsvConfig(Section):
-    """How a CSV file is written; ``skip_rows`` are lines before the header."""
+    """The format of a CSV file; ``skip_rows`` are lines before the header."""
 
     delimiter: Annotated[str, Field(min_length=1, max_length=1)] = ","
     decimal: Literal[".", ","] = "."
@@ -143,7 +143,7 @@ class CsvConfig(Section):
 
 
 class MeasuredConfig(Section):
-    """What all formats share; ``file`` is that of the runs that name none. Each format adds ``probes`` and ``runs``.
+    """All formats share these keys; each adds ``probes`` and ``runs``. Runs that name no file are in ``file``.
 
     ``known`` is a table of the coefficients that are not identified, or ``bearings``: those of the machine's bearings.
     """

@@ -115,7 +115,8 @@ def _list_fields(loc: Sequence[int | str], model: type[BaseModel]) -> set[str]:
             continue
         fields = [owner.model_fields[part] for owner in models if part in owner.model_fields]
         inner = {inside for field in fields for inside in _list_models(field.annotation)}
-        models = inner or _select_tagged(models, part) or models
+        tagged = {m for m in models if any(part in get_args(field.annotation) for field in m.model_fields.values())}
+        models = inner or tagged or models
     return {name for owner in models for name in owner.model_fields}
 
 
@@ -127,11 +128,6 @@ def _list_models(annotation: Any) -> Iterator[type[BaseModel]]:
         yield annotation
     for argument in get_args(annotation):
         yield from _list_models(argument)
-
-
-def _select_tagged(models: set[type[BaseModel]], tag: str) -> set[type[BaseModel]]:
-    """The members of a union that carry ``tag`` as a literal."""
-    return {m for m in models if any(tag in get_args(field.annotation) for field in m.model_fields.values())}
 
 
 # --- overrides ---------------------------------------------------------------------------------

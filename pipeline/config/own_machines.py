@@ -156,7 +156,9 @@ def _read_yaml(path: Path, what: str) -> dict[str, Any]:
     except OSError as error:
         raise ConfigError(f"{what} must be readable, but '{path}' is not: {error.strerror}") from None
     except yaml.YAMLError as error:
-        raise ConfigError(f"{what} must be YAML, but '{path}' is not: {_describe_problem(error)}") from None
+        mark, problem = getattr(error, "problem_mark", None), getattr(error, "problem", None)
+        place = f"line {mark.line + 1}, column {mark.column + 1}: {problem}" if mark else " ".join(str(error).split())
+        raise ConfigError(f"{what} must be YAML, but '{path}' is not: {place}") from None
     except AssertionError:  # a number
         read = None
     except (OmegaConfBaseException, ValueError, RecursionError) as error:
@@ -165,11 +167,6 @@ def _read_yaml(path: Path, what: str) -> dict[str, Any]:
     if not isinstance(plain, dict) or all(value is None for value in plain.values()):
         raise ConfigError(f"{what} must have keys with values, such as `rotor:`, but '{path}' has none")
     return {str(key): value for key, value in plain.items()}
-
-
-def _describe_problem(error: Any) -> str:
-    mark, problem = getattr(error, "problem_mark", None), getattr(error, "problem", None)
-    return f"line {mark.line + 1}, column {mark.column + 1}: {problem}" if mark else " ".join(str(error).split())
 
 
 # --- paths ---------------------------------------------------------------------------------------

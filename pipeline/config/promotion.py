@@ -57,7 +57,7 @@ def apply_values(config: Config, values: Mapping[str, Value], source: str) -> Co
 
 
 def get_value(config: Config, key: str) -> Any:
-    """The value of a dotted key. Raises ConfigError where there is none."""
+    """Return the value of a dotted key. Raises ConfigError where there is none."""
     place: Any = config
     for part in key.split("."):
         if not hasattr(place, part):
@@ -70,7 +70,7 @@ def get_value(config: Config, key: str) -> Any:
 
 
 def has_value(config: Config, key: str) -> bool:
-    """Whether the configuration has the dotted key: a model of another kind has others."""
+    """Tell whether the configuration has the dotted key: a model of another kind has others."""
     try:
         get_value(config, key)
     except ConfigError:
@@ -79,7 +79,7 @@ def has_value(config: Config, key: str) -> bool:
 
 
 def read_promoted(folder: Path) -> PromotedTrial | None:
-    """What the study of ``folder`` promoted; None where there is no study.
+    """Read what the study in ``folder`` promoted; None where there is no study.
 
     :raises DataError: where ``best.yaml`` is not what ``stage=tune`` writes
     """
@@ -103,7 +103,7 @@ def read_promoted(folder: Path) -> PromotedTrial | None:
 
 
 def find_study(config: Config) -> Path:
-    """Where the study's files are: below the working folder or, where there are none, beside conf/ like that itself."""
+    """Return the folder of the study: below the working folder, or beside ``conf/`` where that has none."""
     folder = Path(config.tuning.folder)
     return folder if (folder / BEST).exists() else Path(__file__).parents[2] / folder
 
@@ -138,5 +138,5 @@ def apply_promoted(config: Config, overrides: Sequence[str]) -> Config:
 
 
 def is_overridden(key: str, given: set[str]) -> bool:
-    """Whether the command line set ``key``, or a group that it belongs to such as ``model``."""
+    """Tell whether the command line set ``key``, or a group that it belongs to such as ``model``."""
     return any(name == key or key.startswith(f"{name}.") for name in given)

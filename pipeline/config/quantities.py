@@ -39,10 +39,8 @@ def to_si(value: Any, unit: str, example: str) -> float:
 def _parse(text: str, unit: str, example: str) -> float:
     import pint
 
-    try:
+    if _is_number(text):
         return float(text)
-    except ValueError:
-        pass
     try:
         # pint's mil is an angle; a probe's is a length.
         quantity = _load_units().Quantity(re.sub(r"\bmils?\b", "thou", text))
@@ -75,11 +73,10 @@ def _check_unit_name(value: Any, units: tuple[str, ...], examples: str) -> str:
 
 
 def _is_number(text: str) -> bool:
-    try:
+    with contextlib.suppress(ValueError):
         float(text)
-    except ValueError:
-        return False
-    return True
+        return True
+    return False
 
 
 def _convert_angle(value: Any) -> float:
@@ -98,10 +95,9 @@ def to_metres(unit: str) -> float:
 
 def to_volts(unit: str) -> float | None:
     """Size of a unit such as mV in V; None where it is no voltage."""
-    try:
+    with contextlib.suppress(ValueError):
         return to_si(f"1 {unit}", "V", "mV")
-    except ValueError:
-        return None
+    return None
 
 
 def to_volts_per_metre(sensitivity: str) -> float:

@@ -1,4 +1,4 @@
-"""What a configuration may say of recordings, which ``stage=ingest`` reads: one class a format."""
+"""The schema of recordings, which ``stage=ingest`` reads: one class for each format."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class ColumnPairConfig(Section):
 
 
 class TableProbeConfig(ProbeConfig):
-    """With its columns (wide layout), or the text that stands for it in the probe column (long; its name)."""
+    """A probe with its columns (wide layout), or with the text that stands for it in the probe column (long)."""
 
     columns: ColumnPairConfig | None = None
     label: Text | None = None
@@ -140,7 +140,7 @@ class SignalRunConfig(MeasuredRunConfig):
 
 
 class UffRecordConfig(Section):
-    """Which dataset 58 is meant: a text that one of its ID lines or its response entity is, or its response DOF."""
+    """A dataset 58 is found by a text that one of its ID lines or its response entity is, or by its response DOF."""
 
     record: Text | None = None
     response: tuple[int, int] | None = None

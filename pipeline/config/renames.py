@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from pipeline.errors import ConfigError
@@ -63,8 +63,6 @@ OPTIONS = {
 }
 """Old group -> option -> the machine that has it, or the overrides that stand for it."""
 
-_SECTIONS = {key.partition(".")[0] for key in KEYS}
-
 
 def rename(key: str) -> str | None:
     """The new name of an old key; None for a key that is none."""
@@ -98,12 +96,15 @@ def _explain_option(group: str, name: str) -> str:
 
 def refuse_renamed_in(mapping: Mapping[str, Any], file: object, in_machine: bool) -> None:
     """The same for the keys of a YAML file: a machine's, or an experiment's with its defaults list."""
-    for key in _list_keys(mapping):
-        new = rename(key)
-        if new is not None and in_machine:
+    for old, new in KEYS.items():
+        section, _, name = old.partition(".")
+        inside = mapping.get(section)
+        if section not in mapping or (name and not (isinstance(inside, Mapping) and name in inside)):
+            continue
+        if in_machine:
             new = new.removeprefix("machine").removeprefix(".") or "speeds and runs, without a section"
-        if new is not None and new != key:
-            raise ConfigError(f"in '{file}', {key} is now {new}: write it so")
+        if new != old:
+            raise ConfigError(f"in '{file}', {old} is now {new}: write it so")
     for item in mapping.get("defaults") or ():
         for name, option in item.items() if isinstance(item, Mapping) else ():
             group = str(name).removeprefix("override ").strip().lstrip("/").partition("@")[0]
@@ -111,14 +112,3 @@ def refuse_renamed_in(mapping: Mapping[str, Any], file: object, in_machine: bool
                 raise ConfigError(
                     f"in '{file}', {_explain_option(group, str(option))}: write `override /machine: NAME`"
                 )
-
-
-def _list_keys(mapping: Mapping[str, Any]) -> Iterator[str]:
-    """The keys of the sections that were renamed, and one step below them."""
-    for key, value in mapping.items():
-        if key not in _SECTIONS:
-            continue
-        if isinstance(value, Mapping) and value:
-            yield from (f"{key}.{name}" for name in value)
-        else:
-            yield str(key)

@@ -1,4 +1,4 @@
-"""What a configuration may say of a rotor: shaft, material, discs. SI."""
+"""The schema of a rotor: shaft, material, discs. SI."""
 
 from __future__ import annotations
 

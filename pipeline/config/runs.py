@@ -1,4 +1,4 @@
-"""What a configuration may say of runs: speeds, excitation, noise, probes, and designs of runs.
+"""The schema of runs: speeds, excitation, noise, probes, and designs of runs.
 
 SI, angles in rad, speeds in rpm.
 """
@@ -102,7 +102,7 @@ class ProbeConfig(Section):
 
 
 class ProbesConfig(Section):
-    """Which displacements are measured, and what the probes add to them.
+    """The displacements that are measured, and what the probes add to them.
 
     ``all`` and ``bearings`` stand for x and y at every node, or at the bearings. Noise is circular and complex: its
     root mean square is ``additive`` and a share ``multiplicative`` of the reading. Runout is a vector of this size and
@@ -119,7 +119,7 @@ class ProbesConfig(Section):
 
 
 class CandidateConfig(Section):
-    """What an experimenter can do: trial unbalances and rotating forces, at these nodes and phases."""
+    """An experimenter can use these trial unbalances and rotating forces, at these nodes and phases."""
 
     unbalance_nodes: tuple[NonNegativeInt, ...]
     unbalance: UnbalanceMagnitude
@@ -136,7 +136,7 @@ class CandidateConfig(Section):
 
 
 class DesignConfig(Section):
-    """Which runs ``stage=design`` chooses: so many of the candidates, best by the criterion over speeds."""
+    """``stage=design`` chooses so many runs from the candidates: the best by the criterion over speeds."""
 
     runs: PositiveInt
     criterion: Literal["A", "D"]

@@ -1,4 +1,4 @@
-"""What a configuration may say, checked when it is made: the whole.
+"""The schema of the whole configuration, checked when it is made.
 
 One class a concept, in the order of the straight line of data. Values are SI (see
 :mod:`pipeline.config.quantities`); rotor speeds alone are in rpm here, named ``*_rpm``.
@@ -38,7 +38,7 @@ class DataConfig(Section):
 
 
 class TrackingConfig(Section):
-    """Where MLflow keeps the records; ``enabled: false`` keeps none."""
+    """MLflow keeps the records at ``uri``; ``enabled: false`` keeps none."""
 
     enabled: bool
     uri: str
@@ -52,7 +52,7 @@ class CheckConfig(Section):
 
 
 class NewConfig(Section):
-    """What ``stage=new`` writes a machine file for: kind of bearings, and where data come from."""
+    """``stage=new`` writes a machine file for this kind of bearings and this source of data."""
 
     bearings: Literal["rolling", "fluid_film"]
     data: Literal["recordings", "tables", "simulated"]

@@ -1,4 +1,4 @@
-"""What every part of a configuration has in common."""
+"""The base of every part of a configuration."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 NonNegativeInt = Annotated[int, Field(ge=0)]
 Share = Annotated[float, Field(ge=0, lt=1)]
-"""Of one: 0.01 is a percent."""
+"""A share: 0.01 is a percent."""
 
 
 class Section(BaseModel):

@@ -1,4 +1,4 @@
-"""What a hyperparameter study may say: its search space, budget and storage."""
+"""The schema of a hyperparameter study: its search space, budget and storage."""
 
 from __future__ import annotations
 

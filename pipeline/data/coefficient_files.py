@@ -53,9 +53,9 @@ def read_coefficients(
     """
     every = [name for name in COEFFICIENTS if of is None or any(name in of[node] for node in nodes)]
     kinds = {"bearing_node": "number", "speed_rpm": "number"}
-    table = read_table(
-        path, kinds | {name: "number" if _is_known_everywhere(name, nodes, of) else "number or blank" for name in every}
-    )
+    for name in every:
+        kinds[name] = "number" if of is None or all(name in of[node] for node in nodes) else "number or blank"
+    table = read_table(path, kinds)
     # Speeds of two files are the same where they agree to a millionth of an rpm.
     rpm, at_node = np.round(table["speed_rpm"], 6), table["bearing_node"]
     wanted = np.round(to_rpm(speeds), 6)
@@ -68,7 +68,11 @@ def read_coefficients(
             has = sorted({int(n) for n in at_node})
             raise DataError(f"'{path}' must have rows for the bearing at node {node}, but it has bearings at {has}")
         names = list(COEFFICIENTS if of is None else of[node])
-        found = _select_speeds(rpm[rows], np.stack([at_node, *(table[name] for name in names)])[:, rows], wanted)
+        given = rpm[rows]
+        order = np.argsort(given)
+        nearest = order[np.searchsorted(given, wanted, sorter=order).clip(max=len(given) - 1)]
+        columns = np.stack([at_node, *(table[name] for name in names)])[:, rows[nearest]]
+        found = np.where(given[nearest] == wanted, columns, np.nan)
         missing = np.flatnonzero(np.isnan(found).any(axis=0))
         if len(missing):
             raise DataError(
@@ -79,14 +83,3 @@ def read_coefficients(
         for name, of_name in zip(names, found[1:], strict=True):
             values[b, :, COEFFICIENTS.index(name)] = of_name
     return BearingTable(tuple(nodes), speeds, values)
-
-
-def _select_speeds(rpm: np.ndarray, values: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """(N, W) of ``values`` (N, V) at ``rpm`` (V,): those at the ``wanted`` (W,), NaN where there are none."""
-    order = np.argsort(rpm)
-    nearest = order[np.searchsorted(rpm, wanted, sorter=order).clip(max=len(rpm) - 1)]
-    return np.where(rpm[nearest] == wanted, values[:, nearest], np.nan)
-
-
-def _is_known_everywhere(name: str, nodes: Sequence[int], of: Mapping[int, Sequence[str]] | None) -> bool:
-    return of is None or all(name in of[node] for node in nodes)

@@ -1,4 +1,4 @@
-"""What was measured and what excited it.
+"""Measured vibration, and the forces that excited it.
 
 Coefficients and gyroscopic terms belong to the rotor speed, the dynamics to the excitation frequency w; the two are
 the same for unbalance (synchronous), and may differ for a shaker.

@@ -1,4 +1,4 @@
-"""How far a reading may lie from the displacement that it is of."""
+"""The noise of a reading."""
 
 from __future__ import annotations
 

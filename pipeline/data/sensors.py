@@ -1,4 +1,4 @@
-"""What probes show of a vibration: the displacement along each, with runout, noise and quantisation."""
+"""Probes show the displacement along each of them, with runout, noise and quantisation."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def project(dataset: VibrationDataset, channels: Channels) -> VibrationDataset:
 
 
 def measure(dataset: VibrationDataset, sensors: Sensors, generator: np.random.Generator) -> VibrationDataset:
-    """What the sensors make of a data set with x and y at every node."""
+    """Return what the sensors read from a data set with x and y at every node."""
     seen = dataset if sensors.channels is None else project(dataset, sensors.channels)
     # Noise comes first from the generator: with other runout, the same noise.
     if sensors.additive or sensors.multiplicative:

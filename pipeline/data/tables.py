@@ -9,7 +9,7 @@ import csv
 import math
 import warnings
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice, zip_longest
 from pathlib import Path
@@ -31,7 +31,7 @@ Columns = dict[str, np.ndarray]
 
 @dataclass(frozen=True)
 class TextFormat:
-    """How a CSV file is written; ``skip_rows`` are lines before the header (of an Excel sheet, too)."""
+    """The format of a CSV file; ``skip_rows`` are lines before the header (also in an Excel sheet)."""
 
     delimiter: str = ","
     decimal: str = "."
@@ -73,12 +73,11 @@ def read_table(
             )
         if name in counts:
             column = table[names.index(name)]
-            found[name] = _to_texts(column) if kind == "text" else _to_numbers(path, name, column, kind, text.decimal)
+            if kind == "text":
+                found[name] = np.array(["" if value is None else str(value) for value in column], dtype=object)
+            else:
+                found[name] = _to_numbers(path, name, column, kind, text.decimal)
     return found
-
-
-def _to_texts(column: Iterable[Any]) -> np.ndarray:
-    return np.array(["" if value is None else str(value) for value in column], dtype=object)
 
 
 def _to_numbers(path: Path, name: str, column: Sequence[Any] | np.ndarray, kind: str, decimal: str) -> np.ndarray:
@@ -194,8 +193,11 @@ def _first_line(error: Exception) -> str:
 
 
 def read_marks(path: Path) -> dict[str, str] | None:
-    """What a Parquet file that was written here says of itself: ``schema``; where it was generated, ``rotor`` (its
-    fingerprint) and ``origin`` (identity of the configuration). None where it is no complete Parquet file, or CSV."""
+    """Read what a Parquet file says about itself; None where it is no complete Parquet file.
+
+    Each file that was written here has ``schema``. A generated one also has ``rotor``, the rotor's fingerprint, and
+    ``origin``, the identity of its configuration.
+    """
     import pyarrow.lib
     import pyarrow.parquet as parquet
 

@@ -115,7 +115,7 @@ def require_nodes_of(dataset: VibrationDataset, n_nodes: int, vibration: Path, e
 def read_measured(
     vibration: Path, excitation: Path, baseline: str | None = None, n_nodes: int | None = None
 ) -> VibrationDataset:
-    """As :func:`read_dataset`, before anything is known of the rotor but, perhaps, its number of nodes."""
+    """Read both files as :func:`read_dataset` does, where at most the number of the rotor's nodes is known."""
     table = read_table(vibration, _VIBRATION, {_FREQUENCY: "number or blank"})
     excitations = _read_excitations(read_table(excitation, _EXCITATION), excitation, n_nodes)
     nodes = _read_nodes(table["node"], vibration, n_nodes)

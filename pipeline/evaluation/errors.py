@@ -28,21 +28,21 @@ CoefficientErrors = dict[int, dict[str, CoefficientError]]
 """Bearing node -> coefficient name -> error."""
 
 
-def relative_errors(identified: BearingTable, modelled: BearingTable, name: str) -> np.ndarray:
+def measure_relative_errors(identified: BearingTable, modelled: BearingTable, name: str) -> np.ndarray:
     """(B, S) |identified - modelled| / |modelled| in percent; NaN where the modelled value is zero."""
     found, true = identified.coefficient(name), modelled.coefficient(name)
     size = np.where(true == 0.0, np.nan, np.abs(true))
     return 100.0 * np.abs(found - true) / size
 
 
-def coefficient_errors(
+def measure_errors(
     identified: BearingTable, modelled: BearingTable, names: Sequence[Sequence[str]]
 ) -> CoefficientErrors:
     """Errors of the coefficients ``names`` of each bearing; one that is modelled as zero has none."""
     result: CoefficientErrors = {node: {} for node in identified.nodes}
     for b, node in enumerate(identified.nodes):
         for name in names[b]:
-            relative = relative_errors(identified, modelled, name)[b]
+            relative = measure_relative_errors(identified, modelled, name)[b]
             of = relative[~np.isnan(relative)]
             if len(of):
                 found, true = identified.coefficient(name)[b], modelled.coefficient(name)[b]
@@ -54,12 +54,12 @@ def coefficient_errors(
     return result
 
 
-def as_metrics(errors: CoefficientErrors) -> dict[str, dict[str, dict[str, float]]]:
+def list_metrics(errors: CoefficientErrors) -> dict[str, dict[str, dict[str, float]]]:
     """The ``coefficients`` part of ``metrics.json``."""
     return {str(node): {name: asdict(error) for name, error in of.items()} for node, of in errors.items()}
 
 
-def worst_mean_error(errors: CoefficientErrors, name: str) -> float:
+def find_worst_mean(errors: CoefficientErrors, name: str) -> float:
     """The largest mean error of one coefficient among the bearings, percent."""
     return max((of[name].mean_error_percent for of in errors.values() if name in of), default=0.0)
 

@@ -8,6 +8,7 @@ must hold.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -35,6 +36,13 @@ class Rule(BaseModel):
             raise ValueError("must have max, or min for a metric that must not get small, and not both")
         return self
 
+    def allows(self, value: float) -> bool:
+        """Whether the limit holds; not for NaN."""
+        return value <= self.max if self.max is not None else self.min is not None and value >= self.min
+
+    def __str__(self) -> str:
+        return f"at most {self.max:g}" if self.max is not None else f"at least {self.min:g}"
+
 
 @dataclass(frozen=True)
 class Check:
@@ -43,21 +51,12 @@ class Check:
     experiment: str
     metric: str
     value: float | None
-    max: float | None
-    min: float | None
-    why: str
+    rule: Rule
 
     @property
     def met(self) -> bool:
         """False for a missing metric and for NaN, too."""
-        if self.value is None:
-            return False
-        return self.value <= self.max if self.max is not None else self.min is not None and self.value >= self.min
-
-    @property
-    def limit(self) -> str:
-        """The limit in words."""
-        return f"at most {self.max:g}" if self.max is not None else f"at least {self.min:g}"
+        return self.value is not None and self.rule.allows(self.value)
 
 
 def read_rules(path: Path) -> list[Rule]:
@@ -78,12 +77,10 @@ def check_experiment(experiment: str, rules: list[Rule], folder: Path) -> list[C
     """Every rule against the files in ``folder``. A missing file or metric fails its rule."""
     checks = []
     for rule in rules:
-        try:
-            values = list(_select(read_json(folder / rule.file), rule.metric.split(".")))
-        except DataError:
-            values = []
-        found: list[tuple[str, float | None]] = list(values) or [(rule.metric, None)]
-        checks += [Check(experiment, name, value, rule.max, rule.min, rule.why) for name, value in found]
+        found: list[tuple[str, float | None]] = []
+        with suppress(DataError):
+            found += _select(read_json(folder / rule.file), rule.metric.split("."))
+        checks += [Check(experiment, name, value, rule) for name, value in found or [(rule.metric, None)]]
     return checks
 
 

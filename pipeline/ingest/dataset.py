@@ -11,13 +11,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.config.measured import MeasuredRunConfig, SlowRollConfig, convert_phase
-from pipeline.config.recordings import AnyRecordingsConfig, TableRunConfig
+from pipeline.config.recordings import (
+    AnyRecordingsConfig,
+    TableRecordingsConfig,
+    TableRunConfig,
+    UffRecordingsConfig,
+)
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.errors import DataError
 from pipeline.ingest.conventions import to_vectors
 from pipeline.ingest.probes import check_probes, resolve
-from pipeline.ingest.sources import read_runs
-from pipeline.ingest.tracks import LARGEST, RunTracks, to_common_speeds
+from pipeline.ingest.table import read_table_runs
+from pipeline.ingest.tracks import LARGEST, RunTracks, format_rpm, to_common_speeds
+from pipeline.ingest.uff import read_uff_runs
+from pipeline.ingest.waveform import read_signal_runs
 from pipeline.units import RAD_S_PER_RPM
 
 _CONTRADICTION = 0.05
@@ -35,12 +42,12 @@ class MeasuredRuns:
 def read_measured_runs(config: AnyRecordingsConfig) -> MeasuredRuns:
     """Read all runs and bring them to common speeds and to x and y. Raises DataError and ConfigError."""
     check_probes(config.probes)
-    runs = read_runs(config)
-    notes = [note for run in runs for note in run.notes] + _zero_notes(runs)
+    runs = _read_runs(config)
+    notes = [note for run in runs for note in run.notes] + _note_zeros(runs)
     asynchronous = {run.name for run in config.runs if isinstance(run, TableRunConfig) and run.asynchronous}
     if config.slow_roll is not None:  # runout turns with the shaft
         slow = config.slow_roll
-        runs = tuple(run if run.name in asynchronous else without_runout(run, slow) for run in runs)
+        runs = tuple(run if run.name in asynchronous else remove_runout(run, slow) for run in runs)
     wanted = None if config.speeds is None else np.array(config.speeds.rpm()) * RAD_S_PER_RPM
     speeds, vectors = to_common_speeds(runs, wanted, config.interpolation)
     resolved = resolve(config.probes, vectors)
@@ -50,20 +57,28 @@ def read_measured_runs(config: AnyRecordingsConfig) -> MeasuredRuns:
         tuple(run.name for run in runs),
         resolved.channels,
         resolved.displacement,
-        excitations(config),
-        _own_frequencies(config.runs, speeds) if asynchronous else None,
+        list_excitations(config),
+        _list_frequencies(config.runs, speeds) if asynchronous else None,
     )
     notes += [
         f"the probes at node {node} contradict each other by {100 * misfit:.2g} % of what they measure: check "
-        "their angles, "
-        "polarity and scale"
+        "their angles, polarity and scale"
         for node, misfit in resolved.misfit.items()
         if misfit > _CONTRADICTION
     ]
     return MeasuredRuns(dataset, runs, tuple(dict.fromkeys(notes)))
 
 
-def without_runout(run: RunTracks, slow_roll: SlowRollConfig) -> RunTracks:
+def _read_runs(config: AnyRecordingsConfig) -> tuple[RunTracks, ...]:
+    """The 1X vectors of all runs, from whichever format they are in. Raises DataError."""
+    if isinstance(config, TableRecordingsConfig):
+        return read_table_runs(config)
+    if isinstance(config, UffRecordingsConfig) and not config.tacho.recorded:
+        return read_uff_runs(config)
+    return read_signal_runs(config)
+
+
+def remove_runout(run: RunTracks, slow_roll: SlowRollConfig) -> RunTracks:
     """The run with the runout of every probe subtracted. Raises DataError where nothing was measured that slowly."""
     tracks = {}
     for probe, track in run.tracks.items():
@@ -77,18 +92,16 @@ def without_runout(run: RunTracks, slow_roll: SlowRollConfig) -> RunTracks:
             vectors = run.slow[probe].below(slow_roll.below_rpm * RAD_S_PER_RPM)
             if not len(vectors):
                 raise DataError(
-                    f"run '{run.name}' must have speeds below "
-                    f"machine.recordings.slow_roll.below_rpm={slow_roll.below_rpm:g}, but the "
-                    f"lowest is {run.slow[probe].speeds[0] / RAD_S_PER_RPM:.6g} rpm ({run.source}): give a "
-                    "larger one, or "
-                    "slow_roll.vectors, or slow_roll=null"
+                    f"run '{run.name}' must have speeds below machine.recordings.slow_roll.below_rpm="
+                    f"{slow_roll.below_rpm:g}, but the lowest is {format_rpm(run.slow[probe].speeds[0])} rpm "
+                    f"({run.source}): give a larger one, or slow_roll.vectors, or slow_roll=null"
                 )
             runout = complex(vectors.mean())
         tracks[probe] = track.minus(runout)
     return replace(run, tracks=tracks)
 
 
-def excitations(config: AnyRecordingsConfig) -> tuple[Excitation, ...]:
+def list_excitations(config: AnyRecordingsConfig) -> tuple[Excitation, ...]:
     """What excited the runs; the phases of unbalances as angles from x at the pulse."""
     acting: list[Excitation] = []
     for run in config.runs:
@@ -99,7 +112,7 @@ def excitations(config: AnyRecordingsConfig) -> tuple[Excitation, ...]:
     return tuple(acting)
 
 
-def _own_frequencies(runs: Sequence[MeasuredRunConfig], speeds: np.ndarray) -> np.ndarray:
+def _list_frequencies(runs: Sequence[MeasuredRunConfig], speeds: np.ndarray) -> np.ndarray:
     """(S, R) rad/s."""
     columns = []
     for run in runs:
@@ -109,15 +122,14 @@ def _own_frequencies(runs: Sequence[MeasuredRunConfig], speeds: np.ndarray) -> n
     return np.stack(columns, axis=1)
 
 
-def _zero_notes(runs: Sequence[RunTracks]) -> list[str]:
+def _note_zeros(runs: Sequence[RunTracks]) -> list[str]:
     """A sentence for every probe whose missing values may have been written as zeros."""
-    counts = [
-        (run.name, probe, (track.vectors == 0).sum(), track) for run in runs for probe, track in run.tracks.items()
-    ]
     return [
-        f"probe '{probe}' of run '{run}' is exactly zero at {count} of {len(track.speeds)} speeds: are values missing?"
-        for run, probe, count, track in counts
-        if count
+        f"probe '{probe}' of run '{run.name}' is exactly zero at {count} of {len(track.speeds)} speeds: are values "
+        "missing?"
+        for run in runs
+        for probe, track in run.tracks.items()
+        if (count := int((track.vectors == 0).sum()))
     ]
 
 

@@ -49,11 +49,11 @@ def read_known(path: Path, nodes: Sequence[int], speeds: np.ndarray, of: Mapping
             column = table[name][rows]
             if np.isnan(column).any():
                 raise DataError(f"{where} must have {name} at every speed, but some are blank")
-            values[b, :, COEFFICIENTS.index(name)] = _at(given, column, np.clip(rpm, given[0], given[-1]))
+            values[b, :, COEFFICIENTS.index(name)] = _interpolate(given, column, np.clip(rpm, given[0], given[-1]))
     return BearingTable(tuple(nodes), speeds, values)
 
 
-def _at(given: np.ndarray, column: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+def _interpolate(given: np.ndarray, column: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     if len(given) < 4:
         return np.interp(wanted, given, column)
     from scipy.interpolate import CubicSpline

@@ -26,9 +26,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.config.measured import OrderTrackingConfig
 from pipeline.errors import DataError
 from pipeline.ingest.tacho import ShaftAngle
-from pipeline.units import RAD_S_PER_RPM
+from pipeline.ingest.tracks import format_rpm
 
 _TURN = 2 * np.pi
 FEWEST_REVOLUTIONS = 8.0
@@ -45,15 +46,6 @@ _HOPELESS = 100.0
 _OTHER_DEGREE = 2
 _WORST_CONDITION = 1e6
 _NOTHING = 1e-30  # m^2, of a variance
-
-
-@dataclass(frozen=True)
-class Settings:
-    """``degree`` is that of the 1X amplitude, ``revolutions`` a fixed window; None for the rule above."""
-
-    orders: int = 3
-    degree: int | None = None
-    revolutions: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +91,7 @@ class _Answer:
     variance: np.ndarray  # (P,) of the complex numbers
 
 
-def steady_vectors(signals: Signals, settings: Settings) -> tuple[float, np.ndarray]:
+def fit_steady(signals: Signals, settings: OrderTrackingConfig) -> tuple[float, np.ndarray]:
     """Mean speed in rad/s and 1X vectors (P,) of a record at constant speed, fitted to all of it.
 
     Raises DataError where the speed is not constant to 1 %, or the record is too short or too coarse.
@@ -110,64 +102,67 @@ def steady_vectors(signals: Signals, settings: Settings) -> tuple[float, np.ndar
     drift = max(speed.max() / mean - 1, 1 - speed.min() / mean)
     if drift > 0.01:
         raise DataError(
-            f"{signals.where} must have a constant speed (to 1 %), but it goes from {_rpm(speed.min())} to "
-            f"{_rpm(speed.max())} rpm: cut the record, or give machine.recordings.records=run_up and "
+            f"{signals.where} must have a constant speed (to 1 %), but it goes from {format_rpm(speed.min())} to "
+            f"{format_rpm(speed.max())} rpm: cut the record, or give machine.recordings.records=run_up and "
             "machine.recordings.speeds"
         )
     _check_sampling(signals, mean, settings)
     centre = 0.5 * (signals.angle.start + signals.angle.end)
     half = 0.5 * (signals.angle.end - signals.angle.start)
     basis = _Basis((1, settings.degree or 0, *[0] * (settings.orders - 1)))
-    *_, answer = _answers(signals, np.exp(1j * signals.angle.angle(signals.time)), centre, [half], basis)
+    *_, answer = _fit_each(signals, np.exp(1j * signals.angle.angle(signals.time)), centre, [half], basis)
     return mean, answer.vectors
 
 
-def sweep_vectors(signals: Signals, speeds: np.ndarray, settings: Settings) -> np.ndarray:
+def fit_sweep(signals: Signals, speeds: np.ndarray, settings: OrderTrackingConfig) -> np.ndarray:
     """1X vectors (S, P) of a run-up or run-down at ``speeds`` (S,) rad/s, each where it is passed first.
 
     Raises DataError where a window around a speed is not inside the record: nothing is extrapolated.
     """
     signals = signals.between_pulses()
-    centres = _passages(signals, speeds, settings)
+    centres = _find_passages(signals, speeds, settings)
     _check_sampling(signals, float(speeds.max()), settings)
     turning = np.exp(1j * signals.angle.angle(signals.time))
     degree = 6 if settings.degree is None else settings.degree
     basis = _Basis((_OTHER_DEGREE, degree, *[min(_OTHER_DEGREE, degree)] * (settings.orders - 1)))
     found = []
     for centre, speed in zip(centres, speeds, strict=True):
-        halves = _half_lengths(signals, float(centre), float(speed), settings)
-        found.append(_chosen(_answers(signals, turning, float(centre), halves, basis)))
+        halves = _list_windows(signals, float(centre), float(speed), settings)
+        found.append(_choose(_fit_each(signals, turning, float(centre), halves, basis)))
     return np.array(found)
 
 
-def covered(signals: Signals, settings: Settings) -> tuple[float, float]:
+def find_range(signals: Signals, settings: OrderTrackingConfig) -> tuple[float, float]:
     """The lowest and the highest speed (rad/s) around which a window fits into the record."""
+    _, speed = _fit_windows(signals, settings, 4001)
+    turned = np.diff(signals.angle.angle(np.array([signals.angle.start, signals.angle.end])))
+    if not len(speed) or turned <= _TURN * (settings.revolutions or FEWEST_REVOLUTIONS):
+        return np.inf, -np.inf
+    return float(speed.min()), float(speed.max())
+
+
+def _fit_windows(signals: Signals, settings: OrderTrackingConfig, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Those of ``count`` times (s) around which a window fits into the record, and the speeds (rad/s) there."""
     inner = _TURN * (settings.revolutions or FEWEST_REVOLUTIONS) / 2
-    time = np.linspace(signals.angle.start, signals.angle.end, 4001)
-    angle, speed = signals.angle.angle(time), signals.angle.speed(time)
+    time = np.linspace(signals.angle.start, signals.angle.end, count)
+    speed = signals.angle.speed(time)
     # A window is even in time: the faster half has more of its revolutions.
-    fits = (time - inner / speed >= time[0]) & (time + inner / speed <= time[-1]) & (angle[-1] - angle[0] > 2 * inner)
-    inside = speed[fits]
-    return (float(inside.min()), float(inside.max())) if len(inside) else (np.inf, -np.inf)
+    fits = (time - inner / speed >= time[0]) & (time + inner / speed <= time[-1])
+    return time[fits], speed[fits]
 
 
-def _passages(signals: Signals, speeds: np.ndarray, settings: Settings) -> np.ndarray:
+def _find_passages(signals: Signals, speeds: np.ndarray, settings: OrderTrackingConfig) -> np.ndarray:
     """(S,) s, when each speed is passed first, at least half a window from both ends of the record."""
-    low, high = covered(signals, settings)
+    low, high = find_range(signals, settings)
     if low > high or speeds.min() < low * (1 - 1e-6) or speeds.max() > high * (1 + 1e-6):
         revolutions = settings.revolutions or FEWEST_REVOLUTIONS
-        range_ = f"{_rpm(low)} to {_rpm(high)} rpm" if low <= high else "nothing"
+        range_ = f"{format_rpm(low)} to {format_rpm(high)} rpm" if low <= high else "nothing"
         raise DataError(
-            f"{signals.where} must cover machine.recordings.speeds ({_rpm(speeds.min())} to {_rpm(speeds.max())} rpm) "
-            "with windows of "
-            f"{revolutions:g} revolutions, but it covers {range_}: nothing is extrapolated, choose "
-            "machine.recordings.speeds within it"
+            f"{signals.where} must cover machine.recordings.speeds ({format_rpm(speeds.min())} to "
+            f"{format_rpm(speeds.max())} rpm) with windows of {revolutions:g} revolutions, but it covers {range_}: "
+            "nothing is extrapolated, choose machine.recordings.speeds within it"
         )
-    inner = _TURN * (settings.revolutions or FEWEST_REVOLUTIONS) / 2
-    time = np.linspace(signals.angle.start, signals.angle.end, max(4001, 4 * len(speeds)))
-    speed = signals.angle.speed(time)
-    fits = np.flatnonzero((time - inner / speed >= time[0]) & (time + inner / speed <= time[-1]))
-    time, speed = time[fits], speed[fits]
+    time, speed = _fit_windows(signals, settings, max(4001, 4 * len(speeds)))
     centres = np.empty(len(speeds))
     for i, wanted in enumerate(speeds):
         wanted = np.clip(wanted, speed.min(), speed.max())
@@ -179,7 +174,7 @@ def _passages(signals: Signals, speeds: np.ndarray, settings: Settings) -> np.nd
     return centres
 
 
-def _half_lengths(signals: Signals, centre: float, speed: float, settings: Settings) -> list[float]:
+def _list_windows(signals: Signals, centre: float, speed: float, settings: OrderTrackingConfig) -> list[float]:
     """Half lengths of the windows to try, ascending, s."""
     if settings.revolutions is not None:
         return [0.5 * settings.revolutions * _TURN / speed]
@@ -196,7 +191,7 @@ def _half_lengths(signals: Signals, centre: float, speed: float, settings: Setti
     return halves
 
 
-def _answers(
+def _fit_each(
     signals: Signals, turning: np.ndarray, centre: float, halves: list[float], basis: _Basis
 ) -> Iterator[_Answer]:
     """The fit in each of the nested windows, ascending; the sums of one are kept for the next."""
@@ -216,14 +211,14 @@ def _answers(
             right = right + columns.T @ values[part]
             squares = squares + (values[part] ** 2).sum(axis=0)
         begin, end = int(first), int(last)
-        inverse = _inverse(np.asarray(gram), signals.where)
+        inverse = _invert(np.asarray(gram), signals.where)
         found = inverse @ right
         freedom = max(end - begin - len(found), 1)
         noise = np.maximum(squares - (found * right).sum(axis=0), 0.0) / freedom
         yield _Answer(found[a] - 1j * found[b], noise * (inverse[a, a] + inverse[b, b]))
 
 
-def _inverse(gram: np.ndarray, where: str) -> np.ndarray:
+def _invert(gram: np.ndarray, where: str) -> np.ndarray:
     """Inverse of the sums, scaled: powers of x in a short window are small.
 
     Raises DataError where orders are not apart.
@@ -243,7 +238,7 @@ def _inverse(gram: np.ndarray, where: str) -> np.ndarray:
     return inverse * scale * scale[:, None]
 
 
-def _chosen(answers: Iterator[_Answer]) -> np.ndarray:
+def _choose(answers: Iterator[_Answer]) -> np.ndarray:
     """(P,) of the window with the least error, as far as the shorter windows can tell."""
     seen: list[_Answer] = []
     best, least = None, np.inf
@@ -265,16 +260,13 @@ def _chosen(answers: Iterator[_Answer]) -> np.ndarray:
     return best
 
 
-def _check_sampling(signals: Signals, fastest: float, settings: Settings) -> None:
+def _check_sampling(signals: Signals, fastest: float, settings: OrderTrackingConfig) -> None:
     rate = (len(signals.time) - 1) / (signals.time[-1] - signals.time[0]) if len(signals.time) > 1 else 0.0
     samples = rate * _TURN / fastest
     least = 2.5 * settings.orders + 2
     if samples < least:
         raise DataError(
             f"{signals.where} must have at least {least:g} samples a revolution for {settings.orders} orders, but at "
-            f"{_rpm(fastest)} rpm it has {samples:.3g}: give fewer machine.recordings.tracking.orders, or sample faster"
+            f"{format_rpm(fastest)} rpm it has {samples:.3g}: give fewer machine.recordings.tracking.orders, or sample "
+            "faster"
         )
-
-
-def _rpm(speed: float) -> str:
-    return f"{speed / RAD_S_PER_RPM:.6g}"

@@ -14,7 +14,7 @@ FAR_OFF = 300.0
 """No bearing changes the vibration by as much; a forgotten unit (um for m, mm for um) changes it by a thousand."""
 
 
-def size_ratio(dataset: VibrationDataset, rotor: RotorModel, stiffness: float, damping: float) -> float:
+def compare_size(dataset: VibrationDataset, rotor: RotorModel, stiffness: float, damping: float) -> float:
     """Measured over modelled amplitude, median over speeds, channels and excited runs.
 
     The model is the rotor on isotropic bearings of ``stiffness`` (N/m) and ``damping`` (N s/m), a guess.
@@ -33,9 +33,9 @@ def size_ratio(dataset: VibrationDataset, rotor: RotorModel, stiffness: float, d
     return float(np.median(measured[both] / modelled[both])) if both.any() else float("nan")
 
 
-def size_notes(dataset: VibrationDataset, rotor: RotorModel, stiffness: float, damping: float) -> list[str]:
+def note_size(dataset: VibrationDataset, rotor: RotorModel, stiffness: float, damping: float) -> list[str]:
     """A sentence where amplitudes are far from the model's."""
-    ratio = size_ratio(dataset, rotor, stiffness, damping)
+    ratio = compare_size(dataset, rotor, stiffness, damping)
     if not (np.isfinite(ratio) and (ratio > FAR_OFF or ratio < 1 / FAR_OFF)):
         return []
     words = f"{ratio:.2g} times larger" if ratio > 1 else f"{1 / ratio:.2g} times smaller"
@@ -45,7 +45,7 @@ def size_notes(dataset: VibrationDataset, rotor: RotorModel, stiffness: float, d
     ]
 
 
-def whirl_notes(dataset: VibrationDataset) -> list[str]:
+def note_whirl(dataset: VibrationDataset) -> list[str]:
     """A sentence for each run of unbalances whose orbits turn backward at most speeds: an unbalance turns forward."""
     notes = []
     nodes = sorted({node for node, _ in dataset.channels})
@@ -59,8 +59,7 @@ def whirl_notes(dataset: VibrationDataset) -> list[str]:
         if backward.mean() > 0.5:
             notes.append(
                 f"the orbits of run '{run}' turn backward at {100 * backward.mean():.0f} % of speeds and nodes, and an "
-                "unbalance turns the shaft forward, from x to y: check the sense of the phase (lag or lead) "
-                "and the probes' "
-                "angles"
+                "unbalance turns the shaft forward, from x to y: check the sense of the phase (lag or lead) and the "
+                "probes' angles"
             )
     return notes

@@ -5,7 +5,8 @@ Legend: n samples.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -43,22 +44,20 @@ def read_recording(path: Path, names: Sequence[str], clock: Clock, text: TextFor
     Raises DataError: no such file or channel, a damaged or truncated file, no sample rate, NaN, channels of unequal
     length, times that do not ascend.
     """
-    if not path.is_file():
-        raise DataError(f"'{path}' must exist, but there is no such file")
     wanted = list(dict.fromkeys([*names, *([clock.channel] if clock.channel else [])]))
     ending = path.suffix.lower()
     if ending in (".h5", ".hdf5", ".hdf"):
-        channels, rate = _hdf5(path, wanted, clock.attribute)
+        channels, rate = _read_hdf5(path, wanted, clock.attribute)
     elif ending == ".tdms":
-        channels, rate = _tdms(path, wanted)
+        channels, rate = _read_tdms(path, wanted)
     elif ending in (".csv", ".txt", ".xlsx", ".xlsm", ".parquet"):
         channels, rate = read_table(path, dict.fromkeys(wanted, "number"), text=text), None
     else:
         raise DataError(f"'{path}' must end in .csv, .txt, .xlsx, .h5, .hdf5 or .tdms, but it ends in '{path.suffix}'")
-    return checked(path, channels, clock, rate)
+    return check_recording(path, channels, clock, rate)
 
 
-def checked(path: Path, channels: Mapping[str, np.ndarray], clock: Clock, stated: float | None) -> Recording:
+def check_recording(path: Path, channels: Mapping[str, np.ndarray], clock: Clock, stated: float | None) -> Recording:
     """The recording of ``channels`` (n,) each, with the sample rate that its file states in Hz (None: it does not)."""
     lengths = {name: len(values) for name, values in channels.items()}
     if len(set(lengths.values())) > 1:
@@ -74,19 +73,20 @@ def checked(path: Path, channels: Mapping[str, np.ndarray], clock: Clock, stated
     count = next(iter(lengths.values()))
     if count < 2:
         raise DataError(f"'{path}' must have samples, but its channels have {count}")
-    return Recording(_time(path, channels, clock, stated, count), channels)
+    return Recording(_read_time(path, channels, clock, stated, count), channels)
 
 
-def _time(path: Path, channels: Mapping[str, np.ndarray], clock: Clock, stated: float | None, count: int) -> np.ndarray:
+def _read_time(
+    path: Path, channels: Mapping[str, np.ndarray], clock: Clock, stated: float | None, count: int
+) -> np.ndarray:
     if clock.channel is not None:
         time = channels[clock.channel] * _SECONDS[clock.unit or "s"]
         back = np.flatnonzero(np.diff(time) <= 0)
         if len(back):
             raise DataError(
-                f"'{path}' must have ascending times in '{clock.channel}', but sample {back[0] + 2} is not "
-                "after the one "
-                f"before ({len(back)} in all): sort it, or write more digits, or give machine.recordings.sample_rate "
-                "in its place"
+                f"'{path}' must have ascending times in '{clock.channel}', but sample {back[0] + 2} is not after the "
+                f"one before ({len(back)} in all): sort it, or write more digits, or give "
+                "machine.recordings.sample_rate in its place"
             )
         return time
     if clock.rate is not None and stated is not None and abs(clock.rate / stated - 1) > 1e-6:
@@ -103,35 +103,44 @@ def _time(path: Path, channels: Mapping[str, np.ndarray], clock: Clock, stated: 
     return np.arange(count) / rate
 
 
-def _hdf5(path: Path, names: Sequence[str], attribute: str | None) -> tuple[dict[str, np.ndarray], float | None]:
-    import h5py
-
+@contextmanager
+def open_measured(path: Path, kind: str) -> Iterator[None]:
+    """Raise a DataError for whatever a library raises in the block while it reads a file of the ``kind``."""
+    if not path.is_file():
+        raise DataError(f"'{path}' must exist, but there is no such file")
     try:
-        with h5py.File(path, "r") as file:
-            every: list[str] = []
-            file.visititems(lambda name, item: every.append(name) if isinstance(item, h5py.Dataset) else None)
-            channels = {}
-            for name in names:
-                item = file.get(name.strip("/"))
-                if not isinstance(item, h5py.Dataset):
-                    raise DataError(f"'{path}' must have the dataset '{name}', but it has not: {nearest(name, every)}")
-                if item.ndim != 1 or item.dtype.kind not in "iuf":
-                    raise DataError(
-                        f"'{path}' must have one row of numbers in '{name}', but it has the shape {item.shape} of "
-                        f"{item.dtype}: store each channel as a dataset of its own"
-                    )
-                channels[name] = item[()].astype(float)
-            places = [file.get(name.strip("/")) for name in names] + [file]
-            return channels, _rate(path, attribute, places)
+        yield
     except DataError:
         raise
-    except Exception as error:  # h5py raises what HDF5 says, as errors of many kinds
+    except Exception as error:  # h5py, nptdms and pyuff raise many kinds
         raise DataError(
-            f"'{path}' must be a complete HDF5 file, but it can't be read as one ({str(error)[:200]}): copy it again"
+            f"'{path}' must be a complete {kind}, but it can't be read as one "
+            f"({str(error)[:200] or type(error).__name__}): copy it again"
         ) from None
 
 
-def _rate(path: Path, attribute: str | None, places: Sequence[Any]) -> float | None:
+def _read_hdf5(path: Path, names: Sequence[str], attribute: str | None) -> tuple[dict[str, np.ndarray], float | None]:
+    import h5py
+
+    with open_measured(path, "HDF5 file"), h5py.File(path, "r") as file:
+        every: list[str] = []
+        file.visititems(lambda name, item: every.append(name) if isinstance(item, h5py.Dataset) else None)
+        channels = {}
+        for name in names:
+            item = file.get(name.strip("/"))
+            if not isinstance(item, h5py.Dataset):
+                raise DataError(f"'{path}' must have the dataset '{name}', but it has not: {nearest(name, every)}")
+            if item.ndim != 1 or item.dtype.kind not in "iuf":
+                raise DataError(
+                    f"'{path}' must have one row of numbers in '{name}', but it has the shape {item.shape} of "
+                    f"{item.dtype}: store each channel as a dataset of its own"
+                )
+            channels[name] = item[()].astype(float)
+        places = [file.get(name.strip("/")) for name in names] + [file]
+        return channels, _read_rate(path, attribute, places)
+
+
+def _read_rate(path: Path, attribute: str | None, places: Sequence[Any]) -> float | None:
     """Hz, of the first of ``places`` that has the attribute; their groups are asked too."""
     if attribute is None:
         return None
@@ -148,32 +157,24 @@ def _rate(path: Path, attribute: str | None, places: Sequence[Any]) -> float | N
     )
 
 
-def _tdms(path: Path, names: Sequence[str]) -> tuple[dict[str, np.ndarray], float | None]:
+def _read_tdms(path: Path, names: Sequence[str]) -> tuple[dict[str, np.ndarray], float | None]:
     import logging
 
     from nptdms import TdmsFile
     from nptdms.log import log_manager
 
     log_manager.set_level(logging.ERROR)  # what it warns of is refused below
-    try:
-        with path.open("rb") as stream, TdmsFile.open(stream) as file:
-            if file.file_status.incomplete_final_segment:
-                raise DataError(f"'{path}' must be a complete TDMS file, but its last segment is cut: copy it again")
-            every = {f"{group.name}/{channel.name}": channel for group in file.groups() for channel in group.channels()}
-            channels, rates = {}, set()
-            for name in names:
-                if name not in every:
-                    raise DataError(f"'{path}' must have the channel '{name}', but it has not: {nearest(name, every)}")
-                channels[name] = np.asarray(every[name][:], dtype=float)
-                step = float(every[name].properties.get("wf_increment", 0.0))
-                rates |= {1 / step} if step > 0 else set()
-    except DataError:
-        raise
-    except Exception as error:  # nptdms raises many kinds for a damaged file
-        raise DataError(
-            f"'{path}' must be a complete TDMS file, but it can't be read as one "
-            f"({str(error)[:200] or type(error).__name__}): copy it again"
-        ) from None
+    with open_measured(path, "TDMS file"), path.open("rb") as stream, TdmsFile.open(stream) as file:
+        if file.file_status.incomplete_final_segment:
+            raise DataError(f"'{path}' must be a complete TDMS file, but its last segment is cut: copy it again")
+        every = {f"{group.name}/{channel.name}": channel for group in file.groups() for channel in group.channels()}
+        channels, rates = {}, set()
+        for name in names:
+            if name not in every:
+                raise DataError(f"'{path}' must have the channel '{name}', but it has not: {nearest(name, every)}")
+            channels[name] = np.asarray(every[name][:], dtype=float)
+            step = float(every[name].properties.get("wf_increment", 0.0))
+            rates |= {1 / step} if step > 0 else set()
     if len(rates) > 1:
         words = ", ".join(f"{rate:g} Hz" for rate in sorted(rates))
         raise DataError(f"'{path}' must have channels of one sample rate, but it has {words}")

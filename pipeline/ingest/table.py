@@ -6,7 +6,6 @@ Wide: a row a speed, two columns a probe. Long: a row a run, probe and speed.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,7 @@ from pipeline.config.recordings import TableRecordingsConfig, TableRunConfig
 from pipeline.data.tables import Columns, TextFormat, read_table
 from pipeline.errors import DataError, nearest
 from pipeline.ingest.conventions import RAD_S, to_vectors
-from pipeline.ingest.tracks import RunTracks, Track, ascending
+from pipeline.ingest.tracks import RunTracks, Track, sort_track
 
 _BROAD = 2.0
 """Phases that differ by more than this pass a resonance if they are radians, and hardly differ if they are degrees."""
@@ -31,45 +30,39 @@ def read_table_runs(config: TableRecordingsConfig) -> tuple[RunTracks, ...]:
     runs = []
     for run in config.runs:
         path = Path(run.sources(config.file)[0])
-        rows = _wide(config, run, path) if config.layout == "wide" else _long(config, run, path)
-        tracks = {name: _track(config, one) for name, one in rows.items()}
-        phases = [one.phase for one in rows.values()]
-        notes = cut_off(path) + _unit_note(phases, config.conventions.phase_unit, path)
+        rows = _read_wide(config, run, path) if config.layout == "wide" else _read_long(config, run, path)
+        tracks = {name: _make_track(config, one) for name, one in rows.items()}
+        phases = np.concatenate([phase for _, _, phase, _ in rows.values()])
+        notes = note_cut(path) + _note_unit(phases, config.conventions.phase_unit, path)
         runs.append(RunTracks(run.name, f"'{path}'", tracks, tracks, notes))
     return tuple(runs)
 
 
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """What a file says of one probe in one run, (S,) each, in the file's units."""
-
-    speed: np.ndarray
-    amplitude: np.ndarray
-    phase: np.ndarray
-    where: str
+_Rows = tuple[np.ndarray, np.ndarray, np.ndarray, str]
+"""Speed, amplitude and phase (S,) of one probe in one run, in the file's units; and its name in messages."""
 
 
-def text_format(csv: CsvConfig) -> TextFormat:
+def read_format(csv: CsvConfig) -> TextFormat:
     """How the configuration says that CSV files are written."""
     return TextFormat(csv.delimiter, csv.decimal, csv.skip_rows)
 
 
-def _wide(config: TableRecordingsConfig, run: TableRunConfig, path: Path) -> dict[str, _Rows]:
+def _read_wide(config: TableRecordingsConfig, run: TableRunConfig, path: Path) -> dict[str, _Rows]:
     pairs = {name: run.columns.get(name) or probe.columns for name, probe in config.probes.items()}
     columns = [config.columns.speed, *(c for pair in pairs.values() if pair for c in (pair.amplitude, pair.phase))]
-    table = read_table(path, dict.fromkeys(columns, "number"), text=text_format(config.csv))
+    table = read_table(path, dict.fromkeys(columns, "number"), text=read_format(config.csv))
     return {
-        name: _rows(table, config.columns.speed, pair.amplitude, pair.phase, f"'{path}'")
+        name: _take_rows(table, config.columns.speed, pair.amplitude, pair.phase, f"'{path}'")
         for name, pair in pairs.items()
         if pair is not None  # the schema has seen to it
     }
 
 
-def _long(config: TableRecordingsConfig, run: TableRunConfig, path: Path) -> dict[str, _Rows]:
+def _read_long(config: TableRecordingsConfig, run: TableRunConfig, path: Path) -> dict[str, _Rows]:
     names = config.columns
     kinds = {names.run: "text", names.probe: "text"}
     kinds |= dict.fromkeys((names.speed, names.amplitude, names.phase), "number")
-    table = read_table(path, kinds, text=text_format(config.csv))
+    table = read_table(path, kinds, text=read_format(config.csv))
     _check_runs(config, list(dict.fromkeys(table[names.run])), path)
     mine = _select(table, names.run, run.name)
     if not len(mine[names.run]):
@@ -87,7 +80,7 @@ def _long(config: TableRecordingsConfig, run: TableRunConfig, path: Path) -> dic
                 f"{nearest(label, set(mine[names.probe]))}"
             )
         where = f"'{path}', run '{run.name}', probe '{label}',"
-        found[name] = _rows(rows, names.speed, names.amplitude, names.phase, where)
+        found[name] = _take_rows(rows, names.speed, names.amplitude, names.phase, where)
     return found
 
 
@@ -96,36 +89,34 @@ def _select(table: Columns, name: str, value: str) -> Columns:
     return {column: values[rows] for column, values in table.items()}
 
 
-def _rows(table: Columns, speed: str, amplitude: str, phase: str, where: str) -> _Rows:
+def _take_rows(table: Columns, speed: str, amplitude: str, phase: str, where: str) -> _Rows:
     if (table[amplitude] < 0).any():
         raise DataError(
             f"{where} must have amplitudes of zero or more in the column '{amplitude}', but got "
             f"{table[amplitude].min():g}"
         )
-    return _Rows(table[speed], table[amplitude], table[phase], where)
+    return table[speed], table[amplitude], table[phase], where
 
 
-def _track(config: TableRecordingsConfig, rows: _Rows) -> Track:
+def _make_track(config: TableRecordingsConfig, rows: _Rows) -> Track:
     said = config.conventions
-    phase = np.radians(rows.phase) if said.phase_unit == "deg" else rows.phase
-    vectors = to_vectors(rows.amplitude, phase, to_metres(said.length), said.amplitude, said.phase)
-    return ascending(rows.speed * RAD_S[said.speed], vectors, rows.where)
+    speed, amplitude, phase, where = rows
+    angle = np.radians(phase) if said.phase_unit == "deg" else phase
+    vectors = to_vectors(amplitude, angle, to_metres(said.length), said.amplitude, said.phase)
+    return sort_track(speed * RAD_S[said.speed], vectors, where)
 
 
-def _unit_note(phases: Sequence[np.ndarray], unit: str, path: Path) -> tuple[str, ...]:
+def _note_unit(phases: np.ndarray, unit: str, path: Path) -> tuple[str, ...]:
     """A note on phases, as in the file, that look like the other unit."""
-    every = np.concatenate(phases)
-    if unit == "deg" and np.abs(every).max() <= 2 * np.pi and np.ptp(every) > _BROAD:
-        return (
-            f"'{path}' has phases from {every.min():.3g} to {every.max():.3g} that are said to be degrees: are they in "
-            "radians (machine.recordings.conventions.phase_unit=rad)?",
-        )
-    if unit == "rad" and np.abs(every).max() > 6 * np.pi:
-        return (
-            f"'{path}' has phases from {every.min():.3g} to {every.max():.3g} that are said to be radians: are they in "
-            "degrees (machine.recordings.conventions.phase_unit=deg)?",
-        )
-    return ()
+    largest = np.abs(phases).max()
+    if unit == "deg" and largest <= 2 * np.pi and np.ptp(phases) > _BROAD:
+        said, other = "degrees", "radians (machine.recordings.conventions.phase_unit=rad)"
+    elif unit == "rad" and largest > 6 * np.pi:
+        said, other = "radians", "degrees (machine.recordings.conventions.phase_unit=deg)"
+    else:
+        return ()
+    span = f"{phases.min():.3g} to {phases.max():.3g}"
+    return (f"'{path}' has phases from {span} that are said to be {said}: are they in {other}?",)
 
 
 def _check_runs(config: TableRecordingsConfig, there: Sequence[str], path: Path) -> None:
@@ -134,12 +125,12 @@ def _check_runs(config: TableRecordingsConfig, there: Sequence[str], path: Path)
     if strange:
         raise DataError(
             f"machine.recordings.runs must name every run of '{path}' with what excited it, but '{strange[0]}' is not "
-            "among them: add "
-            "it (or name it as machine.recordings.baseline too), or put it into machine.recordings.leave_out"
+            "among them: add it (or name it as machine.recordings.baseline too), or put it into "
+            "machine.recordings.leave_out"
         )
 
 
-def cut_off(path: Path) -> tuple[str, ...]:
+def note_cut(path: Path) -> tuple[str, ...]:
     """A note on a CSV file whose last row may lack digits: nothing else shows it."""
     if path.suffix.lower() in (".parquet", ".xlsx", ".xlsm"):
         return ()

@@ -29,7 +29,7 @@ class Pulses:
     sharp: bool  # the edge is higher than what the interpolation sees of it: it lies anywhere between two samples
 
     def locked_error(self) -> float:
-        """s, by which all pulses may be late or early alike: sharp edges at a whole number of samples a period."""
+        """How late or early all pulses may be together (s): sharp edges at a whole number of samples a period."""
         if not self.sharp or len(self.times) < 3:
             return 0.0
         apart = np.diff(self.times) / self.step
@@ -91,7 +91,7 @@ def find_pulses(
     return Pulses(time[before] + share * step, float(np.median(step)), sharp)
 
 
-def shaft_angle(pulses: np.ndarray, per_revolution: int, where: str, marks: np.ndarray | None = None) -> ShaftAngle:
+def fit_angle(pulses: np.ndarray, per_revolution: int, where: str, marks: np.ndarray | None = None) -> ShaftAngle:
     """The angle from ``pulses`` (N,) s; with several a revolution, ``marks`` (M,) s says where zero is.
 
     Raises DataError for too few pulses, and for missing or doubled ones.
@@ -104,10 +104,10 @@ def shaft_angle(pulses: np.ndarray, per_revolution: int, where: str, marks: np.n
         )
     _check_regular(pulses, where)
     turns = np.arange(len(pulses)) / per_revolution
-    spline = _fitted(pulses, turns)
+    spline = _fit_spline(pulses, turns)
     if marks is not None:
-        turns = turns - _offset(np.asarray(spline(marks[(marks >= pulses[0]) & (marks <= pulses[-1])])), where)
-        spline = _fitted(pulses, turns)
+        turns = turns - _find_mark(np.asarray(spline(marks[(marks >= pulses[0]) & (marks <= pulses[-1])])), where)
+        spline = _fit_spline(pulses, turns)
     return ShaftAngle(spline, float(pulses[0]), float(pulses[-1]))
 
 
@@ -125,7 +125,7 @@ def _check_regular(pulses: np.ndarray, where: str) -> None:
         )
 
 
-def _offset(found: np.ndarray, where: str) -> float:
+def _find_mark(found: np.ndarray, where: str) -> float:
     """The place of the mark in a revolution, from where its pulses fall."""
     if not len(found):
         raise DataError(f"{where} must have a pulse in tacho.mark_channel within the record, but there is none")
@@ -138,13 +138,13 @@ def _offset(found: np.ndarray, where: str) -> float:
     return float(np.angle(mean) / _TURN)
 
 
-def _fitted(pulses: np.ndarray, turns: np.ndarray) -> Any:
+def _fit_spline(pulses: np.ndarray, turns: np.ndarray) -> Any:
     from scipy.interpolate import make_lsq_spline
 
     n = len(pulses)
     period = np.gradient(pulses)
     best = None
-    for knots in _knots(pulses, period):
+    for knots in _list_knots(pulses, period):
         ends = np.pad(knots, 3, mode="edge")
         spline = make_lsq_spline(pulses, turns, ends, k=3, w=period)
         rest = (turns - spline(pulses)) * period
@@ -155,7 +155,7 @@ def _fitted(pulses: np.ndarray, turns: np.ndarray) -> Any:
     return best[1]
 
 
-def _knots(pulses: np.ndarray, period: np.ndarray) -> list[np.ndarray]:
+def _list_knots(pulses: np.ndarray, period: np.ndarray) -> list[np.ndarray]:
     """Candidates, from a single cubic to a knot at every second pulse: even in the angle, and even in the time."""
     most = max(1, (len(pulses) - 4) // 2)
     counts = np.unique(np.round(np.sqrt(2.0) ** np.arange(2 * np.log2(most) + 1e-9)).astype(int))

@@ -34,7 +34,7 @@ class Track:
         return self.vectors[self.speeds < speed]
 
     def minus(self, vector: complex) -> Track:
-        """Without a runout (m)."""
+        """The same without a runout (m)."""
         return Track(self.speeds, self.vectors - vector)
 
 
@@ -49,12 +49,12 @@ class RunTracks:
     notes: tuple[str, ...] = ()
 
 
-def ascending(speeds: np.ndarray, vectors: np.ndarray, where: str) -> Track:
+def sort_track(speeds: np.ndarray, vectors: np.ndarray, where: str) -> Track:
     """A track of rows in any order. Raises DataError for impossible speeds and sizes, and speeds there twice."""
     if (speeds <= 0).any():
-        raise DataError(f"{where} must have speeds above zero, but got {_rpm(speeds.min())} rpm")
+        raise DataError(f"{where} must have speeds above zero, but got {format_rpm(speeds.min())} rpm")
     if (speeds > _FASTEST).any():
-        raise DataError(f"{where} must have speeds of a rotor, but got {_rpm(speeds.max())} rpm: check the unit")
+        raise DataError(f"{where} must have speeds of a rotor, but got {format_rpm(speeds.max())} rpm: check the unit")
     sizes = np.hypot(vectors.real, vectors.imag)
     if not (sizes <= LARGEST).all():
         raise DataError(
@@ -66,8 +66,8 @@ def ascending(speeds: np.ndarray, vectors: np.ndarray, where: str) -> Track:
     same = np.flatnonzero(np.diff(speeds) == 0)
     if len(same):
         raise DataError(
-            f"{where} must have one row a speed, but {_rpm(speeds[same[0]])} rpm is there twice: leave one out, or "
-            "average them"
+            f"{where} must have one row a speed, but {format_rpm(speeds[same[0]])} rpm is there twice: leave one out, "
+            "or average them"
         )
     return Track(speeds, vectors)
 
@@ -88,7 +88,7 @@ def to_common_speeds(runs: Sequence[RunTracks], speeds: np.ndarray | None, kind:
         # A mean of equal numbers is rounded.
         speeds = np.where(np.isclose(mean, speeds, rtol=1e-12, atol=0), speeds, mean)
     else:
-        columns = [_interpolated(run, probe, track, speeds, kind) for run, probe, track in every]
+        columns = [_interpolate(run, probe, track, speeds, kind) for run, probe, track in every]
     return speeds, np.stack(columns, axis=1).reshape(len(speeds), len(runs), -1).transpose(0, 2, 1)
 
 
@@ -103,18 +103,19 @@ def _require_same(
     common = f"all of them cover {start:.6g} to {stop:.6g} rpm" if start <= stop else "no speed is covered by all"
     raise DataError(
         f"all runs must have the same speeds where machine.recordings.speeds is null, but run '{run.name}' has "
-        f"{_range(track)} at probe '{probe}', and run '{first}' has {_range(every[0][2])} ({run.source}): give "
-        f"machine.recordings.speeds={{start_rpm: .., stop_rpm: .., step_rpm: ..}} to interpolate to; {common}"
+        f"{_format_range(track)} at probe '{probe}', and run '{first}' has {_format_range(every[0][2])} "
+        f"({run.source}): give machine.recordings.speeds={{start_rpm: .., stop_rpm: .., step_rpm: ..}} to interpolate "
+        f"to; {common}"
     )
 
 
-def _interpolated(run: RunTracks, probe: str, track: Track, speeds: np.ndarray, kind: str) -> np.ndarray:
+def _interpolate(run: RunTracks, probe: str, track: Track, speeds: np.ndarray, kind: str) -> np.ndarray:
     low, high = track.speeds[0] * (1 - _ROUNDING), track.speeds[-1] * (1 + _ROUNDING)
     if speeds[0] < low or speeds[-1] > high:
         raise DataError(
-            f"every run must cover machine.recordings.speeds ({_rpm(speeds[0])} to {_rpm(speeds[-1])} rpm), but the "
-            f"speed range of run '{run.name}' is {_range(track)} at probe '{probe}' ({run.source}): nothing is "
-            "extrapolated, choose machine.recordings.speeds within it"
+            f"every run must cover machine.recordings.speeds ({format_rpm(speeds[0])} to {format_rpm(speeds[-1])} "
+            f"rpm), but the speed range of run '{run.name}' is {_format_range(track)} at probe '{probe}' "
+            f"({run.source}): nothing is extrapolated, choose machine.recordings.speeds within it"
         )
     if len(speeds) == len(track.speeds) and np.allclose(speeds, track.speeds, rtol=1e-9, atol=0):
         return track.vectors
@@ -132,9 +133,10 @@ def _interpolated(run: RunTracks, probe: str, track: Track, speeds: np.ndarray, 
     return values
 
 
-def _rpm(speed: float) -> str:
+def format_rpm(speed: float) -> str:
+    """Write a speed in rad/s as rpm."""
     return f"{speed / RAD_S_PER_RPM:.6g}"
 
 
-def _range(track: Track) -> str:
-    return f"{len(track.speeds)} speeds from {_rpm(track.speeds[0])} to {_rpm(track.speeds[-1])} rpm"
+def _format_range(track: Track) -> str:
+    return f"{len(track.speeds)} speeds from {format_rpm(track.speeds[0])} to {format_rpm(track.speeds[-1])} rpm"

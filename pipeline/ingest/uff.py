@@ -15,7 +15,8 @@ from pipeline.config.quantities import to_metres
 from pipeline.config.recordings import UffRecordConfig, UffRecordingsConfig, UffRunConfig
 from pipeline.errors import DataError, nearest
 from pipeline.ingest.conventions import RAD_S, to_lead
-from pipeline.ingest.tracks import RunTracks, ascending
+from pipeline.ingest.recordings import open_measured
+from pipeline.ingest.tracks import RunTracks, sort_track
 
 _MARK = re.compile(rb"    -1(?=[ \t]*(?:[\r\n]|$))")
 _TIME, _FREQUENCY, _RPM = 17, 18, 19
@@ -44,7 +45,7 @@ class UffRecord:
 
     @property
     def name(self) -> str:
-        """For messages."""
+        """How messages call the record."""
         return f"{self.texts[0] if self.texts else 'no ID'} {list(self.response)}"
 
 
@@ -59,10 +60,8 @@ class UffFile:
 
 def read_uff(path: Path) -> UffFile:
     """Read a universal file. Raises DataError for a missing, damaged or truncated one, or one without datasets 58."""
-    if not path.is_file():
-        raise DataError(f"'{path}' must exist, but there is no such file")
-    sets = _sets(path)
-    records = tuple(_record(path, one) for one in sets if one.get("type") == 58)
+    sets = _read_sets(path)
+    records = tuple(_make_record(path, one) for one in sets if one.get("type") == 58)
     if not records:
         raise DataError(
             f"'{path}' must have datasets 58 (functions at nodal DOF), but it has "
@@ -109,11 +108,11 @@ def read_uff_runs(config: UffRecordingsConfig) -> tuple[RunTracks, ...]:
         source = run.sources(config.file)[0]
         if source not in files:
             files[source] = read_uff(Path(source))
-        runs.append(_functions(config, config.conventions, run, files[source]))
+        runs.append(_read_functions(config, config.conventions, run, files[source]))
     return tuple(runs)
 
 
-def _functions(
+def _read_functions(
     config: UffRecordingsConfig, said: VectorConventionsConfig, run: UffRunConfig, file: UffFile
 ) -> RunTracks:
     tracks, notes = {}, []
@@ -131,9 +130,9 @@ def _functions(
                 f"{where} must have complex values (amplitude and phase), but they are real: export order 1 as complex"
             )
         _check_displacement(record, where)
-        notes += _notes(record, file, said, where)
+        notes += _note_contradictions(record, file, said, where)
         vectors = to_lead(record.values, to_metres(said.length), said.amplitude, said.phase)
-        tracks[name] = ascending(record.abscissa * RAD_S[said.speed], vectors, where)
+        tracks[name] = sort_track(record.abscissa * RAD_S[said.speed], vectors, where)
     return RunTracks(run.name, f"'{file.path}'", tracks, tracks, tuple(dict.fromkeys(notes)))
 
 
@@ -145,12 +144,12 @@ def _check_displacement(record: UffRecord, where: str) -> None:
         )
 
 
-def _notes(record: UffRecord, file: UffFile, said: VectorConventionsConfig, where: str) -> list[str]:
+def _note_contradictions(record: UffRecord, file: UffFile, said: VectorConventionsConfig, where: str) -> list[str]:
     """Sentences on what the file says otherwise than the configuration, which is followed."""
     notes = []
-    stated = _metres_of(record.ordinate_label) or file.metre
+    stated = _read_unit(record.ordinate_label) or file.metre
     if stated is not None and not np.isclose(stated, to_metres(said.length), rtol=1e-3):
-        words = f"'{record.ordinate_label}'" if _metres_of(record.ordinate_label) else f"{stated:g} m (dataset 164)"
+        words = f"'{record.ordinate_label}'" if _read_unit(record.ordinate_label) else f"{stated:g} m (dataset 164)"
         notes.append(
             f"{where} says that its lengths are in {words}, and machine.recordings.conventions.length is "
             f"{said.length}, which is followed"
@@ -168,7 +167,7 @@ def _notes(record: UffRecord, file: UffFile, said: VectorConventionsConfig, wher
     return notes
 
 
-def _metres_of(label: str) -> float | None:
+def _read_unit(label: str) -> float | None:
     """Size of the unit that a label names; None where it names none."""
     label = re.sub(r"(?i)\s*(pk-?pk|p-?p|0-?p|pk|rms)$", "", label.strip())
     try:
@@ -177,26 +176,19 @@ def _metres_of(label: str) -> float | None:
         return None
 
 
-def _sets(path: Path) -> list[dict[str, Any]]:
+def _read_sets(path: Path) -> list[dict[str, Any]]:
     import pyuff
 
-    try:
+    with open_measured(path, "universal file"):
         content = path.read_bytes()
         file = pyuff.UFF(str(path))
         count = int(file.get_n_sets())
         if len(_MARK.findall(content)) != 2 * count or not content.rstrip().endswith(b"-1"):
             raise DataError(f"'{path}' must be a complete universal file, but it ends within a dataset: copy it again")
         return [file.read_sets(i) for i in range(count)]
-    except DataError:
-        raise
-    except Exception as error:  # pyuff raises plain exceptions
-        raise DataError(
-            f"'{path}' must be a universal file, but it can't be read as one "
-            f"({str(error)[:200] or type(error).__name__})"
-        ) from None
 
 
-def _record(path: Path, one: dict[str, Any]) -> UffRecord:
+def _make_record(path: Path, one: dict[str, Any]) -> UffRecord:
     texts = [str(one.get(key, "")).strip() for key in ("id1", "id2", "id3", "id4", "id5", "rsp_ent_name")]
     record = UffRecord(
         texts=tuple(text for text in texts if text not in ("", "NONE")),
@@ -220,7 +212,7 @@ def _record(path: Path, one: dict[str, Any]) -> UffRecord:
     return record
 
 
-def signal_records(config: UffRecordingsConfig, run: UffRunConfig, path: Path) -> tuple[Sequence[UffRecord], UffRecord]:
+def find_signals(config: UffRecordingsConfig, run: UffRunConfig, path: Path) -> tuple[Sequence[UffRecord], UffRecord]:
     """The time signals of the probes, in their order, and the tacho's. Raises DataError."""
     file = read_uff(path)
     records = [

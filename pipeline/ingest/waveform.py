@@ -11,12 +11,12 @@ import numpy as np
 from pipeline.config.quantities import to_metres, to_volts, to_volts_per_metre
 from pipeline.config.recordings import UffRecordingsConfig, UffRunConfig, WaveformRecordingsConfig, WaveformRunConfig
 from pipeline.errors import DataError
-from pipeline.ingest.order_tracking import Settings, Signals, covered, steady_vectors, sweep_vectors
-from pipeline.ingest.recordings import Clock, Recording, checked, read_recording
-from pipeline.ingest.table import cut_off, text_format
-from pipeline.ingest.tacho import Pulses, find_pulses, shaft_angle
-from pipeline.ingest.tracks import RunTracks, Track, ascending
-from pipeline.ingest.uff import signal_records
+from pipeline.ingest.order_tracking import Signals, find_range, fit_steady, fit_sweep
+from pipeline.ingest.recordings import Clock, Recording, check_recording, read_recording
+from pipeline.ingest.table import note_cut, read_format
+from pipeline.ingest.tacho import Pulses, find_pulses, fit_angle
+from pipeline.ingest.tracks import RunTracks, Track, format_rpm, sort_track
+from pipeline.ingest.uff import find_signals
 from pipeline.units import RAD_S_PER_RPM
 
 SLOW_WINDOWS = 10
@@ -47,64 +47,58 @@ def read_signal_runs(config: SignalRecordingsConfig) -> tuple[RunTracks, ...]:
         source = f"'{paths[0]}'" + (f" and {len(paths) - 1} more" if len(paths) > 1 else "")
         records = (_read(config, run, path) for path in paths)  # one at a time: they are large
         if config.records == "constant_speed":
-            runs.append(_steady(config, run.name, source, records))
+            runs.append(_fit_records(config, run.name, source, records))
         else:
-            runs.append(_sweep(config, run.name, source, next(records)))
+            runs.append(_fit_sweep(config, run.name, source, next(records)))
     return tuple(runs)
 
 
-def _settings(config: SignalRecordingsConfig) -> Settings:
-    tracking = config.tracking
-    return Settings(tracking.orders, tracking.degree, tracking.revolutions)
-
-
-def _steady(config: SignalRecordingsConfig, name: str, source: str, records: Iterable[_Record]) -> RunTracks:
-    """A vector a record."""
+def _fit_records(config: SignalRecordingsConfig, name: str, source: str, records: Iterable[_Record]) -> RunTracks:
+    """Fit one vector for each record."""
     speeds: list[float] = []
     vectors: list[np.ndarray] = []
     notes: list[str] = []
     for record in records:
-        speed, found = steady_vectors(record.signals, _settings(config))
+        speed, found = fit_steady(record.signals, config.tracking)
         speeds.append(speed)
         vectors.append(found)
         notes += record.notes
         error = speed * record.pulses.locked_error()
         if error > _SEEN_ERROR:
             notes.append(
-                f"{record.signals.where} has tacho edges that are sharper than the sampling, at a whole number "
-                "of samples "
-                f"a revolution: all its phases may be off by {np.degrees(error):.2g} deg together"
+                f"{record.signals.where} has tacho edges that are sharper than the sampling, at a whole number of "
+                f"samples a revolution: all its phases may be off by {np.degrees(error):.2g} deg together"
             )
     tracks = {
-        probe: ascending(np.array(speeds), np.array(vectors)[:, p], f"run '{name}'")
+        probe: sort_track(np.array(speeds), np.array(vectors)[:, p], f"run '{name}'")
         for p, probe in enumerate(config.probes)
     }
     return RunTracks(name, source, tracks, tracks, tuple(notes))
 
 
-def _sweep(config: SignalRecordingsConfig, name: str, source: str, record: _Record) -> RunTracks:
-    """Vectors at the wanted speeds, and at low ones for the slow roll."""
+def _fit_sweep(config: SignalRecordingsConfig, name: str, source: str, record: _Record) -> RunTracks:
+    """Fit vectors at the wanted speeds, and at low ones for the slow roll."""
     assert config.speeds is not None  # the schema has seen to it
     wanted = np.array(config.speeds.rpm()) * RAD_S_PER_RPM
-    tracks = _tracked(config, record, wanted)
+    tracks = _track(config, record, wanted)
     slow: dict[str, Track] = {}
     if config.slow_roll is not None and config.slow_roll.below_rpm is not None:
         limit = config.slow_roll.below_rpm * RAD_S_PER_RPM
-        lowest, _ = covered(record.signals, _settings(config))
+        lowest, _ = find_range(record.signals, config.tracking)
         if lowest >= limit:
             raise DataError(
-                f"{record.signals.where} must have data below "
-                f"machine.recordings.slow_roll.below_rpm={config.slow_roll.below_rpm:g}, "
-                f"but windows fit from {lowest / RAD_S_PER_RPM:.6g} rpm on: give a larger one, or slow_roll.vectors"
+                f"{record.signals.where} must have data below machine.recordings.slow_roll.below_rpm="
+                f"{config.slow_roll.below_rpm:g}, but windows fit from {format_rpm(lowest)} rpm on: give a larger one, "
+                "or slow_roll.vectors"
             )
-        slow = _tracked(config, record, np.linspace(lowest, limit, SLOW_WINDOWS, endpoint=False))
+        slow = _track(config, record, np.linspace(lowest, limit, SLOW_WINDOWS, endpoint=False))
     return RunTracks(name, source, tracks, slow, record.notes)
 
 
-def _tracked(config: SignalRecordingsConfig, record: _Record, speeds: np.ndarray) -> dict[str, Track]:
-    vectors = sweep_vectors(record.signals, speeds, _settings(config))
+def _track(config: SignalRecordingsConfig, record: _Record, speeds: np.ndarray) -> dict[str, Track]:
+    vectors = fit_sweep(record.signals, speeds, config.tracking)
     return {
-        probe: ascending(speeds, vectors[:, p], f"{record.signals.where}, probe '{probe}',")
+        probe: sort_track(speeds, vectors[:, p], f"{record.signals.where}, probe '{probe}',")
         for p, probe in enumerate(config.probes)
     }
 
@@ -114,7 +108,7 @@ def _read(config: SignalRecordingsConfig, run: WaveformRunConfig | UffRunConfig,
     marks = None
     if isinstance(config, UffRecordingsConfig):
         assert isinstance(run, UffRunConfig)
-        recording, tacho, per_revolution = _from_uff(config, run, path), _TACHO, 1
+        recording, tacho, per_revolution = _read_uff(config, run, path), _TACHO, 1
         values = recording.channels
         notes: tuple[str, ...] = ()
     else:
@@ -124,30 +118,30 @@ def _read(config: SignalRecordingsConfig, run: WaveformRunConfig | UffRunConfig,
         others = [tacho, *([config.tacho.mark_channel] if config.tacho.mark_channel else [])]
         rate = run.sample_rate or config.sample_rate
         clock = Clock(config.time, config.time_unit, rate, config.sample_rate_attribute)
-        recording = read_recording(path, [*names.values(), *others], clock, text_format(config.csv))
+        recording = read_recording(path, [*names.values(), *others], clock, read_format(config.csv))
         values = {name: recording.channels[channel] for name, channel in names.items()}
-        notes = cut_off(path) if path.suffix.lower() in (".csv", ".txt") else ()
+        notes = note_cut(path) if path.suffix.lower() in (".csv", ".txt") else ()
         if config.tacho.mark_channel is not None:
             channel = config.tacho.mark_channel
-            marks = _pulses(config, recording, channel, f"{where}, channel '{channel}',").times
-    pulses = _pulses(config, recording, tacho, f"{where}, channel '{tacho}',")
-    angle = shaft_angle(pulses.times, per_revolution, f"{where}, channel '{tacho}',", marks)
-    return _Record(Signals(recording.time, _in_metres(config, values), angle, where), pulses, notes)
+            marks = _find_pulses(config, recording, channel, f"{where}, channel '{channel}',").times
+    pulses = _find_pulses(config, recording, tacho, f"{where}, channel '{tacho}',")
+    angle = fit_angle(pulses.times, per_revolution, f"{where}, channel '{tacho}',", marks)
+    return _Record(Signals(recording.time, _to_metres(config, values), angle, where), pulses, notes)
 
 
-def _pulses(config: SignalRecordingsConfig, recording: Recording, channel: str, where: str) -> Pulses:
+def _find_pulses(config: SignalRecordingsConfig, recording: Recording, channel: str, where: str) -> Pulses:
     tacho = config.tacho
     signal = recording.channels[channel]
     return find_pulses(recording.time, signal, tacho.edge or "rising", tacho.threshold, tacho.hysteresis, where)
 
 
-def _from_uff(config: UffRecordingsConfig, run: UffRunConfig, path: Path) -> Recording:
-    records, tacho = signal_records(config, run, path)
+def _read_uff(config: UffRecordingsConfig, run: UffRunConfig, path: Path) -> Recording:
+    records, tacho = find_signals(config, run, path)
     channels = {name: record.values for name, record in zip(config.probes, records, strict=True)}
-    return checked(path, channels | {_TACHO: tacho.values, "time": tacho.abscissa}, Clock("time", "s"), None)
+    return check_recording(path, channels | {_TACHO: tacho.values, "time": tacho.abscissa}, Clock("time", "s"), None)
 
 
-def _in_metres(config: SignalRecordingsConfig, values: Mapping[str, np.ndarray]) -> np.ndarray:
+def _to_metres(config: SignalRecordingsConfig, values: Mapping[str, np.ndarray]) -> np.ndarray:
     """(n, P) m, of the probes in their order."""
     unit = config.signal_unit or ""
     volt = to_volts(unit)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pipeline.methods import critical_speeds, kalman, kriging, least_squares, multi_frequency, spline
-from pipeline.methods.fem_nn import fitted_by
+from pipeline.methods.fem_nn import fit_by
 from pipeline.methods.method import Method
 
 METHODS: dict[str, Method] = {
@@ -14,77 +14,75 @@ METHODS: dict[str, Method] = {
             "per-speed least squares",
             "Tiwari, Lees, Friswell 2002",
             "nothing",
-            least_squares.plain,
+            least_squares.solve_plain,
         ),
         Method(
             "tikhonov",
             "per-speed least squares, Tikhonov",
             "Tiwari, Lees, Friswell 2002; Golub, Heath, Wahba 1979",
             "nothing",
-            least_squares.tikhonov,
+            least_squares.solve_tikhonov,
         ),
         Method(
             "total_least_squares",
             "weighted total least squares",
             "De Troyer et al. 2012",
             "the noise",
-            least_squares.total,
+            least_squares.solve_total,
         ),
         Method(
             "multi_frequency",
             "impulse or several frequencies",
             "Qiu, Tieu 1997; Tiwari, Chakravarthy 2006",
             "a shaker or hammer",
-            multi_frequency.multi_frequency,
+            multi_frequency.identify_by_frequencies,
+            takes_planes=True,
         ),
         Method(
             "kalman",
             "Kalman filter and least squares",
             "Kang et al. 2020",
             "the noise, a guess",
-            kalman.kalman,
+            kalman.identify_by_filter,
         ),
         Method(
             "kriging",
             "Kriging and differential evolution",
             "Han, Guo, Gao 2013",
             "bounds, modelled responses",
-            kriging.kriging,
+            kriging.identify_by_kriging,
         ),
         Method(
             "critical_speeds",
             "network of critical speeds",
             "Pavlenko et al. 2018",
             "bounds, modelled critical speeds",
-            critical_speeds.critical_speeds,
+            critical_speeds.identify_by_critical_speeds,
         ),
         Method(
-            "spline",
-            "output error, spline",
-            "SciPy least squares",
-            "the noise, a guess",
-            spline.spline,
+            "spline", "output error, spline", "SciPy least squares", "the noise, a guess", spline.identify_by_spline
         ),
         Method(
             "residual",
             "FEM-NN, residual",
             "the paper, eq. 6",
             "a guess",
-            fitted_by(lambda options: options.settings.residual),
+            fit_by(lambda options: options.settings.residual),
         ),
         Method(
             "preconditioned",
             "FEM-NN, preconditioned residual",
             "docs/all_coefficients.md",
             "a guess",
-            fitted_by(lambda options: options.settings.preconditioned),
+            fit_by(lambda options: options.settings.preconditioned),
         ),
         Method(
             "response",
             "FEM-NN, response",
             "docs/noise.md",
             "the noise, a guess",
-            fitted_by(lambda options: options.settings.response, with_unbalance=True),
+            fit_by(lambda options: options.settings.response),
+            takes_planes=True,
         ),
     )
 }

@@ -7,7 +7,7 @@ A critical speed is read off a response, measured or modelled, as the speed at w
 the real part of the apparent dynamic stiffness ``force / displacement`` is zero. That part is smooth through a
 resonance, however sharp, so the speed is found between those of the data.
 
-All bearings are taken for the same: each direction has one critical speed for one stiffness.
+All bearings are assumed to be the same: each direction has one critical speed for one stiffness.
 
 Legend: S speeds, P channels, R runs, D directions of the unknowns, N modelled machines.
 """
@@ -23,7 +23,7 @@ import numpy as np
 from pipeline.coefficients import column, is_direct, is_stiffness
 from pipeline.config.comparison import PriorConfig
 from pipeline.data.dataset import DIRECTIONS, assemble_forces
-from pipeline.methods.method import Estimate, MethodOptions, Reason, Refusal, drop_unbalance, estimate
+from pipeline.methods.method import Estimate, MethodOptions, Reason, Refusal, make_estimate
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.model import translation_dof
 from pipeline.units import RAD_S_PER_RPM
@@ -40,33 +40,32 @@ _WINDOW = 5
 """Speeds on either side of a crossing that a straight line is fitted through."""
 
 
-def critical_speeds(measurement: Measurement, options: MethodOptions) -> Estimate:
+def identify_by_critical_speeds(data: Measurement, options: MethodOptions) -> Estimate:
     """Constant stiffnesses of bearings that are all the same; raises Refusal for all else."""
-    data = drop_unbalance(measurement)
     names = data.unknowns.names
     if not all(is_direct(name) and is_stiffness(name) for name in names):
         raise Refusal(Reason.STIFFNESS_ALONE, f"{', '.join(names)} are asked for")
     if not options.constant:
         raise Refusal(Reason.NOT_CONSTANT, "functions of the speed are asked for")
-    places = [_place(data, name) for name in names]
-    measured = _crossings(data, data.dataset.displacement, places)
+    places = [_choose_place(data, name) for name in names]
+    measured = _find_crossings(data, data.dataset.displacement, places)
     if np.isnan(measured).any():
         raise Refusal(Reason.NO_CRITICAL_SPEED, f"there is none for {names[int(np.isnan(measured).argmax())]}")
     generator = np.random.default_rng(options.seed)
-    network = _train(*_model(data, options.settings.prior, places, generator), options.seed)
+    network = _train(*_model_machines(data, options.settings.prior, places, generator), options.seed)
     values = network.stiffness(measured[None])[0]
     noise = data.deviation * generator.standard_normal((2, _SPREAD, *data.deviation.shape)) / np.sqrt(2)
     readings = data.dataset.displacement + noise[0] + 1j * noise[1]
-    again = np.array([_crossings(data, own, places) for own in readings])
+    again = np.array([_find_crossings(data, own, places) for own in readings])
     spread = np.log(network.stiffness(again[~np.isnan(again).any(axis=1)])).std(axis=0)
     deviation = values * np.hypot(spread, network.error)
     shape = (data.unknowns.n_members, len(data.dataset.speeds), len(names))
     listed = ", ".join(f"{speed / RAD_S_PER_RPM:.1f}" for speed in measured)
     words = f"{MODELLED} modelled machines; critical speeds {listed} rpm"
-    return estimate(data, np.broadcast_to(values, shape), np.broadcast_to(deviation, shape), words)
+    return make_estimate(data, np.broadcast_to(values, shape), np.broadcast_to(deviation, shape), words)
 
 
-def _place(data: Measurement, name: str) -> tuple[int, int, np.ndarray]:
+def _choose_place(data: Measurement, name: str) -> tuple[int, int, np.ndarray]:
     """Channel and run that show the resonance of an unknown best, and the force (S,) there: at an exciting node."""
     dataset, angle = data.dataset, list(DIRECTIONS.values())[column(name)]
     run = int(np.flatnonzero(data.synchronous())[0]) if data.synchronous().any() else 0
@@ -79,12 +78,12 @@ def _place(data: Measurement, name: str) -> tuple[int, int, np.ndarray]:
     return nearest, run, forces[:, translation_dof(excited[0], column(name)), run]
 
 
-def _crossings(data: Measurement, readings: np.ndarray, places: list[tuple[int, int, np.ndarray]]) -> np.ndarray:
+def _find_crossings(data: Measurement, readings: np.ndarray, places: list[tuple[int, int, np.ndarray]]) -> np.ndarray:
     """(D,) critical speeds, rad/s, of readings (S, P, R); NaN where there is none."""
-    return np.array([_crossing(data.dataset.speeds, force / readings[:, p, r]) for p, r, force in places])
+    return np.array([_find_crossing(data.dataset.speeds, force / readings[:, p, r]) for p, r, force in places])
 
 
-def _crossing(speeds: np.ndarray, apparent: np.ndarray) -> float:
+def _find_crossing(speeds: np.ndarray, apparent: np.ndarray) -> float:
     """Where the real part of the apparent stiffness (S,), over the speed squared, first falls through zero; or NaN."""
     flexibility = apparent.real / speeds**2
     falls = np.flatnonzero((flexibility[:-1] > 0) & (flexibility[1:] <= 0))
@@ -97,7 +96,7 @@ def _crossing(speeds: np.ndarray, apparent: np.ndarray) -> float:
     return float(speeds[s] - offset / slope)
 
 
-def _model(
+def _model_machines(
     data: Measurement, prior: PriorConfig, places: list[tuple[int, int, np.ndarray]], generator: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """Critical speeds (N, D), rad/s, of machines with stiffnesses (N, D), N/m, within the bounds."""
@@ -106,7 +105,7 @@ def _model(
     stiffness = np.exp(generator.uniform(bounds[0], bounds[1], (MODELLED, len(data.unknowns.names))))
     shape = (data.unknowns.n_members, len(data.dataset.speeds), stiffness.shape[1])
     speeds = np.array(
-        [_crossings(data, equations.predict(data.table(np.broadcast_to(own, shape))), places) for own in stiffness]
+        [_find_crossings(data, equations.predict(data.table(np.broadcast_to(own, shape))), places) for own in stiffness]
     )
     seen = ~np.isnan(speeds).any(axis=1)
     return speeds[seen], stiffness[seen]

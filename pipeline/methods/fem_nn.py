@@ -14,28 +14,25 @@ from pipeline.identification.losses import loss_of
 from pipeline.identification.training import FitSetup
 from pipeline.methods.method import (
     Estimate,
-    Identify,
     MethodOptions,
     Reason,
     Refusal,
-    doubt_of,
-    drop_unbalance,
+    doubt,
     refuse_undetermined,
-    residual_or_refusal,
+    require_residual,
 )
 from pipeline.problem.measurement import Measurement
 
 
-def fitted_by(section: Callable[[MethodOptions], FitConfig], with_unbalance: bool = False) -> Identify:
-    """The method that fits as a section of the settings says; ``with_unbalance`` it takes balance planes, too."""
+def fit_by(section: Callable[[MethodOptions], FitConfig]) -> Callable[[Measurement, MethodOptions], Estimate]:
+    """Make a method that fits as a section of the settings says."""
 
-    def identify(measurement: Measurement, options: MethodOptions) -> Estimate:
+    def identify(data: Measurement, options: MethodOptions) -> Estimate:
         own = section(options)
-        data = measurement if with_unbalance else drop_unbalance(measurement)
         setup = FitSetup(own.model, own.loss, own.optimizer, own.training, options.seed)
         loss = loss_of(own.loss)
         if not loss.weighs_noise:
-            residual_or_refusal(data, options)
+            require_residual(data, options)
         diagnosis = loss.diagnose(data, setup)
         refuse_undetermined(diagnosis.reports)
         try:
@@ -46,6 +43,6 @@ def fitted_by(section: Callable[[MethodOptions], FitConfig], with_unbalance: boo
         if found.uncertainty is not None:
             words += f", {found.quality.summary['fit']['chi_square']['numbers']} numbers"
         speeds = data.dataset.speeds
-        return Estimate(found.table(data.known), found.deviation(speeds), words, doubt_of(found.quality.misfit))
+        return Estimate(found.table(data.known), found.deviation(speeds), words, doubt(found.quality.misfit))
 
     return identify

@@ -14,8 +14,7 @@ from pipeline.methods.method import (
     MethodOptions,
     Reason,
     Refusal,
-    drop_unbalance,
-    estimate,
+    make_estimate,
     require_determined,
 )
 from pipeline.problem.kalman_filter import BearingFilter, filter_bearings
@@ -26,23 +25,22 @@ _LEAST_SETTLED = 0.5
 """Share of the speeds; with fewer the answer is none."""
 
 
-def kalman(measurement: Measurement, options: MethodOptions) -> Estimate:
+def identify_by_filter(data: Measurement, options: MethodOptions) -> Estimate:
     """Coefficients of each speed by itself, from any sensors whose runs are enough."""
-    data = drop_unbalance(measurement)
     require_determined(data, together=False)
     values, settled = filter_bearings(data)
     if settled.mean() < _LEAST_SETTLED:
         raise Refusal(Reason.NOT_SETTLED, f"it does at {int(settled.sum())} of {len(settled)} speeds")
     words = f"{int(settled.sum())} of {len(settled)} speeds settled"
-    return estimate(data, values, _deviation(data, values), words)
+    return make_estimate(data, values, _propagate_noise(data, values), words)
 
 
-def _deviation(data: Measurement, values: np.ndarray) -> np.ndarray:
+def _propagate_noise(data: Measurement, values: np.ndarray) -> np.ndarray:
     """(M, S, U): a fixed point ``p = T(p, z)`` moves with the readings by ``(I - T_p)^-1 T_z``."""
     problem, active, measured = BearingFilter(data), data.unknowns.active, data.dataset.displacement
 
     def updated(of: np.ndarray, readings: np.ndarray) -> np.ndarray:
-        """(S, A)."""
+        """(S, A) after one more update."""
         found = problem.update(of, readings)
         return np.stack([found[m, :, u] for m, u in active], axis=1)
 

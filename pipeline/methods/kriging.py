@@ -2,7 +2,7 @@
 
 The model is evaluated at points of a Latin hypercube within bounds that are known beforehand. A Gaussian process
 (Kriging) interpolates its response between them, differential evolution finds where the surrogate comes nearest to
-the measured response, and the hypercube is drawn anew, smaller, about the best point; that is repeated.
+the measured response, and a smaller hypercube is drawn about the best point; that is repeated.
 
 What is interpolated is the logarithm of predicted over measured displacement: amplitude and phase, whose noise is
 that of the readings, in a few principal components. Coefficients that change with the speed are found at some speeds,
@@ -25,10 +25,11 @@ from pipeline.methods.method import (
     MethodOptions,
     Reason,
     Refusal,
-    doubt_of,
-    drop_unbalance,
-    estimate,
+    differentiate_response,
+    doubt,
+    make_estimate,
     require_determined,
+    stack_rows,
 )
 from pipeline.problem.measurement import Measurement
 
@@ -49,9 +50,8 @@ _GENERATIONS = 60
 _POPULATION = 10
 
 
-def kriging(measurement: Measurement, options: MethodOptions) -> Estimate:
+def identify_by_kriging(data: Measurement, options: MethodOptions) -> Estimate:
     """Direct coefficients, from any sensors; raises Refusal for more than a few unknowns."""
-    data = drop_unbalance(measurement)
     unknowns, speeds = data.unknowns, data.dataset.speeds
     if not all(is_direct(name) for name in unknowns.names):
         raise Refusal(Reason.EITHER_SIGN, f"{', '.join(unknowns.names)} are asked for")
@@ -64,17 +64,17 @@ def kriging(measurement: Measurement, options: MethodOptions) -> Estimate:
     generator = np.random.default_rng(options.seed)
     parts = [data.select(group) for group in groups]
     x = np.stack([_match(part, options.settings.prior, generator) for part in parts])  # (groups, A)
-    left_over = sum(_chi_square(part, own) for part, own in zip(parts, x, strict=True))
+    left_over = sum(_sum_squares(part, own) for part, own in zip(parts, x, strict=True))
     readings = 2 * len(chosen) * data.dataset.displacement[0].size - x.size
-    deviation = np.stack([_deviation(part, own) for part, own in zip(parts, x, strict=True)])
+    deviation = np.stack([_bound_deviation(part, own) for part, own in zip(parts, x, strict=True)])
     if options.constant:
         x, deviation = np.repeat(x, len(speeds), axis=0), np.repeat(deviation, len(speeds), axis=0)
     else:
         x, deviation = (_interpolate(speeds, chosen, values) for values in (x, deviation))
-    evaluations = len(groups) * _ROUNDS * _points(x.shape[1])
+    evaluations = len(groups) * _ROUNDS * _count_points(x.shape[1])
     words = f"{evaluations} modelled responses, {len(groups)} surrogate{'s' * (len(groups) > 1)}"
     spread = unknowns.from_active(deviation * np.exp(x))
-    return estimate(data, unknowns.from_active(np.exp(x)), spread, words, doubt_of(left_over / readings))
+    return make_estimate(data, unknowns.from_active(np.exp(x)), spread, words, doubt(left_over / readings))
 
 
 def _choose(speeds: np.ndarray, count: int, even_in_logarithm: bool) -> np.ndarray:
@@ -84,7 +84,7 @@ def _choose(speeds: np.ndarray, count: int, even_in_logarithm: bool) -> np.ndarr
     return np.unique(np.abs(place[:, None] - wanted).argmin(axis=0))
 
 
-def _points(active: int) -> int:
+def _count_points(active: int) -> int:
     return _POINTS * max(active, 4)
 
 
@@ -99,8 +99,12 @@ def _interpolate(speeds: np.ndarray, chosen: np.ndarray, values: np.ndarray) -> 
 
 def _predict(part: Measurement, x: np.ndarray) -> np.ndarray:
     """(S, P, R) m of one point (A,), the logarithms of the unknowns, the same at every speed."""
-    values = part.unknowns.from_active(np.repeat(np.exp(x)[None], len(part.dataset.speeds), axis=0))
-    return part.response.predict(part.table(values))
+    return part.response.predict(part.table(_repeat_unknowns(part, x)))
+
+
+def _repeat_unknowns(part: Measurement, x: np.ndarray) -> np.ndarray:
+    """(M, S, U) of one point (A,)."""
+    return part.unknowns.from_active(np.repeat(np.exp(x)[None], len(part.dataset.speeds), axis=0))
 
 
 def _match(part: Measurement, prior: PriorConfig, generator: np.random.Generator) -> np.ndarray:
@@ -108,23 +112,23 @@ def _match(part: Measurement, prior: PriorConfig, generator: np.random.Generator
 
     def deviations(x: np.ndarray) -> np.ndarray:
         """(2 S P R,) logarithms of predicted over measured displacement, of one point (A,)."""
-        return _real_rows(np.log(_predict(part, x) / part.dataset.displacement)).ravel()
+        return stack_rows(np.log(_predict(part, x) / part.dataset.displacement)).ravel()
 
     limits = {
         True: (prior.lowest_stiffness, prior.highest_stiffness),
         False: (prior.lowest_damping, prior.highest_damping),
     }
     low, high = np.log([limits[is_stiffness(part.unknowns.names[u])] for _, u in part.unknowns.active]).T
-    return _nearest(deviations, low, high, generator)
+    return _find_nearest(deviations, low, high, generator)
 
 
-def _chi_square(part: Measurement, x: np.ndarray) -> float:
+def _sum_squares(part: Measurement, x: np.ndarray) -> float:
     """Chi-square of the readings for one point (A,)."""
     off = np.abs(_predict(part, x) - part.dataset.displacement)
     return 2 * float((off**2 / part.deviation**2).sum())
 
 
-def _nearest(
+def _find_nearest(
     deviations: Callable[[np.ndarray], np.ndarray], low: np.ndarray, high: np.ndarray, generator: np.random.Generator
 ) -> np.ndarray:
     """(A,) the point of the smallest deviations within the bounds (A,): surrogate by surrogate, each smaller."""
@@ -134,7 +138,7 @@ def _nearest(
     for _ in range(_ROUNDS):
         start = np.clip(best - side / 2, low, np.maximum(high - side, low))
         end = np.minimum(start + side, high)
-        cube = qmc.LatinHypercube(len(low), rng=generator).random(_points(len(low)))
+        cube = qmc.LatinHypercube(len(low), rng=generator).random(_count_points(len(low)))
         points = start + cube * (end - start)
         rows = np.array([deviations(point) for point in points])
         candidate = _evolve(cube, rows, generator)
@@ -184,18 +188,10 @@ def _evolve(cube: np.ndarray, rows: np.ndarray, generator: np.random.Generator) 
     return np.asarray(found.x)
 
 
-def _deviation(part: Measurement, x: np.ndarray) -> np.ndarray:
+def _bound_deviation(part: Measurement, x: np.ndarray) -> np.ndarray:
     """(A,) the Cramer-Rao bound of the readings that were matched."""
-    values = part.unknowns.from_active(np.repeat(np.exp(x)[None], len(part.dataset.speeds), axis=0))
-    by_coefficient = part.response.sensitivity(part.table(values))
-    by = np.einsum("sprbc,bca->spra", by_coefficient, part.unknowns.influence) * np.exp(x)
-    rows = _real_rows(by * (np.sqrt(2) / part.deviation)[..., None]).reshape(-1, len(x))
+    by = differentiate_response(part, _repeat_unknowns(part, x)) * np.exp(x)
+    rows = stack_rows(by * (np.sqrt(2) / part.deviation)[..., None]).reshape(-1, len(x))
     size = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
     singular, right = np.linalg.svd(rows / size, full_matrices=False)[1:]
     return np.asarray(np.sqrt(((right / singular[:, None]) ** 2).sum(axis=0)) / size)
-
-
-def _real_rows(values: np.ndarray) -> np.ndarray:
-    """Complex numbers (S, P, R, ..) as rows of each speed (S, 2 P R, ..): real parts, then imaginary ones."""
-    flat = values.reshape(len(values), -1, *values.shape[3:])
-    return np.concatenate([flat.real, flat.imag], axis=1)

@@ -12,9 +12,8 @@ from pipeline.methods.method import (
     MethodOptions,
     Reason,
     Refusal,
-    drop_unbalance,
-    estimate,
-    residual_or_refusal,
+    make_estimate,
+    require_residual,
 )
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise import (
@@ -32,51 +31,50 @@ _ROUNDS = 4
 """The weights of total least squares depend on its answer: so often they are made again."""
 
 
-def plain(measurement: Measurement, options: MethodOptions) -> Estimate:
+def solve_plain(data: Measurement, options: MethodOptions) -> Estimate:
     """Tiwari, Lees and Friswell (2002): minimise the residual ``|A p + y|`` of each speed.
 
     Noise in the displacements is in A, too, which biases the answer (errors in variables).
     """
-    data = drop_unbalance(measurement)
-    members = residual_or_refusal(data, options).by_member()
+    members = require_residual(data, options).by_member()
     values, _ = per_speed_least_squares(members)
-    return estimate(data, values, _deviation(data, values, _inverse(members, np.zeros(members.matrix.shape[:2]))))
+    return make_estimate(
+        data, values, _propagate_noise(data, values, _invert(members, np.zeros(members.matrix.shape[:2])))
+    )
 
 
-def tikhonov(measurement: Measurement, options: MethodOptions) -> Estimate:
+def solve_tikhonov(data: Measurement, options: MethodOptions) -> Estimate:
     """The same, minimising ``|A p + y|^2 + (strength |p|)^2`` with p in units of A's columns.
 
     The strength of each speed minimises the generalised cross-validation function (Golub, Heath and Wahba 1979).
     """
-    data = drop_unbalance(measurement)
-    members = residual_or_refusal(data, options).by_member()
+    members = require_residual(data, options).by_member()
     if members.matrix.shape[2] <= members.unknowns.present.sum(axis=1).max():
         raise Refusal(
             Reason.NOTHING_TO_VALIDATE,
             f"there are {members.matrix.shape[2]} equations for {members.matrix.shape[3]} unknowns",
         )
-    inverse = _inverse(members, _validate_strength(members))
+    inverse = _invert(members, _validate_strength(members))
     values = -np.einsum("msur,msr->msu", inverse, members.offset)
-    return estimate(data, values, _deviation(data, values, inverse))
+    return make_estimate(data, values, _propagate_noise(data, values, inverse))
 
 
-def total(measurement: Measurement, options: MethodOptions) -> Estimate:
+def solve_total(data: Measurement, options: MethodOptions) -> Estimate:
     """Weighted total least squares (De Troyer et al. 2012): consistent, because it knows the noise of A and y.
 
     With rows weighted by the covariance of the residual, ``E[M'M] = M0'M0 + C`` for the noisy ``M = [A y]``: the answer
     is the vector ``[p, 1]`` that minimises ``|M v|^2 / (v' C v)``.
     """
-    data = drop_unbalance(measurement)
-    residual = residual_or_refusal(data, options)
+    residual = require_residual(data, options)
     values, _ = per_speed_least_squares(residual)
-    derivative = _derivative(data)
+    derivative = _differentiate(data)
     for _ in range(_ROUNDS):
-        covariance = _covariance(data, values)
+        covariance = _estimate_covariance(data, values)
         values = _solve(data, whiten(residual, covariance), derivative, covariance)
-    return estimate(data, values, least_squares_deviation(whiten(residual, _covariance(data, values))))
+    return make_estimate(data, values, least_squares_deviation(whiten(residual, _estimate_covariance(data, values))))
 
 
-def _covariance(data: Measurement, values: np.ndarray) -> np.ndarray:
+def _estimate_covariance(data: Measurement, values: np.ndarray) -> np.ndarray:
     """(S, R, 2 B, 2 B) N^2, of the residual near unknowns (M, S, U)."""
     return residual_covariance(data.rotor, data.dataset, data.table(values), data.deviation)
 
@@ -88,7 +86,7 @@ def _decompose(members: LinearResidual) -> tuple[np.ndarray, np.ndarray, np.ndar
     return *np.linalg.svd(members.matrix / length[:, :, None], full_matrices=False), length
 
 
-def _inverse(members: LinearResidual, strength: np.ndarray) -> np.ndarray:
+def _invert(members: LinearResidual, strength: np.ndarray) -> np.ndarray:
     """(M, S, U, rows) regularised inverse of A; ``strength`` (M, S) is relative to A with columns of unit length."""
     left, singular, right, length = _decompose(members)
     floor = singular[..., :1] * np.finfo(float).eps * members.matrix.shape[2]
@@ -113,9 +111,9 @@ _WEAKEST = 1e-8
 _STRENGTHS = 65
 
 
-def _deviation(data: Measurement, values: np.ndarray, inverse: np.ndarray) -> np.ndarray:
+def _propagate_noise(data: Measurement, values: np.ndarray, inverse: np.ndarray) -> np.ndarray:
     """(M, S, U) standard deviation that the stated noise implies for ``p = -inverse y``; (M, S, U, rows) inverse."""
-    covariance = _covariance(data, values)
+    covariance = _estimate_covariance(data, values)
     return np.array(
         [
             linear_deviation(own, covariance[:, :, rows[:, None], rows])
@@ -124,7 +122,7 @@ def _deviation(data: Measurement, values: np.ndarray, inverse: np.ndarray) -> np
     )
 
 
-def _derivative(data: Measurement) -> np.ndarray:
+def _differentiate(data: Measurement) -> np.ndarray:
     """(S, R, 2 B, U + 1, P) derivative of ``[A y]`` by the displacements: unknowns first, then the offset."""
     dataset, unknowns = data.dataset, data.unknowns
     none = data.table(np.zeros((unknowns.n_members, len(dataset.speeds), len(unknowns.names))))

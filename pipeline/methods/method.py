@@ -71,9 +71,6 @@ class Estimate:
     doubt: str = ""  # what speaks against it: it does not explain its readings
 
 
-Identify = Callable[[Measurement, MethodOptions], Estimate]
-
-
 @dataclass(frozen=True)
 class Method:
     """One method, and what a reader must know to choose it."""
@@ -82,10 +79,15 @@ class Method:
     label: str
     source: str
     beforehand: str  # data and priors that it needs beside the measurement
-    identify: Identify
+    solve: Callable[[Measurement, MethodOptions], Estimate]
+    takes_planes: bool = False  # it identifies a residual unbalance, too
+
+    def identify(self, measurement: Measurement, options: MethodOptions) -> Estimate:
+        """Answer from the measurement, less the runs that the method can't use. Raises Refusal."""
+        return self.solve(measurement if self.takes_planes else drop_unbalance(measurement), options)
 
 
-def estimate(
+def make_estimate(
     measurement: Measurement, values: np.ndarray, deviation: np.ndarray, words: str = "", doubt: str = ""
 ) -> Estimate:
     """The answer, from unknowns (M, S, U) and their standard deviations (M, S, U)."""
@@ -93,17 +95,17 @@ def estimate(
     return Estimate(measurement.table(values), stated, words, doubt)
 
 
-def bearing_equations_or_refusal(measurement: Measurement) -> BearingEquations:
+def require_bearing_equations(measurement: Measurement) -> BearingEquations:
     """The equations at the bearings. Raises Refusal where they are not measured."""
     try:
         return measurement.equations
     except DataError:
-        raise Refusal(Reason.BEARINGS_NOT_MEASURED, f"the sensors are at {sensors_in_words(measurement)}") from None
+        raise Refusal(Reason.BEARINGS_NOT_MEASURED, f"the sensors are at {describe_sensors(measurement)}") from None
 
 
-def residual_or_refusal(measurement: Measurement, options: MethodOptions) -> LinearResidual:
+def require_residual(measurement: Measurement, options: MethodOptions) -> LinearResidual:
     """The residual in the unknowns. Raises Refusal where the runs do not determine them at any speed."""
-    equations = bearing_equations_or_refusal(measurement)
+    equations = require_bearing_equations(measurement)
     refuse_undetermined(judge_identifiability(equations, measurement.residual, options.constant))
     return measurement.residual
 
@@ -126,12 +128,12 @@ def require_determined(measurement: Measurement, together: bool) -> None:
         nodes = {node for node, _ in measurement.dataset.channels}
         raise Refusal(
             Reason.NOT_DETERMINED,
-            f"at {where} {sensors_in_words(measurement)} leave{'s' * (len(nodes) == 1)} a combination of them free",
+            f"at {where} {describe_sensors(measurement)} leave{'s' * (len(nodes) == 1)} a combination of them free",
         )
 
 
-def sensors_in_words(measurement: Measurement) -> str:
-    """The nodes that are measured."""
+def describe_sensors(measurement: Measurement) -> str:
+    """Name the nodes that are measured."""
     nodes = list(dict.fromkeys(node for node, _ in measurement.dataset.channels))
     return f"node{'s' * (len(nodes) > 1)} {', '.join(map(str, nodes))}"
 
@@ -151,8 +153,20 @@ def drop_unbalance(measurement: Measurement) -> Measurement:
     return replace(part, unknowns=replace(part.unknowns, planes=()))
 
 
-def doubt_of(misfit: float | None) -> str:
-    """Words for a chi-square far above what is expected; none for one that is not."""
+def stack_rows(values: np.ndarray) -> np.ndarray:
+    """Complex numbers (S, P, R, ..) as rows of each speed (S, 2 P R, ..): real parts, then imaginary ones."""
+    flat = values.reshape(len(values), -1, *values.shape[3:])
+    return np.concatenate([flat.real, flat.imag], axis=1)
+
+
+def differentiate_response(measurement: Measurement, values: np.ndarray) -> np.ndarray:
+    """(S, P, R, A) derivative of the response by the active unknowns, at unknowns (M, S, U)."""
+    by_coefficient = measurement.response.sensitivity(measurement.table(values))
+    return np.einsum("sprbc,bca->spra", by_coefficient, measurement.unknowns.influence)
+
+
+def doubt(misfit: float | None) -> str:
+    """Say that chi-square is far above what is expected; no words where it is not."""
     if misfit is None or misfit <= FAR_FROM_EXPECTED:  # NaN is not either
         return ""
     return f"chi-square is {misfit:.3g} times what is expected"

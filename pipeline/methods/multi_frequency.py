@@ -21,22 +21,22 @@ from pipeline.methods.method import (
     MethodOptions,
     Reason,
     Refusal,
-    bearing_equations_or_refusal,
-    estimate,
-    sensors_in_words,
+    describe_sensors,
+    make_estimate,
+    require_bearing_equations,
 )
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise import DEPENDENT, linear_deviation, residual_covariance
 from pipeline.problem.residual import BearingEquations, bearing_equations, linear_residual
 
 
-def multi_frequency(measurement: Measurement, options: MethodOptions) -> Estimate:
+def identify_by_frequencies(measurement: Measurement, options: MethodOptions) -> Estimate:
     """Coefficients of each speed by itself; raises Refusal for data of one frequency a speed."""
     planes, unknowns = measurement.unknowns.planes, measurement.unknowns
-    data = _at_bearings(measurement) if planes else measurement
+    data = _project_on_bearings(measurement) if planes else measurement
     dataset = data.dataset
     frequencies = [len(np.unique(np.round(of, 9))) for of in dataset.frequencies]
-    equations = bearing_equations_or_refusal(data)
+    equations = require_bearing_equations(data)
     if min(frequencies) < 2:
         raise Refusal(Reason.ONE_FREQUENCY, "every run turns with the rotor")
     matrix, offset = _join(data, equations)
@@ -57,14 +57,14 @@ def multi_frequency(measurement: Measurement, options: MethodOptions) -> Estimat
         found = np.median(pairs, axis=0) @ np.array([1.0, 1j])
         sizes = (f"{1e6 * abs(u):.3g} g mm at node {node}" for node, u in zip(planes, found, strict=True))
         words += f", residual unbalance {', '.join(sizes)}"
-    return estimate(data, values, deviation, words)
+    return make_estimate(data, values, deviation, words)
 
 
-def _at_bearings(measurement: Measurement) -> Measurement:
+def _project_on_bearings(measurement: Measurement) -> Measurement:
     """The motion of the bearings alone: they then feel an unbalance anywhere on the shaft."""
     channels = list_directions(measurement.rotor.bearing_nodes)
     if not set(channels) <= set(measurement.dataset.channels):
-        raise Refusal(Reason.BEARINGS_NOT_MEASURED, f"the sensors are at {sensors_in_words(measurement)}")
+        raise Refusal(Reason.BEARINGS_NOT_MEASURED, f"the sensors are at {describe_sensors(measurement)}")
     return replace(measurement, dataset=project(measurement.dataset, channels))
 
 
@@ -77,14 +77,14 @@ def _join(data: Measurement, equations: BearingEquations) -> tuple[np.ndarray, n
         mine = 1.0 if data.unknowns.shared else (np.arange(n_bearings) == m)[:, None, None]
         columns.append((residual.matrix[..., u] * mine).swapaxes(0, 1).reshape(n_speeds, -1))
     for node in data.unknowns.planes:
-        force = _unit_unbalance(data, node).swapaxes(0, 1)  # (S, B, 2, R)
+        force = _excite_unit(data, node).swapaxes(0, 1)  # (S, B, 2, R)
         for part in (force, 1j * force):
             flat = part.reshape(n_speeds, n_bearings, -1)
             columns.append(np.concatenate([flat.real, flat.imag], axis=2).reshape(n_speeds, n_bearings * n_rows))
     return np.stack(columns, axis=-1), residual.offset.swapaxes(0, 1).reshape(n_speeds, -1)
 
 
-def _unit_unbalance(data: Measurement, node: int) -> np.ndarray:
+def _excite_unit(data: Measurement, node: int) -> np.ndarray:
     """(B, S, 2, R) derivative of the residual by an unbalance (kg m) at the node; zero in runs that do not turn."""
     turning = [run for run, turns in zip(data.dataset.runs, data.synchronous(), strict=True) if turns]
     still: VibrationDataset = replace(

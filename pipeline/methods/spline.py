@@ -15,18 +15,18 @@ from typing import Any
 import numpy as np
 
 from pipeline.coefficients import is_direct
-from pipeline.methods.least_squares import total
+from pipeline.methods.least_squares import solve_total
 from pipeline.methods.method import (
     Estimate,
     MethodOptions,
     Refusal,
-    doubt_of,
-    drop_unbalance,
-    estimate,
+    differentiate_response,
+    doubt,
+    make_estimate,
     require_determined,
+    stack_rows,
 )
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.response import ResponseEquations
 
 GROWTH = (1, 2, 4, 6, 9, 13, 19, 28, 41)
 """Spline coefficients an unknown: a constant, a power law, cubic splines; the last size is a value for each speed."""
@@ -52,9 +52,7 @@ class Parameters:
 
     def values(self, x: np.ndarray) -> np.ndarray:
         """(M, S, U) unknowns."""
-        return self.task.unknowns.from_active(
-            self.size * np.where(self.positive, np.exp(np.where(self.positive, x, 0.0)), x)
-        )
+        return self.task.unknowns.from_active(np.where(self.positive, self.slope(x), self.size * x))
 
     def from_values(self, values: np.ndarray) -> np.ndarray:
         """(S, A) from unknowns (M, S, U); what must be positive is kept above a thousandth of its size."""
@@ -68,21 +66,19 @@ class Parameters:
         """(S, A) derivative of the unknowns by x."""
         return np.asarray(self.size * np.where(self.positive, np.exp(np.where(self.positive, x, 0.0)), 1.0))
 
-    def sensitivity(self, equations: ResponseEquations, x: np.ndarray) -> np.ndarray:
-        """(S, P, R, A) derivative of the response by x."""
-        return self.derivative(equations, self.values(x)) * self.slope(x)[:, None, None]
+    def predict(self, x: np.ndarray) -> np.ndarray:
+        """(S, P, R) m, the response."""
+        return self.task.response.predict(self.task.table(self.values(x)))
 
-    def derivative(self, equations: ResponseEquations, values: np.ndarray) -> np.ndarray:
-        """(S, P, R, A) derivative of the response by the active unknowns, at unknowns (M, S, U)."""
-        task = self.task
-        by_coefficient = equations.sensitivity(task.table(values))
-        return np.einsum("sprbc,bca->spra", by_coefficient, task.unknowns.influence)
+    def sensitivity(self, x: np.ndarray) -> np.ndarray:
+        """(S, P, R, A) derivative of the response by x."""
+        return differentiate_response(self.task, self.values(x)) * self.slope(x)[:, None, None]
 
 
 _SMALLEST = 1e-3
 
 
-def parameters_of(task: Measurement, size: np.ndarray | None = None) -> Parameters:
+def make_parameters(task: Measurement, size: np.ndarray | None = None) -> Parameters:
     """The free numbers, with sizes (M, U) of the unknowns or the configured guesses."""
     of = task.guess.sizes(task.unknowns) if size is None else size
     return Parameters(
@@ -92,34 +88,25 @@ def parameters_of(task: Measurement, size: np.ndarray | None = None) -> Paramete
     )
 
 
-def real_rows(values: np.ndarray) -> np.ndarray:
-    """Complex numbers (S, P, R, ..) as rows of each speed (S, 2 P R, ..): real parts, then imaginary ones."""
-    flat = values.reshape(len(values), -1, *values.shape[3:])
-    return np.concatenate([flat.real, flat.imag], axis=1)
-
-
 @dataclass(frozen=True, eq=False)
 class _Problem:
     """What does not change with the size of the spline."""
 
     task: Measurement
     parameters: Parameters
-    equations: ResponseEquations
     weight: np.ndarray  # (S, P, R) 1/m: root of 2 over the deviation, so that real and imaginary part count
 
     def deviations(self, x: np.ndarray) -> np.ndarray:
         """(S, rows) whitened, for x (S, A)."""
-        predicted = self.equations.predict(self.task.table(self.parameters.values(x)))
-        return real_rows((predicted - self.task.dataset.displacement) * self.weight)
+        return stack_rows((self.parameters.predict(x) - self.task.dataset.displacement) * self.weight)
 
     def sensitivity(self, x: np.ndarray) -> np.ndarray:
         """(S, rows, A) derivative of :meth:`deviations` by x."""
-        return real_rows(self.parameters.sensitivity(self.equations, x) * self.weight[..., None])
+        return stack_rows(self.parameters.sensitivity(x) * self.weight[..., None])
 
     def reweighted(self, x: np.ndarray) -> _Problem:
-        """With the noise of the predicted readings: weights of the measured ones, whose noise they share, bias."""
-        predicted = self.equations.predict(self.task.table(self.parameters.values(x)))
-        deviation = self.task.deviation_of(predicted, self.task.dataset.subtracted)
+        """The same with weights from the predicted readings: the measured ones share their noise, which biases."""
+        deviation = self.task.deviation_of(self.parameters.predict(x), self.task.dataset.subtracted)
         return replace(self, weight=np.sqrt(2.0) / deviation)
 
 
@@ -136,66 +123,64 @@ class _Fit:
 
     @property
     def criterion(self) -> float:
-        """Akaike's."""
+        """Akaike's criterion."""
         return self.chi_square + 2 * self.z.size
 
 
-def spline(measurement: Measurement, options: MethodOptions) -> Estimate:
+def identify_by_spline(task: Measurement, options: MethodOptions) -> Estimate:
     """The spline of the size that Akaike's criterion chooses, and its Cramer-Rao deviations."""
-    task = drop_unbalance(measurement)
     require_determined(task, together=True)
-    parameters, starts = _starts(task, options)
-    problem = _Problem(task, parameters, task.response, np.sqrt(2.0) / task.deviation)
-    fits = [_best_start(problem, starts, options.constant)]
+    parameters, starts = _list_starts(task, options)
+    problem = _Problem(task, parameters, np.sqrt(2.0) / task.deviation)
+    fits = [_choose_start(problem, starts, options.constant)]
     n_speeds = len(task.dataset.speeds)
     for count in [] if options.constant else [*(k for k in GROWTH[1:] if k < n_speeds), n_speeds]:
-        fits.append(_improved(problem, count, fits[-1].x))
+        fits.append(_improve(problem, count, fits[-1].x))
         best = min(fits, key=lambda fit: fit.criterion)
         if len(fits) - 1 - fits.index(best) >= _LOOK_AHEAD:
             break
     best = min(fits, key=lambda fit: fit.criterion)
     problem = problem.reweighted(best.x)
-    best = _fitted(problem, best.basis.shape[1], best.x)
-    deviation = _deviation(problem, best) * parameters.slope(best.x)
+    best = _fit(problem, best.basis.shape[1], best.x)
+    deviation = _bound_deviation(problem, best) * parameters.slope(best.x)
     expected = 2 * task.dataset.displacement.size - best.z.size
     words = f"{best.z.size} numbers, chi-square {best.chi_square:.4g} where {expected} is expected"
-    doubt = doubt_of(best.chi_square / expected)
     spread = task.unknowns.from_active(deviation)
-    return estimate(task, parameters.values(best.x), spread, words, doubt)
+    return make_estimate(task, parameters.values(best.x), spread, words, doubt(best.chi_square / expected))
 
 
-def _best_start(problem: _Problem, starts: list[np.ndarray], constant: bool) -> _Fit:
+def _choose_start(problem: _Problem, starts: list[np.ndarray], constant: bool) -> _Fit:
     """Constants; where there are several starts, the one that is best when it has become a small spline."""
-    made = sorted((_improved(problem, 1, x) for x in starts), key=lambda fit: fit.chi_square)
+    made = sorted((_improve(problem, 1, x) for x in starts), key=lambda fit: fit.chi_square)
     if len(made) == 1 or constant:
         return made[0]
 
     def promise(fit: _Fit) -> float:
         x = fit.x
         for count in GROWTH[1:_SMALL]:
-            x = _improved(problem, count, x).x if count < len(x) else x
+            x = _improve(problem, count, x).x if count < len(x) else x
         return float((problem.deviations(x) ** 2).sum())
 
     return min(made[:_KEPT_STARTS], key=promise)
 
 
-def _starts(task: Measurement, options: MethodOptions) -> tuple[Parameters, list[np.ndarray]]:
+def _list_starts(task: Measurement, options: MethodOptions) -> tuple[Parameters, list[np.ndarray]]:
     """Constants (S, A) to begin with: the medians of a linear answer, or the guess in several sizes."""
     n_speeds = len(task.dataset.speeds)
     try:
-        found = task.unknowns.leading(total(task, options).coefficients.values)
+        found = task.unknowns.leading(solve_total(task, options).coefficients.values)
     except (Refusal, np.linalg.LinAlgError):
-        parameters = parameters_of(task)
+        parameters = make_parameters(task)
         guess = np.repeat(task.guess.sizes(task.unknowns)[:, None], n_speeds, axis=1)
         return parameters, [
             np.where(parameters.positive, parameters.from_values(size * guess), 0.0) for size in GUESSES
         ]
     middle = np.median(found, axis=1)
-    parameters = parameters_of(task, np.where(middle != 0, np.abs(middle), 1.0))
+    parameters = make_parameters(task, np.where(middle != 0, np.abs(middle), 1.0))
     return parameters, [np.repeat(parameters.from_values(middle[:, None]), n_speeds, axis=0)]
 
 
-def basis(speeds: np.ndarray, count: int) -> np.ndarray:
+def make_basis(speeds: np.ndarray, count: int) -> np.ndarray:
     """(S, K) cubic splines of the logarithm of the speed; as many as speeds are a value for each."""
     from scipy.interpolate import BSpline
 
@@ -212,21 +197,21 @@ def basis(speeds: np.ndarray, count: int) -> np.ndarray:
     return np.asarray(BSpline.design_matrix(place, knots, 3).toarray())
 
 
-def _improved(problem: _Problem, count: int, start: np.ndarray) -> _Fit:
-    """:func:`_fitted`, once more where an unknown has all but vanished: as an exponential, nothing draws it back."""
-    fit = _fitted(problem, count, start)
+def _improve(problem: _Problem, count: int, start: np.ndarray) -> _Fit:
+    """:func:`_fit`, once more where an unknown has all but vanished: as an exponential, nothing draws it back."""
+    fit = _fit(problem, count, start)
     x = fit.x
     gone = problem.parameters.positive & (np.median(x, axis=0) < np.log(_VANISHED))
     if not gone.any():
         return fit
-    return min(fit, _fitted(problem, count, np.where(gone, 0.0, x)), key=lambda one: one.chi_square)
+    return min(fit, _fit(problem, count, np.where(gone, 0.0, x)), key=lambda one: one.chi_square)
 
 
-def _fitted(problem: _Problem, count: int, start: np.ndarray) -> _Fit:
+def _fit(problem: _Problem, count: int, start: np.ndarray) -> _Fit:
     """SciPy's trust-region least squares from the spline nearest to ``start`` (S, A)."""
     from scipy.optimize import least_squares
 
-    own = basis(problem.task.dataset.speeds, count)
+    own = make_basis(problem.task.dataset.speeds, count)
     first = np.linalg.lstsq(own, start, rcond=None)[0]
     large = first.size > _DENSE
 
@@ -235,7 +220,7 @@ def _fitted(problem: _Problem, count: int, start: np.ndarray) -> _Fit:
 
     def jacobian(z: np.ndarray) -> Any:
         by_speed = problem.sensitivity(own @ z.reshape(first.shape))
-        return _sparse(by_speed, own) if large else _dense(by_speed, own)
+        return _make_sparse(by_speed, own) if large else _make_dense(by_speed, own)
 
     with np.errstate(over="ignore", invalid="ignore"):  # a step too far is taken back
         found = least_squares(
@@ -252,13 +237,13 @@ def _fitted(problem: _Problem, count: int, start: np.ndarray) -> _Fit:
     return _Fit(own, found.x.reshape(first.shape), 2 * float(found.cost))
 
 
-def _dense(by_speed: np.ndarray, own: np.ndarray) -> np.ndarray:
+def _make_dense(by_speed: np.ndarray, own: np.ndarray) -> np.ndarray:
     """(S rows, K A) derivative by the spline's coefficients."""
     return np.einsum("sra,sk->srka", by_speed, own).reshape(by_speed.shape[0] * by_speed.shape[1], -1)
 
 
-def _sparse(by_speed: np.ndarray, own: np.ndarray) -> Any:
-    """:func:`_dense`, without its zeros."""
+def _make_sparse(by_speed: np.ndarray, own: np.ndarray) -> Any:
+    """:func:`_make_dense`, without its zeros."""
     from scipy.sparse import csr_array
 
     n_speeds, n_rows, n_active = by_speed.shape
@@ -270,21 +255,21 @@ def _sparse(by_speed: np.ndarray, own: np.ndarray) -> Any:
     return csr_array((data.ravel(), (row.ravel(), column.ravel())), shape=shape)
 
 
-def _information(problem: _Problem, fit: _Fit) -> np.ndarray:
-    """(K A, K A)."""
+def _sum_information(problem: _Problem, fit: _Fit) -> np.ndarray:
+    """(K A, K A) information of the spline coefficients."""
     local = problem.sensitivity(fit.x)
     local = local.swapaxes(1, 2) @ local
     own = fit.basis
     return np.einsum("sk,sab,sl->kalb", own, local, own, optimize=True).reshape(fit.z.size, fit.z.size)
 
 
-def _deviation(problem: _Problem, fit: _Fit) -> np.ndarray:
+def _bound_deviation(problem: _Problem, fit: _Fit) -> np.ndarray:
     """(S, A) standard deviation of x."""
     count, active = fit.z.shape
     if count == len(fit.basis):  # every speed for itself
         rows = problem.sensitivity(fit.x)
         spread = np.linalg.pinv(rows.swapaxes(1, 2) @ rows, hermitian=True)
         return np.sqrt(np.maximum(np.einsum("saa->sa", spread), 0.0))
-    covariance = np.linalg.pinv(_information(problem, fit), hermitian=True).reshape(count, active, count, active)
+    covariance = np.linalg.pinv(_sum_information(problem, fit), hermitian=True).reshape(count, active, count, active)
     spread = np.einsum("sk,kala,sl->sa", fit.basis, covariance, fit.basis, optimize=True)
     return np.sqrt(np.maximum(spread, 0.0))

@@ -11,29 +11,28 @@ import numpy as np
 
 from pipeline.comparison.cases import Case
 from pipeline.methods.catalogue import METHODS
-from pipeline.reporting.comparison_tables import SENSOR_TEXT, Comparison, heading
-from pipeline.reporting.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, figure
+from pipeline.reporting.comparison_tables import SENSOR_TEXT, Comparison, describe_case
+from pipeline.reporting.figures import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, YELLOW, open_figure
 
 _LEAST = 1e-4
 """Percent; what is smaller is exact for every purpose, and drawn as a hollow marker on the edge."""
-_BLACK, _YELLOW = "#000000", "#E69F00"
 _LOOKS: dict[str, tuple[str, str, str]] = {
     "least_squares": (GREY, "-", "o"),
     "tikhonov": (GREY, "--", "s"),
     "total_least_squares": (SKY, "-", "^"),
     "multi_frequency": (GREEN, "-", "P"),
     "kalman": (PURPLE, "-", "v"),
-    "kriging": (_YELLOW, "-", "D"),
-    "critical_speeds": (_YELLOW, "--", "X"),
+    "kriging": (YELLOW, "-", "D"),
+    "critical_speeds": (YELLOW, "--", "X"),
     "spline": (BLUE, "--", "s"),
     "residual": (ORANGE, ":", "<"),
     "preconditioned": (ORANGE, "--", ">"),
-    "response": (_BLACK, "-", "o"),
+    "response": (BLACK, "-", "o"),
 }
 """Colour, line and marker: methods of one family share the colour."""
 
 
-def comparison_figure(path: Path, comparison: Comparison) -> Path:
+def draw_comparison(path: Path, comparison: Comparison) -> Path:
     """Median error of the worst coefficient, one line a method; those that give no answer are named below.
 
     The number of speeds has a panel where there are several.
@@ -48,9 +47,9 @@ def comparison_figure(path: Path, comparison: Comparison) -> Path:
         panels.append((text, by_speeds, "speeds"))
     columns = 2 if len(panels) > 1 else 1
     rows = (len(panels) + columns - 1) // columns
-    with figure(path, rows, columns, 6.0 * columns, 1.2 + 3.9 * rows, sharey=True) as axes:
+    with open_figure(path, rows, columns, 6.0 * columns, 1.2 + 3.9 * rows, sharey=True) as axes:
         for ax, (title, cases, key) in zip(axes.flat, panels, strict=False):
-            _panel(ax, comparison, cases, key)
+            _draw_panel(ax, comparison, cases, key)
             ax.set_title(title)
         for ax in axes.flat[len(panels) :]:
             ax.set_visible(False)
@@ -63,7 +62,7 @@ def comparison_figure(path: Path, comparison: Comparison) -> Path:
     return path
 
 
-def _panel(ax: Any, comparison: Comparison, cases: Sequence[Case], key: str) -> None:
+def _draw_panel(ax: Any, comparison: Comparison, cases: Sequence[Case], key: str) -> None:
     places, silent = np.arange(len(cases)), []
     joined = np.array([case.noise > 0 for case in cases])  # no noise is no place on a logarithmic axis
     for method, shift in zip(comparison.methods, cycle((-0.06, -0.03, 0.0, 0.03, 0.06)), strict=False):
@@ -79,7 +78,7 @@ def _panel(ax: Any, comparison: Comparison, cases: Sequence[Case], key: str) -> 
         for place, error in zip(places[~joined], errors[~joined], strict=True):
             fill = "white" if error < _LEAST else colour
             ax.semilogy(place + 3 * shift, max(error, _LEAST), ls="", mfc=fill, clip_on=False, **look)
-    ax.set_xticks(places, [heading(key)(case) for case in cases])
+    ax.set_xticks(places, [describe_case(case, key) for case in cases])
     ax.set_ylim(bottom=_LEAST)
     lines = {"noise": "noise of each reading", "speeds": "number of speeds"}[key]
     if silent:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +9,7 @@ import numpy as np
 from pipeline.comparison.cases import Case
 from pipeline.comparison.result import Result
 from pipeline.methods.catalogue import METHODS
+from pipeline.reporting.console import format_markdown
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +26,7 @@ class Comparison:
 
     @property
     def methods(self) -> tuple[str, ...]:
-        """In their order."""
+        """The methods in the order of the results."""
         return tuple(dict.fromkeys(r.method for r in self.results))
 
     def error(self, method: str, case: Case, name: str | None = None) -> float:
@@ -57,7 +57,7 @@ class Comparison:
         return float(np.mean(shares)) if shares else None
 
     def seconds(self, method: str, case: Case) -> float:
-        """Median over the data sets."""
+        """Median processor time of an answer over the data sets."""
         return float(np.median([r.seconds for r in self.of(method, case)]))
 
     def cell(self, method: str, case: Case) -> str:
@@ -68,7 +68,7 @@ class Comparison:
         error = self.error(method, case)
         if np.isnan(error):
             return rows[0].outcome.replace("_", " ")
-        return error_text(error) + (" ?" if any(r.doubt for r in rows) else "")
+        return format_error(error) + (" ?" if any(r.doubt for r in rows) else "")
 
     def along(self, key: str) -> list[Case]:
         """The main case with every value of ``noise``, ``sensors`` or ``speeds`` that there is."""
@@ -87,7 +87,7 @@ class Comparison:
         return best, self.error(method, case, name) / answered[best]
 
     def outcomes(self) -> dict[str, dict[str, str]]:
-        """Method -> outcome that is none -> its words."""
+        """Why a method gave no answer: method -> name of the reason -> its words."""
         result: dict[str, dict[str, str]] = {}
         for r in self.results:
             if not r.answered:
@@ -99,30 +99,27 @@ ROUNDING_PERCENT = 1e-8
 """Errors below it are rounding: their digits differ from one processor to another, and are not printed."""
 
 
-def error_text(error: float) -> str:
+def format_error(error: float) -> str:
     """An error in percent, to two digits where it has them."""
     return f"{error:.2g}" if error >= ROUNDING_PERCENT else f"< {ROUNDING_PERCENT:g}".replace("e-0", "e-")
 
 
-def noise_text(noise: float) -> str:
+def format_noise(noise: float) -> str:
     """A share as percent."""
     return f"{100 * noise:g} %"
 
 
+_KEYS = ("noise", "sensors", "speeds")
 SENSOR_TEXT = {"all": "all nodes", "bearings": "bearings", "location": "one location"}
 
 
-def heading(key: str) -> Callable[[Case], str]:
-    """The head of a column of :meth:`Comparison.along`."""
-    texts: dict[str, Callable[[Case], str]] = {
-        "noise": lambda case: noise_text(case.noise),
-        "sensors": lambda case: SENSOR_TEXT[case.sensors],
-        "speeds": lambda case: f"{case.speeds} speeds",
-    }
-    return texts[key]
+def describe_case(case: Case, *keys: str) -> str:
+    """Name the ``noise``, ``sensors`` or ``speeds`` of a case."""
+    texts = {"noise": format_noise(case.noise), "sensors": SENSOR_TEXT[case.sensors], "speeds": f"{case.speeds} speeds"}
+    return ", ".join(texts[key] for key in keys)
 
 
-def tables(comparison: Comparison) -> list[tuple[str, list[str], list[list[str]]]]:
+def make_tables(comparison: Comparison) -> list[tuple[str, list[str], list[list[str]]]]:
     """(title, header, rows) of every table; the first column names the method."""
     main, made = comparison.main, []
     by_noise = [
@@ -131,16 +128,16 @@ def tables(comparison: Comparison) -> list[tuple[str, list[str], list[list[str]]
     ]
     for key, columns in [*by_noise, ("speeds", comparison.along("speeds"))]:
         rows = [[METHODS[m].label, *(comparison.cell(m, case) for case in columns)] for m in comparison.methods]
-        fixed = ", ".join(heading(other)(columns[0]) for other in ("noise", "sensors", "speeds") if other != key)
+        fixed = describe_case(columns[0], *(other for other in _KEYS if other != key))
         title = f"median error % of the worst coefficient against {key}; {fixed}"
-        made.append((title, ["method", *(heading(key)(case) for case in columns)], rows))
-    fixed, each = ", ".join(heading(key)(main) for key in ("noise", "sensors", "speeds")), []
+        made.append((title, ["method", *(describe_case(case, key) for case in columns)], rows))
+    each = []
     for m in comparison.methods:
         errors = comparison.by_coefficient(m)
-        each.append(
-            [METHODS[m].label, *(error_text(errors[name]) if name in errors else "" for name in comparison.names)]
-        )
-    made.append((f"median error % of each coefficient; {fixed}", ["method", *comparison.names], each))
+        cells = [format_error(errors[name]) if name in errors else "" for name in comparison.names]
+        each.append([METHODS[m].label, *cells])
+    title = f"median error % of each coefficient; {describe_case(main, *_KEYS)}"
+    made.append((title, ["method", *comparison.names], each))
     about = []
     for m in comparison.methods:
         held = comparison.coverage(m, main)
@@ -150,11 +147,6 @@ def tables(comparison: Comparison) -> list[tuple[str, list[str], list[list[str]]
     return made
 
 
-def markdown(comparison: Comparison) -> str:
-    """All tables."""
-    return "\n".join(f"{title}\n\n{_table(header, rows)}" for title, header, rows in tables(comparison))
-
-
-def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
-    return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows)]) + "\n"
+def write_markdown(comparison: Comparison) -> str:
+    """Write all tables as Markdown."""
+    return "\n".join(f"{title}\n\n{format_markdown(header, rows)}" for title, header, rows in make_tables(comparison))

@@ -1,4 +1,4 @@
-"""Lines, tables and progress on the terminal."""
+"""Lines, tables and progress on the terminal, and the tables as Markdown."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.progress import Progress as ProgressBar
+    from rich.progress import TaskID
 
     from pipeline.comparison.result import Result
     from pipeline.identification.training import Progress
@@ -18,7 +20,7 @@ StudyProgress = Callable[[int, "float | None"], None]
 
 
 @cache
-def _console(stderr: bool) -> Console:
+def _open_console(stderr: bool) -> Console:
     from rich.console import Console
 
     console = Console(stderr=stderr, highlight=False, soft_wrap=True)
@@ -28,17 +30,17 @@ def _console(stderr: bool) -> Console:
 
 
 def say(text: str) -> None:
-    """A line of result on stdout."""
-    _console(False).print(text, markup=False)
+    """Print a line of result on stdout."""
+    _open_console(False).print(text, markup=False)
 
 
 def warn(text: str) -> None:
-    """A line that needs attention, on stderr."""
-    _console(True).print(f"warning: {text}", markup=False, style="yellow")
+    """Print a line that needs attention on stderr."""
+    _open_console(True).print(f"warning: {text}", markup=False, style="yellow")
 
 
 def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """A table on stdout; the first column is left-aligned, the others right."""
+    """Print a table on stdout; the first column is left-aligned, the others right."""
     from rich import box
     from rich.table import Table
 
@@ -47,38 +49,24 @@ def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> N
         drawn.add_column(name, justify="left" if i == 0 else "right", no_wrap=True)
     for row in rows:
         drawn.add_row(*row)
-    _console(False).print(drawn, markup=False, crop=False)
+    _open_console(False).print(drawn, markup=False, crop=False)
+
+
+def format_markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Write the same table as Markdown, for a file."""
+    lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
+    return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows)]) + "\n"
 
 
 @contextmanager
 def training_progress(name: str) -> Iterator[Progress]:
-    """A bar with the loss and the rate, on a terminal; nothing elsewhere."""
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
-    from rich.progress import Progress as ProgressBar
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("loss {task.fields[loss]}"),
-        TextColumn("{task.fields[rate]}"),
-        TimeElapsedColumn(),
-    )
-    console = _console(True)
-    with ProgressBar(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task(name, total=None, loss="", rate="")
+    """Show a bar with the loss and the rate of a training."""
+    with _show_bar(name, None) as (bar, task):
 
         def update(phase: str, step: int, total: int, loss: float) -> None:
-            """Move the bar; the rate is rich's."""
-            speed = bar.tasks[0].speed
-            rate = f"{speed:.0f} steps/s" if speed else ""
+            rate = f"{bar.tasks[0].speed:.0f} steps/s" if bar.tasks[0].speed else ""
             bar.update(
-                task,
-                description=f"{name} {phase}",
-                completed=step,
-                total=total,
-                loss=f"{loss:.3g}",
-                rate=rate,
+                task, description=f"{name} {phase}", completed=step, total=total, words=f"loss {loss:.3g} {rate}"
             )
 
         yield update
@@ -86,50 +74,45 @@ def training_progress(name: str) -> Iterator[Progress]:
 
 @contextmanager
 def study_progress(name: str, total: int) -> Iterator[StudyProgress]:
-    """One bar for a study, with its best value so far and the time left, on a terminal; nothing elsewhere."""
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
-    from rich.progress import Progress as ProgressBar
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("trials, best held-out loss {task.fields[best]}, left:"),
-        TimeRemainingColumn(elapsed_when_finished=True),
-    )
-    console = _console(True)
-    bar = ProgressBar(
-        *columns, console=console, transient=True, disable=not console.is_terminal, speed_estimate_period=3600
-    )
-    with bar:
-        task = bar.add_task(name, total=total, best="-")
+    """Show a bar for the trials of a study, with its best loss so far."""
+    with _show_bar(name, total) as (bar, task):
 
         def update(done: int, best: float | None) -> None:
-            bar.update(task, completed=done, best="-" if best is None else f"{best:.3g}")
+            words = f"trials, best held-out loss {'-' if best is None else f'{best:.3g}'}, left:"
+            bar.update(task, completed=done, words=words)
 
         yield update
 
 
 @contextmanager
 def comparison_progress(name: str, total: int) -> Iterator[Callable[[int, int, Result], None]]:
-    """One bar for a comparison, with the newest result and the time left, on a terminal; nothing elsewhere."""
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
-    from rich.progress import Progress as ProgressBar
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[newest]} left:"),
-        TimeRemainingColumn(elapsed_when_finished=True),
-    )
-    console = _console(True)
-    with ProgressBar(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task(name, total=total, newest="")
+    """Show a bar for the results of a comparison, with the newest of them."""
+    with _show_bar(name, total) as (bar, task):
 
         def update(done: int, of: int, result: Result) -> None:
-            """Move the bar."""
-            newest = f"{result.method}, {result.sensors}, {100 * result.noise:g} % in {result.seconds:.1f} s,"
-            bar.update(task, completed=done, total=of, newest=newest)
+            newest = f"{result.method}, {result.sensors}, {100 * result.noise:g} % in {result.seconds:.1f} s"
+            bar.update(task, completed=done, total=of, words=f"{newest}, left:")
 
         yield update
+
+
+@contextmanager
+def _show_bar(name: str, total: int | None) -> Iterator[tuple[ProgressBar, TaskID]]:
+    """Show a bar on a terminal, and nothing elsewhere, with the time left, or the time taken without a total."""
+    from rich import progress
+
+    console = _open_console(True)
+    time = progress.TimeRemainingColumn(elapsed_when_finished=True) if total else progress.TimeElapsedColumn()
+    bar = progress.Progress(
+        progress.TextColumn("{task.description}"),
+        progress.BarColumn(),
+        progress.MofNCompleteColumn(),
+        progress.TextColumn("{task.fields[words]}"),
+        time,
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+        speed_estimate_period=3600 if total else 30,
+    )
+    with bar:
+        yield bar, bar.add_task(name, total=total, words="")

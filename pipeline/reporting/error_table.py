@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-def error_table(
+def make_error_table(
     answer: BearingTable,
     names: Sequence[Sequence[str]],
     modelled: BearingTable | None,
@@ -52,10 +52,10 @@ def error_table(
 
 
 def print_error_table(name: str, errors: pd.DataFrame) -> None:
-    """The table on the screen."""
+    """Print the table on the screen."""
     columns = [column for column in _SHOWN if column in errors]
     rows = [
-        [f"node {row['bearing_node']} {row['coefficient']}", *(_shown(column, row[column]) for column in columns)]
+        [f"node {row['bearing_node']} {row['coefficient']}", *(_format(column, row[column]) for column in columns)]
         for _, row in errors.iterrows()
     ]
     what = "identified against modelled" if "modelled" in errors else "identified"
@@ -75,7 +75,7 @@ _SHOWN = {
 }
 
 
-def _shown(column: str, value: float) -> str:
+def _format(column: str, value: float) -> str:
     return f"{value / 1e5:.5f}e5" if column in ("modelled", "identified") else f"{value:.2g}"
 
 
@@ -83,8 +83,8 @@ MISMATCH = 0.05
 """Deviations less probable than this speak against the model: of a right one, they do so in one of twenty data sets."""
 
 
-def quality_words(quality: Mapping[str, Any]) -> str:
-    """What is known of a fit without a truth, from the summary of its quality."""
+def describe_quality(quality: Mapping[str, Any]) -> str:
+    """Say how well a fit explains its readings, from the summary of its quality; no truth is needed."""
     if "residual" in quality:
         residual = quality["residual"]["mean_over_bearing_force"]
         return f"no modelled coefficients, so no errors; residual {residual:.3g} of the bearing force"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from string import ascii_lowercase
@@ -13,7 +13,7 @@ import numpy as np
 from pipeline.coefficients import COEFFICIENTS, is_direct, unit
 from pipeline.data.tables import read_table
 from pipeline.data.vibration_files import to_rpm
-from pipeline.evaluation.errors import relative_errors
+from pipeline.evaluation.errors import measure_relative_errors
 from pipeline.files import write_beside
 from pipeline.rotor.bearing_table import BearingTable
 
@@ -22,9 +22,19 @@ if TYPE_CHECKING:
 
     from pipeline.identification.residual_loss import ResidualTraining
     from pipeline.identification.training import Minimum
+    from pipeline.problem.identifiability import Identifiability
 
 # Okabe and Ito's palette.
 BLUE, ORANGE, GREEN, PURPLE, SKY, GREY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#555555"
+YELLOW, BLACK = "#E69F00", "#000000"
+LOOKS = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"), (PURPLE, "D"), (SKY, "v"), (GREY, "x"), (YELLOW, "P"), (BLACK, "*"))
+"""Colours and markers of the curves that share a panel."""
+MICROMETRES = 1e6
+KINDS = {"k": "stiffness", "c": "damping"}
+_LARGEST_CONDITION = 1e16
+"""Where an infinite condition number is drawn."""
+MARKERS = 30
+"""About as many identified points a curve as can be told apart."""
 _STYLE: dict[Any, Any] = {
     "figure.dpi": 110,
     "savefig.dpi": 110,
@@ -35,23 +45,40 @@ _STYLE: dict[Any, Any] = {
     "axes.spines.right": False,
     "legend.frameon": False,
 }
-MARKERS = 30
-"""About as many identified points a curve as can be told apart."""
 
 
-def legend_above(ax: Any) -> None:
-    """A legend in one line above the axes, where no curve can pass."""
+def place_legend(ax: Any) -> None:
+    """Put the legend in one line above the axes, where no curve can pass."""
     ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderaxespad=0.2)
 
 
-def draw_markers(ax: Any, x: np.ndarray, y: np.ndarray, colour: str, label: str, count: int = MARKERS) -> None:
-    """About ``count`` open circles of a curve."""
+def draw_markers(
+    ax: Any,
+    x: np.ndarray,
+    y: np.ndarray,
+    colour: str,
+    label: str = "",
+    marker: str = "o",
+    count: int = MARKERS,
+    shift: float = 0.0,
+) -> None:
+    """Draw about ``count`` open markers of a curve; the first lies by ``shift`` of their distance from its start."""
     every = max(1, len(x) // count)
-    ax.plot(x[::every], y[::every], ls="", marker="o", ms=5, mfc="none", mec=colour, label=label)
+    shown = slice(int(shift * every), None, every)
+    ax.plot(x[shown], y[shown], ls="", marker=marker, ms=5, mfc="none", mec=colour, label=label)
+
+
+def draw_band(
+    ax: Any, x: np.ndarray, y: np.ndarray, deviation: np.ndarray, colour: str, least: float | np.ndarray = -np.inf
+) -> None:
+    """Fill two standard deviations either side of a curve, down to ``least``."""
+    ax.fill_between(x, np.maximum(y - 2 * deviation, least), y + 2 * deviation, color=colour, alpha=0.25, lw=0)
 
 
 @contextmanager
-def figure(path: Path, rows: int, columns: int, width: float, height: float, **options: Any) -> Iterator[np.ndarray]:
+def open_figure(
+    path: Path, rows: int, columns: int, width: float, height: float, **options: Any
+) -> Iterator[np.ndarray]:
     """Axes (rows, columns) of a figure, written to ``path`` when the block ends well. Raises StorageError."""
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -64,7 +91,7 @@ def figure(path: Path, rows: int, columns: int, width: float, height: float, **o
         write_beside(path, lambda beside: drawn.savefig(beside))
 
 
-def coefficient_figure(
+def draw_coefficients(
     path: Path,
     letter: str,
     identified: BearingTable,
@@ -79,36 +106,20 @@ def coefficient_figure(
     """
     named = {name for of in unknowns for name in of}
     names = [name for name in COEFFICIENTS if name[0] == letter and (is_direct(name) or name in named)]
-    rpm = to_rpm(identified.speeds)
-    kind = "stiffness" if letter == "k" else "damping"
-    some = any(name in named for name in names) and modelled is not None
-    ratios = {"height_ratios": [2.2, 1]} if some else {}
-    with figure(
-        path,
-        2 if some else 1,
-        len(identified.nodes),
-        10.5,
-        6.2 if some else 4.0,
-        sharex=True,
-        gridspec_kw=ratios,
-    ) as axes:
+    compared = modelled is not None and not named.isdisjoint(names)
+    ratios, height = ([2.2, 1], 6.2) if compared else ([1], 4.0)
+    options: dict[str, Any] = {"sharex": True, "gridspec_kw": {"height_ratios": ratios}}
+    with open_figure(path, len(ratios), len(identified.nodes), 10.5, height, **options) as axes:
         for b, node in enumerate(identified.nodes):
-            _coefficients(axes[0, b], b, rpm, names, identified, modelled, unknowns[b])
-            if deviation is not None:
-                _bands(axes[0, b], rpm, names, identified.values[b], deviation[b])
+            for name, look in zip(names, LOOKS, strict=False):
+                _draw_coefficient(axes[:, b], b, name, look, identified, modelled, name in unknowns[b], deviation)
+            if all(identified.coefficient(name)[b].min() > 0 for name in names):
+                axes[0, b].set_yscale("log")
             axes[0, b].set_title(f"bearing at node {node}")
-            if some and modelled is not None:
-                for name, (colour, _) in zip(names, _looks(), strict=False):
-                    if name in unknowns[b]:
-                        error = np.maximum(relative_errors(identified, modelled, name)[b], 1e-14)
-                        axes[1, b].semilogy(rpm, error, color=colour, lw=1.2, label=name)
-                        if deviation is not None:
-                            c = COEFFICIENTS.index(name)
-                            bound = 196.0 * deviation[b, :, c] / np.abs(modelled.values[b, :, c])
-                            axes[1, b].semilogy(rpm, bound, color=colour, lw=1.0, ls=":")
+            if compared:
                 axes[1, b].set_ylabel("error (%)" if deviation is None else "error, and nominal\n95 % (dotted) (%)")
             axes[-1, b].set_xlabel("rotor speed (rpm)")
-        axes[0, 0].set_ylabel(f"{kind} ({unit(names[0])})")
+        axes[0, 0].set_ylabel(f"{KINDS[letter]} ({unit(names[0])})")
         if len(names) > 2:  # too many for a place among the curves
             entries = axes[0, 0].get_legend_handles_labels()
             axes[0, 0].figure.legend(*entries, loc="outside upper center", ncols=4)
@@ -117,63 +128,38 @@ def coefficient_figure(
     return path
 
 
-def _bands(ax: Any, rpm: np.ndarray, names: Sequence[str], values: np.ndarray, deviation: np.ndarray) -> None:
-    """Two standard deviations either side."""
-    for name, (colour, _) in zip(names, _looks(), strict=False):
-        c = COEFFICIENTS.index(name)
-        if not np.isnan(deviation[:, c]).all():
-            low, high = values[:, c] - 2 * deviation[:, c], values[:, c] + 2 * deviation[:, c]
-            ax.fill_between(rpm, low, high, color=colour, alpha=0.25, lw=0)
-
-
-def _looks() -> list[tuple[str, str]]:
-    return [(BLUE, "o"), (ORANGE, "s"), (GREEN, "^"), (PURPLE, "D")]
-
-
-def _coefficients(
-    ax: Any,
+def _draw_coefficient(
+    axes: np.ndarray,
     b: int,
-    rpm: np.ndarray,
-    names: Sequence[str],
+    name: str,
+    look: tuple[str, str],
     identified: BearingTable,
     modelled: BearingTable | None,
-    unknowns: Sequence[str],
+    unknown: bool,
+    deviation: np.ndarray | None,
 ) -> None:
-    for name, (colour, marker) in zip(names, _looks(), strict=False):
-        if name not in unknowns:
-            ax.plot(
-                rpm,
-                identified.coefficient(name)[b],
-                color=colour,
-                ls="--",
-                lw=1.5,
-                label=f"{name} known, not identified",
-            )
-            continue
-        if modelled is not None:
-            ax.plot(rpm, modelled.coefficient(name)[b], color=colour, lw=1.5, label=f"{name} modelled")
-        every = max(1, len(rpm) // MARKERS)
-        ax.plot(
-            rpm[::every],
-            identified.coefficient(name)[b, ::every],
-            ls="",
-            marker=marker,
-            ms=5,
-            mfc="none",
-            mec=colour,
-            label=f"{name} identified",
-        )
-    values = np.concatenate([identified.coefficient(name)[b] for name in names])
-    if values.min() > 0:
-        ax.set_yscale("log")
+    """Draw one coefficient of bearing ``b``, and its error into the last of ``axes``."""
+    rpm, values, (colour, marker) = to_rpm(identified.speeds), identified.coefficient(name)[b], look
+    if not unknown:
+        axes[0].plot(rpm, values, color=colour, ls="--", lw=1.5, label=f"{name} known, not identified")
+        return
+    stated = None if deviation is None else deviation[b, :, COEFFICIENTS.index(name)]
+    if modelled is not None:
+        true = modelled.coefficient(name)[b]
+        axes[0].plot(rpm, true, color=colour, lw=1.5, label=f"{name} modelled")
+        error = np.maximum(measure_relative_errors(identified, modelled, name)[b], 1e-14)
+        axes[-1].semilogy(rpm, error, color=colour, lw=1.2)
+        if stated is not None:
+            axes[-1].semilogy(rpm, 196.0 * stated / np.abs(true), color=colour, lw=1.0, ls=":")
+    draw_markers(axes[0], rpm, values, colour, f"{name} identified", marker)
+    if stated is not None:
+        draw_band(axes[0], rpm, values, stated, colour)
 
 
-def history_figure(path: Path, history: Path, label: str) -> Path:
+def draw_history(path: Path, history: Path, label: str) -> Path:
     """The loss, which ``label`` names, over the steps of training, on training and held-out speeds."""
-    table = read_table(
-        history, {"step": "number", "phase": "text", "loss": "number"}, {"held_out_loss": "number or blank"}
-    )
-    with figure(path, 1, 1, 7.5, 4.2) as axes:
+    table = read_table(history, {"step": "number", "phase": "text", "loss": "number"})
+    with open_figure(path, 1, 1, 7.5, 4.2) as axes:
         ax = axes[0, 0]
         ax.semilogy(table["step"], table["loss"], color=BLUE, label="training speeds")
         if "held_out_loss" in table:
@@ -196,7 +182,7 @@ def history_figure(path: Path, history: Path, label: str) -> Path:
     return path
 
 
-def robustness_figure(
+def draw_robustness(
     path: Path,
     training: ResidualTraining,
     found: Minimum,
@@ -207,12 +193,14 @@ def robustness_figure(
     """Paper, Figure 2: the stiffnesses on their way from every guess; final errors over guesses or seeds."""
     unknowns = training.model.unknowns
     if not found.trajectory:
-        return _final_errors(path, rows, over)
+        return _draw_final_errors(path, rows, over)
     steps = np.array([step for step, _ in found.trajectory])
-    paths = np.stack([_values(training, parameters) for _, parameters in found.trajectory])  # (T, G, M, U)
+    model = training.model
+    scale = model.scale_tensor()[:, 0]
+    paths = np.stack([model.physical(one, scale).detach().numpy() for _, one in found.trajectory])  # (T, G, M, U)
     nodes = training.measurement.rotor.bearing_nodes
     members = paths.shape[2]
-    with figure(path, members, len(unknowns), 5.2 * len(unknowns), 3.4 * members, sharex=True) as axes:
+    with open_figure(path, members, len(unknowns), 5.2 * len(unknowns), 3.4 * members, sharex=True) as axes:
         for m in range(members):
             for u, name in enumerate(unknowns):
                 ax = axes[m, u]
@@ -228,31 +216,70 @@ def robustness_figure(
     return path
 
 
-def _values(training: ResidualTraining, parameters: Any) -> np.ndarray:
-    model = training.model
-    return model.physical(parameters, model.scale_tensor()[:, 0]).detach().numpy()
-
-
-def _final_errors(path: Path, rows: pd.DataFrame, over: str) -> Path:
-    with figure(path, 1, 1, 8.0, 4.2) as axes:
+def _draw_final_errors(path: Path, rows: pd.DataFrame, over: str) -> Path:
+    with open_figure(path, 1, 1, 8.0, 4.2) as axes:
         ax = axes[0, 0]
         has_truth = rows["mean_error_percent"].notna().all()
         quantity = "mean_error_percent" if has_truth else "loss"
         for i, ((node, name), group) in enumerate(rows.groupby(["bearing_node", "coefficient"], sort=False)):
-            colour, marker = [*_looks(), (SKY, "v"), (GREY, "x"), ("#E69F00", "P"), ("#000000", "*")][i % 8]
-            ax.semilogy(
-                group[over],
-                group[quantity],
-                ls="",
-                marker=marker,
-                ms=7,
-                color=colour,
-                mfc=colour if i < 8 else "none",
-                label=f"node {node} {name}",
-            )
+            colour, marker = LOOKS[i % len(LOOKS)]
+            look = {"color": colour, "marker": marker, "ms": 7, "mfc": colour if i < len(LOOKS) else "none"}
+            ax.semilogy(group[over], group[quantity], ls="", label=f"node {node} {name}", **look)
         if over == "initial_guess":
             ax.set_xscale("log")
         ax.set_xlabel("seed" if over == "seed" else "initial guess of the stiffness (N/m)")
         ax.set_ylabel("mean error over speeds (%)" if has_truth else "loss (-)")
         ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return path
+
+
+def draw_noise_study(path: Path, rows: pd.DataFrame) -> Path:
+    """Above, the median error over speed of every data set; below, the share of speeds inside the 95 % interval."""
+    groups = list(rows.groupby(["bearing_node", "coefficient"], sort=False))
+    generator = np.random.default_rng(0)
+    with open_figure(path, 2, 1, max(6.0, 0.75 * len(groups) + 2), 6.0, sharex=True) as axes:
+        above, below = axes[:, 0]
+        for i, (_, group) in enumerate(groups):
+            errors, aside = group["median_error_percent"], i + generator.uniform(-0.25, 0.25, len(group))
+            above.semilogy(aside, errors, ls="", marker="o", ms=3, color=BLUE, alpha=0.5)
+            above.semilogy(i, errors.median(), ls="", marker="_", ms=18, mew=2, color=ORANGE)
+            below.plot(i, group["within_95_percent_interval"].mean(), ls="", marker="s", ms=7, color=BLUE)
+        below.axhspan(90, 98, color=GREY, alpha=0.15, lw=0)
+        below.axhline(95, color=GREY, lw=1.0, ls="--")
+        above.set_ylabel("median error over speed (%)\none dot a data set")
+        below.set(ylim=(80, 100), ylabel="inside the nominal\n95 % interval (%)")
+        below.set_xticks(range(len(groups)), [f"{name}\nnode {node}" for (node, name), _ in groups])
+    return path
+
+
+def draw_diagnosis(
+    path: Path, reports: Sequence[Identifiability], relative: Callable[[int], Mapping[str, np.ndarray]], noise: str
+) -> Path:
+    """Condition number over speed, and below it the deviation of each coefficient that the ``noise`` implies.
+
+    ``relative`` gives, for the node of a bearing, the standard deviation (S,) over the coefficient by its name.
+    """
+    with open_figure(path, 2, len(reports), 5.4 * len(reports), 6.6, sharex=True, sharey="row") as axes:
+        for a, report in enumerate(reports):
+            rpm = to_rpm(report.speeds)
+            above, below = axes[0, a], axes[1, a]
+            above.semilogy(rpm, np.minimum(report.condition, _LARGEST_CONDITION), color=BLUE, label="unknowns")
+            above.semilogy(
+                rpm, np.minimum(report.orbit_condition, _LARGEST_CONDITION), color=GREY, ls="--", label="orbits"
+            )
+            above.set_title(f"{report.where}:\n{report.verdict.value}")
+            for name, values in relative(report.nodes[0]).items():
+                colour = LOOKS[COEFFICIENTS.index(name) % 4][0]
+                drawn = np.where(np.isfinite(values), 100 * values, np.nan)
+                if not np.isnan(drawn).all():
+                    below.semilogy(rpm, drawn, color=colour, ls="-" if name[0] == "k" else ":", lw=1.4, label=name)
+            if not below.lines:
+                below.text(0.5, 0.5, "free: no finite deviation", transform=below.transAxes, ha="center", color=GREY)
+            below.axhline(100.0, color=GREY, lw=0.8)
+            below.set_xlabel("rotor speed (rpm)")
+        axes[0, 0].set_ylabel("condition number (-)")
+        axes[0, 0].legend()
+        axes[1, 0].set_ylabel(f"standard deviation at\n{noise} (% of the coefficient)")
+        if axes[1, 0].lines[:-1]:
+            axes[1, 0].legend(ncols=2, fontsize=8)
     return path

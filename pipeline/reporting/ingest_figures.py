@@ -9,16 +9,15 @@ import numpy as np
 
 from pipeline.data.dataset import DIRECTIONS, VibrationDataset
 from pipeline.data.vibration_files import to_rpm
-from pipeline.reporting.figures import BLUE, GREEN, GREY, MARKERS, ORANGE, PURPLE, SKY, figure
+from pipeline.reporting.figures import BLACK, BLUE, GREEN, GREY, MARKERS, MICROMETRES, ORANGE, PURPLE, SKY, open_figure
 
-_MICROMETRES = 1e6
-_COLOURS = (BLUE, ORANGE, GREEN, PURPLE, SKY, "#000000")
+_COLOURS = (BLUE, ORANGE, GREEN, PURPLE, SKY, BLACK)
 _LINES = ("-", "--", "-.", ":")
 _ORBIT = np.linspace(0.0, 0.94, 200)
 """Parts of a turn, from the tacho pulse: the gap shows in which sense the orbit is run through."""
 
 
-def _looks(dataset: VibrationDataset, baseline: str | None) -> list[dict[str, Any]]:
+def _choose_looks(dataset: VibrationDataset, baseline: str | None) -> list[dict[str, Any]]:
     """Line properties by run: the baseline is thin and grey."""
     looks: list[dict[str, Any]] = []
     for run in dataset.runs:
@@ -30,70 +29,65 @@ def _looks(dataset: VibrationDataset, baseline: str | None) -> list[dict[str, An
     return looks
 
 
-def _legend(drawn: Any, axes: np.ndarray) -> None:
+def _place_legend(drawn: Any, axes: np.ndarray) -> None:
     handles, labels = axes.flat[0].get_legend_handles_labels()
     drawn.legend(handles, labels, loc="outside upper center", ncols=min(4, len(labels)))
 
 
-def bode_figure(path: Path, dataset: VibrationDataset, baseline: str | None) -> Path:
+def draw_bode(path: Path, dataset: VibrationDataset, baseline: str | None) -> Path:
     """Amplitude and phase over the speed of every node, direction and run."""
     nodes = sorted({node for node, _ in dataset.channels})
     rpm = to_rpm(dataset.speeds)
     ratios = {"height_ratios": [1.6, 1.0] * len(nodes)}
     height = 0.6 + 4.4 * len(nodes)
-    with figure(path, 2 * len(nodes), 2, 10.5, height, sharex=True, gridspec_kw=ratios) as axes:
+    with open_figure(path, 2 * len(nodes), 2, 10.5, height, sharex=True, gridspec_kw=ratios) as axes:
         few = "o" if len(rpm) <= MARKERS else None
         for n, node in enumerate(nodes):
             for d, (direction, angle) in enumerate(DIRECTIONS.items()):
                 above, below = axes[2 * n, d], axes[2 * n + 1, d]
                 values = dataset.displacement[:, dataset.channels.index((node, angle))]
-                for r, look in enumerate(_looks(dataset, baseline)):
+                for r, look in enumerate(_choose_looks(dataset, baseline)):
                     mark = {"marker": few, "ms": 4, "mfc": "none"}
-                    above.semilogy(rpm, _MICROMETRES * np.abs(values[:, r]), **look, **mark)
-                    below.plot(rpm, _continuous_degrees(values[:, r]), **look, **mark)
+                    above.semilogy(rpm, MICROMETRES * np.abs(values[:, r]), **look, **mark)
+                    below.plot(rpm, np.degrees(np.unwrap(np.angle(values[:, r]))), **look, **mark)
                 above.set_title(f"{direction} at node {node}")
             axes[2 * n, 0].set_ylabel("amplitude (µm, zero-to-peak)")
             axes[2 * n + 1, 0].set_ylabel("phase of Q (deg)")
         for ax in axes[-1]:
             ax.set_xlabel("rotor speed (rpm)")
-        _legend(axes[0, 0].figure, axes)
+        _place_legend(axes[0, 0].figure, axes)
     return path
 
 
-def _continuous_degrees(values: np.ndarray) -> np.ndarray:
-    return np.degrees(np.unwrap(np.angle(values)))
-
-
-def measured_orbit_figure(path: Path, dataset: VibrationDataset, baseline: str | None) -> Path:
+def draw_measured_orbits(path: Path, dataset: VibrationDataset, baseline: str | None) -> Path:
     """Orbits of every node at several speeds, the speed of the largest amplitude among them; a dot at the pulse."""
     nodes = sorted({node for node, _ in dataset.channels})
-    picked = _picked_speeds(dataset)
+    picked = _pick_speeds(dataset)
     rpm = to_rpm(dataset.speeds)
     turn = np.exp(2j * np.pi * _ORBIT)
     width, height = max(5.0, 3.1 * len(picked)), 0.9 + 3.1 * len(nodes)
-    with figure(path, len(nodes), len(picked), width, height) as axes:
+    with open_figure(path, len(nodes), len(picked), width, height) as axes:
         for n, node in enumerate(nodes):
             places = [dataset.channels.index((node, angle)) for angle in DIRECTIONS.values()]
             for s, at in enumerate(picked):
                 ax = axes[n, s]
-                for r, look in enumerate(_looks(dataset, baseline)):
-                    x, y = (_MICROMETRES * (dataset.displacement[at, place, r] * turn).real for place in places)
+                for r, look in enumerate(_choose_looks(dataset, baseline)):
+                    x, y = (MICROMETRES * (dataset.displacement[at, place, r] * turn).real for place in places)
                     ax.plot(x, y, **look)
-                    ax.plot(
-                        x[:1], y[:1], ls="", marker="o", ms=4 if look["color"] == GREY else 5.5, color=look["color"]
-                    )
+                    size = 4 if look["color"] == GREY else 5.5
+                    ax.plot(x[:1], y[:1], ls="", marker="o", ms=size, color=look["color"])
                 ax.set_aspect("equal", adjustable="datalim")
                 ax.locator_params(nbins=5)
                 ax.set_title(f"node {node}, {rpm[at]:.5g} rpm")
                 if n == len(nodes) - 1:
                     ax.set_xlabel("x (µm)")
             axes[n, 0].set_ylabel("y (µm)")
-        axes[0, 0].plot([], [], ls="", marker="o", ms=5.5, color="#000000", label="at the tacho pulse")
-        _legend(axes[0, 0].figure, axes)
+        axes[0, 0].plot([], [], ls="", marker="o", ms=5.5, color=BLACK, label="at the tacho pulse")
+        _place_legend(axes[0, 0].figure, axes)
     return path
 
 
-def _picked_speeds(dataset: VibrationDataset) -> list[int]:
+def _pick_speeds(dataset: VibrationDataset) -> list[int]:
     """Up to four indices: first, last, the largest amplitude, and one half way along the longest gap."""
     count = len(dataset.speeds)
     peak = int(np.abs(dataset.displacement).max(axis=(1, 2)).argmax())

@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.identification.output_error_fit import FittedParameter
 from pipeline.reporting.console import table
-from pipeline.reporting.figures import figure
+from pipeline.reporting.figures import open_figure
 from pipeline.rotor.parameters import UNITS
 
 
@@ -62,11 +62,11 @@ def print_budget(name: str, budget: Budget) -> None:
     table(title, ["coefficient", *budget.rows], rows)
 
 
-def budget_figure(path: Path, budget: Budget) -> Path:
+def draw_budget(path: Path, budget: Budget) -> Path:
     """A map of tolerances against coefficients: darker for more percent, with the numbers."""
     values = np.array(list(budget.percent.values()))
     height, width = 1.8 + 0.4 * len(values), 3.2 + 0.62 * values.shape[1]
-    with figure(path, 1, 1, width, height) as axes:
+    with open_figure(path, 1, 1, width, height) as axes:
         ax = axes[0, 0]
         ax.grid(False)
         shade = np.log10(np.clip(values, 0.1, 100.0))

@@ -12,8 +12,10 @@ import numpy as np
 
 from pipeline.config.promotion import get_value
 from pipeline.config.schema import Config
-from pipeline.evaluation.errors import coefficient_errors, worst_mean_error
+from pipeline.evaluation.errors import find_worst_mean, measure_errors
 from pipeline.identification.chebyshev import ChebyshevFit
+from pipeline.identification.identified import IdentifiedModel
+from pipeline.reporting.console import format_markdown
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.tuning.finalists import Finalist, TrialSummary
 
@@ -47,73 +49,73 @@ class StudyReport:
         """Trial -> coefficient -> (seeds,) mean error over speed in percent, worse bearing; empty without a truth."""
         if self.modelled is None:
             return {}
-        return {f.trial: self._errors(f) for f in self.finalists}
-
-    def _errors(self, finalist: Finalist) -> dict[str, np.ndarray]:
-        assert self.modelled is not None
-        names = finalist.training.measurement.unknowns.by_bearing
-        each = [
-            coefficient_errors(finalist.identified(g).table(self.known), self.modelled, names)
-            for g in range(len(finalist.losses))
-        ]
-        unknowns = self.config.identify.named()
-        return {name: np.array([worst_mean_error(errors, name) for errors in each]) for name in unknowns}
+        errors = {f.trial: [self._errors(model) for model in f.models] for f in self.finalists}
+        return {
+            trial: {name: np.array([of[name] for of in each]) for name in each[0]} for trial, each in errors.items()
+        }
 
     @cached_property
     def chebyshev_errors(self) -> dict[str, float]:
         """The same of the Chebyshev series."""
-        if self.modelled is None or self.chebyshev is None:
+        return {} if self.chebyshev is None else self._errors(self.chebyshev.identified)
+
+    def _errors(self, found: IdentifiedModel) -> dict[str, float]:
+        if self.modelled is None:
             return {}
-        found = self.chebyshev.identified
-        errors = coefficient_errors(found.table(self.known), self.modelled, found.unknowns.by_bearing)
-        return {name: worst_mean_error(errors, name) for name in self.config.identify.named()}
+        errors = measure_errors(found.table(self.known), self.modelled, found.unknowns.by_bearing)
+        return {name: find_worst_mean(errors, name) for name in self.names}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The coefficients that are identified."""
+        return tuple(self.config.identify.named())
+
+    def medians(self, name: str) -> tuple[float, float]:
+        """The median error of a coefficient in percent, of the default and of the promoted values."""
+        before, after = (float(np.median(self.errors[f.trial][name])) for f in (self.default, self.best))
+        return before, after
 
 
 # --- tables ------------------------------------------------------------------------------------------
 
 
-def trial_table(report: StudyReport) -> pd.DataFrame:
-    """One row a trial."""
+def tabulate_trials(report: StudyReport) -> pd.DataFrame:
+    """Make one row for each trial."""
     import pandas as pd
 
-    names = list(report.config.tuning.space)
-    fields = {"trial": "number", "state": "state", "held_out_loss": "loss", "training_seconds": "seconds"}
+    fields = {"number": "trial", "state": "state", "loss": "held_out_loss", "seconds": "training_seconds"}
     fields |= {name: name for name in ("epochs", "outcome", "reason")}
-    rows = [
-        {column: getattr(t, field) for column, field in fields.items()}
-        | {name: t.parameters.get(name) for name in names}
-        for t in report.trials
-    ]
-    return pd.DataFrame(rows).astype({"epochs": "Int64"})
+    trials = pd.DataFrame([vars(trial) for trial in report.trials])[list(fields)].rename(columns=fields)
+    parameters = pd.DataFrame([dict(trial.parameters) for trial in report.trials])
+    return trials.astype({"epochs": "Int64"}).join(parameters.reindex(columns=list(report.config.tuning.space)))
 
 
-def finalist_table(report: StudyReport) -> pd.DataFrame:
-    """One row a finalist and seed."""
+def tabulate_finalists(report: StudyReport) -> pd.DataFrame:
+    """Make one row for each finalist and seed."""
     import pandas as pd
 
-    rows = []
+    frames = []
     for f in report.finalists:
-        for g, seed in enumerate(report.config.tuning.seeds):
-            row = {"trial": f.trial, "seed": seed, "held_out_loss": f.losses[g], "outcome": f.minimum.outcomes[g].label}
-            for name, errors in report.errors.get(f.trial, {}).items():
-                row[f"{name}_mean_error_percent"] = errors[g]
-            rows.append(row)
-    return pd.DataFrame(rows)
+        outcomes = [outcome.label for outcome in f.outcomes]
+        columns = {"trial": f.trial, "seed": report.config.tuning.seeds, "held_out_loss": f.losses, "outcome": outcomes}
+        errors = report.errors.get(f.trial, {})
+        frames.append(pd.DataFrame(columns | {f"{name}_mean_error_percent": of for name, of in errors.items()}))
+    return pd.concat(frames, ignore_index=True)
 
 
 # --- summary -----------------------------------------------------------------------------------------
 
 
-def summary_of(report: StudyReport) -> dict[str, object]:
-    """``summary.json``."""
+def summarize_study(report: StudyReport) -> dict[str, object]:
+    """Collect the content of ``summary.json``."""
     summary: dict[str, object] = {
         "experiment": report.config.name,
         "promoted_trial": report.best.trial,
-        "verdict": verdict(report),
+        "verdict": judge_study(report),
         "trials": dict(Counter(t.state for t in report.trials)),
-        "held_out_loss_gain": _ratio(report.default.median, report.best.median),
-        "default": _finalist_summary(report, report.default),
-        "tuned": _finalist_summary(report, report.best),
+        "held_out_loss_gain": _divide(report.default.median, report.best.median),
+        "default": _summarize_finalist(report, report.default),
+        "tuned": _summarize_finalist(report, report.best),
     }
     if report.chebyshev is not None:
         summary["chebyshev_series"] = {
@@ -122,36 +124,28 @@ def summary_of(report: StudyReport) -> dict[str, object]:
             "mean_error_percent": report.chebyshev_errors,
         }
     if report.errors:
-        summary["error_gain"] = {name: _ratio(*_medians(report, name)) for name in report.config.identify.named()}
+        summary["error_gain"] = {name: _divide(*report.medians(name)) for name in report.names}
     return summary
 
 
-def _finalist_summary(report: StudyReport, finalist: Finalist) -> dict[str, object]:
+def _summarize_finalist(report: StudyReport, finalist: Finalist) -> dict[str, object]:
     losses = finalist.losses[np.isfinite(finalist.losses)]
     summary: dict[str, object] = {"seeds": len(finalist.losses), "diverged": len(finalist.losses) - len(losses)}
     if np.isfinite(finalist.median):
-        summary["held_out_loss"] = {
-            "median": finalist.median,
-            "lowest": float(losses.min()),
-            "highest": float(losses.max()),
-        }
+        extremes = {"lowest": float(losses.min()), "highest": float(losses.max())}
+        summary["held_out_loss"] = {"median": finalist.median, **extremes}
     summary["median_error_percent"] = {
         name: float(np.median(errors)) for name, errors in report.errors.get(finalist.trial, {}).items()
     }
     return summary
 
 
-def _medians(report: StudyReport, name: str) -> tuple[float, float]:
-    before, after = (float(np.median(report.errors[f.trial][name])) for f in (report.default, report.best))
-    return before, after
-
-
-def _ratio(before: float, after: float) -> float | None:
+def _divide(before: float, after: float) -> float | None:
     return before / after if np.isfinite(before) and after > 0 else None
 
 
-def verdict(report: StudyReport) -> str:
-    """Whether tuning helped, in a sentence."""
+def judge_study(report: StudyReport) -> str:
+    """Say in a sentence whether tuning helped."""
     default, best = report.default, report.best
     if best is not default:
         return (
@@ -173,10 +167,9 @@ def verdict(report: StudyReport) -> str:
 # --- text --------------------------------------------------------------------------------------------
 
 
-def report_text(report: StudyReport) -> str:
-    """``README.md`` of the study."""
+def write_report(report: StudyReport) -> str:
+    """Write the ``README.md`` of the study."""
     config, tuning = report.config, report.config.tuning
-    unknowns = ", ".join(config.identify.named())
     states = Counter(t.state for t in report.trials)
     seconds = sum(t.seconds or 0.0 for t in report.trials)
     command = f"python -m pipeline stage=tune {config.chosen} tuning.n_trials={tuning.n_trials}"
@@ -184,7 +177,8 @@ def report_text(report: StudyReport) -> str:
         command += f" tuning.study={tuning.study} (and what else was overridden when the study was begun)"
     parts = [
         f"# Study `{tuning.study}`",
-        f"**Question.** Which hyperparameters identify {unknowns} of `{config.name}` best - {config.description}?",
+        f"**Question.** Which hyperparameters identify {', '.join(report.names)} of `{config.name}` best - "
+        f"{config.description}?",
         f"**Objective.** The loss on the held-out speeds (every {config.training.holdout_every}th): the residual of "
         "the equation of motion divided by the bearing force of its speed, root mean square. No modelled coefficient "
         "is used, neither by the search nor by the choice.",
@@ -192,15 +186,15 @@ def report_text(report: StudyReport) -> str:
         f"{seconds:.0f} s of training, sampler {tuning.sampler} with seed {tuning.sampler_seed}, the first "
         f"{tuning.startup_trials} at random. Trial 0 is the configured default.",
         f"    {command}",
-        f"**Result.** {verdict(report).capitalize()}.",
-        _comparison(report),
-        *_limits(report),
-        _values(report),
-        _importance(report),
+        f"**Result.** {judge_study(report).capitalize()}.",
+        _compare(report),
+        *_explain_limits(report),
+        _list_values(report),
+        _say_importance(report),
         "`trials.csv` has every trial, `finalists.csv` every finalist and seed, `best.yaml` what training uses.",
         *(
-            f"![{caption}](figures/{name}.png)"
-            for name, caption in _FIGURES.items()
+            f"![{_FIGURES[name]}](figures/{name}.png)"
+            for name in _FIGURES
             if name != "importance" or report.importances
         ),
     ]
@@ -217,9 +211,9 @@ _FIGURES = {
 }
 
 
-def _comparison(report: StudyReport) -> str:
-    """Default, finalists and the Chebyshev series side by side."""
-    names = report.config.identify.named() if report.errors else ()
+def _compare(report: StudyReport) -> str:
+    """Set the default, the finalists and the Chebyshev series side by side."""
+    names = report.names if report.errors else ()
     head = ["", "held-out loss", *(f"{name} error %" for name in names), "time of one training"]
     rows = []
     for f in report.finalists:
@@ -228,25 +222,20 @@ def _comparison(report: StudyReport) -> str:
         span = f"{f.median:.3g} ({losses.min():.2g} to {losses.max():.2g})" if len(losses) else "diverged"
         errors = [report.errors[f.trial][name] for name in names]
         cells = [f"{np.median(e):.2g} ({e.min():.2g} to {e.max():.2g})" for e in errors]
-        seconds = f.minimum.seconds / len(f.losses)
         if f is report.best:
             title = f"**{title}, {'promoted' if f.trial else 'which stays'}**"
-        rows.append([title, span, *cells, f"{seconds:.1f} s"])
-    if report.chebyshev is not None:
+        rows.append([title, span, *cells, f"{f.seconds / len(f.losses):.1f} s"])
+    if (series := report.chebyshev) is not None:
         cells = [f"{report.chebyshev_errors[name]:.2g}" for name in names]
-        rows.append(
-            [f"Chebyshev series, degree {report.chebyshev.degree}", f"{report.chebyshev.held_out_loss:.3g}", *cells, ""]
-        )
-    lines = [" | ".join(row) for row in (head, ["---"] * len(head), *rows)]
-    seeds = len(report.config.tuning.seeds)
-    caption = f"Median over {seeds} seeds (lowest to highest)"
+        rows.append([f"Chebyshev series, degree {series.degree}", f"{series.held_out_loss:.3g}", *cells, ""])
+    caption = f"Median over {len(report.config.tuning.seeds)} seeds (lowest to highest)"
     if names:
         caption += "; errors are the mean over speed of the worse bearing, evaluated after the choice"
-    return "\n".join(f"| {line} |" for line in lines) + f"\n\n{caption}."
+    return f"{format_markdown(head, rows)}\n{caption}."
 
 
-def _limits(report: StudyReport) -> list[str]:
-    """How much there was to gain."""
+def _explain_limits(report: StudyReport) -> list[str]:
+    """Say how much there was to gain."""
     if report.chebyshev is None:
         return []
     series, best = report.chebyshev, report.best
@@ -263,14 +252,12 @@ def _limits(report: StudyReport) -> list[str]:
         return [text]
     sentences = [text + f" The promoted values have {max(best.median / series.held_out_loss, 1.0):.2g} left."]
     if report.errors:
-        unknowns = report.config.identify.named()
-        gains = []
-        for name in unknowns:
-            before, after = _medians(report, name)
-            limit = report.chebyshev_errors[name]
+        gains, worse = [], []
+        for name, limit in report.chebyshev_errors.items():
+            before, after = report.medians(name)
             gains.append(f"{name} {before:.2g} to {after:.2g} % ({before / after:.2g} times; series {limit:.2g} %)")
+            worse += [name] if after > before else []
         sentences.append(f"Median errors, default to promoted: {', '.join(gains)}.")
-        worse = [name for name in unknowns if _medians(report, name)[1] > _medians(report, name)[0]]
         if worse:
             sentences.append(
                 f"A lower held-out loss is not a better {' and '.join(worse)} here: so close to the limit, the loss "
@@ -279,21 +266,19 @@ def _limits(report: StudyReport) -> list[str]:
     return sentences
 
 
-def _values(report: StudyReport) -> str:
+def _list_values(report: StudyReport) -> str:
     changed = {key: value for key, value in report.best.values.items() if get_value(report.config, key) != value}
     if not changed:
         return ""
-    rows = [
-        f"| `{key}` | {_short(get_value(report.config, key))} | {_short(value)} |" for key, value in changed.items()
-    ]
-    return "\n".join(["| value | default | promoted |", "|---|---|---|", *rows])
+    rows = [[f"`{key}`", _shorten(get_value(report.config, key)), _shorten(value)] for key, value in changed.items()]
+    return format_markdown(["value", "default", "promoted"], rows).rstrip()
 
 
-def _short(value: object) -> str:
+def _shorten(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def _importance(report: StudyReport) -> str:
+def _say_importance(report: StudyReport) -> str:
     if not report.importances:
         return ""
     shares = ", ".join(f"{name} {100 * share:.0f} %" for name, share in list(report.importances.items())[:4])

@@ -15,7 +15,7 @@ from pipeline.coefficients import COEFFICIENTS, unit
 from pipeline.config.schema import Config
 from pipeline.data.dataset import VibrationDataset, name_direction
 from pipeline.data.vibration_files import to_rpm
-from pipeline.evaluation.errors import relative_errors
+from pipeline.evaluation.errors import measure_relative_errors
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.twin.modes import CriticalSpeed, StabilityMargin
@@ -62,56 +62,56 @@ class Results:
     at: int  # index of the prediction's speed
 
 
-def summary_text(config: Config, results: Results, picture: Path) -> str:
-    """The whole screen, with a last newline."""
-    head = _wrapped(f"{config.name}: {config.description}", "", 1)
+def write_summary(config: Config, results: Results, picture: Path) -> str:
+    """Write the whole screen; it ends with a newline."""
+    head = _wrap(f"{config.name}: {config.description}", "", 1)
     parts = [
-        *_entry("machine", _machine(config, results)),
-        *_entry("data", _data(config, results)),
+        *_wrap_entry("machine", _describe_machine(config, results)),
+        *_wrap_entry("data", _describe_data(config, results)),
         "",
-        *_coefficients(config, results),
+        *_list_coefficients(config, results),
         "",
-        *_entry("fit", _fit(results.training)),
-        *_entry("", _run(results)),
-        *_entry("critical", _critical(results)),
-        *_entry("stability", _stability(results.margin)),
-        *_entry("prediction", _prediction(config, results)),
+        *_wrap_entry("fit", _describe_fit(results.training)),
+        *_wrap_entry("", _describe_run(results)),
+        *_wrap_entry("critical", _list_critical_speeds(results)),
+        *_wrap_entry("stability", _describe_stability(results.margin)),
+        *_wrap_entry("prediction", _describe_prediction(config, results)),
         f"{'picture':<{len(_INDENT)}}{picture}",
     ]
     return "\n".join([*head, "", *parts]) + "\n"
 
 
-def _entry(name: str, text: str) -> list[str]:
-    return _wrapped(text, f"{name:<{len(_INDENT)}}", 3)
+def _wrap_entry(name: str, text: str) -> list[str]:
+    return _wrap(text, f"{name:<{len(_INDENT)}}", 3)
 
 
-def _wrapped(text: str, first: str, lines: int) -> list[str]:
+def _wrap(text: str, first: str, lines: int) -> list[str]:
     return textwrap.wrap(
         text, WIDTH, initial_indent=first, subsequent_indent=_INDENT, max_lines=lines, placeholder=" ..."
     )
 
 
-def _machine(config: Config, results: Results) -> str:
+def _describe_machine(config: Config, results: Results) -> str:
     rotor = results.rotor
     source = f", from '{config.machine.rotor.file}'" if config.machine.rotor.file else ""
     return (
-        f"{rotor.n_nodes} nodes, {rotor.total_mass:.4g} kg, bearings at {_nodes(rotor.bearing_nodes)}, "
-        f"discs at {_nodes(rotor.disc_nodes)}{source}"
+        f"{rotor.n_nodes} nodes, {rotor.total_mass:.4g} kg, bearings at {_name_nodes(rotor.bearing_nodes)}, "
+        f"discs at {_name_nodes(rotor.disc_nodes)}{source}"
     )
 
 
-def _data(config: Config, results: Results) -> str:
+def _describe_data(config: Config, results: Results) -> str:
     data = results.dataset
     rpm, nodes = to_rpm(data.speeds), dict.fromkeys(node for node, _ in data.channels)
     less = f", less the run {config.data.baseline}" if config.data.baseline else ""
     kind = "measured" if results.modelled is None else "modelled"
     return (
-        f"{kind}, {_count(len(data.runs), 'run')} ({_listed(data.runs)}){less}; {_count(len(rpm), 'speed')} from "
-        f"{rpm[0]:g} to {rpm[-1]:g} rpm; {_count(len(data.channels), 'channel')} at {_nodes(nodes)}"
+        f"{kind}, {_count(len(data.runs), 'run')} ({_join(data.runs)}){less}; {_count(len(rpm), 'speed')} from "
+        f"{rpm[0]:g} to {rpm[-1]:g} rpm; {_count(len(data.channels), 'channel')} at {_name_nodes(nodes)}"
     )
 
 
-def _coefficients(config: Config, results: Results) -> list[str]:
+def _list_coefficients(config: Config, results: Results) -> list[str]:
     """A row a bearing and coefficient, at up to three speeds; constants have one value."""
     rpm = to_rpm(results.identified.speeds)
     at = [0] if config.model.kind == "constant" else sorted({0, results.at, len(rpm) - 1})
@@ -124,35 +124,31 @@ def _coefficients(config: Config, results: Results) -> list[str]:
     rows = [(b, name) for b, names in enumerate(results.unknowns) for name in names]
     for b, name in rows[:_MOST_ROWS]:
         row = f"  {f'node {results.identified.nodes[b]} {name}, {unit(name)}':<18}"
-        row += "".join(f"{_value(results, b, s, name):>22}" for s in at)
+        for s in at:
+            deviation = None if results.deviation is None else float(results.deviation[b, s, COEFFICIENTS.index(name)])
+            row += f"{format_engineering(float(results.identified.coefficient(name)[b, s]), deviation):>22}"
         if results.modelled is not None:
-            row += f"{np.median(relative_errors(results.identified, results.modelled, name)[b]):>12.2g}"
+            row += f"{np.median(measure_relative_errors(results.identified, results.modelled, name)[b]):>12.2g}"
         lines.append(row)
     if len(rows) > _MOST_ROWS:
         lines.append(f"  and {len(rows) - _MOST_ROWS} more in 'identified_coefficients.csv'")
     return lines
 
 
-def _value(results: Results, b: int, s: int, name: str) -> str:
-    c = COEFFICIENTS.index(name)
-    deviation = None if results.deviation is None else float(results.deviation[b, s, c])
-    return engineering(float(results.identified.values[b, s, c]), deviation)
-
-
-def engineering(value: float, deviation: float | None = None) -> str:
-    """Such as ``(12.34 +- 0.05)e6``, by powers of 1000."""
+def format_engineering(value: float, deviation: float | None = None) -> str:
+    """Write a number by powers of 1000, such as ``(12.34 +- 0.05)e6``."""
     size = max(abs(value), deviation or 0.0)
     if not math.isfinite(size) or size == 0:
-        return _plus_minus(value, deviation)
+        return _format_deviation(value, deviation)
     power = 3 * math.floor(math.log10(size) / 3)
-    shown = _plus_minus(value / 10**power, None if deviation is None else deviation / 10**power)
+    shown = _format_deviation(value / 10**power, None if deviation is None else deviation / 10**power)
     if power == 0:
         return shown
     return f"{shown}e{power}" if deviation is None else f"({shown})e{power}"
 
 
-def _plus_minus(value: float, deviation: float | None) -> str:
-    """Two digits of the deviation, five of a value without one."""
+def _format_deviation(value: float, deviation: float | None) -> str:
+    """Write two digits of the deviation, or five of a value without one."""
     size = max(abs(value), deviation or 0.0)
     if not math.isfinite(size) or size == 0:
         return f"{value:g}" if deviation is None else f"{value:g} +- {deviation:g}"
@@ -167,8 +163,8 @@ _MOST_DIGITS = 5
 """After the first one, however small the deviation is."""
 
 
-def _fit(training: Mapping[str, Any]) -> str:
-    """What is left over, and what was held out."""
+def _describe_fit(training: Mapping[str, Any]) -> str:
+    """Say what the fit leaves over, and how well it predicts what was held out."""
     if "fit" not in training:
         loss, held_out = training.get("loss"), training.get("held_out_loss")
         words = "the loss overflowed" if loss is None else f"residual {loss:.2g} of the bearing force"
@@ -184,7 +180,7 @@ def _fit(training: Mapping[str, Any]) -> str:
     return words
 
 
-def _run(results: Results) -> str:
+def _describe_run(results: Results) -> str:
     shown = results.shown
     words = f"{shown.error_percent:.2g} % (root mean square, {_count(shown.measured.shape[1], 'channel')})"
     if shown.held_out:
@@ -192,16 +188,16 @@ def _run(results: Results) -> str:
     return f"run {shown.name}, which was fitted, reproduced to {words}"
 
 
-def _critical(results: Results) -> str:
+def _list_critical_speeds(results: Results) -> str:
     rpm = to_rpm(results.dataset.speeds)
     found = [
         f"{one.speed / RAD_S_PER_RPM:.1f} rpm (logarithmic decrement {one.logarithmic_decrement:.3g})"
         for one in results.critical
     ]
-    return f"{_listed(found)}, between {rpm[0]:g} and {rpm[-1]:g} rpm"
+    return f"{_join(found)}, between {rpm[0]:g} and {rpm[-1]:g} rpm"
 
 
-def _stability(margin: StabilityMargin) -> str:
+def _describe_stability(margin: StabilityMargin) -> str:
     verdict = "stable at all speeds" if margin.stable else f"UNSTABLE, growth {margin.largest_growth:.3g} 1/s"
     if margin.smallest_logarithmic_decrement is None or margin.at_speed is None:
         return f"{verdict}; no whirling mode below twice the top speed"
@@ -209,15 +205,15 @@ def _stability(margin: StabilityMargin) -> str:
     return f"{verdict}; smallest logarithmic decrement {margin.smallest_logarithmic_decrement:.3g} at {at:g} rpm"
 
 
-def _prediction(config: Config, results: Results) -> str:
+def _describe_prediction(config: Config, results: Results) -> str:
     """The vibration at the prediction's speed, and the largest of all speeds."""
     found = results.vibration["identified"]
     rpm, size = to_rpm(found.speeds), 1e6 * np.abs(found.displacement)
-    acting = _listed(f"{1e6 * one.magnitude:g} g mm at node {one.node}" for one in config.machine.prediction.unbalances)
+    acting = _join(f"{1e6 * one.magnitude:g} g mm at node {one.node}" for one in config.machine.prediction.unbalances)
     words = []
     for d, direction in enumerate("xy"):
         deviation = None if found.deviation is None else float(1e6 * found.deviation[results.at, d])
-        words.append(f"{direction} {_plus_minus(float(size[results.at, d]), deviation)} um")
+        words.append(f"{direction} {_format_deviation(float(size[results.at, d]), deviation)} um")
     s, d = np.unravel_index(size.argmax(), size.shape)
     return (
         f"node {found.node} at {rpm[results.at]:g} rpm: {', '.join(words)} (zero-to-peak); at most {size[s, d]:.4g} um "
@@ -225,22 +221,22 @@ def _prediction(config: Config, results: Results) -> str:
     )
 
 
-def channel_words(channel: tuple[int, float]) -> str:
-    """Such as ``x at node 3``, or ``45 deg at node 3``."""
+def name_channel(channel: tuple[int, float]) -> str:
+    """Name a channel, such as ``x at node 3`` or ``45 deg at node 3``."""
     node, angle = channel
     name = name_direction(angle)
     return f"{name if name in 'xy' else f'{name} deg'} at node {node}"
 
 
-def _listed(things: Iterable[object]) -> str:
+def _join(things: Iterable[object]) -> str:
     return ", ".join(map(str, things)) or "none"
 
 
-def _nodes(nodes: Iterable[int]) -> str:
+def _name_nodes(nodes: Iterable[int]) -> str:
     every = sorted(nodes)
     if len(every) > 3 and every == list(range(every[0], every[-1] + 1)):
         return f"nodes {every[0]} to {every[-1]}"
-    return f"node{'s' if len(every) != 1 else ''} {_listed(every)}"
+    return f"node{'s' if len(every) != 1 else ''} {_join(every)}"
 
 
 def _count(number: int, name: str) -> str:

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pipeline.data.vibration_files import to_rpm
-from pipeline.reporting.figures import BLUE, GREY, ORANGE, draw_markers, figure, legend_above
-from pipeline.twin.prediction import PredictedVibration, time_curve
-
-MICROMETRES = 1e6
+from pipeline.reporting.figures import (
+    BLUE,
+    GREY,
+    MICROMETRES,
+    ORANGE,
+    draw_band,
+    draw_markers,
+    open_figure,
+    place_legend,
+)
+from pipeline.twin.prediction import PredictedVibration, sample_motion
 
 
 def _draw(ax: Any, name: str, x: np.ndarray, y: np.ndarray, colour: str) -> None:
@@ -21,70 +29,55 @@ def _draw(ax: Any, name: str, x: np.ndarray, y: np.ndarray, colour: str) -> None
         draw_markers(ax, x, y, colour, "predicted by the twin")
 
 
-def time_figure(path: Path, vibration: dict[str, PredictedVibration], at: int) -> Path:
+def draw_time(path: Path, vibration: Mapping[str, PredictedVibration], at: int) -> Path:
     """Figure 6 (a) and (b): x and y of the node over two turns."""
-    with figure(path, 2, 1, 8.0, 5.6, sharex=True) as axes:
+    with open_figure(path, 2, 1, 8.0, 5.6, sharex=True) as axes:
         for name, predicted in vibration.items():
-            time, curve = time_curve(predicted.displacement[at], predicted.speeds[at])
+            time, curve = sample_motion(predicted.displacement[at], predicted.speeds[at])
             for d, colour in enumerate((BLUE, ORANGE)):
                 _draw(axes[d, 0], name, 1e3 * time, MICROMETRES * curve[:, d], colour)
                 axes[d, 0].set_ylabel(f"{'xy'[d]}-displacement (µm)")
-        some = next(iter(vibration.values()))
-        axes[0, 0].figure.suptitle(
-            f"node {some.node} at {to_rpm(some.speeds)[at]:g} rpm, unbalance never seen in training"
-        )
+        where = f"node {predicted.node} at {to_rpm(predicted.speeds)[at]:g} rpm"
+        axes[0, 0].figure.suptitle(f"{where}, unbalance never seen in training")
         axes[1, 0].set_xlabel("time (ms)")
-        legend_above(axes[0, 0])
+        place_legend(axes[0, 0])
     return path
 
 
-def orbit_figure(path: Path, vibration: dict[str, PredictedVibration], at: int) -> Path:
+def draw_orbit(path: Path, vibration: Mapping[str, PredictedVibration], at: int) -> Path:
     """The orbit of the node at one speed."""
-    with figure(path, 1, 1, 5.4, 5.2) as axes:
+    with open_figure(path, 1, 1, 5.4, 5.2) as axes:
         ax = axes[0, 0]
         for name, predicted in vibration.items():
-            _, curve = time_curve(predicted.displacement[at], predicted.speeds[at], turns=1.0)
+            _, curve = sample_motion(predicted.displacement[at], predicted.speeds[at], turns=1.0)
             _draw(ax, name, MICROMETRES * curve[:, 0], MICROMETRES * curve[:, 1], BLUE)
-        some = next(iter(vibration.values()))
-        ax.figure.suptitle(f"orbit of node {some.node} at {to_rpm(some.speeds)[at]:g} rpm")
-        ax.set_xlabel("x-displacement (µm)")
-        ax.set_ylabel("y-displacement (µm)")
+        ax.figure.suptitle(f"orbit of node {predicted.node} at {to_rpm(predicted.speeds)[at]:g} rpm")
+        ax.set(xlabel="x-displacement (µm)", ylabel="y-displacement (µm)")
         ax.set_aspect("equal", adjustable="datalim")
-        legend_above(ax)
+        place_legend(ax)
     return path
 
 
-def response_figure(path: Path, vibration: dict[str, PredictedVibration]) -> Path:
+def draw_response(path: Path, vibration: Mapping[str, PredictedVibration]) -> Path:
     """Amplitude and phase over all speeds, and the error of the prediction."""
-    rows = 3 if len(vibration) == 2 else 2
-    with figure(path, rows, 2, 10.5, 2.4 * rows, sharex=True) as axes:
-        for name, predicted in vibration.items():
-            rpm = to_rpm(predicted.speeds)
-            for d, colour in enumerate((BLUE, ORANGE)):
-                _draw(axes[0, d], name, rpm, MICROMETRES * np.abs(predicted.displacement[:, d]), colour)
-                _draw(
-                    axes[1, d],
-                    name,
-                    rpm,
-                    np.degrees(np.unwrap(np.angle(predicted.displacement[:, d]))),
-                    colour,
-                )
-                if predicted.deviation is not None:
-                    low, high = (
-                        MICROMETRES * (np.abs(predicted.displacement[:, d]) + k * predicted.deviation[:, d])
-                        for k in (-2, 2)
-                    )
-                    axes[0, d].fill_between(rpm, np.maximum(low, 1e-12), high, color=colour, alpha=0.25, lw=0)
-                axes[0, d].set_title(f"{'xy'[d]} of node {predicted.node}")
-        if rows == 3:
-            error = vibration["identified"].error_percent(vibration["modelled"])
-            for d in range(2):
-                axes[2, d].semilogy(rpm, np.maximum(error[:, d], 1e-14), color=GREY, lw=1.2)
+    rows = 1 + len(vibration)
+    found = vibration["identified"]
+    rpm = to_rpm(found.speeds)
+    with open_figure(path, rows, 2, 10.5, 2.4 * rows, sharex=True) as axes:
+        for d, (direction, colour) in enumerate(zip("xy", (BLUE, ORANGE), strict=True)):
+            for name, predicted in vibration.items():
+                q = predicted.displacement[:, d]
+                _draw(axes[0, d], name, rpm, MICROMETRES * np.abs(q), colour)
+                _draw(axes[1, d], name, rpm, np.degrees(np.unwrap(np.angle(q))), colour)
+            if found.deviation is not None:
+                size = MICROMETRES * np.abs(found.displacement[:, d])
+                draw_band(axes[0, d], rpm, size, MICROMETRES * found.deviation[:, d], colour, 1e-12)
+            if "modelled" in vibration:
+                error = found.error_percent(vibration["modelled"])[:, d]
+                axes[2, d].semilogy(rpm, np.maximum(error, 1e-14), color=GREY, lw=1.2)
+            axes[0, d].set(title=f"{direction} of node {found.node}", yscale="log")
+            axes[-1, d].set_xlabel("rotor speed (rpm)")
         for row, label in zip(axes, ("amplitude (µm)", "phase (deg)", "error (%)"), strict=False):
             row[0].set_ylabel(label)
-        for ax in axes[-1]:
-            ax.set_xlabel("rotor speed (rpm)")
-        for ax in axes[0]:
-            ax.set_yscale("log")
         axes[0, 0].legend()
     return path

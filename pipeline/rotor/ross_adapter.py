@@ -27,7 +27,7 @@ from pipeline.config.bearings import (
     PerNodeBearingConfig,
     RotorFileBearingConfig,
 )
-from pipeline.config.rotor import DiscConfig, RotorConfig
+from pipeline.config.rotor import RotorConfig
 from pipeline.errors import ConfigError
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.journal_table import journal_coefficients
@@ -68,11 +68,11 @@ def assemble(config: RotorConfig) -> RotorModel:
 
     Raises ConfigError where ``config.file`` can't be read.
     """
-    rotor = _load(config.file) if config.file is not None else _build(config)
+    rotor = _make_rotor(config)
     lateral = np.array([rotor.number_dof * node + dof for node in range(len(rotor.nodes)) for dof in _LATERAL])
     without_bearings = [element for element in rotor.elements if element not in rotor.bearing_elements]
-    mass, damping, gyroscopic, stiffness = _matrices(rotor, without_bearings, lateral)
-    shaft_mass, _, shaft_gyroscopic, _ = _matrices(rotor, rotor.shaft_elements, lateral)
+    mass, damping, gyroscopic, stiffness = _sum_elements(rotor, without_bearings, lateral)
+    shaft_mass, _, shaft_gyroscopic, _ = _sum_elements(rotor, rotor.shaft_elements, lateral)
     return RotorModel(
         mass=mass,
         damping=damping,
@@ -81,13 +81,13 @@ def assemble(config: RotorConfig) -> RotorModel:
         shaft_mass=shaft_mass,
         shaft_gyroscopic=shaft_gyroscopic,
         positions=np.array(rotor.nodes_pos, dtype=float),
-        bearing_nodes=_bearing_nodes(config, rotor),
+        bearing_nodes=_find_bearings(config, rotor),
         disc_nodes=tuple(int(disc.n) for disc in rotor.disk_elements),
         total_mass=float(rotor.m),
     )
 
 
-def _matrices(rotor: Any, elements: Sequence[Any], lateral: np.ndarray) -> list[np.ndarray]:
+def _sum_elements(rotor: Any, elements: Sequence[Any], lateral: np.ndarray) -> list[np.ndarray]:
     """M, C, G, K of the ``elements`` at the ``lateral`` DOF, summed in the rotor's own order.
 
     ROSS sums them in the order of a set, which changes from process to process, and with it their last bits.
@@ -102,20 +102,20 @@ def _matrices(rotor: Any, elements: Sequence[Any], lateral: np.ndarray) -> list[
 
 def ross_rotor(config: RotorConfig, bearing: BearingConfig, speeds: np.ndarray) -> Any:
     """ROSS's own rotor with bearings, for its analyses (and as an oracle in tests). ``speeds`` (S,) rad/s."""
-    rotor = _load(config.file) if config.file is not None else _build(config)
-    return ross().Rotor(rotor.shaft_elements, rotor.disk_elements, bearing_elements(config, bearing, rotor, speeds))
+    rotor = _make_rotor(config)
+    return ross().Rotor(rotor.shaft_elements, rotor.disk_elements, _make_elements(config, bearing, rotor, speeds))
 
 
 def bearing_table(config: RotorConfig, bearing: BearingConfig, speeds: np.ndarray) -> BearingTable:
     """The modelled coefficients at ``speeds`` (S,) rad/s."""
-    rotor = _load(config.file) if config.file is not None else _build(config)
+    rotor = _make_rotor(config)
     speeds = np.asarray(speeds, dtype=float)
-    elements = bearing_elements(config, bearing, rotor, speeds)
+    elements = _make_elements(config, bearing, rotor, speeds)
     nodes = tuple(int(element.n) for element in elements)
-    tables = [_tabulated(_at(bearing, node), speeds) for node in nodes]
+    tables = [_tabulate(_select(bearing, node), speeds) for node in nodes]
     values = np.array(
         [
-            [_eight(element, speed) for speed in speeds] if table is None else table
+            [_read_coefficients(element, speed) for speed in speeds] if table is None else table
             for element, table in zip(elements, tables, strict=True)
         ]
     )
@@ -127,7 +127,7 @@ def bearing_table(config: RotorConfig, bearing: BearingConfig, speeds: np.ndarra
     return BearingTable(nodes, speeds, values)
 
 
-def _at(bearing: BearingConfig, node: int) -> BearingConfig:
+def _select(bearing: BearingConfig, node: int) -> BearingConfig:
     """The bearing at a node. Raises ConfigError where there is none."""
     if not isinstance(bearing, PerNodeBearingConfig):
         return bearing
@@ -139,7 +139,7 @@ def _at(bearing: BearingConfig, node: int) -> BearingConfig:
     return bearing.nodes[node]
 
 
-def _tabulated(bearing: BearingConfig, speeds: np.ndarray) -> np.ndarray | None:
+def _tabulate(bearing: BearingConfig, speeds: np.ndarray) -> np.ndarray | None:
     """(S, 8) of a bearing that is a table itself; None for those that ROSS models."""
     if isinstance(bearing, JournalTableConfig):
         return journal_coefficients(bearing, speeds)
@@ -148,22 +148,21 @@ def _tabulated(bearing: BearingConfig, speeds: np.ndarray) -> np.ndarray | None:
     return None
 
 
-def _eight(element: Any, speed: float) -> list[float]:
-    stiffness, damping = element.K(speed), element.C(speed)
-    blocks = {"k": stiffness, "c": damping}
+def _read_coefficients(element: Any, speed: float) -> list[float]:
+    blocks = {"k": element.K(speed), "c": element.C(speed)}
     return [float(blocks[name[0]]["xy".index(name[1]), "xy".index(name[2])]) for name in COEFFICIENTS]
 
 
-def bearing_elements(config: RotorConfig, bearing: BearingConfig, rotor: Any, speeds: np.ndarray) -> list[Any]:
+def _make_elements(config: RotorConfig, bearing: BearingConfig, rotor: Any, speeds: np.ndarray) -> list[Any]:
     """ROSS bearing elements of ``bearing`` at every bearing node of the rotor."""
     if isinstance(bearing, RotorFileBearingConfig):
         return sorted(rotor.bearing_elements, key=lambda element: element.n)
-    nodes = _bearing_nodes(config, rotor)
+    nodes = _find_bearings(config, rotor)
     share = rotor.m * GRAVITY / len(nodes)
-    return [_element(_at(bearing, node), node, speeds, share) for node in nodes]
+    return [_make_element(_select(bearing, node), node, speeds, share) for node in nodes]
 
 
-def _element(bearing: BearingConfig, node: int, speeds: np.ndarray, share: float) -> Any:
+def _make_element(bearing: BearingConfig, node: int, speeds: np.ndarray, share: float) -> Any:
     """ROSS's element; ``share`` is the bearing's part of the rotor's weight, N."""
     rs = ross()
     if isinstance(bearing, BallBearingConfig):
@@ -184,7 +183,7 @@ def _element(bearing: BearingConfig, node: int, speeds: np.ndarray, share: float
             radial_clearance=bearing.radial_clearance,
             oil_viscosity=bearing.oil_viscosity,
         )
-    table = _tabulated(bearing, speeds)
+    table = _tabulate(bearing, speeds)
     assert table is not None, bearing.kind
     columns = {name: [float(v) for v in column] for name, column in zip(COEFFICIENTS, table.T, strict=True)}
     if len(speeds) < _SPLINE_POINTS:  # too few for ROSS's spline over the speed
@@ -192,7 +191,10 @@ def _element(bearing: BearingConfig, node: int, speeds: np.ndarray, share: float
     return rs.BearingElement(n=node, **columns, frequency=[float(speed) for speed in speeds])
 
 
-def _build(config: RotorConfig) -> Any:
+def _make_rotor(config: RotorConfig) -> Any:
+    """ROSS's rotor without bearings, or as its file has it."""
+    if config.file is not None:
+        return _load(Path(config.file))
     rs = ross()
     if config.material is None:
         raise ConfigError("machine.rotor.material must be given for a rotor without machine.rotor.file")
@@ -213,28 +215,25 @@ def _build(config: RotorConfig) -> Any:
         for segment in config.shaft
         for _ in range(segment.elements)
     ]
-    discs = [_disc(disc, material) for disc in config.discs]
+    discs = [
+        rs.DiskElement(n=disc.node, m=disc.mass, Id=disc.diametral_inertia, Ip=disc.polar_inertia)
+        if disc.mass is not None
+        else rs.DiskElement.from_geometry(
+            n=disc.node, material=material, width=disc.width, i_d=disc.inner_diameter, o_d=disc.outer_diameter
+        )
+        for disc in config.discs
+    ]
     return rs.Rotor(shaft, discs)
 
 
-def _bearing_nodes(config: RotorConfig, rotor: Any) -> tuple[int, ...]:
+def _find_bearings(config: RotorConfig, rotor: Any) -> tuple[int, ...]:
     """Where the bearings stand: in a rotor file that has bearings, the file says so."""
     if config.file is not None and rotor.bearing_elements:
         return tuple(sorted({int(bearing.n) for bearing in rotor.bearing_elements}))
     return config.bearing_nodes
 
 
-def _disc(disc: DiscConfig, material: Any) -> Any:
-    rs = ross()
-    if disc.mass is not None:
-        return rs.DiskElement(n=disc.node, m=disc.mass, Id=disc.diametral_inertia, Ip=disc.polar_inertia)
-    return rs.DiskElement.from_geometry(
-        n=disc.node, material=material, width=disc.width, i_d=disc.inner_diameter, o_d=disc.outer_diameter
-    )
-
-
-def _load(path: str | None) -> Any:
-    file = Path(str(path))
+def _load(file: Path) -> Any:
     if not file.is_file():
         raise ConfigError(
             f"machine.rotor.file must be a rotor saved by ROSS (.toml or .json), but there is no file '{file}'"

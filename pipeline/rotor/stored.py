@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import importlib.metadata
 import json
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,10 +21,9 @@ _BEARINGS = "bearings"
 _MADE_BY = [Path(__file__).with_name(f"{name}.py") for name in ("ross_adapter", "journal_table")]
 _ARRAYS = ("mass", "damping", "gyroscopic", "stiffness", "shaft_mass", "shaft_gyroscopic", "positions")
 _REST = ("bearing_nodes", "disc_nodes", "total_mass")
-_ENTRY = "rotor"
 
 
-def made_from(config: RotorConfig) -> str:
+def hash_rotor(config: RotorConfig) -> str:
     """Identity of what a rotor is assembled from: configuration, its file's bytes, ROSS's version, and our own code."""
     file = Path(config.file) if config.file is not None else None
     return hash_parts(
@@ -40,13 +41,19 @@ def load_rotor(config: RotorConfig) -> RotorModel:
 
     Raises ConfigError where ``config.file`` can't be read.
     """
-    key = made_from(config)
-    rotor = _read(look_up(KIND, key))
-    if rotor is None:
-        from pipeline.rotor.ross_adapter import assemble
+    key = hash_rotor(config)
+    kept = _look_up(KIND, key, {*_ARRAYS, *_REST})
+    if kept is not None:
+        return RotorModel(
+            **{name: kept[name] for name in _ARRAYS},
+            bearing_nodes=tuple(kept["bearing_nodes"].astype(int).tolist()),
+            disc_nodes=tuple(kept["disc_nodes"].astype(int).tolist()),
+            total_mass=float(kept["total_mass"][0]),
+        )
+    from pipeline.rotor.ross_adapter import assemble
 
-        rotor = assemble(config)
-        keep(KIND, key, _written(rotor))
+    rotor = assemble(config)
+    _keep(KIND, key, {name: getattr(rotor, name) for name in (*_ARRAYS, *_REST)})
     return rotor
 
 
@@ -56,56 +63,37 @@ def load_modelled_bearings(config: RotorConfig, bearing: BearingConfig, speeds: 
     Raises ConfigError where the rotor file can't be read, or the bearings give no finite coefficients.
     """
     speeds = np.ascontiguousarray(speeds, dtype=float)
-    key = hash_parts(made_from(config), bearing.model_dump_json(), speeds.tobytes())
-    arrays = _arrays(look_up(_BEARINGS, key))
-    if arrays is not None and {"nodes", "values"} <= arrays.keys():
-        return BearingTable(tuple(arrays["nodes"].astype(int).tolist()), speeds, arrays["values"])
+    key = hash_parts(hash_rotor(config), bearing.model_dump_json(), speeds.tobytes())
+    kept = _look_up(_BEARINGS, key, {"nodes", "values"})
+    if kept is not None:
+        return BearingTable(tuple(kept["nodes"].astype(int).tolist()), speeds, kept["values"])
     from pipeline.rotor.ross_adapter import bearing_table
 
     table = bearing_table(config, bearing, speeds)
-    keep(_BEARINGS, key, _content({"nodes": np.array(table.nodes, dtype=float), "values": table.values}))
+    _keep(_BEARINGS, key, {"nodes": table.nodes, "values": table.values})
     return table
 
 
-def _written(rotor: RotorModel) -> bytes:
-    rest = {name: getattr(rotor, name) for name in _REST}
-    return _content({name: getattr(rotor, name) for name in _ARRAYS}, {_ENTRY: json.dumps(rest)})
-
-
-def _read(content: bytes | None) -> RotorModel | None:
-    """The rotor, bit by bit; None where there is none, or a damaged one."""
-    arrays = _arrays(content)
-    if content is None or arrays is None:
-        return None
-    try:
-        header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
-        rest = json.loads(header["__metadata__"][_ENTRY])
-        return RotorModel(
-            **{name: arrays[name] for name in _ARRAYS},
-            bearing_nodes=tuple(rest["bearing_nodes"]),
-            disc_nodes=tuple(rest["disc_nodes"]),
-            total_mass=rest["total_mass"],
-        )
-    except (KeyError, TypeError, ValueError):
-        return None
-
-
-def _content(arrays: dict[str, np.ndarray], metadata: dict[str, str] | None = None) -> bytes:
+def _keep(kind: str, key: str, values: Mapping[str, Any]) -> None:
+    """Keep the values in double precision."""
     from safetensors.numpy import save
 
-    return bytes(save({name: np.ascontiguousarray(array) for name, array in arrays.items()}, metadata))
+    arrays = {name: np.ascontiguousarray(value, dtype=float) for name, value in values.items()}
+    keep(kind, key, bytes(save(arrays)))
 
 
-def _arrays(content: bytes | None) -> dict[str, np.ndarray] | None:
-    """The arrays of double precision; None where the content is damaged."""
+def _look_up(kind: str, key: str, names: set[str]) -> dict[str, np.ndarray] | None:
+    """The arrays ``names``, bit by bit; None where there are none, or a damaged entry."""
     from safetensors import SafetensorError, deserialize
 
-    if content is None:
-        return None
+    content = look_up(kind, key)
     try:
+        entries = dict(deserialize(content or b""))
+        if not names <= entries.keys():
+            return None
         return {
-            name: np.frombuffer(entry["data"], dtype=np.float64).reshape(entry["shape"])
-            for name, entry in deserialize(content)
+            name: np.frombuffer(entries[name]["data"], dtype=np.float64).reshape(entries[name]["shape"])
+            for name in names
         }
     except (SafetensorError, ValueError):
         return None

@@ -37,7 +37,7 @@ def run(config: Config) -> StageOutput:
             c.experiment,
             c.metric,
             "missing" if c.value is None else f"{c.value:.3g}",
-            c.limit,
+            str(c.rule),
             "ok" if c.met else "FAILED",
         ]
         for c in checks
@@ -46,7 +46,7 @@ def run(config: Config) -> StageOutput:
     failed = [c for c in checks if not c.met]
     for c in failed:
         came = f"is missing (run the stages of {c.experiment} first)" if c.value is None else f"is {c.value:.3g}"
-        warn(f"{c.experiment}: {c.metric} must be {c.limit}, but {came}. The limit: {c.why}")
+        warn(f"{c.experiment}: {c.metric} must be {c.rule}, but {came}. The limit: {c.rule.why}")
     if not failed:
         say(f"all {len(checks)} metrics hold")
     summary = {"checked": len(checks), "failed": len(failed), "share_of_threshold": _compute_shares(checks)}
@@ -60,8 +60,8 @@ def _compute_shares(checks: list[Check]) -> dict[str, float]:
     for c in checks:
         if c.value is None or not math.isfinite(c.value):
             continue
-        if c.max is not None and c.max > 0:
-            shares[c.experiment] = max(shares.get(c.experiment, 0.0), c.value / c.max)
-        if c.min is not None and c.value > 0:
-            shares[c.experiment] = max(shares.get(c.experiment, 0.0), c.min / c.value)
+        if c.rule.max is not None and c.rule.max > 0:
+            shares[c.experiment] = max(shares.get(c.experiment, 0.0), c.value / c.rule.max)
+        if c.rule.min is not None and c.value > 0:
+            shares[c.experiment] = max(shares.get(c.experiment, 0.0), c.rule.min / c.value)
     return shares

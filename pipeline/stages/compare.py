@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.comparison.cases import Machine, cases, main_case
+from pipeline.comparison.cases import Machine, choose_main_case, list_cases
 from pipeline.comparison.result import Result
 from pipeline.comparison.runner import ComparisonSetup, MethodRun, compare
 from pipeline.config.schema import Config
@@ -15,8 +15,8 @@ from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError
 from pipeline.files import write_json, write_text
 from pipeline.methods.catalogue import METHODS
-from pipeline.reporting.comparison_figures import comparison_figure
-from pipeline.reporting.comparison_tables import Comparison, markdown, tables
+from pipeline.reporting.comparison_figures import draw_comparison
+from pipeline.reporting.comparison_tables import Comparison, make_tables, write_markdown
 from pipeline.reporting.console import comparison_progress, say, table
 from pipeline.stages.execution import StageOutput, use_threads
 from pipeline.stages.generate import model_machine
@@ -34,12 +34,11 @@ def run(config: Config) -> StageOutput:
             "use stage=evaluate, which shows least squares beside the fit"
         )
     use_threads(config)
-    machine = Machine(*model_machine(config), config.machine.probes.seed)
-    require_nodes(machine.rotor, "identify.unbalance_planes", config.identify.unbalance_planes)
+    machine = build_machine(config)
     require_nodes(machine.rotor, "comparison.location", [config.comparison.location or 0])
     setup = ComparisonSetup(machine, config.identify, config.comparison, config.seed)
     n_speeds = len(machine.vibration.speeds)
-    runs = [MethodRun(m, case) for case in cases(config.comparison, n_speeds) for m in config.comparison.methods]
+    runs = [MethodRun(m, case) for case in list_cases(config.comparison, n_speeds) for m in config.comparison.methods]
     folder = locate_files(config).folder
     try:
         with comparison_progress(config.name, len(runs)) as progress:
@@ -48,17 +47,24 @@ def run(config: Config) -> StageOutput:
         say(f"{config.name}: interrupted; what is done is kept, and the same command goes on from there")
         raise SystemExit(130) from None
     names = tuple(config.identify.named())
-    comparison = Comparison(tuple(results), main_case(config.comparison, n_speeds), names)
+    comparison = Comparison(tuple(results), choose_main_case(config.comparison, n_speeds), names)
     summary = summarize(comparison)
     _print(config, comparison)
     written: list[Path] = [
         write_table(folder / "comparison.csv", _tabulate(results)),
         write_json(folder / "comparison.json", summary),
-        write_text(folder / "comparison.md", markdown(comparison)),
-        comparison_figure(locate_files(config).figure("comparison"), comparison),
+        write_text(folder / "comparison.md", write_markdown(comparison)),
+        draw_comparison(locate_files(config).figure("comparison"), comparison),
     ]
     tags = {"rotor_fingerprint": machine.rotor.fingerprint, "data_fingerprint": machine.vibration.fingerprint}
     return StageOutput(summary, tags, written)
+
+
+def build_machine(config: Config) -> Machine:
+    """The configured machine, and its vibration without noise at every node."""
+    machine = Machine(*model_machine(config), config.machine.probes.seed)
+    require_nodes(machine.rotor, "identify.unbalance_planes", config.identify.unbalance_planes)
+    return machine
 
 
 def summarize(comparison: Comparison) -> dict[str, object]:
@@ -70,7 +76,8 @@ def summarize(comparison: Comparison) -> dict[str, object]:
             for noise in comparison.along("noise"):
                 error = comparison.error(method, replace(sensors, noise=noise.noise))
                 if np.isfinite(error):
-                    errors.setdefault(sensors.sensors, {})[_name_noise(noise.noise)] = error
+                    key = f"{100 * noise.noise:g}_percent".replace(".", "_")
+                    errors.setdefault(sensors.sensors, {})[key] = error
         by_speeds = {
             str(case.speeds): comparison.error(method, case)
             for case in comparison.along("speeds")
@@ -91,10 +98,6 @@ def summarize(comparison: Comparison) -> dict[str, object]:
     return summary
 
 
-def _name_noise(noise: float) -> str:
-    return f"{100 * noise:g}_percent".replace(".", "_")
-
-
 def _tabulate(results: list[Result]) -> list[dict[str, object]]:
     """A row a coefficient, and one without coefficient where there is no answer."""
     names = ("median_error", "p95_error", "median_deviation", "within_interval")
@@ -112,7 +115,7 @@ def _tabulate(results: list[Result]) -> list[dict[str, object]]:
 
 
 def _print(config: Config, comparison: Comparison) -> None:
-    for title, header, rows in tables(comparison):
+    for title, header, rows in make_tables(comparison):
         table(f"{config.name}: {title}", header, rows)
     for method, outcomes in comparison.outcomes().items():
         for words in outcomes.values():

@@ -142,7 +142,10 @@ def _print(config: Config, summary: Mapping[str, object], names: Sequence[str]) 
     sources = [predicted[name] for name in ("configured", "designed")]
     if isinstance(simulated, dict):
         sources += [simulated[name] for name in ("configured", "designed")]
-    rows = [[key, *(_format_percent(source[key]) for source in sources)] for key in sources[0]]
+    rows = [
+        [key, *("free" if source[key] is None else f"{100 * source[key]:.2g}" for source in sources)]
+        for key in sources[0]
+    ]
     table(
         f"{config.name}: standard deviation of least squares at {describe_noise(config)}, % of the coefficient",
         header,
@@ -155,7 +158,3 @@ def _print(config: Config, summary: Mapping[str, object], names: Sequence[str]) 
         return
     confirmed = "" if simulated is None else f" (in simulations {summary['simulated_gain']:.3g} times)"
     say(f"they lower the worst deviation {gain:.3g} times{confirmed}")
-
-
-def _format_percent(value: float | None) -> str:
-    return "free" if value is None else f"{100 * value:.2g}"

@@ -1,4 +1,4 @@
-"""What the data determine: rank, condition number, free combination and predicted deviation of every bearing."""
+"""Tell what the data determine: rank, condition number, free combination and predicted deviation of each bearing."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from pipeline.problem.diagnosis import Diagnosis
 from pipeline.problem.identifiability import Verdict
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, table
-from pipeline.reporting.diagnosis_figures import diagnosis_figure
-from pipeline.reporting.model_error import Budget, budget_figure, print_budget
+from pipeline.reporting.figures import draw_diagnosis
+from pipeline.reporting.model_error import Budget, draw_budget, print_budget
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_measurement
 from pipeline.stages.workspace import locate_files
@@ -37,7 +37,7 @@ def run(config: Config) -> StageOutput:
     written = [
         write_json(work.folder / "diagnosis.json", summary),
         write_table(work.folder / "diagnosis.csv", _tabulate(diagnosis)),
-        diagnosis_figure(work.figure("diagnosis"), diagnosis.reports, diagnosis.relative, describe_noise(config)),
+        draw_diagnosis(work.figure("diagnosis"), diagnosis.reports, diagnosis.relative, describe_noise(config)),
     ]
     written += _write_budget(config, measurement, diagnosis)
     return StageOutput(summary, {"data_fingerprint": measurement.dataset.fingerprint}, written)
@@ -57,12 +57,12 @@ def _write_budget(config: Config, measurement: Measurement, diagnosis: Diagnosis
     columns = {f"{kind}_percent": values for kind, values in percent.items()}
     return [
         write_table(work.folder / "systematic_budget.csv", {"coefficient": coefficients, **columns}),
-        budget_figure(work.figure("systematic_budget"), budget),
+        draw_budget(work.figure("systematic_budget"), budget),
     ]
 
 
 def diagnose(config: Config, measurement: Measurement) -> Diagnosis:
-    """What the measurement determines by the configured loss. Raises DataError for sensors that do not suffice."""
+    """Diagnose the measurement by the configured loss. Raises DataError for sensors that do not suffice."""
     setup = setup_of(config)
     return loss_of(setup.loss).diagnose(measurement, setup)
 
@@ -92,7 +92,7 @@ def describe_noise(config: Config) -> str:
 
 
 def _summarize(diagnosis: Diagnosis) -> dict[str, object]:
-    """By node; an infinite number is null, as JSON has none."""
+    """Return the diagnosis by node; an infinite number is null, since JSON has none."""
     result: dict[str, object] = {}
     for report in diagnosis.reports:
         shared = {

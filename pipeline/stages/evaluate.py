@@ -11,13 +11,13 @@ from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import write_coefficients
 from pipeline.data.tables import write_table
-from pipeline.evaluation.errors import as_metrics, coefficient_errors, measure_coverage, worst_mean_error
+from pipeline.evaluation.errors import find_worst_mean, list_metrics, measure_coverage, measure_errors
 from pipeline.files import write_json
 from pipeline.identification.losses import loss_of
 from pipeline.identification.uncertainty import load_uncertainty
 from pipeline.reporting.console import say
-from pipeline.reporting.error_table import error_table, print_error_table, quality_words
-from pipeline.reporting.figures import coefficient_figure, history_figure
+from pipeline.reporting.error_table import describe_quality, make_error_table, print_error_table
+from pipeline.reporting.figures import draw_coefficients, draw_history
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.diagnose import diagnose
 from pipeline.stages.execution import StageOutput
@@ -50,25 +50,25 @@ def run(config: Config) -> StageOutput:
     written: list[Path] = []
     if conventional is not None:
         written.append(write_coefficients(work.folder / "least_squares_coefficients.csv", conventional))
-    errors = None if modelled is None else coefficient_errors(answer, modelled, names)
-    beside = None if modelled is None or conventional is None else coefficient_errors(conventional, modelled, names)
+    errors = None if modelled is None else measure_errors(answer, modelled, names)
+    beside = None if modelled is None or conventional is None else measure_errors(conventional, modelled, names)
     if modelled is not None and errors is not None:
-        summary["mean_error_ppm"] = {name: 1e4 * worst_mean_error(errors, name) for name in config.identify.named()}
-        metrics["coefficients"] = as_metrics(errors)
+        summary["mean_error_ppm"] = {name: 1e4 * find_worst_mean(errors, name) for name in config.identify.named()}
+        metrics["coefficients"] = list_metrics(errors)
         if beside is not None:
-            metrics["least_squares"] = as_metrics(beside)
+            metrics["least_squares"] = list_metrics(beside)
         if deviation is not None:
             metrics["within_95_percent_interval"] = _measure_coverage(answer, modelled, deviation, names)
-    rows = error_table(answer, names, modelled, errors, beside, deviation)
+    rows = make_error_table(answer, names, modelled, errors, beside, deviation)
     written.append(write_table(work.folder / "coefficient_errors.csv", rows))
     print_error_table(config.name, rows)
     loss = loss_of(config.loss)
     if modelled is None or loss.weighs_noise:
-        say(f"{config.name}: {quality_words(quality)}")
+        say(f"{config.name}: {describe_quality(quality)}")
     written += [
-        history_figure(work.figure("training"), work.history, loss.label),
-        coefficient_figure(work.figure("stiffness"), "k", answer, modelled, names, deviation),
-        coefficient_figure(work.figure("damping"), "c", answer, modelled, names, deviation),
+        draw_history(work.figure("training"), work.history, loss.label),
+        draw_coefficients(work.figure("stiffness"), "k", answer, modelled, names, deviation),
+        draw_coefficients(work.figure("damping"), "c", answer, modelled, names, deviation),
         write_json(work.metrics, metrics),
         write_json(work.folder / "summary.json", summary),
     ]

@@ -1,4 +1,4 @@
-"""How a stage is run: missing inputs first, then the stage, then its record."""
+"""Run a stage: missing inputs first, then the stage, then its record."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def use_threads(config: Config) -> None:
 
 @dataclass(frozen=True)
 class StageOutput:
-    """What a stage hands to the records."""
+    """A stage hands this to the records."""
 
     metrics: Mapping[str, object] = field(default_factory=dict)  # nested; numbers are recorded by dotted names
     tags: Mapping[str, str] = field(default_factory=dict)
@@ -50,13 +50,16 @@ def execute(config: Config, run: Callable[[Config], StageOutput]) -> None:
     output = run(config)
     # The comparison's many settings are of its own stage alone.
     parameters = config.model_dump(mode="json", exclude=None if config.stage == "compare" else {"comparison"})
+    # Stages of one experiment with the same configuration share this tag.
+    shared = {key: parameters[key] for key in parameters if key not in ("stage", "tracking", "check", "comparison")}
+    group = hashlib.sha256(json.dumps(shared, sort_keys=True).encode()).hexdigest()[:12]
     record = StageRecord(
         experiment=config.name if config.stage != "check" else "check",  # it looks at all of them
         stage=config.stage,
         started=started,
         ended=time.time(),
         parameters=parameters,
-        tags={"pipeline.group": _hash_parameters(parameters), "seed": str(config.seed)} | dict(output.tags),
+        tags={"pipeline.group": group, "seed": str(config.seed)} | dict(output.tags),
         metrics=_flatten(output.metrics),
         history=output.history,
         files=[path for path in output.files if path.exists()],
@@ -69,14 +72,6 @@ def execute(config: Config, run: Callable[[Config], StageOutput]) -> None:
         warn(sentence)
     if output.exit_code:
         raise SystemExit(output.exit_code)
-
-
-def _hash_parameters(parameters: Mapping[str, object]) -> str:
-    """Stages of one experiment with the same configuration share this tag."""
-    shared = {
-        key: value for key, value in parameters.items() if key not in ("stage", "tracking", "check", "comparison")
-    }
-    return hashlib.sha256(json.dumps(shared, sort_keys=True).encode()).hexdigest()[:12]
 
 
 def _flatten(values: Mapping[str, object], prefix: str = "") -> dict[str, float]:

@@ -20,19 +20,15 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor
 from pipeline.stages.execution import StageOutput
-from pipeline.stages.workspace import hash_origin, list_known, locate_files, require_nodes
-from pipeline.twin.modes import StabilityMargin, stability_margin, whirl_modes
+from pipeline.stages.workspace import hash_origin, list_known, locate_files, require_nodes, require_own
+from pipeline.twin.modes import StabilityMargin, find_modes, measure_stability
 from pipeline.units import RAD_S_PER_RPM
 
 
 def run(config: Config) -> StageOutput:
     """Vibration, excitation, and the modelled and the known coefficients."""
     work = locate_files(config)
-    if not work.own:
-        raise DataError(
-            "generate must write the experiment's own files, but data.vibration, data.excitation or data.known "
-            "names others: leave them out"
-        )
+    require_own(work, "generate")
     marks = read_marks(work.vibration)
     if marks is not None and "origin" not in marks:
         raise DataError(
@@ -47,7 +43,7 @@ def run(config: Config) -> StageOutput:
     made_for = {"rotor": rotor.fingerprint, "origin": hash_origin(config, work)}
     write_vibration(work.vibration, dataset, made_for)
     # A tenth of the speeds shows the trend; the eigenvalues of all would take longer than the vibration.
-    margin = stability_margin(whirl_modes(rotor, bearings.at(np.arange(0, len(dataset.speeds), 10))))
+    margin = measure_stability(find_modes(rotor, bearings.at(np.arange(0, len(dataset.speeds), 10))))
     say(
         f"{config.name}: {len(dataset.runs)} runs, {len(dataset.speeds)} speeds, {len(dataset.channels)} channels in "
         f"'{work.vibration}'\n" + _describe_margin(margin)

@@ -23,14 +23,14 @@ from pipeline.errors import ConfigError, DataError
 from pipeline.files import write_json
 from pipeline.ingest.dataset import MeasuredRuns, read_measured_runs
 from pipeline.ingest.known import read_known
-from pipeline.ingest.plausibility import size_notes, whirl_notes
+from pipeline.ingest.plausibility import note_size, note_whirl
 from pipeline.reporting.console import say, table, warn
-from pipeline.reporting.ingest_figures import bode_figure, measured_orbit_figure
+from pipeline.reporting.ingest_figures import draw_bode, draw_measured_orbits
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor
 from pipeline.stages.execution import StageOutput
-from pipeline.stages.workspace import Workspace, list_known, locate_files, require_nodes
+from pipeline.stages.workspace import Workspace, list_known, locate_files, require_nodes, require_own
 
 
 def run(config: Config) -> StageOutput:
@@ -39,7 +39,13 @@ def run(config: Config) -> StageOutput:
     Raises ConfigError where the configuration says nothing to read.
     """
     work, ingest = locate_files(config), config.machine.recordings
-    _refuse_replacing(work)
+    require_own(work, "ingest")
+    marks = read_marks(work.vibration) or {}
+    if work.vibration.exists() and ("schema" not in marks or "origin" in marks):
+        raise DataError(
+            f"ingest must not replace what it did not write, but '{work.vibration}' was generated or made elsewhere: "
+            "choose another folder with output=FOLDER"
+        )
     if isinstance(ingest, NoRecordingsConfig):
         raise ConfigError(
             "ingest must have recordings to read, but machine.recordings.format is none: say in a machine file "
@@ -53,16 +59,16 @@ def run(config: Config) -> StageOutput:
     measured = read_measured_runs(ingest)
     dataset = measured.dataset
     known = _load_known(config, ingest, rotor, dataset.speeds)
-    notes = [*measured.notes, *whirl_notes(dataset)]
-    notes += size_notes(dataset, rotor, config.model.initial_stiffness, config.model.initial_damping)
+    notes = [*measured.notes, *note_whirl(dataset)]
+    notes += note_size(dataset, rotor, config.model.initial_stiffness, config.model.initial_damping)
     written = [write_excitation(work.excitation, dataset)]
     if known is not None:
         written.append(write_coefficients(work.known, known, list_known(config, rotor.bearing_nodes)))
     written.append(write_vibration(work.vibration, dataset))
     written += [
         write_json(work.folder / "ingest.json", _summarize(measured, ingest, notes)),
-        bode_figure(work.figure("ingest_bode"), dataset, ingest.baseline),
-        measured_orbit_figure(work.figure("ingest_orbits"), dataset, ingest.baseline),
+        draw_bode(work.figure("ingest_bode"), dataset, ingest.baseline),
+        draw_measured_orbits(work.figure("ingest_orbits"), dataset, ingest.baseline),
     ]
     _report(config, ingest, measured, work)
     for note in notes:
@@ -74,24 +80,10 @@ def run(config: Config) -> StageOutput:
     )
 
 
-def _refuse_replacing(work: Workspace) -> None:
-    if not work.own:
-        raise DataError(
-            "ingest must write the experiment's own files, but data.vibration, data.excitation or data.known names "
-            "others: leave them out"
-        )
-    marks = read_marks(work.vibration) or {}
-    if work.vibration.exists() and ("schema" not in marks or "origin" in marks):
-        raise DataError(
-            f"ingest must not replace what it did not write, but '{work.vibration}' was generated or made elsewhere: "
-            "choose another folder with output=FOLDER"
-        )
-
-
 def _load_known(
     config: Config, ingest: AnyRecordingsConfig, rotor: RotorModel, speeds: np.ndarray
 ) -> BearingTable | None:
-    """What training takes as known; None where it needs some and nothing says them."""
+    """Return the coefficients that training takes as known; None where nothing gives those that it needs."""
     nodes = rotor.bearing_nodes
     needed = list_known(config, nodes)
     if ingest.known == AS_MODELLED:
@@ -130,7 +122,7 @@ def _summarize_run(measured: MeasuredRuns, index: int) -> dict[str, object]:
 
 
 def describe_conventions(ingest: AnyRecordingsConfig) -> str:
-    """What the numbers in the files were taken for."""
+    """Describe what the numbers in the files were taken for."""
     if isinstance(ingest, TableRecordingsConfig):
         said = ingest.conventions
         return (

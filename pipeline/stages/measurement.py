@@ -140,11 +140,11 @@ def _match_unknowns(config: Config, identified: IdentifiedModel) -> bool:
 
 
 QUALITY = ("fit", "residual", "condition_number")
-"""What ``training.json`` holds of :class:`pipeline.identification.quality.Quality`."""
+"""``training.json`` holds these parts of :class:`pipeline.identification.quality.Quality`."""
 
 
 def load_quality(config: Config) -> dict[str, Any]:
-    """How well the fit explains its readings. Raises DataError where ``training.json`` does not say."""
+    """Read how well the fit explains its readings. Raises DataError where ``training.json`` does not say it."""
     path = locate_files(config).training
     written = read_json(path, "train again with stage=train")
     found = {name: written[name] for name in QUALITY if name in written}

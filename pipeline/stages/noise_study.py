@@ -19,7 +19,7 @@ from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_
 from pipeline.identification.output_error_start import start_at
 from pipeline.identification.training import setup_of
 from pipeline.reporting.console import table, training_progress
-from pipeline.reporting.noise_figures import noise_figure
+from pipeline.reporting.figures import draw_noise_study
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.diagnose import say_diagnosis
 from pipeline.stages.execution import StageOutput, use_threads
@@ -58,7 +58,7 @@ def run(config: Config) -> StageOutput:
     written = [
         write_json(work.folder / "robustness.json", summary),
         write_table(work.folder / "robustness.csv", rows),
-        noise_figure(work.figure("robustness"), rows),
+        draw_noise_study(work.figure("robustness"), rows),
     ]
     interrupted = fit.minimum.outcomes[0] is Outcome.INTERRUPTED
     return StageOutput(

@@ -20,19 +20,19 @@ from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.uncertainty import Uncertainty, load_uncertainty
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, table
-from pipeline.reporting.twin_figures import orbit_figure, response_figure, time_figure
+from pipeline.reporting.twin_figures import draw_orbit, draw_response, draw_time
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_identified, load_measurement, load_modelled, update_measurement
 from pipeline.stages.workspace import locate_files, require_nodes
-from pipeline.twin.modes import CriticalSpeed, StabilityMargin, critical_speeds, stability_margin, whirl_modes
-from pipeline.twin.prediction import PredictedVibration, predict, with_deviation
+from pipeline.twin.modes import CriticalSpeed, StabilityMargin, find_critical_speeds, find_modes, measure_stability
+from pipeline.twin.prediction import PredictedVibration, add_deviation, predict
 from pipeline.units import RAD_S_PER_RPM
 
 
 @dataclass(frozen=True, eq=False)
 class Twin:
-    """What the identified system does, and the modelled one where there is a truth: everything by the system's name."""
+    """The behaviour of the identified system, and of the modelled one where there is a truth, by the system's name."""
 
     identified: IdentifiedModel
     uncertainty: Uncertainty | None
@@ -67,12 +67,12 @@ def build_twin(config: Config, measurement: Measurement) -> Twin:
         acting = refine_nodes(unseen, built)
         vibration["modelled"] = predict(rotors["modelled"], modelled, acting, built.refinement * node)
     if uncertainty is not None:
-        vibration["identified"] = with_deviation(
+        vibration["identified"] = add_deviation(
             vibration["identified"], updated, identified, unseen, model, uncertainty
         )
-    modes = {name: whirl_modes(rotors[name], system) for name, system in systems.items()}
-    critical = {name: critical_speeds(of) for name, of in modes.items()}
-    margin = {name: stability_margin(of) for name, of in modes.items()}
+    modes = {name: find_modes(rotors[name], system) for name, system in systems.items()}
+    critical = {name: find_critical_speeds(of) for name, of in modes.items()}
+    margin = {name: measure_stability(of) for name, of in modes.items()}
     return Twin(model, uncertainty, systems, vibration, critical, margin, at)
 
 
@@ -93,9 +93,9 @@ def run(config: Config) -> StageOutput:
     written = [
         write_json(work.folder / "prediction.json", summary),
         _write_table(work.folder / "prediction.csv", vibration),
-        time_figure(work.figure("prediction_time"), vibration, at),
-        orbit_figure(work.figure("prediction_orbit"), vibration, at),
-        response_figure(work.figure("prediction_response"), vibration),
+        draw_time(work.figure("prediction_time"), vibration, at),
+        draw_orbit(work.figure("prediction_orbit"), vibration, at),
+        draw_response(work.figure("prediction_response"), vibration),
     ]
     return StageOutput(summary, {"data_fingerprint": measurement.dataset.fingerprint}, written)
 

@@ -10,14 +10,14 @@ import numpy as np
 from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError, PipelineError
-from pipeline.evaluation.errors import CoefficientErrors, coefficient_errors
+from pipeline.evaluation.errors import CoefficientErrors, measure_errors
 from pipeline.files import write_json
 from pipeline.identification.outcome import Outcome
-from pipeline.identification.residual_loss import ResidualTraining, initial_parameters, prepare_residual
-from pipeline.identification.training import FitSetup, Minimum, minimise, setup_of
+from pipeline.identification.residual_loss import initial_parameters, prepare_residual
+from pipeline.identification.training import Minimum, minimise, setup_of
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, table, training_progress
-from pipeline.reporting.figures import robustness_figure
+from pipeline.reporting.figures import draw_robustness
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.diagnose import say_diagnosis
 from pipeline.stages.execution import StageOutput, use_threads
@@ -29,7 +29,6 @@ from pipeline.twin.prediction import predict
 
 if TYPE_CHECKING:
     import pandas as pd
-    import torch
 
 
 def choose_starts(config: Config) -> np.ndarray:
@@ -51,6 +50,8 @@ def run(config: Config) -> StageOutput:
 
         return refit_study.run(config)
     measurement, setup = load_measurement(config), setup_of(config)
+    import torch  # when the data have been found sound
+
     use_threads(config)
     say_promoted(config)
     if config.robustness.over == "initial_guess" and not any(name.startswith("k") for name in config.identify.named()):
@@ -61,10 +62,14 @@ def run(config: Config) -> StageOutput:
     training = prepare_residual(measurement, setup)
     say_diagnosis(config, measurement)
     starts = choose_starts(config)
+    if config.robustness.over == "seed":
+        parameters = [initial_parameters(training, setup, int(seed)) for seed in starts]
+    else:
+        parameters = [initial_parameters(training, setup, config.seed, float(guess)) for guess in starts]
     with training_progress(f"{config.name}: {len(starts)} at once") as progress:
         found = minimise(
             training.problem,
-            _start_parameters(config, setup, training, starts),
+            torch.cat(parameters),
             setup,
             held_out=training.held_out,
             progress=progress,
@@ -82,7 +87,7 @@ def run(config: Config) -> StageOutput:
     written = [
         write_json(work.folder / "robustness.json", summary),
         write_table(work.folder / "robustness.csv", rows),
-        robustness_figure(work.figure("robustness"), training, found, config.robustness.over, rows, modelled),
+        draw_robustness(work.figure("robustness"), training, found, config.robustness.over, rows, modelled),
     ]
     exit_code = 130 if Outcome.INTERRUPTED in found.outcomes else 0
     return StageOutput(
@@ -91,15 +96,6 @@ def run(config: Config) -> StageOutput:
         written,
         exit_code=exit_code,
     )
-
-
-def _start_parameters(config: Config, setup: FitSetup, training: ResidualTraining, values: np.ndarray) -> torch.Tensor:
-    """(G, M, Q) parameters of every seed or guess."""
-    import torch
-
-    if config.robustness.over == "seed":
-        return torch.cat([initial_parameters(training, setup, int(value)) for value in values])
-    return torch.cat([initial_parameters(training, setup, config.seed, float(value)) for value in values])
 
 
 def _tabulate(
@@ -115,7 +111,7 @@ def _tabulate(
 
     rows, names = [], measurement.unknowns.by_bearing
     for g, (start, answer) in enumerate(zip(starts, answers, strict=True)):
-        errors = None if modelled is None else coefficient_errors(answer, modelled, names)
+        errors = None if modelled is None else measure_errors(answer, modelled, names)
         for b, node in enumerate(answer.nodes):
             for name in names[b]:
                 rows.append(

@@ -10,11 +10,11 @@ from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
 from pipeline.files import write_json
 from pipeline.reporting.console import say, study_progress, table, warn
-from pipeline.reporting.study_figures import samplers_figure
+from pipeline.reporting.study_figures import draw_samplers
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_measurement
 from pipeline.stages.tune import follow_progress, pose_study
-from pipeline.tuning.finalists import TrialSummary, sampler_study, summarize
+from pipeline.tuning.finalists import TrialSummary, replace_sampler, summarize
 from pipeline.tuning.parallel import run_study
 from pipeline.tuning.worker import ROUNDING
 
@@ -29,7 +29,7 @@ def run(config: Config) -> StageOutput:
         for seed in spec.seeds:
             for sampler in spec.samplers:
                 with study_progress(f"{config.name}: {sampler}, seed {seed}", config.tuning.n_trials) as shown:
-                    one = sampler_study(problem, sampler, seed)
+                    one = replace_sampler(problem, sampler, seed)
                     study, sentences = run_study(one, follow_progress(shown, config.tuning.n_trials))
                 for sentence in sentences:
                     warn(sentence)
@@ -57,7 +57,7 @@ def run(config: Config) -> StageOutput:
     ]
     written = [
         write_table(folder / "samplers.csv", rows),
-        samplers_figure(folder / "figures" / "samplers.png", curves),
+        draw_samplers(folder / "figures" / "samplers.png", curves),
         write_json(folder / "samplers.json", summary),
     ]
     return StageOutput(summary, {"data_fingerprint": problem.measurement.dataset.fingerprint}, written)

@@ -1,4 +1,4 @@
-"""What an engineer wants at the end: the results on one screen and in one picture."""
+"""Put the results on one screen and in one picture."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from pipeline.identification.losses import loss_of
 from pipeline.identification.uncertainty import Uncertainty
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say
-from pipeline.reporting.summary_figure import summary_figure
-from pipeline.reporting.summary_text import Results, ShownRun, summary_text
+from pipeline.reporting.summary_figure import draw_summary
+from pipeline.reporting.summary_text import Results, ShownRun, write_summary
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_measurement
@@ -28,8 +28,8 @@ def run(config: Config) -> StageOutput:
     work, measurement = locate_files(config), load_measurement(config)
     twin = build_twin(config, measurement)
     results = _collect_results(config, measurement, twin, read_json(work.training, "train again with stage=train"))
-    picture = summary_figure(work.figure("summary"), results, config.name)
-    text = summary_text(config, results, picture)
+    picture = draw_summary(work.figure("summary"), results, config.name)
+    text = write_summary(config, results, picture)
     written = [write_text(work.folder / "summary.txt", text), picture]
     say(text.rstrip("\n"))
     return StageOutput(tags={"data_fingerprint": measurement.dataset.fingerprint}, files=written)
@@ -61,7 +61,9 @@ def _choose_run(
     held_out = config.training.holdout_runs if loss_of(config.loss).weighs_noise else ()
     r = data.runs.index(held_out[0] if held_out else data.runs[0])
     one = data.of_runs(np.array([r]))
-    reached = _predict_readings(measurement, _add_residual(one, uncertainty), bearings)
+    full = _add_residual(one, uncertainty)
+    response = solve_response(measurement.rotor, bearings, full.excitations, full.runs, full.own_frequencies)
+    reached = response[..., 0] @ full.sensor_matrix(measurement.rotor.n_dof).T  # (S, P) complex, m
     probe = int(np.abs(one.displacement).max(axis=(0, 2)).argmax())
     return ShownRun(data.runs[r], bool(held_out), probe, one.displacement[..., 0], reached)
 
@@ -75,9 +77,3 @@ def _add_residual(one: VibrationDataset, uncertainty: Uncertainty | None) -> Vib
         for node, u in zip(uncertainty.planes, uncertainty.residual_unbalance, strict=True)
     )
     return replace(one, excitations=(*one.excitations, *found))
-
-
-def _predict_readings(measurement: Measurement, one: VibrationDataset, bearings: BearingTable) -> np.ndarray:
-    """(S, P) complex, m: what the probes would read in the only run of ``one``."""
-    response = solve_response(measurement.rotor, bearings, one.excitations, one.runs, one.own_frequencies)
-    return response[..., 0] @ one.sensor_matrix(measurement.rotor.n_dof).T

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import astuple
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,7 @@ from pipeline.stages.workspace import locate_files
 
 
 def say_promoted(config: Config) -> None:
-    """Which values of a study are in force, and which the command line overrode."""
+    """Say which values of a study are in force, and which the command line overrode."""
     promoted = config.promoted
     if promoted is None:
         return
@@ -106,7 +106,7 @@ def _write(config: Config, measurement: Measurement, found: Fit, summary: Mappin
         write_table(work.folder / "bad_points.csv", _tabulate_bad_points(found)),
         write_table(work.folder / "residual_unbalance.csv", _tabulate_unbalance(found.uncertainty)),
         write_table(work.folder / "model_parameters.csv", _tabulate_parameters(found)),
-        write_table(work.history, _tabulate_history(found.history)),
+        write_table(work.history, [{k: v for k, v in row.items() if k != "seconds"} for row in found.history]),
         write_json(work.training, about | dict(summary)),
     ]
 
@@ -141,11 +141,6 @@ def _tabulate_parameters(found: Fit) -> dict[str, list[Any]]:
         "value": [one.value * one.parameter.deviation for one in every],
         "std": [one.deviation * one.parameter.deviation for one in every],
     }
-
-
-def _tabulate_history(history: Sequence[Mapping[str, float | str]]) -> dict[str, list[float | str]]:
-    """The history without its clock."""
-    return {name: [row[name] for row in history] for name in history[0] if name != "seconds"}
 
 
 def _describe_misfit(found: Fit) -> str:

@@ -13,33 +13,34 @@ from pipeline.errors import ConfigError, without_password
 from pipeline.files import read_json, write_json, write_text
 from pipeline.identification.chebyshev import fit_chebyshev
 from pipeline.identification.residual_loss import prepare_residual
-from pipeline.identification.training import FitSetup, setup_of
+from pipeline.identification.training import setup_of
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import StudyProgress, say, study_progress, warn
-from pipeline.reporting.study_figures import study_figures
+from pipeline.reporting.study_figures import draw_study
 from pipeline.reporting.study_report import (
     StudyReport,
-    finalist_table,
-    report_text,
-    summary_of,
-    trial_table,
+    summarize_study,
+    tabulate_finalists,
+    tabulate_trials,
+    write_report,
 )
 from pipeline.stages.diagnose import say_diagnosis
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_measurement, load_modelled
 from pipeline.tracking import ChildRecord
-from pipeline.tuning.attempts import results
-from pipeline.tuning.finalists import TrialSummary, choose, fingerprint, importances, summarize, train_finalists
+from pipeline.tuning.attempts import list_results
+from pipeline.tuning.finalists import TrialSummary, choose, hash_study, measure_importances, summarize, train_finalists
 from pipeline.tuning.parallel import run_study
 from pipeline.tuning.storage import is_shared, open_storage
 from pipeline.tuning.study import StudyProblem
 from pipeline.tuning.worker import Seen
 
 SUMMARY = "summary.json"
+AGAIN = "run stage=tune again after moving it away"
 
 
 def pose_study(config: Config, measurement: Measurement) -> StudyProblem:
-    """What a study of ``config`` searches on. Raises ConfigError where no speed is held out."""
+    """Return the problem that a study of ``config`` searches on. Raises ConfigError where no speed is held out."""
     if not config.training.holdout_every:
         raise ConfigError(
             "a study must judge its trials on held-out speeds, but training.holdout_every is 0: give it 10, or another "
@@ -75,22 +76,26 @@ def run(config: Config) -> StageOutput:
 
 def _report(config: Config, problem: StudyProblem, study: Any, searched: float) -> StageOutput:
     """The finalists, the choice, and the files of ``studies/NAME/``; nothing where they are up to date."""
-    folder, trials, mark = Path(config.tuning.folder), summarize(study), fingerprint(study, problem)
-    if _is_current(folder, mark):
+    folder, trials, mark = Path(config.tuning.folder), summarize(study), hash_study(study, problem)
+    files = (BEST, SUMMARY, "README.md", "trials.csv", "finalists.csv")
+    before = read_json(folder / SUMMARY, AGAIN) if all((folder / name).exists() for name in files) else {}
+    if before.get("study_fingerprint") == mark:
         say(f"{config.name}: the study has its {len(trials)} trials, and '{folder}' is what came of them")
-        return StageOutput(read_json(folder / SUMMARY))
+        return StageOutput(before)
     finalists = train_finalists(study, problem)
+    setup = setup_of(config)
+    judge = replace(setup, loss=setup.loss.model_copy(update={"scaling": "per_speed"}))  # trials are compared by it
     report = StudyReport(
         config=config,
         trials=trials,
         finalists=finalists,
         best=choose(finalists, config.tuning),
-        chebyshev=fit_chebyshev(problem.measurement, _prepare_judge(config)),
-        importances=importances(study),
+        chebyshev=fit_chebyshev(problem.measurement, judge),
+        importances=measure_importances(study),
         known=problem.measurement.known,
         modelled=load_modelled(config, problem.measurement),  # read when the choice is made
     )
-    summary = summary_of(report) | {"study_fingerprint": mark}
+    summary = summarize_study(report) | {"study_fingerprint": mark}
     written = _write(config, report, summary, folder)
     say(
         f"{config.name}: {len(trials)} trials in {searched:.0f} s; {summary['verdict']}\n"
@@ -105,14 +110,8 @@ def _report(config: Config, problem: StudyProblem, study: Any, searched: float) 
     )
 
 
-def _prepare_judge(config: Config) -> FitSetup:
-    """Training with the loss that trials are compared by, whatever they are trained with."""
-    setup = setup_of(config)
-    return replace(setup, loss=setup.loss.model_copy(update={"scaling": "per_speed"}))
-
-
 def follow_progress(shown: StudyProgress, total: int) -> Seen:
-    """What a worker calls between its steps to show how far the study is: once a second, for the database's sake."""
+    """Return what a worker calls between its steps to show how far the study is; it asks the database once a second."""
     due = 0.0
 
     def seen(study: Any) -> None:
@@ -120,17 +119,11 @@ def follow_progress(shown: StudyProgress, total: int) -> Seen:
         if time.monotonic() < due:
             return
         due = time.monotonic() + 1.0
-        finished = results(study).values()
+        finished = list_results(study).values()
         losses = [10**trial.value for trial in finished if trial.state.name == "COMPLETE" and trial.value is not None]
         shown(min(len(finished), total), min(losses, default=None))
 
     return seen
-
-
-def _is_current(folder: Path, mark: str) -> bool:
-    if not all((folder / name).exists() for name in (BEST, SUMMARY, "README.md", "trials.csv", "finalists.csv")):
-        return False
-    return read_json(folder / SUMMARY, "run stage=tune again after moving it away").get("study_fingerprint") == mark
 
 
 def _write(config: Config, report: StudyReport, summary: dict[str, object], folder: Path) -> list[Path]:
@@ -144,10 +137,10 @@ def _write(config: Config, report: StudyReport, summary: dict[str, object], fold
         "# Training uses these values; one given on the command line wins, and tuned=false leaves them all out.\n"
     )
     return [
-        write_table(folder / "trials.csv", trial_table(report)),
-        write_table(folder / "finalists.csv", finalist_table(report)),
-        *study_figures(folder / "figures", report.trials, config.tuning.space, report.importances, report.finalists),
-        write_text(folder / "README.md", report_text(report)),
+        write_table(folder / "trials.csv", tabulate_trials(report)),
+        write_table(folder / "finalists.csv", tabulate_finalists(report)),
+        *draw_study(folder / "figures", report.trials, config.tuning.space, report.importances, report.finalists),
+        write_text(folder / "README.md", write_report(report)),
         write_text(folder / BEST, head + yaml.safe_dump(values.model_dump(mode="json"), sort_keys=False)),
         write_json(folder / SUMMARY, summary),
     ]

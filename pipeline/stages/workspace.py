@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.schema import Config
-from pipeline.errors import ConfigError
+from pipeline.errors import ConfigError, DataError
 from pipeline.files import hash_file
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ class Workspace:
 
 
 def locate_files(config: Config) -> Workspace:
-    """Where the experiment's files are, or will be."""
+    """Return the places of the experiment's files, which may not be there yet."""
     folder, data = Path(config.output), config.data
     return Workspace(
         folder,
@@ -55,8 +55,17 @@ def locate_files(config: Config) -> Workspace:
     )
 
 
+def require_own(work: Workspace, stage: str) -> None:
+    """Raise DataError where ``data`` names files: a stage must not write over what a user made."""
+    if not work.own:
+        raise DataError(
+            f"{stage} must write the experiment's own files, but data.vibration, data.excitation or data.known names "
+            "others: leave them out"
+        )
+
+
 def hash_machine(config: Config) -> str:
-    """Identity of what data are generated from: the machine, but what was recorded of it."""
+    """Return the identity of what data are generated from: the machine without its recordings."""
     kept = {"rotor", "bearings", "probes", "speeds", "runs", "residual_unbalance", "as_built"}
     parts = config.machine.model_dump(mode="json", include=kept)
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]

@@ -72,7 +72,7 @@ def recorder_beside(enabled: bool) -> Iterator[None]:
 
 
 def log_beside(record: StageRecord, settings: TrackingSettings) -> list[str] | None:
-    """As :func:`pipeline.tracking.tracker.track`, by the process beside; None where there is none."""
+    """Let the other process do :func:`pipeline.tracking.tracker.track`; None where there is no such process."""
     return _running[-1].log(record, settings) if _running else None
 
 

@@ -7,7 +7,6 @@ import json
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.errors import without_password
@@ -19,46 +18,40 @@ TAG_LENGTH = 8000
 _FORBIDDEN_IN_NAME = re.compile(r"[^\w .:/-]")
 
 
-@dataclass(frozen=True)
-class MetricValue:
-    """A finite ``value`` of the metric ``name`` at ``step``, at ``time`` (ms since 1970)."""
-
-    name: str
-    value: float
-    step: int
-    time: int
+MetricValue = tuple[str, float, int, int]
+"""Name, finite value, time (ms since 1970) and step: what :class:`mlflow.entities.Metric` takes, in its order."""
 
 
-def name_of(text: str) -> str:
+def clean_name(text: str) -> str:
     """``text`` as a name MLflow accepts: other characters become ``_``, at most 250 are kept."""
     # "/" makes folders of names, which must not be empty, "." or "..", nor start at the root.
     parts = [part for part in _FORBIDDEN_IN_NAME.sub("_", text).split("/") if part not in ("", ".", "..")]
     return "/".join(parts)[:NAME_LENGTH] or "_"
 
 
-def shortened(text: str, length: int) -> str:
+def shorten(text: str, length: int) -> str:
     """``text``, cut to ``length`` characters with an ellipsis where it is longer."""
     return text if len(text) <= length else text[: length - 3] + "..."
 
 
-def plain(value: object) -> object:
+def simplify(value: object) -> object:
     """``value`` as what JSON and YAML know: dict, list, str, int, float, bool and None; passwords masked."""
     if isinstance(value, enum.Enum):
-        return plain(value.value)
+        return simplify(value.value)
     if isinstance(value, str | Path):
         return without_password(str(value))
     if value is None or isinstance(value, bool | int | float):
         return value
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): simplify(item) for key, item in value.items()}
     if isinstance(value, Sequence | set | frozenset):
-        return [plain(item) for item in value]
+        return [simplify(item) for item in value]
     if hasattr(value, "tolist"):
-        return plain(value.tolist())
+        return simplify(value.tolist())
     return without_password(str(value))
 
 
-def flat_parameters(parameters: Mapping[str, object]) -> dict[str, str]:
+def flatten_parameters(parameters: Mapping[str, object]) -> dict[str, str]:
     """``parameters`` by dotted name, as texts that can be pasted back as overrides (``null``, ``[1, 2]``)."""
 
     def leaves(prefix: str, value: object) -> Iterator[tuple[str, object]]:
@@ -69,24 +62,24 @@ def flat_parameters(parameters: Mapping[str, object]) -> dict[str, str]:
             yield prefix, value
 
     return {
-        name_of(name): shortened(value if isinstance(value, str) else json.dumps(value), PARAMETER_LENGTH)
-        for name, value in leaves("", plain(parameters))
+        clean_name(name): shorten(value if isinstance(value, str) else json.dumps(value), PARAMETER_LENGTH)
+        for name, value in leaves("", simplify(parameters))
     }
 
 
-def flat_tags(tags: Mapping[str, object]) -> dict[str, str]:
+def flatten_tags(tags: Mapping[str, object]) -> dict[str, str]:
     """``tags`` with names and lengths that MLflow accepts."""
-    return {name_of(name): shortened(without_password(str(text)), TAG_LENGTH) for name, text in tags.items()}
+    return {clean_name(name): shorten(without_password(str(text)), TAG_LENGTH) for name, text in tags.items()}
 
 
-def final_metrics(metrics: Mapping[str, float], time: float) -> tuple[list[MetricValue], list[str]]:
+def collect_final(metrics: Mapping[str, float], time: float) -> tuple[list[MetricValue], list[str]]:
     """The finite metrics at ``time`` (s since 1970), step 0; and the names of those that are not finite."""
     finite = {name: value for name, value in metrics.items() if _is_finite(value)}
-    values = [MetricValue(name_of(name), float(value), 0, _ms(time)) for name, value in finite.items()]
+    values = [(clean_name(name), float(value), _to_ms(time), 0) for name, value in finite.items()]
     return values, [name for name in metrics if name not in finite]
 
 
-def history_metrics(
+def collect_history(
     history: Sequence[Mapping[str, float | str]], started: float, ended: float
 ) -> tuple[list[MetricValue], list[str]]:
     """The finite numbers of all rows; and the names of which some value is not finite.
@@ -98,12 +91,12 @@ def history_metrics(
     values: list[MetricValue] = []
     skipped: dict[str, None] = {}
     for number, row in enumerate(history, start=1):
-        time = _ms(started + (ended - started) * number / len(history))
+        time = _to_ms(started + (ended - started) * number / len(history))
         for name, value in row.items():
             if name == "step" or isinstance(value, str):
                 continue
             if _is_finite(value):
-                values.append(MetricValue(name_of(name), float(value), int(row["step"]), time))
+                values.append((clean_name(name), float(value), time, int(row["step"])))
             else:
                 skipped[name] = None
     return values, list(skipped)
@@ -113,5 +106,5 @@ def _is_finite(value: float | None) -> bool:
     return value is not None and math.isfinite(value)
 
 
-def _ms(seconds: float) -> int:
+def _to_ms(seconds: float) -> int:
     return round(1000 * seconds)

@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import importlib.metadata
 import tempfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.units import RAD_S_PER_RPM
 
 if TYPE_CHECKING:
+    import pandas as pd
     from mlflow import MlflowClient
     from mlflow.entities import LoggedModel, Run
     from mlflow.models import ModelSignature
 
 MODEL_NAME = "model"
+SPEED, NODE = "speed_rpm", "bearing_node"
 _PACKAGE_FOLDER = Path(__file__).resolve().parents[1]
 _PREDICTOR = Path(__file__).with_name("predictor.py")
 _REQUIREMENTS = ("mlflow", "numpy", "pandas", "pydantic", "safetensors", "torch")
@@ -31,7 +37,7 @@ def log_model(client: MlflowClient, run: Run, folder: Path, parameters: Mapping[
     from mlflow.entities import LoggedModelOutput, LoggedModelStatus
 
     weights, description = folder / "model.safetensors", folder / "model.json"
-    signature = _signature(folder)
+    signature = _describe_signature(folder)
     logged = client.create_logged_model(
         run.info.experiment_id, name=MODEL_NAME, source_run_id=run.info.run_id, params=dict(parameters)
     )
@@ -48,15 +54,18 @@ def log_model(client: MlflowClient, run: Run, folder: Path, parameters: Mapping[
 
 
 def _save(path: Path, logged: LoggedModel, signature: ModelSignature, weights: Path, description: Path) -> None:
+    from unittest.mock import patch  # it imports asyncio
+
     import pandas as pd
     from mlflow import pyfunc
     from mlflow.models import Model
 
-    from pipeline.tracking.table import SPEED
-
+    # MLflow compares requirements with what is installed, for which it lists every file of every package: 0.7 s, and
+    # these requirements were read from what is installed.
+    check = "mlflow.utils.environment.warn_dependency_requirement_mismatches"
     # mlflow.pyfunc.log_model would do the same through the process-wide tracking URI and the active run, and
     # would load the model once more to try the example on it.
-    with _without_requirement_check():
+    with patch(check, create=True):
         pyfunc.save_model(
             path=path,
             mlflow_model=Model(
@@ -70,17 +79,16 @@ def _save(path: Path, logged: LoggedModel, signature: ModelSignature, weights: P
             code_paths=[str(_PACKAGE_FOLDER)],
             signature=signature,
             input_example=pd.DataFrame({SPEED: [_EXAMPLE_RPM]}),
-            pip_requirements=_pinned_requirements(),
+            pip_requirements=_pin_requirements(),
         )
 
 
-def _signature(folder: Path) -> ModelSignature:
+def _describe_signature(folder: Path) -> ModelSignature:
     """One speed in; a bearing node, that speed and the coefficients this model identifies out."""
     from mlflow.models import ModelSignature
     from mlflow.types import ColSpec, Schema
 
     from pipeline.identification.storage import identified_names
-    from pipeline.tracking.table import NODE, SPEED
 
     columns = [NODE, SPEED, *identified_names(folder)]
     return ModelSignature(
@@ -89,26 +97,35 @@ def _signature(folder: Path) -> ModelSignature:
     )
 
 
-def _pinned_requirements() -> list[str]:
+def _pin_requirements() -> list[str]:
     """The predictor's packages at the versions here, less a build's own mark such as ``+cpu``."""
     return [f"{name}=={importlib.metadata.version(name).partition('+')[0]}" for name in _REQUIREMENTS]
 
 
-@contextmanager
-def _without_requirement_check() -> Iterator[None]:
-    """MLflow compares requirements with what is installed, for which it lists every file of every package.
+class CoefficientModel(Protocol):
+    """What can be evaluated: stiffnesses (N/m) and dampings (N s/m) by bearing node and name."""
 
-    That takes 0.7 s where the files are cached; and these requirements were read from what is installed.
+    def coefficients(self, speed_rad_s: np.ndarray, /) -> dict[int, dict[str, np.ndarray]]: ...
+
+
+def tabulate_coefficients(model: CoefficientModel, speed_rpm: np.ndarray) -> pd.DataFrame:
+    """The columns of ``identified_coefficients.csv``: a row for each bearing and speed, bearing by bearing.
+
+    :param speed_rpm: rotor speeds, shape (n,), rev/min
+    :returns: ``bearing_node``, ``speed_rpm`` and the identified coefficients (N/m, N s/m); NaN where a
+        bearing lacks one that another bearing has
     """
-    from mlflow.utils import environment
+    import pandas as pd
 
-    check = "warn_dependency_requirement_mismatches"
-    original = getattr(environment, check, None)
-    if original is None:
-        yield
-        return
-    setattr(environment, check, lambda requirements: None)
-    try:
-        yield
-    finally:
-        setattr(environment, check, original)
+    speeds = np.asarray(speed_rpm, dtype=float)
+    bearings = model.coefficients(speeds * RAD_S_PER_RPM)
+    found = {name for values in bearings.values() for name in values}
+    names = [name for name in COEFFICIENTS if name in found]
+    missing = np.full(speeds.shape, np.nan)
+    columns = {
+        NODE: np.repeat(np.array(list(bearings), dtype=np.int64), speeds.size),
+        SPEED: np.tile(speeds, len(bearings)),
+    }
+    for name in names:
+        columns[name] = np.concatenate([values.get(name, missing) for values in bearings.values()])
+    return pd.DataFrame(columns)

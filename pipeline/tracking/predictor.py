@@ -23,10 +23,10 @@ class CoefficientPredictor(PythonModel):
     def predict(
         self, context: PythonModelContext, model_input: pd.DataFrame, params: dict[str, Any] | None = None
     ) -> pd.DataFrame:
-        """The coefficients at the speeds; see :func:`pipeline.tracking.table.coefficient_table`."""
-        from pipeline.tracking.table import SPEED, coefficient_table
+        """The coefficients at the speeds; see :func:`pipeline.tracking.model.tabulate_coefficients`."""
+        from pipeline.tracking.model import SPEED, tabulate_coefficients
 
-        return coefficient_table(self._model, model_input[SPEED].to_numpy())
+        return tabulate_coefficients(self._model, model_input[SPEED].to_numpy())
 
 
 set_model(CoefficientPredictor())

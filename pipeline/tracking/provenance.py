@@ -15,7 +15,7 @@ _GIT_SECONDS = 5.0
 _CODE_FOLDER = Path(__file__).resolve().parents[1]
 
 
-def provenance_tags(code_folder: Path = _CODE_FOLDER) -> dict[str, str]:
+def describe_provenance(code_folder: Path = _CODE_FOLDER) -> dict[str, str]:
     """Tags of the code in ``code_folder``, the interpreter and the packages; what is not known has no tag."""
     tags = {
         "version.python": platform.python_version(),
@@ -29,21 +29,21 @@ def provenance_tags(code_folder: Path = _CODE_FOLDER) -> dict[str, str]:
             continue
     with suppress(OSError, KeyError, ImportError):
         tags["mlflow.user"] = getpass.getuser()
-    return tags | _git_tags(code_folder)
+    return tags | _describe_revision(code_folder)
 
 
-def _git_tags(folder: Path) -> dict[str, str]:
-    revision = _git(folder, "rev-parse", "--verify", "HEAD")
+def _describe_revision(folder: Path) -> dict[str, str]:
+    revision = _run_git(folder, "rev-parse", "--verify", "HEAD")
     if not revision:
         return {}
     tags = {"git.revision": revision, "mlflow.source.git.commit": revision}
-    changes = _git(folder, "status", "--porcelain")
+    changes = _run_git(folder, "status", "--porcelain")
     if changes is not None:
         tags["git.dirty"] = "true" if changes else "false"
     return tags
 
 
-def _git(folder: Path, *arguments: str) -> str | None:
+def _run_git(folder: Path, *arguments: str) -> str | None:
     """What git prints, or None where there is no git, no repository, no commit or no answer in time."""
     # Without optional locks "git status" never gets in the way of a person's or another stage's git.
     environment = os.environ | {"GIT_OPTIONAL_LOCKS": "0"}

@@ -1,4 +1,4 @@
-"""MLflow without its chatter, its telemetry and its long waits."""
+"""MLflow without log lines, telemetry and long waits."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import os
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 _LOGGERS = ("mlflow", "alembic", "sqlalchemy.engine", "urllib3.connectionpool")
 _NEVER = logging.CRITICAL + 1
@@ -22,6 +22,8 @@ def quiet_mlflow(timeout_seconds: float) -> Iterator[None]:
 
     :raises ImportError: if MLflow is not installed
     """
+    from unittest.mock import patch  # it imports asyncio
+
     os.environ["MLFLOW_DISABLE_TELEMETRY"] = "true"
     os.environ["DO_NOT_TRACK"] = "1"
     environment = {
@@ -32,25 +34,13 @@ def quiet_mlflow(timeout_seconds: float) -> Iterator[None]:
         "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false",
         "MLFLOW_UV_AUTO_DETECT": "false",
     }
-    before = {name: os.environ.get(name) for name in environment}
-    os.environ.update(environment)
-    levels: dict[str, int] = {}
-    try:
-        # What MLflow uses of SQLAlchemy's deprecated side is nothing a user can mend; raised as an error
-        # half-way through SQLAlchemy's set-up of its classes it would spoil them for the whole process.
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            import mlflow  # noqa: F401  # for its effect: it sets the levels of these loggers when it is imported
+    # MLflow uses deprecated parts of SQLAlchemy, which a user can't change. A warning that is raised as an error while
+    # SQLAlchemy sets up its classes would leave them broken for the whole process.
+    with patch.dict(os.environ, environment), warnings.catch_warnings(), ExitStack() as put_back:
+        warnings.simplefilter("ignore")
+        import mlflow  # noqa: F401  # for its effect: it sets the levels of these loggers when it is imported
 
-            for name in _LOGGERS:
-                levels[name] = logging.getLogger(name).level
-                logging.getLogger(name).setLevel(_NEVER)
-            yield
-    finally:
-        for name, level in levels.items():
-            logging.getLogger(name).setLevel(level)
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
+        for logger in map(logging.getLogger, _LOGGERS):
+            put_back.callback(logger.setLevel, logger.level)
+            logger.setLevel(_NEVER)
+        yield

@@ -1,19 +1,28 @@
-"""The way to a tracking store: its client and the experiment in it."""
+"""The way to a tracking store: its client and the experiment in it; an SQLite file is made once, in one piece."""
 
 from __future__ import annotations
 
+import errno
+import os
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pipeline.timeout import run_within
-from pipeline.tracking.database import DatabaseProblem, artifact_root, prepare_database, sqlite_uri
-from pipeline.tracking.entries import name_of
+from pipeline.tracking.entries import clean_name
 from pipeline.tracking.record import TrackingSettings
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
 
+ARTIFACT_FOLDER = "mlruns"
+_CREATION_SECONDS = 60.0
 _SQLITE = "sqlite:///"
+
+
+class DatabaseProblem(Exception):
+    """A database that can't be used; the text says why and what to do."""
 
 
 def open_experiment(settings: TrackingSettings, name: str) -> tuple[MlflowClient, str]:
@@ -25,15 +34,15 @@ def open_experiment(settings: TrackingSettings, name: str) -> tuple[MlflowClient
     """
     # MLflow takes an empty URI for a database in the working directory.
     if settings.uri.startswith("sqlite:") or not settings.uri:
-        path = _database_path(settings.uri)
+        path = _parse_path(settings.uri)
         prepare_database(path, settings.timeout_seconds)
-        location = f"{artifact_root(path)}/{name_of(name).replace('/', '_')}"
-        return _open(sqlite_uri(path), name, location)
+        location = f"{_locate_artifacts(path)}/{clean_name(name).replace('/', '_')}"
+        return _open(f"{_SQLITE}{path}", name, location)
     # Neither the look-up of a host's name nor MLflow's retries for a database heed a time limit of their own.
     return run_within(settings.timeout_seconds, lambda: _open(settings.uri, name, None))
 
 
-def _database_path(uri: str) -> Path:
+def _parse_path(uri: str) -> Path:
     database = uri.removeprefix(_SQLITE)
     if not uri.startswith(_SQLITE) or database in ("", ":memory:") or "?" in database:
         raise DatabaseProblem(
@@ -62,3 +71,67 @@ def _open(uri: str, name: str, artifact_location: str | None) -> tuple[MlflowCli
             f"'mlflow experiments restore -x {experiment.experiment_id}' brings it back"
         )
     return client, experiment.experiment_id
+
+
+def prepare_database(path: Path, timeout_seconds: float) -> None:
+    """Make MLflow's database ``path`` where there is none, and see that it can be written.
+
+    Safe in several processes at once. The database is filled under another name and then renamed, so that
+    neither a second process nor a kill ever leaves a half-made one. A file ``<path>-lock`` stays beside it.
+
+    :param timeout_seconds: how long another process may hold the database (s)
+    :raises DatabaseProblem: if it can't be made, read or written
+    """
+    import filelock
+
+    try:
+        if not _is_filled(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with filelock.FileLock(f"{path}-lock", timeout=max(_CREATION_SECONDS, timeout_seconds)):
+                if not _is_filled(path):
+                    _create(path)
+        _probe(path, timeout_seconds)
+    except filelock.Timeout:
+        raise DatabaseProblem(f"another process has held {path}-lock for too long; end it and run again") from None
+    except sqlite3.OperationalError as error:
+        raise DatabaseProblem(f"the database {path} can't be written ({error}); is it in use, or read-only?") from error
+    except sqlite3.DatabaseError as error:
+        raise DatabaseProblem(
+            f"{path} is not a sound SQLite database ({error}); move it away, the next run makes a new one"
+        ) from error
+    except (OSError, NotImplementedError) as error:  # filelock raises the latter where a file system has no locks
+        reason = getattr(error, "strerror", None) or error
+        raise DatabaseProblem(f"the database {path} can't be made there ({reason})") from error
+
+
+def _locate_artifacts(path: Path) -> str:
+    """The URI of the folder, beside the database ``path``, for the artifacts of its runs."""
+    return (path.parent / ARTIFACT_FOLDER).as_uri()
+
+
+def _is_filled(path: Path) -> bool:
+    if path.is_dir():
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    return path.is_file() and path.stat().st_size > 0
+
+
+def _create(path: Path) -> None:
+    from mlflow.store.tracking.sqlalchemy_store import SqlAlchemyStore
+
+    unfinished = path.with_name(f"{path.name}-new-{os.getpid()}")
+    try:
+        store = SqlAlchemyStore(f"{_SQLITE}{unfinished}", _locate_artifacts(path))
+        store.engine.dispose()
+        os.replace(unfinished, path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def _probe(path: Path, timeout_seconds: float) -> None:
+    """Lock the database for writing once: MLflow itself would retry for minutes where that can't be done."""
+    with closing(sqlite3.connect(path, timeout=timeout_seconds, isolation_level=None)) as connection:
+        connection.execute("BEGIN IMMEDIATE")
+        found = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        connection.execute("ROLLBACK")
+    if not {"alembic_version", "experiments", "runs"} <= found:
+        raise DatabaseProblem(f"{path} is a database, but not MLflow's; move it away or give another tracking.uri")

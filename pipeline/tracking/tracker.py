@@ -4,28 +4,28 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
-from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from pipeline.errors import without_password
 from pipeline.tracking.beside import log_beside
-from pipeline.tracking.database import DatabaseProblem
 from pipeline.tracking.entries import (
     MetricValue,
-    final_metrics,
-    flat_parameters,
-    flat_tags,
-    history_metrics,
-    plain,
-    shortened,
+    collect_final,
+    collect_history,
+    flatten_parameters,
+    flatten_tags,
+    shorten,
+    simplify,
 )
-from pipeline.tracking.provenance import provenance_tags
+from pipeline.tracking.model import log_model
+from pipeline.tracking.provenance import describe_provenance
 from pipeline.tracking.quiet import quiet_mlflow
 from pipeline.tracking.record import ChildRecord, StageRecord, TrackingSettings
+from pipeline.tracking.store import DatabaseProblem, open_experiment
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
@@ -55,7 +55,7 @@ def track(record: StageRecord, settings: TrackingSettings) -> list[str]:
     except Exception as error:
         place = without_password(settings.uri)
         return [
-            f"Stage '{record.stage}' of '{record.experiment}' is not in MLflow ({place}): {_reason(error)}. "
+            f"Stage '{record.stage}' of '{record.experiment}' is not in MLflow ({place}): {_tell_reason(error)}. "
             "Its files are kept. Check tracking.uri, or switch tracking off with tracking.enabled=false."
         ]
 
@@ -68,11 +68,9 @@ def get_ready() -> None:
 
 
 def _log(record: StageRecord, settings: TrackingSettings) -> list[str]:
-    from pipeline.tracking.store import open_experiment
-
     client, experiment_id = open_experiment(settings, record.experiment)
     run = client.create_run(
-        experiment_id, start_time=round(1000 * record.started), tags=_tags(record), run_name=record.stage
+        experiment_id, start_time=round(1000 * record.started), tags=_make_tags(record), run_name=record.stage
     )
     run_id = run.info.run_id
     try:
@@ -84,29 +82,31 @@ def _log(record: StageRecord, settings: TrackingSettings) -> list[str]:
     try:
         client.set_terminated(run_id, record.status, end_time=round(1000 * record.ended))
     except Exception as error:
-        problems.append(f"MLflow does not know that stage '{record.stage}' has ended: {_reason(error)}.")
+        problems.append(f"MLflow does not know that stage '{record.stage}' has ended: {_tell_reason(error)}.")
     return problems
 
 
-def _tags(record: StageRecord) -> dict[str, str]:
+def _make_tags(record: StageRecord) -> dict[str, str]:
     place = {"pipeline.experiment": record.experiment, "pipeline.stage": record.stage}
-    return flat_tags(provenance_tags() | place | dict(record.tags))
+    return flatten_tags(describe_provenance() | place | dict(record.tags))
 
 
 def _log_parts(client: MlflowClient, run: Run, record: StageRecord, patience_seconds: float) -> list[str]:
     run_id = run.info.run_id
     parts = _Parts(record.stage, patience_seconds)
     not_finite: list[str] = []
+    final = partial(collect_final, record.metrics, record.ended)
+    history = partial(collect_history, record.history, record.started, record.ended)
 
     parts.log("the parameters", lambda: _log_parameters(client, run_id, record))
-    parts.log("the configuration", lambda: _log_configuration(client, run_id, record))
+    parts.log("the configuration", lambda: client.log_text(run_id, _write_yaml(record), "config.yaml"))
     # The model comes before the metrics, which belong to it too.
     model_id: str | None = None
     if (folder := record.model) is not None:
-        model_id = parts.log("the model", lambda: _log_model(client, run, folder, record))
-    not_finite += parts.log("the metrics", lambda: _log_final(client, run_id, record, model_id)) or []
-    not_finite += parts.log("the history", lambda: _log_history(client, run_id, record)) or []
-    for path, artifact_folder in _artifact_folders(record.files):
+        model_id = parts.log("the model", lambda: log_model(client, run, folder, flatten_parameters(record.parameters)))
+    not_finite += parts.log("the metrics", lambda: _log_metrics(client, run_id, final(), model_id)) or []
+    not_finite += parts.log("the history", lambda: _log_metrics(client, run_id, history())) or []
+    for path, artifact_folder in _sort_files(record.files):
         parts.log(f"the file {path}", partial(_log_file, client, run_id, path, artifact_folder))
     for child in record.children:
         parts.log(child.name, partial(_log_child, client, run, record, child))
@@ -120,7 +120,7 @@ def _log_parts(client: MlflowClient, run: Run, record: StageRecord, patience_sec
 
 
 class _Parts:
-    """Logs each part by itself, until the parts that failed have taken ``patience_seconds`` together."""
+    """It logs each part by itself, until the parts that failed have taken ``patience_seconds`` together."""
 
     def __init__(self, stage: str, patience_seconds: float) -> None:
         self.problems: list[str] = []
@@ -138,64 +138,51 @@ class _Parts:
             return action()
         except Exception as error:
             self._patience_seconds -= time.monotonic() - begin
-            self.problems.append(f"MLflow does not have {what} of stage '{self._stage}': {_reason(error)}.")
+            self.problems.append(f"MLflow does not have {what} of stage '{self._stage}': {_tell_reason(error)}.")
             return None
 
 
 def _log_parameters(client: MlflowClient, run_id: str, record: StageRecord) -> None:
     from mlflow.entities import Param
+    from mlflow.utils import chunk_list
 
-    parameters = (Param(name, text) for name, text in flat_parameters(record.parameters).items())
-    for batch in _batches(parameters, _PARAMETERS_A_BATCH):
+    parameters = [Param(name, text) for name, text in flatten_parameters(record.parameters).items()]
+    for batch in chunk_list(parameters, _PARAMETERS_A_BATCH):
         client.log_batch(run_id, params=batch)
 
 
-def _log_configuration(client: MlflowClient, run_id: str, record: StageRecord) -> None:
+def _write_yaml(record: StageRecord) -> str:
     import yaml
 
-    text = yaml.safe_dump(plain(record.parameters), sort_keys=False, allow_unicode=True)
-    client.log_text(run_id, text, "config.yaml")
+    return str(yaml.safe_dump(simplify(record.parameters), sort_keys=False, allow_unicode=True))
 
 
-def _log_model(client: MlflowClient, run: Run, folder: Path, record: StageRecord) -> str:
-    from pipeline.tracking.model import log_model
-
-    return log_model(client, run, folder, flat_parameters(record.parameters))
-
-
-def _log_final(client: MlflowClient, run_id: str, record: StageRecord, model_id: str | None) -> list[str]:
-    values, not_finite = final_metrics(record.metrics, record.ended)
-    _log_metrics(client, run_id, values, model_id)
-    return not_finite
-
-
-def _log_metrics(client: MlflowClient, run_id: str, values: Iterable[MetricValue], model_id: str | None = None) -> None:
+def _log_metrics(
+    client: MlflowClient, run_id: str, found: tuple[list[MetricValue], list[str]], model_id: str | None = None
+) -> list[str]:
+    """Log the values that were ``found``; the names of those that are not finite."""
     from mlflow.entities import Metric
+    from mlflow.utils import chunk_list
 
-    metrics = (Metric(m.name, m.value, m.time, m.step, model_id=model_id, run_id=run_id) for m in values)
-    for batch in _batches(metrics, _METRICS_A_BATCH):
+    values, not_finite = found
+    for batch in chunk_list([Metric(*one, model_id=model_id, run_id=run_id) for one in values], _METRICS_A_BATCH):
         client.log_batch(run_id, metrics=batch)
-
-
-def _log_history(client: MlflowClient, run_id: str, record: StageRecord) -> list[str]:
-    values, not_finite = history_metrics(record.history, record.started, record.ended)
-    _log_metrics(client, run_id, values)
     return not_finite
 
 
 def _log_child(client: MlflowClient, run: Run, record: StageRecord, child: ChildRecord) -> None:
-    """A run below ``run``, in three requests: a study has many."""
+    """Log a run below ``run`` in three requests, since a study has many."""
     from mlflow.entities import Metric, Param
 
     started, ended = child.started or record.started, child.ended or record.ended
     place = {"pipeline.experiment": record.experiment, "pipeline.stage": record.stage}
-    tags = flat_tags(place | dict(child.tags) | {"mlflow.parentRunId": run.info.run_id})
+    tags = flatten_tags(place | dict(child.tags) | {"mlflow.parentRunId": run.info.run_id})
     below = client.create_run(
         run.info.experiment_id, start_time=round(1000 * started), tags=tags, run_name=child.name
     ).info.run_id
-    values = final_metrics(child.metrics, ended)[0] + history_metrics(child.history, started, ended)[0]
-    metrics = [Metric(m.name, m.value, m.time, m.step) for m in values[:_METRICS_A_BATCH]]
-    parameters = [Param(name, text) for name, text in flat_parameters(child.parameters).items()]
+    values = collect_final(child.metrics, ended)[0] + collect_history(child.history, started, ended)[0]
+    metrics = [Metric(*value) for value in values[:_METRICS_A_BATCH]]
+    parameters = [Param(name, text) for name, text in flatten_parameters(child.parameters).items()]
     client.log_batch(below, metrics=metrics, params=parameters[:_PARAMETERS_A_BATCH])
     client.set_terminated(below, "FAILED" if child.failed else "FINISHED", end_time=round(1000 * ended))
 
@@ -206,7 +193,7 @@ def _log_file(client: MlflowClient, run_id: str, path: Path, folder: str) -> Non
     client.log_artifact(run_id, str(path), folder)
 
 
-def _artifact_folders(files: Sequence[Path]) -> Iterator[tuple[Path, str]]:
+def _sort_files(files: Sequence[Path]) -> Iterator[tuple[Path, str]]:
     """Each file with its artifact folder; a second file of one name goes below its own folder's name."""
     taken: set[tuple[str, str]] = set()
     for path in files:
@@ -217,18 +204,12 @@ def _artifact_folders(files: Sequence[Path]) -> Iterator[tuple[Path, str]]:
         yield path, folder
 
 
-def _batches(items: Iterable[_T], size: int) -> Iterator[list[_T]]:
-    iterator = iter(items)
-    while batch := list(islice(iterator, size)):
-        yield batch
-
-
-def _reason(error: Exception) -> str:
-    """The heart of an error's text, on one line, without passwords."""
+def _tell_reason(error: Exception) -> str:
+    """The main part of an error's text, on one line, without passwords."""
     text = " ".join(str(error).split()) or type(error).__name__
     system = re.search(r"\[Errno -?\d+\] ([\w ]+)", text)
     if system and "Max retries exceeded" in text:
         text = f"the server can't be reached ({system.group(1).strip().lower()})"
     if not isinstance(error, DatabaseProblem):
-        text = shortened(text, _REASON_LENGTH)
+        text = shorten(text, _REASON_LENGTH)
     return without_password(text).rstrip(".")

@@ -1,4 +1,4 @@
-"""The law on trials that were stopped: each is repeated with its parameters.
+"""Trials that were stopped: each is repeated with its parameters.
 
 A trial whose worker died, was interrupted or met a bug is failed without a ``reason``, by Optuna's heartbeats or
 by its worker. Its parameters go to the queue again, under a number of Optuna's own and with the attribute
@@ -25,7 +25,7 @@ REASON = "reason"
 """The attribute of a trial that failed by itself."""
 
 
-def attempts(study: optuna.Study) -> list[FrozenTrial]:
+def list_attempts(study: optuna.Study) -> list[FrozenTrial]:
     """The latest attempt at each place.
 
     Two workers may put one trial back to the queue at once: the first of its repeats counts, others have no place.
@@ -43,11 +43,11 @@ def attempts(study: optuna.Study) -> list[FrozenTrial]:
     return latest
 
 
-def results(study: optuna.Study) -> dict[int, FrozenTrial]:
-    """Place -> finished trial, by place; stopped ones are none."""
+def list_results(study: optuna.Study) -> dict[int, FrozenTrial]:
+    """Place -> finished trial; a trial that was stopped is not finished."""
     return {
         place: trial
-        for place, trial in enumerate(attempts(study))
+        for place, trial in enumerate(list_attempts(study))
         if trial.state.is_finished() and not _was_stopped(trial)
     }
 
@@ -59,11 +59,11 @@ def repeat_stopped(study: optuna.Study, config: TuningConfig) -> list[FrozenTria
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # experimental, in Optuna's words
         fail_stale_trials(study)
-    latest = attempts(study)[: config.n_trials]
+    latest = list_attempts(study)[: config.n_trials]
     stopped = [trial for trial in latest if _was_stopped(trial) or _has_died_early(study, trial, config)]
     for trial in stopped:
         study.enqueue_trial(dict(trial.params), user_attrs={REPEATS: trial.number})
-    return attempts(study)[: config.n_trials] if stopped else latest
+    return list_attempts(study)[: config.n_trials] if stopped else latest
 
 
 def _was_stopped(trial: FrozenTrial) -> bool:
@@ -71,7 +71,7 @@ def _was_stopped(trial: FrozenTrial) -> bool:
 
 
 def _has_died_early(study: optuna.Study, trial: FrozenTrial, config: TuningConfig) -> bool:
-    """Fail a trial that died before its first heartbeat, which Optuna never takes for silent; whether it was one."""
+    """Fail a trial that died before its first heartbeat, which Optuna doesn't notice; True if it was one."""
     from optuna.exceptions import UpdateFinishedTrialError
     from optuna.trial import TrialState
 

@@ -16,11 +16,11 @@ from pipeline.config.promotion import apply_values
 from pipeline.config.tuning import TuningConfig, Value
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.outcome import Outcome
-from pipeline.identification.residual_loss import ResidualTraining, initial_parameters, prepare_residual
-from pipeline.identification.training import Minimum, minimise, setup_of
-from pipeline.tuning.attempts import results
-from pipeline.tuning.parallel import pool
-from pipeline.tuning.space import values_of
+from pipeline.identification.residual_loss import initial_parameters, prepare_residual
+from pipeline.identification.training import minimise, setup_of
+from pipeline.tuning.attempts import list_results
+from pipeline.tuning.parallel import open_pool
+from pipeline.tuning.space import translate
 from pipeline.tuning.study import StudyProblem
 from pipeline.tuning.worker import ROUNDING
 
@@ -53,12 +53,9 @@ class Finalist:
     trial: int
     values: Mapping[str, Value]
     losses: np.ndarray
-    training: ResidualTraining
-    minimum: Minimum  # of all seeds
-
-    def identified(self, g: int) -> IdentifiedModel:
-        """The model of seed g."""
-        return self.training.identified(self.minimum.parameters[g])
+    models: Sequence[IdentifiedModel]  # of each seed, as are the outcomes
+    outcomes: Sequence[Outcome]
+    seconds: float  # of all seeds
 
     @property
     def median(self) -> float:
@@ -67,11 +64,11 @@ class Finalist:
 
 
 def summarize(study: optuna.Study) -> list[TrialSummary]:
-    """The study's finished trials; one that was stopped is not told beside its repeat."""
-    return [_summary(place, trial) for place, trial in results(study).items()]
+    """The study's finished trials; a trial that was stopped is there by its repeat alone."""
+    return [_summarize(place, trial) for place, trial in list_results(study).items()]
 
 
-def _summary(place: int, trial: FrozenTrial) -> TrialSummary:
+def _summarize(place: int, trial: FrozenTrial) -> TrialSummary:
     attributes = trial.user_attrs
     return TrialSummary(
         number=place,
@@ -91,25 +88,25 @@ def _summary(place: int, trial: FrozenTrial) -> TrialSummary:
 def train_finalists(study: optuna.Study, problem: StudyProblem) -> list[Finalist]:
     """The default, then the best other trials, each trained with every seed of ``tuning.seeds``."""
     config = problem.config.tuning
-    complete = [(trial.value, place) for place, trial in results(study).items() if trial.state.name == "COMPLETE"]
+    complete = [(trial.value, place) for place, trial in list_results(study).items() if trial.state.name == "COMPLETE"]
     chosen: dict[int, dict[str, Value]] = {0: {}}
     for _, place in sorted(complete):
-        values = values_of(config.space, results(study)[place].params)
+        values = translate(config.space, list_results(study)[place].params)
         if place and len(chosen) <= config.finalists and values not in chosen.values():
             chosen[place] = values
     # One training at a time, as in `stage=train`: a batch would go on until its slowest seed is done.
     each = [(problem, place, values, seed) for place, values in chosen.items() for seed in config.seeds]
-    with pool(min(config.workers, len(each)), problem.config.threads) as run_all:
+    with open_pool(min(config.workers, len(each)), problem.config.threads) as run_all:
         runs = list(run_all(_train_seed, each))
     count = len(config.seeds)
     return [
-        _finalist(problem, place, values, runs[i * count : (i + 1) * count])
+        _join_seeds(problem, place, values, runs[i * count : (i + 1) * count])
         for i, (place, values) in enumerate(chosen.items())
     ]
 
 
-_Run = tuple[np.ndarray, tuple[Outcome, ...], np.ndarray, int, float]
-"""Parameters (1, M, Q), outcomes, loss, steps and seconds: what comes back from another process."""
+_Run = tuple[np.ndarray, Outcome, float]
+"""Parameters (1, M, Q), outcome and seconds: what comes back from another process, where torch's tensors would not."""
 
 
 def _train_seed(given: tuple[StudyProblem, int, Mapping[str, Value], int]) -> _Run:
@@ -120,26 +117,16 @@ def _train_seed(given: tuple[StudyProblem, int, Mapping[str, Value], int]) -> _R
     found = minimise(training.problem, start, setup, held_out=training.held_out)
     if Outcome.INTERRUPTED in found.outcomes:
         raise KeyboardInterrupt
-    # A tensor of torch's would not outlive its process.
-    return found.parameters.numpy(), found.outcomes, found.loss, found.steps, found.seconds
+    return found.parameters.numpy(), found.outcomes[0], found.seconds
 
 
-def _finalist(problem: StudyProblem, place: int, values: Mapping[str, Value], runs: Sequence[_Run]) -> Finalist:
+def _join_seeds(problem: StudyProblem, place: int, values: Mapping[str, Value], runs: Sequence[_Run]) -> Finalist:
     import torch
 
     training = prepare_residual(problem.measurement, setup_of(apply_values(problem.config, values, f"trial {place}")))
-    parameters, outcomes, loss, steps, seconds = zip(*runs, strict=True)
-    found = Minimum(
-        parameters=torch.from_numpy(np.concatenate(parameters)),
-        outcomes=tuple(outcome for (outcome,) in outcomes),
-        loss=np.concatenate(loss),
-        held_out_loss=None,  # not as configured: finalists are compared by that of each speed
-        steps=max(steps),
-        seconds=sum(seconds),
-        history=(),
-        trajectory=(),
-    )
-    return Finalist(place, values, training.per_speed_held_out_loss(found.parameters), training, found)
+    parameters = torch.from_numpy(np.concatenate([run[0] for run in runs]))
+    losses, models = training.per_speed_held_out_loss(parameters), [training.identified(one) for one in parameters]
+    return Finalist(place, values, losses, models, [run[1] for run in runs], sum(run[2] for run in runs))
 
 
 def choose(finalists: Sequence[Finalist], config: TuningConfig) -> Finalist:
@@ -155,7 +142,7 @@ def choose(finalists: Sequence[Finalist], config: TuningConfig) -> Finalist:
     return best if gained and best.median < luckiest else default
 
 
-def importances(study: optuna.Study) -> dict[str, float]:
+def measure_importances(study: optuna.Study) -> dict[str, float]:
     """Share of each parameter in what sets the best trials apart, largest first (Optuna's PED-ANOVA).
 
     Empty where there are too few trials to tell.
@@ -170,7 +157,7 @@ def importances(study: optuna.Study) -> dict[str, float]:
         return {}
 
 
-def sampler_study(problem: StudyProblem, sampler: str, seed: int) -> StudyProblem:
+def replace_sampler(problem: StudyProblem, sampler: str, seed: int) -> StudyProblem:
     """The same problem as a study of its own with another sampler."""
     tuning = problem.config.tuning.model_copy(
         update={
@@ -183,10 +170,10 @@ def sampler_study(problem: StudyProblem, sampler: str, seed: int) -> StudyProble
     return replace(problem, config=problem.config.model_copy(update={"tuning": tuning}))
 
 
-def fingerprint(study: optuna.Study, problem: StudyProblem) -> str:
+def hash_study(study: optuna.Study, problem: StudyProblem) -> str:
     """Identity of everything that a report is made from: the trials, and how finalists are chosen."""
     tuning = problem.config.tuning
-    trials = [(place, t.state.name, t.value, sorted(t.params.items())) for place, t in results(study).items()]
+    trials = [(place, t.state.name, t.value, sorted(t.params.items())) for place, t in list_results(study).items()]
     choice = (tuning.finalists, tuning.seeds, tuning.least_gain, tuning.n_trials, tuning.study)
     text = json.dumps([problem.fingerprints(), trials, choice], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]

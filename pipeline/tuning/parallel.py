@@ -5,16 +5,15 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from pipeline.errors import PipelineError
-from pipeline.processes import delay_interrupt, let_interrupt_through, limit_threads, share_threads
-from pipeline.tuning.attempts import repeat_stopped, results
-from pipeline.tuning.storage import settle, storage_errors
+from pipeline.processes import delay_interrupt, end_with_parent, let_interrupt_through, limit_threads, share_threads
+from pipeline.tuning.attempts import list_results, repeat_stopped
+from pipeline.tuning.storage import settle, translate_errors
 from pipeline.tuning.study import StudyProblem, open_study
 from pipeline.tuning.worker import Seen, work
 
@@ -34,7 +33,7 @@ def run_study(problem: StudyProblem, seen: Seen) -> tuple[optuna.Study, list[str
     import torch
 
     config = problem.config
-    with storage_errors(config.tuning), _interrupts() as check:
+    with translate_errors(config.tuning), _catch_interrupts() as check:
 
         def look(study: optuna.Study) -> None:
             check()
@@ -44,8 +43,8 @@ def run_study(problem: StudyProblem, seen: Seen) -> tuple[optuna.Study, list[str
         _wait_for_the_silent(study, problem, look)
         threads = share_threads(config.threads, config.tuning.workers)
         torch.set_num_threads(threads)
-        todo = config.tuning.n_trials - len(results(study))
-        with _others(problem, min(config.tuning.workers, todo) - 1, threads) as others:
+        todo = config.tuning.n_trials - len(list_results(study))
+        with _start_others(problem, min(config.tuning.workers, todo) - 1, threads) as others:
             try:
                 work(study, problem, look)
             except KeyboardInterrupt:
@@ -62,8 +61,8 @@ def run_study(problem: StudyProblem, seen: Seen) -> tuple[optuna.Study, list[str
 
 
 @contextmanager
-def _interrupts() -> Iterator[Callable[[], None]]:
-    """What it gives raises KeyboardInterrupt where Ctrl-C came in the block.
+def _catch_interrupts() -> Iterator[Callable[[], None]]:
+    """Give a function that raises KeyboardInterrupt if Ctrl-C came in the block.
 
     One in the middle of a call of the storage, or while Optuna tells the end of a trial, would leave the trial running
     and end in errors of theirs.
@@ -84,7 +83,7 @@ def _interrupts() -> Iterator[Callable[[], None]]:
 
 
 def _wait_for_the_silent(study: optuna.Study, problem: StudyProblem, seen: Seen) -> None:
-    """Where trials are running already, wait until those of dead workers are told by their silence.
+    """Where trials are running already, wait until the silence of dead workers shows.
 
     They come first in the queue then, and the study goes on in the order that it would have had.
     """
@@ -98,8 +97,8 @@ def _wait_for_the_silent(study: optuna.Study, problem: StudyProblem, seen: Seen)
 
 
 @contextmanager
-def pool(workers: int, threads: int) -> Iterator[Callable[..., Iterator[Any]]]:
-    """``map`` over as many processes; one worker is this process. Ctrl-C ends the others at once."""
+def open_pool(workers: int, threads: int) -> Iterator[Callable[..., Iterator[Any]]]:
+    """Give ``map`` over as many processes; one worker is this process. Ctrl-C ends the others at once."""
     if workers == 1:
         yield map
         return
@@ -119,7 +118,7 @@ def _begin(threads: int) -> None:
 
 
 @contextmanager
-def _others(problem: StudyProblem, count: int, threads: int) -> Iterator[list[Any]]:
+def _start_others(problem: StudyProblem, count: int, threads: int) -> Iterator[list[Any]]:
     """``count`` more workers; they have ended at the end of the block."""
     context = multiprocessing.get_context("spawn")
     workers = [context.Process(target=_work_beside, args=(problem, threads), daemon=True) for _ in range(count)]
@@ -141,19 +140,12 @@ def _work_beside(problem: StudyProblem, threads: int) -> None:
     import torch
 
     torch.set_num_threads(threads)
-    threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
+    end_with_parent()
     try:
         let_interrupt_through()
-        with storage_errors(problem.config.tuning), _interrupts() as check:
+        with translate_errors(problem.config.tuning), _catch_interrupts() as check:
             work(open_study(problem), problem, lambda _: check())
     except KeyboardInterrupt:
         os._exit(0)  # without Python's words on an interrupt
     except PipelineError:
         os._exit(2)  # what is wrong with the storage, the parent finds and says too
-
-
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    parent.join()
-    os._exit(1)

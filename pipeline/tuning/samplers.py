@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.config.tuning import TuningConfig, Value
-from pipeline.tuning.attempts import attempts
+from pipeline.tuning.attempts import list_attempts
 
 if TYPE_CHECKING:
     import optuna
 
 
-def seeded_sampler(config: TuningConfig, default: Mapping[str, Value] | None = None) -> optuna.samplers.BaseSampler:
+def make_sampler(config: TuningConfig, default: Mapping[str, Value] | None = None) -> optuna.samplers.BaseSampler:
     """The configured sampler; trial 0 gets the parameters of ``default``.
 
     An Optuna sampler keeps a random generator in its process: a resumed study would draw its first points again.
@@ -30,16 +30,16 @@ def seeded_sampler(config: TuningConfig, default: Mapping[str, Value] | None = N
 
         place: int | None  # of the trial that is drawn; None where another attempt has it
 
-        def _sampler(self, name: str = "") -> BaseSampler:
+        def _delegate(self, name: str = "") -> BaseSampler:
             entropy = [config.sampler_seed, self.place or 0, zlib.crc32(name.encode())]
-            return _sampler(config, int(np.random.SeedSequence(entropy).generate_state(1)[0]))
+            return _make_delegate(config, int(np.random.SeedSequence(entropy).generate_state(1)[0]))
 
         def before_trial(self, study: Any, trial: Any) -> None:
-            self.place = next((i for i, other in enumerate(attempts(study)) if other.number == trial.number), None)
+            self.place = next((i for i, other in enumerate(list_attempts(study)) if other.number == trial.number), None)
             self._given = default if default and self.place == 0 else {}
 
         def infer_relative_search_space(self, study: Any, trial: Any) -> dict[str, Any]:
-            self._relative = self._sampler()
+            self._relative = self._delegate()
             return {} if self._given else self._relative.infer_relative_search_space(study, trial)
 
         def sample_relative(self, study: Any, trial: Any, search_space: dict[str, Any]) -> dict[str, Any]:
@@ -48,18 +48,18 @@ def seeded_sampler(config: TuningConfig, default: Mapping[str, Value] | None = N
         def sample_independent(self, study: Any, trial: Any, param_name: str, param_distribution: Any) -> Any:
             if param_name in self._given:
                 return self._given[param_name]
-            return self._sampler(param_name).sample_independent(study, trial, param_name, param_distribution)
+            return self._delegate(param_name).sample_independent(study, trial, param_name, param_distribution)
 
     return Seeded()
 
 
-def place_of(trial: optuna.trial.Trial) -> int | None:
-    """The place of a trial that was just asked of a study with a :func:`seeded_sampler`; None where it has none."""
+def find_place(trial: optuna.trial.Trial) -> int | None:
+    """The place of a trial that was just asked of a study with a :func:`make_sampler`; None where it has none."""
     sampler: Any = trial.study.sampler
     return sampler.place
 
 
-def _sampler(config: TuningConfig, seed: int) -> optuna.samplers.BaseSampler:
+def _make_delegate(config: TuningConfig, seed: int) -> optuna.samplers.BaseSampler:
     from optuna.samplers import GPSampler, RandomSampler, TPESampler
 
     if config.sampler == "random":
@@ -76,7 +76,7 @@ def _sampler(config: TuningConfig, seed: int) -> optuna.samplers.BaseSampler:
         )
 
 
-def pruner(config: TuningConfig) -> optuna.pruners.BasePruner:
+def make_pruner(config: TuningConfig) -> optuna.pruners.BasePruner:
     """The configured pruner; curves are compared from a third of the last phase on (steps are percent of it)."""
     from optuna.pruners import MedianPruner, NopPruner
 

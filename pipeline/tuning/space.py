@@ -42,7 +42,7 @@ def suggest(trial: optuna.trial.Trial, space: Space) -> dict[str, Value]:
     return parameters
 
 
-def values_of(space: Space, parameters: Mapping[str, Value]) -> dict[str, Value]:
+def translate(space: Space, parameters: Mapping[str, Value]) -> dict[str, Value]:
     """The values of the configuration that ``parameters`` stand for."""
     values: dict[str, Value] = {}
     for name, parameter in parameters.items():
@@ -54,7 +54,7 @@ def values_of(space: Space, parameters: Mapping[str, Value]) -> dict[str, Value]
     return values
 
 
-def default_parameters(config: Config) -> dict[str, Value]:
+def find_default(config: Config) -> dict[str, Value]:
     """The parameters of trial 0: those that stand for the configured values.
 
     :raises ConfigError: where the space does not contain them, names a key that is none, or has values that the
@@ -69,41 +69,41 @@ def default_parameters(config: Config) -> dict[str, Value]:
     parameters: dict[str, Value] = {}
     for name, dimension in space.items():
         if applies(dimension, parameters):
-            parameters[name] = _default(config, name, dimension)
+            parameters[name] = _find_default(config, name, dimension)
     for name, dimension in space.items():
         _check_values(config, name, dimension)
     return parameters
 
 
-def _default(config: Config, name: str, dimension: Dimension) -> Any:
+def _find_default(config: Config, name: str, dimension: Dimension) -> Any:
     if isinstance(dimension, Preset):
         fitting = [
             choice
             for choice, values in dimension.choices.items()
-            if all(_same(get_value(config, key), value) for key, value in values.items())
+            if all(_is_same(get_value(config, key), value) for key, value in values.items())
         ]
         if fitting:  # the one that says most
             return max(fitting, key=lambda choice: len(dimension.choices[choice]))
         keys = dict.fromkeys(key for values in dimension.choices.values() for key in values)
         came = ", ".join(f"{key} = {get_value(config, key)}" for key in keys)
-        raise _outside(name, came, f"the choices of {name} are {', '.join(dimension.choices)}")
+        raise _refuse_default(name, came, f"the choices of {name} are {', '.join(dimension.choices)}")
     value = get_value(config, dimension.key)
     came = f"{dimension.key} = {value}"
     if isinstance(dimension, Choice):
-        if not any(_same(value, choice) for choice in dimension.choices):
-            raise _outside(name, came, f"the choices of {name} are {', '.join(map(str, dimension.choices))}")
+        if not any(_is_same(value, choice) for choice in dimension.choices):
+            raise _refuse_default(name, came, f"the choices of {name} are {', '.join(map(str, dimension.choices))}")
     elif not dimension.low <= value <= dimension.high:
-        raise _outside(name, came, f"{name} goes from {dimension.low:g} to {dimension.high:g}")
+        raise _refuse_default(name, came, f"{name} goes from {dimension.low:g} to {dimension.high:g}")
     return value
 
 
-def _same(value: Any, choice: Value) -> bool:
+def _is_same(value: Any, choice: Value) -> bool:
     if isinstance(value, (int, float)) and isinstance(choice, (int, float)):
         return math.isclose(value, choice)
     return bool(value == choice)
 
 
-def _outside(name: str, came: str, space: str) -> ConfigError:
+def _refuse_default(name: str, came: str, space: str) -> ConfigError:
     return ConfigError(
         f"tuning.space must contain the configured default, which is trial 0, but {came} and {space}: "
         f"widen tuning.space.{name} or change the configured value"
@@ -115,13 +115,13 @@ def _check_values(config: Config, name: str, dimension: Dimension) -> None:
     source = f"tuning.space.{name}"
     if isinstance(dimension, Preset):
         for values in dimension.choices.values():
-            apply_values(config, _positive_phase(config, values), source)
+            apply_values(config, _enable_phase(config, values), source)
         return
     for value in dimension.choices if isinstance(dimension, Choice) else (dimension.low, dimension.high):
         apply_values(config, {dimension.key: value}, source)
 
 
-def _positive_phase(config: Config, values: Mapping[str, Value]) -> dict[str, Value]:
+def _enable_phase(config: Config, values: Mapping[str, Value]) -> dict[str, Value]:
     """``values`` with steps in some phase: a preset names phases that it leaves out, a range the steps of others."""
     phases = [f"optimizer.{phase}.steps" for phase in type(config.optimizer).model_fields]
     free = [key for key in phases if key not in values]

@@ -43,10 +43,10 @@ def open_storage(config: TuningConfig) -> optuna.storages.RDBStorage:
     :raises StorageError: where it can't be reached within ``timeout_seconds``, read or written
     """
     if is_shared(config):
-        with storage_errors(config, "Check its user, password, host and name"):
-            return run_within(config.timeout_seconds, lambda: _database(config))
-    with storage_errors(config, "Give another file: tuning.storage=sqlite:///FILE.db"):
-        return _database(config)
+        with translate_errors(config, "Check its user, password, host and name"):
+            return run_within(config.timeout_seconds, lambda: _open_database(config))
+    with translate_errors(config, "Give another file: tuning.storage=sqlite:///FILE.db"):
+        return _open_database(config)
 
 
 def settle(config: TuningConfig) -> None:
@@ -59,7 +59,7 @@ def settle(config: TuningConfig) -> None:
 
 
 @contextmanager
-def storage_errors(
+def translate_errors(
     config: TuningConfig, next_step: str = "No finished trial is lost; the same command goes on"
 ) -> Iterator[None]:
     """What goes wrong with the storage inside the block leaves it as a StorageError."""
@@ -71,12 +71,12 @@ def storage_errors(
     except (StorageInternalError, SQLAlchemyError, sqlite3.Error, OSError) as error:
         raise StorageError(
             f"tuning.storage must be a database that can be used, but '{without_password(config.storage)}' says: "
-            f"{_reason(error)}. {next_step}"
+            f"{_tell_reason(error)}. {next_step}"
         ) from None
 
 
-def _reason(error: BaseException) -> str:
-    """The heart of an error's text, on one line, without passwords."""
+def _tell_reason(error: BaseException) -> str:
+    """The main part of an error's text, on one line, without passwords."""
     cause = error.__cause__ or error
     text = str(getattr(cause, "strerror", None) or cause).partition("(Background on this")[0]
     text = without_password(re.sub(r"^\([\w.]+\)\s*", "", " ".join(text.split())) or type(cause).__name__)
@@ -84,7 +84,7 @@ def _reason(error: BaseException) -> str:
     return text[:_LONGEST_REASON].rstrip(".? ")
 
 
-def _database(config: TuningConfig) -> optuna.storages.RDBStorage:
+def _open_database(config: TuningConfig) -> optuna.storages.RDBStorage:
     from sqlalchemy.engine import make_url
     from sqlalchemy.exc import ArgumentError, DBAPIError, IntegrityError
 

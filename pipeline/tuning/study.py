@@ -16,9 +16,8 @@ import numpy as np
 from pipeline.config.schema import Config
 from pipeline.errors import ConfigError, without_password
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.residual import BearingEquations
-from pipeline.tuning.samplers import pruner, seeded_sampler
-from pipeline.tuning.space import default_parameters
+from pipeline.tuning.samplers import make_pruner, make_sampler
+from pipeline.tuning.space import find_default
 from pipeline.tuning.storage import open_storage
 
 if TYPE_CHECKING:
@@ -39,6 +38,8 @@ class StudyProblem:
     def fingerprints(self) -> dict[str, dict[str, str]]:
         """Parts and the fingerprints of their pieces; a study of other ones is another study."""
         config, tuning = self.config, self.config.tuning
+        force = np.abs(self.measurement.equations.free_residual)
+        size = np.log(force.mean(axis=tuple(range(1, force.ndim))))  # the rotor, in one number a bearing
         sections = ("identify", "model", "loss", "optimizer", "training")
         return {
             "the search space": {name: _hash(d.model_dump(mode="json")) for name, d in tuning.space.items()}
@@ -46,13 +47,13 @@ class StudyProblem:
             "the data": {
                 "vibration, excitation and rotor": self.measurement.dataset.fingerprint,
                 "known coefficients": _hash(self.measurement.known.values.tobytes().hex()),
-                "equations": _hash(np.round(_size(self.measurement.equations), 12).tolist()),
+                "equations": _hash(np.round(size, 12).tolist()),
             },
             "the configuration": {name: _hash(getattr(config, name).model_dump(mode="json")) for name in sections}
             | {"seed": str(config.seed)},
             "the sampler": {name: str(getattr(tuning, name)) for name in ("sampler", "sampler_seed", "startup_trials")}
             | {"pruner": tuning.pruner},
-            "the program": _program(),
+            "the program": _hash_program(),
         }
 
 
@@ -60,13 +61,8 @@ def _hash(value: object) -> str:
     return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:12]
 
 
-def _size(equations: BearingEquations) -> np.ndarray:
-    """(B,) log of the mean bearing force: the rotor, in one number a bearing."""
-    return np.log(np.abs(equations.free_residual).mean(axis=tuple(range(1, equations.free_residual.ndim))))
-
-
 @cache
-def _program() -> dict[str, str]:
+def _hash_program() -> dict[str, str]:
     """Fingerprints of the sources that a trial's loss depends on, and Optuna's version."""
     import optuna
 
@@ -87,7 +83,7 @@ def open_study(problem: StudyProblem) -> optuna.Study:
     import optuna
 
     config = problem.config.tuning
-    default = default_parameters(problem.config)
+    default = find_default(problem.config)
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     storage = open_storage(config)
     for restart in (config.changed == "restart", False):
@@ -96,13 +92,13 @@ def open_study(problem: StudyProblem) -> optuna.Study:
             direction="minimize",
             load_if_exists=True,
             storage=storage,
-            sampler=seeded_sampler(config, default),
-            pruner=pruner(config),
+            sampler=make_sampler(config, default),
+            pruner=make_pruner(config),
         )
         if INPUTS not in study.user_attrs:
             _describe(study, problem)
             study.set_user_attr(INPUTS, problem.fingerprints())
-        changes = _changes(study.user_attrs[INPUTS], problem.fingerprints())
+        changes = _list_changes(study.user_attrs[INPUTS], problem.fingerprints())
         if not changes:
             return study
         if restart:
@@ -114,7 +110,7 @@ def open_study(problem: StudyProblem) -> optuna.Study:
     )
 
 
-def _changes(then: Mapping[str, Mapping[str, str]], now: Mapping[str, Mapping[str, str]]) -> str:
+def _list_changes(then: Mapping[str, Mapping[str, str]], now: Mapping[str, Mapping[str, str]]) -> str:
     """The parts that differ, with their pieces; empty where none does."""
     sentences = []
     for part in dict.fromkeys([*now, *then]):

@@ -14,8 +14,8 @@ from pipeline.identification.outcome import Outcome
 from pipeline.identification.residual_loss import ResidualTraining, initial_parameters, prepare_residual
 from pipeline.identification.training import minimise, phases, setup_of
 from pipeline.tuning.attempts import REASON, repeat_stopped
-from pipeline.tuning.samplers import place_of
-from pipeline.tuning.space import suggest, values_of
+from pipeline.tuning.samplers import find_place
+from pipeline.tuning.space import suggest, translate
 from pipeline.tuning.study import StudyProblem
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ class TrialFailed(Exception):
     """A trial without a loss; the study goes on."""
 
 
-def objective(loss: float) -> float:
+def score(loss: float) -> float:
     """log10 of the held-out loss: it spans many decades."""
     return math.log10(max(loss, ROUNDING))
 
@@ -78,7 +78,7 @@ def _run_next(study: optuna.Study, problem: StudyProblem, seen: Seen) -> None:
         if not begun:
             raise
     except (AssertionError, UnboundLocalError) as error:
-        hidden = error.__context__  # what Optuna's loop stumbles over where the storage does not take a trial's end
+        hidden = error.__context__  # what Optuna's loop meets where the storage does not take the end of a trial
         if isinstance(hidden, StorageInternalError):
             raise hidden from hidden.__cause__
         raise
@@ -93,7 +93,7 @@ def run_trial(trial: optuna.trial.Trial, problem: StudyProblem, seen: Seen) -> f
     import optuna
 
     config = problem.config
-    place = place_of(trial)
+    place = find_place(trial)
     if place is None or place >= config.tuning.n_trials:  # several workers asked for the last one
         raise TrialFailed
     if place == 0:
@@ -106,7 +106,7 @@ def run_trial(trial: optuna.trial.Trial, problem: StudyProblem, seen: Seen) -> f
             trial.set_user_attr(name, value)
 
     try:
-        values = values_of(config.tuning.space, suggest(trial, config.tuning.space))
+        values = translate(config.tuning.space, suggest(trial, config.tuning.space))
         started = time.perf_counter()  # sampling is no training; where it fails, the time of that is all there is
         setup = setup_of(apply_values(config, values, f"trial {place}"))
         training = prepare_residual(problem.measurement, setup)
@@ -121,7 +121,7 @@ def run_trial(trial: optuna.trial.Trial, problem: StudyProblem, seen: Seen) -> f
             raise TrialFailed
         curve.carry_to_the_end(loss)
         describe(outcome=found.outcomes[0].label, epochs=found.steps, held_out_loss=loss, training_loss=found.loss[0])
-        return objective(loss)
+        return score(loss)
     except optuna.TrialPruned:
         assert curve is not None
         describe(outcome="pruned", epochs=curve.steps, held_out_loss=10**curve.last)
@@ -163,7 +163,7 @@ class _Curve:
 
     def _report(self, percent: int, loss: float) -> None:
         if math.isfinite(loss):
-            self.last = objective(loss)
+            self.last = score(loss)
             self.trial.report(self.last, percent)
 
     def carry_to_the_end(self, loss: float) -> None:

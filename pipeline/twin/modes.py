@@ -24,7 +24,7 @@ class WhirlModes:
     growth: np.ndarray  # (S,) largest real part among all eigenvalues, 1/s; positive is unstable, rounding is zero
 
 
-def whirl_modes(rotor: RotorModel, bearings: BearingTable, count: int = 8) -> WhirlModes:
+def find_modes(rotor: RotorModel, bearings: BearingTable, count: int = 8) -> WhirlModes:
     """Eigenvalues of ``M q'' + (C + W G + C_b) q' + (K + K_b) q = 0`` at the speeds of ``bearings``."""
     n, places = rotor.n_dof, bearing_dof(rotor)
     # One factorisation of the mass serves all speeds; only bearings and gyroscopic terms change.
@@ -63,7 +63,7 @@ class CriticalSpeed:
     logarithmic_decrement: float
 
 
-def critical_speeds(modes: WhirlModes) -> list[CriticalSpeed]:
+def find_critical_speeds(modes: WhirlModes) -> list[CriticalSpeed]:
     """Crossings of the mode frequencies with the rotor speed, by linear interpolation between speeds.
 
     Modes are followed by their order in frequency. A line that jumps because a mode became overdamped makes
@@ -97,7 +97,7 @@ class StabilityMargin:
     at_speed: float | None  # rad/s, where that is
 
 
-def stability_margin(modes: WhirlModes) -> StabilityMargin:
+def measure_stability(modes: WhirlModes) -> StabilityMargin:
     """The margin over all speeds.
 
     The decrement looks at modes up to twice the top speed: those far above have a decrement near zero in any

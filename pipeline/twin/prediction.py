@@ -42,7 +42,7 @@ def predict(
     return PredictedVibration(node, bearings.speeds, response[:, places, 0])
 
 
-def with_deviation(
+def add_deviation(
     predicted: PredictedVibration,
     measurement: Measurement,
     bearings: BearingTable,
@@ -79,7 +79,7 @@ def with_deviation(
     return replace(predicted, deviation=np.sqrt(np.maximum(variance, 0.0)))
 
 
-def time_curve(
+def sample_motion(
     displacement: np.ndarray, speed: float, turns: float = 2.0, points: int = 400
 ) -> tuple[np.ndarray, np.ndarray]:
     """Times (T,) in s and displacements (T, 2) in m of x and y at ``speed`` (rad/s), from amplitudes (2,)."""

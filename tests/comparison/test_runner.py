@@ -28,8 +28,8 @@ from pipeline.methods.method import Reason
 from pipeline.problem.kalman_filter import _gain
 from pipeline.problem.noise import bearing_rows, residual_sensitivity
 from pipeline.problem.residual import bearing_equations, linear_residual
-from pipeline.reporting.comparison_tables import Comparison, noise_text
-from pipeline.stages.compare import modelled_machine
+from pipeline.reporting.comparison_tables import Comparison, format_noise
+from pipeline.stages.compare import build_machine
 
 FEW = ("experiment=hydrostatic_stiffness", "machine.speeds.step_rpm=500")
 FAST = [
@@ -66,7 +66,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_the_stage_writes_tables_numbers_and_a_figure(made: Path) -> None:
-    """And nothing else beside the folder of results."""
     assert {str(p.relative_to(made)) for p in made.rglob("*.*") if p.parent.name != "comparison"} == WRITTEN
     rows = pd.read_csv(made / "comparison.csv")
     assert {"median_error_percent", "within_interval_percent", "seconds"} <= set(rows.columns)
@@ -77,7 +76,6 @@ def test_the_stage_writes_tables_numbers_and_a_figure(made: Path) -> None:
 
 @pytest.mark.slow
 def test_what_a_method_cannot_do_is_a_row_with_its_name(made: Path) -> None:
-    """Not a missing one."""
     rows = pd.read_csv(made / "comparison.csv")
     silent = rows[rows["coefficient"].isna()]
     found = set(zip(silent["method"], silent["sensors"], silent["outcome"], strict=True))
@@ -87,7 +85,6 @@ def test_what_a_method_cannot_do_is_a_row_with_its_name(made: Path) -> None:
 
 
 def test_what_is_done_is_not_done_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """An interrupted comparison goes on where it was."""
     stopped = iter([None, KeyboardInterrupt()])
 
     def stop(done: int, total: int, result: Result) -> None:
@@ -117,7 +114,6 @@ def test_what_is_done_is_not_done_again(tmp_path: Path, monkeypatch: pytest.Monk
 def test_an_interrupted_stage_says_how_to_go_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Exit code 130, as of all stages."""
 
     def interrupted(*arguments: Any) -> list[Result]:
         raise KeyboardInterrupt
@@ -129,7 +125,6 @@ def test_an_interrupted_stage_says_how_to_go_on(
 
 @pytest.mark.parametrize("damage", ["{", '{"fingerprint": "0"}', "[]", '{"fingerprint": "0", "result": {}}'])
 def test_a_damaged_or_old_result_is_made_again(damage: str, tmp_path: Path) -> None:
-    """Of another program or configuration, cut off, or no result at all."""
     own = setup_of(workers=1)
     first = compare(own, RUNS[:1], tmp_path, nothing)
     path = tmp_path / RUNS[0].file
@@ -162,7 +157,6 @@ def killed(item: MethodRun) -> Result:
 
 @pytest.mark.slow
 def test_a_killed_process_is_said_in_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not waited for."""
     monkeypatch.setattr(runner, "_work", killed)
     with pytest.raises(PipelineError, match="run the same command again to go on"):
         compare(setup_of(workers=2), RUNS, tmp_path, nothing)
@@ -184,7 +178,6 @@ def test_a_killed_process_is_said_in_words(tmp_path: Path, monkeypatch: pytest.M
 def test_a_mistake_is_said_in_a_sentence(
     given: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Before anything runs."""
     assert main(["stage=compare", *FEW, given, f"output={tmp_path}", "tracking=none"]) == 2
     said = capsys.readouterr().err
     assert words in said, said
@@ -201,9 +194,8 @@ FEW_STEPS = [
 @pytest.mark.slow
 @pytest.mark.parametrize("experiment", OTHERS)
 def test_every_method_says_something_of_other_machines(experiment: str, tmp_path: Path) -> None:
-    """An answer, or the name of what it can't do; never an error."""
     config = compose_config([f"experiment={experiment}", *FIVE_SPEEDS, *FEW_STEPS, "comparison.workers=1"])
-    own = ComparisonSetup(modelled_machine(config), config.identify, config.comparison, config.seed)
+    own = ComparisonSetup(build_machine(config), config.identify, config.comparison, config.seed)
     sensors = ("bearings", "location")
     items = [MethodRun(method, Case(0.01, where, 5)) for where in sensors for method in METHODS]
     results = compare(own, items, tmp_path, nothing)
@@ -212,9 +204,6 @@ def test_every_method_says_something_of_other_machines(experiment: str, tmp_path
     for result in results:
         assert result.answered == bool(result.coefficients)
         assert result.answered or result.words
-
-
-# --- the summary ----------------------------------------------------------------------------------
 
 
 def row(method: str, noise: float, error: float | None, **changed: Any) -> Result:
@@ -236,7 +225,6 @@ def row(method: str, noise: float, error: float | None, **changed: Any) -> Resul
 
 
 def test_the_summary_takes_means_over_data_sets_and_names_refusals() -> None:
-    """And the best of the others is of those that answer."""
     main_one = Case(0.01, "bearings", 10)
     rows = (
         row("response", 0.01, 1.0),
@@ -251,11 +239,8 @@ def test_the_summary_takes_means_over_data_sets_and_names_refusals() -> None:
     assert made.cell("multi_frequency", main_one) == "one frequency"
     assert made.cell("kriging", main_one) == "0.5 ?"
     assert made.best_other("response", main_one, "kxx") == ("kriging", 4.0)
-    assert [noise_text(case.noise) for case in made.along("noise")] == ["0 %", "1 %"]
+    assert [format_noise(case.noise) for case in made.along("noise")] == ["0 %", "1 %"]
     assert made.outcomes() == {"multi_frequency": {"one_frequency": ""}}
-
-
-# --- equations ------------------------------------------------------------------------------------
 
 
 @given(seed=st.integers(0, 1000), n_channels=st.integers(1, 9))

@@ -5,10 +5,7 @@ The machines are small: ball bearings, 25 speeds, one run; fluid-film bearings, 
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,142 +13,16 @@ import torch
 from conftest import Machine, unknown_at_all
 from hypothesis import given
 from hypothesis import strategies as st
+from training import CHAINS, a_model, asked, errors, optimizer, setup_of, starts, trained
 
-from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.compose import compose_config
-from pipeline.config.identification import (
-    AdamConfig,
-    LBFGSConfig,
-    LevenbergMarquardtConfig,
-    LossConfig,
-    NetworkModelConfig,
-    OptimizerConfig,
-    TrainingConfig,
-)
+from pipeline.config.identification import NetworkModelConfig
 from pipeline.config.loader import list_options
-from pipeline.errors import DataError, IdentifiabilityError
-from pipeline.identification.fit import fit
-from pipeline.identification.identified import IdentifiedModel
-from pipeline.identification.model import CoefficientModel, coefficient_model
-from pipeline.identification.outcome import Outcome
-from pipeline.identification.residual_loss import ResidualTraining, initial_parameters, prepare_residual
-from pipeline.identification.storage import ARCHITECTURE, WEIGHTS, load_model, save_model
-from pipeline.identification.training import (
-    FitSetup,
-    Minimum,
-    Progress,
-    held_out_speeds,
-    initial_guess,
-    minimise,
-)
-from pipeline.problem.measurement import Measurement
+from pipeline.identification.model import coefficient_model
+from pipeline.identification.residual_loss import initial_parameters, prepare_residual
+from pipeline.identification.training import held_out_speeds, initial_guess
 
 pytestmark = pytest.mark.usefixtures("one_thread")
-
-FOREVER = 100_000  # patience: no early stopping
-
-
-def optimizer(
-    adam: int = 0,
-    lbfgs: int = 0,
-    lm: int = 0,
-    rate: float = 0.1,
-    final: float = 1e-3,
-    patience: int = FOREVER,
-) -> OptimizerConfig:
-    """Phases of so many steps."""
-    return OptimizerConfig(
-        adam=AdamConfig(steps=adam, patience=patience, learning_rate=rate, final_rate_fraction=final),
-        lbfgs=LBFGSConfig(steps=lbfgs, patience=patience, history=10),
-        levenberg_marquardt=LevenbergMarquardtConfig(steps=lm, patience=patience, initial_damping=0.01),
-    )
-
-
-def setup_of(
-    machine: Machine,
-    phases: OptimizerConfig,
-    parametrisation: str = "log",
-    scaling: str = "per_speed",
-    holdout_every: int = 0,
-    tolerance: float = 0.0,
-) -> FitSetup:
-    """The experiment's model, trained by ``phases``."""
-    return FitSetup(
-        machine.config.model.model_copy(update={"parametrisation": parametrisation}),
-        LossConfig(kind="residual", scaling=scaling, regularisation=0.0),
-        phases,
-        TrainingConfig(holdout_every=holdout_every, tolerance=tolerance),
-    )
-
-
-def asked(machine: Machine, *unknowns: str, shared: bool = False) -> Measurement:
-    """The machine's clean data, with these coefficients unknown (kxx and kyy)."""
-    names = unknowns or ("kxx", "kyy")
-    return replace(machine.measurement, unknowns=unknown_at_all(machine.rotor.bearing_nodes, names, shared))
-
-
-def starts(training: ResidualTraining, setup: FitSetup, guesses: list[float]) -> torch.Tensor:
-    """(G, M, P) one training a guess, N/m."""
-    return torch.cat([initial_parameters(training, setup, 0, guess) for guess in guesses])
-
-
-def run(
-    training: ResidualTraining,
-    start: torch.Tensor,
-    setup: FitSetup,
-    progress: Progress | None = None,
-    record_trajectory: bool = False,
-) -> Minimum:
-    """Train from there."""
-    return minimise(
-        training.problem,
-        start,
-        setup,
-        held_out=training.held_out,
-        progress=progress,
-        record_trajectory=record_trajectory,
-    )
-
-
-def trained(measurement: Measurement, setup: FitSetup, guesses: list[float]) -> tuple[ResidualTraining, Minimum]:
-    """All guesses at once."""
-    training = prepare_residual(measurement, setup)
-    return training, run(training, starts(training, setup, guesses), setup)
-
-
-def errors(machine: Machine, training: ResidualTraining, found: Minimum) -> np.ndarray:
-    """(G,) the largest relative error of any coefficient and speed."""
-    worst = []
-    for parameters in found.parameters:
-        values = training.identified(parameters).values(machine.speeds)
-        true = np.stack([machine.bearings.coefficient(n) for n in training.model.unknowns], axis=-1)
-        worst.append(np.abs(values / true - 1).max())
-    return np.array(worst)
-
-
-# --- derivatives ---------------------------------------------------------------------------------
-
-
-def a_model(
-    depth: int | None,
-    activation: str = "tanh",
-    parametrisation: str = "log",
-    unknowns: int = 3,
-    members: int = 2,
-) -> CoefficientModel:
-    """A small model; depth None for constants."""
-    names = ("kxx", "kyy", "cxx", "cyy")[:unknowns]
-    return CoefficientModel(
-        unknowns=names,
-        inputs=("speed",),
-        parametrisation=parametrisation,
-        scale=tuple(tuple(10.0 ** (6 + u + m) for u in range(unknowns)) for m in range(members)),
-        hidden=None if depth is None else tuple(3 + layer for layer in range(depth)),
-        activation=activation,
-        input_scaling="log_rpm",
-        ranges=((10.0, 600.0),),
-    )
-
 
 SHAPES = [(None, "tanh")] + [(depth, act) for depth in (1, 2, 3) for act in ("tanh", "silu", "sine")]
 
@@ -205,9 +76,6 @@ def test_slope_of_the_parametrisation(raw: float, scale: float) -> None:
         torch.testing.assert_close(model.physical_slope(at, size), wanted[0], rtol=1e-14, atol=0)
 
 
-# --- starting points -----------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("parametrisation", ["log", "scaled"])
 @pytest.mark.parametrize("guess", [1.0, 3e4, 1e8])
 def test_constants_start_at_the_guess(parametrisation: str, guess: float, ball: Machine) -> None:
@@ -254,19 +122,6 @@ def test_inputs_are_scaled_to_one(scaling: str, hydrostatic: Machine) -> None:
     np.testing.assert_allclose(found.numpy(), [[-1.0], [0.0], [1.0]], atol=1e-12)
     alone = coefficient_model(config, ("kxx",), speeds[:1], np.ones((1, 1)))
     np.testing.assert_allclose(alone.scaled_inputs(speed=speeds[:1]).numpy(), [[-1.0]])
-
-
-# --- recovering a known truth --------------------------------------------------------------------
-
-CHAINS = {
-    # phases, largest relative error: first order reaches what its last learning rate allows
-    "adam": (optimizer(adam=800), 1e-4),
-    "lbfgs": (optimizer(lbfgs=60), 1e-12),
-    "levenberg_marquardt": (optimizer(lm=40), 1e-12),
-    "adam, lbfgs": (optimizer(adam=300, lbfgs=30), 1e-12),
-    "adam, levenberg_marquardt": (optimizer(adam=300, lm=20), 1e-12),
-    "all three": (optimizer(adam=250, lbfgs=10, lm=10), 1e-12),
-}
 
 
 @pytest.mark.parametrize("chain", CHAINS)
@@ -371,190 +226,6 @@ def test_second_order_answer_is_the_least_squares_one(hydrostatic: Machine, rng:
     assert batch.loss[0] > 1e-3  # noise remains
 
 
-# --- many at once --------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("phases", [optimizer(adam=60), optimizer(lm=15), optimizer(lbfgs=8)])
-def test_guesses_trained_together_do_not_influence_each_other(phases: OptimizerConfig, ball: Machine) -> None:
-    """Five guesses at once end where each ends alone (1e-12; steps forced equal, no early stopping)."""
-    guesses = [1.0, 1e2, 1e4, 1e6, 1e8]
-    setup = setup_of(ball, phases)
-    _, together = trained(asked(ball), setup, guesses)
-    for g, guess in enumerate(guesses):
-        _, alone = trained(asked(ball), setup, [guess])
-        torch.testing.assert_close(together.parameters[g], alone.parameters[0], rtol=1e-12, atol=1e-12)
-        assert together.loss[g] == pytest.approx(alone.loss[0], rel=1e-12, abs=1e-14)
-
-
-def test_seeds_of_a_network_trained_together(hydrostatic: Machine) -> None:
-    """The same for networks from several seeds, where members share no numbers but the data."""
-    setup = setup_of(hydrostatic, optimizer(adam=15))
-    setup = replace(setup, model=setup.model.model_copy(update={"width": 6}))
-    prepared = prepare_residual(asked(hydrostatic), setup)
-    parts = [initial_parameters(prepared, setup, seed) for seed in range(3)]
-    together = run(prepared, torch.cat(parts), setup)
-    for g, part in enumerate(parts):
-        alone = run(prepared, part, setup)
-        torch.testing.assert_close(together.parameters[g], alone.parameters[0], rtol=1e-12, atol=1e-12)
-
-
-@pytest.mark.parametrize("phases", [optimizer(lm=60), optimizer(adam=40, lm=60)])
-def test_a_training_that_is_over_stays_while_others_go_on(phases: OptimizerConfig, hydrostatic: Machine) -> None:
-    """Each seed stops by its own loss, at another step, and ends where it ends alone."""
-    setup = setup_of(hydrostatic, phases)
-    setup = replace(
-        setup,
-        model=setup.model.model_copy(update={"width": 4}),
-        training=setup.training.model_copy(update={"tolerance": 0.2}),
-        optimizer=setup.optimizer.model_copy(
-            update={"levenberg_marquardt": setup.optimizer.levenberg_marquardt.model_copy(update={"patience": 2})}
-        ),
-    )
-    prepared = prepare_residual(asked(hydrostatic), setup)
-    parts = [initial_parameters(prepared, setup, seed) for seed in range(3)]
-    together = run(prepared, torch.cat(parts), setup)
-    steps = set()
-    for g, part in enumerate(parts):
-        alone = run(prepared, part, setup)
-        steps.add(alone.steps)
-        assert together.outcomes[g] is alone.outcomes[0]
-        assert together.loss[g] == pytest.approx(alone.loss[0], rel=1e-6)
-    assert len(steps) > 1
-    assert together.steps == max(steps)
-
-
-def test_same_seed_same_bits(hydrostatic: Machine) -> None:
-    """A training repeats itself to the last bit; another seed is another network with a near answer."""
-    setup = setup_of(hydrostatic, optimizer(adam=10, lm=40), holdout_every=10)
-    setup = replace(setup, model=setup.model.model_copy(update={"width": 8}))
-    prepared = prepare_residual(asked(hydrostatic), setup)
-    first, again, other = (run(prepared, initial_parameters(prepared, setup, seed), setup) for seed in (1, 1, 2))
-    assert torch.equal(first.parameters, again.parameters)
-    assert [row["loss"] for row in first.history] == [row["loss"] for row in again.history]
-    assert not torch.equal(first.parameters, other.parameters)
-    values = [prepared.identified(one.parameters[0]).values(hydrostatic.speeds) for one in (first, other)]
-    assert np.abs(values[0] / values[1] - 1).mean() < 0.05
-
-
-# --- outcomes ------------------------------------------------------------------------------------
-
-
-def test_converged(ball: Machine) -> None:
-    """No improvement above the tolerance for `patience` steps: converged, before the budget is spent."""
-    _, batch = trained(asked(ball), setup_of(ball, optimizer(lm=500, patience=5), tolerance=0.1), [1e6])
-    assert batch.outcomes == (Outcome.CONVERGED,)
-    assert batch.steps < 100
-    assert batch.loss[0] < 1e-14
-
-
-def test_budget_spent(ball: Machine) -> None:
-    """The loss still falls at the last step."""
-    _, batch = trained(asked(ball), setup_of(ball, optimizer(adam=20, patience=5), tolerance=0.0), [1.0])
-    assert batch.outcomes == (Outcome.BUDGET_SPENT,)
-    assert batch.steps == 21  # and the start
-
-
-@pytest.mark.parametrize(("rate", "parametrisation"), [(1e6, "scaled"), (1e4, "log")])
-def test_diverged(rate: float, parametrisation: str, ball: Machine) -> None:
-    """A learning rate far too large: diverged (in the log case by overflow); the best state is kept."""
-    setup = setup_of(ball, optimizer(adam=10, rate=rate, final=1.0), parametrisation)
-    prepared = prepare_residual(asked(ball), setup)
-    start = starts(prepared, setup, [1e6])
-    batch = run(prepared, start, setup)
-    assert batch.outcomes == (Outcome.DIVERGED,)
-    assert batch.parameters.isfinite().all()
-    assert batch.loss[0] <= float(prepared.problem.loss(start).square().mean().sqrt()) * (1 + 1e-12)
-
-
-def test_one_diverged_member_leaves_the_others_alone(ball: Machine) -> None:
-    """A training that starts at NaN is called diverged, by itself."""
-    setup = setup_of(ball, optimizer(lm=40))
-    prepared = prepare_residual(asked(ball), setup)
-    start = starts(prepared, setup, [1e6, 1e6])
-    start[0] = float("nan")
-    batch = run(prepared, start, setup)
-    assert batch.outcomes[0] is Outcome.DIVERGED
-    assert batch.outcomes[1] is not Outcome.DIVERGED
-    assert batch.loss[1] < 1e-12
-
-
-@pytest.mark.parametrize(
-    ("phases", "after"),
-    [
-        (optimizer(adam=500), 100),
-        (optimizer(lbfgs=50), 3),
-        (optimizer(lm=50), 4),
-        (optimizer(adam=50, lm=9), 53),
-    ],
-)
-@pytest.mark.parametrize("holdout_every", [0, 10])
-def test_interrupted_training_keeps_the_best_state(
-    phases: OptimizerConfig, after: int, holdout_every: int, ball: Machine
-) -> None:
-    """Ctrl-C in any phase: the best state so far, called interrupted, is no worse than the start."""
-    setup = setup_of(ball, phases, holdout_every=holdout_every)
-    prepared = prepare_residual(asked(ball), setup)
-    start = starts(prepared, setup, [1e6])
-    calls = 0
-
-    def interrupt(phase: str, step: int, total: int, loss: float) -> None:
-        nonlocal calls
-        calls += 1
-        if calls == after:
-            raise KeyboardInterrupt
-
-    batch = run(prepared, start, setup, interrupt)
-    assert batch.outcomes == (Outcome.INTERRUPTED,)
-    assert calls == after == len(batch.history)
-    assert batch.loss[0] < float(prepared.problem.loss(start).square().mean().sqrt())
-    score = "held_out_loss" if holdout_every else "loss"
-    reached = batch.held_out_loss if holdout_every else batch.loss
-    assert reached[0] <= min(row[score] for row in batch.history) * (1 + 1e-12)
-
-
-def test_progress_and_history(ball: Machine) -> None:
-    """Every step is shown with its phase and counted within it; the history has one row a step."""
-    seen: list[tuple[str, int, int]] = []
-
-    def progress(phase: str, step: int, total: int, loss: float) -> None:
-        seen.append((phase, step, total))
-
-    setup = setup_of(ball, optimizer(adam=3, lbfgs=2, lm=2))
-    prepared = prepare_residual(asked(ball), setup)
-    batch = run(prepared, starts(prepared, setup, [1e6]), setup, progress, record_trajectory=True)
-    phases = [("adam", 3), ("lbfgs", 2), ("levenberg_marquardt", 2)]
-    wanted = [("start", 1, 1)] + [(phase, k + 1, total) for phase, total in phases for k in range(total)]
-    assert seen == wanted
-    assert [row["phase"] for row in batch.history] == [phase for phase, _, _ in wanted]
-    assert [row["step"] for row in batch.history] == list(range(8))
-    assert [step for step, _ in batch.trajectory] == list(range(8))
-    assert batch.steps == 8
-
-
-@pytest.mark.parametrize("chain", CHAINS)
-def test_loss_never_ends_above_its_start(chain: str, hydrostatic: Machine) -> None:
-    """The best state is at most as bad as the start, whatever the optimiser did; few steps of a network."""
-    phases = CHAINS[chain][0]
-    short = {name: {"steps": min(getattr(phases, name).steps, 3)} for name in OptimizerConfig.model_fields}
-    parts = {name: getattr(phases, name).model_copy(update=part) for name, part in short.items()}
-    setup = setup_of(hydrostatic, OptimizerConfig(**parts))
-    prepared = prepare_residual(asked(hydrostatic), setup)
-    start = initial_parameters(prepared, setup, 0)
-    batch = run(prepared, start, setup)
-    assert batch.loss[0] <= float(prepared.problem.loss(start).square().mean().sqrt())
-
-
-def test_too_few_runs_are_refused_before_training(ball: Machine) -> None:
-    """method.md, section 3: one run cannot tell four coefficients of a row."""
-    network = compose_config(["experiment=hydrostatic_stiffness"]).model
-    setup = replace(setup_of(ball, optimizer(lm=1)), model=network)
-    with pytest.raises(IdentifiabilityError, match="the 1 run determine 4 of 8 unknowns"):
-        fit(asked(ball, *COEFFICIENTS), setup)
-
-
-# --- held-out speeds -----------------------------------------------------------------------------
-
-
 @given(count=st.integers(1, 700), every=st.one_of(st.just(0), st.integers(2, 800)))
 def test_held_out_speeds(count: int, every: int) -> None:
     """Every k-th speed, never the first and the last; at least half of the speeds are trained on."""
@@ -583,79 +254,7 @@ def test_held_out_speeds_are_not_trained_on(hydrostatic: Machine) -> None:
     assert not torch.equal(other_held.loss(parameters), clean.held_out.loss(parameters))
 
 
-# --- files ---------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def saved(tmp_path: Path, generator: torch.Generator) -> tuple[Path, IdentifiedModel]:
-    """A model with random numbers and its folder."""
-    model = a_model(2)
-    parameters = torch.randn(2, model.n_parameters, generator=generator, dtype=torch.float64)
-    identified = IdentifiedModel(model, unknown_at_all((1, 5), model.unknowns), (1, 5), parameters)
-    assert sorted(path.name for path in save_model(tmp_path, identified)) == sorted([ARCHITECTURE, WEIGHTS])
-    return tmp_path, identified
-
-
-@pytest.mark.parametrize("depth", [None, 1, 3])
-def test_storage_round_trip(depth: int | None, tmp_path: Path, generator: torch.Generator) -> None:
-    """What is saved comes back with the same bits, architecture and scaling included."""
-    model = a_model(depth, "silu", members=1)
-    parameters = torch.randn(1, model.n_parameters, generator=generator, dtype=torch.float64)
-    identified = IdentifiedModel(model, unknown_at_all((1, 5), model.unknowns), (1, 5), parameters)
-    save_model(tmp_path, identified)
-    loaded = load_model(tmp_path)
-    assert (loaded.model, loaded.bearing_nodes) == (model, (1, 5))
-    assert torch.equal(loaded.parameters, parameters)
-    speeds = np.array([10.0, 200.0, 601.0])
-    np.testing.assert_array_equal(loaded.values(speeds), identified.values(speeds))
-    assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
-
-
-def _truncate(folder: Path) -> None:
-    path = folder / WEIGHTS
-    path.write_bytes(path.read_bytes()[:-20])
-
-
-def _change(**values: object) -> Callable[[Path], None]:
-    def change(folder: Path) -> None:
-        path = folder / ARCHITECTURE
-        path.write_text(json.dumps(json.loads(path.read_text()) | values))
-
-    return change
-
-
-def _drop_a_layer(folder: Path) -> None:
-    path = folder / ARCHITECTURE
-    description = json.loads(path.read_text())
-    description["model"]["hidden"] = [3]
-    path.write_text(json.dumps(description))
-
-
-DAMAGES = {
-    "truncated weights": _truncate,
-    "no weights": lambda folder: (folder / WEIGHTS).unlink(),
-    "weights are something else": lambda folder: (folder / WEIGHTS).write_bytes(b"PK\x03\x04 a pickle"),
-    "no architecture": lambda folder: (folder / ARCHITECTURE).unlink(),
-    "architecture is no JSON": lambda folder: (folder / ARCHITECTURE).write_text("{"),
-    "architecture is a list": lambda folder: (folder / ARCHITECTURE).write_text("[]"),
-    "older schema": _change(schema=0),
-    "model is a list": _change(model=[1]),
-    "model has no fields": _change(model={}),
-    "another architecture": _drop_a_layer,
-}
-
-
-@pytest.mark.parametrize("damage", DAMAGES)
-def test_damaged_model_is_refused(damage: str, saved: tuple[Path, IdentifiedModel]) -> None:
-    """Weights are data, never code: what does not fit is refused with a sentence, not with a traceback."""
-    folder, _ = saved
-    DAMAGES[damage](folder)
-    with pytest.raises(DataError, match="must"):
-        load_model(folder)
-
-
 def test_network_model_of_conf_is_the_one_that_is_built(hydrostatic: Machine) -> None:
-    """Width, depth and parametrisation of the configuration make the architecture."""
     config = NetworkModelConfig.model_validate(hydrostatic.config.model.model_dump() | {"width": 4, "depth": 3})
     model = coefficient_model(config, ("kxx", "kyy"), hydrostatic.speeds, np.ones((2, 2)))
     assert model.sizes == [(1, 4), (4, 4), (4, 4), (4, 2)]

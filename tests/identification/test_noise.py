@@ -21,7 +21,7 @@ from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_
 from pipeline.identification.training import FitSetup, setup_of
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.stages.generate import excitations
+from pipeline.stages.generate import configure_excitations
 from pipeline.stages.measurement import load_measurement, load_modelled
 
 pytestmark = pytest.mark.slow
@@ -50,7 +50,6 @@ def test_the_error_of_a_hundred_data_sets_is_that_of_the_bound(experiment: str, 
 
 @pytest.mark.parametrize("experiment", BARS)
 def test_a_typical_data_set_reaches_the_bar(experiment: str, artifacts: Artifacts) -> None:
-    """The median over a hundred data sets of the median error over speed."""
     errors = flat(artifacts.read(experiment, "robustness")["coefficients"], "median_error_percent")
     print(experiment, errors)
     assert max(errors.values()) <= BARS[experiment]
@@ -77,7 +76,7 @@ class Ready:
 
     def measured_again(self) -> Callable[[], Measurement]:
         """A function that measures the machine once more, with other noise of 1 %."""
-        machine = simulate(self.measurement.rotor, self.modelled, excitations(self.config))
+        machine = simulate(self.measurement.rotor, self.modelled, configure_excitations(self.config))
         sensors = Sensors(list_directions(self.measurement.rotor.bearing_nodes), multiplicative=0.01)
         generator = np.random.default_rng(0)
         return lambda: replace(self.measurement, dataset=measure(machine, sensors, generator))
@@ -127,5 +126,4 @@ def test_the_error_falls_in_proportion_to_the_noise(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("experiment", BARS)
 def test_the_fit_converged(experiment: str, artifacts: Artifacts) -> None:
-    """By itself, not by its budget; sixteen unknowns at 591 speeds as well as four."""
     assert artifacts.read(experiment, "training")["outcome"] == "converged"

@@ -14,8 +14,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-# --- whole trainings -----------------------------------------------------------------------------------
-
 OLD_PROCESSOR = {
     "OPENBLAS_CORETYPE": "Nehalem",
     "MKL_CBWR": "COMPATIBLE",
@@ -105,9 +103,6 @@ def test_a_training_ends_the_same(processors: tuple[Processor, Processor], name:
     errors, others = (one.errors(name) for one in processors)
     for key, error in errors.items():
         assert others[key] == pytest.approx(error, rel=1e-3, abs=1e-11), key
-
-
-# --- ties ------------------------------------------------------------------------------------------------
 
 
 def test_losses_below_rounding_are_no_improvement() -> None:
@@ -205,7 +200,7 @@ def test_of_equal_finalists_the_better_trial_is_promoted() -> None:
     config = compose_config(["experiment=ball_bearing", "tuned=false"]).tuning
 
     def finalist(trial: int, loss: float) -> Finalist:
-        return Finalist(trial, {}, np.full(5, loss), None, None)
+        return Finalist(trial, {}, np.full(5, loss), (), (), 0.0)
 
     for one, other in ((1e-15, 9e-16), (9e-16, 1e-15)):
         assert choose([finalist(0, 1e-3), finalist(4, one), finalist(9, other)], config).trial == 4
@@ -229,7 +224,6 @@ def test_committed_studies_keep_the_default_with_room_to_spare(name: str) -> Non
 
 @pytest.mark.parametrize(("error", "text"), [(4.2e-12, "< 1e-8"), (0.0, "< 1e-8"), (1.234e-7, "1.2e-07"), (26.1, "26")])
 def test_digits_of_rounding_are_not_printed(error: float, text: str) -> None:
-    """They differ from processor to processor."""
-    from pipeline.reporting.comparison_tables import error_text
+    from pipeline.reporting.comparison_tables import format_error
 
-    assert error_text(error) == text
+    assert format_error(error) == text

@@ -46,9 +46,6 @@ def fit_of(machine: Machine, dataset: VibrationDataset, noise: float, *overrides
     return fit_output_error(measurement, setup_of(config))
 
 
-# --- the equations -----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("stiffness", [1e5, 2e7, 1e9])
 def test_the_response_is_that_of_the_whole_system(rotor_of: Machine, stiffness: float) -> None:
     """Any reference bearing gives the displacements that the full equation of motion has, at probes of any angle."""
@@ -86,14 +83,10 @@ def test_the_expansion_finds_force_and_motion(rotor_of: Machine, channels: tuple
 
 
 def test_too_few_sensors_have_no_expansion(rotor_of: Machine) -> None:
-    """Three probes can't tell four forces."""
     clean = simulate(rotor_of.rotor, rotor_of.bearings, rotor_of.excitations)
     dataset = project(clean, PROBES[:3])
     equations = response_equations(rotor_of.rotor, dataset, STIFFNESS)
     assert expand(equations, dataset.displacement, np.full(dataset.displacement.shape, 1e-9)) is None
-
-
-# --- the problem -------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -121,7 +114,6 @@ def test_the_jacobian_is_that_of_automatic_differentiation(full_problem: OutputE
 
 
 def test_the_normal_equations_are_those_of_the_dense_jacobian(full_problem: OutputErrorFit) -> None:
-    """The sum over speeds against its dense twin."""
     problem, free = full_problem.problem, full_problem.weights
     jacobian, rows = problem.jacobian(free)[0, 0], problem.rows(free)[0, 0]
     gradient, matrix = problem.normal(free)
@@ -147,9 +139,6 @@ def test_everything_can_be_moved_to_another_device(full_problem: OutputErrorFit)
 def mean_square(fit: OutputErrorFit) -> float:
     """Of the deviations over their noise: 1 where nothing but noise is left."""
     return float(fit.problem.loss(fit.weights)) ** 2
-
-
-# --- the fit -----------------------------------------------------------------------------------------
 
 
 def relative_errors(machine: Machine, fit: OutputErrorFit, names: tuple[str, ...]) -> np.ndarray:
@@ -181,7 +170,6 @@ def test_a_residual_unbalance_is_found_with_the_coefficients(rotor_of: Machine) 
 
 
 def test_a_baseline_cancels_the_residual_unbalance(rotor_of: Machine) -> None:
-    """Exactly, whatever it is: on clean data the coefficients are those without it."""
     runs = tuple(dict.fromkeys(e.run for e in rotor_of.excitations))
     hidden = tuple(Excitation(run, "unbalance", 2, 8e-5, 2.0) for run in (*runs, "as_found"))
     complete = simulate(rotor_of.rotor, rotor_of.bearings, (*rotor_of.excitations, *hidden))
@@ -208,7 +196,6 @@ def test_sensors_too_few_for_the_forces_find_the_same_answer_from_any_guess(roto
 
 
 def test_one_probe_cannot_tell_all_coefficients(rotor_of: Machine) -> None:
-    """It is said by name before a fit."""
     clean = simulate(rotor_of.rotor, rotor_of.bearings, rotor_of.excitations)
     dataset = measure(clean, Sensors(((2, 0.0),), multiplicative=0.01), np.random.default_rng(0))
     config = compose_config(["experiment=noisy_stiffness", "identify.unknowns=[kxx,kxy,kyx,kyy,cxx,cxy,cyx,cyy]"])
@@ -218,14 +205,12 @@ def test_one_probe_cannot_tell_all_coefficients(rotor_of: Machine) -> None:
 
 @pytest.mark.parametrize("asked", [["stage=tune"], ["stage=robustness", "robustness=seeds"]])
 def test_what_trains_by_the_residual_alone_is_refused(asked: list[str]) -> None:
-    """Rather than done by another loss without a word."""
     with pytest.raises(ConfigError, match="must have loss=residual or loss=preconditioned, but got loss=response"):
         compose_config([*asked, "experiment=noisy_stiffness"])
 
 
 @pytest.mark.slow
 def test_bad_points_are_found_and_do_little(rotor_of: Machine) -> None:
-    """One reading in fifty is ten per cent off."""
     dataset = noisy(rotor_of, 0.01, 3)
     generator = np.random.default_rng(5)
     spoilt = generator.random(dataset.displacement.shape) < 0.02
@@ -267,7 +252,6 @@ def test_the_noise_is_estimated_from_repeated_runs_whatever_the_model(rotor_of: 
 @pytest.mark.slow
 @pytest.mark.parametrize("structure", ["isotropic", "symmetric_damping"])
 def test_a_structure_is_respected_exactly(rotor_of: Machine, structure: str) -> None:
-    """As with the residual losses."""
     table = bearings_of(
         (1, 5), rotor_of.speeds, kxx=2e7, kyy=2e7, kxy=5e6, kyx=-5e6, cxx=4e4, cyy=4e4, cxy=0.0, cyx=0.0
     )
@@ -288,7 +272,6 @@ def test_a_structure_is_respected_exactly(rotor_of: Machine, structure: str) -> 
 
 
 def test_bearings_alike_share_their_coefficients(rotor_of: Machine) -> None:
-    """``shared`` halves the unknowns."""
     fit = fit_of(rotor_of, noisy(rotor_of, 0.01, 0), 0.01, "identify.shared=true")
     table = fit.identified.table(rotor_of.bearings)
     assert np.array_equal(table.values[0, :, 0], table.values[1, :, 0])
@@ -296,7 +279,6 @@ def test_bearings_alike_share_their_coefficients(rotor_of: Machine) -> None:
 
 
 def test_constant_coefficients(rotor_of: Machine) -> None:
-    """A constant has no features but one."""
     table = bearings_of((1, 5), rotor_of.speeds, kxx=2e7, kyy=3e7, cxx=4e4, cyy=4e4)
     clean = simulate(rotor_of.rotor, table, rotor_of.excitations)
     dataset = measure(clean, Sensors(list_directions((1, 5)), multiplicative=0.01), np.random.default_rng(0))
@@ -304,9 +286,6 @@ def test_constant_coefficients(rotor_of: Machine) -> None:
     found = fit.identified.table(table)
     np.testing.assert_allclose(found.coefficient("kxx"), 2e7, rtol=5e-3)
     np.testing.assert_allclose(found.coefficient("kyy"), 3e7, rtol=5e-3)
-
-
-# --- few sensors --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("planes", ["[]", "[4]"])
@@ -352,7 +331,6 @@ def test_fewer_features_are_the_same_with_zeros(rotor_of: Machine) -> None:
 
 
 def test_an_unknown_that_vanished_is_put_back(rotor_of: Machine) -> None:
-    """And the others stay; where none did, there is no other start."""
     problem = fit_of(rotor_of, noisy(rotor_of, 0.01, 0), 0.01).problem
     values = np.full((2, len(rotor_of.speeds), 2), 2e7)
     healthy = start_at(problem, values)

@@ -48,8 +48,6 @@ def read(section: dict[str, Any]) -> MeasuredRuns:
     return read_measured_runs(TypeAdapter(RecordingsConfig).validate_python(section))
 
 
-# --- what is written in any convention is read back -------------------------------------------------------
-
 SAID = st.fixed_dictionaries(
     {
         "length": st.sampled_from(sorted(METRE)),
@@ -102,8 +100,6 @@ def test_a_table_in_any_convention_is_read_back(
     error = np.abs(dataset.displacement[:, :, 0] - displacement)
     assert error.max() < 1e-9 * np.abs(displacement).max()
 
-
-# --- files at random -----------------------------------------------------------------------------------------
 
 GRID = np.arange(500.0, 1501.0, 100.0)
 
@@ -205,7 +201,6 @@ def read_or_refused(section: dict[str, Any]) -> MeasuredRuns | None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_any_bytes(kind: str) -> None:
-    """Bytes at random, with and without the head of a good file."""
     head = original(kind)[0][:80]
 
     @given(content=st.binary(max_size=300), begins=st.integers(0, 80))
@@ -269,7 +264,6 @@ CELLS = st.one_of(
 )
 @examples(40)
 def test_any_table(rows: list[list[Any]], header: list[str]) -> None:
-    """Cells of any kind: refused, or read as the numbers that they are."""
     table = pd.DataFrame(rows, columns=header, dtype=object)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "some.csv"

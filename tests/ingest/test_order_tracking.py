@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from pipeline.config.measured import OrderTrackingConfig as Settings
 from pipeline.errors import DataError
-from pipeline.ingest.order_tracking import Settings, Signals, covered, steady_vectors, sweep_vectors
-from pipeline.ingest.tacho import find_pulses, shaft_angle
+from pipeline.ingest.order_tracking import Signals, find_range, fit_steady, fit_sweep
+from pipeline.ingest.tacho import find_pulses, fit_angle
 
 RPM = np.pi / 30
 CRITICAL = 2000.0  # rpm
@@ -71,7 +72,7 @@ class Shaft:
     def recorded(self, noise: float, rng: np.random.Generator, edge: float = 8.0) -> Signals:
         """The signals, and the angle that their tacho gives."""
         pulses = find_pulses(self.time, self.tacho(rng, edge), "rising", None, None, "the record")
-        angle = shaft_angle(pulses.times, 1, "the record")
+        angle = fit_angle(pulses.times, 1, "the record")
         return Signals(self.time, self.signals(noise, rng), angle, "the record")
 
 
@@ -83,10 +84,7 @@ def errors(found: np.ndarray, true: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 def tracked(shaft: Shaft, signals: Signals, rpm: np.ndarray, settings: Settings | None = None) -> np.ndarray:
     """1X vectors at ``rpm``."""
-    return sweep_vectors(signals, rpm * RPM, settings or Settings())
-
-
-# --- the bar ----------------------------------------------------------------------------------------
+    return fit_sweep(signals, rpm * RPM, settings or Settings())
 
 
 @pytest.mark.parametrize("rpm", [437.0, 1503.0, 1997.0, 5981.0])
@@ -94,7 +92,7 @@ def tracked(shaft: Shaft, signals: Signals, rpm: np.ndarray, settings: Settings 
 def test_constant_speed_at_one_percent_noise(rate: float, rpm: float, rng: np.random.Generator) -> None:
     """Within 0.1 % and 0.1 degree, also on the resonance, with a drifting gap and 2X content."""
     shaft = Shaft(rate, rpm, rpm, 4.0)
-    speed, found = steady_vectors(shaft.recorded(0.01, rng), Settings())
+    speed, found = fit_steady(shaft.recorded(0.01, rng), Settings())
     amplitude, phase = errors(found, shaft.vectors(np.array([rpm]))[0])
     assert speed / RPM == pytest.approx(rpm, rel=1e-5)
     assert amplitude.max() < 0.05
@@ -145,7 +143,6 @@ def test_a_tacho_with_sharp_edges(rng: np.random.Generator) -> None:
 
 
 def test_without_noise_the_answer_is_exact(rng: np.random.Generator) -> None:
-    """What the window leaves is far below the bar where nothing hides it."""
     shaft = Shaft(5000.0, 600.0, 6000.0, 30.0)
     exact = Signals(shaft.time, shaft.signals(0.0, rng), _Exact(shaft), "x")
     amplitude, phase = errors(tracked(shaft, exact, GRID[::5]), shaft.vectors(GRID[::5]))
@@ -193,14 +190,13 @@ def test_two_x_does_not_leak_where_it_is_fitted(rng: np.random.Generator) -> Non
     shaft = Shaft(5000.0, 1500.0, 1500.0, 0.25)
     true = shaft.vectors(np.array([1500.0]))[0]
     signals = shaft.recorded(0.0, rng)
-    alone, _ = errors(steady_vectors(signals, Settings(orders=1))[1], true)
-    both, _ = errors(steady_vectors(signals, Settings(orders=2))[1], true)
+    alone, _ = errors(fit_steady(signals, Settings(orders=1))[1], true)
+    both, _ = errors(fit_steady(signals, Settings(orders=2))[1], true)
     assert alone.max() > 0.1
     assert both.max() < alone.max() / 10
 
 
 def test_a_held_speed_in_a_run_up(rng: np.random.Generator) -> None:
-    """Where the speed is held for a while, the vector there is as good as elsewhere."""
     rate, t = 5000.0, np.arange(5000 * 30) / 5000.0
     rpm = np.interp(t, [0, 10, 20, 30], [900.0, 1500.0, 1500.0, 2100.0])
     phi = np.cumsum(rpm) * RPM / rate
@@ -208,14 +204,11 @@ def test_a_held_speed_in_a_run_up(rng: np.random.Generator) -> None:
     turn = np.mod(phi / (2 * np.pi) + 0.5, 1) - 0.5
     tacho = np.clip(0.5 + turn / 0.01, 0, 1) - np.clip(0.5 + (turn - 0.1) / 0.01, 0, 1)
     values = np.real(true * np.exp(1j * phi))[:, None] + 1e-7 * rng.standard_normal((len(t), 1))
-    angle = shaft_angle(find_pulses(t, tacho, "rising", None, None, "x").times, 1, "x")
+    angle = fit_angle(find_pulses(t, tacho, "rising", None, None, "x").times, 1, "x")
     wanted = np.array([1000.0, 1499.0, 1501.0, 1900.0]) * RPM
-    amplitude, phase = errors(sweep_vectors(Signals(t, values, angle, "x"), wanted, Settings())[:, 0], np.full(4, true))
+    amplitude, phase = errors(fit_sweep(Signals(t, values, angle, "x"), wanted, Settings())[:, 0], np.full(4, true))
     assert amplitude.max() < 0.2
     assert phase.max() < 0.2
-
-
-# --- pulses -------------------------------------------------------------------------------------------
 
 
 def test_pulse_times_are_interpolated(rng: np.random.Generator) -> None:
@@ -235,8 +228,8 @@ def test_several_pulses_a_revolution_and_a_mark(teeth: int, rng: np.random.Gener
     many = find_pulses(shaft.time, shaft.tacho(rng, 8.0, teeth), "rising", None, None, "x").times[1:]
     mark = find_pulses(shaft.time, shaft.tacho(rng), "rising", None, None, "x").times
     values = shaft.signals(0.0, rng)
-    angle = shaft_angle(many, teeth, "x", mark)
-    found = steady_vectors(Signals(shaft.time, values, angle, "x"), Settings())[1]
+    angle = fit_angle(many, teeth, "x", mark)
+    found = fit_steady(Signals(shaft.time, values, angle, "x"), Settings())[1]
     amplitude, phase = errors(found, shaft.vectors(np.array([1490.0]))[0])
     assert amplitude.max() < 0.02
     assert phase.max() < 0.05
@@ -245,12 +238,11 @@ def test_several_pulses_a_revolution_and_a_mark(teeth: int, rng: np.random.Gener
 def test_a_run_up_from_standstill_has_regular_pulses() -> None:
     """With constant acceleration from zero the first intervals shrink fast; none is taken for a missing pulse."""
     pulses = np.sqrt(np.arange(1, 200) / 3.0)
-    angle = shaft_angle(pulses, 1, "x")
+    angle = fit_angle(pulses, 1, "x")
     assert angle.speed(np.array([5.0]))[0] / (2 * np.pi) == pytest.approx(2 * 3.0 * 5.0, rel=1e-3)
 
 
 def test_noise_on_the_levels_makes_no_pulses(rng: np.random.Generator) -> None:
-    """The hysteresis is passed by pulses only."""
     shaft = Shaft(5000.0, 900.0, 900.0, 4.0)
     noisy = shaft.tacho(rng) + 0.4 * rng.standard_normal(len(shaft.time))
     assert len(find_pulses(shaft.time, noisy, "rising", None, None, "x").times) == 60
@@ -276,29 +268,29 @@ BAD: dict[str, tuple[Bad, str]] = {
     "threshold beyond": (lambda rng: _pulses(SHAFT.tacho(rng), 3.0), "and the threshold is 3"),
     "hysteresis too wide": (lambda rng: _pulses(SHAFT.tacho(rng), -6.0, 30.0), "half the hysteresis of 30"),
     "only noise": (
-        lambda rng: shaft_angle(_pulses(rng.standard_normal(20000)), 1, "'run.h5'"),
+        lambda rng: fit_angle(_pulses(rng.standard_normal(20000)), 1, "'run.h5'"),
         "must have evenly spaced tacho pulses",
     ),
-    "one missing": (lambda rng: shaft_angle(_without(rng, 20), 1, "'run.h5'"), "missing or doubled"),
+    "one missing": (lambda rng: fit_angle(_without(rng, 20), 1, "'run.h5'"), "missing or doubled"),
     "one twice": (
-        lambda rng: shaft_angle(np.sort(np.append(_pulses(SHAFT.tacho(rng)), 2.02)), 1, "'run.h5'"),
+        lambda rng: fit_angle(np.sort(np.append(_pulses(SHAFT.tacho(rng)), 2.02)), 1, "'run.h5'"),
         "missing or doubled",
     ),
-    "too few": (lambda rng: shaft_angle(np.arange(4.0), 1, "'run.h5'"), "at least 6 tacho pulses"),
+    "too few": (lambda rng: fit_angle(np.arange(4.0), 1, "'run.h5'"), "at least 6 tacho pulses"),
     "no mark": (
-        lambda rng: shaft_angle(np.arange(40.0), 2, "'run.h5'", np.array([100.0])),
+        lambda rng: fit_angle(np.arange(40.0), 2, "'run.h5'", np.array([100.0])),
         "must have a pulse in tacho.mark_channel within the record",
     ),
     "marks all over": (
-        lambda rng: shaft_angle(np.arange(60.0), 2, "'run.h5'", np.arange(0, 60, 0.7)),
+        lambda rng: fit_angle(np.arange(60.0), 2, "'run.h5'", np.arange(0, 60, 0.7)),
         "check tacho.pulses_per_revolution",
     ),
     "speed that drifts": (
-        lambda rng: steady_vectors(Shaft(5000.0, 900.0, 990.0, 10.0).recorded(0.0, rng), Settings()),
+        lambda rng: fit_steady(Shaft(5000.0, 900.0, 990.0, 10.0).recorded(0.0, rng), Settings()),
         "must have a constant speed (to 1 %), but it goes from 9",
     ),
     "too coarse": (
-        lambda rng: steady_vectors(Shaft(300.0, 2000.0, 2000.0, 10.0).recorded(0.0, rng, 60.0), Settings()),
+        lambda rng: fit_steady(Shaft(300.0, 2000.0, 2000.0, 10.0).recorded(0.0, rng, 60.0), Settings()),
         "samples a revolution for 3 orders, but at 2000 rpm it has 9",
     ),
     "too few revolutions": (
@@ -314,7 +306,6 @@ BAD: dict[str, tuple[Bad, str]] = {
 
 @pytest.mark.parametrize("case", BAD)
 def test_what_can_not_be_tracked_is_refused(case: str, rng: np.random.Generator) -> None:
-    """A sentence with the record's name, what is wrong with it, and what to do."""
     act, words = BAD[case]
     with pytest.raises(DataError) as caught:
         act(rng)
@@ -325,7 +316,7 @@ def test_what_can_not_be_tracked_is_refused(case: str, rng: np.random.Generator)
 def test_the_speeds_that_a_record_covers(rng: np.random.Generator) -> None:
     """A window of eight revolutions must fit: its end speeds follow from constant acceleration."""
     shaft = Shaft(5000.0, 600.0, 6000.0, 60.0)
-    low, high = covered(shaft.recorded(0.0, rng), Settings())
+    low, high = find_range(shaft.recorded(0.0, rng), Settings())
     first = (600**2 + 2 * 90 * 60 * 4) ** 0.5
     assert low / RPM == pytest.approx(first, rel=0.02)
     assert high / RPM == pytest.approx(6000 - 90 * 60 * 4 / 6000, rel=1e-3)

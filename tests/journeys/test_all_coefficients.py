@@ -6,11 +6,10 @@ import json
 from pathlib import Path
 
 import pytest
-from conftest import Artifacts
+from conftest import Artifacts, Run
 
 from pipeline.config.compose import compose_config
 from pipeline.errors import IdentifiabilityError
-from pipeline.stages import run_stage
 
 pytestmark = pytest.mark.slow
 
@@ -22,15 +21,8 @@ BARS = {
 }
 
 
-def staged(stage: str, experiment: str, folder: Path, *overrides: str) -> None:
-    """Run a stage."""
-    given = [f"stage={stage}", f"experiment={experiment}", "tracking=none", f"output='{folder / experiment}'"]
-    run_stage(compose_config([*given, *overrides]))
-
-
 @pytest.mark.parametrize(("experiment", "metric"), [(name, metric) for name, bars in BARS.items() for metric in bars])
 def test_six_seeds_reach_the_bar(experiment: str, metric: str, artifacts: Artifacts) -> None:
-    """Every one of the sixteen coefficients, in double precision."""
     assert list(compose_config([f"experiment={experiment}"]).robustness.seeds) == [0, 1, 2, 3, 4, 5]
     summary = artifacts.read(experiment, "robustness")
     values = {
@@ -53,20 +45,19 @@ def test_the_papers_set_up_does_not_converge(artifacts: Artifacts) -> None:
 NEGATIVE = "compressor_journal_and_isotropic"
 
 
-def test_the_compressor_on_one_journal_bearing(artifacts: Artifacts, tmp_path: Path) -> None:
-    """Refused by training with the verdict of the diagnosis."""
+def test_the_compressor_on_one_journal_bearing(artifacts: Artifacts, run: Run, tmp_path: Path) -> None:
     told = artifacts.read(NEGATIVE, "diagnosis")["bearings"]
     print(told)
     data = ("vibration.parquet", "excitation.csv", "known_coefficients.csv")
     artifacts.copied(NEGATIVE, data, tmp_path / NEGATIVE)
     with pytest.raises(IdentifiabilityError, match=r"bearing at node 8: not identifiable, .*4 of 8 .*rank 1 of 2"):
-        staged("train", NEGATIVE, tmp_path)
+        run("train", [f"experiment={NEGATIVE}"], tmp_path / NEGATIVE)
 
 
-def test_a_backward_run_cures_the_compressor(tmp_path: Path) -> None:
-    """Solved when one backward run is added."""
+def test_a_backward_run_cures_the_compressor(run: Run, tmp_path: Path) -> None:
     # The other core has a worker of pytest's own.
-    staged("evaluate", NEGATIVE, tmp_path, "machine=compressor_journal_and_isotropic_backward")
+    backward = "machine=compressor_journal_and_isotropic_backward"
+    run("evaluate", [f"experiment={NEGATIVE}", backward], tmp_path / NEGATIVE)
     metrics = json.loads((tmp_path / NEGATIVE / "metrics.json").read_text())["coefficients"]
     medians = {f"node {n} {key}": e["median_error_percent"] for n, of in metrics.items() for key, e in of.items()}
     print(medians)

@@ -31,13 +31,11 @@ def one(aim: Aim, ours: float = 3.0, peer: float = 1.0, scale: float = 1.0) -> M
     ],
 )
 def test_the_median_is_held_against_the_aim(measured: Measured, median: float, met: bool) -> None:
-    """Ours over the peer's, or how many times as fast, or our seconds alone."""
     assert measured.median == pytest.approx(median)
     assert measured.met is met
 
 
 def test_both_sides_take_turns() -> None:
-    """What slows the machine for a while slows both."""
     said: list[str] = []
     times = in_turns(lambda: said.append("ours"), lambda: said.append("peer"), 3)
     assert said == ["ours", "peer"] * 3
@@ -69,13 +67,11 @@ def test_no_time_and_no_breakdown_fails_it(tmp_path: Path, capsys: pytest.Captur
 
 
 def test_the_page_says_whether_the_machine_was_quiet() -> None:
-    """By the load when the measurement began."""
     assert "other programs ran beside it" in surroundings(1.9)
     assert "the machine was quiet" in surroundings(0.1)
 
 
 def test_an_unknown_name_is_a_mistake(capsys: pytest.CaptureFixture[str]) -> None:
-    """The names are said."""
     with pytest.raises(SystemExit) as stop:
         command.main(["no_such_benchmark"])
     assert stop.value.code == 2
@@ -83,7 +79,6 @@ def test_an_unknown_name_is_a_mistake(capsys: pytest.CaptureFixture[str]) -> Non
 
 
 def test_every_benchmark_is_on_the_committed_page() -> None:
-    """`make bench` was run after the last one was added."""
     page = (Path(__file__).parents[2] / "docs" / "benchmarks.md").read_text(encoding="utf-8")
     assert [name for name in command.benchmarks() if f"`{name}`" not in page] == []
 

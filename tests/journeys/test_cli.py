@@ -2,34 +2,27 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import pickle
 import signal
 import subprocess
 import sys
 from collections.abc import Callable
-from copy import deepcopy
-from functools import cache
 from pathlib import Path
-from typing import Any
 
 import pytest
-from conftest import examples
-from hypothesis import given
-from hypothesis import strategies as st
+from running import ENVIRONMENT, PYTHON, python
 
 from pipeline.__main__ import Job, main
-from pipeline.config.compose import compose_config, compose_mapping, expand_sweeps, validate
-from pipeline.config.loader import CONF, list_options
+from pipeline.config.compose import compose_config, expand_sweeps
+from pipeline.config.loader import list_options
 from pipeline.config.schema import Config
-from pipeline.errors import ConfigError, DataError
+from pipeline.errors import DataError
 from pipeline.stages import STAGES
+from studies import FOREIGN
 
-ROOT = CONF.parent
-COMMAND = [sys.executable, "-W", "error", "-m", "pipeline"]
+COMMAND = [*PYTHON, "-m", "pipeline"]
 HEAVY = {"torch", "ross", "pandas", "numpy", "mlflow", "pint", "pydantic", "hydra", "optuna"}
-ENVIRONMENT = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
 
 Run = Callable[[Config], None]
 
@@ -51,18 +44,6 @@ def _failing(monkeypatch: pytest.MonkeyPatch, error: BaseException, where: Run =
     monkeypatch.setattr("pipeline.stages.run_stage", run_stage)
 
 
-def _process(*arguments: str, cwd: Path, **others: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*COMMAND, *arguments], cwd=cwd, env=ENVIRONMENT, text=True, capture_output=True, **others)
-
-
-# --- help ----------------------------------------------------------------------------------------
-
-
-def test_help_is_no_mistake(tmp_path: Path) -> None:
-    answer = _process("--help", cwd=tmp_path)
-    assert (answer.returncode, answer.stderr) == (0, "")
-
-
 @pytest.mark.parametrize("option", ["--help", "-h"])
 def test_help_names_every_stage_and_experiment(option: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([option]) == 0
@@ -72,10 +53,13 @@ def test_help_names_every_stage_and_experiment(option: str, capsys: pytest.Captu
     assert all(len(line) <= 110 for line in words.splitlines())
 
 
-def test_help_imports_nothing_heavy(tmp_path: Path) -> None:
-    code = f"import sys, pipeline.__main__ as m; m.main(['-h']); sys.exit(str({HEAVY} & set(sys.modules)))"
-    answer = subprocess.run([sys.executable, "-c", code], cwd=ROOT, text=True, capture_output=True)
-    assert answer.stderr.strip() == "set()"
+def test_help_imports_nothing_heavy_and_is_no_mistake(tmp_path: Path) -> None:
+    code = (
+        f"import sys, pipeline.__main__ as m; code = m.main(['-h']); print({HEAVY} & set(sys.modules)); sys.exit(code)"
+    )
+    answer = python("-c", code, cwd=tmp_path)
+    assert (answer.returncode, answer.stderr) == (0, "")
+    assert answer.stdout.splitlines()[-1] == "set()"
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
@@ -85,53 +69,6 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert __version__ in capsys.readouterr().out
 
 
-# --- composing -----------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("experiment", list_options("experiment"))
-def test_every_experiment_composes_under_its_own_name(experiment: str) -> None:
-    config = compose_config([f"experiment={experiment}"])
-    assert config.name == experiment
-    assert config.output == f"artifacts/{experiment}"
-
-
-def test_overrides_win_over_the_experiment_and_the_last_of_two_wins() -> None:
-    config = compose_config(["seed=1", "experiment=nothing", "experiment=ball_bearing", "seed=2"])
-    assert (config.seed, config.name) == (2, "ball_bearing")
-
-
-@pytest.mark.parametrize(
-    ("override", "folder"),
-    [
-        ("output=my folder/x", "my folder/x"),
-        ("output='my (folder), x'", "my (folder), x"),
-        ('output="a/${name}"', "a/hydrostatic_stiffness"),
-        ('output="/tmp/ü/x"', "/tmp/ü/x"),
-    ],
-)
-def test_paths_with_spaces_and_quotes(override: str, folder: str) -> None:
-    assert compose_config([override]).output == folder
-
-
-def test_composing_leaves_hydra_as_it_was() -> None:
-    from hydra.core.global_hydra import GlobalHydra
-    from hydra.core.hydra_config import HydraConfig
-    from hydra.version import VersionBase
-    from packaging.version import Version
-
-    before, configured = VersionBase.instance().getbase(), HydraConfig.initialized()
-    VersionBase.instance().setbase(Version("1.2"))
-    try:
-        with pytest.raises(ConfigError):
-            compose_mapping(["nothing=3"])
-        assert not GlobalHydra.instance().is_initialized()
-        assert HydraConfig.initialized() == configured
-        assert VersionBase.instance().getbase() == Version("1.2")
-    finally:
-        VersionBase.instance().version_base = before
-
-
 @pytest.mark.slow
 def test_a_stage_may_compose_while_it_runs(
     runs: list[Config], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -139,20 +76,6 @@ def test_a_stage_may_compose_while_it_runs(
     monkeypatch.setattr("pipeline.stages.run_stage", lambda config: print(config.seed, compose_config(["seed=9"]).seed))
     assert main(["seed=1"]) == 0
     assert capsys.readouterr().out == "1 9\n"
-
-
-def test_validated_takes_a_plain_mapping() -> None:
-    assert validate(_default() | {"seed": 4}).seed == 4
-
-
-# --- sentences -----------------------------------------------------------------------------------
-
-FOREIGN = ("Traceback", "struct", "hydra.cc", "HYDRA_FULL_ERROR", "pydantic", "Input should")
-
-
-@cache
-def _default() -> dict[str, Any]:
-    return compose_mapping()
 
 
 MISTAKES = [
@@ -179,158 +102,11 @@ def test_a_mistake_is_answered_before_anything_runs(
     assert [word for word in FOREIGN if word in err] == []
 
 
-OVERRIDES = [
-    (
-        ["experiment=ball_baering"],
-        ["a file in conf/experiment", "'ball_baering'", "did you mean 'ball_bearing'?"],
-    ),
-    (["experiment="], ["a file in conf/experiment", "known: all_coefficients"]),
-    (["experiment=null"], ["a file in conf/experiment", "but got null"]),
-    (["+experiment=ball_bearing"], ["write 'experiment=ball_bearing'"]),
-    (["model=konstant"], ["a file in conf/model", "did you mean 'constant'?"]),
-    (["machine=5"], ["a file in conf/machine", "but got 5"]),
-    (["hydra/launcher=nothing"], ["an installed Hydra plugin", "'nothing'"]),
-    (["optimizer.adam.stepz=3"], ["optimizer.adam has no 'stepz'", "did you mean 'steps'?"]),
-    (["optimzer=adam"], ["has no 'optimzer'", "did you mean 'optimizer'?"]),
-    (["adam.steps=3"], ["there is no 'adam.steps'", "did you mean 'optimizer.adam.steps'?"]),
-    (["seed.x=1"], ["seed is a single value", "give seed=VALUE"]),
-    (["machine.rotor.shaft.99.length=1"], ["machine.rotor.shaft has the items 0 to", "not '99'"]),
-    (["aa=1", "~optimizer.sgd"], ["has no 'aa'", "optimizer has no 'sgd'"]),
-    (["foo"], ["KEY=VALUE", "'foo'", "stage=train"]),
-    (["train"], ["KEY=VALUE", "did you mean 'stage=train'?"]),
-    (["=3"], ["KEY=VALUE", "'=3'"]),
-    (["seed=[1,2"], ["close its brackets", "'seed=[1,2'"]),
-    (["output=/tmp/a(b)"], ["""write 'output="/tmp/a(b)"'"""]),
-    (["seed=1,2"], ["one value for seed", "'1,2'", "add -m"]),
-    (["output=${nothing}"], ["output must refer to what exists", "'nothing'"]),
-    (["seed=???"], ["add seed=VALUE"]),
-]
-
-
-@pytest.mark.parametrize(("overrides", "fragments"), OVERRIDES)
-def test_sentences_for_overrides(overrides: list[str], fragments: list[str]) -> None:
-    with pytest.raises(ConfigError) as caught:
-        compose_mapping(overrides)
-    assert [fragment for fragment in fragments if fragment not in str(caught.value)] == []
-    assert [word for word in FOREIGN if word in str(caught.value)] == []
-
-
-VALUES = [
-    ({"stage": ""}, "stage must be one of the stages, but got ''"),
-    ({"stage": ["a"]}, "stage must be one of the stages, but got ['a']"),
-    ({"unknown": 1}, "unknown: must be a key that the schema knows"),
-    (
-        {"optimizer.adam.stepz": 1},
-        "optimizer.adam.stepz: must be a key that the schema knows, but 'stepz' is not; did",
-    ),
-    (
-        {"model.widht": 1},
-        "model.widht: must be a key that the schema knows, but 'widht' is not; did you mean 'width'?",
-    ),
-    ({"machine.rotor.shaft.0.lenght": 1}, "machine.rotor.shaft.0.lenght: must be a key"),
-    (
-        {"machine.rotor.shaft.0.length": "-3 mm"},
-        "machine.rotor.shaft.0.length: must be greater than 0, but got '-3 mm'",
-    ),
-    (
-        {"machine.rotor.shaft.0.length": "3 kg"},
-        "machine.rotor.shaft.0.length: must convert to m (such as 150 mm), but got '3 kg'",
-    ),
-    ({"seed": "x"}, "seed: must be a valid integer, but got 'x'"),
-    ({"seed": 1.5}, "seed: must be a valid integer, but got 1.5"),
-    ({"seed": None}, "seed: must be a valid integer, but got null"),
-    ({"identify.unknowns": []}, "identify.unknowns: must have at least 1 item"),
-    (
-        {"identify.unknowns": ["kxz"]},
-        "identify.unknowns.0: must be one of these, but got 'kxz'; did you mean",
-    ),
-    (
-        {"model.activation": "tnh"},
-        "model.activation: must be one of these, but got 'tnh'; did you mean 'tanh'?",
-    ),
-    (
-        {"machine.bearings.kind": "bal"},
-        "machine.bearings.kind: must be one of these, but got 'bal'; did you mean 'ball'?",
-    ),
-    ({"machine.bearings": {}}, "machine.bearings.kind: must be given, but is missing"),
-    ({"optimizer": {}}, "optimizer.adam: must be given, but is missing"),
-    ({"optimizer": "x" * 500}, "optimizer: must be a group of keys, but got 'xxxxx"),
-    ({"machine.bearings": 5}, "machine.bearings: must be a group of keys, but got 5"),
-    ({"identify.unknowns": "kxx"}, "identify.unknowns: must be a list, but got 'kxx'"),
-]
-
-
-def _changed(changes: dict[str, Any]) -> dict[str, Any]:
-    mapping = deepcopy(_default())
-    for path, value in changes.items():
-        *parents, last = path.split(".")
-        node: Any = mapping
-        for part in parents:
-            node = node[int(part)] if part.isdigit() else node[part]
-        node[last] = value
-    return mapping
-
-
-@pytest.mark.parametrize(("changes", "sentence"), VALUES)
-def test_sentences_for_values(changes: dict[str, Any], sentence: str) -> None:
-    with pytest.raises(ConfigError) as caught:
-        validate(_changed(changes))
-    assert sentence in str(caught.value)
-    assert [word for word in FOREIGN if word in str(caught.value)] == []
-    assert all(len(line) < 340 for line in str(caught.value).splitlines())
-
-
-def test_every_error_of_the_schema_has_a_line_of_its_own() -> None:
-    with pytest.raises(ConfigError) as caught:
-        validate(_changed({"seed": "x", "threads": 0, "loss.scaling": 5}))
-    *lines, last = str(caught.value).splitlines()
-    assert sorted(line.split(":")[0] for line in lines) == ["loss.scaling", "seed", "threads"]
-    assert "these 3 values" in last
-
-
-@pytest.mark.parametrize(
-    "changes", [{"identify.unknowns": ["kxz"]}, {"comparison.methods": ["kalmann"]}, {"comparison.noise": [2]}]
-)
-def test_a_wrong_item_does_not_make_its_list_too_short(changes: dict[str, Any]) -> None:
-    with pytest.raises(ConfigError) as caught:
-        validate(_changed(changes))
-    assert "at least 1 item" not in str(caught.value)
-    assert str(caught.value).endswith(
-        "Correct this value; `python -m pipeline --cfg job` prints the whole configuration."
-    )
-
-
-def test_a_broken_file_in_conf_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    (tmp_path / "config.yaml").write_text("defaults: [_self_]\nseed: [1\n")
-    monkeypatch.setattr("pipeline.config.loader.CONF", tmp_path)
-    with pytest.raises(ConfigError, match=r"config\.yaml"):
-        compose_config([])
-    monkeypatch.setattr("pipeline.config.loader.CONF", tmp_path / "nothing")
-    with pytest.raises(ConfigError, match="conf/ must lie beside the package"):
-        compose_config([])
-
-
-@pytest.mark.slow
-@examples(12)
-@given(
-    key=st.sampled_from(
-        ["seed", "+seed", "~seed", "machine", "model.kind", "stage", "experiment", "machine.rotor.shaft.0", ""]
-    ),
-    value=st.sampled_from(["", "null", "[]", "[1]", "{a: 1}", "${machine}", "${"]) | st.text(max_size=8),
-)
-def test_any_override_composes_or_is_refused_with_a_sentence(key: str, value: str) -> None:
-    with contextlib.suppress(ConfigError):
-        compose_config([f"{key}={value}"])
-
-
 @pytest.mark.slow
 def test_what_only_hydra_can_see_is_a_sentence_too(runs: list[Config], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["hydra.run.dir=${nothing}"]) == 2
     assert "nothing" in capsys.readouterr().err
     assert runs == []
-
-
-# --- exit codes ----------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
@@ -345,6 +121,7 @@ def test_what_only_hydra_can_see_is_a_sentence_too(runs: list[Config], capsys: p
         ),
         (SystemExit(1), 1, ""),
         (KeyboardInterrupt(), 130, "interrupted"),
+        (ZeroDivisionError("boom"), 70, "ZeroDivisionError: boom"),
     ],
     ids=lambda value: type(value).__name__ if isinstance(value, BaseException) else None,
 )
@@ -362,24 +139,12 @@ def test_exit_code_of_what_a_stage_raises(
     assert fragment in err
     assert bool(fragment) == bool(err)
     assert out == ""
-    assert "Traceback" not in err
-
-
-@pytest.mark.slow
-def test_a_bug_keeps_its_traceback(
-    runs: list[Config], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    _failing(monkeypatch, ZeroDivisionError("boom"))
-    assert main([]) == 70
-    err = capsys.readouterr().err
-    assert "Traceback" in err
-    assert "ZeroDivisionError: boom" in err
-    assert "please report" in err
+    assert ("Traceback" in err) == ("please report" in err) == (code == 70), "a bug keeps its traceback"
 
 
 @pytest.mark.slow
 def test_a_mistake_in_a_real_process(tmp_path: Path) -> None:
-    answer = _process("experiment=ball_bearing", "stage=trian", cwd=tmp_path)
+    answer = python("-m", "pipeline", "experiment=ball_bearing", "stage=trian", cwd=tmp_path)
     assert (answer.returncode, answer.stdout) == (2, "")
     assert answer.stderr.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
@@ -432,9 +197,6 @@ def test_an_output_that_is_closed(tmp_path: Path) -> None:
     assert (answer.returncode, answer.stderr) == (141, "")
 
 
-# --- single runs -----------------------------------------------------------------------------------
-
-
 @pytest.mark.slow
 def test_a_run_stays_in_its_folder_and_writes_nothing_of_its_own(runs: list[Config], tmp_path: Path) -> None:
     before = list(sys.argv), dict(os.environ), Path.cwd()
@@ -452,7 +214,9 @@ def test_the_configuration_is_printed(runs: list[Config], capsys: pytest.Capture
 
 @pytest.mark.slow
 def test_how_the_configuration_was_composed_is_printed(tmp_path: Path) -> None:
-    answer = _process("seed=77", "--info", "config", cwd=tmp_path)  # it prints through a logger that would stay
+    answer = python(
+        "-m", "pipeline", "seed=77", "--info", "config", cwd=tmp_path
+    )  # it prints through a logger that would stay
     assert (answer.returncode, answer.stderr, list(tmp_path.iterdir())) == (0, "", [])
     assert "seed: 77" in answer.stdout
 
@@ -460,9 +224,6 @@ def test_how_the_configuration_was_composed_is_printed(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_an_unknown_package_is_a_mistake(runs: list[Config]) -> None:
     assert main(["--cfg", "job", "--package", "nothing"]) == 2
-
-
-# --- multiruns ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import Artifacts
+from conftest import Artifacts, Run
 
 from pipeline.config.compose import compose_config
 from pipeline.config.loader import list_options
 from pipeline.evaluation.thresholds import check_experiment, read_rules
-from pipeline.stages import check, run_stage
+from pipeline.stages import check
 
 pytestmark = pytest.mark.slow
 
@@ -46,12 +46,6 @@ DATA_OF = ("vibration.parquet", "excitation.csv", "known_coefficients.csv")
 """What training reads."""
 
 
-def run(stage: str, experiment: str, folder: Path, *overrides: str) -> None:
-    """One stage of an experiment in ``folder``."""
-    given = [f"experiment={experiment}", f"stage={stage}", "tracking=none", f"output='{folder}'"]
-    run_stage(compose_config([*given, *overrides]))
-
-
 def shown(what: str, values: dict[str, float], bar: float) -> float:
     """Print the measured figures (pytest -rP shows them) and give the worst."""
     worst = max(values, key=lambda key: values[key] if np.isfinite(values[key]) else np.inf)
@@ -61,7 +55,6 @@ def shown(what: str, values: dict[str, float], bar: float) -> float:
 
 
 def test_the_committed_seed_is_the_one_measured() -> None:
-    """The bars are for the committed seed and five others, which robustness trains."""
     for experiment in EXPERIMENTS:
         config = compose_config([f"experiment={experiment}"])
         assert config.seed == COMMITTED
@@ -105,10 +98,10 @@ def test_every_other_start_reaches_the_bar(experiment: str, coefficient: str, ar
     assert told == pytest.approx(values.max())
 
 
-def test_constants_do_not_depend_on_the_seed(artifacts: Artifacts, tmp_path: Path) -> None:
+def test_constants_do_not_depend_on_the_seed(artifacts: Artifacts, run: Run, tmp_path: Path) -> None:
     """Ball bearings have no random start: another seed trains the same bits."""
     other = artifacts.copied("ball_bearing", DATA_OF, tmp_path / "x")
-    run("train", "ball_bearing", other, "seed=5")
+    run("train", ["experiment=ball_bearing", "seed=5"], other)
     names = ("model.safetensors", "identified_coefficients.csv")
     folder = artifacts("ball_bearing", *names)
     for name in names:
@@ -117,18 +110,12 @@ def test_constants_do_not_depend_on_the_seed(artifacts: Artifacts, tmp_path: Pat
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
 def test_the_twin_predicts_vibration_never_seen(experiment: str, artifacts: Artifacts) -> None:
-    """Displacement at the disc over all speeds, amplitude and phase together, from prediction.json."""
+    """Displacement at the disc over all speeds, amplitude and phase together; also of all seeds and guesses."""
     displacement = artifacts.read(experiment, "prediction")["displacement"]
-    values = {direction: of["mean_error_percent"] for direction, of in displacement.items()}
-    assert shown(f"{experiment} displacement", values, DISPLACEMENT) <= DISPLACEMENT
-
-
-@pytest.mark.parametrize("experiment", EXPERIMENTS)
-def test_the_twin_of_every_start_predicts_vibration_never_seen(experiment: str, artifacts: Artifacts) -> None:
-    """The same for the models of all seeds and guesses, from robustness.json."""
     robustness = artifacts.read(experiment, "robustness")
     assert robustness["starts"] >= len(SEEDS)
-    values = {f"{robustness['starts']} starts": robustness["displacement"]["worst_mean_error_percent"]}
+    values = {direction: of["mean_error_percent"] for direction, of in displacement.items()}
+    values[f"{robustness['starts']} starts"] = robustness["displacement"]["worst_mean_error_percent"]
     assert shown(f"{experiment} displacement", values, DISPLACEMENT) <= DISPLACEMENT
 
 
@@ -165,11 +152,11 @@ def test_table_1_is_the_papers(artifacts: Artifacts) -> None:
 
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
-def test_training_again_gives_the_same_bits(experiment: str, artifacts: Artifacts, tmp_path: Path) -> None:
+def test_training_again_gives_the_same_bits(experiment: str, artifacts: Artifacts, run: Run, tmp_path: Path) -> None:
     """The full training, once more from its data and in another process, writes the same model and coefficients."""
     names = ["model.safetensors", "model.json", "identified_coefficients.csv", "training.json", "history.csv"]
     folder, again = artifacts(experiment, *names), artifacts.copied(experiment, DATA_OF, tmp_path / "x")
-    run("train", experiment, again)
+    run("train", [f"experiment={experiment}"], again)
     assert [name for name in names if (again / name).read_bytes() != (folder / name).read_bytes()] == []
 
 
@@ -183,10 +170,10 @@ def judged(artifacts: Artifacts, tmp_path: Path) -> Path:
 
 
 def test_check_passes_on_what_the_graph_made(
-    judged: Path, artifacts: Artifacts, capsys: pytest.CaptureFixture[str]
+    run: Run, judged: Path, artifacts: Artifacts, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """`stage=check`: no committed threshold is passed. This is what fails CI when accuracy gets worse."""
-    run("check", "ball_bearing", judged / "ball_bearing")  # SystemExit(1) otherwise
+    run("check", ["experiment=ball_bearing"], judged / "ball_bearing")  # SystemExit(1) otherwise
     said = capsys.readouterr().out
     print(said)
     assert "metrics hold" in said
@@ -195,7 +182,7 @@ def test_check_passes_on_what_the_graph_made(
     assert json.loads((judged / "check.json").read_text(encoding="utf-8")) == artifacts.read(".", "check")
 
 
-def test_check_fails_where_one_metric_got_worse(judged: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_fails_where_one_metric_got_worse(run: Run, judged: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """With one metric ten thousand times as large, the same check names it and exits with 1."""
     path = judged / "hydrostatic_damping" / "metrics.json"
     metrics = json.loads(path.read_text(encoding="utf-8"))
@@ -203,7 +190,7 @@ def test_check_fails_where_one_metric_got_worse(judged: Path, capsys: pytest.Cap
     of["cxx"]["mean_error_percent"] *= 1e4
     path.write_text(json.dumps(metrics), encoding="utf-8")
     with pytest.raises(SystemExit) as stop:
-        run("check", "ball_bearing", judged / "ball_bearing")
+        run("check", ["experiment=ball_bearing"], judged / "ball_bearing")
     assert stop.value.code == 1
     said = capsys.readouterr()
     assert said.out.count("FAILED") == 1
@@ -236,7 +223,6 @@ def _with_all_numbers(value: Any, number: float) -> Any:
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
 def test_thresholds_are_no_laxer_than_the_bars(experiment: str) -> None:
-    """What CI holds is at least what the bars above ask."""
     rules = read_rules(check.THRESHOLDS / f"{experiment}.yaml")
     for name, bar in BARS[experiment].items():
         for file, metric in (("metrics.json", "mean"), ("robustness.json", "worst_mean")):

@@ -18,12 +18,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import ANSWER, DATA
+from conftest import ANSWER, DATA, Run
+from running import FEW_SPEEDS, names_in
 
 from pipeline.config.compose import compose_config
 from pipeline.config.schema import Config
 from pipeline.identification.storage import load_model
-from pipeline.stages import robustness, run_stage, train
+from pipeline.stages import robustness, train
 
 pytestmark = pytest.mark.slow  # it trains, or starts processes
 
@@ -32,20 +33,10 @@ ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT), "TERM": "xterm", "COLUMNS":
 COARSE = [
     "experiment=ball_bearing",
     "tracking=none",
-    *(f"machine.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=500")),
+    *FEW_SPEEDS,
     "robustness.count=3",
 ]
 LONG = ["optimizer=adam", "optimizer.adam.steps=100000000", "optimizer.adam.patience=100000000"]
-
-
-def files(folder: Path) -> set[str]:
-    """Names of everything in ``folder``, hidden files too."""
-    return {path.name for path in folder.iterdir()} if folder.exists() else set()
-
-
-def run(config: Config, stage: str, folder: Path) -> None:
-    """One stage in ``folder``."""
-    run_stage(config.model_copy(update={"stage": stage, "output": str(folder)}))
 
 
 def account(folder: Path) -> dict[str, Any]:
@@ -59,8 +50,6 @@ def losses(folder: Path) -> list[float]:
     with (folder / "history.csv").open(newline="") as file:
         return [float(row["held_out_loss"]) for row in csv.DictReader(file)]
 
-
-# --- in this process -------------------------------------------------------------------------------
 
 Progress = Callable[[str, int, int, float], None]
 
@@ -94,6 +83,7 @@ PHASES = {
 def test_ctrl_c_in_any_phase_keeps_the_best_state(
     phase: str,
     step: int,
+    run: Run,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -102,10 +92,10 @@ def test_ctrl_c_in_any_phase_keeps_the_best_state(
     config = compose_config([*COARSE, *PHASES[phase]])
     monkeypatch.setattr(train, "training_progress", interrupting(phase, step))
     with pytest.raises(SystemExit) as stop:
-        run(config, "train", tmp_path / "x")
+        run("train", config, tmp_path / "x")
     assert stop.value.code == 130
     assert "interrupted: the best state so far was kept" in capsys.readouterr().out
-    assert files(tmp_path / "x") == DATA | ANSWER
+    assert names_in(tmp_path / "x") == DATA | ANSWER
     told = account(tmp_path / "x")
     assert told["outcome"] == "interrupted"
     assert told["held_out_loss"] <= min(losses(tmp_path / "x")) * (1 + 1e-12)  # each bearing at its own best step
@@ -115,14 +105,14 @@ def test_ctrl_c_in_any_phase_keeps_the_best_state(
 
 
 def test_a_run_that_was_interrupted_is_the_start_of_a_longer_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The steps before Ctrl-C are those of the uninterrupted training, to the last bit."""
     config = compose_config([*COARSE, *PHASES["adam"]])
-    run(config, "train", tmp_path / "whole")
+    run("train", config, tmp_path / "whole")
     monkeypatch.setattr(train, "training_progress", interrupting("adam", 20))
     with pytest.raises(SystemExit):
-        run(config, "train", tmp_path / "cut")
+        run("train", config, tmp_path / "cut")
     cut = losses(tmp_path / "cut")
     assert 20 <= len(cut) <= 21  # the start is a row of its own
     assert cut == losses(tmp_path / "whole")[: len(cut)]
@@ -130,36 +120,35 @@ def test_a_run_that_was_interrupted_is_the_start_of_a_longer_one(
 
 @pytest.mark.parametrize("stage", ["evaluate", "predict"])
 def test_ctrl_c_in_a_training_that_another_stage_needs(
-    stage: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    stage: str, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The stage that asked for it does not go on: 130, the model is kept, no metrics are written."""
     config = compose_config([*COARSE, *PHASES["adam"]])
     monkeypatch.setattr(train, "training_progress", interrupting("adam", 3))
     with pytest.raises(SystemExit) as stop:
-        run(config, stage, tmp_path / "x")
+        run(stage, config, tmp_path / "x")
     assert stop.value.code == 130
-    assert files(tmp_path / "x") == DATA | ANSWER
+    assert names_in(tmp_path / "x") == DATA | ANSWER
     monkeypatch.undo()
-    run(config, stage, tmp_path / "x")  # what was kept can be used
-    assert files(tmp_path / "x") > DATA | ANSWER
+    run(stage, config, tmp_path / "x")  # what was kept can be used
+    assert names_in(tmp_path / "x") > DATA | ANSWER
 
 
 def test_ctrl_c_in_robustness(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """All starts end at their best state so far, named as interrupted; exit code 130."""
     config = compose_config([*COARSE, *PHASES["adam"]])
     monkeypatch.setattr(robustness, "training_progress", interrupting("adam", 6))
     with pytest.raises(SystemExit) as stop:
-        run(config, "robustness", tmp_path / "x")
+        run("robustness", config, tmp_path / "x")
     assert stop.value.code == 130
     assert "3 interrupted" in capsys.readouterr().out
     told = json.loads((tmp_path / "x" / "robustness.json").read_text())
     assert told["outcomes"] == {"interrupted": 3}
-    assert {"robustness.json", "robustness.csv", "figures"} <= files(tmp_path / "x")
+    assert {"robustness.json", "robustness.csv", "figures"} <= names_in(tmp_path / "x")
 
 
-def test_ctrl_c_before_training_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_before_training_leaves_nothing(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """While data are read there is no state to keep: the interrupt passes, and no answer is written."""
 
     def interrupted(config: Config) -> None:
@@ -167,15 +156,17 @@ def test_ctrl_c_before_training_leaves_nothing(tmp_path: Path, monkeypatch: pyte
 
     monkeypatch.setattr(train, "load_measurement", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        run(compose_config(COARSE), "train", tmp_path / "x")
-    assert files(tmp_path / "x") == set()
+        run("train", compose_config(COARSE), tmp_path / "x")
+    assert names_in(tmp_path / "x") == set()
 
 
 @pytest.mark.parametrize("nth", range(1, 6))
-def test_ctrl_c_while_saving_leaves_no_half_file(nth: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_while_saving_leaves_no_half_file(
+    nth: int, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """An impatient second Ctrl-C stops between two files, never in one; nothing temporary stays."""
     config = compose_config([*COARSE, *PHASES["adam"]])
-    run(config, "generate", tmp_path / "x")
+    run("generate", config, tmp_path / "x")
     real, calls = os.replace, []
 
     def replace(source: Any, target: Any) -> None:
@@ -186,16 +177,13 @@ def test_ctrl_c_while_saving_leaves_no_half_file(nth: int, tmp_path: Path, monke
 
     monkeypatch.setattr(os, "replace", replace)
     with pytest.raises(KeyboardInterrupt):
-        run(config, "train", tmp_path / "x")
-    written = files(tmp_path / "x") - DATA
+        run("train", config, tmp_path / "x")
+    written = names_in(tmp_path / "x") - DATA
     assert len(written) <= nth
     assert written <= ANSWER
 
 
-# --- real processes --------------------------------------------------------------------------------
-
-
-def _command(folder: Path, *overrides: str) -> list[str]:
+def command(folder: Path, *overrides: str) -> list[str]:
     given = [*COARSE, "stage=train", f"output='{folder}'", *overrides]
     return [sys.executable, "-W", "error", "-m", "pipeline", *given]
 
@@ -244,9 +232,9 @@ class Terminal:
         raise AssertionError(f"it did not end: {self.said[-2000:]}")
 
 
-def test_ctrl_c_on_a_terminal(tmp_path: Path) -> None:
+def test_ctrl_c_on_a_terminal(run: Run, tmp_path: Path) -> None:
     """Typed while the progress bar runs: 130, a sentence, no traceback, files that evaluate can use."""
-    terminal = Terminal(_command(tmp_path / "x", *LONG), tmp_path)
+    terminal = Terminal(command(tmp_path / "x", *LONG), tmp_path)
     terminal.read_until("steps/s", 90)
     assert "loss" in terminal.said
     time.sleep(0.5)
@@ -254,80 +242,13 @@ def test_ctrl_c_on_a_terminal(tmp_path: Path) -> None:
     assert terminal.end(30) == 130
     assert "interrupted: the best state so far was kept" in terminal.said
     assert "Traceback" not in terminal.said
-    assert files(tmp_path / "x") == DATA | ANSWER
+    assert names_in(tmp_path / "x") == DATA | ANSWER
     told = account(tmp_path / "x")
     assert told["outcome"] == "interrupted"
     assert told["held_out_loss"] <= min(losses(tmp_path / "x")) * (1 + 1e-12)  # each bearing at its own best step
-    run(compose_config([*COARSE, *LONG]), "evaluate", tmp_path / "x")
-    assert "metrics.json" in files(tmp_path / "x")
-    assert files(tmp_path) == {"x"}  # nothing beside its folder
-
-
-TELLING = """
-import sys
-from contextlib import contextmanager
-from pipeline.__main__ import main
-from pipeline.stages import train
-
-@contextmanager
-def progress(name):
-    yield lambda phase, step, total, loss: print("training", flush=True) if step == 50 else None
-
-train.training_progress = progress
-sys.exit(main(sys.argv[1:]))
-"""
-
-
-@pytest.mark.nightly
-def test_an_interrupt_without_a_terminal(tmp_path: Path) -> None:
-    """SIGINT to a process in the background while it trains: the same, on pipes."""
-    arguments = _command(tmp_path / "x", *LONG)[5:]
-    with subprocess.Popen(
-        [sys.executable, "-W", "error", "-c", TELLING, *arguments],
-        cwd=tmp_path,
-        env=ENVIRONMENT,
-        text=True,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        # A shell's background job hands down an ignored SIGINT.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    ) as process:
-        assert process.stdout is not None
-        said = []
-        while (line := process.stdout.readline()) not in ("training\n", ""):  # generate speaks first
-            said.append(line)
-        process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=30)
-    assert process.returncode == 130, said
-    assert "Traceback" not in err
-    assert "interrupted: the best state so far was kept" in out
-    assert files(tmp_path / "x") == DATA | ANSWER
-    assert np.isfinite(load_model(tmp_path / "x").values(np.array([100.0]))).all()
-
-
-@pytest.mark.nightly
-def test_two_trainings_of_one_experiment_at_once(tmp_path: Path) -> None:
-    """Both end well, whoever is last, and the files are complete and fit each other."""
-    folder = tmp_path / "x"
-    few = ["optimizer.adam.steps=30", "optimizer.levenberg_marquardt.steps=10"]
-    processes = [
-        subprocess.Popen(
-            _command(folder, *few, f"seed={seed}"),
-            cwd=tmp_path,
-            env=ENVIRONMENT,
-            text=True,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-        )
-        for seed in (1, 2)
-    ]
-    said = [process.communicate(timeout=120) for process in processes]
-    assert [process.returncode for process in processes] == [0, 0], said
-    assert files(folder) == DATA | ANSWER
-    assert account(folder)["seed"] in (1, 2)
-    run(compose_config([*COARSE, *few]), "evaluate", folder)
-    errors = json.loads((folder / "metrics.json").read_text())["coefficients"]
-    assert all(error["mean_error_percent"] < 1e-4 for of in errors.values() for error in of.values())
+    run("evaluate", compose_config([*COARSE, *LONG]), tmp_path / "x")
+    assert "metrics.json" in names_in(tmp_path / "x")
+    assert names_in(tmp_path) == {"x"}  # nothing beside its folder
 
 
 WRITER = """
@@ -355,4 +276,4 @@ def test_two_processes_that_write_one_file(tmp_path: Path) -> None:
             seen.add(letters[0])
     assert [writer.returncode for writer in writers] == [0, 0]
     assert seen == {"a", "b"}
-    assert files(tmp_path) == {"x.json"}
+    assert names_in(tmp_path) == {"x.json"}

@@ -3,35 +3,25 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import ANSWER, DATA, at_night
+from conftest import ANSWER, DATA
+from running import FEW_SPEEDS, python
 
 from pipeline.__main__ import main
 from pipeline.identification.storage import load_model
 
 pytestmark = pytest.mark.slow
 
-ROOT = Path(__file__).resolve().parents[2]
-ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT)}
 CHEAP = [
     "tracking=none",
-    *(f"machine.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=500")),
+    *FEW_SPEEDS,
     *("optimizer.adam.steps=10", "optimizer.levenberg_marquardt.steps=0"),
 ]
 # As a network of the speed, which begins elsewhere for each seed; single parameters all begin at the same guess.
 SEEDS = ["-m", "stage=train", "seed=0,1,2", "experiment=ball_bearing", "model=network", *CHEAP]
-
-
-def command(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    """``python -m pipeline``, started in ``cwd``."""
-    words = [sys.executable, "-W", "error", "-m", "pipeline", *arguments]
-    return subprocess.run(words, cwd=cwd, env=ENVIRONMENT, text=True, capture_output=True, timeout=180)
 
 
 @pytest.fixture(scope="module")
@@ -44,12 +34,10 @@ def one_by_one(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "out"
 
 
-@pytest.mark.parametrize(
-    "launcher", [["joblib", "hydra.launcher.n_jobs=2"], *at_night(["submitit_local"])], ids="-".join
-)
+@pytest.mark.parametrize("launcher", [["joblib", "hydra.launcher.n_jobs=2"]], ids="-".join)
 def test_jobs_side_by_side(launcher: list[str], one_by_one: Path, tmp_path: Path) -> None:
     """Three seeds: a folder each, complete, with the numbers of the jobs that ran one by one."""
-    done = command(*SEEDS, f"hydra/launcher={launcher[0]}", *launcher[1:], "output=out", cwd=tmp_path)
+    done = python("-m", "pipeline", *SEEDS, f"hydra/launcher={launcher[0]}", *launcher[1:], "output=out", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "Traceback" not in done.stderr
     if launcher[0] == "joblib":  # submitit's jobs speak into files of their own
@@ -73,29 +61,13 @@ def test_jobs_side_by_side(launcher: list[str], one_by_one: Path, tmp_path: Path
     assert not np.allclose(answers[0], answers[1], rtol=1e-3), "each seed has its own answer"
 
 
-@pytest.mark.nightly
-def test_experiments_side_by_side(tmp_path: Path) -> None:
-    """Two experiments of different machines, models and optimisers: each in the folder of its name."""
-    names = ("ball_bearing", "hydrostatic_stiffness")
-    experiments = f"experiment={','.join(names)}"
-    done = command("-m", "stage=train", experiments, "hydra/launcher=joblib", *CHEAP, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "Traceback" not in done.stderr
-    for number, name in enumerate(names, start=1):
-        assert f"[{number}/2] stage=train experiment={name} " in done.stdout
-        assert {path.name for path in (tmp_path / "artifacts" / name).iterdir()} == DATA | ANSWER
-    models = [load_model(tmp_path / "artifacts" / name) for name in names]
-    assert [bool(model.model.hidden) for model in models] == [False, True]
-    assert {path.name for path in tmp_path.iterdir()} == {"artifacts"}
-
-
-@pytest.mark.parametrize("launcher", ["submitit_local", *at_night("joblib")])
+@pytest.mark.parametrize("launcher", ["submitit_local"])
 def test_a_job_that_fails_is_named(launcher: str, tmp_path: Path) -> None:
     """The others are done, the command's exit code is that of the mistake, and its reason is found."""
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "seed-1").write_text("in the way")
     given = ("stage=configure", "seed=0,1,2", "experiment=ball_bearing", "tracking=none", "output=out")
-    done = command("-m", f"hydra/launcher={launcher}", *given, cwd=tmp_path)
+    done = python("-m", "pipeline", "-m", f"hydra/launcher={launcher}", *given, cwd=tmp_path)
     assert done.returncode == 2, done.stderr
     assert "Traceback" not in done.stderr
     assert "'seed=1'" in done.stderr

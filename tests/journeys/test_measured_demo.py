@@ -10,10 +10,7 @@ from types import ModuleType
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import Artifacts
-
-from pipeline.config.compose import compose_config
-from pipeline.stages import run_stage
+from conftest import Artifacts, Run
 
 pytestmark = pytest.mark.slow
 
@@ -32,14 +29,15 @@ def recordings() -> ModuleType:
 
 
 @pytest.fixture(scope="module", params=["recordings", "tables"])
-def folder(request: pytest.FixtureRequest, artifacts: Artifacts, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(
+    request: pytest.FixtureRequest, artifacts: Artifacts, run: Run, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
     """What the graph made of the recordings; and of the tables of a balancing instrument (mil peak-to-peak)."""
     if request.param == "recordings":
         return artifacts("measured_demo", "identified_coefficients.csv", "metrics.json", "prediction.json")
     made = tmp_path_factory.mktemp(request.param)
     for stage in ("ingest", "train", "evaluate", "predict"):
-        given = [f"stage={stage}", "experiment=measured_demo", "tracking=none", f"output='{made}'"]
-        run_stage(compose_config([*given, "machine=measured_demo_table"]))
+        run(stage, ["experiment=measured_demo", "machine=measured_demo_table"], made)
     return made
 
 

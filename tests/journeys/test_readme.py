@@ -98,7 +98,6 @@ def agrees(printed: str, value: float) -> bool:
 @pytest.mark.slow
 @pytest.mark.parametrize("row", ROWS)
 def test_a_row_of_the_readme_is_what_the_graph_made(row: str, artifacts: Artifacts) -> None:
-    """On this processor, whatever the figures were printed on."""
     lines = [line for line in README.splitlines() if row in line]
     assert len(lines) == 1, lines
     printed = [cell.strip() for cell in lines[0].split(row)[1].split("|")]
@@ -108,7 +107,6 @@ def test_a_row_of_the_readme_is_what_the_graph_made(row: str, artifacts: Artifac
 
 
 def test_every_row_with_a_figure_is_held() -> None:
-    """A new row of the three tables needs a figure here."""
     tables = README[: README.index("All are trained as configured")]
     rows = [line for line in tables.splitlines() if line.startswith("| ") and not line.startswith("| experiment")]
     missing = [line for line in rows if not any(row in line for row in ROWS) and "refused" not in line]
@@ -120,5 +118,4 @@ def test_every_row_with_a_figure_is_held() -> None:
     [("0.0021", 0.00212, True), ("0.0021", 0.00216, False), ("< 1e-12", 1e-13, True), ("> 150", 149.0, False)],
 )
 def test_a_figure_agrees_to_its_digits(printed: str, value: float, right: bool) -> None:
-    """And no further."""
     assert agrees(printed, value) is right

@@ -85,8 +85,6 @@ def test_a_spline_knows_of_the_neighbouring_speeds() -> None:
     assert spline < plain / 2
 
 
-# --- impulses in the time domain ------------------------------------------------------------------
-
 SPEED_RPM = 3100.0
 LENGTH, RATE = 2.0, 8000.0  # s, 1/s
 PULSE = 0.004  # s

@@ -21,10 +21,8 @@ from pipeline.data.simulate import solve_response
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import translation_dof
 from pipeline.rotor.ross_adapter import assemble, bearing_table
-from pipeline.twin.modes import stability_margin, whirl_modes
+from pipeline.twin.modes import find_modes, measure_stability
 from pipeline.units import RAD_S_PER_RPM
-
-# --- ball bearing ---------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
@@ -37,8 +35,6 @@ def test_ball_bearing_stiffness() -> None:
     assert not table.coefficient("kxy").any()
     assert not table.coefficient("kyx").any()
 
-
-# --- Friswell's oil bearing and rotor --------------------------------------------------------------
 
 FRISWELL_BEARING = CylindricalBearingConfig.model_validate(
     {
@@ -80,12 +76,10 @@ def test_friswells_rotor_is_unstable_from_2100_rpm() -> None:
     rotor = assemble(FRISWELL_ROTOR)
     assert rotor.total_mass * 9.81 / 2 == pytest.approx(525, abs=0.5)
     speeds = np.array([500.0, 1000, 1500, 2000, 2050, 2100, 2200, 3000]) * RAD_S_PER_RPM
-    modes = whirl_modes(rotor, bearing_table(FRISWELL_ROTOR, FRISWELL_BEARING, speeds))
+    modes = find_modes(rotor, bearing_table(FRISWELL_ROTOR, FRISWELL_BEARING, speeds))
     assert (modes.growth > 0).tolist() == [False] * 5 + [True] * 3
-    assert not stability_margin(modes).stable
+    assert not measure_stability(modes).stable
 
-
-# --- the compressor rotor of DTU -------------------------------------------------------------------
 
 SHAFT_MM = [
     *[(25, 30), (40, 65), (35, 70), (40, 70), (50, 70), (50, 70), (55, 90), (60, 99.6), (60, 99.6)],
@@ -166,12 +160,12 @@ def test_compressor_rotor_stability() -> None:
 
     Above 1e6 rad/s its modes hardly move in that bearing: their growth is zero to rounding.
     """
-    modes = whirl_modes(assemble(DTU_ROTOR), dtu_bearings(np.array([6000.0, 6500.0, 6900.0, 7500.0])))
+    modes = find_modes(assemble(DTU_ROTOR), dtu_bearings(np.array([6000.0, 6500.0, 6900.0, 7500.0])))
     assert (modes.growth > 1e-6).tolist() == [False, False, True, True]
 
 
 def test_rounding_makes_no_rotor_unstable() -> None:
     """DTU: at 3000 rpm, less than half of its threshold, the rotor is stable."""
-    margin = stability_margin(whirl_modes(assemble(DTU_ROTOR), dtu_bearings(np.array([3000.0]))))
+    margin = measure_stability(find_modes(assemble(DTU_ROTOR), dtu_bearings(np.array([3000.0]))))
     assert margin.smallest_logarithmic_decrement > 0.2
     assert margin.stable

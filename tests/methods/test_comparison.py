@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from comparing import answer, composed, errors, machine, options, task
 
-from pipeline.comparison.cases import Case, cases, main_case
+from pipeline.comparison.cases import Case, choose_main_case, list_cases
 from pipeline.config.comparison import METHOD_NAMES
 from pipeline.methods.catalogue import METHODS
 from pipeline.methods.method import Reason, Refusal
@@ -54,7 +54,6 @@ LEARNT = ("kriging", "critical_speeds")
     "method", [pytest.param(name, marks=[pytest.mark.slow] * (name in LEARNT)) for name in METHOD_NAMES]
 )
 def test_the_right_answer_on_clean_data(method: str) -> None:
-    """To rounding, or to the accuracy that the method has."""
     good = GOOD[method]
     assert errors(answer(method, good.case, *good.overrides), good.case, *good.overrides).max() < good.error
 
@@ -108,7 +107,6 @@ REFUSED = [
 def test_what_a_method_cannot_do_it_refuses_by_name(
     method: str, case: Case, reason: Reason, overrides: tuple[str, ...]
 ) -> None:
-    """Never an answer that looks like one."""
     with pytest.raises(Refusal) as refusal:
         answer(method, case, *overrides)
     assert refusal.value.reason is reason
@@ -116,7 +114,6 @@ def test_what_a_method_cannot_do_it_refuses_by_name(
 
 
 def test_every_method_refuses_something() -> None:
-    """The list above has them all."""
     assert {method for method, *_ in REFUSED} == set(METHOD_NAMES) == set(METHODS)
 
 
@@ -146,13 +143,15 @@ def test_stated_deviations_hold(method: str, overrides: tuple[str, ...]) -> None
 
 
 def test_the_cases_are_each_once_and_the_main_one_is_there() -> None:
-    """Fewer speeds than are asked for are all of them."""
     settings = composed(*FILM, "comparison.speeds=[10,60,591]").comparison
-    made = cases(settings, 60)
+    made = list_cases(settings, 60)
     assert len(set(made)) == len(made)
-    assert main_case(settings, 60) == Case(0.01, "bearings", 60)
+    assert choose_main_case(settings, 60) == Case(0.01, "bearings", 60)
     assert {case.speeds for case in made} == {10, 60}
-    assert sum(case == replace(main_case(settings, 60), data_set=case.data_set) for case in made) == settings.data_sets
+    assert (
+        sum(case == replace(choose_main_case(settings, 60), data_set=case.data_set) for case in made)
+        == settings.data_sets
+    )
 
 
 def test_noise_is_the_same_but_for_its_size() -> None:

@@ -10,7 +10,7 @@ from pipeline.comparison.cases import Case
 from pipeline.identification.fit import fit
 from pipeline.identification.training import FitSetup
 from pipeline.methods.method import Estimate
-from pipeline.methods.spline import spline
+from pipeline.methods.spline import identify_by_spline
 
 FILM = ("experiment=hydrostatic_stiffness", "machine.speeds.step_rpm=100")
 BALLS = ("experiment=ball_bearing", "machine.speeds.step_rpm=100")
@@ -30,7 +30,7 @@ def test_the_spline_is_as_good_as_the_output_error_with_b_splines() -> None:
     for i in range(6):
         case = Case(0.01, "bearings", 60, i)
         data = task(case, *FILM)
-        ours.append(errors(spline(data, options(*FILM)), case, *FILM).mean())
+        ours.append(errors(identify_by_spline(data, options(*FILM)), case, *FILM).mean())
         found = fit(data, setup_of(*FILM, *few)).table(data.known)
         theirs.append(errors(Estimate(found, None), case, *FILM).mean())
     ratio = np.mean(ours) / np.mean(theirs)
@@ -41,6 +41,6 @@ def test_the_spline_is_as_good_as_the_output_error_with_b_splines() -> None:
 def test_constants_are_the_same_minimum() -> None:
     """Constants leave nothing to choose: the two minimise the same sum of squares, weighed by the same noise."""
     data = task(Case(0.01, "bearings", 60), *BALLS)
-    one = spline(data, options(*BALLS)).coefficients.values
+    one = identify_by_spline(data, options(*BALLS)).coefficients.values
     other = fit(data, setup_of(*BALLS)).table(data.known).values
     np.testing.assert_allclose(one, other, rtol=3e-3)

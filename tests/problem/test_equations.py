@@ -86,9 +86,6 @@ def nothing_known(machine: Machine) -> BearingTable:
     return replace(machine.bearings, values=np.full_like(machine.bearings.values, np.nan))
 
 
-# --- the residual --------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", ["hydrostatic", "ball"])
 @pytest.mark.parametrize("probes", ["all nodes", "bearings"])
 def test_residual_is_zero_at_the_truth(name: str, probes: str, request: pytest.FixtureRequest) -> None:
@@ -129,9 +126,6 @@ def test_subset_of_speeds(hydrostatic: Machine) -> None:
     np.testing.assert_allclose(part.free_residual, whole.free_residual[:, keep], rtol=1e-9, atol=1e-12)
     np.testing.assert_array_equal(part.displacement, whole.displacement[:, keep])
     np.testing.assert_array_equal(part.speeds, hydrostatic.speeds[keep])
-
-
-# --- the small system and the full matrices ------------------------------------------------------
 
 
 def full_norm(machine: Machine, coefficients: torch.Tensor) -> torch.Tensor:
@@ -195,9 +189,6 @@ def test_rows_are_linear_in_the_unknowns(hydrostatic: Machine, rng: np.random.Ge
         np.testing.assert_allclose(rows, wanted, rtol=0, atol=1e-11 * np.abs(wanted).max())
 
 
-# --- eq. 7 ---------------------------------------------------------------------------------------
-
-
 def test_equation_7_by_autograd(hydrostatic: Machine, rng: np.random.Generator) -> None:
     """Paper, eq. 7: d||r|| / dD_bb = r_b q_b^H / ||r||, with the conjugate that complex amplitudes need.
 
@@ -237,9 +228,6 @@ def test_equation_7_is_the_gradient_of_the_loss(scaling: str, hydrostatic: Machi
         part = product.real if is_stiffness(name) else w * product.imag
         wanted = part.sum(axis=(1, 2)) / norm / np.sqrt(4 * 3 * 60)
         np.testing.assert_allclose(parameters.grad.numpy()[:, u] / scale[:, u], wanted, rtol=1e-8, err_msg=name)
-
-
-# --- the reduced problem of training -------------------------------------------------------------
 
 
 def problem_of(
@@ -304,8 +292,6 @@ def test_per_speed_scaling_makes_every_speed_count(name: str, request: pytest.Fi
     np.testing.assert_allclose(size, 1.0, rtol=1e-12)
     assert (speed_scaling("none", equations) == 1.0).all()
 
-
-# --- least squares and identifiability -----------------------------------------------------------
 
 SUBSETS = [("kxx", "kyy"), ("kxx", "kyy", "cxx", "cyy"), ("kxx", "kxy", "kyx", "kyy")]
 

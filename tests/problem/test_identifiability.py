@@ -11,11 +11,10 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
-from conftest import Machine, MachineFactory, bearings_of
+from conftest import Machine, MachineFactory, Run, bearings_of
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.compose import compose_config
-from pipeline.config.schema import Config
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.data.noise import NoiseModel
 from pipeline.data.simulate import add_noise, simulate
@@ -34,7 +33,6 @@ from pipeline.problem.residual import (
     per_speed_least_squares,
 )
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.stages import run_stage
 from pipeline.unknowns import BearingUnknowns, UnknownSet, unknown_set
 
 EIGHT = "identify.unknowns=[kxx,kxy,kyx,kyy,cxx,cxy,cyx,cyy]"
@@ -79,9 +77,6 @@ def accounts_of(
 def reports_of(machine: Machine) -> tuple[Identifiability, ...]:
     """What the machine's own runs determine of its own unknowns."""
     return judge_identifiability(machine.equations, machine.measurement.residual, constant=False)
-
-
-# --- the rank theorem (shared by every axisymmetric rotor) -------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -160,9 +155,6 @@ def test_the_free_combination_changes_nothing_that_is_measured(rotor_of: Machine
     assert account.free_combination().count(" k") + account.free_combination().count(" c") >= 2
 
 
-# --- verdicts ----------------------------------------------------------------------------------------
-
-
 @pytest.mark.slow
 def test_verdicts_of_the_compressor(machine: MachineFactory) -> None:
     """The journal bearing can't be identified; the isotropic one can, by its structure; a backward run cures."""
@@ -195,9 +187,6 @@ def test_a_constant_is_identifiable_across_speeds(rotor_of: Machine) -> None:
     assert [one.verdict for one in constant] == [Verdict.ACROSS_SPEEDS] * 2
     assert [one.verdict for one in free] == [Verdict.NOT_IDENTIFIABLE] * 2
     assert "2 real equations" in free[0].reason
-
-
-# --- structures --------------------------------------------------------------------------------------
 
 
 def trained(machine: Machine, table: BearingTable, acting: tuple[Excitation, ...], *overrides: str) -> BearingTable:
@@ -236,7 +225,6 @@ def test_a_structure_is_respected_exactly(
 
 
 def test_bearings_alike_are_exactly_alike(rotor_of: Machine) -> None:
-    """One set of coefficients for both, from the equations of both."""
     table = table_of(rotor_of, ANISOTROPIC, ANISOTROPIC)
     found = trained(rotor_of, table, (*UNBALANCES, BACKWARD), "identify.shared=true")
     assert np.array_equal(found.values[0], found.values[1])
@@ -244,7 +232,6 @@ def test_bearings_alike_are_exactly_alike(rotor_of: Machine) -> None:
 
 
 def test_bearings_may_have_different_unknowns(rotor_of: Machine) -> None:
-    """What is not unknown at a bearing keeps its known value, to the last bit."""
     table = table_of(rotor_of, ANISOTROPIC, ISOTROPIC)
     exception = "+identify.bearings={5: {unknowns: [kxx, kyy], structure: isotropic}}"
     found = trained(rotor_of, table, (*UNBALANCES, BACKWARD), exception)
@@ -255,12 +242,8 @@ def test_bearings_may_have_different_unknowns(rotor_of: Machine) -> None:
 
 
 def test_a_structure_needs_both_of_a_pair() -> None:
-    """Half of a tied pair can't be known."""
     with pytest.raises(ValueError, match="ties cxy and cyx: both must be unknown or neither"):
         BearingUnknowns(("kxx", "cxy"), "symmetric_damping")
-
-
-# --- the preconditioned loss -------------------------------------------------------------------------
 
 
 def prepared_with(machine: Machine, *overrides: str) -> ResidualTraining:
@@ -304,9 +287,6 @@ def test_the_start_from_least_squares_is_near_the_answer(rotor_of: Machine) -> N
     assert losses[1] < 0.01 * losses[0]
 
 
-# --- noise -------------------------------------------------------------------------------------------
-
-
 def fits(machine: Machine, dataset: VibrationDataset, unknowns: UnknownSet, covariance: np.ndarray) -> LinearResidual:
     """The weighted equations of a data set."""
     return whiten(linear_residual(bearing_equations(machine.rotor, dataset), unknowns, machine.bearings), covariance)
@@ -339,7 +319,6 @@ def test_the_predicted_deviation_is_the_spread_of_noisy_fits(
 
 
 def test_what_is_free_has_an_infinite_deviation(rotor_of: Machine) -> None:
-    """No number is given for what the data do not determine."""
     table = table_of(rotor_of, ANISOTROPIC, ISOTROPIC)
     dataset = simulate(rotor_of.rotor, table, UNBALANCES)
     covariance = residual_covariance(
@@ -348,9 +327,6 @@ def test_what_is_free_has_an_infinite_deviation(rotor_of: Machine) -> None:
     equations = bearing_equations(rotor_of.rotor, dataset)
     system = linear_residual(equations, everything(table.nodes), table)
     assert np.isinf(least_squares_deviation(whiten(system, covariance))[0]).all()
-
-
-# --- excitation at a frequency of its own ------------------------------------------------------------
 
 
 def test_asynchronous_data_are_identified(machine: MachineFactory) -> None:
@@ -391,24 +367,13 @@ def test_frequencies_go_through_the_files(machine: MachineFactory, tmp_path: Pat
     np.testing.assert_allclose(read_dataset(vibration, excitation, made.rotor).frequencies, read.frequencies, rtol=1e-9)
 
 
-# --- the stages --------------------------------------------------------------------------------------
-
-
-def staged(stage: str, folder: Path, *overrides: str) -> Config:
-    """Run a stage of an experiment in a folder."""
-    given = [f"stage={stage}", "tracking=none", f"output='{folder}'", *overrides]
-    config = compose_config(given)
-    run_stage(config)
-    return config
-
-
 @pytest.mark.slow
-def test_diagnose_writes_its_account(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_diagnose_writes_its_account(run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """JSON, a table with a row a bearing and speed, a figure; the verdict. No modelled coefficient is read."""
     chosen = ("experiment=compressor_journal_and_isotropic", "machine.speeds.step_rpm=300")
-    staged("generate", tmp_path / "my data", *chosen)
+    run("generate", chosen, tmp_path / "my data")
     (tmp_path / "my data" / "modelled_coefficients.csv").unlink()
-    staged("diagnose", tmp_path / "my data", *chosen)
+    run("diagnose", chosen, tmp_path / "my data")
     said = capsys.readouterr().out
     assert "bearing at node 8: not identifiable, because" in said
     assert "bearing at node 21: identifiable" in said
@@ -423,24 +388,24 @@ def test_diagnose_writes_its_account(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 
 @pytest.mark.slow
-def test_training_of_what_is_not_identifiable(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_training_of_what_is_not_identifiable(run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """It stops with the sentence, and force=true goes on with the same sentence as a line."""
     chosen = ("experiment=compressor_journal_and_isotropic", "machine.speeds.step_rpm=300")
     with pytest.raises(IdentifiabilityError, match=r"node 8: not identifiable, .*rank 1 of 2.*force=true"):
-        staged("train", tmp_path / "x", *chosen)
+        run("train", chosen, tmp_path / "x")
     assert not (tmp_path / "x" / "model.json").exists()
-    staged("train", tmp_path / "x", *chosen, "force=true", "optimizer.levenberg_marquardt.steps=2")
+    run("train", [*chosen, "force=true", "optimizer.levenberg_marquardt.steps=2"], tmp_path / "x")
     assert "bearing at node 8: not identifiable" in capsys.readouterr().out
     assert (tmp_path / "x" / "model.json").exists()
 
 
 @pytest.mark.slow
 def test_design_beats_the_papers_runs_and_simulations_confirm_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The worst deviation falls at least 3 times; 200 noisy fits at 0.1 % give the same ratio within 20 %."""
     folder = tmp_path / "my design"
-    staged("design", folder, "experiment=all_coefficients")
+    run("design", ["experiment=all_coefficients"], folder)
     summary = json.loads((folder / "design.json").read_text())
     print(f"gain {summary['gain']:.3g}, in simulations {summary['simulated_gain']:.3g}")
     assert summary["stated_noise"] == {"additive": 0.0, "multiplicative": 0.001}
@@ -451,15 +416,15 @@ def test_design_beats_the_papers_runs_and_simulations_confirm_it(
 
 
 @pytest.mark.slow
-def test_a_design_can_be_used_at_once(tmp_path: Path) -> None:
+def test_a_design_can_be_used_at_once(run: Run, tmp_path: Path) -> None:
     """``machine.runs_file`` takes it; a file that holds something else is refused by name."""
     few = ("experiment=all_coefficients", "machine.speeds.step_rpm=500", "design.speeds=5", "design.simulations=0")
-    staged("design", tmp_path / "a", *few)
+    run("design", few, tmp_path / "a")
     file = tmp_path / "a" / "designed_excitation.yaml"
     config = compose_config(["experiment=all_coefficients", f"machine.runs_file='{file}'"])
     assert [run.name for run in config.machine.runs] == json.loads((tmp_path / "a" / "design.json").read_text())["runs"]
     assert config.machine.speeds.step_rpm == 500
-    staged("generate", tmp_path / "b", "experiment=all_coefficients", f"machine.runs_file='{file}'")
+    run("generate", ["experiment=all_coefficients", f"machine.runs_file='{file}'"], tmp_path / "b")
     (tmp_path / "c.yaml").write_text("- 1")
     with pytest.raises(ConfigError, match=r"machine\.runs_file must have speeds and runs"):
         compose_config([f"machine.runs_file='{tmp_path / 'c.yaml'}'"])

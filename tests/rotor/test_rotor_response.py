@@ -23,7 +23,7 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.dynamic_stiffness import apply, banded, solve
 from pipeline.rotor.model import RotorModel, bearing_dof, translation_dof
 from pipeline.rotor.ross_adapter import assemble, ross_rotor
-from pipeline.twin.modes import critical_speeds, whirl_modes
+from pipeline.twin.modes import find_critical_speeds, find_modes
 from pipeline.units import RAD_S_PER_RPM
 
 STEEL = {"density": 7810.0, "youngs_modulus": 211e9, "shear_modulus": 81.2e9}
@@ -39,9 +39,6 @@ def dense(rotor: RotorModel, impedance: np.ndarray | None, frequencies: np.ndarr
                 d[np.ix_(pair, pair)] += impedance[b, s]
         matrices.append(d)
     return np.array(matrices)
-
-
-# --- ROSS ----------------------------------------------------------------------------------------
 
 
 def ross_responses(machine: Machine, speeds: np.ndarray) -> np.ndarray:
@@ -114,8 +111,6 @@ def test_response_equals_ross_on_finer_meshes(experiment: str) -> None:
     assert_equals_ross(made)
 
 
-# --- closed forms --------------------------------------------------------------------------------
-
 JEFFCOTT = {"length": 1.0, "diameter": 0.02, "mass": 10.0}
 SHAFT_STIFFNESS = 48 * STEEL["youngs_modulus"] * (math.pi * 0.02**4 / 64) / 1.0**3  # 48 E I / L^3, N/m
 
@@ -158,7 +153,7 @@ def test_jeffcott_critical_speed() -> None:
     speeds = expected * np.linspace(0.8, 1.2, 8)
     rotor = jeffcott(1.0)
     table = bearings_of((0, 4), speeds, kxx=1e10, kyy=1e10)
-    found = critical_speeds(whirl_modes(rotor, table))
+    found = find_critical_speeds(find_modes(rotor, table))
     assert len(found) == 2  # forward and backward, the same without gyroscopic effect
     assert [critical.speed for critical in found] == pytest.approx([expected, expected], rel=2e-5)
 
@@ -192,8 +187,6 @@ def test_beam_frequencies_converge_with_the_fourth_power_of_the_element_length()
     rates = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
     assert rates == pytest.approx(np.full((2, 2), 4.0), abs=0.1)
 
-
-# --- laws ----------------------------------------------------------------------------------------
 
 AMPLITUDES = st.floats(1e-6, 1e-2)
 PHASES = st.floats(-math.pi, math.pi)
@@ -282,9 +275,6 @@ def test_reciprocity(hydrostatic: Machine) -> None:
     opposite = receptance(rotor, w, -w, film.mT.copy())
     assert np.abs(spinning.mT - opposite).max() < 1e-10 * np.abs(spinning).max()
     assert np.abs(spinning - spinning.mT).max() > 1e-2 * np.abs(spinning).max()
-
-
-# --- the band solve and its dense twin -----------------------------------------------------------
 
 
 def test_band_solve_equals_the_dense_one(hydrostatic: Machine, rng: np.random.Generator) -> None:

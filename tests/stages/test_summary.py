@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from conftest import Run
 
 from pipeline.config.compose import compose_config
-from pipeline.reporting.summary_text import WIDTH, engineering
-from pipeline.stages import run_stage
+from pipeline.reporting.summary_text import WIDTH, format_engineering
 
 LINES = 40
 FEW = [
@@ -21,30 +21,27 @@ EXPERIMENTS = {
     "noisy_all": FEW,  # sixteen coefficients with deviations
     "measured_demo": ["machine=measured_demo_table"],  # no truth, a run that is not fitted
 }
+BY_DAY = ("ball_bearing", "measured_demo")
 
 
-@pytest.fixture(scope="module", params=EXPERIMENTS)
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(name, marks=[] if name in BY_DAY else pytest.mark.slow) for name in EXPERIMENTS],
+)
 def experiment(request: pytest.FixtureRequest) -> str:
     """The experiment's name."""
     return str(request.param)
 
 
 @pytest.fixture(scope="module")
-def folder(experiment: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(experiment: str, run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The artifacts after ``stage=summary`` alone."""
     made = tmp_path_factory.mktemp(experiment)
-    summarise(experiment, made)
+    run("summary", [f"experiment={experiment}", *EXPERIMENTS[experiment]], made)
     return made
 
 
-def summarise(experiment: str, folder: Path) -> None:
-    """Run the stage."""
-    overrides = ["stage=summary", f"experiment={experiment}", "tracking=none", f"output='{folder}'"]
-    run_stage(compose_config([*overrides, *EXPERIMENTS[experiment]]))
-
-
 def test_the_results_fit_on_a_screen(experiment: str, folder: Path) -> None:
-    """40 lines of 100 columns; only a path may be longer, for it must be whole."""
     lines = (folder / "summary.txt").read_text(encoding="utf-8").splitlines()
     assert len(lines) <= LINES
     *others, last = lines
@@ -68,12 +65,12 @@ def test_the_screen_says_what_an_engineer_asks(experiment: str, folder: Path) ->
     assert ("held-out run both_discs predicted" in text) == (experiment == "measured_demo")
 
 
-def test_the_same_again(experiment: str, folder: Path) -> None:
-    """Over its own files it writes the same bytes, the picture too."""
+@pytest.mark.slow
+def test_the_same_again(experiment: str, run: Run, folder: Path) -> None:
     files = [folder / "summary.txt", folder / "figures" / "summary.png"]
     first = [file.read_bytes() for file in files]
     assert first[1].startswith(b"\x89PNG")
-    summarise(experiment, folder)
+    run("summary", [f"experiment={experiment}", *EXPERIMENTS[experiment]], folder)
     assert [file.read_bytes() for file in files] == first
 
 
@@ -92,4 +89,4 @@ def test_the_same_again(experiment: str, folder: Path) -> None:
 )
 def test_engineering_notation(value: float, deviation: float | None, text: str) -> None:
     """Powers of 1000, and as many digits as are known."""
-    assert engineering(value, deviation) == text
+    assert format_engineering(value, deviation) == text

@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import known_names
+from conftest import Run, known_names
 
 from pipeline.config.compose import compose_config
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import read_coefficients
 from pipeline.errors import DataError
 from pipeline.problem.measurement import Measurement
-from pipeline.stages import robustness, run_stage
+from pipeline.stages import robustness
 
 pytestmark = pytest.mark.slow  # it trains, or starts processes
 
@@ -34,11 +34,6 @@ COARSE = [
 ]
 EXPERIMENTS = ["ball_bearing", "hydrostatic_damping"]
 ANSWER = ["identified_coefficients.csv", "model.safetensors", "model.json", "training.json", "history.csv"]
-
-
-def run(config: Config, stage: str, folder: Path) -> None:
-    """One stage in ``folder``."""
-    run_stage(config.model_copy(update={"stage": stage, "output": str(folder)}))
 
 
 @pytest.fixture(scope="module", params=EXPERIMENTS)
@@ -71,12 +66,12 @@ class Trained:
 
 
 @pytest.fixture(scope="module")
-def honest(config: Config, tmp_path_factory: pytest.TempPathFactory) -> Trained:
+def honest(run: Run, config: Config, tmp_path_factory: pytest.TempPathFactory) -> Trained:
     """The experiment trained as usual."""
     folder = tmp_path_factory.mktemp("trained") / config.name
     with watched() as batches:
         for stage in ("generate", "train", "robustness"):
-            run(config, stage, folder)
+            run(stage, config, folder)
     (batch,) = batches
     return Trained(folder, batch)
 
@@ -123,16 +118,16 @@ def lied(request: pytest.FixtureRequest, trained: Path, tmp_path: Path) -> Path:
     return folder
 
 
-def test_training_gives_the_same_bits_with_any_truth(config: Config, trained: Path, lied: Path) -> None:
+def test_training_gives_the_same_bits_with_any_truth(run: Run, config: Config, trained: Path, lied: Path) -> None:
     """Coefficients, model, account and history are the same whatever the truth says, or without it."""
-    run(config, "train", lied)
+    run("train", config, lied)
     assert [name for name in ANSWER if (lied / name).read_bytes() != (trained / name).read_bytes()] == []
 
 
-def test_robustness_ends_at_the_same_bits_with_any_truth(config: Config, honest: Trained, lied: Path) -> None:
+def test_robustness_ends_at_the_same_bits_with_any_truth(run: Run, config: Config, honest: Trained, lied: Path) -> None:
     """Parameters, losses and outcomes of all starts are the same; the truth only makes the errors."""
     with watched() as batches, suppress(DataError):  # a damaged truth is refused, when training is over
-        run(config, "robustness", lied)
+        run("robustness", config, lied)
     (batch,) = batches
     assert batch.parameters.numpy().tobytes() == honest.batch.parameters.numpy().tobytes()
     assert batch.loss.tobytes() == honest.batch.loss.tobytes()
@@ -145,14 +140,13 @@ def test_robustness_ends_at_the_same_bits_with_any_truth(config: Config, honest:
 
 
 def test_known_coefficients_hold_no_unknown(config: Config, trained: Path) -> None:
-    """The file that training reads has no column of a coefficient that it identifies."""
     columns = list(pd.read_csv(trained / "known_coefficients.csv"))
     assert columns == ["bearing_node", "speed_rpm", *known_names(config)]
     assert not set(columns) & set(config.identify.unknowns)
 
 
 def test_what_training_is_given_holds_no_unknown(
-    config: Config, trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    run: Run, config: Config, trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The known table that reaches the equations is zero where a coefficient is unknown."""
     from pipeline.stages import train
@@ -160,7 +154,7 @@ def test_what_training_is_given_holds_no_unknown(
     seen: list[Measurement] = []
     real = train.load_measurement
     monkeypatch.setattr(train, "load_measurement", lambda given: seen.append(real(given)) or seen[-1])
-    run(config, "train", Path(shutil.copytree(trained, tmp_path / "x")))
+    run("train", config, Path(shutil.copytree(trained, tmp_path / "x")))
     (measurement,) = seen
     for name in config.identify.unknowns:
         assert not measurement.known.coefficient(name).any()
@@ -198,17 +192,19 @@ def _names(paths: list[str]) -> set[str]:
     return {Path(path).name for path in paths}
 
 
-def test_training_opens_no_file_of_the_truth(config: Config, trained: Path, tmp_path: Path, opened: list[str]) -> None:
+def test_training_opens_no_file_of_the_truth(
+    run: Run, config: Config, trained: Path, tmp_path: Path, opened: list[str]
+) -> None:
     """While stage=train runs, no file named like the truth is opened; the files that it should read are."""
     folder = Path(shutil.copytree(trained, tmp_path / "x"))
     opened.clear()
-    run(config, "train", folder)
+    run("train", config, folder)
     assert [path for path in opened if "modelled_coefficients" in path] == []
     assert {"excitation.csv", "known_coefficients.csv"} <= _names(opened)
 
 
 def test_robustness_opens_the_truth_after_training(
-    config: Config, trained: Path, tmp_path: Path, opened: list[str], monkeypatch: pytest.MonkeyPatch
+    run: Run, config: Config, trained: Path, tmp_path: Path, opened: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The errors of robustness need the truth: it is opened when the last step is done, not before."""
     at_the_end: list[bool] = []
@@ -222,6 +218,6 @@ def test_robustness_opens_the_truth_after_training(
     monkeypatch.setattr(robustness, "minimise", spy)
     folder = Path(shutil.copytree(trained, tmp_path / "x"))
     opened.clear()
-    run(config, "robustness", folder)
+    run("robustness", config, folder)
     assert at_the_end == [False]
     assert "modelled_coefficients.csv" in _names(opened)  # and the hook does see it

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 import os
 import shutil
 import socket
@@ -18,22 +17,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import unknown_at_all
+from running import PYTHON
 
 import pipeline
 from pipeline.tracking import StageRecord, TrackingSettings, track, tracker
-from pipeline.tracking.database import DatabaseProblem, prepare_database
-from pipeline.tracking.entries import (
-    NAME_LENGTH,
-    PARAMETER_LENGTH,
-    TAG_LENGTH,
-    flat_parameters,
-    history_metrics,
-    name_of,
-    without_password,
-)
-from pipeline.tracking.provenance import provenance_tags
+from pipeline.tracking.model import tabulate_coefficients
 from pipeline.tracking.quiet import quiet_mlflow
-from pipeline.tracking.table import coefficient_table
+from pipeline.tracking.store import DatabaseProblem, prepare_database
 
 pytestmark = pytest.mark.slow  # it trains, or starts processes
 
@@ -53,17 +43,6 @@ def record(**changes: object) -> StageRecord:
         "metrics": {},
     }
     return StageRecord(**(parts | changes))
-
-
-def python(code: str, *arguments: object, folder: Path) -> subprocess.CompletedProcess[str]:
-    """Run ``code`` in a new interpreter in ``folder``, with warnings as errors."""
-    command = [sys.executable, "-W", "error", "-c", code, *map(str, arguments)]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, env=clean_environment())
-
-
-def clean_environment() -> dict[str, str]:
-    """The environment without what would let a new process find this checkout or a tracking store."""
-    return {name: value for name, value in os.environ.items() if name != "PYTHONPATH" and "MLFLOW_TRACKING" not in name}
 
 
 @pytest.fixture(scope="session")
@@ -91,6 +70,17 @@ def quiet() -> Iterator[None]:
         yield
 
 
+def clean_environment() -> dict[str, str]:
+    """The environment without what would let a new process find this checkout or a tracking store."""
+    return {name: value for name, value in os.environ.items() if name != "PYTHONPATH" and "MLFLOW_TRACKING" not in name}
+
+
+def python(code: str, *arguments: object, folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run ``code`` in a new interpreter in ``folder``, with warnings as errors."""
+    command = [*PYTHON, "-c", code, *map(str, arguments)]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, env=clean_environment())
+
+
 class Logged:
     """The runs in a store, as MLflow's own client reads them."""
 
@@ -110,9 +100,6 @@ class Logged:
         """Every artifact of the one run by its name in MLflow."""
         root = Path(self.client.download_artifacts(self.run.info.run_id, ""))
         return {path.relative_to(root).as_posix(): path for path in root.rglob("*") if path.is_file()}
-
-
-# A complete record
 
 
 def test_everything_in_a_record_is_read_back(
@@ -181,31 +168,21 @@ def test_stages_of_one_experiment_are_found_together(settings: TrackingSettings)
     assert len({run.info.experiment_id for run in found}) == 1
 
 
-def test_long_values_and_many_parameters(settings: TrackingSettings) -> None:
-    parameters = {"long": "x" * 20_000, "many": {f"p{i}": i for i in range(250)}}
-    assert track(record(parameters=parameters, tags={"long": "y" * 20_000}), settings) == []
-    logged = Logged(settings)
-    assert len(logged.run.data.params) == 251
-    assert logged.run.data.params["long"].endswith("xxx...")
-    assert logged.run.data.tags["long"].endswith("yyy...")
-    assert "x" * 20_000 in logged.files()["config.yaml"].read_text()
-
-
-def test_interrupted_stage_is_marked_as_such(settings: TrackingSettings) -> None:
-    assert track(record(status="KILLED"), settings) == []
-    assert Logged(settings).run.info.status == "KILLED"
-
-
-def test_files_of_one_name_do_not_replace_each_other(settings: TrackingSettings, tmp_path: Path) -> None:
+def test_long_values_many_parameters_files_of_one_name_and_a_status(settings: TrackingSettings, tmp_path: Path) -> None:
     files = [tmp_path / folder / "metrics.json" for folder in ("a", "b")]
     for file in files:
         file.parent.mkdir()
         file.write_text(str(file))
-    assert track(record(files=files), settings) == []
-    assert {"files/metrics.json", "files/b/metrics.json"} <= Logged(settings).files().keys()
-
-
-# Nothing asked for, nothing done
+    parameters = {"long": "x" * 20_000, "many": {f"p{i}": i for i in range(250)}}
+    long = record(parameters=parameters, tags={"long": "y" * 20_000}, files=files, status="KILLED")
+    assert track(long, settings) == []
+    logged = Logged(settings)
+    assert logged.run.info.status == "KILLED"
+    assert {"files/metrics.json", "files/b/metrics.json"} <= logged.files().keys()
+    assert len(logged.run.data.params) == 251
+    assert logged.run.data.params["long"].endswith("xxx...")
+    assert logged.run.data.tags["long"].endswith("yyy...")
+    assert "x" * 20_000 in logged.files()["config.yaml"].read_text()
 
 
 def test_disabled_tracking_does_nothing(tmp_path: Path) -> None:
@@ -222,9 +199,6 @@ def test_disabled_tracking_does_nothing(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-# What can't be logged
-
-
 def test_values_that_are_not_finite_are_named(settings: TrackingSettings) -> None:
     history = [{"step": 0, "loss": 1.0}, {"step": 1, "loss": float("nan")}]
     (problem,) = track(record(metrics={"good": 1.0, "bad": float("inf")}, history=history), settings)
@@ -233,34 +207,17 @@ def test_values_that_are_not_finite_are_named(settings: TrackingSettings) -> Non
 
 
 def test_a_part_that_fails_does_not_take_the_others_with_it(settings: TrackingSettings, tmp_path: Path) -> None:
-    problems = track(
-        record(files=[tmp_path / "gone.csv"], model=tmp_path / "no model", metrics={"good": 1.0}), settings
+    gone = record(
+        files=[tmp_path / "gone.csv"], model=tmp_path / "no model", tags={"good": "x"}, metrics={"bad": "three"}
     )
-    assert [problem.partition(" of stage")[0] for problem in problems] == [
+    assert [problem.partition(" of stage")[0] for problem in track(gone, settings)] == [
         "MLflow does not have the model",
+        "MLflow does not have the metrics",
         f"MLflow does not have the file {tmp_path / 'gone.csv'}",
     ]
     run = Logged(settings).run
-    assert run.data.metrics == {"good": 1.0}
+    assert run.data.tags["good"] == "x"
     assert run.info.status == "FINISHED"
-
-
-def test_values_of_a_wrong_kind_do_not_raise(settings: TrackingSettings) -> None:
-    (problem,) = track(record(metrics={"bad": "three"}), settings)
-    assert problem.startswith("MLflow does not have the metrics of stage 'train'")
-    assert Logged(settings).run.info.status == "FINISHED"
-
-
-def test_parts_are_given_up_once_failures_have_taken_the_time() -> None:
-    def slow_failure() -> None:
-        time.sleep(0.02)
-        raise OSError("no answer")
-
-    parts = tracker._Parts("train", patience_seconds=0.01)
-    parts.log("the metrics", slow_failure)
-    parts.log("the history", lambda: pytest.fail("tried"))
-    assert parts.problems == ["MLflow does not have the metrics of stage 'train': no answer."]
-    assert parts.not_tried == ["the history"]
 
 
 def test_interrupt_passes_through_and_marks_the_run(
@@ -269,7 +226,7 @@ def test_interrupt_passes_through_and_marks_the_run(
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(tracker, "_log_history", interrupt)
+    monkeypatch.setattr(tracker, "collect_history", interrupt)
     with pytest.raises(KeyboardInterrupt):
         track(record(), settings)
     assert Logged(settings).run.info.status == "KILLED"
@@ -404,9 +361,6 @@ def test_two_processes_make_a_fresh_database_together(tmp_path: Path) -> None:
     assert not list(tmp_path.glob("mlflow.db-new*"))
 
 
-# The model
-
-
 @pytest.fixture(scope="session")
 def model_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A network with two bearings of its own, saved as the train stage saves it."""
@@ -431,7 +385,6 @@ def model_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_logged_model_predicts_in_a_new_process(settings: TrackingSettings, model_folder: Path, tmp_path: Path) -> None:
-    """It needs neither this checkout nor the folder it was logged from."""
     from pipeline.identification.storage import load_model
 
     folder = shutil.copytree(model_folder, tmp_path / "model")
@@ -460,7 +413,7 @@ def test_logged_model_predicts_in_a_new_process(settings: TrackingSettings, mode
     assert done.returncode == 0, done.stderr
     *tables, package = done.stdout.splitlines()
     assert not Path(package).is_relative_to(CHECKOUT), "the model brings its own code"
-    expected = coefficient_table(load_model(model_folder), np.array([1500.0, 3000.0]))
+    expected = tabulate_coefficients(load_model(model_folder), np.array([1500.0, 3000.0]))
     assert len(tables) == 2
     for text in tables:
         table = json.loads(text)
@@ -506,111 +459,3 @@ def test_model_is_logged_without_a_look_through_all_packages(
     assert track(record(model=model_folder), settings) == []
     assert requirements_utils._PACKAGES_TO_MODULES is None
     assert environment.warn_dependency_requirement_mismatches is check
-
-
-def test_table_of_bearings_with_different_coefficients() -> None:
-    class Stub:
-        def coefficients(self, speeds: np.ndarray) -> dict[int, dict[str, np.ndarray]]:
-            return {3: {"cxx": speeds, "kxx": 2 * speeds}, 7: {"kxx": 5 * speeds}}
-
-    table = coefficient_table(Stub(), np.array([30.0, 60.0]))
-    assert list(table.columns) == ["bearing_node", "speed_rpm", "kxx", "cxx"]
-    assert list(table["bearing_node"]) == [3, 3, 7, 7]
-    assert list(table["speed_rpm"]) == [30.0, 60.0, 30.0, 60.0]
-    np.testing.assert_allclose(table["kxx"] / np.pi, [2, 4, 5, 10])
-    np.testing.assert_allclose(table["cxx"] / np.pi, [1, 2, np.nan, np.nan])
-
-
-# Names, numbers, provenance, silence
-
-
-def test_parameters_read_like_overrides() -> None:
-    parameters = {
-        "a": {"b": {"c": 1.5, "d": True}, "empty": {}},
-        "path": Path("x/y"),
-        "array": np.array([1, 2]),
-        "uri": "postgresql://anna:secret@host/db",
-        "odd key!": (1, None),
-    }
-    assert flat_parameters(parameters) == {
-        "a.b.c": "1.5",
-        "a.b.d": "true",
-        "a.empty": "{}",
-        "path": "x/y",
-        "array": "[1, 2]",
-        "uri": "postgresql://anna:***@host/db",
-        "odd key_": "[1, null]",
-    }
-    assert flat_parameters({}) == {}
-
-
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    [
-        ("kxx/mean [%]", "kxx/mean ___"),
-        ("/root", "root"),
-        ("a//b/../c", "a/b/c"),
-        ("", "_"),
-        ("ω", "ω"),
-        ("n" * 300, "n" * 250),
-    ],
-)
-def test_names(name: str, expected: str, quiet: None) -> None:
-    from mlflow.utils.validation import _validate_metric_name
-
-    assert name_of(name) == expected
-    _validate_metric_name(expected)
-
-
-def test_limits_are_those_of_mlflow(quiet: None) -> None:
-    from mlflow.utils import validation
-
-    assert NAME_LENGTH == validation.MAX_ENTITY_KEY_LENGTH
-    assert PARAMETER_LENGTH == validation.MAX_PARAM_VAL_LENGTH
-    assert TAG_LENGTH == validation.MAX_TAG_VAL_LENGTH
-    assert tracker._METRICS_A_BATCH == validation.MAX_METRICS_PER_BATCH
-    assert tracker._PARAMETERS_A_BATCH == validation.MAX_PARAMS_TAGS_PER_BATCH
-
-
-def test_history_row_without_step_is_an_error() -> None:
-    with pytest.raises(KeyError):
-        history_metrics([{"loss": 1.0}], STARTED, ENDED)
-
-
-def test_passwords_are_masked() -> None:
-    assert without_password("at http://a:b@h:1 and x://c:d@e") == "at http://a:***@h:1 and x://c:***@e"
-    assert without_password("http://host:5000/a@b") == "http://host:5000/a@b"
-
-
-@pytest.mark.skipif(shutil.which("git") is None, reason="needs git")
-def test_provenance_of_a_repository(tmp_path: Path) -> None:
-    def git(*arguments: str) -> None:
-        identity = ["-c", "user.name=n", "-c", "user.email=e", "-c", "commit.gpgsign=false"]
-        subprocess.run(["git", *identity, "-C", str(tmp_path), *arguments], check=True, capture_output=True)
-
-    git("init", "-q")
-    assert "git.revision" not in provenance_tags(tmp_path), "no commit yet"
-    git("commit", "-q", "--allow-empty", "-m", "first")
-    tags = provenance_tags(tmp_path)
-    assert len(tags["git.revision"]) == 40
-    assert tags["git.dirty"] == "false"
-    (tmp_path / "new.py").touch()
-    assert provenance_tags(tmp_path)["git.dirty"] == "true"
-
-
-def test_provenance_without_git(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert not [name for name in provenance_tags(tmp_path / "gone") if name.startswith("git.")]
-    monkeypatch.setenv("PATH", str(tmp_path))
-    assert not [name for name in provenance_tags(CHECKOUT) if name.startswith("git.")]
-
-
-def test_surroundings_are_put_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("MLFLOW_HTTP_REQUEST_TIMEOUT", "77")
-    monkeypatch.delenv("MLFLOW_HTTP_REQUEST_MAX_RETRIES", raising=False)
-    with quiet_mlflow(4.0):
-        level = logging.getLogger("mlflow").level
-        assert os.environ["MLFLOW_HTTP_REQUEST_TIMEOUT"] == "2"
-    assert os.environ["MLFLOW_HTTP_REQUEST_TIMEOUT"] == "77"
-    assert "MLFLOW_HTTP_REQUEST_MAX_RETRIES" not in os.environ
-    assert logging.getLogger("mlflow").level < level
-    assert os.environ["MLFLOW_DISABLE_TELEMETRY"] == "true"

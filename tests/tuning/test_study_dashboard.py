@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from running import FEW_SPEEDS
 
 from pipeline.config.compose import compose_config
 from pipeline.config.schema import Config
@@ -27,7 +28,7 @@ pytestmark = pytest.mark.slow
 STUDY = [
     "experiment=ball_bearing",
     "stage=tune",
-    *(f"machine.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=500")),
+    *FEW_SPEEDS,
     # So few steps that the losses of the trials differ.
     *("optimizer.adam.steps=60", "optimizer.levenberg_marquardt.steps=3"),
     *("tuning.space.adam_epochs.high=150", "tuning.space.lbfgs_epochs.high=40"),
@@ -63,9 +64,6 @@ def studied(tmp_path_factory: pytest.TempPathFactory) -> Studied:
     study = optuna.load_study(study_name=config.tuning.study, storage=open_storage(config.tuning))
     assert len({trial.value for trial in study.get_trials()}) > 5
     return Studied(config, study)
-
-
-# --- Optuna's dashboard ----------------------------------------------------------------------------
 
 
 Data = Callable[[str], Any]
@@ -121,9 +119,6 @@ def test_the_dashboard_has_the_study(dashboard: Data, studied: Studied) -> None:
         assert {"outcome", "epochs", "held_out_loss", "training_seconds"} <= attributes
     (default,) = (a["value"] for a in detail["trials"][0]["user_attrs"] if a["key"] == "note")
     assert default == "the configured default"
-
-
-# --- MLflow ----------------------------------------------------------------------------------------
 
 
 @pytest.fixture

@@ -13,30 +13,37 @@ import subprocess
 import tempfile
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import at_night
 
 from pipeline.errors import StorageError
 from pipeline.tuning.attempts import REPEATS
 from pipeline.tuning.parallel import run_study
 from pipeline.tuning.study import StudyProblem
-from studies import ALONE, Forks, Told, finished, refused, silent, stored, told, trials_of, wait_until, with_tuning
+from studies import (
+    ALONE,
+    Forks,
+    Make,
+    Undisturbed,
+    finished,
+    refused,
+    silent,
+    stored,
+    told,
+    trials_of,
+    wait_until,
+    with_tuning,
+)
 
 pytestmark = pytest.mark.slow
 
 PASSWORD = "pass:wo/rd"
 """With characters that a URL gives another meaning."""
-Make = Callable[..., StudyProblem]
-Undisturbed = Callable[..., list[Told]]
-
-
-# --- PostgreSQL ------------------------------------------------------------------------------------
 
 
 @dataclass
@@ -166,18 +173,16 @@ def server() -> Iterator[Server]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-# --- workers that die ------------------------------------------------------------------------------
-
-
-@pytest.fixture(params=["postgresql", *at_night("sqlite")])
-def database(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+@pytest.fixture
+def database(kind: str, request: pytest.FixtureRequest, tmp_path: Path) -> str:
     """The URL of an empty database of each kind."""
-    if request.param == "sqlite":
+    if kind == "sqlite":
         return f"sqlite:///{tmp_path}/shared.db"
     server: Server = request.getfixturevalue("server")
     return server.database()
 
 
+@pytest.mark.parametrize("kind", ["postgresql"])
 def test_a_killed_worker_loses_no_trial(database: str, start: Forks, make: Make, undisturbed: Undisturbed) -> None:
     """Of three workers one gets SIGKILL in mid-trial: another repeats that very trial, and all others are there."""
     problem = make(**ALONE, storage=database)
@@ -194,29 +199,7 @@ def test_a_killed_worker_loses_no_trial(database: str, start: Forks, make: Make,
     assert repeat.intermediate_values.items() >= before.intermediate_values.items()
 
 
-@pytest.mark.nightly
-def test_a_slow_machine_keeps_its_trial(server: Server, start: Forks, make: Make, undisturbed: Undisturbed) -> None:
-    """A worker keeps its trial as long as it gives heartbeats; one that stood still, as a laptop that slept, has lost
-    it when it wakes up: its result changes nothing, and it ends well."""
-    problem = make(**ALONE, storage=server.database(), n_trials=4)
-    far = start(problem, halts=True)
-    number = far.halt()
-    near = start(problem)
-    wait_until(lambda: len(told(problem)) == 3)
-    time.sleep(4.0)  # longer than the three heartbeats after which a worker is given up
-    assert trials_of(problem)[number].state.name == "RUNNING"
-    far.signal(signal.SIGSTOP)
-    assert (near.end(), near.said) == (0, "")
-    assert finished(problem) == undisturbed(**ALONE)[:4]
-    far.go_on()
-    far.signal(signal.SIGCONT)
-    assert (far.end(), far.said) == (0, "")
-    assert finished(problem) == undisturbed(**ALONE)[:4]
-
-
-# --- several machines at once ----------------------------------------------------------------------
-
-
+@pytest.mark.parametrize("kind", ["postgresql"])
 def test_machines_that_make_a_study_together(database: str, start: Forks, make: Make, undisturbed: Undisturbed) -> None:
     """Into an empty database, at the same moment: one makes the tables and the study, and all work on it."""
     problem = make(**ALONE, storage=database)
@@ -239,9 +222,6 @@ def test_the_same_study_in_every_kind_of_storage(server: Server, make: Make, und
         _, sentences = run_study(make(storage=storage, n_trials=total), silent)
         assert sentences == []
     assert finished(make(storage=storage, n_trials=5)) == undisturbed()[:5]
-
-
-# --- what is wrong with a database -----------------------------------------------------------------
 
 
 def test_a_database_that_can_not_be_used_is_one_sentence(server: Server, cheap: StudyProblem) -> None:
@@ -272,26 +252,3 @@ def test_a_server_that_never_answers(cheap: StudyProblem) -> None:
         url = f"postgresql+psycopg://study:secret@127.0.0.1:{listening.getsockname()[1]}/x"
         with refused("tuning.storage must", kind=StorageError):
             run_study(with_tuning(cheap, storage=url, timeout_seconds=3.0), silent)
-
-
-@pytest.mark.nightly
-def test_a_server_that_stops_in_the_middle(server: Server, start: Forks, make: Make, undisturbed: Undisturbed) -> None:
-    """Both workers of a command end with one sentence; when the server is back, the study goes on where it was."""
-    problem = make(**ALONE, storage=server.database(), workers=2, timeout_seconds=3.0)
-    worker = start(problem, halts=True)
-    worker.halt()
-    wait_until(lambda: told(problem))
-    server.stop()
-    try:
-        time.sleep(1.5)  # a heartbeat finds nobody
-        worker.go_on()
-        assert worker.end() == 2
-    finally:
-        server.start()
-    said = worker.said
-    assert "tuning.storage must be a database that can be used, but 'postgresql+psycopg://study:***@" in said
-    assert said.endswith("No finished trial is lost; the same command goes on\n")
-    assert said.count("\n") == 1, said
-    again = start(with_tuning(problem, workers=1))
-    assert (again.end(), again.said) == (0, "")
-    assert finished(problem) == undisturbed(**ALONE)

@@ -14,17 +14,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import psutil
 import pytest
-from conftest import at_night
 
 from pipeline.__main__ import main
 from pipeline.errors import ConfigError
 from pipeline.identification.outcome import Outcome
 from pipeline.tuning import worker
-from pipeline.tuning.attempts import REPEATS, attempts, repeat_stopped
+from pipeline.tuning.attempts import REPEATS, list_attempts, repeat_stopped
 from pipeline.tuning.parallel import run_study
-from pipeline.tuning.space import default_parameters
+from pipeline.tuning.space import find_default
 from pipeline.tuning.study import StudyProblem, open_study
 from studies import (
     ALONE,
@@ -33,7 +31,9 @@ from studies import (
     PYTHON,
     TRIALS,
     Forks,
-    Told,
+    Make,
+    Undisturbed,
+    ended,
     finished,
     lengthen,
     refused,
@@ -47,12 +47,6 @@ from studies import (
 )
 
 pytestmark = pytest.mark.slow  # it trains, or starts processes
-
-Make = Callable[..., StudyProblem]
-Undisturbed = Callable[..., list[Told]]
-
-
-# --- stopped again and again ----------------------------------------------------------------------------
 
 
 def stop_again_and_again(start: Forks, problem: StudyProblem, number: int, rng: np.random.Generator) -> int:
@@ -77,7 +71,7 @@ def test_a_study_that_is_undisturbed_has_trials_of_every_kind(undisturbed: Undis
     """What the studies of this file are compared with: complete and pruned trials, all of them different."""
     trials = undisturbed()
     assert len(trials) == TRIALS
-    assert trials[0][2] == default_parameters(cheap.config)
+    assert trials[0][2] == find_default(cheap.config)
     assert {state for _, state, *_ in trials} == {"COMPLETE", "PRUNED"}
     assert len({value for _, _, _, value, _, _ in trials}) == TRIALS
     assert all(curve for *_, curve, _ in trials)
@@ -87,8 +81,6 @@ def test_a_study_that_is_undisturbed_has_trials_of_every_kind(undisturbed: Undis
     ("number", "sampler"),
     [
         (signal.SIGKILL, "tpe"),
-        *(pytest.param(signal.SIGKILL, sampler, marks=pytest.mark.nightly) for sampler in ("random", "gp")),
-        *(pytest.param(signal.SIGINT, sampler, marks=pytest.mark.nightly) for sampler in ("tpe", "gp")),
     ],
 )
 def test_a_study_that_is_stopped_at_random_moments_ends_as_if_it_had_not_been(
@@ -109,9 +101,6 @@ def test_the_number_of_trials_is_the_total(make: Make, undisturbed: Undisturbed)
         run_study(make(n_trials=total), silent)
         assert told(make())[:total] == undisturbed()[:total]
     assert len(trials_of(make())) == 9
-
-
-# --- the law on repeats ----------------------------------------------------------------------------------
 
 
 def test_a_stopped_trial_is_repeated_at_its_place(make: Make) -> None:
@@ -136,7 +125,7 @@ def test_a_stopped_trial_is_repeated_at_its_place(make: Make) -> None:
     ask().set_user_attr("worker", "x")  # number 3, beyond the total
     study.tell(ask(), state=optuna.trial.TrialState.FAIL)  # number 4, a repeat that is stopped as well
     assert [trial.number for trial in repeat_stopped(study, config)] == [0, 6, 7]
-    assert [trial.number for trial in attempts(study)] == [0, 6, 7, 3]
+    assert [trial.number for trial in list_attempts(study)] == [0, 6, 7, 3]
 
 
 def test_a_trial_that_died_before_its_first_heartbeat_is_repeated(make: Make, undisturbed: Undisturbed) -> None:
@@ -148,9 +137,6 @@ def test_a_trial_that_died_before_its_first_heartbeat_is_repeated(make: Make, un
     run_study(problem, silent)
     assert finished(problem) == undisturbed()[:2]
     assert [trial.state.name for trial in trials_of(problem)] == ["FAIL", "COMPLETE", "COMPLETE"]
-
-
-# --- what a study was made from -------------------------------------------------------------------------
 
 
 def _with_space(problem: StudyProblem, **dimensions: Any) -> StudyProblem:
@@ -207,7 +193,6 @@ CHANGES: dict[str, tuple[Callable[[StudyProblem], StudyProblem], list[str]]] = {
 
 
 def test_a_study_of_something_else_is_refused(make: Make) -> None:
-    """The sentence names the part that changed, and the study stays as it is."""
     problem = make(n_trials=1)
     run_study(problem, silent)
     before = told(problem)
@@ -219,7 +204,6 @@ def test_a_study_of_something_else_is_refused(make: Make) -> None:
 
 
 def test_what_is_done_with_the_trials_may_change(make: Make) -> None:
-    """The number of finalists, workers and such belong to no trial: the study goes on."""
     run_study(make(n_trials=1), silent)
     run_study(make(n_trials=2, finalists=7, seeds=(5,), least_gain=3.0, changed="restart"), silent)
     assert len(trials_of(make())) == 2
@@ -238,45 +222,6 @@ def test_restart_begins_a_changed_study_again(make: Make) -> None:
     assert told(make()) == told(make(study="new"))
 
 
-# --- several processes -----------------------------------------------------------------------------------
-
-
-@pytest.mark.nightly
-def test_two_processes_that_make_one_study_at_once(
-    start: Forks, make: Make, undisturbed: Undisturbed, tmp_path: Path
-) -> None:
-    """Into no file at all: there is one default trial, the total is exact, and no trial is run twice."""
-    workers = []
-    for attempt in range(4):
-        problem = make(**ALONE, storage=f"sqlite:///{tmp_path}/{attempt}.db")
-        begins = time.time() + 0.2
-        runners = [start(problem, begins=begins) for _ in range(2)]
-        assert [(runner.end(), runner.said) for runner in runners] == [(0, "")] * 2
-        assert finished(problem) == undisturbed(**ALONE)
-        results = [trial for trial in trials_of(problem) if trial.state.name == "COMPLETE"]
-        assert len(results) == TRIALS
-        workers.append(len({trial.user_attrs["worker"] for trial in results}))
-    assert max(workers) == 2
-
-
-@pytest.mark.nightly
-def test_three_processes_of_which_any_dies_at_any_time(
-    start: Forks, make: Make, undisturbed: Undisturbed, rng: np.random.Generator
-) -> None:
-    """Each is started again where it dies; together they find what one alone would have found."""
-    problem = make(**ALONE, n_trials=30)
-    runners = [start(problem) for _ in range(3)]
-    for _ in range(6):
-        time.sleep(rng.uniform(0.5, 2.0))
-        first = runners.pop(0)
-        if first.ended is None and psutil.pid_exists(first.pid):
-            first.signal(signal.SIGKILL)
-        first.end()
-        runners.append(start(problem))
-    assert [(runner.end(), runner.said) for runner in runners] == [(0, "")] * 3
-    assert finished(problem) == undisturbed(**ALONE, n_trials=30)
-
-
 def at_work(problem: StudyProblem, pids: set[int]) -> Any:
     """A trial on which one of these processes works, in the middle of its training."""
     for trial in trials_of(problem):
@@ -286,9 +231,8 @@ def at_work(problem: StudyProblem, pids: set[int]) -> Any:
     return None
 
 
-@pytest.mark.parametrize("workers", [2, *at_night(3)])
+@pytest.mark.parametrize("workers", [2])
 def test_the_trial_of_a_worker_that_dies_is_taken_over(workers: int, start: Forks, make: Make) -> None:
-    """The others repeat it with its parameters, and the run says that a worker ended."""
     problem = lengthen(make(**ALONE, n_trials=5, workers=workers))
     runner = start(problem, others=workers - 1)
     pids = wait_until(lambda: {w.pid for w in runner.workers()} if len(runner.workers()) == workers - 1 else None)
@@ -304,27 +248,7 @@ def test_the_trial_of_a_worker_that_dies_is_taken_over(workers: int, start: Fork
     assert len(trials_of(problem)) == 6
 
 
-def ended(processes: list[psutil.Process]) -> bool:
-    """Whether none of them runs any more; one that nobody waited for is a zombie."""
-    return not any(p.is_running() and p.status() != psutil.STATUS_ZOMBIE for p in processes)
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("steps", [1000, 10**6], ids=["short", "no point of a curve for minutes"])
-def test_workers_end_with_the_process_that_started_them(steps: int, start: Forks, make: Make) -> None:
-    """After SIGKILL of the parent they are gone within seconds, and their trials stop."""
-    problem = lengthen(make(**ALONE, n_trials=4, workers=2), steps, last=2)
-    runner = start(problem, others=1)
-    workers = wait_until(runner.workers)
-    wait_until(lambda: sum("adam" in t.params for t in trials_of(problem) if t.state.name == "RUNNING") == 2)
-    runner.kill()
-    wait_until(lambda: ended(workers), 10)
-    study, config = open_study(problem), problem.config.tuning
-    wait_until(lambda: "RUNNING" not in {trial.state.name for trial in repeat_stopped(study, config)})
-
-
-@pytest.mark.parametrize("whole_group", [True, *at_night(False)], ids=["the group", "the parent alone"])
-@pytest.mark.parametrize("moment", ["in a trial", *at_night("at the start")])
+@pytest.mark.parametrize(("moment", "whole_group"), [("in a trial", True)])
 def test_ctrl_c_stops_every_worker(moment: str, whole_group: bool, start: Forks, make: Make) -> None:
     """Whoever gets the signal, all end without a word of Python's, and every trial is finished or stopped."""
     count = 2 if moment == "in a trial" else 3
@@ -341,9 +265,6 @@ def test_ctrl_c_stops_every_worker(moment: str, whole_group: bool, start: Forks,
     assert ended(workers)
     assert runner.said == ""
     assert {trial.state.name for trial in trials_of(problem)} <= {"COMPLETE", "FAIL"}
-
-
-# --- trials that fail -------------------------------------------------------------------------------------
 
 
 def failing(monkeypatch: pytest.MonkeyPatch, at: int, fail: Callable[[Any], Any]) -> None:
@@ -403,7 +324,6 @@ def test_a_trial_that_fails_says_why_and_the_study_goes_on(
 def test_a_bug_is_not_swallowed(
     bug: Exception, make: Make, monkeypatch: pytest.MonkeyPatch, undisturbed: Undisturbed
 ) -> None:
-    """It ends the study; the trial it was at is repeated when the bug is gone."""
     problem = make(n_trials=3)
     with monkeypatch.context() as patch:
         failing(patch, 1, _raises(bug))
@@ -429,9 +349,6 @@ def test_a_trial_that_another_worker_took_over_changes_nothing(make: Make, undis
     assert asked
     assert finished(problem) == undisturbed()[:3]
     assert [trial.user_attrs.get(REPEATS) for trial in trials_of(problem)] == [None, None, 1, None]
-
-
-# --- the command line -----------------------------------------------------------------------------------------
 
 
 def test_the_command_line_goes_on_where_it_was_interrupted(

@@ -23,7 +23,7 @@ from pipeline.config.compose import compose_config
 from pipeline.config.promotion import apply_values
 from pipeline.config.schema import Config
 from pipeline.errors import ConfigError, DataError
-from pipeline.tuning.space import applies, default_parameters, suggest, values_of
+from pipeline.tuning.space import applies, find_default, suggest, translate
 
 pytestmark = pytest.mark.slow  # it trains, or starts processes
 
@@ -40,15 +40,12 @@ def untuned(*overrides: str) -> Config:
     return compose_config([*overrides, NO_STUDY])
 
 
-# --- search space ------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", EXPERIMENTS)
 def test_trial_0_is_the_configured_default(name: str) -> None:
     """The default's parameters stand for the very configuration that they were read from."""
     config = untuned(f"experiment={name}")
-    parameters = default_parameters(config)
-    assert apply_values(config, values_of(config.tuning.space, parameters), "default") == config
+    parameters = find_default(config)
+    assert apply_values(config, translate(config.tuning.space, parameters), "default") == config
 
 
 class Draws:
@@ -82,7 +79,7 @@ def test_every_point_of_the_space_is_a_configuration(name: str, data: st.DataObj
     parameters = suggest(trial, space)
     assert trial.asked == list(parameters)
     assert [key for key in space if key in parameters] == [key for key in space if applies(space[key], parameters)]
-    made = apply_values(config, values_of(space, parameters), "trial")
+    made = apply_values(config, translate(space, parameters), "trial")
     for section in ("machine", "data", "identify", "tuning", "seed"):
         assert getattr(made, section) == getattr(config, section)
     assert made.training.holdout_every == config.training.holdout_every
@@ -110,20 +107,16 @@ def test_a_space_must_contain_the_default_and_fit_the_schema(overrides: list[str
     """Where it does not, a sentence says which dimension and what to do; where it does, nothing is said."""
     config = untuned("stage=tune", *overrides)
     if not words:
-        assert default_parameters(config)
+        assert find_default(config)
         return
     with pytest.raises(ConfigError, match=words):
-        default_parameters(config)
+        find_default(config)
 
 
 @pytest.mark.parametrize("name", ["adam", "adam_lbfgs", "adam_levenberg_marquardt", "levenberg_marquardt"])
 def test_each_optimizer_is_told_from_the_others(name: str) -> None:
-    """A default of any configured optimiser is the choice of that name."""
     high = "tuning.space.adam_epochs.high=5000"
-    assert default_parameters(untuned(f"optimizer={name}", high))["optimizer"] == name
-
-
-# --- samplers ----------------------------------------------------------------------------------------
+    assert find_default(untuned(f"optimizer={name}", high))["optimizer"] == name
 
 
 def _parabola(study: Any, config: Config) -> None:
@@ -140,35 +133,31 @@ def test_a_study_reopened_before_every_trial_draws_the_same(name: str) -> None:
     """The draws depend on seed, trial and parameter, not on how long the sampler has lived."""
     import optuna
 
-    from pipeline.tuning.samplers import seeded_sampler
+    from pipeline.tuning.samplers import make_sampler
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     config = untuned(f"tuning.sampler={name}", "tuning.startup_trials=4").tuning
-    at_once = optuna.create_study(sampler=seeded_sampler(config))
+    at_once = optuna.create_study(sampler=make_sampler(config))
     storage = optuna.storages.InMemoryStorage()
     optuna.create_study(storage=storage, study_name="x")
     for _ in range(12):
         _parabola(at_once, config)
-        _parabola(optuna.load_study(study_name="x", storage=storage, sampler=seeded_sampler(config)), config)
+        _parabola(optuna.load_study(study_name="x", storage=storage, sampler=make_sampler(config)), config)
     reopened = optuna.load_study(study_name="x", storage=storage)
     assert [t.params for t in reopened.trials] == [t.params for t in at_once.trials]
     assert len({tuple(t.params.values()) for t in at_once.trials}) == 12, "no point is drawn twice"
 
 
 def test_the_sampler_seed_matters() -> None:
-    """Another seed is another study."""
     import optuna
 
-    from pipeline.tuning.samplers import seeded_sampler
+    from pipeline.tuning.samplers import make_sampler
 
     first = []
     for seed in (0, 1):
-        study = optuna.create_study(sampler=seeded_sampler(untuned(f"tuning.sampler_seed={seed}").tuning))
+        study = optuna.create_study(sampler=make_sampler(untuned(f"tuning.sampler_seed={seed}").tuning))
         first.append(study.ask().suggest_float("x", 0, 1))
     assert first[0] != first[1]
-
-
-# --- promotion ---------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -217,7 +206,6 @@ def test_the_command_line_wins_over_promoted_values(study: Path, override: str, 
 
 
 def test_tuned_false_leaves_them_out(study: Path) -> None:
-    """The configured values, and nothing that breaks where the file is damaged."""
     (study / "best.yaml").write_text("{")
     assert compose_config([f"tuning.folder={study}", "tuned=false"]).model.width == 48
 
@@ -235,7 +223,6 @@ def test_tuned_false_leaves_them_out(study: Path) -> None:
     ],
 )
 def test_a_damaged_best_file_is_a_sentence(study: Path, text: str) -> None:
-    """It names the file and both ways out."""
     (study / "best.yaml").write_text(text)
     with pytest.raises(DataError, match=r"best\.yaml' must hold .*tuned=false"):
         compose_config([f"tuning.folder={study}"])
@@ -249,16 +236,12 @@ def test_promoted_values_of_another_kind_of_model_are_refused(study: Path) -> No
 
 
 def test_the_console_says_which_values_are_in_force(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Promoted and overridden ones, by key and value."""
     from pipeline.stages.train import say_promoted
 
     say_promoted(compose_config([f"tuning.folder={study}", "model.width=24"]))
     said = capsys.readouterr().out
     assert "study 'x' (trial 5) in force: model.activation=silu, training.tolerance=0.03" in said
     assert "given on the command line instead of tuned: model.width=24" in said
-
-
-# --- Chebyshev series --------------------------------------------------------------------------------
 
 
 def test_a_series_finds_coefficients_that_are_one(hydrostatic: Machine) -> None:
@@ -306,8 +289,6 @@ def test_the_held_out_loss_is_the_residual_of_the_equation_of_motion(hydrostatic
     assert numbers[0] == numbers[1]
 
 
-# --- a whole study -----------------------------------------------------------------------------------
-
 SMALL = [
     "experiment=ball_bearing",
     "tracking=none",
@@ -340,7 +321,6 @@ def small(folder: Path, *overrides: str) -> Config:
 
 
 def test_a_study_writes_what_a_person_reads(finished: Path) -> None:
-    """Values, tables, figures, a summary and a text that name the same trial."""
     study = finished / "study"
     summary = json.loads((study / "summary.json").read_text())
     best = yaml.safe_load((study / "best.yaml").read_text())
@@ -419,13 +399,10 @@ def test_samplers_are_compared_at_equal_budget(finished: Path, capsys: pytest.Ca
     assert re.search(r"tpe (beats|ends level with|does not beat) random in the median of 2 studies", said)
 
 
-# --- the choice --------------------------------------------------------------------------------------
-
-
 def _finalist(trial: int, *losses: float) -> Any:
     from pipeline.tuning.finalists import Finalist
 
-    return Finalist(trial, {"model.width": trial}, np.array(losses), None, None)
+    return Finalist(trial, {"model.width": trial}, np.array(losses), (), (), 0.0)
 
 
 @pytest.mark.parametrize(
@@ -466,7 +443,6 @@ def test_the_best_so_far_leaves_the_default_out() -> None:
 
 
 def test_speeds_are_held_out_inside_the_range() -> None:
-    """What trials are judged on is neither the first nor the last speed."""
     from pipeline.identification.training import held_out_speeds
 
     mask = held_out_speeds(591, untuned().training.holdout_every)
@@ -474,8 +450,6 @@ def test_speeds_are_held_out_inside_the_range() -> None:
     assert not mask[-1]
     assert mask.sum() == 59
 
-
-# --- the committed studies -----------------------------------------------------------------------------
 
 STUDIES = Path(__file__).parents[2] / "studies"
 
@@ -517,7 +491,6 @@ def test_a_study_from_the_papers_optimizer_is_three_times_more_accurate(name: st
 
 @pytest.mark.parametrize("name", ["hydrostatic_stiffness", "hydrostatic_damping"])
 def test_tpe_beat_random_search(name: str) -> None:
-    """In the median of five studies at equal budget, the default left out."""
     found = json.loads((STUDIES / name / "samplers.json").read_text())
     assert len(found["tpe"]["best_losses"]) == len(found["random"]["best_losses"]) == 5
     assert found["tpe"]["median_best_loss"] < found["random"]["median_best_loss"]

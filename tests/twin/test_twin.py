@@ -16,8 +16,8 @@ from pipeline.config.rotor import RotorConfig
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel, bearing_dof
 from pipeline.rotor.ross_adapter import assemble, ross_rotor
-from pipeline.twin.modes import WhirlModes, critical_speeds, stability_margin, whirl_modes
-from pipeline.twin.prediction import PredictedVibration, predict, time_curve
+from pipeline.twin.modes import WhirlModes, find_critical_speeds, find_modes, measure_stability
+from pipeline.twin.prediction import PredictedVibration, predict, sample_motion
 from pipeline.units import RAD_S_PER_RPM
 
 
@@ -31,15 +31,12 @@ def system(rotor: RotorModel, bearings: BearingTable, s: int) -> tuple[np.ndarra
     return stiffness, damping
 
 
-# --- modes ---------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", ["hydrostatic", "ball"])
 def test_modes_equal_those_of_the_dense_pencil(name: str, request: pytest.FixtureRequest) -> None:
     """Oracle: scipy's generalised eigenvalues of the pencil (A, B), no mass inverted, at three speeds."""
     machine = request.getfixturevalue(name)
     picked = machine.bearings.at(np.array([0, 7, 24]))
-    modes = whirl_modes(machine.rotor, picked, count=6)
+    modes = find_modes(machine.rotor, picked, count=6)
     n, mass = machine.rotor.n_dof, machine.rotor.mass
     for s in range(3):
         stiffness, damping = system(machine.rotor, picked, s)
@@ -64,7 +61,7 @@ def test_modes_equal_those_of_ross(name: str, request: pytest.FixtureRequest) ->
     """
     machine = request.getfixturevalue(name)
     s = 12
-    modes = whirl_modes(machine.rotor, machine.bearings.at(np.array([s])), count=6)
+    modes = find_modes(machine.rotor, machine.bearings.at(np.array([s])), count=6)
     rotor = ross_rotor(machine.config.machine.rotor, machine.config.machine.bearings, machine.speeds)
     answer = rotor.run_modal(speed=float(machine.speeds[s]), sparse=False)
     every = answer.evalues[answer.evalues.imag > 1.0]
@@ -95,7 +92,7 @@ def test_rigid_rotor_on_soft_bearings() -> None:
     """Closed form of one degree of freedom: 2 k and 2 c under the mass m, w_d = w_n sqrt(1 - z^2),
     decrement 2 pi z / sqrt(1 - z^2), to 1e-3: the shaft is 1e4 times as stiff as the bearings."""
     rotor, k, c = rigid_rotor(), 1e5, 200.0
-    modes = whirl_modes(rotor, bearings_of((0, 2), np.array([1e-3]), kxx=k, kyy=k, cxx=c, cyy=c), count=2)
+    modes = find_modes(rotor, bearings_of((0, 2), np.array([1e-3]), kxx=k, kyy=k, cxx=c, cyy=c), count=2)
     natural = math.sqrt(2 * k / rotor.total_mass)
     ratio = 2 * c / (2 * rotor.total_mass * natural)
     np.testing.assert_allclose(modes.frequency[0], natural * math.sqrt(1 - ratio**2), rtol=1e-3)
@@ -108,7 +105,7 @@ def test_overdamped_modes_are_left_out() -> None:
     rotor, k = rigid_rotor(), 1e5
     critical = math.sqrt(2 * k * rotor.total_mass)
     table = bearings_of((0, 2), np.array([1e-3]), kxx=k, kyy=k, cxx=3 * critical, cyy=3 * critical)
-    everything = whirl_modes(rotor, table, count=rotor.n_dof)
+    everything = find_modes(rotor, table, count=rotor.n_dof)
     assert np.isnan(everything.frequency).any()
     assert (everything.frequency[~np.isnan(everything.frequency)] > 1e3).all()  # what is left bends the shaft
     assert everything.growth[0] < 0
@@ -118,15 +115,12 @@ def test_gyroscopic_splitting(hydrostatic: Machine) -> None:
     """Axisymmetric, undamped: W and -W give the same frequencies, and spin parts those of a pair."""
     rotor = hydrostatic.rotor
     table = bearings_of(rotor.bearing_nodes, np.array([0.0, 300.0, -300.0]), kxx=1e8, kyy=1e8)
-    still, forward, backward = whirl_modes(rotor, table, count=6).frequency
+    still, forward, backward = find_modes(rotor, table, count=6).frequency
     np.testing.assert_allclose(forward, backward, rtol=1e-8)
     np.testing.assert_allclose(still[::2], still[1::2], rtol=1e-6)
     assert (forward[0::2] < still[0::2] * (1 + 1e-9)).all()
     assert (forward[1::2] > still[1::2] * (1 - 1e-9)).all()
     assert (forward[1::2] / forward[0::2] - 1 > 1e-3).any()
-
-
-# --- critical speeds -----------------------------------------------------------------------------
 
 
 def test_critical_speeds_of_the_ball_bearing_rotor(machine: MachineFactory) -> None:
@@ -141,7 +135,7 @@ def test_critical_speeds_of_the_ball_bearing_rotor(machine: MachineFactory) -> N
     inverses = scipy.linalg.eigh(made.rotor.mass - 1j * made.rotor.gyroscopic, stiffness, eigvals_only=True)
     direct = 1 / np.sqrt(inverses[inverses > 0])
     expected = np.sort(direct[direct < made.speeds[-1]])
-    found = critical_speeds(whirl_modes(made.rotor, made.bearings))
+    found = find_critical_speeds(find_modes(made.rotor, made.bearings))
     assert len(found) == len(expected) == 2
     np.testing.assert_allclose([critical.speed for critical in found], expected, rtol=1e-5)
     assert all(3700 < critical.speed / RAD_S_PER_RPM < 3900 for critical in found)
@@ -167,7 +161,7 @@ def made_modes(speeds: np.ndarray, *lines: np.ndarray) -> WhirlModes:
 def test_crossings_of_straight_lines_are_exact(constant: float, slope: float, count: int) -> None:
     """A frequency a + b W meets W at a / (1 - b); linear interpolation is exact on a line."""
     speeds = np.linspace(0.5, 300.0, count) + 1e-4 * math.pi
-    found = critical_speeds(made_modes(speeds, constant + slope * speeds))
+    found = find_critical_speeds(made_modes(speeds, constant + slope * speeds))
     assert [critical.speed for critical in found] == [pytest.approx(constant / (1 - slope), rel=1e-9)]
     assert found[0].logarithmic_decrement == pytest.approx(1e-3 * found[0].speed)
 
@@ -178,24 +172,20 @@ def test_lines_that_jump_or_miss_make_no_critical_speed() -> None:
     above, below = np.full(10, 200.0), np.full(10, 5.0)
     jumping = np.where(speeds < 55, 40.0 + speeds, 20.0)
     missing = np.full(10, np.nan)
-    assert critical_speeds(made_modes(speeds, below, jumping, above, missing)) == []
+    assert find_critical_speeds(made_modes(speeds, below, jumping, above, missing)) == []
 
 
 @pytest.mark.parametrize("critical", [10.0, 50.0, 90.0])
 def test_speed_exactly_on_the_line(critical: float) -> None:
     """A speed of the table that is itself critical counts once, also the first and the last."""
     speeds = np.arange(10.0, 100.0, 10.0)
-    found = critical_speeds(made_modes(speeds, np.full(9, critical)))
+    found = find_critical_speeds(made_modes(speeds, np.full(9, critical)))
     assert [one.speed for one in found] == [pytest.approx(critical)]
     assert found[0].logarithmic_decrement == pytest.approx(1e-3 * critical)
 
 
 def test_one_speed_has_no_crossing() -> None:
-    """A measurement at a single speed tells of no crossing, and breaks nothing."""
-    assert critical_speeds(made_modes(np.array([50.0]), np.array([60.0]))) == []
-
-
-# --- stability -----------------------------------------------------------------------------------
+    assert find_critical_speeds(made_modes(np.array([50.0]), np.array([60.0]))) == []
 
 
 @pytest.mark.parametrize(("share", "stable"), [(0.0, True), (0.95, True), (1.05, False), (-1.05, False)])
@@ -207,7 +197,7 @@ def test_stability_threshold_of_cross_coupling(share: float, stable: bool) -> No
     rotor, k, c = rigid_rotor(), 1e5, 200.0
     s = share * c * math.sqrt(2 * k / rotor.total_mass)
     table = bearings_of((0, 2), np.array([40.0, 100.0, 250.0]), kxx=k, kyy=k, kxy=s, kyx=-s, cxx=c, cyy=c)
-    margin = stability_margin(whirl_modes(rotor, table))
+    margin = measure_stability(find_modes(rotor, table))
     assert margin.stable is stable
     assert (margin.largest_growth < 0) is stable
     assert (margin.smallest_logarithmic_decrement > 0) is stable
@@ -217,23 +207,20 @@ def test_stability_threshold_of_cross_coupling(share: float, stable: bool) -> No
 def test_modelled_machines_are_stable(experiment: str, machine: MachineFactory) -> None:
     """method.md, section 4: what is unstable can't be measured, so every experiment is stable."""
     made = machine(f"experiment={experiment}", "machine.speeds.step_rpm=100")
-    margin = stability_margin(whirl_modes(made.rotor, made.bearings))
+    margin = measure_stability(find_modes(made.rotor, made.bearings))
     assert margin.stable
     assert margin.smallest_logarithmic_decrement > 0
 
 
 def test_margin_says_where(hydrostatic: Machine) -> None:
     """The smallest decrement stands at its own speed, among the modes up to twice the top speed."""
-    modes = whirl_modes(hydrostatic.rotor, hydrostatic.bearings)
-    margin = stability_margin(modes)
+    modes = find_modes(hydrostatic.rotor, hydrostatic.bearings)
+    margin = measure_stability(modes)
     s = int(np.flatnonzero(modes.speeds == margin.at_speed)[0])
     assert margin.smallest_logarithmic_decrement in modes.logarithmic_decrement[s]
     below = modes.frequency <= 2 * modes.speeds.max()
     assert margin.smallest_logarithmic_decrement == modes.logarithmic_decrement[below].min()
     assert margin.largest_growth == modes.growth.max()
-
-
-# --- vibration -----------------------------------------------------------------------------------
 
 
 @given(
@@ -244,7 +231,7 @@ def test_margin_says_where(hydrostatic: Machine) -> None:
 def test_time_curve(amplitudes: list[float], phases: list[float], speed: float) -> None:
     """method.md, section 1: q(t) = Re(Q e^{jwt}) = |Q| cos(w t + phase), zero-to-peak, over two turns."""
     q = np.array(amplitudes) * np.exp(1j * np.array(phases))
-    time, curve = time_curve(q, speed)
+    time, curve = sample_motion(q, speed)
     assert time[0] == 0
     assert time[-1] == pytest.approx(2 * 2 * math.pi / speed)
     wanted = np.array(amplitudes) * np.cos(speed * time[:, None] + np.array(phases))

@@ -1,0 +1,209 @@
+"""Mistakes in overrides and values are sentences that name the key, the law and the nearest name."""
+
+from __future__ import annotations
+
+import contextlib
+from copy import deepcopy
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import examples
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline.config.compose import compose_config, compose_mapping, validate
+from pipeline.errors import ConfigError
+
+
+def test_overrides_win_over_the_experiment_and_the_last_of_two_wins() -> None:
+    config = compose_config(["seed=1", "experiment=nothing", "experiment=ball_bearing", "seed=2"])
+    assert (config.seed, config.name) == (2, "ball_bearing")
+
+
+@pytest.mark.parametrize(
+    ("override", "folder"),
+    [
+        ("output=my folder/x", "my folder/x"),
+        ("output='my (folder), x'", "my (folder), x"),
+        ('output="a/${name}"', "a/hydrostatic_stiffness"),
+        ('output="/tmp/ü/x"', "/tmp/ü/x"),
+    ],
+)
+def test_paths_with_spaces_and_quotes(override: str, folder: str) -> None:
+    assert compose_config([override]).output == folder
+
+
+def test_composing_leaves_hydra_as_it_was() -> None:
+    from hydra.core.global_hydra import GlobalHydra
+    from hydra.core.hydra_config import HydraConfig
+    from hydra.version import VersionBase
+    from packaging.version import Version
+
+    before, configured = VersionBase.instance().getbase(), HydraConfig.initialized()
+    VersionBase.instance().setbase(Version("1.2"))
+    try:
+        with pytest.raises(ConfigError):
+            compose_mapping(["nothing=3"])
+        assert not GlobalHydra.instance().is_initialized()
+        assert HydraConfig.initialized() == configured
+        assert VersionBase.instance().getbase() == Version("1.2")
+    finally:
+        VersionBase.instance().version_base = before
+
+
+def test_validated_takes_a_plain_mapping() -> None:
+    assert validate(_default() | {"seed": 4}).seed == 4
+
+
+FOREIGN = ("Traceback", "struct", "hydra.cc", "HYDRA_FULL_ERROR", "pydantic", "Input should")
+
+
+@cache
+def _default() -> dict[str, Any]:
+    return compose_mapping()
+
+
+OVERRIDES = [
+    (
+        ["experiment=ball_baering"],
+        ["a file in conf/experiment", "'ball_baering'", "did you mean 'ball_bearing'?"],
+    ),
+    (["experiment="], ["a file in conf/experiment", "known: all_coefficients"]),
+    (["experiment=null"], ["a file in conf/experiment", "but got null"]),
+    (["+experiment=ball_bearing"], ["write 'experiment=ball_bearing'"]),
+    (["model=konstant"], ["a file in conf/model", "did you mean 'constant'?"]),
+    (["machine=5"], ["a file in conf/machine", "but got 5"]),
+    (["hydra/launcher=nothing"], ["an installed Hydra plugin", "'nothing'"]),
+    (["optimizer.adam.stepz=3"], ["optimizer.adam has no 'stepz'", "did you mean 'steps'?"]),
+    (["optimzer=adam"], ["has no 'optimzer'", "did you mean 'optimizer'?"]),
+    (["adam.steps=3"], ["there is no 'adam.steps'", "did you mean 'optimizer.adam.steps'?"]),
+    (["seed.x=1"], ["seed is a single value", "give seed=VALUE"]),
+    (["machine.rotor.shaft.99.length=1"], ["machine.rotor.shaft has the items 0 to", "not '99'"]),
+    (["aa=1", "~optimizer.sgd"], ["has no 'aa'", "optimizer has no 'sgd'"]),
+    (["foo"], ["KEY=VALUE", "'foo'", "stage=train"]),
+    (["train"], ["KEY=VALUE", "did you mean 'stage=train'?"]),
+    (["=3"], ["KEY=VALUE", "'=3'"]),
+    (["seed=[1,2"], ["close its brackets", "'seed=[1,2'"]),
+    (["output=/tmp/a(b)"], ["""write 'output="/tmp/a(b)"'"""]),
+    (["seed=1,2"], ["one value for seed", "'1,2'", "add -m"]),
+    (["output=${nothing}"], ["output must refer to what exists", "'nothing'"]),
+    (["seed=???"], ["add seed=VALUE"]),
+]
+
+
+@pytest.mark.parametrize(("overrides", "fragments"), OVERRIDES)
+def test_sentences_for_overrides(overrides: list[str], fragments: list[str]) -> None:
+    with pytest.raises(ConfigError) as caught:
+        compose_mapping(overrides)
+    assert [fragment for fragment in fragments if fragment not in str(caught.value)] == []
+    assert [word for word in FOREIGN if word in str(caught.value)] == []
+
+
+VALUES = [
+    ({"stage": ""}, "stage must be one of the stages, but got ''"),
+    ({"stage": ["a"]}, "stage must be one of the stages, but got ['a']"),
+    ({"unknown": 1}, "unknown: must be a key that the schema knows"),
+    (
+        {"optimizer.adam.stepz": 1},
+        "optimizer.adam.stepz: must be a key that the schema knows, but 'stepz' is not; did",
+    ),
+    (
+        {"model.widht": 1},
+        "model.widht: must be a key that the schema knows, but 'widht' is not; did you mean 'width'?",
+    ),
+    ({"machine.rotor.shaft.0.lenght": 1}, "machine.rotor.shaft.0.lenght: must be a key"),
+    (
+        {"machine.rotor.shaft.0.length": "-3 mm"},
+        "machine.rotor.shaft.0.length: must be greater than 0, but got '-3 mm'",
+    ),
+    (
+        {"machine.rotor.shaft.0.length": "3 kg"},
+        "machine.rotor.shaft.0.length: must convert to m (such as 150 mm), but got '3 kg'",
+    ),
+    ({"seed": "x"}, "seed: must be a valid integer, but got 'x'"),
+    ({"seed": 1.5}, "seed: must be a valid integer, but got 1.5"),
+    ({"seed": None}, "seed: must be a valid integer, but got null"),
+    ({"identify.unknowns": []}, "identify.unknowns: must have at least 1 item"),
+    (
+        {"identify.unknowns": ["kxz"]},
+        "identify.unknowns.0: must be one of these, but got 'kxz'; did you mean",
+    ),
+    (
+        {"model.activation": "tnh"},
+        "model.activation: must be one of these, but got 'tnh'; did you mean 'tanh'?",
+    ),
+    (
+        {"machine.bearings.kind": "bal"},
+        "machine.bearings.kind: must be one of these, but got 'bal'; did you mean 'ball'?",
+    ),
+    ({"machine.bearings": {}}, "machine.bearings.kind: must be given, but is missing"),
+    ({"optimizer": {}}, "optimizer.adam: must be given, but is missing"),
+    ({"optimizer": "x" * 500}, "optimizer: must be a group of keys, but got 'xxxxx"),
+    ({"machine.bearings": 5}, "machine.bearings: must be a group of keys, but got 5"),
+    ({"identify.unknowns": "kxx"}, "identify.unknowns: must be a list, but got 'kxx'"),
+]
+
+
+def _changed(changes: dict[str, Any]) -> dict[str, Any]:
+    mapping = deepcopy(_default())
+    for path, value in changes.items():
+        *parents, last = path.split(".")
+        node: Any = mapping
+        for part in parents:
+            node = node[int(part)] if part.isdigit() else node[part]
+        node[last] = value
+    return mapping
+
+
+@pytest.mark.parametrize(("changes", "sentence"), VALUES)
+def test_sentences_for_values(changes: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        validate(_changed(changes))
+    assert sentence in str(caught.value)
+    assert [word for word in FOREIGN if word in str(caught.value)] == []
+    assert all(len(line) < 340 for line in str(caught.value).splitlines())
+
+
+def test_every_error_of_the_schema_has_a_line_of_its_own() -> None:
+    with pytest.raises(ConfigError) as caught:
+        validate(_changed({"seed": "x", "threads": 0, "loss.scaling": 5}))
+    *lines, last = str(caught.value).splitlines()
+    assert sorted(line.split(":")[0] for line in lines) == ["loss.scaling", "seed", "threads"]
+    assert "these 3 values" in last
+
+
+@pytest.mark.parametrize(
+    "changes", [{"identify.unknowns": ["kxz"]}, {"comparison.methods": ["kalmann"]}, {"comparison.noise": [2]}]
+)
+def test_a_wrong_item_does_not_make_its_list_too_short(changes: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError) as caught:
+        validate(_changed(changes))
+    assert "at least 1 item" not in str(caught.value)
+    assert str(caught.value).endswith(
+        "Correct this value; `python -m pipeline --cfg job` prints the whole configuration."
+    )
+
+
+def test_a_broken_file_in_conf_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "config.yaml").write_text("defaults: [_self_]\nseed: [1\n")
+    monkeypatch.setattr("pipeline.config.loader.CONF", tmp_path)
+    with pytest.raises(ConfigError, match=r"config\.yaml"):
+        compose_config([])
+    monkeypatch.setattr("pipeline.config.loader.CONF", tmp_path / "nothing")
+    with pytest.raises(ConfigError, match="conf/ must lie beside the package"):
+        compose_config([])
+
+
+@pytest.mark.slow
+@examples(12)
+@given(
+    key=st.sampled_from(
+        ["seed", "+seed", "~seed", "machine", "model.kind", "stage", "experiment", "machine.rotor.shaft.0", ""]
+    ),
+    value=st.sampled_from(["", "null", "[]", "[1]", "{a: 1}", "${machine}", "${"]) | st.text(max_size=8),
+)
+def test_any_override_composes_or_is_refused_with_a_sentence(key: str, value: str) -> None:
+    with contextlib.suppress(ConfigError):
+        compose_config([f"{key}={value}"])

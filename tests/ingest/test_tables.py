@@ -1,0 +1,344 @@
+"""Measured make_tables: conventions, layouts, probes and damage."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import refused
+from measured_files import CONVENTIONS, PROBES, Vectors, long, probes_config, table_config, wide
+from reading import DISC, GRID, ONE, RPM, RUNOUT, RUNS, TURNS, check_read, notes, read, seen, wide_runs
+
+from pipeline.config.measured import convert_phase
+from pipeline.data.tables import TextFormat, read_table
+from pipeline.data.vibration_files import write_excitation, write_vibration
+from pipeline.errors import ConfigError
+from pipeline.ingest.known import read_known
+
+
+def test_the_high_spot_of_a_stiff_rotor_is_where_the_unbalance_is(tmp_path: Path) -> None:
+    """Far below its critical speed a rotor leans towards its unbalance: probes say so by their lag, in all conventions.
+
+    The unbalance is at s on the shaft from the mark, with the rotation; the mark is at the tacho (T) at the pulse. The
+    probe at a sees its highest spot after a rotation of a - (T + s).
+    """
+    shaft, tacho = 25.0, 70.0
+    rows = {"speed": GRID}
+    for name, (_, angle) in PROBES.items():
+        rows[f"{name} amp"] = np.full(len(GRID), 10.0)
+        rows[f"{name} ph"] = np.full(len(GRID), (angle - (tacho + shaft)) % 360)
+    pd.DataFrame(rows).to_csv(tmp_path / "a.csv", index=False)
+    run = {"name": "a", "file": str(tmp_path / "a.csv"), "unbalances": [DISC | {"phase": f"{shaft} deg"}]}
+    dataset = read(table_config([run], shaft_angle="with_rotation", tacho={"angle": f"{tacho} deg"}))
+    (force,) = dataset.excitations
+    lean = dataset.displacement[0, :, 0]  # along the force e^{jp} [1, -j]
+    assert force.phase == pytest.approx(np.radians(tacho + shaft))
+    assert lean[:2] == pytest.approx(5e-6 * np.exp(1j * force.phase) * np.array([1, -1j]))
+    assert lean[2:] == pytest.approx(lean[:2])
+
+
+def test_angles_on_the_shaft() -> None:
+    assert convert_phase(0.3, "with_rotation", 1.0) == pytest.approx(1.3)
+    assert convert_phase(0.3, "against_rotation", 1.0) == pytest.approx(0.7)
+    assert convert_phase(0.3, "from_x", None) == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize("ending", [".csv", ".xlsx"])
+def test_wide_tables(ending: str, tmp_path: Path) -> None:
+    check_read(read(table_config(wide_runs(tmp_path, ending))))
+
+
+@pytest.mark.parametrize("ending", [".csv", ".xlsx"])
+def test_long_tables(ending: str, tmp_path: Path) -> None:
+    table = long({name: seen(turn) for name, turn in TURNS.items()} | {"spare": seen()}).sample(frac=1, random_state=1)
+    path = tmp_path / f"all{ending}"
+    table.to_excel(path, index=False) if ending == ".xlsx" else table.to_csv(path, index=False)
+    check_read(read(table_config(RUNS, "long", file=str(path), leave_out=["spare"])))
+
+
+def test_a_table_as_written_elsewhere(tmp_path: Path) -> None:
+    """Semicolons, decimal commas and lines before the header, said in the configuration."""
+    runs = wide_runs(tmp_path)
+    for run in runs:
+        path = Path(run["file"])
+        table = pd.read_csv(path)
+        path.write_text("made by: someone\n\n" + table.to_csv(sep=";", decimal=",", index=False))
+    said = {"delimiter": ";", "decimal": ",", "skip_rows": 2}
+    check_read(read(table_config(runs, csv=said)))
+
+
+def test_other_columns_in_one_run(tmp_path: Path) -> None:
+    runs = wide_runs(tmp_path)
+    path = Path(runs[1]["file"])
+    pd.read_csv(path).rename(columns={"A amp": "amplitude 1", "A ph": "phase 1"}).to_csv(path, index=False)
+    runs[1] |= {"columns": {"A": {"amplitude": "amplitude 1", "phase": "phase 1"}}}
+    check_read(read(table_config(runs)))
+
+
+def test_interpolation_to_common_speeds(tmp_path: Path) -> None:
+    """Runs at other speeds come to the grid, as complex numbers: through the turns of the phase, too."""
+    fine = {"one": seen(0.0, np.arange(450.0, 3100.0, 10.0)), "two": seen(1.1, np.arange(500.0, 3001.0, 12.5))}
+    section = table_config(wide_runs(tmp_path, **fine), speeds={"start_rpm": 500, "stop_rpm": 3000, "step_rpm": 250})
+    check_read(read(section), tolerance=1e-5)
+    check_read(read(section | {"interpolation": "linear"}), tolerance=2e-3)
+
+
+def test_uneven_speeds_are_not_swung_through(tmp_path: Path) -> None:
+    """Two rows at nearly one speed with different noise: no cubic overshoots between them."""
+    rpm = np.sort(np.append(np.arange(500.0, 3001.0, 100.0), 1500.001))
+    vectors = seen(0.0, rpm)
+    noisy = {name: v * np.where(rpm == 1500.001, 1.05, 1.0) for name, v in vectors.of.items()}
+    runs = wide_runs(tmp_path, one=Vectors(rpm, noisy), two=seen(1.1, rpm))
+    speeds = {"start_rpm": 500, "stop_rpm": 3000, "step_rpm": 50}
+    found = read(table_config(runs, speeds=speeds)).displacement[..., 0]
+    assert np.abs(found).max() < 1.1 * max(np.abs(v).max() for v in noisy.values()) * 2**0.5
+
+
+def test_speeds_that_are_nearly_the_same(tmp_path: Path) -> None:
+    """Without a grid, speeds of two runs are one where they differ by less than 0.1 %."""
+    runs = wide_runs(tmp_path, two=Vectors(GRID * 1.0004, seen(1.1).of))
+    assert read(table_config(runs)).speeds == pytest.approx(GRID * 1.0002 * RPM, rel=1e-9)
+
+
+Damage = Callable[[pd.DataFrame], pd.DataFrame | str]
+
+
+def put(column: str, value: object, row: int = 3) -> Damage:
+    """A change of one cell."""
+
+    def change(table: pd.DataFrame) -> pd.DataFrame:
+        table = table.astype({column: object})
+        table.loc[row, column] = value
+        return table
+
+    return change
+
+
+BAD_TABLES: dict[str, tuple[Damage, str, str]] = {
+    "NaN": (put("A amp", np.nan), "must have finite numbers in the column 'A amp'", "row 4"),
+    "infinite": (put("B ph", np.inf), "must have finite numbers in the column 'B ph'", "row 4"),
+    "text": (put("speed", "fast"), "must have finite numbers in the column 'speed'", "'fast'"),
+    "negative amplitude": (put("A amp", -2.0), "must have amplitudes of zero or more", "'A amp'"),
+    "no speed": (put("speed", 0.0), "must have speeds above zero", "0 rpm"),
+    "a speed twice": (put("speed", 500.0), "must have one row a speed, but 500 rpm is there twice", "average"),
+    "all rows twice": (lambda t: pd.concat([t, t]), "must have one row a speed", "twice"),
+    "a column under another name": (
+        lambda t: t.rename(columns={"A amp": "A ampl"}),
+        "must have the column 'A amp', but it has not: did you mean 'A ampl'?",
+        "known",
+    ),
+    "a column twice": (
+        lambda t: t.assign(more=1.0).to_csv(index=False).replace("more", "A amp", 1),
+        "must have the column 'A amp' once",
+        "twice",
+    ),
+    "no rows": (lambda t: t.iloc[:0], "must have at least one row", ""),
+    "another delimiter": (lambda t: t.to_csv(index=False, sep=";"), "must have the column 'speed'", "speed;A amp"),
+    "decimal commas": (
+        lambda t: t.to_csv(index=False).replace(".", ","),
+        "must be a CSV table",
+        "",
+    ),
+    "empty": (lambda t: "", "must be a CSV table", ""),
+    "binary": (lambda t: "\x00\x01\x02", "must", ""),
+    "other speeds": (
+        lambda t: t.iloc[:-2],
+        "all runs must have the same speeds where machine.recordings.speeds is null",
+        "all of them cover 500 to 2500 rpm",
+    ),
+    "far speeds": (
+        lambda t: t.assign(speed=t["speed"] * 1.01),
+        "must have the same speeds",
+        "give machine.recordings.speeds=",
+    ),
+    "a row cut off": (lambda t: t.to_csv(index=False)[:-60], "must", ""),
+}
+
+
+@pytest.mark.parametrize("case", BAD_TABLES)
+def test_a_damaged_table_is_refused(case: str, tmp_path: Path) -> None:
+    damage, words, more = BAD_TABLES[case]
+    runs = wide_runs(tmp_path)
+    path = Path(runs[1]["file"])
+    damaged = damage(pd.read_csv(path))
+    path.write_text(damaged) if isinstance(damaged, str) else damaged.to_csv(path, index=False)
+    with refused(words, more, str(path)):
+        read(table_config(runs))
+
+
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
+    with refused("must exist, but there is no such file", "nowhere.csv"):
+        read(table_config([RUNS[0] | {"file": str(tmp_path / "nowhere.csv")}]))
+
+
+def test_a_truncated_excel_file_is_refused(tmp_path: Path) -> None:
+    runs = wide_runs(tmp_path, ".xlsx")
+    path = Path(runs[0]["file"])
+    for content in (path.read_bytes()[:-700], b"PK\x03\x04" + bytes(200), b"speed,A amp\n"):
+        path.write_bytes(content)
+        with refused("must be a complete Excel file", str(path)):
+            read(table_config(runs))
+
+
+def test_a_speed_range_that_a_run_does_not_cover(tmp_path: Path) -> None:
+    section = table_config(wide_runs(tmp_path), speeds={"start_rpm": 400, "stop_rpm": 3000, "step_rpm": 100})
+    with refused("the speed range of run 'one' is 11 speeds from 500 to 3000 rpm", "nothing is extrapolated"):
+        read(section)
+
+
+def test_runs_of_a_long_table_and_of_the_configuration(tmp_path: Path) -> None:
+    path = tmp_path / "all.csv"
+    long({name: seen(turn) for name, turn in TURNS.items()} | {"three": seen()}).to_csv(path, index=False)
+    with refused("'three' is not among them", "machine.recordings.leave_out"):
+        read(table_config(RUNS, "long", file=str(path)))
+    with refused("must have rows of run 'onee'", "did you mean 'one'?"):
+        more = [*RUNS, {"name": "onee", "unbalances": [DISC]}]
+        read(table_config(more, "long", file=str(path), leave_out=["three"]))
+    with refused("must have rows of probe 'AA' in run 'one'"):
+        probes = probes_config() | {"AA": {"node": 1, "angle": "0 deg"}, "AB": {"node": 1, "angle": "90 deg"}}
+        read(table_config(RUNS, "long", file=str(path), leave_out=["three"], probes=probes))
+
+
+def test_the_last_line_of_a_cut_table_is_warned_of(tmp_path: Path) -> None:
+    """What was cut within its last number can't be seen otherwise."""
+    runs = wide_runs(tmp_path)
+    path = Path(runs[0]["file"])
+    path.write_text(path.read_text().rstrip("\n")[:-2])
+    assert "does not end with the end of a line" in notes(table_config(runs))
+
+
+@pytest.mark.parametrize(("written", "said"), [("rad", "deg"), ("deg", "rad")])
+def test_phases_of_the_other_unit_are_warned_of(written: str, said: str, tmp_path: Path) -> None:
+    """Radians that are called degrees stay within a turn in radians and yet differ widely; and the reverse."""
+    runs = wide_runs(tmp_path)
+    for run in runs:
+        wide(seen(TURNS[run["name"]]), CONVENTIONS | {"phase_unit": written}).to_csv(run["file"], index=False)
+    words = "in radians" if said == "deg" else "in degrees"
+    assert words in notes(table_config(runs, conventions=CONVENTIONS | {"phase_unit": said}))
+    assert words not in notes(table_config(runs, conventions=CONVENTIONS | {"phase_unit": written}))
+
+
+def test_lengths_that_are_a_thousand_times_too_large(tmp_path: Path) -> None:
+    with refused("must have amplitudes below 1 m, but got", "check the unit", "one.csv"):
+        read(table_config(wide_runs(tmp_path), conventions=CONVENTIONS | {"length": "m"}))
+
+
+@pytest.mark.parametrize(
+    ("probes", "words"),
+    [
+        ({"A": (0, 45.0), "C": (2, 0.0), "D": (2, 90.0)}, "node 0 has one only: 'A'"),
+        ({"A": (0, 0.0), "B": (0, 180.0)}, "lie within 10 deg of one line: 'A' at 0 deg, 'B' at 180 deg"),
+        ({"A": (0, 40.0), "B": (0, 45.0)}, "those of node 0 lie within 10 deg of one line"),
+    ],
+)
+def test_probes_that_do_not_give_x_and_y(probes: dict[str, Any], words: str) -> None:
+    pair = {"columns": lambda name: {"amplitude": f"{name} amp", "phase": f"{name} ph"}}
+    with refused(words, kind=ConfigError):
+        read(table_config([ONE], probes=probes_config(probes, **pair)))
+
+
+def test_three_probes_at_a_node(tmp_path: Path) -> None:
+    probes = PROBES | {"E": (0, 100.0)}
+    pair = {"columns": lambda name: {"amplitude": f"{name} amp", "phase": f"{name} ph"}}
+    runs = wide_runs(tmp_path)
+    for sign, warned in ((1.0, False), (-1.0, True)):
+        for run in runs:
+            vectors = seen(TURNS[run["name"]], probes=probes)
+            of = dict(vectors.of) | {"E": sign * vectors.of["E"]}
+            wide(Vectors(GRID, of)).to_csv(run["file"], index=False)
+        section = table_config(runs, probes=probes_config(probes, **pair))
+        assert ("the probes at node 0 contradict each other" in notes(section)) is warned
+        if not warned:
+            check_read(read(section))
+
+
+def test_a_baseline_run_has_data_and_no_excitation(tmp_path: Path) -> None:
+    runs = wide_runs(tmp_path)
+    base = tmp_path / "base.csv"
+    wide(seen(2.0)).to_csv(base, index=False)
+    dataset = read(table_config([{"name": "as found", "file": str(base)}, *runs], baseline="as found"))
+    assert dataset.runs == ("as found", "one", "two")
+    assert {e.run for e in dataset.excitations} == {"one", "two"}
+    write_vibration(tmp_path / "vibration.parquet", dataset)
+    write_excitation(tmp_path / "excitation.csv", dataset)
+    assert set(pd.read_parquet(tmp_path / "vibration.parquet")["run"]) == {"as found", "one", "two"}
+    assert set(pd.read_csv(tmp_path / "excitation.csv")["run"]) == {"one", "two"}
+
+
+def test_slow_roll_runout_is_subtracted(tmp_path: Path) -> None:
+    slow = np.array([100.0, 150.0, 200.0])
+    runs = wide_runs(tmp_path)
+    for run in runs:
+        vectors = seen(TURNS[run["name"]])
+        of = {name: np.append(np.full(3, RUNOUT[name]), v + RUNOUT[name]) for name, v in vectors.of.items()}
+        wide(Vectors(np.append(slow, GRID), of)).to_csv(run["file"], index=False)
+    speeds = {"start_rpm": 500, "stop_rpm": 3000, "step_rpm": 250}
+    check_read(read(table_config(runs, speeds=speeds, slow_roll={"below_rpm": 300})), 1e-9)
+    given = {
+        name: {"amplitude": f"{2 * abs(v) / 25.4e-6} mil", "phase": f"{-np.degrees(np.angle(v))} deg"}
+        for name, v in RUNOUT.items()
+    }
+    explicit = {"vectors": given, "amplitude": "peak_to_peak", "phase": "lag"}
+    check_read(read(table_config(runs, speeds=speeds, slow_roll=explicit)), 1e-9)
+    with refused("run 'one' must have speeds below machine.recordings.slow_roll.below_rpm=50", "the lowest is 100 rpm"):
+        read(table_config(runs, speeds=speeds, slow_roll={"below_rpm": 50}))
+
+
+def test_forces_of_either_whirl_and_of_their_own_frequency(tmp_path: Path) -> None:
+    """A run may be excited by forces; an asynchronous one is written with its frequency."""
+    runs = wide_runs(tmp_path)
+    force = {"node": 1, "magnitude": "12 N", "phase": "20 deg", "whirl": "backward"}
+    runs[1] = {"name": "two", "file": runs[1]["file"], "forces": [force], "frequency_ratio": 0.5}
+    dataset = read(table_config(runs))
+    assert dataset.excitations[1].whirl == "backward"
+    assert dataset.excitations[1].phase == pytest.approx(np.radians(20))
+    assert dataset.frequencies[:, 0] == pytest.approx(dataset.speeds)
+    assert dataset.frequencies[:, 1] == pytest.approx(dataset.speeds / 2)
+
+
+def test_known_coefficients_at_other_speeds(tmp_path: Path) -> None:
+    rpm = np.linspace(500, 3000, 21)
+    frame = pd.DataFrame({"bearing_node": 0, "speed_rpm": rpm, "cxx": 100 + (rpm / 1000) ** 2})
+    frame.to_csv(tmp_path / "known.csv", index=False)
+    of = {0: ("cxx",)}
+    found = read_known(tmp_path / "known.csv", (0,), np.array([600.0, 2222.0]) * RPM, of)
+    assert found.coefficient("cxx")[0] == pytest.approx([100.36, 100 + 2.222**2])
+    for speeds, nodes, words in (
+        ([400.0], (0,), "must cover the speeds of the data (400 to 400 rpm), but it has 500 to 3000 rpm"),
+        ([600.0], (1,), "must have rows of the bearing at node 1, but it has 0"),
+    ):
+        with refused(words):
+            read_known(tmp_path / "known.csv", nodes, np.array(speeds) * RPM, {0: ("cxx",), 1: ("cxx",)})
+    pd.concat([frame, frame]).to_csv(tmp_path / "twice.csv", index=False)
+    with refused("must have one row a speed, but some are there twice"):
+        read_known(tmp_path / "twice.csv", (0,), np.array([600.0]) * RPM, of)
+
+
+def test_an_excel_table_is_read_as_a_csv_is(tmp_path: Path) -> None:
+    frame = pd.DataFrame({"run": ["007", "NA", "x"], "a": [1.0, 2.5, -3e-7], "b": [1.0, np.nan, 3.0]})
+    frame.to_csv(tmp_path / "t.csv", index=False)
+    frame.to_excel(tmp_path / "t.xlsx", index=False)
+    kinds = {"run": "text", "a": "number", "b": "number or blank"}
+    csv, excel = (read_table(tmp_path / f"t.{ending}", kinds) for ending in ("csv", "xlsx"))
+    assert csv["run"].tolist() == excel["run"].tolist() == ["007", "NA", "x"]
+    for name in ("a", "b"):
+        np.testing.assert_array_equal(csv[name], excel[name])
+    frame.assign(a=pd.Timestamp("2026-05-01")).to_excel(tmp_path / "date.xlsx", index=False)
+    frame.assign(a=True).to_excel(tmp_path / "true.xlsx", index=False)
+    for name in ("date", "true"):
+        with refused("must have finite numbers in the column 'a', but row 1 has"):
+            read_table(tmp_path / f"{name}.xlsx", kinds)
+
+
+def test_a_row_with_more_fields_than_the_header_is_refused(tmp_path: Path) -> None:
+    """A decimal comma among commas would move the columns without a word."""
+    path = tmp_path / "t.csv"
+    path.write_text("a,b\n1,5,2\n3,5,4\n")
+    with refused("must be a CSV table, but it can't be read as one"):
+        read_table(path, {"a": "number", "b": "number"})
+    path.write_text("a;b\n1,5;2\n3,5;4\n")
+    assert read_table(path, {"a": "number"}, text=TextFormat(";", ","))["a"].tolist() == [1.5, 3.5]

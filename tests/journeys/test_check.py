@@ -1,0 +1,111 @@
+"""The stage check: thresholds against metrics, and what is no threshold or no metric."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from conftest import Run
+from running import few
+
+from pipeline.errors import ConfigError
+from pipeline.stages import check
+
+Checking = Callable[..., int]
+
+
+@pytest.fixture
+def checking(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Checking:
+    """``checking(rules, metrics, overrides)``: the exit code of stage=check on one experiment, and what it wrote."""
+    thresholds = tmp_path / "thresholds"
+    thresholds.mkdir()
+    monkeypatch.setattr(check, "THRESHOLDS", thresholds)
+
+    def act(rules: str | bytes, metrics: str | None, *overrides: str, name: str = "rig") -> int:
+        raw = rules if isinstance(rules, bytes) else rules.encode()
+        (thresholds / f"{name}.yaml").write_bytes(raw)
+        folder = tmp_path / "artifacts" / name
+        folder.mkdir(parents=True, exist_ok=True)
+        if metrics is not None:
+            (folder / "metrics.json").write_text(metrics)
+        try:
+            run("check", few("ball_bearing", *overrides), tmp_path / "artifacts" / "ball_bearing")
+        except SystemExit as stop:
+            if not isinstance(stop.code, int):
+                raise
+            return stop.code
+        return 0
+
+    return act
+
+
+RULE = "- {metric: coefficients.*.kxx.mean_error_percent, max: 1.0, why: because the bar says so}\n"
+GOOD = '{"coefficients": {"0": {"kxx": {"mean_error_percent": 0.5}}, "2": {"kxx": {"mean_error_percent": 1.0}}}}'
+
+
+def test_check_passes_what_holds(checking: Checking, capsys: pytest.CaptureFixture[str]) -> None:
+    assert checking(RULE, GOOD) == 0
+    said = capsys.readouterr().out
+    assert "coefficients.0.kxx.mean_error_percent" in said
+    assert "coefficients.2.kxx.mean_error_percent" in said
+    assert "all 2 metrics hold" in said
+
+
+BROKEN = {
+    "too large": GOOD.replace("0.5", "1.0000001"),
+    "NaN": GOOD.replace("0.5", "NaN"),
+    "infinite": GOOD.replace("0.5", "Infinity"),
+    "a text": GOOD.replace("0.5", '"0.5"').replace("1.0", '"1.0"'),
+    "true": GOOD.replace("0.5", "true").replace("1.0", "false"),
+    "no such metric": '{"coefficients": {"0": {"kyy": {"mean_error_percent": 0.5}}}}',
+    "no coefficients": '{"coefficients": {}}',
+    "no object": "[1, 2]",
+    "no JSON": "{",
+    "no file": None,
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_check_fails_what_is_passed_or_missing(
+    case: str, checking: Checking, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A passed threshold, and a metric that is missing or no number, are exit code 1 with the reason."""
+    assert checking(RULE, BROKEN[case]) == 1
+    said = capsys.readouterr()
+    assert "FAILED" in said.out
+    assert "must be at most 1" in said.err
+    assert "because the bar says so" in said.err
+
+
+RULES = {
+    "empty": "",
+    "no list": "metric: x\nmax: 1\n",
+    "no reason": "- {metric: x, max: 1}\n",
+    "a short reason": "- {metric: x, max: 1, why: so}\n",
+    "unknown key": RULE.replace("max", "least"),
+    "no number": RULE.replace("1.0", "much"),
+    "infinite": RULE.replace("1.0", ".inf"),
+    "no YAML": "- {metric: [",
+    "no UTF-8": b"\xff\xfe- x",
+    "an object": "!!python/object/apply:os.system ['echo ran']",
+    "no rule": "[]",
+}
+
+
+@pytest.mark.parametrize("case", RULES)
+def test_thresholds_that_are_no_thresholds(case: str, checking: Checking) -> None:
+    with pytest.raises(ConfigError, match=r"rig\.yaml"):
+        checking(RULES[case], GOOD)
+
+
+def test_check_of_an_unknown_experiment(checking: Checking) -> None:
+    with pytest.raises(ConfigError, match="did you mean 'rig'"):
+        checking(RULE, GOOD, "check.experiments=[rigg]")
+
+
+def test_check_of_some_experiments(checking: Checking) -> None:
+    assert checking(RULE, None, name="other") == 1
+    assert checking(RULE, GOOD) == 1
+    assert checking(RULE, GOOD, "check.experiments=[rig]") == 0
+    assert checking(RULE, GOOD, "check.experiments=[rig,other]") == 1

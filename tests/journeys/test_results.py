@@ -1,0 +1,249 @@
+"""What a run leaves: figures, tables and metrics of every experiment, and what a stage does without its inputs."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import Made, Run, known_names
+from running import DEFAULT, EXPERIMENTS, FIGURES, contents, few, identified_columns, strict_json
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.data.dataset import Excitation
+from pipeline.errors import ConfigError
+from pipeline.stages import evaluate, robustness
+from pipeline.stages.measurement import load_measurement, load_modelled
+from pipeline.twin.prediction import predict
+
+
+def test_a_stage_makes_what_it_needs_and_says_so(run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Predict in an empty folder generates and trains first, in this order, each announced once."""
+    run("predict", few("ball_bearing"), tmp_path / "new folder")
+    announced = re.findall(r"'([^']+)' is missing: running stage=(\w+) first", capsys.readouterr().out)
+    assert [stage for _, stage in announced] == ["generate", "train"]
+    assert {Path(path).parent for path, _ in announced} == {tmp_path / "new folder"}
+    assert (tmp_path / "new folder" / "prediction.json").exists()
+
+
+EVERY_EXPERIMENT = pytest.mark.parametrize(
+    "experiment", [DEFAULT, *(pytest.param(n, marks=pytest.mark.slow) for n in EXPERIMENTS if n != DEFAULT)]
+)
+NEEDED = {
+    "vibration.parquet": "generate",
+    "excitation.csv": "generate",
+    "known_coefficients.csv": "generate",
+    "model.safetensors": "train",
+    "model.json": "train",
+    "training.json": "train",
+    "history.csv": "train",
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NEEDED)
+def test_a_missing_file_is_made_again(
+    name: str, made: Made, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whichever input of evaluate is gone, its stage runs first and says so; the result is the same."""
+    folder = Path(shutil.copytree(made("ball_bearing"), tmp_path / "x"))
+    monkeypatch.setattr(evaluate, "coefficient_figure", lambda path, *_: path)  # they take most of the time
+    before = contents(folder)
+    (folder / name).unlink()
+    run("evaluate", few("ball_bearing"), folder)
+    assert f"'{folder / name}' is missing: running stage={NEEDED[name]} first" in capsys.readouterr().out
+    assert contents(folder) == before
+
+
+@pytest.mark.slow
+def test_nothing_is_made_that_is_there(
+    made: Made, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With its inputs in place, a stage neither generates nor trains, and writes only its own files."""
+    folder = Path(shutil.copytree(made("ball_bearing"), tmp_path / "x"))
+    times = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+    run("evaluate", few("ball_bearing"), folder)
+    assert "is missing" not in capsys.readouterr().out
+    changed = {path.name for path, time in times.items() if path.is_file() and path.stat().st_mtime_ns != time}
+    assert changed >= {"metrics.json", "stiffness.png", "damping.png", "training.png"}
+    assert not changed & {*NEEDED, *("modelled_coefficients.csv", "prediction.json", "robustness.json")}
+
+
+@pytest.mark.slow
+def test_the_twin_of_every_start_is_held_against_the_modelled_machine(
+    made: Made, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """robustness.json: the worst mean error of the vibration never seen, computed here start by start."""
+    folder = Path(shutil.copytree(made(DEFAULT), tmp_path / "x"))
+    answers: list[Any] = []
+    real = robustness._tabulate
+
+    def spy(config: Any, found: Any, tables: Any, *others: Any) -> Any:
+        answers.extend(tables)
+        return real(config, found, tables, *others)
+
+    monkeypatch.setattr(robustness, "_tabulate", spy)
+    config = run("robustness", few(DEFAULT), folder)
+    measurement = load_measurement(config)
+    modelled = load_modelled(config, measurement)
+    assert modelled is not None
+    unseen = tuple(
+        Excitation("new", "unbalance", u.node, u.magnitude, u.phase) for u in config.machine.prediction.unbalances
+    )
+    true, *found = (
+        predict(measurement.rotor, table, unseen, config.machine.prediction.node).displacement
+        for table in (modelled, *answers)
+    )
+    errors = [100 * np.mean(np.abs(one - true) / np.abs(true), axis=0).max() for one in found]
+    assert errors[0] != errors[1]
+    told = strict_json(folder / "robustness.json")["displacement"]["worst_mean_error_percent"]
+    assert told == pytest.approx(max(errors), rel=1e-9)
+
+
+@pytest.mark.slow
+def test_a_run_of_the_data_is_no_vibration_never_seen(made: Made, run: Run, tmp_path: Path) -> None:
+    """Where the prediction's unbalance is that of a run, robustness does not hold the twin against it."""
+    folder = Path(shutil.copytree(made("ball_bearing"), tmp_path / "x"))
+    assert "displacement" in strict_json(folder / "robustness.json")
+    seen = "machine.prediction.unbalances=[{node: 1, magnitude: 100 g mm}]"
+    run("robustness", few("ball_bearing", seen), folder)
+    assert "displacement" not in strict_json(folder / "robustness.json")
+
+
+def test_initial_guesses_need_an_unknown_stiffness(run: Run, tmp_path: Path) -> None:
+    """Robustness over initial stiffnesses has nothing to vary where only damping is unknown."""
+    with pytest.raises(ConfigError, match="must have an unknown stiffness"):
+        run("robustness", few("ball_bearing", "identify.unknowns=[cxx]"), tmp_path / "x")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("figure", FIGURES)
+@pytest.mark.parametrize("experiment", [DEFAULT])
+def test_figures_show_something(experiment: str, figure: str, made: Made) -> None:
+    """Each figure is a picture of some size with curves in it: neither blank nor a few pixels."""
+    from matplotlib import image
+
+    pixels = image.imread(made(experiment) / "figures" / f"{figure}.png")
+    height, width = pixels.shape[:2]
+    assert height > 300
+    assert width > 500
+    inked = (pixels[..., :3] < 0.95).any(axis=-1)
+    assert 0.005 < inked.mean() < 0.5
+    coloured = np.ptp(pixels[..., :3], axis=-1) > 0.2
+    assert coloured.sum() > 200
+    rows, columns = np.flatnonzero(inked.any(axis=1)), np.flatnonzero(inked.any(axis=0))
+    assert np.ptp(rows) > 0.8 * height  # it fills its frame, and touches no edge
+    assert np.ptp(columns) > 0.8 * width
+    assert rows[0] > 0
+    assert rows[-1] < height - 1
+    assert columns[0] > 0
+    assert columns[-1] < width - 1
+
+
+@EVERY_EXPERIMENT
+def test_files_of_an_experiment(experiment: str, made: Made) -> None:
+    assert not [name for name in contents(made(experiment)) if Path(name).name.startswith((".", "tmp"))]
+    assert contents(made(experiment)).keys() >= {
+        *("vibration.parquet", "excitation.csv", "modelled_coefficients.csv", "known_coefficients.csv"),
+        *("identified_coefficients.csv", "model.safetensors", "model.json", "training.json", "history.csv"),
+        *("metrics.json", "summary.json", "least_squares_coefficients.csv"),
+        *("robustness.json", "robustness.csv", "prediction.json", "prediction.csv"),
+    }
+    assert {path.stem for path in (made(experiment) / "figures").iterdir()} == set(FIGURES)
+
+
+@EVERY_EXPERIMENT
+def test_tables_have_the_columns_that_others_rely_on(experiment: str, made: Made) -> None:
+    """The doors of the design: names and order of columns, one row a speed and bearing, rpm as written."""
+    folder, config = made(experiment), few(experiment)
+    speeds, nodes = config.machine.speeds.rpm(), list(config.machine.rotor.bearing_nodes)
+    vibration = pd.read_parquet(folder / "vibration.parquet")
+    own = ["frequency_hz"] if any(run.frequency_hz or run.frequency_ratio for run in config.machine.runs) else []
+    assert list(vibration) == ["run", "speed_rpm", "node", "direction", "amplitude_m", "phase_deg", *own]
+    assert sorted(set(vibration["speed_rpm"])) == speeds
+    assert set(vibration["direction"]) == {"x", "y"}
+    assert list(dict.fromkeys(vibration["run"])) == [r.name for r in config.machine.runs]
+    everywhere = 1 + sum(segment.elements for segment in config.machine.rotor.shaft)
+    n_nodes = {"all": everywhere, "bearings": len(nodes)}[str(config.machine.probes.at)]
+    assert len(vibration) == len(config.machine.runs) * len(speeds) * n_nodes * 2
+    excitation = pd.read_csv(folder / "excitation.csv")
+    assert list(excitation) == ["run", "kind", "node", "magnitude", "phase_deg", "whirl"]
+    known = ["bearing_node", "speed_rpm", *known_names(config)]
+    for name, columns in {
+        "modelled_coefficients": ["bearing_node", "speed_rpm", *COEFFICIENTS],
+        "identified_coefficients": identified_columns(config),
+        "least_squares_coefficients": ["bearing_node", "speed_rpm", *COEFFICIENTS],
+        "known_coefficients": known,
+    }.items():
+        table = pd.read_csv(folder / f"{name}.csv")
+        assert list(table) == columns
+        assert table["bearing_node"].tolist() == [node for node in nodes for _ in speeds]
+        assert table["speed_rpm"].tolist() == speeds * len(nodes)
+    history = pd.read_csv(folder / "history.csv")
+    held_out = ["held_out_loss"] if config.training.holdout_every else []
+    assert list(history) == ["step", "phase", "loss", *held_out]
+    assert history["step"].tolist() == list(range(len(history)))
+    prediction = pd.read_csv(folder / "prediction.csv")
+    assert prediction["speed_rpm"].tolist() == speeds
+    for system in ("modelled", "identified"):
+        for direction in "xy":
+            assert {f"{direction}_{system}_amplitude_m", f"{direction}_{system}_phase_deg"} <= set(prediction)
+
+
+@EVERY_EXPERIMENT
+def test_known_columns_of_the_identified_table_are_the_known_ones(experiment: str, made: Made) -> None:
+    """identified_coefficients.csv has all eight; those that were not identified are copied, to the last digit."""
+    folder = made(experiment)
+    identified, known = (pd.read_csv(folder / f"{n}_coefficients.csv") for n in ("identified", "known"))
+    pd.testing.assert_frame_equal(identified[list(known)], known, check_exact=True)
+
+
+@EVERY_EXPERIMENT
+def test_metrics_have_the_shape_that_others_rely_on(experiment: str, made: Made) -> None:
+    """metrics.json: bearing, coefficient, error; only what was identified; finite numbers."""
+    config = few(experiment)
+    metrics = strict_json(made(experiment) / "metrics.json")
+    left_over = {"fit"} if config.loss.kind == "response" else {"residual", "condition_number"}
+    assert set(metrics) >= {"coefficients", "least_squares", *left_over}
+    for part in ("coefficients", "least_squares"):
+        assert list(metrics[part]) == [str(node) for node in config.machine.rotor.bearing_nodes]
+        for of in metrics[part].values():
+            assert list(of) == list(config.identify.unknowns)
+            for error in of.values():
+                assert set(error) == {f"{k}_error_percent" for k in ("mean", "median", "p95", "max", "l2")}
+                top = error["max_error_percent"] * (1 + 1e-12)  # a mean of equal numbers is rounded
+                assert 0 <= error["median_error_percent"] <= top
+                assert 0 <= error["mean_error_percent"] <= top
+    robustness = strict_json(made(experiment) / "robustness.json")
+    if config.robustness.over == "noise":
+        assert robustness["data_sets"] == config.robustness.count
+    else:
+        assert sum(robustness["outcomes"].values()) == robustness["starts"]
+    assert list(robustness["coefficients"]) == [str(node) for node in config.machine.rotor.bearing_nodes]
+    prediction = strict_json(made(experiment) / "prediction.json")
+    assert set(prediction) == {"modelled", "identified", "displacement"}
+    assert set(prediction["displacement"]) == {"x", "y"}
+    for system in ("modelled", "identified"):
+        assert isinstance(prediction[system]["stability"]["stable"], bool)
+    assert strict_json(made(experiment) / "training.json").keys() >= {"outcome", "data_fingerprint", "seed", "loss"}
+
+
+@EVERY_EXPERIMENT
+def test_metrics_are_the_errors_of_the_tables(experiment: str, made: Made) -> None:
+    """The mean error of metrics.json is that of identified against modelled table, computed here by hand."""
+    folder = made(experiment)
+    identified, modelled = (
+        pd.read_csv(folder / f"{n}_coefficients.csv").set_index(["bearing_node", "speed_rpm"])
+        for n in ("identified", "modelled")
+    )
+    for node, of in strict_json(folder / "metrics.json")["coefficients"].items():
+        for name, error in of.items():
+            found, true = identified.loc[int(node), name], modelled.loc[int(node), name]
+            relative = 100 * (found - true).abs() / true.abs()
+            mean, top = error["mean_error_percent"], error["max_error_percent"]
+            assert mean == pytest.approx(relative.mean(), rel=1e-6, abs=1e-12)
+            assert top == pytest.approx(relative.max(), rel=1e-6, abs=1e-12)

@@ -1,0 +1,115 @@
+"""What the tests of stage=ingest share: runs of two probes' nodes, sections of the configuration, and what is read."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from measured_files import PROBES, Vectors, probes_config, vectors_of, wide
+from pydantic import TypeAdapter
+
+from pipeline.config.compose import compose_mapping, validate
+from pipeline.config.recordings import RecordingsConfig
+from pipeline.config.schema import Config
+from pipeline.data.dataset import VibrationDataset
+from pipeline.ingest.dataset import read_measured_runs
+
+RPM = np.pi / 30
+GRID = np.arange(500.0, 3001.0, 250.0)
+DISC = {"node": 1, "magnitude": "20 g mm", "phase": "30 deg"}
+
+
+def response(node: int, turn: float = 0.0, rpm: np.ndarray = GRID) -> tuple[np.ndarray, np.ndarray]:
+    """x and y (S,) of a node, complex, in m: an elliptic orbit that grows and turns with the speed."""
+    ratio = rpm / 2200
+    size = (8e-6 + 3e-6 * node) * ratio**2 / (1 - ratio**2 + 0.24j * ratio) * np.exp(1j * turn)
+    return size, -0.7j * size * np.exp(0.2j * node)
+
+
+def seen(turn: float = 0.0, rpm: np.ndarray = GRID, probes: Mapping[str, Any] = PROBES) -> Vectors:
+    """What the probes of a run see."""
+    x, y = (lambda node: response(node, turn, rpm)[0]), (lambda node: response(node, turn, rpm)[1])
+    return vectors_of(rpm, x, y, probes)
+
+
+TURNS = {"one": 0.0, "two": 1.1}
+RUNS = [{"name": "one", "unbalances": [DISC]}, {"name": "two", "unbalances": [DISC | {"magnitude": "4e-5 kg m"}]}]
+
+
+def parsed(mapping: dict[str, Any]) -> Any:
+    """The section ``ingest`` as the schema makes it."""
+    return TypeAdapter(RecordingsConfig).validate_python(mapping)
+
+
+def read(mapping: dict[str, Any]) -> VibrationDataset:
+    """The data set of a section ``ingest``."""
+    return read_measured_runs(parsed(mapping)).dataset
+
+
+def notes(mapping: dict[str, Any]) -> str:
+    """What the reading warns of."""
+    return "\n".join(read_measured_runs(parsed(mapping)).notes)
+
+
+def wide_runs(folder: Path, ending: str = ".csv", **more: Vectors) -> list[dict[str, Any]]:
+    """A wide table a run in ``folder``, and the runs of the configuration."""
+    runs = []
+    for run in RUNS:
+        name = str(run["name"])
+        path = folder / f"{name}{ending}"
+        table = wide(more.get(name, seen(TURNS[name])))
+        table.to_excel(path, index=False) if ending == ".xlsx" else table.to_csv(path, index=False)
+        runs.append(run | {"file": str(path)})
+    return runs
+
+
+def check_read(dataset: VibrationDataset, tolerance: float = 1e-12, rpm: np.ndarray = GRID) -> None:
+    """x and y of both nodes in both runs, as they were made."""
+    assert dataset.channels == ((0, 0.0), (0, 90.0), (2, 0.0), (2, 90.0))
+    assert dataset.runs == ("one", "two")
+    assert dataset.speeds == pytest.approx(rpm * RPM, rel=1e-9)
+    for r, turn in enumerate(TURNS.values()):
+        for n, node in enumerate((0, 2)):
+            for d, true in enumerate(response(node, turn, rpm)):
+                found = dataset.displacement[:, 2 * n + d, r]
+                assert np.abs(found - true).max() < tolerance * np.abs(true).max()
+
+
+@cache
+def _mapping() -> str:
+    return json.dumps(compose_mapping(["experiment=ball_bearing", "tracking=none"]))
+
+
+def with_ingest(section: dict[str, Any], **more: Any) -> Config:
+    """The configuration of ball_bearing with a section ``ingest``."""
+    mapping = json.loads(_mapping())
+    mapping["machine"]["recordings"] = section
+    return validate(mapping | {"stage": "ingest"} | more)
+
+
+ONE = RUNS[0] | {"file": "a.csv"}
+BARE = {"name": "two", "file": "b.csv"}
+VOLTS: dict[str, Any] = {"channel": lambda name: name, "scale": lambda name: "8 V/mm"}
+
+
+def waves(**changes: Any) -> dict[str, Any]:
+    """A section for time signals."""
+    return {
+        "format": "waveform",
+        "records": "run_up",
+        "signal_unit": "V",
+        "sample_rate": "5 kHz",
+        "tacho": {"channel": "tacho", "edge": "rising"},
+        "probes": probes_config(**VOLTS),
+        "shaft_angle": "from_x",
+        "speeds": {"start_rpm": 800, "stop_rpm": 2500, "step_rpm": 100},
+        "runs": [ONE],
+    } | changes
+
+
+RUNOUT = {"A": 3e-6 * np.exp(0.5j), "B": 2e-6 * np.exp(-2j), "C": 1e-6 + 0j, "D": 4e-6 * np.exp(3j)}

@@ -1,0 +1,88 @@
+"""What the tests that run stages share: experiments of few speeds and steps, and what lies in a folder."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterable
+from functools import cache
+from pathlib import Path
+from types import FunctionType
+from typing import Any
+
+import pytest
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.compose import compose_config
+from pipeline.config.loader import list_options
+from pipeline.config.schema import Config
+
+ROOT = Path(__file__).resolve().parents[1]
+ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT)}
+PYTHON = [sys.executable, "-W", "error"]
+FEW_SPEEDS = tuple(f"machine.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=500"))
+FEW = (
+    *FEW_SPEEDS,
+    *("optimizer.adam.steps=4", "optimizer.levenberg_marquardt.steps=4"),
+    *("robustness.count=3", "robustness.seeds=[0,1]"),
+)
+LINE = ("generate", "train", "evaluate", "robustness", "predict")
+REFUSED = "compressor_journal_and_isotropic"  # not identifiable: no stage after diagnose
+MEASURED = "measured_demo"  # read, not generated: test_measured_demo.py
+EXPERIMENTS = [name for name in list_options("experiment") if name not in (REFUSED, MEASURED)]
+DEFAULT = "hydrostatic_stiffness"
+FIGURES = [
+    *("stiffness", "damping", "training", "robustness"),
+    *("prediction_time", "prediction_orbit", "prediction_response"),
+]
+
+
+@cache
+def composed(*overrides: str) -> Config:
+    """Composing takes longer than most stages and methods of the tests."""
+    return compose_config(overrides)
+
+
+def few(experiment: str, *overrides: str) -> Config:
+    """An experiment with few speeds and steps."""
+    return composed(f"experiment={experiment}", "tracking=none", *FEW, *overrides)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Every file below ``folder``."""
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def names_in(folder: Path) -> set[str]:
+    """Names of everything in ``folder``, hidden files too."""
+    return {path.name for path in folder.iterdir()} if folder.exists() else set()
+
+
+def strict_json(path: Path) -> Any:
+    """JSON as the standard has it: NaN is none."""
+
+    def refuse(word: str) -> None:
+        raise AssertionError(f"{path} holds {word}")
+
+    return json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
+
+
+def python(*words: str, cwd: Path = ROOT, **others: Any) -> subprocess.CompletedProcess[str]:
+    """A new interpreter on this checkout, with warnings as errors, such as ``python("-m", "pipeline", "--help")``."""
+    return subprocess.run([*PYTHON, *words], cwd=cwd, env=ENVIRONMENT, text=True, capture_output=True, **others)
+
+
+def identified_columns(config: Config) -> list[str]:
+    """Those of identified_coefficients.csv: the response loss states a standard deviation of each."""
+    deviations = [f"{name}_std" for name in COEFFICIENTS] if config.loss.kind == "response" else []
+    return ["bearing_node", "speed_rpm", *COEFFICIENTS, *deviations]
+
+
+def at_night(test: Any, names: str, values: Iterable[object], **others: Any) -> Any:
+    """A test of the day with other values of the parameters ``names``."""
+    night = FunctionType(test.__code__, test.__globals__, test.__name__, test.__defaults__, test.__closure__)
+    night.__annotations__ = test.__annotations__
+    night.pytestmark = [m for m in test.pytestmark if m.name != "parametrize" or m.args[0] != names]
+    return pytest.mark.parametrize(names, values, **others)(night)

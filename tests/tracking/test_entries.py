@@ -1,0 +1,147 @@
+"""Names, numbers, provenance and silence: what is made of a record before MLflow gets it."""
+
+from __future__ import annotations
+
+import logging
+import os
+import shutil
+import subprocess
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from running import ROOT
+
+from pipeline.tracking import tracker
+from pipeline.tracking.entries import (
+    NAME_LENGTH,
+    PARAMETER_LENGTH,
+    TAG_LENGTH,
+    clean_name,
+    collect_history,
+    flatten_parameters,
+    without_password,
+)
+from pipeline.tracking.model import tabulate_coefficients
+from pipeline.tracking.provenance import describe_provenance
+from pipeline.tracking.quiet import quiet_mlflow
+
+pytestmark = pytest.mark.slow  # it trains, or starts processes
+
+
+def test_parts_are_given_up_once_failures_have_taken_the_time() -> None:
+    def slow_failure() -> None:
+        time.sleep(0.02)
+        raise OSError("no answer")
+
+    parts = tracker._Parts("train", patience_seconds=0.01)
+    parts.log("the metrics", slow_failure)
+    parts.log("the history", lambda: pytest.fail("tried"))
+    assert parts.problems == ["MLflow does not have the metrics of stage 'train': no answer."]
+    assert parts.not_tried == ["the history"]
+
+
+def test_table_of_bearings_with_different_coefficients() -> None:
+    class Stub:
+        def coefficients(self, speeds: np.ndarray) -> dict[int, dict[str, np.ndarray]]:
+            return {3: {"cxx": speeds, "kxx": 2 * speeds}, 7: {"kxx": 5 * speeds}}
+
+    table = tabulate_coefficients(Stub(), np.array([30.0, 60.0]))
+    assert list(table.columns) == ["bearing_node", "speed_rpm", "kxx", "cxx"]
+    assert list(table["bearing_node"]) == [3, 3, 7, 7]
+    assert list(table["speed_rpm"]) == [30.0, 60.0, 30.0, 60.0]
+    np.testing.assert_allclose(table["kxx"] / np.pi, [2, 4, 5, 10])
+    np.testing.assert_allclose(table["cxx"] / np.pi, [1, 2, np.nan, np.nan])
+
+
+def test_parameters_read_like_overrides() -> None:
+    parameters = {
+        "a": {"b": {"c": 1.5, "d": True}, "empty": {}},
+        "path": Path("x/y"),
+        "array": np.array([1, 2]),
+        "uri": "postgresql://anna:secret@host/db",
+        "odd key!": (1, None),
+    }
+    assert flatten_parameters(parameters) == {
+        "a.b.c": "1.5",
+        "a.b.d": "true",
+        "a.empty": "{}",
+        "path": "x/y",
+        "array": "[1, 2]",
+        "uri": "postgresql://anna:***@host/db",
+        "odd key_": "[1, null]",
+    }
+    assert flatten_parameters({}) == {}
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("kxx/mean [%]", "kxx/mean ___"),
+        ("/root", "root"),
+        ("a//b/../c", "a/b/c"),
+        ("", "_"),
+        ("ω", "ω"),
+        ("n" * 300, "n" * 250),
+    ],
+)
+def test_names(name: str, expected: str, quiet: None) -> None:
+    from mlflow.utils.validation import _validate_metric_name
+
+    assert clean_name(name) == expected
+    _validate_metric_name(expected)
+
+
+def test_limits_are_those_of_mlflow(quiet: None) -> None:
+    from mlflow.utils import validation
+
+    assert NAME_LENGTH == validation.MAX_ENTITY_KEY_LENGTH
+    assert PARAMETER_LENGTH == validation.MAX_PARAM_VAL_LENGTH
+    assert TAG_LENGTH == validation.MAX_TAG_VAL_LENGTH
+    assert tracker._METRICS_A_BATCH == validation.MAX_METRICS_PER_BATCH
+    assert tracker._PARAMETERS_A_BATCH == validation.MAX_PARAMS_TAGS_PER_BATCH
+
+
+def test_history_row_without_step_is_an_error() -> None:
+    with pytest.raises(KeyError):
+        collect_history([{"loss": 1.0}], 1_700_000_000.0, 1_700_000_060.0)
+
+
+def test_passwords_are_masked() -> None:
+    assert without_password("at http://a:b@h:1 and x://c:d@e") == "at http://a:***@h:1 and x://c:***@e"
+    assert without_password("http://host:5000/a@b") == "http://host:5000/a@b"
+
+
+@pytest.mark.skipif(shutil.which("git") is None, reason="needs git")
+def test_provenance_of_a_repository(tmp_path: Path) -> None:
+    def git(*arguments: str) -> None:
+        identity = ["-c", "user.name=n", "-c", "user.email=e", "-c", "commit.gpgsign=false"]
+        subprocess.run(["git", *identity, "-C", str(tmp_path), *arguments], check=True, capture_output=True)
+
+    git("init", "-q")
+    assert "git.revision" not in describe_provenance(tmp_path), "no commit yet"
+    git("commit", "-q", "--allow-empty", "-m", "first")
+    tags = describe_provenance(tmp_path)
+    assert len(tags["git.revision"]) == 40
+    assert tags["git.dirty"] == "false"
+    (tmp_path / "new.py").touch()
+    assert describe_provenance(tmp_path)["git.dirty"] == "true"
+
+
+def test_provenance_without_git(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert not [name for name in describe_provenance(tmp_path / "gone") if name.startswith("git.")]
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert not [name for name in describe_provenance(ROOT) if name.startswith("git.")]
+
+
+def test_surroundings_are_put_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MLFLOW_HTTP_REQUEST_TIMEOUT", "77")
+    monkeypatch.delenv("MLFLOW_HTTP_REQUEST_MAX_RETRIES", raising=False)
+    with quiet_mlflow(4.0):
+        level = logging.getLogger("mlflow").level
+        assert os.environ["MLFLOW_HTTP_REQUEST_TIMEOUT"] == "2"
+    assert os.environ["MLFLOW_HTTP_REQUEST_TIMEOUT"] == "77"
+    assert "MLFLOW_HTTP_REQUEST_MAX_RETRIES" not in os.environ
+    assert logging.getLogger("mlflow").level < level
+    assert os.environ["MLFLOW_DISABLE_TELEMETRY"] == "true"

@@ -1,0 +1,134 @@
+"""What the tests of training share: a machine's measurement, phases of an optimiser, and models trained by them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from conftest import Machine, unknown_at_all
+
+from pipeline.config.identification import (
+    AdamConfig,
+    LBFGSConfig,
+    LevenbergMarquardtConfig,
+    LossConfig,
+    OptimizerConfig,
+    TrainingConfig,
+)
+from pipeline.identification.model import CoefficientModel
+from pipeline.identification.residual_loss import ResidualTraining, initial_parameters, prepare_residual
+from pipeline.identification.training import FitSetup, Minimum, Progress, minimise
+from pipeline.problem.measurement import Measurement
+
+FOREVER = 100_000  # patience: no early stopping
+
+
+def optimizer(
+    adam: int = 0,
+    lbfgs: int = 0,
+    lm: int = 0,
+    rate: float = 0.1,
+    final: float = 1e-3,
+    patience: int = FOREVER,
+) -> OptimizerConfig:
+    """Phases of so many steps."""
+    return OptimizerConfig(
+        adam=AdamConfig(steps=adam, patience=patience, learning_rate=rate, final_rate_fraction=final),
+        lbfgs=LBFGSConfig(steps=lbfgs, patience=patience, history=10),
+        levenberg_marquardt=LevenbergMarquardtConfig(steps=lm, patience=patience, initial_damping=0.01),
+    )
+
+
+def setup_of(
+    machine: Machine,
+    phases: OptimizerConfig,
+    parametrisation: str = "log",
+    scaling: str = "per_speed",
+    holdout_every: int = 0,
+    tolerance: float = 0.0,
+) -> FitSetup:
+    """The experiment's model, trained by ``phases``."""
+    return FitSetup(
+        machine.config.model.model_copy(update={"parametrisation": parametrisation}),
+        LossConfig(kind="residual", scaling=scaling, regularisation=0.0),
+        phases,
+        TrainingConfig(holdout_every=holdout_every, tolerance=tolerance),
+    )
+
+
+def asked(machine: Machine, *unknowns: str, shared: bool = False) -> Measurement:
+    """The machine's clean data, with these coefficients unknown (kxx and kyy)."""
+    names = unknowns or ("kxx", "kyy")
+    return replace(machine.measurement, unknowns=unknown_at_all(machine.rotor.bearing_nodes, names, shared))
+
+
+def starts(training: ResidualTraining, setup: FitSetup, guesses: list[float]) -> torch.Tensor:
+    """(G, M, P) one training a guess, N/m."""
+    return torch.cat([initial_parameters(training, setup, 0, guess) for guess in guesses])
+
+
+def minimised(
+    training: ResidualTraining,
+    start: torch.Tensor,
+    setup: FitSetup,
+    progress: Progress | None = None,
+    record_trajectory: bool = False,
+) -> Minimum:
+    """Train from there."""
+    return minimise(
+        training.problem,
+        start,
+        setup,
+        held_out=training.held_out,
+        progress=progress,
+        record_trajectory=record_trajectory,
+    )
+
+
+def trained(measurement: Measurement, setup: FitSetup, guesses: list[float]) -> tuple[ResidualTraining, Minimum]:
+    """All guesses at once."""
+    training = prepare_residual(measurement, setup)
+    return training, minimised(training, starts(training, setup, guesses), setup)
+
+
+def errors(machine: Machine, training: ResidualTraining, found: Minimum) -> np.ndarray:
+    """(G,) the largest relative error of any coefficient and speed."""
+    worst = []
+    for parameters in found.parameters:
+        values = training.identified(parameters).values(machine.speeds)
+        true = np.stack([machine.bearings.coefficient(n) for n in training.model.unknowns], axis=-1)
+        worst.append(np.abs(values / true - 1).max())
+    return np.array(worst)
+
+
+def a_model(
+    depth: int | None,
+    activation: str = "tanh",
+    parametrisation: str = "log",
+    unknowns: int = 3,
+    members: int = 2,
+) -> CoefficientModel:
+    """A small model; depth None for constants."""
+    names = ("kxx", "kyy", "cxx", "cyy")[:unknowns]
+    return CoefficientModel(
+        unknowns=names,
+        inputs=("speed",),
+        parametrisation=parametrisation,
+        scale=tuple(tuple(10.0 ** (6 + u + m) for u in range(unknowns)) for m in range(members)),
+        hidden=None if depth is None else tuple(3 + layer for layer in range(depth)),
+        activation=activation,
+        input_scaling="log_rpm",
+        ranges=((10.0, 600.0),),
+    )
+
+
+CHAINS = {
+    # phases, largest relative error: first order reaches what its last learning rate allows
+    "adam": (optimizer(adam=800), 1e-4),
+    "lbfgs": (optimizer(lbfgs=60), 1e-12),
+    "levenberg_marquardt": (optimizer(lm=40), 1e-12),
+    "adam, lbfgs": (optimizer(adam=300, lbfgs=30), 1e-12),
+    "adam, levenberg_marquardt": (optimizer(adam=300, lm=20), 1e-12),
+    "all three": (optimizer(adam=250, lbfgs=10, lm=10), 1e-12),
+}
