@@ -21,7 +21,7 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.parameters import ModelParameter
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor
 from pipeline.stages.generate import configure_excitations, configure_sensors
-from pipeline.stages.measurement import measurement_of
+from pipeline.stages.measurement import build_measurement
 from pipeline.units import RAD_S_PER_RPM
 
 CONFIG = compose_config(
@@ -46,7 +46,7 @@ def measured(built: AsBuiltConfig, seed: int = 0) -> tuple[Measurement, BearingT
     generator = np.random.default_rng(seed)
     complete = simulate_as_built(build_rotor(machine.rotor, built), built, bearings, acting, None, generator)
     data = measure(replace(complete, excitations=acting), configure_sensors(CONFIG, rotor), generator)
-    return measurement_of(CONFIG, rotor, data, bearings), bearings
+    return build_measurement(CONFIG, rotor, data, bearings), bearings
 
 
 def only(measurement: Measurement, *kinds: str) -> Measurement:
