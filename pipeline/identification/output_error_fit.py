@@ -128,6 +128,8 @@ def fit_from(start: OutputErrorStart, setup: FitSetup, progress: Progress | None
     history: list[dict[str, float | str]] = []
     steps, seconds = 0, 0.0
     for turn in range(_ROUNDS):
+        if turn == 0 and problem.n_parameters:
+            problem, weights = approach_model(problem, weights, setup, progress)
         found = minimise(problem, weights, setup, progress=progress)
         weights = found.parameters
         history += [dict(row) | {"step": steps + int(row["step"])} for row in found.history]
@@ -151,6 +153,25 @@ def fit_from(start: OutputErrorStart, setup: FitSetup, progress: Progress | None
             break
     whole = replace(found, history=tuple(history), steps=steps, seconds=seconds)
     return OutputErrorFit(start=start, problem=problem, minimum=whole, shares=shares, factor=factor)
+
+
+def approach_model(
+    problem: OutputError, weights: torch.Tensor, setup: FitSetup, progress: Progress | None
+) -> tuple[OutputError, torch.Tensor]:
+    """The problem and weights near its minimum, by way of readings that are less exact than stated.
+
+    Far from the answer, exact readings would drive the model parameters many prior deviations away, into valleys of
+    their own. While the readings count for less, the priors hold them.
+    """
+    for share in _LESS_EXACT:
+        sensors = replace(problem.sensors, precision=tuple(share * one for one in problem.sensors.precision))
+        weights = minimise(problem.with_sensors(sensors), weights, setup, progress=progress).parameters
+        problem = problem.update(weights)
+    return problem, weights
+
+
+_LESS_EXACT = (0.03, 0.1, 0.3)
+"""Shares of the precision that a fit with model parameters goes through."""
 
 
 # --- what the readings' noise is -------------------------------------------------------------------------

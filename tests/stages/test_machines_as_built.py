@@ -102,3 +102,13 @@ def test_refits_need_a_modelled_machine() -> None:
     config = compose_config(["stage=robustness", "experiment=measured_demo", "robustness=refits"])
     with pytest.raises(ConfigError, match="robustness over refits must have loss=response and a modelled machine"):
         refit_study.run(config)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [23, 67])
+def test_far_from_the_stated_model_the_fit_reaches_its_minimum(seed: int) -> None:
+    """Data sets whose fit ended in another valley when the readings counted in full from the start."""
+    found = refit_study.refit(compose_config(["stage=robustness", "experiment=realistic"]), seed)
+    assert found.misfit < 1.1
+    assert found.probability is not None
+    assert found.probability > 0.01
