@@ -6,9 +6,10 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from multiprocessing import resource_tracker
+from typing import Any
 
 _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
@@ -69,3 +70,24 @@ def let_interrupt_through() -> None:
     """End :func:`delay_interrupt` in a process that was started in it."""
     if hasattr(signal, "pthread_sigmask"):  # not on Windows
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+
+
+@contextmanager
+def open_pool(workers: int, threads: int) -> Iterator[Callable[..., Iterator[Any]]]:
+    """Give ``map`` over as many processes; one worker is this process. Ctrl-C ends the others at once."""
+    if workers == 1:
+        yield map
+        return
+    each = share_threads(threads, workers)
+    # New interpreters, since torch and BLAS don't survive a fork.
+    with limit_threads(each), delay_interrupt():
+        processes = multiprocessing.get_context("spawn").Pool(workers, _begin_worker, (each,))
+    with processes:  # terminates them at its end
+        yield processes.imap
+
+
+def _begin_worker(threads: int) -> None:
+    import torch
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent gets it too
+    torch.set_num_threads(threads)

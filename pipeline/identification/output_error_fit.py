@@ -127,16 +127,18 @@ def fit_from(start: OutputErrorStart, setup: FitSetup, progress: Progress | None
     factor = np.ones(len(start.measurement.dataset.channels))
     history: list[dict[str, float | str]] = []
     steps, seconds = 0, 0.0
-    for turn in range(_ROUNDS):
-        if turn == 0 and problem.n_parameters:
-            problem, weights = approach_model(problem, weights, setup, progress)
-        found = minimise(problem, weights, setup, progress=progress)
+    approach = -len(_LESS_EXACT) if problem.n_parameters else 0
+    for turn in range(approach, _ROUNDS):
+        found = minimise(_less_exact(problem, turn) if turn < 0 else problem, weights, setup, progress=progress)
         weights = found.parameters
         history += [dict(row) | {"step": steps + int(row["step"])} for row in found.history]
         steps, seconds = steps + found.steps, seconds + found.seconds
         if found.outcomes[0] is Outcome.INTERRUPTED:
             shares = tuple(np.ones(precision.shape[1:]) for precision in problem.sensors.precision)
             break
+        if turn < 0:
+            problem = problem.update(weights)
+            continue
         if setup.loss.noise == "estimated":
             repeated = estimate_by_repeats(problem, weights)
             factor = estimate_by_residuals(problem, weights) if repeated is None else repeated
@@ -155,23 +157,15 @@ def fit_from(start: OutputErrorStart, setup: FitSetup, progress: Progress | None
     return OutputErrorFit(start=start, problem=problem, minimum=whole, shares=shares, factor=factor)
 
 
-def approach_model(
-    problem: OutputError, weights: torch.Tensor, setup: FitSetup, progress: Progress | None
-) -> tuple[OutputError, torch.Tensor]:
-    """The problem and weights near its minimum, by way of readings that are less exact than stated.
-
-    Far from the answer, exact readings would drive the model parameters many prior deviations away, into valleys of
-    their own. While the readings count for less, the priors hold them.
-    """
-    for share in _LESS_EXACT:
-        sensors = replace(problem.sensors, precision=tuple(share * one for one in problem.sensors.precision))
-        weights = minimise(problem.with_sensors(sensors), weights, setup, progress=progress).parameters
-        problem = problem.update(weights)
-    return problem, weights
-
-
 _LESS_EXACT = (0.03, 0.1, 0.3)
-"""Shares of the precision that a fit with model parameters goes through."""
+"""Shares of the precision that a fit of model parameters goes through: far from the answer, exact readings would drive
+them many prior deviations away, into valleys of their own. While the readings count for less, the priors hold them."""
+
+
+def _less_exact(problem: OutputError, turn: int) -> OutputError:
+    """The problem with readings that count for less; ``turn`` is from -3 to -1."""
+    precision = tuple(_LESS_EXACT[turn] * one for one in problem.sensors.precision)
+    return problem.with_sensors(replace(problem.sensors, precision=precision))
 
 
 # --- what the readings' noise is -------------------------------------------------------------------------

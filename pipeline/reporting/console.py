@@ -85,6 +85,13 @@ def study_progress(name: str, total: int) -> Iterator[StudyProgress]:
 
 
 @contextmanager
+def count_progress(name: str, total: int, things: str) -> Iterator[Callable[[int], None]]:
+    """Show a bar for so many ``things`` that are done one after another."""
+    with _show_bar(name, total) as (bar, task):
+        yield lambda done: bar.update(task, completed=done, words=f"{things}, left:")
+
+
+@contextmanager
 def comparison_progress(name: str, total: int) -> Iterator[Callable[[int, int, Result], None]]:
     """Show a bar for the results of a comparison, with the newest of them."""
     with _show_bar(name, total) as (bar, task):

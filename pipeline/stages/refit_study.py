@@ -7,9 +7,7 @@ once.
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
@@ -24,7 +22,8 @@ from pipeline.files import write_json
 from pipeline.identification.fit import fit
 from pipeline.identification.losses import loss_of
 from pipeline.identification.training import setup_of
-from pipeline.reporting.console import say, table
+from pipeline.processes import open_pool
+from pipeline.reporting.console import count_progress, say, table
 from pipeline.reporting.error_table import MISMATCH
 from pipeline.stages.execution import StageOutput, use_threads
 from pipeline.stages.generate import model_machine, read_probes
@@ -90,13 +89,14 @@ def run(config: Config) -> StageOutput:
 
 def _refit_all(config: Config) -> Iterator[Refit]:
     """In the order of the seeds, whatever the number of processes."""
-    seeds, one = range(config.robustness.count), partial(refit, config)
-    if config.robustness.workers == 1:
-        yield from map(one, seeds)
-        return
-    context = multiprocessing.get_context("spawn")  # torch and BLAS don't survive a fork
-    with ProcessPoolExecutor(config.robustness.workers, context) as pool:
-        yield from pool.map(one, seeds)
+    count = config.robustness.count
+    with (
+        count_progress(config.name, count, "data sets") as progress,
+        open_pool(config.robustness.workers, config.threads) as each,
+    ):
+        for done, found in enumerate(each(partial(refit, config), range(count)), start=1):
+            progress(done)
+            yield found
 
 
 def _tabulate(found: list[Refit]) -> pd.DataFrame:

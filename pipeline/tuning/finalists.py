@@ -18,8 +18,8 @@ from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.outcome import Outcome
 from pipeline.identification.residual_loss import initial_parameters, prepare_residual
 from pipeline.identification.training import minimise, setup_of
+from pipeline.processes import open_pool
 from pipeline.tuning.attempts import list_results
-from pipeline.tuning.parallel import open_pool
 from pipeline.tuning.space import translate
 from pipeline.tuning.study import StudyProblem
 from pipeline.tuning.worker import ROUNDING

@@ -97,27 +97,6 @@ def _wait_for_the_silent(study: optuna.Study, problem: StudyProblem, seen: Seen)
 
 
 @contextmanager
-def open_pool(workers: int, threads: int) -> Iterator[Callable[..., Iterator[Any]]]:
-    """Give ``map`` over as many processes; one worker is this process. Ctrl-C ends the others at once."""
-    if workers == 1:
-        yield map
-        return
-    each = share_threads(threads, workers)
-    # New interpreters, since torch and BLAS don't survive a fork.
-    with limit_threads(each), delay_interrupt():
-        processes = multiprocessing.get_context("spawn").Pool(workers, _begin, (each,))
-    with processes:  # terminates them at its end
-        yield processes.imap
-
-
-def _begin(threads: int) -> None:
-    import torch
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent gets it too
-    torch.set_num_threads(threads)
-
-
-@contextmanager
 def _start_others(problem: StudyProblem, count: int, threads: int) -> Iterator[list[Any]]:
     """``count`` more workers; they have ended at the end of the block."""
     context = multiprocessing.get_context("spawn")
