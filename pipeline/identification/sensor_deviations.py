@@ -124,27 +124,27 @@ class SensorDeviations:
         by_coefficient = derive(block, found).flatten(-2)  # (G, S, P, R, 8 B)
         _, slope = self.unknowns(state.outputs)
         by_outputs = (by_coefficient @ self.influence.to(by_coefficient.dtype)) * slope[:, :, None, None]
-        rest = [self._by_planes(found)]
+        rest = [self._by_planes(found, precision)]
         if self.n_parameters:
             known = self.known_variation.to(by_coefficient.dtype)[:, None]
             by_model = derive_by_parameters(self.variations[b], found, change, state.unbalance)
-            rest.append(by_model + by_coefficient @ known)
+            rest.append((by_model + by_coefficient @ known) * precision[..., None])
         rows = [
             ((found.sensors - self.measured[b]) * precision)[..., None],
             by_outputs * precision[..., None],
-            torch.cat(rest, dim=-1) * precision[..., None],
+            torch.cat(rest, dim=-1),
         ]
         flat = [part.flatten(2, 3) for part in rows]
         by_parts = [torch.cat([part.real, part.imag], dim=2) for part in flat]
         return by_parts[0], by_parts[1], by_parts[2]
 
-    def _by_planes(self, found: BlockResponse) -> torch.Tensor:
-        """(G, S, P, R, 2 N) derivative by the weights of the residual unbalance, m."""
+    def _by_planes(self, found: BlockResponse, precision: torch.Tensor) -> torch.Tensor:
+        """(G, S, P, R, 2 N) derivative by the weights of the residual unbalance, over the noise."""
         import torch
 
         own = torch.zeros(*found.sensors.shape, self.n_planes, dtype=found.sensors.dtype)
         if found.unit_sensors.shape[-1]:
-            own = found.unit_sensors[:, :, :, None, :].expand(own.shape)
+            own = found.unit_sensors[:, :, :, None, :].expand(own.shape) * precision[..., None]
         own = self.plane_scale * own
         return torch.stack([own, 1j * own], dim=-1).flatten(-2)
 
