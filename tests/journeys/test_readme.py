@@ -82,7 +82,7 @@ ROWS: dict[str, list[Figure]] = {
     "| `noisy_direct` | kxx, kyy, cxx, cyy |": noisy_row("noisy_direct"),
     "| `noisy_all` | all eight |": noisy_row("noisy_all"),
     "from hammer blows at 60 speeds |": median("impulses"),
-    "| `measured_demo` | kxx, kyy, cxx, cyy, from recordings of run-ups |": [held_out_run("measured_demo")],
+    "| `measured_demo` | kxx, kyy, cxx, cyy, from synthetic recordings of run-ups |": [held_out_run("measured_demo")],
 }
 
 
