@@ -82,6 +82,7 @@ def test_a_finer_mesh_of_the_same_shaft_is_nearly_the_same_machine() -> None:
     assert 1e-9 < off < 0.01
 
 
+@pytest.mark.slow
 def test_refits_are_the_same_in_one_process_and_in_two() -> None:
     """Every data set is its seed's; so are its errors."""
     config = compose_config(["stage=robustness", *SMALL, "robustness.count=2", "robustness.workers=2"])
