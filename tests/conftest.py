@@ -294,6 +294,15 @@ class Artifacts:
         return folder
 
 
+@pytest.fixture
+def quiet() -> Iterator[None]:
+    """For tests that use MLflow themselves."""
+    from pipeline.tracking.quiet import quiet_mlflow
+
+    with quiet_mlflow(10.0):
+        yield
+
+
 @pytest.fixture(scope="session")
 def artifacts() -> Artifacts:
     """``artifacts(experiment, files)``: the folder of what the graph made for an experiment."""

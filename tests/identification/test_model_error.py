@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import Artifacts
 
 from pipeline.config.as_built import AsBuiltConfig
 from pipeline.config.compose import compose_config
@@ -138,3 +140,19 @@ def test_the_mismatch_test_is_that_of_the_distributions() -> None:
         "whiteness": pytest.approx(0.05, abs=1e-4),
         "probability": pytest.approx(0.05, abs=1e-4),
     }
+
+
+@pytest.mark.slow
+def test_the_experiment_finds_how_the_machine_was_built(artifacts: Artifacts) -> None:
+    """What the graph made of all sixteen coefficients: every parameter of the rotor within four deviations."""
+    folder = artifacts("realistic", "training.json", "metrics.json")
+    found = json.loads((folder / "training.json").read_text())["model_parameters"]
+    built = CONFIG.machine.as_built
+    assert built is not None
+    for name, one in found.items():
+        kind = name.partition(" ")[0]
+        if not kind.startswith("unbalance"):  # those of the weights were drawn
+            assert abs(one["value"] - (getattr(built, kind) or 0.0)) <= 4 * one["deviation"], name
+    assert found["youngs_modulus"]["deviation"] < 0.2 * found["youngs_modulus"]["prior_deviation"]
+    within = json.loads((folder / "metrics.json").read_text())["within_95_percent_interval"]
+    assert np.mean([share for of in within.values() for share in of.values()]) > 80

@@ -10,7 +10,6 @@ import sqlite3
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
@@ -61,13 +60,6 @@ def settings(fresh_database: Path, tmp_path: Path) -> TrackingSettings:
     folder.mkdir()
     shutil.copy(fresh_database, folder / "mlflow.db")
     return TrackingSettings(enabled=True, uri=f"sqlite:///{folder}/mlflow.db")
-
-
-@pytest.fixture
-def quiet() -> Iterator[None]:
-    """For tests that use MLflow themselves."""
-    with quiet_mlflow(10.0):
-        yield
 
 
 def clean_environment() -> dict[str, str]:
