@@ -80,7 +80,7 @@ DATA = {"vibration.parquet", "excitation.csv", "known_coefficients.csv", "modell
 """What ``generate`` writes into an experiment's folder."""
 ANSWER = {
     *("model.safetensors", "model.json", "uncertainty.safetensors", "identified_coefficients.csv"),
-    *("bad_points.csv", "residual_unbalance.csv", "history.csv", "training.json"),
+    *("bad_points.csv", "residual_unbalance.csv", "model_parameters.csv", "history.csv", "training.json"),
 }
 """What ``train`` adds."""
 

@@ -383,7 +383,7 @@ def test_the_command_line_goes_on_where_it_was_interrupted(
     assert "Traceback" not in out + err
     before = told(problem)
     assert before == undisturbed()[: len(before)]
-    assert 2 <= len(before) < TRIALS
+    assert 2 <= len(before) <= TRIALS  # the last trials may be quicker than the signal
     with subprocess.Popen(command, **options) as process:
         out, err = process.communicate(timeout=90)
     assert process.returncode == 0, err
