@@ -23,6 +23,8 @@ from pipeline.config.schema import Config
 from pipeline.errors import ConfigError
 from pipeline.stages.new import fill_template
 
+pytestmark = pytest.mark.slow  # every test composes a configuration by Hydra: half a second each
+
 
 def test_a_machine_of_another_folder(folder: Path) -> None:
     """Its stem is the experiment's name, its bearings say what is identified, its probes how noisy it is."""

@@ -16,6 +16,8 @@ from pipeline.errors import ConfigError, DataError
 from pipeline.stages import run_stage
 from pipeline.stages.new import fill_template
 
+pytestmark = pytest.mark.slow  # every test composes a configuration by Hydra: half a second each
+
 KINDS = [(bearings, data) for bearings in ("rolling", "fluid_film") for data in ("simulated", "recordings", "tables")]
 
 
