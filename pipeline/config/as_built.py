@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field, PositiveInt
 
-from pipeline.config.quantities import Angle, Mass, PositiveAngle, Stiffness
+from pipeline.config.quantities import Mass, PositiveAngle, Stiffness
 from pipeline.config.section import NonNegativeInt, Section, Share
 
 
@@ -26,4 +26,4 @@ class AsBuiltConfig(Section):
     unbalance_magnitude: Share = 0.0
     unbalance_phase: PositiveAngle | None = None
     probe_gain: Share = 0.0
-    probe_angle: Angle | None = None
+    probe_angle: PositiveAngle | None = None

@@ -70,6 +70,12 @@ class MachineConfig(Section):
         return [_plan_run(run, recordings) for run in recordings.runs if run.unbalances or run.forces]
 
     @model_validator(mode="after")
+    def _refines_its_own_shaft(self) -> MachineConfig:
+        if self.as_built is not None and self.as_built.refinement > 1 and self.rotor.file is not None:
+            raise ValueError("as_built.refinement must be 1 for a rotor of a file, whose elements are its own")
+        return self
+
+    @model_validator(mode="after")
     def _names(self) -> MachineConfig:
         names = [run.name for run in self.runs]
         if len(set(names)) != len(names):

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pipeline.data.dataset import Excitation
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.outcome import Outcome
 from pipeline.identification.output_error import OutputError
@@ -222,9 +223,10 @@ def estimate_by_repeats(problem: OutputError, weights: torch.Tensor) -> np.ndarr
         # All runs had the same baseline taken off: its noise cancels.
         read = predicted[0].numpy() + (0.0 if subtracted is None else subtracted[..., block.runs])
         deviation = problem.measurement.deviation_of(read)
-        forced, last = block.forced_sensors.numpy(), {}  # type: ignore[var-annotated]
-        for r in range(measured.shape[-1]):
-            before = last.get(key := forced[..., r].tobytes())
+        last: dict[tuple[Excitation, ...], int] = {}
+        for r, run in enumerate(block.runs):
+            # By what is stated: a fitted weight of one run is not that of another.
+            before = last.get(key := problem.measurement.dataset.excitation_of(int(run)))
             if before is not None:
                 squares.append(np.abs((measured[..., r] - measured[..., before]) / deviation[..., r]) ** 2 / 2)
             last[key] = r

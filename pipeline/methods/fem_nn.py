@@ -28,6 +28,7 @@ def fit_by(section: Callable[[MethodOptions], FitConfig]) -> Callable[[Measureme
     """Make a method that fits as a section of the settings says."""
 
     def identify(data: Measurement, options: MethodOptions) -> Estimate:
+        """Fit the measurement. Raises Refusal as the residual's methods do."""
         own = section(options)
         setup = FitSetup(own.model, own.loss, own.optimizer, own.training, options.seed)
         loss = loss_of(own.loss)

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.coefficients import CoefficientName
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.noise import NoiseModel
 from pipeline.problem.model_parameters import (
@@ -66,7 +67,7 @@ class Measurement:
         vibration: str | Path,
         excitation: str | Path,
         *,
-        unknowns: Sequence[str],
+        unknowns: Sequence[CoefficientName],
         noise: NoiseModel,
         guess: Guess,
         known: str | Path | None = None,
@@ -98,7 +99,7 @@ class Measurement:
 
         model = load_rotor(RotorConfig(file=str(rotor)))
         dataset = read_dataset(Path(vibration), Path(excitation), model, baseline)
-        nodes, asked = model.bearing_nodes, BearingUnknowns(tuple(unknowns), structure)  # type: ignore[arg-type]
+        nodes, asked = model.bearing_nodes, BearingUnknowns(tuple(unknowns), structure)
         others = tuple(name for name in COEFFICIENTS if name not in asked.coefficients)
         if known is None and not others:
             table = BearingTable(nodes, dataset.speeds, np.zeros((len(nodes), len(dataset.speeds), len(COEFFICIENTS))))

@@ -8,7 +8,7 @@ once.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -49,7 +49,9 @@ def refit(config: Config, seed: int) -> Refit:
     """Measure the modelled machine once and identify it."""
     use_threads(config)
     rotor, truth, complete = model_machine(config, seed)
-    measurement = build_measurement(config, rotor, read_probes(config, rotor, complete, seed), truth)
+    asked = config.identify.unknowns_of(rotor.bearing_nodes).identified[:, None]
+    known = replace(truth, values=np.where(asked, 0.0, truth.values))  # the fit sees nothing of what it is to find
+    measurement = build_measurement(config, rotor, read_probes(config, rotor, complete, seed), known)
     setup = setup_of(config)
     found = fit(measurement, setup)
     answer = found.table(update_measurement(measurement, found.uncertainty).updated_known)

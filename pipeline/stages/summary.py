@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from pipeline.config.schema import Config
-from pipeline.data.dataset import Excitation, VibrationDataset
-from pipeline.data.simulate import solve_response
 from pipeline.files import read_json, write_text
 from pipeline.identification.losses import loss_of
 from pipeline.identification.uncertainty import Uncertainty
@@ -18,7 +14,7 @@ from pipeline.reporting.summary_figure import draw_summary
 from pipeline.reporting.summary_text import Results, ShownRun, write_summary
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.execution import StageOutput
-from pipeline.stages.measurement import load_measurement
+from pipeline.stages.measurement import load_measurement, update_measurement
 from pipeline.stages.predict import Twin, build_twin
 from pipeline.stages.workspace import locate_files
 
@@ -60,20 +56,8 @@ def _choose_run(
     data = measurement.dataset
     held_out = config.training.holdout_runs if loss_of(config.loss).weighs_noise else ()
     r = data.runs.index(held_out[0] if held_out else data.runs[0])
-    one = data.of_runs(np.array([r]))
-    full = _add_residual(one, uncertainty)
-    response = solve_response(measurement.rotor, bearings, full.excitations, full.runs, full.own_frequencies)
-    reached = response[..., 0] @ full.sensor_matrix(measurement.rotor.n_dof).T  # (S, P) complex, m
-    probe = int(np.abs(one.displacement).max(axis=(0, 2)).argmax())
-    return ShownRun(data.runs[r], bool(held_out), probe, one.displacement[..., 0], reached)
-
-
-def _add_residual(one: VibrationDataset, uncertainty: Uncertainty | None) -> VibrationDataset:
-    """The run with the residual unbalance that was found, if any and if it turns with the rotor."""
-    if uncertainty is None or not np.allclose(one.frequencies[:, 0], one.speeds, rtol=1e-9):
-        return one
-    found = tuple(
-        Excitation(one.runs[0], "unbalance", int(node), float(abs(u)), float(np.angle(u)))
-        for node, u in zip(uncertainty.planes, uncertainty.residual_unbalance, strict=True)
-    )
-    return replace(one, excitations=(*one.excitations, *found))
+    updated = update_measurement(measurement, uncertainty).select(None, np.array([r]))
+    found = None if uncertainty is None else uncertainty.residual_unbalance
+    reached, one = updated.response.predict(bearings, found)[..., 0], data.displacement[..., r]  # (S, P) complex, m
+    probe = int(np.abs(one).max(axis=0).argmax())
+    return ShownRun(data.runs[r], bool(held_out), probe, one, reached)

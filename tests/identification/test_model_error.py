@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -25,6 +26,9 @@ from pipeline.rotor.stored import load_modelled_bearings, load_rotor
 from pipeline.stages.generate import configure_excitations, configure_sensors
 from pipeline.stages.measurement import build_measurement
 from pipeline.units import RAD_S_PER_RPM
+
+if TYPE_CHECKING:
+    import torch
 
 CONFIG = compose_config(
     [
@@ -64,7 +68,7 @@ def worst_error(fit: OutputErrorFit, truth: BearingTable) -> float:
 
 
 @pytest.fixture(scope="module")
-def problem() -> tuple[OutputError, object]:
+def problem() -> tuple[OutputError, torch.Tensor]:
     """All kinds that the experiment has, at weights that are none of a minimum."""
     import torch
 
@@ -74,18 +78,18 @@ def problem() -> tuple[OutputError, object]:
     return start.problem.update(0.9 * weights), weights
 
 
-def test_the_derivative_is_that_of_autograd(problem: tuple[OutputError, object]) -> None:
+def test_the_derivative_is_that_of_autograd(problem: tuple[OutputError, torch.Tensor]) -> None:
     """By model parameters, too; the normal equations are those of the full derivative."""
     import torch
 
     fitted, weights = problem
-    jacobian = fitted.jacobian(weights)[0, 0]  # type: ignore[arg-type]
-    auto = torch.autograd.functional.jacobian(lambda z: fitted.rows(z)[0, 0], weights)[:, 0, 0]  # type: ignore[arg-type]
+    jacobian = fitted.jacobian(weights)[0, 0]
+    auto = torch.autograd.functional.jacobian(lambda z: fitted.rows(z)[0, 0], weights)[:, 0, 0]
     assert jacobian.shape == auto.shape
     assert (jacobian - auto).abs().max() <= 1e-8 * auto.abs().max()
-    gradient, matrix = fitted.normal(weights)  # type: ignore[arg-type]
+    gradient, matrix = fitted.normal(weights)
     assert torch.allclose(matrix[0, 0], jacobian.mT @ jacobian, rtol=1e-8, atol=1e-8 * float(matrix.abs().max()))
-    rows = fitted.rows(weights)[0, 0]  # type: ignore[arg-type]
+    rows = fitted.rows(weights)[0, 0]
     assert torch.allclose(gradient[0, 0], jacobian.mT @ rows, rtol=1e-8, atol=1e-8 * float(gradient.abs().max()))
 
 

@@ -130,7 +130,7 @@ def test_the_updated_rotor_is_the_one_that_ross_makes(kind: str, other: dict[str
 def test_a_parameter_that_the_machine_lacks_is_refused(kind: str, measurement: Measurement) -> None:
     """No disc, no weight, nothing known."""
     bare = replace(measurement.rotor, disc_nodes=())
-    unknowns = unknown_set(dict.fromkeys(bare.bearing_nodes, BearingUnknowns(COEFFICIENTS)))  # type: ignore[arg-type]
+    unknowns = unknown_set(dict.fromkeys(bare.bearing_nodes, BearingUnknowns(COEFFICIENTS)))
     data = replace(measurement.dataset, excitations=(Excitation("a", "force", 3, 1.0, 0.0),))
     with pytest.raises(ConfigError, match=f"{kind} must belong to something that the machine has"):
         model_parameters({kind: 0.1}, bare, data, measurement.known, unknowns)

@@ -25,8 +25,8 @@ SMALL = [
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [
-        (["identify.model_parameters.youngs_modulus=0"], "youngs_modulus: Input must be greater than 0"),
-        (["identify.model_parameters.density=1.5"], "density: Input must be less than 1"),
+        (["identify.model_parameters.youngs_modulus=0"], "youngs_modulus: must be greater than 0"),
+        (["identify.model_parameters.density=1.5"], "density: must be less than 1"),
         (["identify.model_parameters.unbalance_phase=2 mm"], "must convert to rad"),
         (["loss=residual"], "identify.model_parameters must come with loss=response"),
         (["identify.model_parameters.stiffness=0.1"], "has no 'stiffness'"),
@@ -37,9 +37,7 @@ def test_a_wrong_tolerance_is_refused(overrides: list[str], words: str) -> None:
     """The key, what came, and no traceback; also where nodes are keys of the same machine."""
     with pytest.raises(ConfigError) as refused:
         compose_config(["stage=train", *SMALL, *overrides])
-    assert words in str(refused.value).replace("must be greater", "Input must be greater").replace(
-        "must be less", "Input must be less"
-    )
+    assert words in str(refused.value)
 
 
 @pytest.mark.parametrize(
