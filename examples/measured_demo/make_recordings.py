@@ -1,4 +1,4 @@
-"""Recordings as an engineer would hand them over, made straight from ROSS and from nothing of this package.
+"""Synthetic recordings as an engineer would hand them over, made straight from ROSS and nothing of this package.
 
     python examples/measured_demo/make_recordings.py
 

@@ -146,6 +146,7 @@ class MeasuredConfig(Section):
     """All formats share these keys; each adds ``probes`` and ``runs``. Runs that name no file are in ``file``.
 
     ``known`` is a table of the coefficients that are not identified, or ``bearings``: those of the machine's bearings.
+    ``synthetic`` says that the recordings were modelled with the machine's bearings: answers are judged by them.
     """
 
     file: Text | None = None
@@ -155,6 +156,7 @@ class MeasuredConfig(Section):
     interpolation: Literal["cubic", "linear"] = "cubic"
     slow_roll: SlowRollConfig | None = None
     known: Text | None = None
+    synthetic: bool = False
 
     def check_shared(
         self, runs: Sequence[MeasuredRunConfig], probes: Mapping[str, ProbeConfig], tacho: TachoAngleConfig

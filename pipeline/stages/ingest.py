@@ -36,6 +36,7 @@ from pipeline.stages.workspace import Workspace, list_known, locate_files, requi
 def run(config: Config) -> StageOutput:
     """``vibration.parquet``, ``excitation.csv``, ``known_coefficients.csv``, ``ingest.json`` and two figures.
 
+    Synthetic recordings have ``modelled_coefficients.csv``, too, which training never reads.
     Raises ConfigError where the configuration says nothing to read.
     """
     work, ingest = locate_files(config), config.machine.recordings
@@ -64,6 +65,11 @@ def run(config: Config) -> StageOutput:
     written = [write_excitation(work.excitation, dataset)]
     if known is not None:
         written.append(write_coefficients(work.known, known, list_known(config, rotor.bearing_nodes)))
+    if ingest.synthetic:
+        modelled = load_modelled_bearings(config.machine.rotor, config.machine.bearings, dataset.speeds)
+        written.append(write_coefficients(work.modelled, modelled))
+    else:
+        work.modelled.unlink(missing_ok=True)
     written.append(write_vibration(work.vibration, dataset))
     written += [
         write_json(work.folder / "ingest.json", _summarize(measured, ingest, notes)),
@@ -158,7 +164,8 @@ def _report(config: Config, ingest: AnyRecordingsConfig, measured: MeasuredRuns,
             ]
         )
     header = ["run", "file", "speeds", "rpm", "largest, um", "excited by"]
-    table(f"{config.name}: read as {describe_conventions(ingest)}", header, rows)
+    made = "synthetic recordings" if ingest.synthetic else "read"
+    table(f"{config.name}: {made} as {describe_conventions(ingest)}", header, rows)
     probes = ", ".join(
         f"{name} (node {probe.node}, {np.degrees(probe.angle):g} deg)" for name, probe in ingest.probes.items()
     )

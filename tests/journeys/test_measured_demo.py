@@ -41,20 +41,25 @@ def folder(
     return made
 
 
-def test_the_direct_stiffness_is_found(folder: Path, recordings: ModuleType) -> None:
-    """Within 2 %."""
-    found = pd.read_csv(folder / "identified_coefficients.csv")
+def test_the_truth_is_what_the_recordings_were_made_of(folder: Path, recordings: ModuleType) -> None:
+    """The script says it by itself; the stage read it from the saved rotor."""
+    modelled = pd.read_csv(folder / "modelled_coefficients.csv")
     for node, truth in recordings.BEARINGS.items():
-        own = found[found["bearing_node"] == node]
-        for name in ("kxx", "kyy"):
-            error = float(np.abs(own[name] / truth[name] - 1).median())
-            stated = float((own[f"{name}_std"] / own[name]).median())
-            print(f"node {node} {name}: {100 * error:.3f} %, stated {100 * stated:.3f} %")
-            assert error < 0.02
+        own = modelled[modelled["bearing_node"] == node]
+        for name, value in truth.items():
+            np.testing.assert_allclose(own[name], value, rtol=1e-12)
+
+
+def test_stiffness_and_damping_are_found(folder: Path) -> None:
+    """Measured: at most 0.043 % and 0.45 %, by the tables 0.017 % and 0.19 %."""
+    for node, of in json.loads((folder / "metrics.json").read_text())["coefficients"].items():
+        for name, error in of.items():
+            print(f"node {node} {name}: {error['median_error_percent']:.3f} %")
+            assert error["median_error_percent"] < (0.12 if name.startswith("k") else 1.2)
 
 
 def test_the_run_that_was_not_fitted_is_predicted(folder: Path) -> None:
-    """Within 3 % at the probes."""
+    """Measured: 0.36 % at the probes, 0.31 % by the tables."""
     held_out = json.loads((folder / "metrics.json").read_text())["fit"]["held_out_runs"]
     print(held_out)
-    assert held_out["error_percent"] < 3
+    assert held_out["error_percent"] < 1
