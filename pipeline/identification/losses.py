@@ -14,8 +14,9 @@ import numpy as np
 from pipeline.config.identification import LossConfig
 from pipeline.identification.identified import Fit
 from pipeline.identification.training import FitSetup, Progress, minimise
+from pipeline.problem.determination import Deviations
 from pipeline.problem.diagnosis import Diagnosis, diagnose_residual, diagnose_response
-from pipeline.problem.identifiability import require_identifiable
+from pipeline.problem.identifiability import Verdict, require_identifiable
 from pipeline.problem.measurement import Guess, Measurement
 
 
@@ -34,6 +35,10 @@ class Loss(Protocol):
 
     def diagnose(self, measurement: Measurement, setup: FitSetup) -> Diagnosis:
         """What the measurement determines, before the fit. Raises DataError for sensors that do not suffice."""
+        ...
+
+    def expect(self, measurement: Measurement, setup: FitSetup, diagnosis: Diagnosis) -> Deviations:
+        """The coefficients before the fit, with the deviations that the stated noise will leave to it."""
         ...
 
     def fit(
@@ -59,6 +64,17 @@ class ResidualLoss:
     def diagnose(self, measurement: Measurement, setup: FitSetup) -> Diagnosis:
         """By least squares at each speed."""
         return diagnose_residual(measurement, setup.constant)
+
+    def expect(self, measurement: Measurement, setup: FitSetup, diagnosis: Diagnosis) -> Deviations:
+        """Of least squares at each speed by itself: the residual weighs no noise, so it promises no more. A constant
+        takes the weighted mean of its speeds.
+        """
+        if not setup.constant:
+            return diagnosis.deviations
+        with np.errstate(divide="ignore"):
+            pooled = 1 / np.sqrt((diagnosis.deviation**-2.0).sum(axis=1, keepdims=True))
+        every = np.broadcast_to(pooled, diagnosis.deviation.shape)
+        return Deviations(diagnosis.answer, every, "constants over all speeds")
 
     def fit(
         self,
@@ -104,6 +120,23 @@ class OutputErrorLoss:
             return np.asarray(drawn_basis(setup, data, data.dataset.speeds, sizes).at(data.dataset.speeds).numpy())
 
         return diagnose_response(measurement, setup.constant, features)
+
+    def expect(self, measurement: Measurement, setup: FitSetup, diagnosis: Diagnosis) -> Deviations:
+        """Of the fit that will be made, at its linear start: the Cramer-Rao bound of all functions of the model, with
+        residual unbalance and model parameters. The fit drops superfluous functions, so it may know more.
+        """
+        from pipeline.identification.output_error_fit import unknown_deviation
+        from pipeline.identification.output_error_start import prepare_output_error
+
+        solvable = all(report.verdict is not Verdict.NOT_IDENTIFIABLE for report in diagnosis.reports)
+        if not (solvable and diagnosis.by_least_squares):
+            return diagnosis.deviations
+        start = prepare_output_error(measurement, setup)
+        problem, unknowns = start.problem, measurement.unknowns
+        values = unknowns.from_active(problem.unknowns(start.weights)[0][0].numpy())
+        spread = unknowns.expand_deviation(unknowns.from_active(unknown_deviation(problem, start.weights)[0]))
+        kind = "constants over all speeds" if setup.constant else "smooth functions over all speeds"
+        return Deviations(problem.measurement.table(values), spread, kind)
 
     def fit(
         self,

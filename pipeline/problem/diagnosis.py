@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
+from pipeline.problem.determination import Deviations
 from pipeline.problem.identifiability import (
     Identifiability,
     Verdict,
@@ -48,6 +49,12 @@ class Diagnosis:
     answer: BearingTable  # least squares of each speed by itself, or a guess: sizes to compare the deviations with
     deviation: np.ndarray  # (B, S, 8) standard deviation of it, N/m and N s/m; NaN where nothing is identified
     by_least_squares: bool = True  # whose deviation it is; else that of the fit of smooth functions
+
+    @property
+    def deviations(self) -> Deviations:
+        """The same, to be judged."""
+        of = "each speed by itself" if self.by_least_squares else "smooth functions over all speeds"
+        return Deviations(self.answer, self.deviation, of)
 
     def relative(self, node: int) -> dict[str, np.ndarray]:
         """Coefficient -> (S,) standard deviation over size."""

@@ -71,8 +71,11 @@ class Identifiability:
 
     @property
     def sentence(self) -> str:
-        """The verdict in words."""
-        return f"{self.where}: {self.verdict.value}" + (f", because {self.reason}" if self.reason else "")
+        """The verdict in words. Rank knows of no noise; :mod:`pipeline.problem.determination` does."""
+        without_noise = " without noise" if self.verdict is Verdict.IDENTIFIABLE else ""
+        return f"{self.where}: {self.verdict.value}{without_noise}" + (
+            f", because {self.reason}" if self.reason else ""
+        )
 
     def free_combination(self) -> str:
         """The least determined combination at the speed of the median condition, such as ``0.71 kxx - 0.70 kxy``."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.evaluation.errors import CoefficientErrors
+from pipeline.problem.determination import Determined, describe_determined, read_determined
 from pipeline.reporting.console import table
 from pipeline.rotor.bearing_table import BearingTable
 
@@ -36,7 +37,7 @@ def make_error_table(
         for name in names[b]:
             if errors is not None and name not in errors[node]:
                 continue  # a modelled coefficient of zero has no relative error
-            row: dict[str, object] = {"bearing_node": node, "coefficient": name}
+            row: dict[str, Any] = {"bearing_node": node, "coefficient": name}
             if modelled is not None:
                 row["modelled"] = modelled.coefficient(name)[b].mean()
             row["identified"] = answer.coefficient(name)[b].mean()
@@ -47,6 +48,7 @@ def make_error_table(
             if deviation is not None:
                 c = COEFFICIENTS.index(name)
                 row["median_std_percent"] = float(100 * np.median(deviation[b, :, c] / np.abs(answer.values[b, :, c])))
+                row["verdict"] = Determined(node, name, row["median_std_percent"] / 100).verdict.value
             rows.append(row)
     return pd.DataFrame(rows)
 
@@ -72,11 +74,19 @@ _SHOWN = {
     "l2_error_percent": "L2",
     "least_squares_mean_error_percent": "least squares mean error %",
     "median_std_percent": "median std %",
+    "verdict": "verdict",
 }
 
 
-def _format(column: str, value: float) -> str:
+def _format(column: str, value: float | str) -> str:
+    if isinstance(value, str):
+        return value
     return f"{value / 1e5:.5f}e5" if column in ("modelled", "identified") else f"{value:.2g}"
+
+
+def describe_verdicts(determined: Mapping[str, Any]) -> str:
+    """Say how well each coefficient is determined, from ``determined`` of ``training.json``."""
+    return f"{determined['by']}: {describe_determined(read_determined(determined['coefficients']))}"
 
 
 MISMATCH = 0.05

@@ -16,6 +16,7 @@ from pipeline.config.schema import Config
 from pipeline.data.dataset import VibrationDataset, name_direction
 from pipeline.data.vibration_files import to_rpm
 from pipeline.evaluation.errors import measure_relative_errors
+from pipeline.reporting.error_table import describe_verdicts
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.twin.modes import CriticalSpeed, StabilityMargin
@@ -71,6 +72,7 @@ def write_summary(config: Config, results: Results, picture: Path) -> str:
         "",
         *_list_coefficients(config, results),
         "",
+        *_wrap_entry("verdict", describe_verdicts(results.training["determined"])),
         *_wrap_entry("fit", _describe_fit(results.training)),
         *_wrap_entry("", _describe_run(results)),
         *_wrap_entry("critical", _list_critical_speeds(results)),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from pipeline.identification.losses import loss_of
 from pipeline.identification.quality import finite
 from pipeline.identification.training import setup_of
 from pipeline.problem.budget import budget_percent
+from pipeline.problem.determination import Determined, Deviations, describe_determined, summarize_determined
 from pipeline.problem.diagnosis import Diagnosis
 from pipeline.problem.identifiability import Verdict
 from pipeline.problem.measurement import Measurement
@@ -33,10 +35,17 @@ def run(config: Config) -> StageOutput:
     for report in diagnosis.reports:
         say(f"{config.name}: {report.sentence}")
     _print(config, diagnosis)
-    summary = {"stated_noise": config.stated_noise.model_dump(), "bearings": _summarize(diagnosis)}
+    expected = judge(config, measurement, diagnosis)
+    judged = expected.judge()
+    _print_verdicts(config, expected, judged)
+    summary = {
+        "stated_noise": config.stated_noise.model_dump(),
+        "bearings": _summarize(diagnosis),
+        "determined": {"by": expected.of, "coefficients": summarize_determined(judged)},
+    }
     written = [
         write_json(work.folder / "diagnosis.json", summary),
-        write_table(work.folder / "diagnosis.csv", _tabulate(diagnosis)),
+        write_table(work.folder / "diagnosis.csv", _tabulate(diagnosis, judged)),
         draw_diagnosis(work.figure("diagnosis"), diagnosis.reports, diagnosis.relative, describe_noise(config)),
     ]
     written += _write_budget(config, measurement, diagnosis)
@@ -67,20 +76,27 @@ def diagnose(config: Config, measurement: Measurement) -> Diagnosis:
     return loss_of(setup.loss).diagnose(measurement, setup)
 
 
-def say_diagnosis(config: Config, measurement: Measurement) -> Diagnosis:
-    """A line a bearing, before a fit."""
+def say_diagnosis(config: Config, measurement: Measurement) -> tuple[Diagnosis, Deviations]:
+    """A line a bearing, before a fit; with the deviations that its verdicts rest on."""
     diagnosis = diagnose(config, measurement)
+    expected = judge(config, measurement, diagnosis)
+    judged = expected.judge()
     for report in diagnosis.reports:
         text = report.sentence
         if report.verdict is not Verdict.NOT_IDENTIFIABLE:
-            name, deviation = diagnosis.worst(report)
-            method = "least squares" if diagnosis.by_least_squares else "the fit"
+            own = [one for one in judged if one.node in report.nodes]
             text += (
                 f"; condition number {np.median(report.condition):.2g} (worst {report.condition.max():.2g}); at "
-                f"{describe_noise(config)} {method} gives {name} to {100 * deviation:.2g} %"
+                f"{describe_noise(config)}, {expected.of}: {describe_determined(own)}"
             )
         say(f"{config.name}: {text}")
-    return diagnosis
+    return diagnosis, expected
+
+
+def judge(config: Config, measurement: Measurement, diagnosis: Diagnosis) -> Deviations:
+    """The deviations that the stated noise will leave to the configured fit."""
+    setup = setup_of(config)
+    return loss_of(setup.loss).expect(measurement, setup, diagnosis)
 
 
 def describe_noise(config: Config) -> str:
@@ -113,8 +129,8 @@ def _summarize(diagnosis: Diagnosis) -> dict[str, object]:
     return result
 
 
-def _tabulate(diagnosis: Diagnosis) -> list[dict[str, object]]:
-    """A row a bearing and speed."""
+def _tabulate(diagnosis: Diagnosis, judged: Sequence[Determined]) -> list[dict[str, object]]:
+    """A row a bearing and speed; the verdicts are those over all speeds."""
     rows: list[dict[str, object]] = []
     for report in diagnosis.reports:
         for node in report.nodes:
@@ -131,9 +147,20 @@ def _tabulate(diagnosis: Diagnosis) -> list[dict[str, object]]:
             columns |= {
                 f"{name}_std": diagnosis.deviation[b, :, COEFFICIENTS.index(name)] for name in diagnosis.relative(node)
             }
+            verdicts = {f"{one.name}_verdict": one.verdict.value for one in judged if one.node == node}
             names, values = list(columns), [column.tolist() for column in columns.values()]
-            rows += [{"bearing_node": node, **dict(zip(names, row, strict=True))} for row in zip(*values, strict=True)]
+            every = zip(*values, strict=True)
+            rows += [{"bearing_node": node, **dict(zip(names, row, strict=True)), **verdicts} for row in every]
     return rows
+
+
+def _print_verdicts(config: Config, expected: Deviations, judged: Sequence[Determined]) -> None:
+    nodes = expected.table.nodes
+    names = list(dict.fromkeys(one.name for one in judged))
+    found = {(one.node, one.name): f"+- {100 * one.deviation:.2g} %, {one.verdict.value}" for one in judged}
+    rows = [[name, *(found.get((node, name), "") for node in nodes)] for name in names]
+    header = ["coefficient", *(f"bearing at node {node}" for node in nodes)]
+    table(f"{config.name}: each coefficient at {describe_noise(config)}, {expected.of} (medians)", header, rows)
 
 
 def _print(config: Config, diagnosis: Diagnosis) -> None:

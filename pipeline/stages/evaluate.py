@@ -16,7 +16,7 @@ from pipeline.files import write_json
 from pipeline.identification.losses import loss_of
 from pipeline.identification.uncertainty import load_uncertainty
 from pipeline.reporting.console import say
-from pipeline.reporting.error_table import describe_quality, make_error_table, print_error_table
+from pipeline.reporting.error_table import describe_quality, describe_verdicts, make_error_table, print_error_table
 from pipeline.reporting.figures import draw_coefficients, draw_history
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.diagnose import diagnose
@@ -62,6 +62,8 @@ def run(config: Config) -> StageOutput:
     rows = make_error_table(answer, names, modelled, errors, beside, deviation)
     written.append(write_table(work.folder / "coefficient_errors.csv", rows))
     print_error_table(config.name, rows)
+    if "determined" in quality:
+        say(f"{config.name}: {describe_verdicts(quality['determined'])}")
     loss = loss_of(config.loss)
     if modelled is None or loss.weighs_noise:
         say(f"{config.name}: {describe_quality(quality)}")

@@ -139,8 +139,8 @@ def _match_unknowns(config: Config, identified: IdentifiedModel) -> bool:
     return bool(order) and np.array_equal(wanted.expansion, found.expansion[..., order])
 
 
-QUALITY = ("fit", "residual", "condition_number")
-"""``training.json`` holds these parts of :class:`pipeline.identification.quality.Quality`."""
+QUALITY = ("fit", "residual", "condition_number", "determined")
+"""``training.json`` holds these: parts of :class:`pipeline.identification.quality.Quality`, and the verdicts."""
 
 
 def load_quality(config: Config) -> dict[str, Any]:

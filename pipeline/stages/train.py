@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import astuple
+from dataclasses import astuple, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +23,12 @@ from pipeline.identification.quality import FAR_FROM_EXPECTED, finite
 from pipeline.identification.storage import save_model
 from pipeline.identification.training import setup_of
 from pipeline.identification.uncertainty import Uncertainty, save_uncertainty
+from pipeline.problem.determination import Deviations, describe_determined, summarize_determined
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, training_progress, warn
 from pipeline.reporting.model_error import print_parameters
 from pipeline.rotor.parameters import UNITS
-from pipeline.stages.diagnose import say_diagnosis
+from pipeline.stages.diagnose import describe_noise, say_diagnosis
 from pipeline.stages.execution import StageOutput, use_threads
 from pipeline.stages.measurement import load_measurement, update_measurement
 from pipeline.stages.workspace import locate_files
@@ -59,7 +60,7 @@ def run(config: Config) -> StageOutput:
     measurement = load_measurement(config)
     use_threads(config)  # torch is imported when the data have been found sound
     say_promoted(config)
-    diagnosis = say_diagnosis(config, measurement)
+    diagnosis, expected = say_diagnosis(config, measurement)
     if not diagnosis.by_least_squares:
         warn(
             f"{config.name}: the sensors are too few to tell the force at every bearing, so the fit starts at "
@@ -67,9 +68,15 @@ def run(config: Config) -> StageOutput:
         )
     with training_progress(config.name) as progress:
         found = fit(measurement, setup_of(config), progress, diagnosis)
-    summary = _summarize(found)
+    after = _deviations(config, measurement, found) or replace(
+        expected, of=f"at {describe_noise(config)}, {expected.of}"
+    )
+    judged = after.judge()
+    determined = {"by": after.of, "coefficients": summarize_determined(judged)}
+    summary = _summarize(found) | {"determined": determined}
     files = _write(config, measurement, found, summary)
     _report(config, found)
+    say(f"{config.name}: {after.of}: {describe_determined(judged)}")
     return StageOutput(
         metrics={"training": summary | {"seconds": found.seconds}},
         tags={"data_fingerprint": measurement.dataset.fingerprint, "outcome": found.outcome.label},
@@ -78,6 +85,16 @@ def run(config: Config) -> StageOutput:
         model=locate_files(config).folder,
         exit_code=130 if found.outcome is Outcome.INTERRUPTED else 0,
     )
+
+
+def _deviations(config: Config, measurement: Measurement, found: Fit) -> Deviations | None:
+    """Posterior ones, of a loss that states them."""
+    values = found.deviation(measurement.dataset.speeds)
+    if values is None:
+        return None
+    noise = "the noise that was found" if config.loss.noise == "estimated" else describe_noise(config)
+    updated = update_measurement(measurement, found.uncertainty)
+    return Deviations(found.table(updated.updated_known), values, f"by this fit at {noise}")
 
 
 def _summarize(found: Fit) -> dict[str, object]:

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import Run, known_names
+from conftest import ANSWER as WRITTEN
+from conftest import DATA, Run, known_names
 
 from pipeline.config.compose import compose_config
 from pipeline.config.schema import Config
@@ -102,20 +103,19 @@ LIES: dict[str, Callable[[Path], object]] = {
 }
 
 
+def _lie(of: Path, lie: str, folder: Path) -> Path:
+    """The data of an experiment with another truth, or none, and no answer yet."""
+    folder.mkdir()
+    for name in DATA:
+        shutil.copy(of / name, folder / name)
+    LIES[lie](folder / "modelled_coefficients.csv")
+    return folder
+
+
 @pytest.fixture(params=LIES)
 def lied(request: pytest.FixtureRequest, trained: Path, tmp_path: Path) -> Path:
     """The data of ``trained`` with another truth, or none, and no answer yet."""
-    folder = tmp_path / "lied"
-    folder.mkdir()
-    for name in (
-        "vibration.parquet",
-        "excitation.csv",
-        "known_coefficients.csv",
-        "modelled_coefficients.csv",
-    ):
-        shutil.copy(trained / name, folder / name)
-    LIES[request.param](folder / "modelled_coefficients.csv")
-    return folder
+    return _lie(trained, request.param, tmp_path / "lied")
 
 
 def test_training_gives_the_same_bits_with_any_truth(run: Run, config: Config, trained: Path, lied: Path) -> None:
@@ -221,3 +221,63 @@ def test_robustness_opens_the_truth_after_training(
     run("robustness", config, folder)
     assert at_the_end == [False]
     assert "modelled_coefficients.csv" in _names(opened)  # and the hook does see it
+
+
+# --- the output error, with model parameters; the search for hyperparameters ----------------------------
+
+REALISTIC = ["experiment=realistic", *(one for one in COARSE if not one.startswith("robustness"))]
+TOLD = ["diagnosis.json", "diagnosis.csv", "systematic_budget.csv"]
+
+
+@pytest.fixture(scope="module")
+def realistic(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Sixteen coefficients and sixteen model parameters, by the output error."""
+    folder = tmp_path_factory.mktemp("realistic") / "honest"
+    for stage in ("generate", "diagnose", "train"):
+        run(stage, REALISTIC, folder)
+    return folder
+
+
+@pytest.mark.parametrize("lie", ["removed", "other numbers"])
+def test_the_output_error_gives_the_same_bits_with_any_truth(
+    run: Run, realistic: Path, lie: str, tmp_path: Path, opened: list[str]
+) -> None:
+    """Diagnosis, budget, verdicts, coefficients with their deviations, model parameters; no truth is opened."""
+    folder = _lie(realistic, lie, tmp_path / "lied")
+    opened.clear()
+    for stage in ("diagnose", "train"):
+        run(stage, REALISTIC, folder)
+    assert [path for path in opened if "modelled_coefficients" in path] == []
+    files = [*WRITTEN, *TOLD]
+    assert [name for name in files if (folder / name).read_bytes() != (realistic / name).read_bytes()] == []
+
+
+def test_a_study_chooses_before_any_truth_is_opened(
+    run: Run, tmp_path: Path, opened: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With another truth the trials, the finalists and the choice are the same to the last bit."""
+    from pipeline.stages import tune
+
+    chosen: list[Any] = []
+    real = tune.choose
+
+    def spy(*arguments: Any) -> Any:
+        chosen.append((real(*arguments), [path for path in opened if "modelled_coefficients" in path]))
+        return chosen[-1][0]
+
+    monkeypatch.setattr(tune, "choose", spy)
+    base = ["experiment=ball_bearing", *COARSE[:4], "tuning.n_trials=2", "tuning.finalists=1", "tuning.seeds=[0,1]"]
+    run("generate", base, tmp_path / "told")
+    _lie(tmp_path / "told", "other numbers", tmp_path / "lied")
+    trials = []
+    for name in ("told", "lied"):
+        own = [f"tuning.folder={tmp_path / name / 'study'}", f"tuning.storage=sqlite:///{tmp_path / name}.db"]
+        opened.clear()
+        run("tune", [*base, *own], tmp_path / name)
+        assert "modelled_coefficients.csv" in _names(opened)  # the report has errors, when the choice is made
+        trials.append(pd.read_csv(tmp_path / name / "study" / "trials.csv"))
+    same = [name for name in trials[0] if "error" not in name and "seconds" not in name]
+    pd.testing.assert_frame_equal(trials[0][same], trials[1][same])
+    (told, before), (lied, also_before) = chosen
+    assert before == also_before == []
+    assert (told.trial, told.losses.tolist()) == (lied.trial, lied.losses.tolist())

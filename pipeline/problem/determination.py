@@ -1,0 +1,115 @@
+"""How well the data determine each coefficient at the stated noise, in the words of an engineer.
+
+Rank (:mod:`pipeline.problem.identifiability`) says what could be solved for without noise. A coefficient that is known
+to 20 times its size is of no use all the same: the verdict compares its standard deviation with its size.
+
+Legend: B bearings, S speeds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+import numpy as np
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.rotor.bearing_table import BearingTable
+
+WELL_BELOW = 0.05
+"""The 95 % interval is then within 10 % of the coefficient. A critical speed goes with the root of a stiffness, so it
+is known to 5 % at worst; a clearance within 3 % of its drawing moves a film's stiffness, which goes with its inverse
+cube, as much."""
+WEAKLY_BELOW = 0.30
+"""Zero is then more than three standard deviations away: sign and order of magnitude are certain, no more."""
+
+
+class Determination(Enum):
+    """The verdict on one coefficient."""
+
+    WELL = "well determined"
+    WEAKLY = "weakly determined"
+    NOT = "not determined"
+
+
+@dataclass(frozen=True)
+class Determined:
+    """One coefficient of one bearing."""
+
+    node: int
+    name: str
+    deviation: float  # standard deviation over size, median over the speeds
+    lost: float = 0.0  # share of the speeds at which it is not determined
+
+    @property
+    def verdict(self) -> Determination:
+        """By the limits above; a deviation that is not a number determines nothing."""
+        if self.deviation < WELL_BELOW:
+            return Determination.WELL
+        return Determination.WEAKLY if self.deviation < WEAKLY_BELOW else Determination.NOT
+
+
+@dataclass(frozen=True, eq=False)
+class Deviations:
+    """Coefficients with their standard deviations, and of which answer these are."""
+
+    table: BearingTable
+    values: np.ndarray  # (B, S, 8) N/m and N s/m; NaN where nothing is identified
+    of: str  # in words: whose deviations
+
+    def judge(self) -> tuple[Determined, ...]:
+        """A verdict on each coefficient that is identified, bearing by bearing."""
+        size = np.abs(self.table.values)
+        relative = np.divide(self.values, size, out=np.full(size.shape, np.inf), where=size > 0)
+        found = []
+        for b, c in np.argwhere(~np.isnan(self.values).all(axis=1)):
+            own = relative[b, :, c]
+            lost = float(np.mean(~(own < WEAKLY_BELOW)))
+            found.append(Determined(self.table.nodes[b], COEFFICIENTS[c], float(np.median(own)), lost))
+        return tuple(found)
+
+
+def describe_determined(judged: Sequence[Determined]) -> str:
+    """The verdicts in words: the best first, each with its worst coefficient, and nodes where there are several."""
+    several, parts = len({one.node for one in judged}) > 1, []
+    for verdict in Determination:
+        own = [one for one in judged if one.verdict is verdict]
+        if not own:
+            continue
+        names = [f"{one.name} at node {one.node}" if several else one.name for one in own]
+        worst = max(range(len(own)), key=lambda i: own[i].deviation)
+        size = f"+- {100 * own[worst].deviation:.2g} %" if np.isfinite(own[worst].deviation) else "no limit"
+        which = "all" if len(own) == len(judged) > 1 else ", ".join(names)
+        parts.append(f"{which} {verdict.value} ({f'{names[worst]} ' if len(own) > 1 else ''}{size})")
+    partly = [one for one in judged if one.lost and one.verdict is not Determination.NOT]
+    if partly:
+        one = max(partly, key=lambda one: one.lost)
+        where = f" at node {one.node}" if several else ""
+        parts.append(f"{one.name}{where} not at {100 * one.lost:.2g} % of the speeds")
+    return "; ".join(parts)
+
+
+def summarize_determined(judged: Sequence[Determined]) -> dict[str, dict[str, dict[str, object]]]:
+    """Node -> coefficient -> verdict and deviation in percent (null where there is no limit), for JSON."""
+    result: dict[str, dict[str, dict[str, object]]] = {}
+    for one in judged:
+        percent = float(100 * one.deviation) if np.isfinite(one.deviation) else None
+        result.setdefault(str(one.node), {})[one.name] = {
+            "verdict": one.verdict.value,
+            "deviation_percent": percent,
+            "not_determined_at_percent_of_speeds": 100 * one.lost,
+        }
+    return result
+
+
+def read_determined(summary: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> list[Determined]:
+    """What :func:`summarize_determined` wrote."""
+    found = []
+    for node, own in summary.items():
+        for name, of in own.items():
+            percent = of["deviation_percent"]
+            deviation = np.inf if percent is None else percent / 100
+            found.append(Determined(int(node), name, deviation, of["not_determined_at_percent_of_speeds"] / 100))
+    return found
