@@ -40,6 +40,7 @@ class ModelParametersConfig(Section):
     probe_gain: PositiveShare | None = None
     probe_angle: PositiveAngle | None = None
     probe_position: Length | None = None
+    runout: Length | None = None
     known_coefficients: PositiveShare | None = None
 
     @property

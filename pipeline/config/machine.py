@@ -70,9 +70,18 @@ class MachineConfig(Section):
         return [_plan_run(run, recordings) for run in recordings.runs if run.unbalances or run.forces]
 
     @model_validator(mode="after")
-    def _refines_its_own_shaft(self) -> MachineConfig:
-        if self.as_built is not None and self.as_built.refinement > 1 and self.rotor.file is not None:
-            raise ValueError("as_built.refinement must be 1 for a rotor of a file, whose elements are its own")
+    def _is_built_of_the_same_parts(self) -> MachineConfig:
+        built = self.as_built
+        if built is None:
+            return self
+        if self.rotor.file is not None and (built.refinement > 1 or built.beam):
+            key = "refinement" if built.refinement > 1 else next(iter(built.beam))
+            raise ValueError(f"as_built.{key} must be left out for a rotor of a file, whose elements are its own")
+        elements = sum(one.elements for one in self.rotor.shaft)
+        if built.shaft is not None and (count := sum(one.elements for one in built.shaft)) != elements:
+            raise ValueError(f"as_built.shaft must have the {elements} elements of the model's shaft, but got {count}")
+        if built.pedestal_stiffness and any(run.frequency_hz or run.frequency_ratio for run in self.runs):
+            raise ValueError("as_built.pedestal_stiffness needs runs that turn with the rotor, but one does not")
         return self
 
     @model_validator(mode="after")

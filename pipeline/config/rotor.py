@@ -17,20 +17,24 @@ class MaterialConfig(Section):
 
 
 class ShaftSegmentConfig(Section):
-    """A cylindrical piece of shaft, divided into ``elements`` equal finite elements."""
+    """A piece of shaft, divided into ``elements`` equally long finite elements.
+
+    It is a cylinder, or with ``end_diameter`` a cone from ``outer_diameter`` to that.
+    """
 
     length: Length
     outer_diameter: Length
+    end_diameter: Length | None = None
     inner_diameter: Bore = 0.0
     elements: PositiveInt = 1
 
     @model_validator(mode="after")
     def _hollow(self) -> ShaftSegmentConfig:
-        if self.inner_diameter >= self.outer_diameter:
-            raise ValueError(
-                f"must have inner_diameter < outer_diameter, but got {self.inner_diameter:g} m and "
-                f"{self.outer_diameter:g} m"
-            )
+        for name, outer in (("outer_diameter", self.outer_diameter), ("end_diameter", self.end_diameter)):
+            if outer is not None and self.inner_diameter >= outer:
+                raise ValueError(
+                    f"must have inner_diameter < {name}, but got {self.inner_diameter:g} m and {outer:g} m"
+                )
         return self
 
 
@@ -71,6 +75,7 @@ class RotorConfig(Section):
     discs: tuple[DiscConfig, ...] = ()
     bearing_nodes: tuple[NonNegativeInt, ...] = ()
     shear_effects: bool = True
+    rotary_inertia: bool = True  # of the shaft
 
     @property
     def n_nodes(self) -> int:

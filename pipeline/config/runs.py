@@ -106,8 +106,9 @@ class ProbesConfig(Section):
 
     ``all`` and ``bearings`` stand for x and y at every node, or at the bearings. Noise is circular and complex: its
     root mean square is ``additive`` and a share ``multiplicative`` of the reading. Runout is a vector of this size and
-    of random phase for each probe, the same at every speed and in every run that turns with the rotor. Readings are
-    multiples of ``quantisation``.
+    of random phase for each probe, the same at every speed and in every run that turns with the rotor. It is subtracted
+    as the mean of ``slow_roll_readings`` shows it, with their noise (0: it stays in). Readings are multiples of
+    ``quantisation``.
     """
 
     at: Literal["all", "bearings"] | tuple[ProbeConfig, ...]
@@ -115,6 +116,7 @@ class ProbesConfig(Section):
     multiplicative: Share
     runout: Deviation
     quantisation: Deviation
+    slow_roll_readings: Annotated[int, Field(ge=0, le=1000)]
     seed: NonNegativeInt
 
 

@@ -27,12 +27,11 @@ def build_rotor(rotor: RotorConfig, built: AsBuiltConfig) -> RotorModel:
 
     Raises ConfigError where the rotor file can't be read.
     """
-    fine = rotor
-    if built.refinement > 1 and rotor.file is None:
-        n = built.refinement
-        fine = rotor.model_copy(
+    n, fine = built.refinement, rotor.model_copy(update=built.beam)
+    if n > 1:
+        fine = fine.model_copy(
             update={
-                "shaft": tuple(one.model_copy(update={"elements": n * one.elements}) for one in rotor.shaft),
+                "shaft": tuple(one.model_copy(update={"elements": n * one.elements}) for one in fine.shaft),
                 "discs": tuple(one.model_copy(update={"node": n * one.node}) for one in rotor.discs),
                 "bearing_nodes": tuple(n * node for node in rotor.bearing_nodes),
             }
@@ -43,6 +42,20 @@ def build_rotor(rotor: RotorConfig, built: AsBuiltConfig) -> RotorModel:
     at = built.coupling_node * built.refinement
     changes += [ModelParameter(kind, getattr(built, kind) or 0.0, "", at) for kind in OF_COUPLING]
     return update_rotor(model, changes, np.ones(len(changes)))
+
+
+def stand_on_pedestals(bearings: BearingTable, built: AsBuiltConfig) -> BearingTable:
+    """The bearings as the shaft feels them at its own frequency, on pedestals ``h = k - w^2 m``: ``(H^-1 + 1/h)^-1``.
+
+    Film and pedestal are springs in series: no vibration of the shaft tells one from the other.
+    """
+    if built.pedestal_stiffness is None:
+        return bearings
+    film, w = bearings.impedance(), bearings.speeds[:, None, None]
+    pedestal = (built.pedestal_stiffness - w**2 * (built.pedestal_mass or 0.0)) * np.eye(2)
+    felt = pedestal @ np.linalg.solve(pedestal + film, film)
+    parts = [felt.real.reshape(*felt.shape[:2], 4), (felt.imag / w).reshape(*felt.shape[:2], 4)]
+    return replace(bearings, values=np.concatenate(parts, axis=-1))
 
 
 def simulate_as_built(
@@ -64,7 +77,7 @@ def simulate_as_built(
             size, turn = generator.standard_normal(2)
             magnitude = one.magnitude * (1 + built.unbalance_magnitude * size)
             acting[i] = replace(one, magnitude=magnitude, phase=one.phase + angle * turn)
-    found = simulate(rotor, bearings, tuple(acting), own_frequencies)
+    found = simulate(rotor, stand_on_pedestals(bearings, built), tuple(acting), own_frequencies)
     keep = [p for p, (node, _) in enumerate(found.channels) if node % n == 0]
     channels = tuple((found.channels[p][0] // n, found.channels[p][1]) for p in keep)
     return replace(found, channels=channels, displacement=found.displacement[:, keep], excitations=tuple(excitations))

@@ -22,6 +22,7 @@ class Sensors:
     multiplicative: float = 0.0  # share of the reading
     runout: float = 0.0
     quantisation: float = 0.0
+    slow_roll_readings: int = 0  # how many the runout is taken from, which is then subtracted
 
 
 def list_directions(nodes: tuple[int, ...]) -> Channels:
@@ -46,12 +47,22 @@ def measure(dataset: VibrationDataset, sensors: Sensors, generator: np.random.Ge
     if sensors.additive or sensors.multiplicative:
         noise = NoiseModel(sensors.additive, sensors.multiplicative)
         seen = add_noise(seen, noise.deviation(seen.displacement), generator)
-    readings = seen.displacement
+    turns = np.isclose(seen.frequencies, seen.speeds[:, None], rtol=1e-9)[:, None]
+    runout = np.zeros(len(seen.channels), dtype=complex)
     if sensors.runout:
-        phase = generator.uniform(0, 2 * np.pi, len(seen.channels))
-        turns = np.isclose(seen.frequencies, seen.speeds[:, None], rtol=1e-9)[:, None]
-        readings = readings + sensors.runout * np.exp(1j * phase)[:, None] * turns
-    if sensors.quantisation:
-        step = sensors.quantisation
-        readings = step * (np.round(readings.real / step) + 1j * np.round(readings.imag / step))
+        runout = sensors.runout * np.exp(1j * generator.uniform(0, 2 * np.pi, len(seen.channels)))
+    readings = _quantise(seen.displacement + runout[:, None] * turns, sensors.quantisation)
+    if sensors.slow_roll_readings:
+        readings = readings - _read_slow_roll(sensors, runout, generator)[:, None] * turns
     return replace(seen, displacement=readings)
+
+
+def _read_slow_roll(sensors: Sensors, runout: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+    """(P,) the runout as readings without weights or shaker show it, so slowly that nothing vibrates: their mean."""
+    parts = generator.standard_normal((2, sensors.slow_roll_readings, len(runout))) / np.sqrt(2.0)
+    deviation = NoiseModel(sensors.additive, sensors.multiplicative).deviation(runout)
+    return np.asarray(_quantise(runout + deviation * (parts[0] + 1j * parts[1]), sensors.quantisation).mean(axis=0))
+
+
+def _quantise(readings: np.ndarray, step: float) -> np.ndarray:
+    return step * (np.round(readings.real / step) + 1j * np.round(readings.imag / step)) if step else readings

@@ -18,7 +18,9 @@ from pipeline.data.dataset import VibrationDataset
 from pipeline.data.noise import NoiseModel
 from pipeline.problem.model_parameters import (
     known_change,
+    runout,
     sensor_matrix,
+    turns_with_rotor,
     update_excitations,
 )
 from pipeline.problem.reference_response import response_equations, response_variations
@@ -138,7 +140,9 @@ class Measurement:
         if self.parameters:
             data = update_excitations(data, self.parameters, self.parameter_values)
             sensors = sensor_matrix(data, rotor.n_dof, self.parameters, self.parameter_values)
-        return response_equations(rotor, data, self.guess.stiffness, self.unknowns.planes, sensors)
+        found = response_equations(rotor, data, self.guess.stiffness, self.unknowns.planes, sensors)
+        shown = runout(self.parameters, self.parameter_values, len(data.channels))
+        return found.shifted(shown[:, None] * self.synchronous()) if shown.any() else found
 
     @cached_property
     def variations(self) -> tuple[ResponseBlock, ...]:
@@ -191,7 +195,7 @@ class Measurement:
 
     def synchronous(self) -> np.ndarray:
         """(R,) mask of the runs that turn with the rotor."""
-        return np.asarray(np.isclose(self.dataset.frequencies, self.dataset.speeds[:, None], rtol=1e-9).all(axis=0))
+        return turns_with_rotor(self.dataset)
 
     def subtract_unbalance(self) -> Measurement:
         """The synchronous runs less the first of them: a residual unbalance, the same in all, cancels exactly.

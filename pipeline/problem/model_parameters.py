@@ -67,6 +67,7 @@ _MISSING = {
     **dict.fromkeys(OF_DISC, "no disc"),
     **dict.fromkeys(OF_WEIGHT, "no run with an unbalance"),
     "known_coefficients": "no known coefficient other than zero",
+    "runout": "no run that turns with the rotor and that no baseline was subtracted from",
 }
 
 
@@ -86,9 +87,22 @@ def _places(
     if kind in OF_PROBE:
         for p, (node, angle) in enumerate(dataset.channels):
             yield f"node {node} {name_direction(angle)}", p, ""
+    if kind == "runout" and dataset.subtracted is None and turns_with_rotor(dataset).any():
+        for p, (node, angle) in enumerate(dataset.channels):
+            for part in _PARTS:
+                yield f"node {node} {name_direction(angle)} {part}", p, part
     if kind == "known_coefficients":
         for b, c in np.argwhere(~unknowns.identified & known.values.any(axis=1)):
             yield f"{COEFFICIENTS[c]} node {known.nodes[b]}", int(b), COEFFICIENTS[c]
+
+
+_PARTS = {"real": 1.0, "imaginary": 1j}
+"""Of a runout, which is constant in the shaft: a vector of each probe, the same at all speeds."""
+
+
+def turns_with_rotor(dataset: VibrationDataset) -> np.ndarray:
+    """(R,) mask of the runs that turn with the rotor."""
+    return np.asarray(np.isclose(dataset.frequencies, dataset.speeds[:, None], rtol=1e-9).all(axis=0))
 
 
 def _numbered(excitations: Sequence[Excitation]) -> Iterator[tuple[int, Excitation]]:
@@ -174,6 +188,15 @@ def sensor_change(
     return change
 
 
+def runout(parameters: Sequence[ModelParameter], values: np.ndarray, n_channels: int) -> np.ndarray:
+    """(P,) m that each channel shows of the shaft's surface at parameters ``values`` (T,)."""
+    shown = np.zeros(n_channels, dtype=complex)
+    for parameter, value in zip(parameters, values, strict=True):
+        if parameter.kind == "runout":
+            shown[parameter.place] += value * parameter.deviation * _PARTS[parameter.detail]
+    return shown
+
+
 def _probe(parameters: Sequence[ModelParameter], values: np.ndarray, channel: int) -> dict[str, float]:
     """Shifts of a channel's gain, angle and position along the shaft."""
     own = [
@@ -198,7 +221,8 @@ def _channel(dataset: VibrationDataset, channel: int, n_dof: int, probe: Mapping
 
 def without_probes(parameters: Sequence[ModelParameter]) -> tuple[ModelParameter, ...]:
     """The same with probes that are exact, for what no probe shows."""
-    return tuple(replace(one, deviation=0.0, place=0) if one.kind in OF_PROBE else one for one in parameters)
+    shown = (*OF_PROBE, "runout")
+    return tuple(replace(one, deviation=0.0, place=0) if one.kind in shown else one for one in parameters)
 
 
 # --- known coefficients --------------------------------------------------------------------------------

@@ -16,8 +16,10 @@ import numpy as np
 from pipeline.data.dataset import VibrationDataset, assemble_forces, group_runs
 from pipeline.problem.model_parameters import (
     force_change,
+    runout,
     sensor_change,
     sensor_matrix,
+    turns_with_rotor,
     update_excitations,
 )
 from pipeline.problem.response import ResponseBlock, ResponseEquations
@@ -133,6 +135,9 @@ def response_variations(
             shown = sensors @ response
             if (seen := sensor_change(parameter, dataset, rotor.n_dof, parameters, values)) is not None:
                 shown = shown + seen @ one.response
+            if parameter.kind == "runout":  # what the sensors show besides is none of the rotor's
+                vector = runout([parameter], np.ones(1), len(dataset.channels))
+                shown[..., : len(one.runs)] += vector[:, None] * turns_with_rotor(dataset)[one.runs]
             at_bearings.append(response[:, rows.ravel()])
             at_sensors.append(shown)
         blocks.append(one.block(np.stack(at_bearings), np.stack(at_sensors)))

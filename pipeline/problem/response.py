@@ -201,6 +201,11 @@ class ResponseEquations:
         blocks = [block.at(keep, chosen) for block in self.blocks if np.isin(block.runs, chosen).any()]
         return replace(self, speeds=self.speeds[keep], blocks=tuple(blocks))
 
+    def shifted(self, shown: np.ndarray) -> ResponseEquations:
+        """The same where the sensors show ``shown`` (P, R) m besides, at every speed."""
+        blocks = [replace(b, forced_sensors=b.forced_sensors + shown[:, b.runs]) for b in self.blocks]
+        return replace(self, blocks=tuple(blocks))
+
     def predict(self, bearings: BearingTable, unbalance: np.ndarray | None = None) -> np.ndarray:
         """(S, P, R) m, of the bearings at the same speeds; residual ``unbalance`` (N,) complex, kg m."""
         result = np.empty((len(self.speeds), self.n_channels, self.n_runs), dtype=complex)

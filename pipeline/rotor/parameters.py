@@ -33,6 +33,7 @@ UNITS = {
     "probe_gain": "",
     "probe_angle": "rad",
     "probe_position": "m",
+    "runout": "m",
     "known_coefficients": "",
 }
 """Every kind, and the unit of its deviation; without a unit it is a share of the stated value."""
@@ -55,7 +56,7 @@ class ModelParameter:
     deviation: float  # prior standard deviation in the unit of the kind
     label: str  # what it belongs to, such as "node 3"; empty for the whole shaft
     place: int = 0  # node, position among the run's excitations, channel, or bearing
-    detail: str = ""  # run of an excitation, or name of a coefficient
+    detail: str = ""  # run of an excitation, name of a coefficient, or part of a runout
 
     @property
     def name(self) -> str:

@@ -27,7 +27,7 @@ from pipeline.config.bearings import (
     PerNodeBearingConfig,
     RotorFileBearingConfig,
 )
-from pipeline.config.rotor import RotorConfig
+from pipeline.config.rotor import RotorConfig, ShaftSegmentConfig
 from pipeline.errors import ConfigError
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.journal_table import journal_coefficients
@@ -208,12 +208,14 @@ def _make_rotor(config: RotorConfig) -> Any:
         rs.ShaftElement(
             L=segment.length / segment.elements,
             idl=segment.inner_diameter,
-            odl=segment.outer_diameter,
+            odl=left,
+            odr=right,
             material=material,
             shear_effects=config.shear_effects,
+            rotary_inertia=config.rotary_inertia,
         )
         for segment in config.shaft
-        for _ in range(segment.elements)
+        for left, right in _diameters(segment)
     ]
     discs = [
         rs.DiskElement(n=disc.node, m=disc.mass, Id=disc.diametral_inertia, Ip=disc.polar_inertia)
@@ -224,6 +226,14 @@ def _make_rotor(config: RotorConfig) -> Any:
         for disc in config.discs
     ]
     return rs.Rotor(shaft, discs)
+
+
+def _diameters(segment: ShaftSegmentConfig) -> Iterator[tuple[float, float]]:
+    """Outer diameters of each element at its ends, m."""
+    first, count = segment.outer_diameter, segment.elements
+    rise = 0.0 if segment.end_diameter is None else (segment.end_diameter - first) / count
+    for i in range(count):
+        yield first + i * rise, first + (i + 1) * rise
 
 
 def _find_bearings(config: RotorConfig, rotor: Any) -> tuple[int, ...]:

@@ -138,7 +138,9 @@ def configure_sensors(config: Config, rotor: RotorModel) -> Sensors:
         require_nodes(rotor, "machine.probes.at", [probe.node for probe in spec.at])
         # An angle such as 45 deg is a text or a number of radians: rounded, it is 45 again.
         channels = tuple((probe.node, round(float(np.degrees(probe.angle)), 9) % 360.0) for probe in spec.at)
-    return Sensors(channels, spec.additive, spec.multiplicative, spec.runout, spec.quantisation)
+    return Sensors(
+        channels, spec.additive, spec.multiplicative, spec.runout, spec.quantisation, spec.slow_roll_readings
+    )
 
 
 def configure_frequencies(config: Config, speeds: np.ndarray) -> np.ndarray | None:

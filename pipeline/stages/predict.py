@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.config.schema import Config
-from pipeline.data.as_built import build_rotor, refine_nodes
+from pipeline.data.as_built import build_rotor, refine_nodes, stand_on_pedestals
 from pipeline.data.dataset import Excitation
 from pipeline.data.tables import write_table
 from pipeline.data.vibration_files import to_rpm
@@ -64,8 +64,8 @@ def build_twin(config: Config, measurement: Measurement) -> Twin:
     vibration = {name: predict(rotors[name], system, unseen, node) for name, system in systems.items()}
     if modelled is not None and built is not None:  # the truth has nodes of its own
         rotors["modelled"] = build_rotor(config.machine.rotor, built)
-        acting = refine_nodes(unseen, built)
-        vibration["modelled"] = predict(rotors["modelled"], modelled, acting, built.refinement * node)
+        systems["modelled"], acting = stand_on_pedestals(modelled, built), refine_nodes(unseen, built)
+        vibration["modelled"] = predict(rotors["modelled"], systems["modelled"], acting, built.refinement * node)
     if uncertainty is not None:
         vibration["identified"] = add_deviation(
             vibration["identified"], updated, identified, unseen, model, uncertainty

@@ -43,7 +43,7 @@ SETUP = setup_of(CONFIG)
 EXACT = AsBuiltConfig()
 
 
-def measured(built: AsBuiltConfig, seed: int = 0) -> tuple[Measurement, BearingTable]:
+def measured(built: AsBuiltConfig, seed: int = 0, runout: bool = False) -> tuple[Measurement, BearingTable]:
     """Readings of the machine as it was built, with the sensors' noise, and the truth."""
     machine = CONFIG.machine
     speeds = np.array(machine.speeds.rpm()) * RAD_S_PER_RPM
@@ -51,7 +51,10 @@ def measured(built: AsBuiltConfig, seed: int = 0) -> tuple[Measurement, BearingT
     bearings, acting = load_modelled_bearings(machine.rotor, machine.bearings, speeds), configure_excitations(CONFIG)
     generator = np.random.default_rng(seed)
     complete = simulate_as_built(build_rotor(machine.rotor, built), built, bearings, acting, None, generator)
-    data = measure(replace(complete, excitations=acting), configure_sensors(CONFIG, rotor), generator)
+    sensors = configure_sensors(CONFIG, rotor)
+    if not runout:
+        sensors = replace(sensors, runout=0.0, slow_roll_readings=0)
+    data = measure(replace(complete, excitations=acting), sensors, generator)
     return build_measurement(CONFIG, rotor, data, bearings), bearings
 
 
@@ -109,6 +112,20 @@ def test_what_the_model_is_wrong_in_is_found(kind: str, built: dict[str, float])
         assert abs(one.value - 1.0) <= 4 * one.deviation, one.parameter.name
         assert one.deviation < 0.7
     assert worst_error(right, truth) < worst_error(wrong, truth)
+    probability = [output_error_quality(fit).summary["fit"]["mismatch"]["probability"] for fit in (wrong, right)]
+    assert probability[0] < 1e-3 < probability[1]
+
+
+def test_what_slow_roll_leaves_of_the_runout_is_found() -> None:
+    """As vectors of the size of its noise; where they are not fitted, the mismatch test says so."""
+    data, _ = measured(EXACT, runout=True)
+    without = measured(EXACT)[0].dataset.displacement
+    wrong, right = (fit_output_error(only(data, *kinds), SETUP) for kinds in ((), ("runout",)))
+    left = (data.dataset.displacement - without)[..., :3].mean(axis=(0, 2))  # (P,) the noise is that of both
+    for one in right.model_parameters():
+        part = getattr(left[one.parameter.place], {"real": "real", "imaginary": "imag"}[one.parameter.detail])
+        assert abs(one.value * one.parameter.deviation - part) < 3e-8, one.parameter.name
+        assert one.deviation < 0.3
     probability = [output_error_quality(fit).summary["fit"]["mismatch"]["probability"] for fit in (wrong, right)]
     assert probability[0] < 1e-3 < probability[1]
 

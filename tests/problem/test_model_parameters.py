@@ -36,6 +36,7 @@ DEVIATIONS = {
     "probe_gain": 0.01,
     "probe_angle": 0.035,
     "probe_position": 0.003,
+    "runout": 2e-7,
     "known_coefficients": 0.05,
 }
 
@@ -77,6 +78,7 @@ def test_every_kind_has_its_parameters(measurement: Measurement) -> None:
         "probe_gain": 4,
         "probe_angle": 4,
         "probe_position": 4,
+        "runout": 8,
         "known_coefficients": 12,
     }
 

@@ -6,12 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.linalg
 
+from pipeline.config.bearings import CylindricalBearingConfig, PerNodeBearingConfig
 from pipeline.config.compose import compose_config
+from pipeline.config.schema import Config
+from pipeline.data.as_built import stand_on_pedestals
+from pipeline.data.dataset import VibrationDataset, assemble_forces, subtract_baseline
+from pipeline.data.sensors import list_directions, measure, project
 from pipeline.errors import ConfigError
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.model import RotorModel, bearing_dof
 from pipeline.rotor.stored import load_rotor
 from pipeline.stages import refit_study
-from pipeline.stages.generate import model_machine, read_probes
+from pipeline.stages.generate import configure_sensors, model_machine, read_probes
 from pipeline.stages.measurement import build_measurement
 
 SMALL = [
@@ -31,6 +39,9 @@ SMALL = [
         (["loss=residual"], "identify.model_parameters must come with loss=response"),
         (["identify.model_parameters.stiffness=0.1"], "has no 'stiffness'"),
         (["machine.bearings.nodess=3"], "did you mean 'nodes'"),
+        (["+machine.as_built.pedestal_mass=20 kg"], "must have a pedestal_stiffness beside pedestal_mass"),
+        (["+machine.as_built.shaft=[{length: 1 m, outer_diameter: 50 mm, elements: 3}]"], "have the 8 elements"),
+        (["+machine.as_built.pedestal_stiffness=1e8", "+machine.runs.3.frequency_ratio=0.5"], "turn with the rotor"),
     ],
 )
 def test_a_wrong_tolerance_is_refused(overrides: list[str], words: str) -> None:
@@ -54,6 +65,51 @@ def test_a_parameter_of_nothing_is_refused(overrides: list[str], words: str) -> 
     rotor, truth, complete = model_machine(config)
     with pytest.raises(ConfigError, match=words):
         build_measurement(config, rotor, read_probes(config, rotor, complete), truth)
+
+
+def test_a_baseline_leaves_no_runout_to_fit() -> None:
+    """It is in both runs, and cancels."""
+    config = compose_config(["stage=train", *SMALL])
+    rotor, truth, complete = model_machine(config)
+    dataset = subtract_baseline(read_probes(config, rotor, complete), "both")
+    with pytest.raises(ConfigError, match=r"runout must belong to something .* no baseline was subtracted from"):
+        build_measurement(config, rotor, dataset, truth)
+
+
+def test_slow_roll_takes_the_runout_off_but_for_the_noise_of_its_reading() -> None:
+    """What is left is the same at every speed and in every run, as large as the floor, the share and the steps."""
+    config = compose_config(["stage=train", *SMALL])
+    rotor, _, complete = model_machine(config)
+    sensors = replace(configure_sensors(config, rotor), quantisation=0.0)
+    exact = measure(complete, replace(sensors, runout=0.0, slow_roll_readings=0), np.random.default_rng(1))
+    raw = measure(complete, replace(sensors, slow_roll_readings=0), np.random.default_rng(1))
+    assert np.abs(raw.displacement - exact.displacement) == pytest.approx(5e-6)
+    left = []
+    for seed in range(50):
+        exact = measure(complete, replace(sensors, runout=0.0, slow_roll_readings=0), np.random.default_rng(seed))
+        found = measure(complete, sensors, np.random.default_rng(seed)).displacement - exact.displacement
+        assert found == pytest.approx(np.broadcast_to(found[:1, :, :1], found.shape), abs=1e-18)
+        left.append(found[0, :, 0])
+    size = np.hypot(sensors.additive, sensors.multiplicative * sensors.runout)
+    assert np.sqrt(np.mean(np.abs(left) ** 2)) == pytest.approx(size, rel=0.2)
+
+
+@pytest.mark.parametrize("machine", ["overhung", "overhung_as_built"])
+def test_trial_weights_are_those_of_a_balancing(machine: str) -> None:
+    """At every speed and in every run readings are well above the noise, and orbits below a third of the clearance."""
+    config = compose_config(["stage=train", "experiment=realistic", f"machine={machine}"])
+    rotor, _, complete = model_machine(config)
+    channels = configure_sensors(config, rotor).channels
+    assert channels is not None
+    shown = np.abs(project(complete, channels).displacement)
+    assert np.sqrt((shown**2).mean(axis=1)).min() > 6 * config.stated_noise.additive
+    bearings = config.machine.bearings
+    assert isinstance(bearings, PerNodeBearingConfig)
+    for node, bearing in bearings.nodes.items():
+        assert isinstance(bearing, CylindricalBearingConfig)
+        moved = project(complete, list_directions((node,))).displacement  # (S, 2, R)
+        orbit = [np.abs(moved[:, 0] + sign * 1j * moved[:, 1]) / 2 for sign in (1, -1)]
+        assert bearing.radial_clearance / 6 < sum(orbit).max() < bearing.radial_clearance / 3
 
 
 def test_what_was_built_is_not_what_is_assumed() -> None:
@@ -80,6 +136,60 @@ def test_a_finer_mesh_of_the_same_shaft_is_nearly_the_same_machine() -> None:
     assert 1e-9 < off < 0.01
 
 
+@pytest.mark.parametrize(
+    ("built", "least", "most"),
+    [
+        ("shear_effects: false", 0.005, 0.1),  # Euler and Bernoulli's beam beside Timoshenko's
+        ("rotary_inertia: false", 1e-4, 0.02),
+        ("shaft: [{length: 1200 mm, outer_diameter: 50 mm, end_diameter: 49.5 mm, elements: 8}]", 0.01, 0.3),
+        ("pedestal_stiffness: 2e8 N/m, pedestal_mass: 20 kg", 0.01, 0.3),
+    ],
+)
+def test_another_beam_and_a_soft_pedestal_move_the_readings(built: str, least: float, most: float) -> None:
+    """By far more than the mesh, and the machine is still nearly the same."""
+    config = compose_config(["stage=train", *SMALL, "machine=overhung", f"+machine.as_built={{{built}}}"])
+    stated = compose_config(["stage=train", *SMALL, "machine=overhung"])
+    other, same = (project(model_machine(one)[2], ((1, 0.0), (6, 0.0))).displacement for one in (config, stated))
+    assert least < np.linalg.norm(other - same) / np.linalg.norm(same) < most
+
+
+def test_a_cone_of_one_diameter_is_a_cylinder() -> None:
+    """ROSS's tapered element beside its cylindrical one; elements of a cone meet at their ends."""
+    rotor = compose_config(["stage=train", *SMALL, "machine=overhung"]).machine.rotor
+    (segment,) = rotor.shaft
+    straight = rotor.model_copy(update={"shaft": (segment.model_copy(update={"end_diameter": 0.05}),)})
+    assert load_rotor(straight).stiffness == pytest.approx(load_rotor(rotor).stiffness, rel=1e-12)
+    cone = (segment.model_copy(update={"end_diameter": 0.04}),)
+    halves = tuple(
+        segment.model_copy(update={"length": 0.6, "elements": 4, "outer_diameter": a, "end_diameter": b})
+        for a, b in ((0.05, 0.045), (0.045, 0.04))
+    )
+    whole, cut = (load_rotor(rotor.model_copy(update={"shaft": shaft})).stiffness for shaft in (cone, halves))
+    assert cut == pytest.approx(whole, rel=1e-9)
+
+
+def test_bearing_and_pedestal_are_springs_in_series() -> None:
+    """Against the response of a rotor whose pedestals have equations of their own."""
+    config = compose_config(
+        ["stage=train", *SMALL, "machine=overhung", "+machine.as_built={pedestal_stiffness: 2e8, pedestal_mass: 20}"]
+    )
+    rotor, film, complete = model_machine(config)
+    n, places, own = rotor.n_dof, bearing_dof(rotor).ravel(), rotor.n_dof + np.arange(4)
+    for s in (0, 5, -1):
+        w = film.speeds[s]
+        joined = np.zeros((n + 4, n + 4), dtype=complex)
+        joined[:n, :n] = rotor.stiffness - w**2 * rotor.mass + 1j * w * (rotor.damping + w * rotor.gyroscopic)
+        joined[n:, n:] = (2e8 - w**2 * 20) * np.eye(4)
+        coupling = scipy.linalg.block_diag(*film.impedance()[:, s])
+        for first, second, sign in ((places, places, 1), (places, own, -1), (own, places, -1), (own, own, 1)):
+            joined[np.ix_(first, second)] += sign * coupling
+        force = np.zeros((n + 4, len(complete.runs)), dtype=complex)
+        force[:n] = assemble_forces(rotor, complete.excitations, complete.runs, film.speeds[[s]])[0]
+        moved = np.linalg.solve(joined, force)
+        expected = moved[np.arange(n).reshape(-1, 4)[:, :2].ravel()]
+        assert complete.displacement[s] == pytest.approx(expected, rel=1e-9, abs=1e-15)
+
+
 @pytest.mark.slow
 def test_refits_are_the_same_in_one_process_and_in_two() -> None:
     """Every data set is its seed's; so are its errors."""
@@ -101,6 +211,28 @@ def test_refits_need_a_modelled_machine() -> None:
     config = compose_config(["stage=robustness", "experiment=measured_demo", "robustness=refits"])
     with pytest.raises(ConfigError, match="robustness over refits must have loss=response and a modelled machine"):
         refit_study.run(config)
+
+
+@pytest.mark.slow
+def test_on_pedestals_the_series_of_film_and_pedestal_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No test tells of a pedestal: the readings are explained, by bearings that are softer than the film."""
+    pedestal = "+machine.as_built={pedestal_stiffness: 2e8 N/m, pedestal_mass: 20 kg}"
+    stated = ["experiment=realistic", "machine=overhung", "~identify.model_parameters"]
+    config = compose_config(["stage=robustness", *stated, pedestal])
+    film = refit_study.refit(config, 0)
+
+    def felt(one: Config, seed: int) -> tuple[RotorModel, BearingTable, VibrationDataset]:
+        rotor, truth, complete = model_machine(one, seed)
+        assert one.machine.as_built is not None
+        return rotor, stand_on_pedestals(truth, one.machine.as_built), complete
+
+    monkeypatch.setattr(refit_study, "model_machine", felt)
+    series = refit_study.refit(config, 0)
+    assert np.median(film.error) > 10
+    assert np.median(series.error) < 1.5
+    assert series.within.mean() > 75
+    assert film.probability is not None
+    assert film.probability > 0.05
 
 
 @pytest.mark.slow
