@@ -22,6 +22,7 @@ MethodName = Literal[
     "residual",
     "preconditioned",
     "response",
+    "trained",
 ]
 METHOD_NAMES: tuple[str, ...] = get_args(MethodName)
 SensorSet = Literal["all", "bearings", "location"]
@@ -72,6 +73,7 @@ class ComparisonConfig(Section):
     residual: FitConfig
     preconditioned: FitConfig
     response: FitConfig
+    trained: FitConfig
 
     @model_validator(mode="after")
     def _once(self) -> ComparisonConfig:
@@ -83,4 +85,6 @@ class ComparisonConfig(Section):
             got = getattr(self, name).loss.kind
             if got != name:
                 raise ValueError(f"{name} must have loss={name}, but got {got}")
+        if (self.trained.loss.kind, self.trained.loss.hidden) != ("response", "trained"):
+            raise ValueError("trained must have loss=response with hidden: trained")
         return self

@@ -161,7 +161,8 @@ class LossConfig(Section):
     ``preconditioned``: the same, multiplied at each speed by the regularised pseudo-inverse of its derivative by
     the unknowns; ``regularisation`` is relative to the largest singular value.
     ``response``: predicted less measured displacements over the sensors' noise, which is as ``stated_noise`` says or of
-    that shape and ``estimated`` size; ``robust`` gives readings far off less weight.
+    that shape and ``estimated`` size; ``robust`` gives readings far off less weight. It keeps the hidden layers of a
+    network as ``drawn`` (random features), or has them ``trained`` in so many ``networks``, whose mean is the answer.
     """
 
     kind: Literal["residual", "preconditioned", "response"]
@@ -169,6 +170,16 @@ class LossConfig(Section):
     regularisation: Share
     noise: Literal["stated", "estimated"] = "stated"
     robust: bool = True
+    hidden: Literal["drawn", "trained"] = "drawn"
+    networks: Annotated[int, Field(ge=4, le=200, multiple_of=2)] = 8
+
+    @model_validator(mode="after")
+    def _trains_hidden(self) -> LossConfig:
+        if self.hidden == "trained" and self.kind != "response":
+            raise ValueError(
+                f"hidden: trained must come with kind: response (others train all layers), got {self.kind}"
+            )
+        return self
 
     @property
     def preconditioned(self) -> bool:

@@ -13,6 +13,7 @@ import numpy as np
 
 from pipeline.config.identification import LossConfig
 from pipeline.identification.identified import Fit
+from pipeline.identification.outcome import Outcome
 from pipeline.identification.training import FitSetup, Progress, minimise
 from pipeline.problem.determination import Deviations
 from pipeline.problem.diagnosis import Diagnosis, diagnose_residual, diagnose_response
@@ -148,11 +149,14 @@ class OutputErrorLoss:
         """The fit by its rounds of precisions."""
         from pipeline.identification.output_error_fit import fit_output_error
         from pipeline.identification.quality import output_error_quality
+        from pipeline.identification.trained_fit import train_hidden
         from pipeline.identification.uncertainty import uncertainty_of
 
         if not setup.force:
             require_identifiable((diagnosis or self.diagnose(measurement, setup)).reports)
         found = fit_output_error(measurement, setup, progress)
+        if setup.loss.hidden == "trained" and found.minimum.outcomes[0] is not Outcome.INTERRUPTED:
+            found = train_hidden(found, setup, progress)
         quality = output_error_quality(found)
         return Fit(
             model=found.identified,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pipeline.methods import critical_speeds, kalman, kriging, least_squares, multi_frequency, spline
-from pipeline.methods.fem_nn import fit_by
+from pipeline.methods.fem_nn import fit_by, fit_trained
 from pipeline.methods.method import Method
 
 METHODS: dict[str, Method] = {
@@ -82,6 +82,14 @@ METHODS: dict[str, Method] = {
             "docs/noise.md",
             "the noise, a guess",
             fit_by(lambda options: options.settings.response),
+            takes_planes=True,
+        ),
+        Method(
+            "trained",
+            "FEM-NN, output error, trained hidden layers",
+            "docs/noise.md",
+            "the noise, a guess",
+            fit_trained,
             takes_planes=True,
         ),
     )

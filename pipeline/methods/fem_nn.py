@@ -11,6 +11,7 @@ from pipeline.config.comparison import FitConfig
 from pipeline.errors import IdentifiabilityError
 from pipeline.identification.fit import fit
 from pipeline.identification.losses import loss_of
+from pipeline.identification.trained_fit import FEWEST_SPEEDS
 from pipeline.identification.training import FitSetup
 from pipeline.methods.method import (
     Estimate,
@@ -47,3 +48,12 @@ def fit_by(section: Callable[[MethodOptions], FitConfig]) -> Callable[[Measureme
         return Estimate(found.table(data.known), found.deviation(speeds), words, doubt(found.quality.misfit))
 
     return identify
+
+
+def fit_trained(data: Measurement, options: MethodOptions) -> Estimate:
+    """Fit networks whose hidden layers are trained by the output error. Raises Refusal for constants, or few speeds."""
+    if options.constant:
+        raise Refusal(Reason.CONSTANT, "they are the same at every speed: no hidden layer is needed")
+    if len(data.dataset.speeds) < FEWEST_SPEEDS:
+        raise Refusal(Reason.FEW_SPEEDS, f"{len(data.dataset.speeds)} can't be halved: give {FEWEST_SPEEDS} or more")
+    return fit_by(lambda options: options.settings.trained)(data, options)

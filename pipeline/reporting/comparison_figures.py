@@ -28,6 +28,7 @@ _LOOKS: dict[str, tuple[str, str, str]] = {
     "residual": (ORANGE, ":", "<"),
     "preconditioned": (ORANGE, "--", ">"),
     "response": (BLACK, "-", "o"),
+    "trained": (BLACK, "--", "s"),
 }
 """Colour, line and marker: methods of one family share the colour."""
 

@@ -44,6 +44,11 @@ def run(config: Config) -> StageOutput:
             + ("the data are measured" if modelled is None else f"the loss is {config.loss.kind}")
             + ": use robustness=seeds loss=residual"
         )
+    if config.loss.hidden == "trained":
+        raise ConfigError(
+            "robustness over noise must have loss.hidden=drawn, whose fits are repeated in one batch, but got trained: "
+            "use robustness=refits"
+        )
     say_diagnosis(config, measurement)
     with training_progress(config.name) as progress:
         fit = fit_output_error(measurement, setup, progress)

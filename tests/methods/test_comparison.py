@@ -43,6 +43,7 @@ GOOD = {
     "residual": Good(FILM, Case(0.0, "all", 60), 0.01),
     "preconditioned": Good(FILM, Case(0.0, "all", 60), 0.01),
     "response": Good(FILM, Case(0.0, "all", 60), 0.01),
+    "trained": Good(FILM, Case(0.0, "all", 60), 0.01),
 }
 
 
@@ -93,6 +94,8 @@ REFUSED = [
         (m, Case(0.0, "location", 591), Reason.NOT_DETERMINED, BALLS)
         for m in ("kalman", "kriging", "spline", "response")
     ),
+    ("trained", Case(0.0, "all", 591), Reason.CONSTANT, BALLS),
+    ("trained", Case(0.0, "all", 3), Reason.FEW_SPEEDS, FILM),
     ("multi_frequency", Case(0.0, "all", 60), Reason.ONE_FREQUENCY, FILM),
     ("multi_frequency", Case(0.0, "location", 12), Reason.BEARINGS_NOT_MEASURED, BLOWS),
     ("kriging", Case(0.0, "all", 30), Reason.EITHER_SIGN, EIGHT),
@@ -127,7 +130,7 @@ def test_cross_validation_needs_more_equations_than_unknowns() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["least_squares", "total_least_squares", "kalman", "spline", "response"])
+@pytest.mark.parametrize("method", ["least_squares", "total_least_squares", "kalman", "spline", "response", "trained"])
 @pytest.mark.parametrize("overrides", [FILM, (*FILM, "identify.shared=true")], ids=["each", "alike"])
 def test_stated_deviations_hold(method: str, overrides: tuple[str, ...]) -> None:
     """Nominal 95 % intervals, over speeds, bearings and data sets."""

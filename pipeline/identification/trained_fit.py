@@ -1,0 +1,287 @@
+"""FEM-NN under the sensors' noise: networks whose hidden layers are trained by the output error, too.
+
+All weights of a network have directions that the data leave free, along curved valleys: no linearised covariance holds
+there. So several small networks are trained, each from hidden units of its own draw and on one half of the speeds: of
+two neighbouring speeds one is in the half, and the next network has the other one (balanced half-samples; McCarthy
+1969). The other half ends its training: the state that predicts it best counts. The answer is the mean of their
+outputs, in which the halves cancel; or the best network, where the mean explains the readings worse. The scatter about
+it is its standard deviation: an estimate from half of the readings lies as far from that of the whole as the latter
+lies from the truth. Few networks tell it roughly, for which Student's factor allows.
+
+The mean of networks is a network of all their hidden units, whose output layer is linear in what differs: what follows
+from a fit by the output error follows from it, too.
+
+Legend: G networks, M members, Q parameters of a member, S speeds, U unknowns, A those of them that members have, K
+features of the mean, N balance planes, T model parameters, Y = M Q + 2 N + T numbers, Z = A K + 2 N + T weights.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.config.identification import NetworkModelConfig
+from pipeline.errors import ConfigError
+from pipeline.identification.basis import Basis
+from pipeline.identification.model import CoefficientModel
+from pipeline.identification.optimizers import levenberg_marquardt, until_still
+from pipeline.identification.outcome import Outcome
+from pipeline.identification.output_error import OutputError
+from pipeline.identification.output_error_fit import OutputErrorFit
+from pipeline.identification.sensor_deviations import SensorDeviations
+from pipeline.identification.trained_network import TrainedNetworks
+from pipeline.identification.training import FitSetup, Progress, initial_guess
+
+if TYPE_CHECKING:
+    import torch
+
+FEWEST_SPEEDS = 4
+_TOLERANCE, _PATIENCE = 1e-3, 5
+"""Training ends when no network's loss on its other half fell by this share in so many steps."""
+_CONFIDENCE = 0.95
+"""The intervals that Student's factor makes right."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Mean(OutputError):
+    """The problem in the hidden units of all networks; as many numbers count as followed the noise."""
+
+    numbers: int = 0
+
+    @property
+    def n_fitted(self) -> int:
+        """How many numbers the fit spent."""
+        return self.numbers
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class TrainedFit(OutputErrorFit):
+    """The mean of the networks."""
+
+    scatter: np.ndarray  # (Z, Z) of the weights
+
+    def covariance(self) -> np.ndarray:
+        """(Z, Z) from the scatter of the networks."""
+        return self.scatter
+
+
+def train_hidden(found: OutputErrorFit, setup: FitSetup, progress: Progress | None = None) -> TrainedFit:
+    """Train all layers, from the fit with hidden layers as drawn, whose precisions of the readings are kept.
+
+    Raises ConfigError for a model without hidden layers, and for fewer than four speeds.
+    """
+    import torch
+
+    if not isinstance(setup.model, NetworkModelConfig):
+        raise ConfigError(
+            f"loss.hidden=trained must have a model with hidden layers, but got model.kind={setup.model.kind}: choose "
+            "model=network_fluid_film model.width=8, or loss.hidden=drawn"
+        )
+    began, problem, count = time.perf_counter(), found.problem, setup.loss.networks
+    speeds = problem.measurement.dataset.speeds
+    if len(speeds) < FEWEST_SPEEDS:
+        raise ConfigError(
+            f"loss.hidden=trained must have {FEWEST_SPEEDS} training speeds or more, which it halves, but got "
+            f"{len(speeds)}: choose loss.hidden=drawn"
+        )
+    generator, section = torch.Generator().manual_seed(setup.seed), setup.optimizer.levenberg_marquardt
+    halves = _halves(count, len(speeds), generator)
+    own, other = (_weigh(problem.sensors, share) for share in (halves, (2 - halves) * (halves != 1)))
+    signs = torch.randn(count // 2, problem.n_parameters, generator=generator, dtype=torch.float64)
+    prior = torch.stack([signs, -signs], dim=1).flatten(0, 1)
+    every = found.weights.repeat(count, 1, 1)
+    linear = levenberg_marquardt(problem.with_sensors(own), every, section, until_still())
+    inputs = problem.basis.model.scaled_inputs(speed=speeds)
+    start = _start(problem, linear, inputs, setup, generator)
+    training, judging = (TrainedNetworks(one, inputs, prior) for one in (own, other))
+    watch = _Judge(judging=judging, total=section.steps, progress=progress, best=start, score=judging.loss(start))
+    interrupted = False
+    try:
+        levenberg_marquardt(training, start, section, watch)
+    except KeyboardInterrupt:
+        interrupted = True
+    return _mean(found, training, watch, interrupted, began)
+
+
+@dataclass(kw_only=True)
+class _Judge:
+    """Sees every step: keeps the state of each network that predicts its other half best, and ends all together."""
+
+    judging: TrainedNetworks
+    total: int
+    progress: Progress | None
+    best: torch.Tensor  # (G, 1, Y)
+    score: torch.Tensor  # (G, 1)
+    stale: int = 0
+    history: list[dict[str, float | str]] = field(default_factory=list)
+
+    def __call__(self, numbers: torch.Tensor, losses: torch.Tensor) -> torch.Tensor:
+        import torch
+
+        score = self.judging.loss(numbers)
+        self.stale = 0 if bool((score < (1 - _TOLERANCE) * self.score).any()) else self.stale + 1
+        better = score < self.score
+        self.best = torch.where(better[..., None], numbers, self.best)
+        self.score = torch.where(better, score, self.score)
+        loss, held_out = (float(one.square().mean().sqrt()) for one in (losses, score))
+        self.history.append({"step": len(self.history), "phase": "trained", "loss": loss, "held_out_loss": held_out})
+        if self.progress is not None:
+            self.progress("trained", len(self.history), self.total, loss)
+        return torch.full_like(better, self.stale >= _PATIENCE)
+
+    def outcome(self, interrupted: bool) -> Outcome:
+        """How the training ended."""
+        if interrupted:
+            return Outcome.INTERRUPTED
+        if not bool(self.score.isfinite().all()):
+            return Outcome.DIVERGED
+        return Outcome.CONVERGED if self.stale >= _PATIENCE else Outcome.BUDGET_SPENT
+
+
+def _halves(count: int, n_speeds: int, generator: torch.Generator) -> torch.Tensor:
+    """(G, S) how often each speed counts: one of two neighbours twice, and the other one in every second network.
+
+    The first and last speed count once in all: no network is to extrapolate.
+    """
+    import torch
+
+    first = torch.rand(count // 2, n_speeds // 2, generator=generator) < _HALF
+    inner = torch.stack([first, ~first], dim=-1).flatten(1)[:, : n_speeds - 2]
+    share = torch.ones(count, n_speeds, dtype=torch.float64)
+    share[:, 1:-1] = 2.0 * torch.stack([inner, ~inner], dim=1).flatten(0, 1)
+    return share
+
+
+_HALF = 0.5
+
+
+def _weigh(sensors: SensorDeviations, share: torch.Tensor) -> SensorDeviations:
+    """The readings, those of each speed counted so often (G, S)."""
+    return replace(sensors, precision=tuple(one * share.sqrt()[:, :, None, None] for one in sensors.precision))
+
+
+def _start(
+    problem: OutputError, linear: torch.Tensor, inputs: torch.Tensor, setup: FitSetup, generator: torch.Generator
+) -> torch.Tensor:
+    """(G, 1, Y) networks of new hidden units, near the coefficients of the weights (G, 1, Z)."""
+    import torch
+
+    model, guess = problem.basis.model, initial_guess(setup, problem.measurement.unknowns)
+    values = model.physical(problem.outputs(linear), problem.sensors.scale)
+    networks = [
+        model.with_output_at(model.spread_parameters(guess, generator), inputs, one).flatten() for one in values
+    ]
+    return torch.cat([torch.stack(networks)[:, None], linear[..., problem.n_outer :]], dim=-1)
+
+
+# --- the mean of the networks ----------------------------------------------------------------------------
+
+
+def _mean(
+    found: OutputErrorFit, training: TrainedNetworks, watch: _Judge, interrupted: bool, began: float
+) -> TrainedFit:
+    """The mean of the networks at the minimum, and their scatter about it."""
+    import torch
+
+    numbers, before, start = watch.best, found.problem, found.start
+    speeds = before.measurement.dataset.speeds
+    basis, along = _span(before.basis.model, training.networks(numbers))
+    own = torch.stack([along[:, m, :, u] for m, u in before.active], dim=1).flatten(1)
+    each = torch.cat([own, numbers[:, 0, training.n_outer :]], dim=-1)  # (G, Z)
+    # A half is fitted too well by as much as the other, which lacks the two ends, is predicted too badly.
+    own_square, predicted = training.loss(numbers).square(), watch.score.square() * len(speeds) / (len(speeds) - 2)
+    spent = min(max(float((predicted - own_square).mean()) * before.n_rows / 4, 0.0), float(numbers.shape[-1]))
+
+    def of(other: OutputError) -> _Mean:
+        at = basis.at(other.measurement.dataset.speeds)
+        kept = torch.ones(len(before.active), basis.n_features, dtype=torch.bool)
+        return _Mean(other.sensors, basis, at, kept, round(spent) + before.n_parameters)
+
+    problem, answer = of(before), each.mean(dim=0)
+    # Where a combination is nearly free the networks lie along a curved valley, and their mean beside it.
+    if float(problem.loss(answer[None, None]).square()) > float(((own_square + predicted) / 2).min()):
+        answer = each[int(watch.score[:, 0].argmin())]
+    off = (each - answer).numpy() * _student(len(each) // 2)  # the networks come in pairs
+    held_out = (None if one is None else of(one) for one in (start.held_out_speeds, start.held_out_runs))
+    steps = found.minimum.steps
+    history = (*found.minimum.history, *(row | {"step": steps + i} for i, row in enumerate(watch.history)))
+    return TrainedFit(
+        start=replace(start, held_out_speeds=next(held_out), held_out_runs=next(held_out)),
+        problem=problem,
+        minimum=replace(
+            found.minimum,
+            parameters=answer[None, None],
+            outcomes=(watch.outcome(interrupted),),
+            steps=steps + len(watch.history),
+            seconds=found.minimum.seconds + time.perf_counter() - began,
+            history=history,
+        ),
+        shares=found.shares,
+        factor=found.factor,
+        scatter=off.T @ off / len(each),
+    )
+
+
+def _student(freedom: int) -> float:
+    """Factor of a deviation told by so many differences, for which intervals of the normal distribution hold."""
+    from scipy.stats import norm, t
+
+    tail = (1 + _CONFIDENCE) / 2
+    return float(t.ppf(tail, freedom) / norm.ppf(tail))
+
+
+def _span(model: CoefficientModel, networks: torch.Tensor) -> tuple[Basis, torch.Tensor]:
+    """The outputs of ``networks`` (G, M, Q) as combinations of K functions of all their hidden units.
+
+    The functions are orthonormal over the range of the speeds; the coordinates of the outputs are (G, M, K, U).
+    """
+    import torch
+
+    whole, hidden = _join(model, networks)
+    count, (n_in, n_out), inputs = (
+        len(networks),
+        model.sizes[-1],
+        torch.linspace(-1, 1, _POINTS, dtype=networks.dtype)[:, None],
+    )
+    width = n_in - model.n_trend
+    own = networks[..., -(n_in + 1) * n_out :].unflatten(-1, (n_in + 1, n_out))  # (G, M, n_in + 1, U)
+    output = torch.zeros(networks.shape[1], count * width + n_in + 1 - width, count, n_out, dtype=networks.dtype)
+    for g in range(count):
+        output[:, g * width : (g + 1) * width, g] = own[g, :, :width]
+        output[:, count * width :, g] = own[g, :, width:]
+    columns = whole.features(hidden, inputs) @ output.flatten(2)
+    size = columns.norm(dim=1, keepdim=True).clamp(min=_TINY)
+    left, singular, right = torch.linalg.svd(columns / size, full_matrices=False)
+    kept = singular > _NEGLIGIBLE * singular[:, :1]
+    weights = torch.where(
+        kept[:, None], (output.flatten(2) / size) @ right.mT / singular.clamp(min=_TINY)[:, None], 0.0
+    )
+    most = int(kept.any(dim=0).sum())
+    along = torch.where(kept[..., None], left.mT @ model.raw(networks, inputs), 0.0)
+    return Basis(whole, hidden, weights[..., :most], 0), along[:, :, :most]
+
+
+_POINTS, _NEGLIGIBLE, _TINY = 400, 1e-8, 1e-300
+
+
+def _join(model: CoefficientModel, networks: torch.Tensor) -> tuple[CoefficientModel, torch.Tensor]:
+    """The network of all hidden units of ``networks`` (G, M, Q), and its parameters (M, ..) without an output layer."""
+    import torch
+
+    assert model.hidden is not None
+    count, members, start, pieces = *networks.shape[:2], 0, []
+    for layer, (n_in, n_out) in enumerate(model.sizes[:-1]):
+        weight = networks[..., start : start + n_in * n_out].unflatten(-1, (n_in, n_out))  # (G, M, n_in, n_out)
+        bias = networks[..., start + n_in * n_out : start + (n_in + 1) * n_out]
+        start += (n_in + 1) * n_out
+        if layer:
+            joined = torch.stack([torch.block_diag(*weight[:, m]) for m in range(members)])
+        else:
+            joined = weight.movedim(0, 2).flatten(2)
+        pieces += [joined.flatten(1), bias.movedim(0, 1).flatten(1)]
+    whole = replace(model, hidden=tuple(count * width for width in model.hidden))
+    n_in, n_out = whole.sizes[-1]
+    return whole, torch.cat([*pieces, torch.zeros(members, (n_in + 1) * n_out, dtype=networks.dtype)], dim=1)

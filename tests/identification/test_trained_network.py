@@ -1,0 +1,139 @@
+"""Networks whose hidden layers are trained by the output error: derivatives, halves, mean, scatter, refusals."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from comparing import machine, task
+
+from pipeline.comparison.cases import Case
+from pipeline.config.compose import compose_config
+from pipeline.errors import ConfigError
+from pipeline.identification.fit import fit
+from pipeline.identification.identified import Fit
+from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
+from pipeline.identification.quality import output_error_quality
+from pipeline.identification.trained_fit import TrainedFit, train_hidden
+from pipeline.identification.trained_network import TrainedNetworks
+from pipeline.identification.training import FitSetup, setup_of
+from pipeline.problem.measurement import Measurement
+from pipeline.rotor.parameters import ModelParameter
+
+FILM = ("experiment=noisy_stiffness", "machine.speeds.step_rpm=100")
+SMALL = ("loss.hidden=trained", "model.width=4", "loss.networks=4")
+
+
+def data(noise: float = 0.01, *overrides: str) -> Measurement:
+    """Probes at the bearings at sixty speeds."""
+    return task(Case(noise, "bearings", 60), *FILM, *overrides)
+
+
+def setup(*overrides: str) -> FitSetup:
+    """The experiment's, with trained hidden layers."""
+    return setup_of(compose_config([*FILM, *SMALL, *overrides]))
+
+
+@pytest.fixture(scope="module")
+def drawn() -> OutputErrorFit:
+    """The fit with hidden layers as drawn, with a residual unbalance and an uncertain modulus."""
+    measurement = data(0.01, "identify.unknowns=[kxx,kyy]", "identify.unbalance_planes=[2]")
+    uncertain = ModelParameter("youngs_modulus", 0.02, "")
+    return fit_output_error(replace(measurement, parameters=(uncertain,)), setup())
+
+
+@pytest.fixture(scope="module")
+def trained(drawn: OutputErrorFit) -> TrainedFit:
+    """The fit that goes on from there."""
+    return train_hidden(drawn, setup())
+
+
+def test_the_normal_equations_are_those_of_automatic_differentiation(drawn: OutputErrorFit) -> None:
+    """Two layers; each network has precisions of its own."""
+    import torch
+
+    sensors = drawn.problem.sensors
+    model = replace(sensors.model, hidden=(3, 2))
+    generator = torch.Generator().manual_seed(0)
+    share = torch.rand(2, len(drawn.problem.measurement.dataset.speeds), 1, 1, generator=generator)
+    own = replace(sensors, model=model, precision=tuple(one * share for one in sensors.precision))
+    inputs = model.scaled_inputs(speed=drawn.problem.measurement.dataset.speeds)
+    problem = TrainedNetworks(own, inputs, torch.tensor([[0.3], [-0.3]], dtype=torch.float64))
+    size = 2 * model.n_parameters + 2 * sensors.n_planes + 1
+    numbers = 0.1 * torch.randn(2, 1, size, generator=generator, dtype=torch.float64)
+    gradient, matrix = problem.normal(numbers)
+    whole = torch.autograd.functional.jacobian(problem.rows, numbers)
+    for g in range(2):
+        jacobian, rows = whole[g, 0, :, g, 0], problem.rows(numbers)[g, 0]
+        wanted = jacobian.T @ jacobian
+        assert float((matrix[g, 0] - wanted).abs().max()) < 1e-10 * float(wanted.abs().max())
+        scale = float((jacobian.abs().T @ rows.abs()).max())
+        assert float((gradient[g, 0] - jacobian.T @ rows).abs().max()) < 1e-10 * scale
+
+
+@pytest.mark.slow
+def test_the_answer_is_the_mean_of_networks_that_were_trained(trained: TrainedFit, drawn: OutputErrorFit) -> None:
+    """One network of all hidden units; training lowers the loss of the halves, and of the readings kept from them."""
+    assert trained.identified.model.hidden == (16,)
+    first, last = (row for row in (trained.minimum.history[drawn.minimum.steps], trained.minimum.history[-1]))
+    assert float(last["loss"]) < float(first["loss"])
+    assert trained.minimum.outcomes[0].label == "converged"
+    assert trained.problem.loss(trained.weights) < 1.05 * drawn.problem.loss(drawn.weights)
+
+
+@pytest.mark.slow
+def test_the_answer_stays_in_a_curved_valley() -> None:
+    """Forward whirl leaves a combination of three coefficients nearly free: a mean of logarithms would leave it."""
+    found = fit_output_error(data(0.01, "identify.unknowns=[kxx,kxy,cxx]", "identify.unbalance_planes=[2]"), setup())
+    answer = train_hidden(found, setup())
+    assert answer.problem.loss(answer.weights) < 1.5 * found.problem.loss(found.weights)
+
+
+@pytest.mark.slow
+def test_the_scatter_has_every_number_and_is_no_linearised_covariance(trained: TrainedFit) -> None:
+    covariance = trained.covariance()
+    assert covariance.shape == (trained.problem.size,) * 2
+    assert np.linalg.matrix_rank(covariance) <= 4  # of four networks
+    (modulus,) = trained.model_parameters()
+    assert modulus.deviation > 0
+    square = output_error_quality(trained).summary["fit"]["chi_square"]
+    assert 0 <= square["numbers"] < 100
+    assert 0.8 < square["value"] / square["expected"] < 1.2
+
+
+@pytest.mark.slow
+def test_intervals_hold_on_ten_data_sets() -> None:
+    """Nominal 95 % intervals, wider by Student's factor; errors within a half of those of random features."""
+    held, errors = [], []
+    truth = machine(*FILM).truth(Case(0.01, "bearings", 60)).values
+    for i in range(10):
+        measurement = task(Case(0.01, "bearings", 60, i), *FILM)
+        found: Fit = fit(measurement, setup("model.width=8", "loss.networks=8"))
+        plain = fit(measurement, setup("loss.hidden=drawn", "model.width=24"))
+        band = found.deviation(measurement.dataset.speeds)
+        assert band is not None
+        off, other = (np.abs(one.table(measurement.known).values - truth) for one in (found, plain))
+        stated = ~np.isnan(band)
+        held.append((off[stated] <= 1.96 * band[stated]).mean())
+        errors.append(np.median(off[stated]) / np.median(other[stated]))
+    print(np.mean(held), np.median(errors))
+    assert 0.87 <= np.mean(held) <= 1.0
+    assert np.median(errors) <= 1.5
+
+
+@pytest.mark.parametrize("model", ["constant", "b_spline"])
+def test_there_must_be_hidden_layers(model: str) -> None:
+    with pytest.raises(ConfigError, match=f"but got model.kind={model}: choose"):
+        fit(data(), setup_of(compose_config([*FILM, f"model={model}", "loss.hidden=trained"])))
+
+
+def test_halves_need_four_speeds() -> None:
+    few = task(Case(0.01, "bearings", 3), *FILM)
+    with pytest.raises(ConfigError, match="4 training speeds or more, which it halves, but got 3"):
+        fit(few, setup())
+
+
+def test_other_losses_train_all_layers_anyway() -> None:
+    with pytest.raises(ConfigError, match="must come with kind: response"):
+        compose_config(["experiment=hydrostatic_stiffness", "+loss.hidden=trained"])
