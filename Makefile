@@ -12,7 +12,7 @@ export DVC_NO_ANALYTICS := 1
 unexport PYTHONHOME PYTHONPATH
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo reproduce test test-quick test-nightly comparison studies promote bench house lint clean
+.PHONY: help env demo reproduce test test-quick test-nightly comparison studies promote bench tables measured house lint clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' Makefile
@@ -65,6 +65,12 @@ promote:  ## let training use a repeated study: make promote STUDY=NAME
 
 bench: env  ## measure ratios of speed and write docs/benchmarks.md; no time fails it
 	$(RUN) benchmarks --write docs/benchmarks.md
+
+tables: env  ## write the tables of README and docs from what make reproduce made
+	.venv/bin/python docs/tables.py
+
+measured: env  ## repeat what no make reproduce makes (docs/measured/NAME.json): make measured NAME=model_error
+	.venv/bin/python docs/tables.py measure $(NAME)
 
 house: env  ## draw who imports whom, docs/figures/house.png
 	.venv/bin/python docs/house.py docs/figures/house.png

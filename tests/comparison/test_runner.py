@@ -70,7 +70,7 @@ def test_the_stage_writes_tables_numbers_and_a_figure(made: Path) -> None:
     rows = pd.read_csv(made / "comparison.csv")
     assert {"median_error_percent", "within_interval_percent", "seconds"} <= set(rows.columns)
     summary = json.loads((made / "comparison.json").read_text())
-    assert summary["methods"]["kalman"]["median_error_percent"]["location"]["0_percent"] < 1e-6
+    assert summary["methods"]["kalman"]["median_error_percent"]["location"]["0_percent"] < 1e-8
     assert "| per-speed least squares |" in (made / "comparison.md").read_text()
 
 

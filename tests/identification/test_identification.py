@@ -89,13 +89,13 @@ def test_constants_start_at_the_guess(parametrisation: str, guess: float, ball: 
 @pytest.mark.parametrize("depth", [1, 2])
 @pytest.mark.parametrize("guess", [1.0, 1e8])
 def test_networks_start_near_the_guess(depth: int, guess: float, hydrostatic: Machine) -> None:
-    """Paper, Figure 2, for a network: at every speed and with any seed within a factor four of the guess."""
+    """Paper, Figure 2, for a network: at every speed and with any seed within a factor two of the guess."""
     setup = setup_of(hydrostatic, optimizer(lm=1))
     setup = replace(setup, model=setup.model.model_copy(update={"depth": depth}))
     prepared = prepare_residual(asked(hydrostatic), setup)
     for seed in range(5):
         start = prepared.identified(initial_parameters(prepared, setup, seed, guess)[0])
-        assert np.abs(np.log(start.values(hydrostatic.speeds) / guess)).max() < np.log(4)
+        assert np.abs(np.log(start.values(hydrostatic.speeds) / guess)).max() < np.log(2)
 
 
 def test_configured_guess_and_seed(hydrostatic: Machine) -> None:
@@ -168,8 +168,8 @@ def test_small_network_beats_a_constant(hydrostatic: Machine) -> None:
     true = np.stack([hydrostatic.bearings.coefficient(name) for name in ("kxx", "kyy")], axis=-1)
     constant = np.abs(true.mean(axis=1, keepdims=True) / true - 1).mean()
     error = np.abs(training.identified(batch.parameters[0]).values(hydrostatic.speeds) / true - 1).mean()
-    assert error < 1e-2 * constant
-    assert batch.held_out_loss[0] < 1e-2
+    assert error < 1.5e-3 * constant
+    assert batch.held_out_loss[0] < 1.5e-4
 
 
 def test_tied_bearings_are_identical(ball: Machine) -> None:
@@ -223,7 +223,7 @@ def test_second_order_answer_is_the_least_squares_one(hydrostatic: Machine, rng:
     wanted = [np.linalg.lstsq(problem.matrix[b, 0].numpy(), -problem.offset[b, 0].numpy())[0] for b in range(2)]
     found = prepared.identified(batch.parameters[0]).values(hydrostatic.speeds[:1])[:, 0]
     np.testing.assert_allclose(found, wanted, rtol=1e-9)
-    assert batch.loss[0] > 1e-3  # noise remains
+    assert batch.loss[0] > 0.1  # noise remains
 
 
 @given(count=st.integers(1, 700), every=st.one_of(st.just(0), st.integers(2, 800)))

@@ -150,7 +150,7 @@ def relative_errors(machine: Machine, fit: OutputErrorFit, names: tuple[str, ...
 def test_clean_data_give_the_modelled_coefficients(rotor_of: Machine) -> None:
     """Where there is no noise, nothing but what the network can't follow is left."""
     fit = fit_of(rotor_of, noisy(rotor_of, 0.0, 0), 1e-6)
-    assert np.median(relative_errors(rotor_of, fit, ("kxx", "kyy")), axis=-1).max() < 1e-5
+    assert np.median(relative_errors(rotor_of, fit, ("kxx", "kyy")), axis=-1).max() < 7e-6
 
 
 @pytest.mark.slow
@@ -180,7 +180,7 @@ def test_a_baseline_cancels_the_residual_unbalance(rotor_of: Machine) -> None:
     size = np.abs(seen.displacement).max()
     np.testing.assert_allclose(less.displacement, wanted.displacement, rtol=0, atol=1e-9 * size)
     fit = fit_of(rotor_of, less, 1e-6)
-    assert np.median(relative_errors(rotor_of, fit, ("kxx", "kyy")), axis=-1).max() < 1e-5
+    assert np.median(relative_errors(rotor_of, fit, ("kxx", "kyy")), axis=-1).max() < 7e-6
 
 
 @pytest.mark.slow
@@ -232,7 +232,7 @@ def test_the_noise_is_estimated_channel_by_channel(rotor_of: Machine) -> None:
     parts = generator.standard_normal((2, *seen.displacement.shape)) / np.sqrt(2)
     dataset = replace(seen, displacement=seen.displacement + size * (parts[0] + 1j * parts[1]))
     fit = fit_of(rotor_of, dataset, 0.01, "loss.noise=estimated")
-    np.testing.assert_allclose(fit.factor, [3.0, 0.5, 0.5, 0.5], rtol=0.2)
+    np.testing.assert_allclose(fit.factor, [3.0, 0.5, 0.5, 0.5], rtol=0.1)
 
 
 @pytest.mark.slow
@@ -284,8 +284,8 @@ def test_constant_coefficients(rotor_of: Machine) -> None:
     dataset = measure(clean, Sensors(list_directions((1, 5)), multiplicative=0.01), np.random.default_rng(0))
     fit = fit_of(replace(rotor_of, bearings=table), dataset, 0.01, "model=constant")
     found = fit.identified.table(table)
-    np.testing.assert_allclose(found.coefficient("kxx"), 2e7, rtol=5e-3)
-    np.testing.assert_allclose(found.coefficient("kyy"), 3e7, rtol=5e-3)
+    np.testing.assert_allclose(found.coefficient("kxx"), 2e7, rtol=2e-3)
+    np.testing.assert_allclose(found.coefficient("kyy"), 3e7, rtol=3e-3)
 
 
 @pytest.mark.parametrize("planes", ["[]", "[4]"])
@@ -296,7 +296,7 @@ def test_an_odd_number_of_outputs_before_the_planes(rotor_of: Machine, planes: s
     fit = fit_of(rotor_of, dataset, 0.01, *only, "model.width=4")
     assert fit.problem.size % 2 == 1
     assert np.isfinite(fit.residual_unbalance()).all()
-    assert np.median(relative_errors(rotor_of, fit, ("kxx",))) < 0.02
+    assert np.median(relative_errors(rotor_of, fit, ("kxx",))) < 0.009
 
 
 def located(machine: Machine, noise: float) -> VibrationDataset:
@@ -338,5 +338,5 @@ def test_an_unknown_that_vanished_is_put_back(rotor_of: Machine) -> None:
     values[1, :, 1] = 1e4
     again = problem.revived(start_at(problem, values))
     found = problem.unknowns(again)[0][0].median(dim=0).values.numpy()
-    np.testing.assert_allclose(found[:3], 2e7, rtol=0.05)
-    assert found[3] > 1e5
+    np.testing.assert_allclose(found[:3], 2e7, rtol=1e-9)
+    assert found[3] > 2e6

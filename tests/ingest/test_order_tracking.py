@@ -90,13 +90,13 @@ def tracked(shaft: Shaft, signals: Signals, rpm: np.ndarray, settings: Settings 
 @pytest.mark.parametrize("rpm", [437.0, 1503.0, 1997.0, 5981.0])
 @pytest.mark.parametrize("rate", [5000.0, 10000.0])
 def test_constant_speed_at_one_percent_noise(rate: float, rpm: float, rng: np.random.Generator) -> None:
-    """Within 0.1 % and 0.1 degree, also on the resonance, with a drifting gap and 2X content."""
+    """Within 0.05 % and degrees, also on the resonance, with a drifting gap and 2X content."""
     shaft = Shaft(rate, rpm, rpm, 4.0)
     speed, found = fit_steady(shaft.recorded(0.01, rng), Settings())
     amplitude, phase = errors(found, shaft.vectors(np.array([rpm]))[0])
     assert speed / RPM == pytest.approx(rpm, rel=1e-5)
     assert amplitude.max() < 0.05
-    assert phase.max() < 0.1
+    assert phase.max() < 0.05
 
 
 GRID = np.unique(np.concatenate([np.arange(700.0, 5900.0, 170.0), np.arange(1800.0, 2300.0, 25.0)]))
@@ -147,7 +147,7 @@ def test_without_noise_the_answer_is_exact(rng: np.random.Generator) -> None:
     exact = Signals(shaft.time, shaft.signals(0.0, rng), _Exact(shaft), "x")
     amplitude, phase = errors(tracked(shaft, exact, GRID[::5]), shaft.vectors(GRID[::5]))
     assert amplitude.max() < 2e-3
-    assert phase.max() < 2e-3
+    assert phase.max() < 7e-4
 
 
 class _Exact:
@@ -166,13 +166,13 @@ class _Exact:
 
 
 def test_a_sharp_resonance_gets_short_windows_by_itself(rng: np.random.Generator) -> None:
-    """Two percent damping at 5 kHz: a long fixed window is wrong by percents, the rule by tenths."""
+    """Two percent damping at 5 kHz: a long fixed window is wrong by tens of percent, the rule by tenths."""
     shaft = Shaft(5000.0, 600.0, 6000.0, 60.0, 0.02)
     signals, near = shaft.recorded(0.01, rng), np.arange(1900.0, 2100.0, 10.0)
     own, _ = errors(tracked(shaft, signals, near), shaft.vectors(near))
     long, _ = errors(tracked(shaft, signals, near, Settings(revolutions=150.0)), shaft.vectors(near))
     assert own.max() < 0.25
-    assert long.max() > 1.0
+    assert long.max() > 10.0
 
 
 def test_the_amplitude_may_change_in_the_window(rng: np.random.Generator) -> None:
@@ -181,7 +181,7 @@ def test_the_amplitude_may_change_in_the_window(rng: np.random.Generator) -> Non
     signals, near = shaft.recorded(0.0, rng), np.arange(1900.0, 2100.0, 20.0)
     constant, _ = errors(tracked(shaft, signals, near, Settings(degree=0, revolutions=20.0)), shaft.vectors(near))
     quadratic, _ = errors(tracked(shaft, signals, near, Settings(degree=2, revolutions=20.0)), shaft.vectors(near))
-    assert constant.max() > 0.5
+    assert constant.max() > 1.0
     assert quadratic.max() < 0.1
 
 
@@ -193,7 +193,7 @@ def test_two_x_does_not_leak_where_it_is_fitted(rng: np.random.Generator) -> Non
     alone, _ = errors(fit_steady(signals, Settings(orders=1))[1], true)
     both, _ = errors(fit_steady(signals, Settings(orders=2))[1], true)
     assert alone.max() > 0.1
-    assert both.max() < alone.max() / 10
+    assert both.max() < alone.max() / 100
 
 
 def test_a_held_speed_in_a_run_up(rng: np.random.Generator) -> None:
@@ -207,8 +207,8 @@ def test_a_held_speed_in_a_run_up(rng: np.random.Generator) -> None:
     angle = fit_angle(find_pulses(t, tacho, "rising", None, None, "x").times, 1, "x")
     wanted = np.array([1000.0, 1499.0, 1501.0, 1900.0]) * RPM
     amplitude, phase = errors(fit_sweep(Signals(t, values, angle, "x"), wanted, Settings())[:, 0], np.full(4, true))
-    assert amplitude.max() < 0.2
-    assert phase.max() < 0.2
+    assert amplitude.max() < 0.15
+    assert phase.max() < 0.05
 
 
 def test_pulse_times_are_interpolated(rng: np.random.Generator) -> None:
@@ -231,8 +231,8 @@ def test_several_pulses_a_revolution_and_a_mark(teeth: int, rng: np.random.Gener
     angle = fit_angle(many, teeth, "x", mark)
     found = fit_steady(Signals(shaft.time, values, angle, "x"), Settings())[1]
     amplitude, phase = errors(found, shaft.vectors(np.array([1490.0]))[0])
-    assert amplitude.max() < 0.02
-    assert phase.max() < 0.05
+    assert amplitude.max() < 1e-4
+    assert phase.max() < 0.018
 
 
 def test_a_run_up_from_standstill_has_regular_pulses() -> None:

@@ -194,7 +194,7 @@ def test_run_ups(ending: str, tmp_path: Path) -> None:
     dataset = read(section | {"slow_roll": explicit})
     if len(runs) == 2:
         check_read(dataset, 2e-4, TRACKED)
-    assert np.abs(dataset.displacement[:, 0, 0] / response(0, 0.0, TRACKED)[0] - 1).max() < 5e-4
+    assert np.abs(dataset.displacement[:, 0, 0] / response(0, 0.0, TRACKED)[0] - 1).max() < 1.6e-4
 
 
 def test_slow_roll_of_a_run_up(tmp_path: Path) -> None:
@@ -203,7 +203,7 @@ def test_slow_roll_of_a_run_up(tmp_path: Path) -> None:
     found = read(signal_config("", runs, slow_roll={"below_rpm": 420}))
     true = response(2, 0.0, TRACKED)[0]
     low = response(2, 0.0, np.linspace(300, 420, 10))[0].mean()
-    assert np.abs(found.displacement[:, 2, 0] - (true - low)).max() < 0.1e-6
+    assert np.abs(found.displacement[:, 2, 0] - (true - low)).max() < 0.07e-6
     with refused("must have data below machine.recordings.slow_roll.below_rpm=250", "windows fit from"):
         read(signal_config("", runs, slow_roll={"below_rpm": 250}))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +23,11 @@ EXPERIMENTS = ["ball_bearing", "hydrostatic_damping", "hydrostatic_stiffness"]
 COMMITTED = 0
 SEEDS = [COMMITTED, 1, 2, 3, 4, 5]
 
-# Mean error in percent at every bearing.
-BARS = {
-    "ball_bearing": {"kxx": 1e-4, "kyy": 1e-4},
-    "hydrostatic_stiffness": {"kxx": 5e-4, "kyy": 5e-4},
-    "hydrostatic_damping": {"cxx": 2.5e-3, "cyy": 1e-2},
+# Mean error in percent (Table 1, Figures 3 and 4).
+PAPER = {
+    "ball_bearing": {"kxx": 0.56, "kyy": 0.78},
+    "hydrostatic_stiffness": {"kxx": 0.002, "kyy": 0.001},
+    "hydrostatic_damping": {"cxx": 0.005, "cyy": 0.054},
 }
 ALL_EIGHT = [
     "all_coefficients",
@@ -37,8 +38,9 @@ ALL_EIGHT = [
 ]
 NOISY = ["impulses", "noisy_all", "noisy_direct", "noisy_stiffness", "noisy_stiffness_residual"]
 AS_BUILT = ["realistic"]
-DISPLACEMENT = 1e-3
-COEFFICIENTS = [(experiment, name) for experiment, of in BARS.items() for name in of]
+COEFFICIENTS = [(experiment, name) for experiment, of in PAPER.items() for name in of]
+NEAR = 3.0
+"""A limit is at most so many times what is measured: a metric that gets worse passes it."""
 
 
 THRESHOLDS = list_options("thresholds")
@@ -64,22 +66,21 @@ def test_the_committed_seed_is_the_one_measured() -> None:
 
 def test_every_experiment_has_a_bar() -> None:
     """A new experiment must be held to something, here or in the file of tests that is named after its kind."""
-    assert sorted([*BARS, *ALL_EIGHT, *NOISY, *AS_BUILT, "measured_demo"]) == list_options("experiment")
+    assert sorted([*PAPER, *ALL_EIGHT, *NOISY, *AS_BUILT, "measured_demo"]) == list_options("experiment")
+
+
+def limit_of(experiment: str, file: str, metric: str) -> float:
+    """The threshold of a metric, percent; a star of its path stands for any key."""
+    rules = [rule for rule in read_rules(check.THRESHOLDS / f"{experiment}.yaml") if rule.file == file]
+    limits = [rule.max for rule in rules if rule.max is not None and fnmatch(metric, rule.metric)]
+    assert limits, f"no threshold of {metric} in {file}"
+    return min(limits)
 
 
 @pytest.mark.parametrize(("experiment", "coefficient"), COEFFICIENTS)
-def test_the_committed_seed_reaches_the_bar(experiment: str, coefficient: str, artifacts: Artifacts) -> None:
-    """Mean error over all speeds of each bearing, with the committed seed, from metrics.json."""
-    metrics = artifacts.read(experiment, "metrics")["coefficients"]
-    bar = BARS[experiment][coefficient]
-    values = {f"node {node}": of[coefficient]["mean_error_percent"] for node, of in metrics.items()}
-    assert shown(f"{experiment} {coefficient}", values, bar) <= bar
-
-
-@pytest.mark.parametrize(("experiment", "coefficient"), COEFFICIENTS)
-def test_every_other_start_reaches_the_bar(experiment: str, coefficient: str, artifacts: Artifacts) -> None:
-    """The same bar for five other seeds (hydrostatic) and for 81 initial guesses (ball bearings)."""
-    bar = BARS[experiment][coefficient]
+def test_every_other_start_is_held_to_the_same(experiment: str, coefficient: str, artifacts: Artifacts) -> None:
+    """Five other seeds (hydrostatic) and 81 initial guesses (ball bearings), from their table."""
+    limit = limit_of(experiment, "robustness.json", f"coefficients.1.{coefficient}.worst_mean_error_percent")
     table = pd.read_csv(artifacts(experiment, "robustness.csv") / "robustness.csv")
     over = table.columns[0]
     table = table[table["coefficient"] == coefficient]
@@ -93,7 +94,7 @@ def test_every_other_start_reaches_the_bar(experiment: str, coefficient: str, ar
         assert ratios == pytest.approx(ratios[0])
     values = table.groupby(over)["mean_error_percent"].max()
     worst = {f"{over} {values.idxmax():g}": float(values.max()), "median": float(values.median())}
-    assert shown(f"{experiment} {coefficient} from {len(values)} starts", worst, bar) <= bar
+    assert shown(f"{experiment} {coefficient} from {len(values)} starts", worst, limit) <= limit
     summary = artifacts.read(experiment, "robustness")["coefficients"]
     told = max(of[coefficient]["worst_mean_error_percent"] for of in summary.values())
     assert told == pytest.approx(values.max())
@@ -112,12 +113,13 @@ def test_constants_do_not_depend_on_the_seed(artifacts: Artifacts, run: Run, tmp
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
 def test_the_twin_predicts_vibration_never_seen(experiment: str, artifacts: Artifacts) -> None:
     """Displacement at the disc over all speeds, amplitude and phase together; also of all seeds and guesses."""
+    limit = limit_of(experiment, "prediction.json", "displacement.x.mean_error_percent")
     displacement = artifacts.read(experiment, "prediction")["displacement"]
     robustness = artifacts.read(experiment, "robustness")
     assert robustness["starts"] >= len(SEEDS)
     values = {direction: of["mean_error_percent"] for direction, of in displacement.items()}
     values[f"{robustness['starts']} starts"] = robustness["displacement"]["worst_mean_error_percent"]
-    assert shown(f"{experiment} displacement", values, DISPLACEMENT) <= DISPLACEMENT
+    assert shown(f"{experiment} displacement", values, limit) <= limit
 
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
@@ -222,22 +224,22 @@ def _with_all_numbers(value: Any, number: float) -> Any:
     return number if isinstance(value, int | float) and not isinstance(value, bool) else value
 
 
-@pytest.mark.parametrize("experiment", EXPERIMENTS)
-def test_thresholds_are_no_laxer_than_the_bars(experiment: str) -> None:
-    rules = read_rules(check.THRESHOLDS / f"{experiment}.yaml")
-    for name, bar in BARS[experiment].items():
-        for file, metric in (("metrics.json", "mean"), ("robustness.json", "worst_mean")):
-            limits = [
-                rule.max
-                for rule in rules
-                if rule.file == file
-                and rule.metric in {f"coefficients.*.{n}.{metric}_error_percent" for n in (name, "*")}
-            ]
-            assert limits, f"no threshold of {name} in {file}"
-            assert min(limits) <= bar
-    assert any(
-        rule.file == "prediction.json"
-        and rule.metric == "displacement.*.mean_error_percent"
-        and rule.max <= DISPLACEMENT
-        for rule in rules
-    )
+@pytest.mark.parametrize(("experiment", "coefficient"), COEFFICIENTS)
+def test_no_threshold_is_above_what_the_paper_reached(experiment: str, coefficient: str) -> None:
+    for file, metric in (("metrics.json", "mean"), ("robustness.json", "worst_mean")):
+        limit = limit_of(experiment, file, f"coefficients.1.{coefficient}.{metric}_error_percent")
+        assert limit <= PAPER[experiment][coefficient]
+
+
+@pytest.mark.parametrize("experiment", THRESHOLDS)
+def test_a_limit_stands_near_what_is_measured(experiment: str, artifacts: Artifacts) -> None:
+    """But rounding, which has one limit everywhere, and probabilities."""
+    for rule in read_rules(check.THRESHOLDS / f"{experiment}.yaml"):
+        values = [one.value for one in check_experiment(experiment, [rule], artifacts(experiment, rule.file))]
+        measured = [value for value in values if value is not None]
+        if rule.why.startswith("rounding"):
+            assert rule.max == 1e-10
+        elif not rule.why.startswith("a probability"):
+            ratio = rule.max / max(measured) if rule.max is not None else min(measured) / (rule.min or np.nan)
+            print(f"{experiment}: {rule.file} {rule.metric}: {rule}, {ratio:.2f} times what is measured")
+            assert 1 <= ratio <= NEAR, rule

@@ -30,7 +30,7 @@ BLOWS = ("experiment=impulses", "machine.speeds.step_rpm=500")
 def test_eight_coefficients_of_a_flexible_shaft_from_two_senses_of_rotation(method: str) -> None:
     """Tiwari, Lees and Friswell (2002): runs of both senses make the equations well conditioned."""
     case = Case(0.0, "all", 30)
-    assert errors(answer(method, case, *BACKWARD), case, *BACKWARD).max() < 1e-6
+    assert errors(answer(method, case, *BACKWARD), case, *BACKWARD).max() < 1e-10
 
 
 def test_regularisation_helps_where_the_orbits_are_nearly_dependent() -> None:
@@ -40,7 +40,7 @@ def test_regularisation_helps_where_the_orbits_are_nearly_dependent() -> None:
         case = Case(0.001, "all", 30)
         return float(np.median(errors(answer(method, case, *FORWARD), case, *FORWARD)))
 
-    assert 2 * error("tikhonov") < error("least_squares")
+    assert 3 * error("tikhonov") < error("least_squares")
 
 
 def test_total_least_squares_is_consistent_where_least_squares_is_not() -> None:
@@ -66,7 +66,7 @@ def test_kalman_filter_from_one_location() -> None:
 
 def test_kriging_and_differential_evolution_find_constant_bearings() -> None:
     """Han, Guo and Gao (2013): and robustly under noise."""
-    for noise, bar in ((0.0, 0.5), (0.01, 0.5)):
+    for noise, bar in ((0.0, 0.005), (0.01, 0.4)):
         case = Case(noise, "all", 591)
         assert errors(answer("kriging", case, *BALLS), case, *BALLS).max() < bar
 
@@ -169,5 +169,5 @@ def test_impulse_records_give_all_coefficients_and_the_unbalance() -> None:
         template.guess,
     )
     found = METHODS["multi_frequency"].identify(own, options(*BLOWS))
-    np.testing.assert_allclose(found.coefficients.values, truth.values, rtol=0.01)
+    np.testing.assert_allclose(found.coefficients.values, truth.values, rtol=0.005)
     assert "40 g mm at node 2" in found.words

@@ -167,5 +167,5 @@ def test_compressor_rotor_stability() -> None:
 def test_rounding_makes_no_rotor_unstable() -> None:
     """DTU: at 3000 rpm, less than half of its threshold, the rotor is stable."""
     margin = measure_stability(find_modes(assemble(DTU_ROTOR), dtu_bearings(np.array([3000.0]))))
-    assert margin.smallest_logarithmic_decrement > 0.2
+    assert margin.smallest_logarithmic_decrement > 1
     assert margin.stable

@@ -13,7 +13,7 @@ from pipeline.config.comparison import METHOD_NAMES
 from pipeline.methods.catalogue import METHODS
 from pipeline.methods.method import Reason, Refusal
 
-EXACT = 1e-6  # percent
+EXACT = 1e-10  # percent, rounding
 FILM = ("experiment=hydrostatic_stiffness", "machine.speeds.step_rpm=100")
 BALLS = ("experiment=ball_bearing",)
 BLOWS = ("experiment=impulses", "machine.speeds.step_rpm=500")
@@ -23,7 +23,7 @@ FORWARD = ("experiment=all_coefficients", "machine.speeds.step_rpm=200")
 
 @dataclass(frozen=True)
 class Good:
-    """A case that a method can do, and the error that it states or must keep there, percent."""
+    """A case that a method can do, and the error that it must keep there, percent: three times what it has."""
 
     overrides: tuple[str, ...]
     case: Case
@@ -36,13 +36,13 @@ GOOD = {
     "tikhonov": Good(FILM, Case(0.0, "all", 60), EXACT),
     "total_least_squares": Good(FILM, Case(0.0, "all", 60), EXACT),
     "multi_frequency": Good(BLOWS, Case(0.0, "all", 12), EXACT),
-    "kalman": Good(FILM, Case(0.0, "location", 60), EXACT),
-    "kriging": Good(BALLS, Case(0.0, "all", 591), 0.5, loud=0.1),
+    "kalman": Good(FILM, Case(0.0, "location", 60), 1e-8),
+    "kriging": Good(BALLS, Case(0.0, "all", 591), 0.005, loud=0.1),
     "critical_speeds": Good(BALLS, Case(0.0, "all", 591), 5.0, loud=0.2),
     "spline": Good(FILM, Case(0.0, "all", 60), EXACT),
-    "residual": Good(FILM, Case(0.0, "all", 60), 0.01),
-    "preconditioned": Good(FILM, Case(0.0, "all", 60), 0.01),
-    "response": Good(FILM, Case(0.0, "all", 60), 0.01),
+    "residual": Good(FILM, Case(0.0, "all", 60), 5e-5),
+    "preconditioned": Good(FILM, Case(0.0, "all", 60), 8e-4),
+    "response": Good(FILM, Case(0.0, "all", 60), 9e-5),
     "trained": Good(FILM, Case(0.0, "all", 60), 0.01),
 }
 
@@ -62,11 +62,19 @@ def test_the_right_answer_on_clean_data(method: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("method", METHOD_NAMES)
 def test_the_error_grows_with_the_noise(method: str) -> None:
-    """The mean of a few data sets: a single one may be lucky."""
+    """In proportion, over the mean of a few data sets; by half where the method's own error is not small beside it."""
     good = GOOD[method]
-    noisy = [replace(good.case, noise=good.loud, data_set=i) for i in range(3)]
-    clean = errors(answer(method, good.case, *good.overrides), good.case, *good.overrides).mean()
-    assert clean < np.mean([errors(answer(method, case, *good.overrides), case, *good.overrides) for case in noisy])
+
+    def mean_error(noise: float, data_sets: int = 3) -> float:
+        cases = [replace(good.case, noise=noise, data_set=i) for i in range(data_sets)]
+        return float(np.mean([errors(answer(method, case, *good.overrides), case, *good.overrides) for case in cases]))
+
+    clean, tenth, loud = mean_error(0.0, 1), mean_error(good.loud / 10), mean_error(good.loud)
+    print(clean, tenth, loud)
+    if 10 * clean < tenth:
+        assert 5 < loud / tenth < 20
+    else:
+        assert loud > 1.5 * clean
 
 
 @pytest.mark.slow
@@ -142,7 +150,7 @@ def test_stated_deviations_hold(method: str, overrides: tuple[str, ...]) -> None
         off = np.abs(found.coefficients.values - machine(*overrides).truth(case).values)
         stated = ~np.isnan(found.deviation)
         inside.append((off[stated] <= 1.96 * found.deviation[stated]).mean())
-    assert 0.87 <= np.mean(inside) <= 1.0
+    assert 0.9 <= np.mean(inside) <= 0.98
 
 
 def test_the_cases_are_each_once_and_the_main_one_is_there() -> None:

@@ -321,15 +321,15 @@ def test_least_squares_on_ball_bearings(ball: Machine) -> None:
 
 def test_least_squares_of_all_eight(hydrostatic: Machine) -> None:
     """method.md, section 3: unbalance runs on two journal bearings have rank 2 and a condition number of 1e3
-    to 1e5, which clean data in double precision bear: 1e-3 is asked, and what is reached is printed.
+    to 1e5, which clean data in double precision bear: 1e-8 is asked, and what is reached is printed.
     """
     system = residual_in(hydrostatic.equations, COEFFICIENTS, nothing_known(hydrostatic))
     found, condition = per_speed_least_squares(system)
     true = hydrostatic.bearings.values
     error = float((np.linalg.norm(found - true, axis=-1) / np.linalg.norm(true, axis=-1)).max())
     print(f"eight coefficients: error {error:.1e}, condition {condition.min():.1e} to {condition.max():.1e}")
-    assert error < 1e-3
-    assert condition.min() > 100
+    assert error < 1e-8
+    assert condition.min() > 200
 
 
 @examples(15)

@@ -121,10 +121,10 @@ def test_one_backward_run_adds_a_dimension(rotor_of: Machine, bearings: tuple[di
 
 
 def test_condition_numbers_of_the_papers_rotor(rotor_of: Machine) -> None:
-    """shared/method.md, section 3: thousands with three unbalance runs, about 2 to 3 with a backward one (orbits)."""
+    """Orbits: near a thousand with three unbalance runs, about 2 to 3 with a backward one."""
     modelled, acting = rotor_of.bearings, rotor_of.excitations
     for account in accounts_of(rotor_of, modelled, acting):
-        assert 3e2 < np.median(account.orbit_condition) < 1e4
+        assert 5e2 < np.median(account.orbit_condition) < 2e3
         assert account.verdict is Verdict.IDENTIFIABLE
     for account in accounts_of(rotor_of, modelled, (*acting, BACKWARD)):
         assert np.median(account.orbit_condition) < 4
@@ -228,7 +228,7 @@ def test_bearings_alike_are_exactly_alike(rotor_of: Machine) -> None:
     table = table_of(rotor_of, ANISOTROPIC, ANISOTROPIC)
     found = trained(rotor_of, table, (*UNBALANCES, BACKWARD), "identify.shared=true")
     assert np.array_equal(found.values[0], found.values[1])
-    np.testing.assert_allclose(found.values, table.values, rtol=2e-3)
+    np.testing.assert_allclose(found.values, table.values, rtol=1e-5)
 
 
 def test_bearings_may_have_different_unknowns(rotor_of: Machine) -> None:
@@ -238,7 +238,7 @@ def test_bearings_may_have_different_unknowns(rotor_of: Machine) -> None:
     kept = [COEFFICIENTS.index(name) for name in COEFFICIENTS if name not in ("kxx", "kyy")]
     assert np.array_equal(found.values[1][:, kept], table.values[1][:, kept])
     assert np.array_equal(found.coefficient("kxx")[1], found.coefficient("kyy")[1])
-    np.testing.assert_allclose(found.values[0], table.values[0], rtol=2e-3)
+    np.testing.assert_allclose(found.values[0], table.values[0], rtol=1e-5)
 
 
 def test_a_structure_needs_both_of_a_pair() -> None:
@@ -274,17 +274,17 @@ def test_the_preconditioned_loss_is_the_distance_from_the_answer_of_each_speed(r
         np.testing.assert_allclose(unit, np.broadcast_to(np.eye(8), unit.shape), atol=1e-8)
         weights = np.linalg.svd((damped.matrix[m] * damped.scale[m, 0] * size).numpy(), compute_uv=False)
         assert weights.max() <= 1 + 1e-9
-        assert weights.min() < 0.5
+        assert weights.min() < 3e-3
 
 
 def test_the_start_from_least_squares_is_near_the_answer(rotor_of: Machine) -> None:
-    """``initialisation: per_speed`` starts below a hundredth of the loss of a guess."""
+    """``initialisation: per_speed`` starts below a thousandth of the loss of a guess."""
     losses = []
     for initialisation in ("guess", "per_speed"):
         config = compose_config(["experiment=all_coefficients", f"model.initialisation={initialisation}"])
         prepared = prepare_residual(rotor_of.measured(rotor_of.dataset, config), setup_of(config))
         losses.append(float(prepared.problem.loss(initial_parameters(prepared, setup_of(config), 0)).max()))
-    assert losses[1] < 0.01 * losses[0]
+    assert losses[1] < 1e-3 * losses[0]
 
 
 def fits(machine: Machine, dataset: VibrationDataset, unknowns: UnknownSet, covariance: np.ndarray) -> LinearResidual:
@@ -296,7 +296,7 @@ def fits(machine: Machine, dataset: VibrationDataset, unknowns: UnknownSet, cova
 def test_the_predicted_deviation_is_the_spread_of_noisy_fits(
     rotor_of: Machine, sensors: str, rng: np.random.Generator
 ) -> None:
-    """200 weighted least-squares fits to data with noise: the same deviation within 15 %, for all sixteen."""
+    """200 weighted least-squares fits to data with noise: the same deviation within 10 %, for all sixteen."""
     dataset = simulate(rotor_of.rotor, rotor_of.bearings, (*rotor_of.excitations, BACKWARD))
     if sensors == "bearings alone":
         kept = [p for p, (node, _) in enumerate(dataset.channels) if node in (1, 5)]
@@ -314,8 +314,9 @@ def test_the_predicted_deviation_is_the_spread_of_noisy_fits(
     )
     ratio = found.std(axis=0, ddof=1) / predicted
     # The spread of 200 fits is itself known to 5 %; its median over the speeds to much less.
-    np.testing.assert_allclose(np.median(ratio, axis=1), 1.0, atol=0.15)
-    np.testing.assert_allclose(found.mean(axis=0), rotor_of.bearings.values, atol=float((6 * predicted).max()))
+    np.testing.assert_allclose(np.median(ratio, axis=1), 1.0, atol=0.1)
+    bias = (found.mean(axis=0) - rotor_of.bearings.values) / (predicted / np.sqrt(len(found)))
+    assert np.abs(bias).max() < 5  # deviations of the mean, over 60 speeds and sixteen coefficients
 
 
 def test_what_is_free_has_an_infinite_deviation(rotor_of: Machine) -> None:

@@ -146,7 +146,7 @@ def test_jeffcott_rotor(stiffness: float, damping: float) -> None:
     response = solve_response(jeffcott(1e-6), table, (unbalance,), ("a",))[:, translation_dof(2, 0), 0]
     series = 1 / (1 / SHAFT_STIFFNESS + 1 / (2 * (stiffness + 1j * speeds * damping)))
     expected = 2e-4 * np.exp(0.7j) * speeds**2 / (series - speeds**2 * JEFFCOTT["mass"])
-    assert np.abs(response / expected - 1).max() < 1e-6
+    assert np.abs(response / expected - 1).max() < 1e-8
 
 
 def test_jeffcott_critical_speed() -> None:

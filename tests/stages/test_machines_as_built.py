@@ -123,7 +123,7 @@ def test_what_was_built_is_not_what_is_assumed() -> None:
         assert measurement.rotor.fingerprint == load_rotor(stated.machine.rotor).fingerprint
         assert measurement.dataset.excitations == replace(complete).excitations
         readings.append(measurement.dataset.displacement)
-    assert np.abs(readings[0] / readings[1] - 1).max() > 0.05
+    assert np.abs(readings[0] / readings[1] - 1).max() > 0.15
 
 
 def test_a_finer_mesh_of_the_same_shaft_is_nearly_the_same_machine() -> None:
@@ -133,7 +133,7 @@ def test_a_finer_mesh_of_the_same_shaft_is_nearly_the_same_machine() -> None:
     fine, coarse = (model_machine(one)[2] for one in (config, stated))
     assert fine.channels == coarse.channels
     off = np.abs(fine.displacement - coarse.displacement).max() / np.abs(coarse.displacement).max()
-    assert 1e-9 < off < 0.01
+    assert 1e-5 < off < 1e-4
 
 
 @pytest.mark.parametrize(
