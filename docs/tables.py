@@ -99,10 +99,10 @@ def _print(value: float, found: re.Match[str]) -> str:
         if not value > float(form[1:]):
             raise ValueError(f"{found[0]} must be more than it says, but is {value:.3g}")
         return f"> {form[1:]}"
-    if value < ROUNDING:
-        return "rounding, < 1e-10"
     if form == "d":
         return f"{value:.0f}"
+    if value < ROUNDING:
+        return "rounding, < 1e-10"
     places = int(form) - 1 - math.floor(math.log10(float(f"{value:.{int(form) - 1}e}")))
     return f"{round(value, places):.{max(places, 0)}f}"
 
@@ -119,14 +119,21 @@ def _select(value: Any, path: list[str]) -> Iterator[float]:
         yield from _select(value[key], path[1:])
 
 
-def write(artifacts: Path) -> None:
-    """Fill the tables of every page in."""
-    templates = read_templates()
+def write(artifacts: Path) -> list[str]:
+    """Fill the tables of every page in. One whose figures are missing stays; why, is returned."""
+    templates, missing = read_templates(), []
+
+    def filled(found: re.Match[str]) -> str:
+        try:
+            return found[1] + fill(templates[found[2]], artifacts) + found[4]
+        except ValueError as error:
+            missing.append(f"{found[2]}: {error}")
+            return found[0]
+
     for page in PAGES:
         path = ROOT / page
-        text = path.read_text(encoding="utf-8")
-        filled = _TABLE.sub(lambda found: found[1] + fill(templates[found[2]], artifacts) + found[4], text)
-        path.write_text(filled, encoding="utf-8")
+        path.write_text(_TABLE.sub(filled, path.read_text(encoding="utf-8")), encoding="utf-8")
+    return missing
 
 
 def measure(wanted: str) -> None:
@@ -159,4 +166,4 @@ if __name__ == "__main__":
     elif sys.argv[1:2] == ["keep"]:
         keep(sys.argv[2], Path(sys.argv[3]))
     else:
-        write(Path(sys.argv[1]) if sys.argv[1:] else ROOT / "artifacts")
+        sys.exit("\n".join(write(Path(sys.argv[1]) if sys.argv[1:] else ROOT / "artifacts")) or None)

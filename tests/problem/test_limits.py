@@ -29,9 +29,7 @@ def test_the_table_that_ross_evaluates_is_not_its_closed_form(machine: MachineFa
     ("experiment", "median", "high"),
     [("all_coefficients", 0.045, 0.54), ("all_coefficients_backward", 8e-5, 6e-4)],
 )
-def test_single_precision_is_not_enough(
-    experiment: str, median: float, high: float, machine: MachineFactory
-) -> None:
+def test_single_precision_is_not_enough(experiment: str, median: float, high: float, machine: MachineFactory) -> None:
     """Displacements rounded to it: median and 95th percentile over speed of least squares, the worst coefficient."""
     made = machine(f"experiment={experiment}")
     displacement = made.dataset.displacement.astype(np.complex64).astype(complex)
