@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from pipeline.coefficients import CoefficientName
-from pipeline.config.quantities import Damping, Length, Mass, PositiveAngle, Stiffness
+from pipeline.config.quantities import Damping, Length, Mass, PositiveAngle, RotorSpeed, Stiffness
 from pipeline.config.section import NonNegativeInt, Section, Share
 from pipeline.unknowns import BearingUnknowns, Structure, UnknownSet, unknown_set
 
@@ -232,6 +232,7 @@ class TrainingConfig(Section):
 
     holdout_every: NonNegativeInt
     holdout_runs: tuple[str, ...] = ()
+    holdout_range: tuple[RotorSpeed, RotorSpeed] | None = None  # rad/s, speeds that are predicted, not fitted
     tolerance: Share
 
     @model_validator(mode="after")
@@ -239,6 +240,11 @@ class TrainingConfig(Section):
         if self.holdout_every == 1:
             raise ValueError(
                 "must have holdout_every = 0 (none) or at least 2, but got 1, which leaves no speed to train on"
+            )
+        if self.holdout_range is not None and self.holdout_range[0] > self.holdout_range[1]:
+            low, high = self.holdout_range
+            raise ValueError(
+                f"must have holdout_range = [from, to] with from <= to, but got {low:g} and {high:g} rad/s"
             )
         return self
 

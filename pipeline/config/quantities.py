@@ -123,6 +123,7 @@ Viscosity = _define_quantity("Pa * s", "0.05 Pa s", gt=0)
 Stiffness = _define_quantity("N / m", "1e7 N/m", gt=0)
 Damping = _define_quantity("N * s / m", "1e4 N s/m", gt=0)
 UnbalanceMagnitude = _define_quantity("kg * m", "100 g mm", gt=0)
+RotorSpeed = _define_quantity("rad / s", "2000 rpm", gt=0)
 Frequency = _define_quantity("Hz", "5120 Hz", gt=0)
 ShaftAngle = Annotated[float, BeforeValidator(_convert_angle)]
 """rad, between -pi and pi where it had a unit; a number that can only be degrees is refused."""

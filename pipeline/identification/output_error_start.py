@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pipeline.config.identification import TrainingConfig
 from pipeline.errors import ConfigError
 from pipeline.identification.basis import Basis, orthonormal_basis
 from pipeline.identification.model import CoefficientModel, coefficient_model
@@ -55,8 +56,8 @@ def prepare_output_error(measurement: Measurement, setup: FitSetup) -> OutputErr
     import torch
 
     unknowns, speeds = measurement.unknowns, measurement.dataset.speeds
-    held_out = _held_out_runs(measurement, setup)
-    keep = ~held_out_speeds(len(speeds), setup.training.holdout_every)
+    held_out = held_out_runs(measurement, setup.training)
+    keep = ~held_out_speeds(len(speeds), setup.training.holdout_every) & ~held_out_range(speeds, setup.training)
     runs = np.setdiff1d(np.arange(len(measurement.dataset.runs)), held_out)
     plane_scale = _plane_scale(measurement)  # solves the response, of which all problems are parts
     training = measurement.select(keep, runs)
@@ -97,13 +98,30 @@ def drawn_basis(setup: FitSetup, training: Measurement, speeds: np.ndarray, size
     return orthonormal_basis(model, drawn, training.dataset.speeds)
 
 
-def _held_out_runs(measurement: Measurement, setup: FitSetup) -> np.ndarray:
-    """Indices of the runs that are predicted rather than fitted."""
+def held_out_range(speeds: np.ndarray, training: TrainingConfig) -> np.ndarray:
+    """(S,) mask of the ``speeds`` (S,) rad/s in ``training.holdout_range``. Raises ConfigError for none or all."""
+    if training.holdout_range is None:
+        return np.zeros(len(speeds), dtype=bool)
+    low, high = training.holdout_range
+    mask = (speeds > low * (1 - _SAME)) & (speeds < high * (1 + _SAME))
+    if mask.all() or not mask.any():
+        raise ConfigError(
+            "training.holdout_range must hold some of the speeds and leave some, but it holds "
+            f"{int(mask.sum())} of {len(speeds)}"
+        )
+    return np.asarray(mask)
+
+
+_SAME = 1e-9
+
+
+def held_out_runs(measurement: Measurement, training: TrainingConfig) -> np.ndarray:
+    """Indices of the runs that are predicted rather than fitted. Raises ConfigError as :func:`prepare_output_error`."""
     runs = measurement.dataset.runs
-    for name in setup.training.holdout_runs:
+    for name in training.holdout_runs:
         if name not in runs:
             raise ConfigError(f"training.holdout_runs must name runs of the data ({', '.join(runs)}), but got '{name}'")
-    held_out = np.array([runs.index(name) for name in setup.training.holdout_runs], dtype=int)
+    held_out = np.array([runs.index(name) for name in training.holdout_runs], dtype=int)
     if len(held_out) == len(runs):
         raise ConfigError("training.holdout_runs must leave a run to train on, but it names all of them")
     return np.sort(held_out)

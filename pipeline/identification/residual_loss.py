@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from pipeline.errors import ConfigError
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.model import CoefficientModel, coefficient_model
 from pipeline.identification.training import FitSetup, held_out_speeds, initial_guess, root_mean_square
@@ -191,8 +192,13 @@ def prepare_residual(measurement: Measurement, setup: FitSetup) -> ResidualTrain
     """Everything before the first step.
 
     Raises IdentifiabilityError where the runs determine the unknowns of a bearing at no speed, unless ``setup.force``;
-    DataError where x or y is not measured at a bearing.
+    DataError where x or y is not measured at a bearing; ConfigError for ``training.holdout_range``.
     """
+    if setup.training.holdout_range is not None:
+        raise ConfigError(
+            "training.holdout_range must go with loss=response, but the loss is "
+            f"{setup.loss.kind}, whose held-out speeds choose the best state: leave it out"
+        )
     equations, residual = measurement.equations, measurement.residual
     if not setup.force:
         require_identifiable(judge_identifiability(equations, residual, setup.constant))

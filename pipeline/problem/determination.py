@@ -26,6 +26,10 @@ WEAKLY_BELOW = 0.30
 """Zero is then more than three standard deviations away: sign and order of magnitude are certain, no more."""
 
 
+_NAMED = 8
+"""So many are called by their names, as many as a bearing has; more are counted."""
+
+
 class Determination(Enum):
     """The verdict on one coefficient."""
 
@@ -81,7 +85,8 @@ def describe_determined(judged: Sequence[Determined]) -> str:
         names = [f"{one.name} at node {one.node}" if several else one.name for one in own]
         worst = max(range(len(own)), key=lambda i: own[i].deviation)
         size = f"+- {100 * own[worst].deviation:.2g} %" if np.isfinite(own[worst].deviation) else "no limit"
-        which = "all" if len(own) == len(judged) > 1 else ", ".join(names)
+        which = f"{len(own)} of {len(judged)}" if len(own) > _NAMED else ", ".join(names)
+        which = "all" if len(own) == len(judged) > 1 else which
         parts.append(f"{which} {verdict.value} ({f'{names[worst]} ' if len(own) > 1 else ''}{size})")
     partly = [one for one in judged if one.lost and one.verdict is not Determination.NOT]
     if partly:

@@ -11,10 +11,12 @@ from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import write_coefficients
 from pipeline.data.tables import write_table
+from pipeline.data.vibration_files import to_rpm
 from pipeline.evaluation.errors import find_worst_mean, list_metrics, measure_coverage, measure_errors
 from pipeline.files import write_json
 from pipeline.identification.losses import loss_of
-from pipeline.identification.uncertainty import load_uncertainty
+from pipeline.identification.uncertainty import Uncertainty, load_uncertainty
+from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say
 from pipeline.reporting.error_table import describe_quality, describe_verdicts, make_error_table, print_error_table
 from pipeline.reporting.figures import draw_coefficients, draw_history
@@ -29,6 +31,7 @@ from pipeline.stages.measurement import (
     update_measurement,
 )
 from pipeline.stages.workspace import locate_files
+from pipeline.twin.superposition import compare_held_out
 
 
 def run(config: Config) -> StageOutput:
@@ -67,6 +70,8 @@ def run(config: Config) -> StageOutput:
     loss = loss_of(config.loss)
     if modelled is None or loss.weighs_noise:
         say(f"{config.name}: {describe_quality(quality)}")
+    if loss.weighs_noise:
+        metrics["held_out"] = _judge_held_out(config, update_measurement(measurement, uncertainty), answer, uncertainty)
     written += [
         draw_history(work.figure("training"), work.history, loss.label),
         draw_coefficients(work.figure("stiffness"), "k", answer, modelled, names, deviation),
@@ -75,6 +80,24 @@ def run(config: Config) -> StageOutput:
         write_json(work.folder / "summary.json", summary),
     ]
     return StageOutput(metrics, {"data_fingerprint": measurement.dataset.fingerprint}, [*written, work.identified])
+
+
+def _judge_held_out(
+    config: Config, measurement: Measurement, answer: BearingTable, uncertainty: Uncertainty | None
+) -> list[dict[str, object]]:
+    """What no fit saw, beside what superposition and interpolation make of it without a bearing model."""
+    unbalance = None if uncertainty is None else uncertainty.residual_unbalance
+    summary: list[dict[str, object]] = []
+    for one in compare_held_out(measurement, answer, unbalance, config.training):
+        rpm = to_rpm(one.speeds)
+        what = f"{'range of ' if one.together else ''}speeds, {rpm[0]:g} to {rpm[-1]:g} rpm"
+        what, rival = (what, "interpolation") if one.run is None else (f"run {one.run}", "influence coefficients")
+        said = "no answer" if one.rival is None else f"{one.rival:.3g} %"
+        say(f"{config.name}: held-out {what}: predicted to {one.model:.3g} % (root mean square); by {rival}: {said}")
+        summary.append(
+            {"what": what, "model_error_percent": one.model, "rival": rival, "rival_error_percent": one.rival}
+        )
+    return summary
 
 
 def _measure_coverage(

@@ -22,11 +22,13 @@ from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, table
 from pipeline.reporting.twin_figures import draw_orbit, draw_response, draw_time
 from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.model import translation_dof
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_identified, load_measurement, load_modelled, update_measurement
 from pipeline.stages.workspace import locate_files, require_nodes
 from pipeline.twin.modes import CriticalSpeed, StabilityMargin, find_critical_speeds, find_modes, measure_stability
 from pipeline.twin.prediction import PredictedVibration, add_deviation, predict
+from pipeline.twin.superposition import error_percent, superpose
 from pipeline.units import RAD_S_PER_RPM
 
 
@@ -88,7 +90,13 @@ def run(config: Config) -> StageOutput:
             direction: {"mean_error_percent": float(e.mean()), "max_error_percent": float(e.max())}
             for direction, e in zip("xy", error.T, strict=True)
         }
+    summed = superpose_unseen(config, measurement)
+    if summed is not None and "modelled" in vibration:
+        truth = vibration["modelled"].displacement
+        off = {direction: error_percent(summed[:, d], truth[:, d]) for d, direction in enumerate("xy")}
+        summary["influence_coefficients"] = {"error_percent": off}
     _print(config, summary, vibration, at)
+    _say_superposed(config, summed, summary, at)
     work = locate_files(config)
     written = [
         write_json(work.folder / "prediction.json", summary),
@@ -98,6 +106,32 @@ def run(config: Config) -> StageOutput:
         draw_response(work.figure("prediction_response"), vibration),
     ]
     return StageOutput(summary, {"data_fingerprint": measurement.dataset.fingerprint}, written)
+
+
+def superpose_unseen(config: Config, measurement: Measurement) -> np.ndarray | None:
+    """(S, 2) complex, m: x and y of the prediction's node from the runs alone, without a bearing model.
+
+    None where no sum of the runs is the unbalance, or no probes show the node.
+    """
+    dataset, node = measurement.dataset, config.machine.prediction.node
+    dof, resolution = dataset.resolution()
+    rows = [np.flatnonzero(dof == translation_dof(node, direction)) for direction in range(2)]
+    runs = range(len(dataset.runs))
+    summed = superpose(dataset, runs, list_unseen(config), dataset.speeds, bool(measurement.unknowns.planes))
+    if summed is None or not all(len(row) for row in rows):
+        return None
+    return summed @ resolution[np.concatenate(rows)].T
+
+
+def _say_superposed(config: Config, summed: np.ndarray | None, summary: Mapping[str, Any], at: int) -> None:
+    beside = f"{config.name}: influence coefficients (sums of the runs, without a bearing model)"
+    if summed is None:
+        say(f"{beside} have no answer: the unbalance is no sum of the runs', or no probes show the node")
+        return
+    size, error = 1e6 * np.abs(summed[at]), summary.get("influence_coefficients", {}).get("error_percent", {})
+    off = ", ".join(f"{direction} {percent:.2g} %" for direction, percent in error.items())
+    shown = f"x {size[0]:.5f} um, y {size[1]:.5f} um at {config.machine.prediction.speed_rpm:g} rpm"
+    say(f"{beside}: {shown}" + (f"; error over all speeds (root mean square) {off}" if off else ""))
 
 
 def _find_speed(config: Config, speeds: np.ndarray) -> int:

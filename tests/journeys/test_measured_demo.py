@@ -58,6 +58,20 @@ def test_stiffness_and_damping_are_found(folder: Path) -> None:
             assert error["median_error_percent"] < (0.12 if name.startswith("k") else 1.2)
 
 
+def test_a_plane_and_speeds_that_no_run_had(run: Run, tmp_path: Path) -> None:
+    """By a model of one disc's run alone: 0.31 % where superposition has no answer, 0.31 % at the critical speed, where
+    interpolation is 21 % off.
+    """
+    held = ["training.holdout_runs=[second_disc,both_discs]", "training.holdout_range=[5000 rpm,5600 rpm]"]
+    run("evaluate", ["experiment=measured_demo", *held], tmp_path)
+    found = {one["what"]: one for one in json.loads((tmp_path / "metrics.json").read_text())["held_out"]}
+    assert found["run second_disc"]["rival_error_percent"] is None
+    assert found["run second_disc"]["model_error_percent"] < 0.6
+    together = found["range of speeds, 5000 to 5600 rpm"]
+    assert together["model_error_percent"] < 0.6
+    assert together["rival_error_percent"] > 20 * together["model_error_percent"]
+
+
 def test_the_run_that_was_not_fitted_is_predicted(folder: Path) -> None:
     """Measured: 0.36 % at the probes, 0.31 % by the tables."""
     held_out = json.loads((folder / "metrics.json").read_text())["fit"]["held_out_runs"]

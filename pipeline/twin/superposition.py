@@ -1,0 +1,125 @@
+"""What can be predicted without a bearing model: superposition of the runs, and interpolation over the speed.
+
+A linear machine answers a sum of excitations by the sum of its answers. An excitation in the span of the measured runs
+is predicted at the probes by influence coefficients alone (as in balancing), whatever the bearings are; a model earns
+its place where that has no answer: a plane without a run, a node without a probe, a speed that was not run.
+
+Legend: S speeds, P channels, R runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.config.identification import TrainingConfig
+from pipeline.data.dataset import Excitation, VibrationDataset
+from pipeline.identification.output_error_start import held_out_range, held_out_runs
+from pipeline.identification.training import held_out_speeds
+from pipeline.problem.measurement import Measurement
+from pipeline.rotor.bearing_table import BearingTable
+
+_WITHIN = 1e-9
+"""Share of an excitation that may be left over where it is called a sum of others."""
+
+
+def superpose(
+    dataset: VibrationDataset,
+    runs: Sequence[int],
+    wanted: Sequence[Excitation],
+    frequencies: np.ndarray,
+    residual_unbalance: bool,
+) -> np.ndarray | None:
+    """(S, P) complex, m: the ``wanted`` excitation's response at the channels, from those of the ``runs`` (indices).
+
+    ``frequencies`` (S,) rad/s are those of the excitation. With a ``residual_unbalance``, which acts in every run, the
+    runs' shares must add up to 1. None where no sum of the runs is the excitation.
+    """
+    same = [r for r in runs if np.allclose(dataset.frequencies[:, r], frequencies, rtol=1e-9)]
+    if not same:
+        return None
+    seen = [_amplitudes(dataset.excitation_of(r)) for r in same]
+    aim = _amplitudes([replace(one, run="") for one in wanted])
+    keys = list(dict.fromkeys(key for one in (*seen, aim) for key in one))
+    matrix = np.array([[one.get(key, 0.0) for one in seen] for key in keys]).reshape(len(keys), len(same))
+    right = np.array([aim.get(key, 0.0) for key in keys])
+    size = np.array([max(abs(aim.get(key, 0.0)), *(abs(one.get(key, 0.0)) for one in seen)) for key in keys])
+    matrix, right = matrix / size[:, None], right / size
+    if residual_unbalance:
+        matrix, right = np.concatenate([matrix, np.ones((1, len(same)))]), np.append(right, 1.0)
+    shares = np.linalg.lstsq(matrix, right, rcond=None)[0]
+    if np.linalg.norm(matrix @ shares - right) > _WITHIN * np.linalg.norm(right):
+        return None
+    return np.asarray(dataset.displacement[..., same] @ shares)
+
+
+def _amplitudes(excitations: Sequence[Excitation]) -> dict[tuple[str, int, str], complex]:
+    """Kind, node and whirl -> complex amplitude, kg m or N."""
+    result: dict[tuple[str, int, str], complex] = {}
+    for one in excitations:
+        key = (one.kind, one.node, one.whirl)
+        result[key] = result.get(key, 0.0) + one.magnitude * np.exp(1j * one.phase)
+    return result
+
+
+def interpolate_response(dataset: VibrationDataset, seen: np.ndarray) -> np.ndarray | None:
+    """(S', P, R) complex, m: the readings at the speeds that ``seen`` (S,) leaves out, by cubic splines through the
+    others; None where one of them lies outside the others.
+    """
+    from scipy.interpolate import CubicSpline
+
+    known, asked = dataset.speeds[seen], dataset.speeds[~seen]
+    if len(known) < 2 or not len(asked) or asked.min() < known.min() or asked.max() > known.max():
+        return None
+    return np.asarray(CubicSpline(known, dataset.displacement[seen])(asked))
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """A run, or speeds, that no fit saw: what the model and what a method without one make of it, in percent."""
+
+    run: str | None  # None where speeds of all fitted runs were held out
+    speeds: np.ndarray  # rad/s
+    together: bool  # the speeds are a whole range, not one here and there
+    model: float
+    rival: float | None  # of influence coefficients for a run, of interpolation for speeds; None without an answer
+
+
+def compare_held_out(
+    measurement: Measurement, bearings: BearingTable, unbalance: np.ndarray | None, training: TrainingConfig
+) -> list[HeldOut]:
+    """Each held-out run beside influence coefficients, held-out speeds beside interpolation of the fitted runs.
+
+    ``measurement`` is at the fitted model parameters, ``bearings`` and the residual ``unbalance`` (N,) kg m are fitted.
+    """
+    dataset = measurement.dataset
+    predicted, measured = measurement.response.predict(bearings, unbalance), dataset.displacement
+    out = held_out_runs(measurement, training)
+    fitted = np.setdiff1d(np.arange(len(dataset.runs)), out)
+    found = []
+    for r in out:
+        acting, planes = dataset.excitation_of(int(r)), measurement.unknowns.planes
+        summed = superpose(dataset, fitted.tolist(), acting, dataset.frequencies[:, r], bool(planes))
+        error = None if summed is None else error_percent(summed, measured[..., r])
+        model = error_percent(predicted[..., r], measured[..., r])
+        found.append(HeldOut(dataset.runs[r], dataset.speeds, True, model, error))
+    every = held_out_speeds(len(dataset.speeds), training.holdout_every)
+    together = held_out_range(dataset.speeds, training)
+    for mask in (every & ~together, together):
+        if not mask.any():
+            continue
+        known = ~every & ~together
+        part = dataset.at(known | mask).of_runs(fitted)
+        drawn = interpolate_response(part, known[known | mask])
+        aim = measured[mask][..., fitted]
+        error = None if drawn is None else error_percent(drawn, aim)
+        model = error_percent(predicted[mask][..., fitted], aim)
+        found.append(HeldOut(None, dataset.speeds[mask], mask is together, model, error))
+    return found
+
+
+def error_percent(predicted: np.ndarray, measured: np.ndarray) -> float:
+    """Root mean square of the difference over that of the measurement."""
+    return float(100 * np.linalg.norm(predicted - measured) / np.linalg.norm(measured))

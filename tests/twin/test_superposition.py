@@ -1,0 +1,108 @@
+"""Predictions that need no bearing model: sums of runs, splines over the speed; and when they have no answer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from conftest import Machine, MachineFactory
+
+from pipeline.config.compose import compose_config
+from pipeline.data.dataset import Excitation, VibrationDataset, subtract_baseline
+from pipeline.data.simulate import simulate
+from pipeline.errors import ConfigError
+from pipeline.identification.fit import fit
+from pipeline.identification.training import setup_of
+from pipeline.twin.superposition import compare_held_out, error_percent, superpose
+
+FIRST = Excitation("first", "unbalance", 2, 1e-4, 0.0)
+SECOND = Excitation("second", "unbalance", 4, 2e-4, 1.0)
+BOTH = (Excitation("both", "unbalance", 2, 6e-5, 0.5), Excitation("both", "unbalance", 4, 1.5e-4, 3.5))
+
+
+@pytest.fixture(scope="module")
+def rotor_of(machine: MachineFactory) -> Machine:
+    """The rotor with two discs at 29 speeds."""
+    return machine("experiment=noisy_stiffness", "machine.speeds.start_rpm=400", "machine.speeds.step_rpm=200")
+
+
+def runs_of(machine: Machine, *acting: Excitation, hidden: float = 0.0) -> VibrationDataset:
+    """Readings without noise; ``hidden`` kg m is an unbalance in every run that nobody states."""
+    runs = tuple(dict.fromkeys(one.run for one in acting))
+    more = tuple(Excitation(run, "unbalance", 3, hidden, 2.0) for run in runs) if hidden else ()
+    return replace(simulate(machine.rotor, machine.bearings, (*acting, *more)), excitations=acting)
+
+
+def test_a_sum_of_runs_is_predicted_to_rounding(rotor_of: Machine) -> None:
+    data = runs_of(rotor_of, FIRST, SECOND, *BOTH)
+    summed = superpose(data, [0, 1], BOTH, data.speeds, False)
+    assert summed is not None
+    assert error_percent(summed, data.displacement[..., 2]) < 1e-9
+
+
+def test_a_residual_unbalance_needs_a_run_more(rotor_of: Machine) -> None:
+    """Two runs and what they hide are three unknowns; a run as found gives the third, or is subtracted."""
+    found = Excitation("as_found", "unbalance", 2, 0.0, 0.0)
+    data = runs_of(rotor_of, FIRST, SECOND, *BOTH, found, hidden=5e-5)
+    assert superpose(data, [0, 1], BOTH, data.speeds, True) is None
+    summed = superpose(data, [0, 1, 3], BOTH, data.speeds, True)
+    assert summed is not None
+    assert error_percent(summed, data.displacement[..., 2]) < 1e-9
+    less = subtract_baseline(data, "as_found")
+    again = superpose(less, [0, 1], BOTH, less.speeds, False)
+    assert again is not None
+    assert error_percent(again, less.displacement[..., 2]) < 1e-9
+
+
+@pytest.mark.parametrize(
+    "wanted",
+    [
+        Excitation("x", "unbalance", 3, 1e-4, 0.0),
+        Excitation("x", "force", 2, 10.0, 0.0),
+        Excitation("x", "force", 2, 10.0, 0.0, "backward"),
+    ],
+)
+def test_another_plane_kind_or_whirl_has_no_answer(rotor_of: Machine, wanted: Excitation) -> None:
+    data = runs_of(rotor_of, FIRST, SECOND)
+    assert superpose(data, [0, 1], (wanted,), data.speeds, False) is None
+    assert superpose(data, [0, 1], (FIRST,), 0.5 * data.speeds, False) is None  # another frequency
+
+
+def test_the_model_and_its_rivals_beside_each_other(rotor_of: Machine) -> None:
+    """On clean data: a plane and speeds that the fit never saw; a range at the end has no interpolation."""
+    held = [
+        "training.holdout_runs=[second,both]",
+        "training.holdout_range=[3000 rpm,4000 rpm]",
+        "training.holdout_every=7",
+    ]
+    said = {}
+    for name, override in (("inside", held), ("at the end", [held[0], "training.holdout_range=[5500 rpm,6000 rpm]"])):
+        config = compose_config(["experiment=noisy_stiffness", *override])
+        measurement = rotor_of.measured(runs_of(rotor_of, FIRST, SECOND, *BOTH), config)
+        found = fit(measurement, setup_of(config))
+        judged = compare_held_out(measurement, found.table(measurement.known), None, config.training)
+        said[name] = {one.run or one.together: one for one in judged}
+        assert all(one.model < 0.1 for one in judged)
+    assert (said["inside"]["second"].rival, said["inside"]["both"].rival) == (None, None)
+    inside = said["inside"][True]
+    assert inside.rival is not None
+    assert 0 < inside.rival < 100
+    np.testing.assert_allclose(inside.speeds * 30 / np.pi, [3000, 3200, 3400, 3600, 3800, 4000])
+    assert said["at the end"][True].rival is None
+
+
+@pytest.mark.parametrize("wrong", ["[100 rpm,200 rpm]", "[1 rpm,9999 rpm]"])
+def test_a_range_holds_some_speeds_and_leaves_some(rotor_of: Machine, wrong: str) -> None:
+    config = compose_config(["experiment=noisy_stiffness", f"training.holdout_range={wrong}"])
+    measurement = rotor_of.measured(runs_of(rotor_of, FIRST, SECOND), config)
+    with pytest.raises(ConfigError, match="must hold some of the speeds and leave some"):
+        fit(measurement, setup_of(config))
+
+
+def test_mistakes_of_a_range_are_named(rotor_of: Machine) -> None:
+    with pytest.raises(ConfigError, match="from <= to"):
+        compose_config(["training.holdout_range=[3000 rpm,2000 rpm]"])
+    config = compose_config(["experiment=hydrostatic_stiffness", "training.holdout_range=[2000 rpm,3000 rpm]"])
+    measurement = rotor_of.measured(runs_of(rotor_of, FIRST, SECOND), config)
+    with pytest.raises(ConfigError, match="holdout_range must go with loss=response"):
+        fit(measurement, setup_of(config))
