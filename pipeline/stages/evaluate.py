@@ -84,19 +84,17 @@ def run(config: Config) -> StageOutput:
 
 def _judge_held_out(
     config: Config, measurement: Measurement, answer: BearingTable, uncertainty: Uncertainty | None
-) -> list[dict[str, object]]:
+) -> dict[str, dict[str, object]]:
     """What no fit saw, beside what superposition and interpolation make of it without a bearing model."""
     unbalance = None if uncertainty is None else uncertainty.residual_unbalance
-    summary: list[dict[str, object]] = []
+    summary: dict[str, dict[str, object]] = {}
     for one in compare_held_out(measurement, answer, unbalance, config.training):
         rpm = to_rpm(one.speeds)
         what = f"{'range of ' if one.together else ''}speeds, {rpm[0]:g} to {rpm[-1]:g} rpm"
         what, rival = (what, "interpolation") if one.run is None else (f"run {one.run}", "influence coefficients")
         said = "no answer" if one.rival is None else f"{one.rival:.3g} %"
         say(f"{config.name}: held-out {what}: predicted to {one.model:.3g} % (root mean square); by {rival}: {said}")
-        summary.append(
-            {"what": what, "model_error_percent": one.model, "rival": rival, "rival_error_percent": one.rival}
-        )
+        summary[what] = {"model_error_percent": one.model, "rival": rival, "rival_error_percent": one.rival}
     return summary
 
 
