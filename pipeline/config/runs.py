@@ -138,9 +138,17 @@ class CandidateConfig(Section):
 
 
 class DesignConfig(Section):
-    """``stage=design`` chooses so many runs from the candidates: the best by the criterion over speeds."""
+    """``stage=design`` chooses so many runs from the candidates: the best by the criterion over speeds.
+
+    With ``accuracy``, a relative standard deviation, it chooses at most so many runs, and as few speeds of the machine
+    as reach it for each coefficient as a series of ``functions`` terms. Candidates are then made smaller where an orbit
+    at a bearing would leave the share ``clearance`` of its radial clearance.
+    """
 
     runs: PositiveInt
+    accuracy: Annotated[float, Field(gt=0, lt=1)] | None
+    functions: Annotated[int, Field(ge=2, le=64)]
+    clearance: Annotated[float, Field(gt=0, le=1)]
     criterion: Literal["A", "D"]
     speeds: Annotated[int, Field(ge=2)]
     simulations: NonNegativeInt

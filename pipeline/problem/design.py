@@ -8,7 +8,7 @@ Legend: C candidate runs, S speeds, U unknowns, M members (see :mod:`pipeline.pr
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Literal
 
 import numpy as np
@@ -53,31 +53,31 @@ def merit(information: np.ndarray, present: np.ndarray, criterion: Criterion) ->
 
 
 def choose(information: np.ndarray, present: np.ndarray, count: int, criterion: Criterion) -> tuple[int, ...]:
-    """Indices of the best ``count`` candidates: greedily one after the other, then exchanged while that improves."""
+    """Indices of the best ``count`` candidates by the criterion, see :func:`exchange`."""
+    return exchange(
+        lambda runs: merit(information[list(runs)].sum(axis=0), present, criterion), len(information), count
+    )
+
+
+def exchange(merit_of: Callable[[Sequence[int]], float], n_candidates: int, count: int) -> tuple[int, ...]:
+    """The ``count`` of ``n_candidates`` of the least merit: greedily one by one, then exchanged while it falls."""
     chosen: list[int] = []
     for _ in range(count):
-        free = [c for c in range(len(information)) if c not in chosen]
-        chosen.append(min(free, key=lambda c: _merit_of(information, present, [*chosen, c], criterion)))
+        free = [c for c in range(n_candidates) if c not in chosen]
+        chosen.append(min(free, key=lambda c: merit_of([*chosen, c])))
     improved = True
     while improved:
         improved = False
         for place in range(count):
             others = [*chosen[:place], *chosen[place + 1 :]]
-            free = [c for c in range(len(information)) if c not in others]
-            best = min(free, key=lambda c: _merit_of(information, present, [*others, c], criterion))
-            gain = _merit_of(information, present, chosen, criterion) - _merit_of(
-                information, present, [*others, best], criterion
-            )
-            if gain > _LEAST_GAIN:
+            free = [c for c in range(n_candidates) if c not in others]
+            best = min(free, key=lambda c: merit_of([*others, c]))
+            if merit_of(chosen) - merit_of([*others, best]) > _LEAST_GAIN:
                 chosen, improved = [*others, best], True
     return tuple(sorted(chosen))
 
 
 _LEAST_GAIN = 1e-9
-
-
-def _merit_of(information: np.ndarray, present: np.ndarray, runs: Sequence[int], criterion: Criterion) -> float:
-    return merit(information[list(runs)].sum(axis=0), present, criterion)
 
 
 # --- what a set of runs would give -------------------------------------------------------------------

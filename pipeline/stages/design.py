@@ -1,4 +1,7 @@
-"""Choose the runs that would identify best, and tell the gain against the configured ones."""
+"""Choose the runs that would identify best, and tell the gain against the configured ones.
+
+With ``design.accuracy`` the runs and speeds that reach it, see :mod:`pipeline.stages.accuracy_design`.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from pipeline.config.messages import quote_override
-from pipeline.config.runs import CandidateConfig
 from pipeline.config.schema import Config
 from pipeline.data.dataset import Excitation
 from pipeline.data.simulate import simulate
@@ -27,33 +29,20 @@ from pipeline.problem.design import (
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, table
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor
+from pipeline.stages.accuracy_design import reach_accuracy
 from pipeline.stages.diagnose import describe_noise
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.generate import configure_excitations, configure_frequencies
 from pipeline.stages.measurement import build_measurement
+from pipeline.stages.planned_runs import format_runs, list_candidates
 from pipeline.stages.workspace import locate_files, require_nodes
 from pipeline.units import RAD_S_PER_RPM
 
 
-def list_candidates(can: CandidateConfig) -> tuple[tuple[Excitation, ...], ...]:
-    """Every run that could be made: single unbalances, pairs of them, and rotating forces."""
-    made: list[tuple[Excitation, ...]] = []
-
-    def unbalance(name: str, node: int, degrees: float) -> Excitation:
-        return Excitation(name, "unbalance", node, can.unbalance, float(np.radians(degrees)))
-
-    for node in can.unbalance_nodes:  # the phase of a single source does not matter
-        made.append((unbalance(f"unbalance_{node}", node, 0.0),))
-    for (first, second), degrees in itertools.product(itertools.combinations(can.unbalance_nodes, 2), can.phases_deg):
-        name = f"unbalance_{first}_and_{second}_at_{degrees:g}_deg"
-        made.append((unbalance(name, first, 0.0), unbalance(name, second, degrees)))
-    for node, whirl in itertools.product(can.force_nodes, can.whirls):
-        made.append((Excitation(f"{whirl}_force_{node}", "force", node, can.force, 0.0, whirl),))
-    return tuple(made)
-
-
 def run(config: Config) -> StageOutput:
     """``design.json`` and ``designed_excitation.yaml``, which can be used at once."""
+    if config.design.accuracy is not None:
+        return reach_accuracy(config, config.design.accuracy)
     design, rotor = config.design, load_rotor(config.machine.rotor)
     possible = list_candidates(config.machine.candidates)
     require_nodes(rotor, "machine.candidates", [one.node for acting in possible for one in acting])
@@ -79,7 +68,7 @@ def run(config: Config) -> StageOutput:
     _print(config, summary, [acting[0].run for acting in chosen])
     folder = locate_files(config).folder
     written = [
-        write_text(folder / "designed_excitation.yaml", _format_runs(config, chosen)),
+        write_text(folder / "designed_excitation.yaml", format_runs(config, chosen, config.machine.speeds)),
         write_json(folder / "design.json", summary | {"runs": [acting[0].run for acting in chosen]}),
     ]
     say(
@@ -109,29 +98,6 @@ def _summarize(config: Config, plans: Mapping[str, Measurement]) -> dict[str, ob
 
 def _to_json(values: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float | None]]:
     return {name: {key: finite(value) for key, value in of.items()} for name, of in values.items()}
-
-
-def _format_runs(config: Config, chosen: Sequence[Sequence[Excitation]]) -> str:
-    import yaml
-
-    runs = []
-    for acting in chosen:
-        run: dict[str, object] = {"name": acting[0].run}
-        for key, kind in (("unbalances", "unbalance"), ("forces", "force")):
-            of_kind = [one for one in acting if one.kind == kind]
-            if of_kind:
-                run[key] = [_format_source(one) for one in of_kind]
-        runs.append(run)
-    content = {"speeds": config.machine.speeds.model_dump(), "runs": runs}
-    head = f"# Chosen by: python -m pipeline stage=design {config.chosen}\n"
-    return head + yaml.safe_dump(content, sort_keys=False)
-
-
-def _format_source(one: Excitation) -> dict[str, object]:
-    unit = "kg m" if one.kind == "unbalance" else "N"
-    source: dict[str, object] = {"node": one.node, "magnitude": f"{one.magnitude:.12g} {unit}"}
-    source["phase"] = f"{np.degrees(one.phase):.12g} deg"
-    return source | ({"whirl": one.whirl} if one.kind == "force" else {})
 
 
 def _print(config: Config, summary: Mapping[str, object], names: Sequence[str]) -> None:
