@@ -125,7 +125,7 @@ def a_model(
 
 CHAINS = {
     # phases, largest relative error: first order reaches what its last learning rate allows
-    "adam": (optimizer(adam=800), 1e-4),
+    "adam": (optimizer(adam=800), 4e-5),
     "lbfgs": (optimizer(lbfgs=60), 1e-12),
     "levenberg_marquardt": (optimizer(lm=40), 1e-12),
     "adam, lbfgs": (optimizer(adam=300, lbfgs=30), 1e-12),

@@ -106,7 +106,7 @@ def test_the_residual_on_the_same_data_is_several_times_worse(artifacts: Artifac
     median, square = np.median(errors["residual"], axis=0) / np.median(errors["response"], axis=0)
     print(f"residual over response: median over speed {median}, root mean square over speed {square}")
     assert median.min() > 2
-    assert square.min() > 4
+    assert square.min() > 10
 
 
 def test_the_error_falls_in_proportion_to_the_noise(tmp_path: Path) -> None:

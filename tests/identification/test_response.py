@@ -163,10 +163,10 @@ def test_a_residual_unbalance_is_found_with_the_coefficients(rotor_of: Machine) 
     dataset = measure(replace(complete, excitations=rotor_of.excitations), sensors, np.random.default_rng(0))
     with_plane = fit_of(rotor_of, dataset, 1e-3, "identify.unbalance_planes=[4]")
     found = with_plane.residual_unbalance()[0]
-    assert abs(found - 3e-5 * np.exp(1j)) < 0.01 * 3e-5
-    assert np.median(relative_errors(rotor_of, with_plane, ("kxx", "kyy")), axis=-1).max() < 0.005
+    assert abs(found - 3e-5 * np.exp(1j)) < 1e-3 * 3e-5
+    assert np.median(relative_errors(rotor_of, with_plane, ("kxx", "kyy")), axis=-1).max() < 0.0025
     without = fit_of(rotor_of, dataset, 1e-3)
-    assert np.median(relative_errors(rotor_of, without, ("kxx", "kyy")), axis=-1).max() > 0.02
+    assert np.median(relative_errors(rotor_of, without, ("kxx", "kyy")), axis=-1).max() > 0.4
 
 
 def test_a_baseline_cancels_the_residual_unbalance(rotor_of: Machine) -> None:
@@ -184,15 +184,20 @@ def test_a_baseline_cancels_the_residual_unbalance(rotor_of: Machine) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("guess", ["1e6 N/m", "1e8 N/m"])
-def test_sensors_too_few_for_the_forces_find_the_same_answer_from_any_guess(rotor_of: Machine, guess: str) -> None:
-    """Three probes, four bearing forces: there is no linear start."""
-    clean = simulate(rotor_of.rotor, rotor_of.bearings, rotor_of.excitations)
+@pytest.mark.parametrize("guess", ["1e6 N/m", "2e8 N/m"])
+def test_sensors_too_few_for_the_forces_find_the_same_answer_from_any_guess(
+    machine: MachineFactory, guess: str
+) -> None:
+    """Three probes, four bearing forces: there is no linear start. At all 591 speeds: 0.5 % (docs/noise.md)."""
+    whole = machine("experiment=noisy_stiffness")
+    clean = simulate(whole.rotor, whole.bearings, whole.excitations)
     dataset = measure(clean, Sensors(((1, 45.0), (1, 135.0), (5, 10.0)), multiplicative=0.01), np.random.default_rng(0))
-    fit = fit_of(rotor_of, dataset, 0.01, f"model.initial_stiffness={guess}")
+    fit = fit_of(whole, dataset, 0.01, f"model.initial_stiffness={guess}")
     assert fit.start.from_guess
     assert abs(mean_square(fit) - 1) < 4 / np.sqrt(dataset.displacement.size)
-    assert np.median(relative_errors(rotor_of, fit, ("kxx", "kyy")), axis=-1).max() < 0.05
+    found = np.median(relative_errors(whole, fit, ("kxx", "kyy")), axis=-1)
+    print(100 * found)
+    assert found.max() < 0.01
 
 
 def test_one_probe_cannot_tell_all_coefficients(rotor_of: Machine) -> None:
@@ -220,7 +225,7 @@ def test_bad_points_are_found_and_do_little(rotor_of: Machine) -> None:
     listed = np.concatenate([w.ravel() for w in fit.shares]) < 0.5
     assert listed.sum() >= 0.9 * spoilt.sum()
     change = np.abs(fit.identified.table(rotor_of.bearings).values - clean.identified.table(rotor_of.bearings).values)
-    assert np.median(change[..., [0, 3]] / rotor_of.bearings.values[..., [0, 3]]) < 0.005
+    assert np.median(change[..., [0, 3]] / rotor_of.bearings.values[..., [0, 3]]) < 0.004
 
 
 def test_the_noise_is_estimated_channel_by_channel(rotor_of: Machine) -> None:
@@ -246,7 +251,7 @@ def test_the_noise_is_estimated_from_repeated_runs_whatever_the_model(rotor_of: 
     sensors = Sensors(list_directions((1, 5)), multiplicative=0.02)
     fit = fit_of(rotor_of, measure(clean, sensors, np.random.default_rng(0)), 0.01, "loss.noise=estimated")
     np.testing.assert_allclose(fit.factor, 2.0, rtol=0.15)
-    assert mean_square(fit) > 2
+    assert mean_square(fit) > 8
 
 
 @pytest.mark.slow
@@ -314,7 +319,7 @@ def test_one_location_starts_from_a_filter(rotor_of: Machine, guess: str) -> Non
     assert fit.start.from_guess
     assert fit.start.filtered is not None
     assert abs(mean_square(fit) - 1) < 4 / np.sqrt(dataset.displacement.size)
-    assert np.median(relative_errors(rotor_of, fit, ("kxx", "kyy")), axis=-1).max() < 0.01
+    assert np.median(relative_errors(rotor_of, fit, ("kxx", "kyy")), axis=-1).max() < 0.006
 
 
 def test_fewer_features_are_the_same_with_zeros(rotor_of: Machine) -> None:

@@ -185,8 +185,8 @@ def test_ingest_then_train(ball_tables: Path, capsys: pytest.CaptureFixture[str]
     update = {"output": str(ball_tables / "trained"), "data": train.data.model_copy(update=files)}
     run_stage(train.model_copy(update={"stage": "train"} | update))
     identified = pd.read_csv(ball_tables / "trained" / "identified_coefficients.csv")
-    assert identified["kxx"].to_numpy() == pytest.approx(464.16883e5, rel=1e-4)
-    assert identified["kyy"].to_numpy() == pytest.approx(1009.06269e5, rel=1e-4)
+    assert identified["kxx"].to_numpy() == pytest.approx(464.16883e5, rel=1e-7)
+    assert identified["kyy"].to_numpy() == pytest.approx(1009.06269e5, rel=1e-7)
 
 
 FILES = {"vibration": "vibration.parquet", "excitation": "excitation.csv", "known": "known_coefficients.csv"}

@@ -79,7 +79,9 @@ class Shaft:
 def errors(found: np.ndarray, true: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of amplitude in percent, of phase in degrees."""
     ratio = found / true
-    return 100 * np.abs(np.abs(ratio) - 1), np.abs(np.degrees(np.angle(ratio)))
+    amplitude, phase = 100 * np.abs(np.abs(ratio) - 1), np.abs(np.degrees(np.angle(ratio)))
+    print(f"amplitude {amplitude.max():.3f} %, rms {np.sqrt((amplitude**2).mean()):.3f} %, phase {phase.max():.3f} deg")
+    return amplitude, phase
 
 
 def tracked(shaft: Shaft, signals: Signals, rpm: np.ndarray, settings: Settings | None = None) -> np.ndarray:

@@ -28,7 +28,7 @@ def test_the_papers_set_up_does_not_converge(artifacts: Artifacts) -> None:
     metrics = artifacts.read("all_coefficients_paper", "metrics")["coefficients"]
     medians = {f"node {n} {name}": e["median_error_percent"] for n, of in metrics.items() for name, e in of.items()}
     print(medians)
-    assert min(medians.values()) > 10
+    assert min(medians.values()) > 15
 
 
 NEGATIVE = "compressor_journal_and_isotropic"

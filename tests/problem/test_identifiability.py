@@ -221,7 +221,7 @@ def test_a_structure_is_respected_exactly(
     for one, other, sign in ties:
         assert np.array_equal(found.coefficient(one), sign * found.coefficient(other))
     for name in ("kxx", "kyy", "cxx"):
-        np.testing.assert_allclose(found.coefficient(name), table.coefficient(name), rtol=1e-3)
+        np.testing.assert_allclose(found.coefficient(name), table.coefficient(name), rtol=7e-5)
 
 
 def test_bearings_alike_are_exactly_alike(rotor_of: Machine) -> None:
@@ -260,7 +260,7 @@ def test_both_losses_have_the_same_minimiser_on_clean_data(rotor_of: Machine) ->
         _, answer = problem.per_speed(0.0)
         np.testing.assert_allclose(answer * problem.scale.numpy(), rotor_of.bearings.values, rtol=1e-5, atol=1.0)
         rows = (problem.matrix @ torch.as_tensor(rotor_of.bearings.values)[..., None])[..., 0] + problem.offset
-        assert rows.square().sum().sqrt() < 1e-7
+        assert rows.square().sum().sqrt() < 1e-9
 
 
 def test_the_preconditioned_loss_is_the_distance_from_the_answer_of_each_speed(rotor_of: Machine) -> None:
@@ -404,14 +404,14 @@ def test_training_of_what_is_not_identifiable(run: Run, tmp_path: Path, capsys: 
 def test_design_beats_the_papers_runs_and_simulations_confirm_it(
     run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The worst deviation falls at least 3 times; 200 noisy fits at 0.1 % give the same ratio within 20 %."""
+    """The worst deviation falls at least 150 times; 200 noisy fits at 0.1 % give the same ratio within 20 %."""
     folder = tmp_path / "my design"
     run("design", ["experiment=all_coefficients"], folder)
     summary = json.loads((folder / "design.json").read_text())
     print(f"gain {summary['gain']:.3g}, in simulations {summary['simulated_gain']:.3g}")
     assert summary["stated_noise"] == {"additive": 0.0, "multiplicative": 0.001}
     assert len(summary["runs"]) == len(compose_config(["experiment=all_coefficients"]).machine.runs)
-    assert summary["gain"] >= 3
+    assert summary["gain"] >= 150
     assert summary["simulated_gain"] == pytest.approx(summary["gain"], rel=0.2)
     assert "machine.runs_file=" in capsys.readouterr().out
 
