@@ -30,7 +30,7 @@ ROUNDING = 1e-10
 """Smaller figures are rounding: their digits mean nothing."""
 
 _TABLE = re.compile(r"(<!-- table: (\w+) -->\n)(.*?)(<!-- end -->)", re.S)
-_FIGURE = re.compile(r"\{(least )?([\w/]+)\.([\w.*]+)(?: \*([\d.]+))?(?: :(>?[\d.]+|d))?\}")
+_FIGURE = re.compile(r"\{(least )?([\w/]+)\.([^{}]+?)(?: \*([\d.]+))?(?: :(>?[\d.]+|d))?\}")
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
 
