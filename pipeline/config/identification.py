@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
@@ -152,6 +152,13 @@ class FunctionsModelConfig(_CoefficientModelConfig):
 
 
 ModelConfig = Annotated[ConstantModelConfig | NetworkModelConfig | FunctionsModelConfig, Field(discriminator="kind")]
+
+
+def model_fields(kind: str) -> tuple[str, ...]:
+    """The keys of a model of this kind; none where there is no such kind."""
+    kinds = get_args(get_args(ModelConfig)[0])
+    found = (one.model_fields for one in kinds if kind in get_args(one.model_fields["kind"].annotation))
+    return tuple(next(found, {}))
 
 
 class LossConfig(Section):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from pipeline.config.identification import model_fields
 from pipeline.config.messages import explain_schema_errors
 from pipeline.config.tuning import Key, Value
 from pipeline.errors import ConfigError, DataError
@@ -33,6 +34,8 @@ class PromotedTrial(BaseModel):
 def apply_values(config: Config, values: Mapping[str, Value], source: str) -> Config:
     """``config`` with ``values`` by dotted key; ``source`` says in a message where they come from.
 
+    With a ``model.kind`` of its own the model keeps what both kinds have; ``values`` give the rest.
+
     :raises ConfigError: where a key does not exist or a value breaks a law of the schema
     """
     from pydantic import ValidationError
@@ -40,6 +43,9 @@ def apply_values(config: Config, values: Mapping[str, Value], source: str) -> Co
     from pipeline.config.schema import Config
 
     mapping = config.model_dump() | {"chosen_by": config.chosen_by}
+    if (kind := values.get("model.kind", config.model.kind)) != config.model.kind:
+        fields = model_fields(str(kind)) or mapping["model"]
+        mapping["model"] = {name: mapping["model"].get(name) for name in fields}
     for key, value in values.items():
         *path, last = key.split(".")
         place: Any = mapping

@@ -113,12 +113,10 @@ class Config(Section):
 
     @model_validator(mode="after")
     def _trains_by_a_residual(self) -> Config:
-        other = self.stage in ("tune", "samplers") or (
-            self.stage == "robustness" and self.robustness.over not in ("noise", "refit")
-        )
+        other = self.stage == "robustness" and self.robustness.over not in ("noise", "refit")
         if self.loss.kind == "response" and other:
             raise ValueError(
-                "studies, and robustness over seeds and guesses, must have loss=residual or loss=preconditioned, but "
-                "got loss=response, which has a start of its own: use stage=robustness robustness=noise_seeds"
+                "robustness over seeds and guesses must have loss=residual or loss=preconditioned, but got "
+                "loss=response, which has a start of its own: use stage=robustness robustness=noise_seeds"
             )
         return self

@@ -14,7 +14,7 @@ from pipeline.reporting.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, open_f
 from pipeline.tuning.finalists import Finalist, TrialSummary
 
 _STATES = {"complete": (BLUE, "o"), "pruned": (ORANGE, "x"), "failed": (PURPLE, "s")}
-_LOSS = "held-out loss (share of the bearing force)"
+_LOSS = "held-out loss (over the bearing force, or the noise)"
 
 
 def draw_study(

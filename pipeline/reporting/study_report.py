@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.config.promotion import get_value
+from pipeline.config.promotion import get_value, has_value
 from pipeline.config.schema import Config
 from pipeline.evaluation.errors import find_worst_mean, measure_errors
 from pipeline.identification.chebyshev import ChebyshevFit
@@ -18,6 +18,7 @@ from pipeline.identification.identified import IdentifiedModel
 from pipeline.reporting.console import format_markdown
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.tuning.finalists import Finalist, TrialSummary
+from pipeline.tuning.judging import describe_objective
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -179,9 +180,8 @@ def write_report(report: StudyReport) -> str:
         f"# Study `{tuning.study}`",
         f"**Question.** Which hyperparameters identify {', '.join(report.names)} of `{config.name}` best - "
         f"{config.description}?",
-        f"**Objective.** The loss on the held-out speeds (every {config.training.holdout_every}th): the residual of "
-        "the equation of motion divided by the bearing force of its speed, root mean square. No modelled coefficient "
-        "is used, neither by the search nor by the choice.",
+        f"**Objective.** The loss on the held-out speeds (every {config.training.holdout_every}th): "
+        f"{describe_objective(config)}. No modelled coefficient is used, neither by the search nor by the choice.",
         f"**Budget.** {len(report.trials)} trials ({', '.join(f'{n} {s}' for s, n in sorted(states.items()))}), "
         f"{seconds:.0f} s of training, sampler {tuning.sampler} with seed {tuning.sampler_seed}, the first "
         f"{tuning.startup_trials} at random. Trial 0 is the configured default.",
@@ -267,10 +267,11 @@ def _explain_limits(report: StudyReport) -> list[str]:
 
 
 def _list_values(report: StudyReport) -> str:
-    changed = {key: value for key, value in report.best.values.items() if get_value(report.config, key) != value}
+    before = {k: get_value(report.config, k) if has_value(report.config, k) else "-" for k in report.best.values}
+    changed = {key: value for key, value in report.best.values.items() if before[key] != value}
     if not changed:
         return ""
-    rows = [[f"`{key}`", _shorten(get_value(report.config, key)), _shorten(value)] for key, value in changed.items()]
+    rows = [[f"`{key}`", _shorten(before[key]), _shorten(value)] for key, value in changed.items()]
     return format_markdown(["value", "default", "promoted"], rows).rstrip()
 
 

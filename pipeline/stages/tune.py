@@ -12,7 +12,7 @@ from pipeline.config.schema import Config
 from pipeline.errors import ConfigError, without_password
 from pipeline.files import read_json, write_json, write_text
 from pipeline.identification.chebyshev import fit_chebyshev
-from pipeline.identification.residual_loss import prepare_residual
+from pipeline.identification.losses import loss_of
 from pipeline.identification.training import setup_of
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import StudyProgress, say, study_progress, warn
@@ -30,6 +30,7 @@ from pipeline.stages.measurement import load_measurement, load_modelled
 from pipeline.tracking import ChildRecord
 from pipeline.tuning.attempts import list_results
 from pipeline.tuning.finalists import TrialSummary, choose, hash_study, measure_importances, summarize, train_finalists
+from pipeline.tuning.judging import require_study
 from pipeline.tuning.parallel import run_study
 from pipeline.tuning.storage import is_shared, open_storage
 from pipeline.tuning.study import StudyProblem
@@ -40,11 +41,19 @@ AGAIN = "run stage=tune again after moving it away"
 
 
 def pose_study(config: Config, measurement: Measurement) -> StudyProblem:
-    """Return the problem that a study of ``config`` searches on. Raises ConfigError where no speed is held out."""
+    """Return the problem that a study of ``config`` searches on.
+
+    Raises ConfigError where no speed is held out, or the noise is estimated from the deviations to be judged.
+    """
     if not config.training.holdout_every:
         raise ConfigError(
             "a study must judge its trials on held-out speeds, but training.holdout_every is 0: give it 10, or another "
             "number from 2"
+        )
+    if config.loss.noise == "estimated" and loss_of(config.loss).weighs_noise:
+        raise ConfigError(
+            "a study by the output error must judge its trials by one noise, but loss.noise is estimated, which each "
+            "trial does by what it leaves over: state it in stated_noise, and give loss.noise=stated"
         )
     return StudyProblem(config, measurement)
 
@@ -57,7 +66,7 @@ def run(config: Config) -> StageOutput:
         open_storage(config.tuning)  # one that can't be reached is said at once, before the data are read
     measurement = load_measurement(config)
     problem, folder = pose_study(config, measurement), Path(config.tuning.folder)
-    prepare_residual(measurement, setup_of(config))  # what is not identifiable needs no study
+    require_study(measurement, setup_of(config))
     say_diagnosis(config, measurement)
     started = time.perf_counter()
     try:
@@ -84,13 +93,14 @@ def _report(config: Config, problem: StudyProblem, study: Any, searched: float) 
         return StageOutput(before)
     finalists = train_finalists(study, problem)
     setup = setup_of(config)
+    by_residual = not loss_of(config.loss).weighs_noise
     judge = replace(setup, loss=setup.loss.model_copy(update={"scaling": "per_speed"}))  # trials are compared by it
     report = StudyReport(
         config=config,
         trials=trials,
         finalists=finalists,
         best=choose(finalists, config.tuning),
-        chebyshev=fit_chebyshev(problem.measurement, judge),
+        chebyshev=fit_chebyshev(problem.measurement, judge) if by_residual else None,
         importances=measure_importances(study),
         known=problem.measurement.known,
         modelled=load_modelled(config, problem.measurement),  # read when the choice is made

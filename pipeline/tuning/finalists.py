@@ -16,10 +16,10 @@ from pipeline.config.promotion import apply_values
 from pipeline.config.tuning import TuningConfig, Value
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.outcome import Outcome
-from pipeline.identification.residual_loss import initial_parameters, prepare_residual
-from pipeline.identification.training import minimise, setup_of
+from pipeline.identification.training import setup_of
 from pipeline.processes import open_pool
 from pipeline.tuning.attempts import list_results
+from pipeline.tuning.judging import judge
 from pipeline.tuning.space import translate
 from pipeline.tuning.study import StudyProblem
 from pipeline.tuning.worker import ROUNDING
@@ -100,33 +100,33 @@ def train_finalists(study: optuna.Study, problem: StudyProblem) -> list[Finalist
         runs = list(run_all(_train_seed, each))
     count = len(config.seeds)
     return [
-        _join_seeds(problem, place, values, runs[i * count : (i + 1) * count])
+        _join_seeds(place, values, runs[i * count : (i + 1) * count])
         for i, (place, values) in enumerate(chosen.items())
     ]
 
 
-_Run = tuple[np.ndarray, Outcome, float]
-"""Parameters (1, M, Q), outcome and seconds: what comes back from another process, where torch's tensors would not."""
+_Run = tuple[float, IdentifiedModel, np.ndarray, Outcome, float]
+"""Loss, model, its parameters (M, Q), outcome, seconds: torch's tensors do not come back from another process."""
 
 
 def _train_seed(given: tuple[StudyProblem, int, Mapping[str, Value], int]) -> _Run:
-    problem, place, values, seed = given
-    setup = setup_of(apply_values(problem.config, values, f"trial {place}"))
-    training = prepare_residual(problem.measurement, setup)
-    start = initial_parameters(training, setup, seed)
-    found = minimise(training.problem, start, setup, held_out=training.held_out)
-    if Outcome.INTERRUPTED in found.outcomes:
-        raise KeyboardInterrupt
-    return found.parameters.numpy(), found.outcomes[0], found.seconds
-
-
-def _join_seeds(problem: StudyProblem, place: int, values: Mapping[str, Value], runs: Sequence[_Run]) -> Finalist:
     import torch
 
-    training = prepare_residual(problem.measurement, setup_of(apply_values(problem.config, values, f"trial {place}")))
-    parameters = torch.from_numpy(np.concatenate([run[0] for run in runs]))
-    losses, models = training.per_speed_held_out_loss(parameters), [training.identified(one) for one in parameters]
-    return Finalist(place, values, losses, models, [run[1] for run in runs], sum(run[2] for run in runs))
+    problem, place, values, seed = given
+    setup = replace(setup_of(apply_values(problem.config, values, f"trial {place}")), seed=seed)
+    found = judge(problem.measurement, setup, lambda *_: None)
+    if found.outcome is Outcome.INTERRUPTED:
+        raise KeyboardInterrupt
+    model = replace(found.model, parameters=torch.empty(0))
+    return found.loss, model, found.model.parameters.numpy(), found.outcome, found.seconds
+
+
+def _join_seeds(place: int, values: Mapping[str, Value], runs: Sequence[_Run]) -> Finalist:
+    import torch
+
+    losses, models, parameters, outcomes, seconds = zip(*runs, strict=True)
+    whole = [replace(model, parameters=torch.from_numpy(own)) for model, own in zip(models, parameters, strict=True)]
+    return Finalist(place, values, np.array(losses), whole, outcomes, sum(seconds))
 
 
 def choose(finalists: Sequence[Finalist], config: TuningConfig) -> Finalist:

@@ -111,14 +111,17 @@ def _refuse_default(name: str, came: str, space: str) -> ConfigError:
 
 
 def _check_values(config: Config, name: str, dimension: Dimension) -> None:
-    """The schema must take the ends of a range and every choice."""
-    source = f"tuning.space.{name}"
+    """The schema must take the ends of a range and every choice, beside the first choices that give it a meaning."""
+    source, space = f"tuning.space.{name}", config.tuning.space
+    beside = translate(space, {other: of[0] for other, of in dimension.when.items()})
+    if any(key.startswith("optimizer.") for key in beside):
+        beside = _enable_phase(config, beside)
     if isinstance(dimension, Preset):
         for values in dimension.choices.values():
-            apply_values(config, _enable_phase(config, values), source)
+            apply_values(config, beside | _enable_phase(config, values), source)
         return
     for value in dimension.choices if isinstance(dimension, Choice) else (dimension.low, dimension.high):
-        apply_values(config, {dimension.key: value}, source)
+        apply_values(config, beside | {dimension.key: value}, source)
 
 
 def _enable_phase(config: Config, values: Mapping[str, Value]) -> dict[str, Value]:

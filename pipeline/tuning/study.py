@@ -15,7 +15,9 @@ import numpy as np
 
 from pipeline.config.schema import Config
 from pipeline.errors import ConfigError, without_password
+from pipeline.identification.losses import loss_of
 from pipeline.problem.measurement import Measurement
+from pipeline.tuning.judging import describe_objective
 from pipeline.tuning.samplers import make_pruner, make_sampler
 from pipeline.tuning.space import find_default
 from pipeline.tuning.storage import open_storage
@@ -38,8 +40,6 @@ class StudyProblem:
     def fingerprints(self) -> dict[str, dict[str, str]]:
         """Parts and the fingerprints of their pieces; a study of other ones is another study."""
         config, tuning = self.config, self.config.tuning
-        force = np.abs(self.measurement.equations.free_residual)
-        size = np.log(force.mean(axis=tuple(range(1, force.ndim))))  # the rotor, in one number a bearing
         sections = ("identify", "model", "loss", "optimizer", "training")
         return {
             "the search space": {name: _hash(d.model_dump(mode="json")) for name, d in tuning.space.items()}
@@ -47,7 +47,7 @@ class StudyProblem:
             "the data": {
                 "vibration, excitation and rotor": self.measurement.dataset.fingerprint,
                 "known coefficients": _hash(self.measurement.known.values.tobytes().hex()),
-                "equations": _hash(np.round(size, 12).tolist()),
+                "equations": _hash(np.round(self._sizes(), 12).tolist()),
             },
             "the configuration": {name: _hash(getattr(config, name).model_dump(mode="json")) for name in sections}
             | {"seed": str(config.seed)},
@@ -55,6 +55,14 @@ class StudyProblem:
             | {"pruner": tuning.pruner},
             "the program": _hash_program(),
         }
+
+    def _sizes(self) -> np.ndarray:
+        """The rotor, in one number a bearing, or a block of runs where the sensors may be anywhere."""
+        if loss_of(self.config.loss).weighs_noise:
+            sizes = [np.abs(block.forced_sensors).mean() for block in self.measurement.response.blocks]
+            return np.log(np.array(sizes))
+        force = np.abs(self.measurement.equations.free_residual)
+        return np.asarray(np.log(force.mean(axis=tuple(range(1, force.ndim)))))
 
 
 def _hash(value: object) -> str:
@@ -130,8 +138,8 @@ def _describe(study: optuna.Study, problem: StudyProblem) -> None:
         f"**Question:** which hyperparameters identify {', '.join(config.identify.named())} of `{config.name}` best?",
         f"({config.description})",
         "",
-        f"**Objective:** {OBJECTIVE}: the residual of the equation of motion, divided by the bearing force, at the "
-        f"speeds that training did not see (every {config.training.holdout_every}th). No modelled coefficient is used.",
+        f"**Objective:** {OBJECTIVE}: {describe_objective(config)}, at the speeds that training did not see (every "
+        f"{config.training.holdout_every}th). No modelled coefficient is used.",
         "**Trial 0** is the configured default. Intermediate values are the same loss at percents of the last phase's "
         "epochs; a trial worse than the median there is pruned. A trial that diverges is failed, with its reason.",
         f"**User attributes:** training_seconds, epochs, outcome, held_out_loss. **Sampler:** {config.tuning.sampler}.",

@@ -11,16 +11,15 @@ from typing import TYPE_CHECKING, Any
 from pipeline.config.promotion import apply_values
 from pipeline.errors import PipelineError
 from pipeline.identification.outcome import Outcome
-from pipeline.identification.residual_loss import ResidualTraining, initial_parameters, prepare_residual
-from pipeline.identification.training import minimise, phases, setup_of
+from pipeline.identification.training import setup_of
 from pipeline.tuning.attempts import REASON, repeat_stopped
+from pipeline.tuning.judging import judge
 from pipeline.tuning.samplers import find_place
 from pipeline.tuning.space import suggest, translate
 from pipeline.tuning.study import StudyProblem
 
 if TYPE_CHECKING:
     import optuna
-    import torch
 
 ROUNDING = 1e-13
 """Held-out losses below this are rounding, and count as this."""
@@ -109,19 +108,17 @@ def run_trial(trial: optuna.trial.Trial, problem: StudyProblem, seen: Seen) -> f
         values = translate(config.tuning.space, suggest(trial, config.tuning.space))
         started = time.perf_counter()  # sampling is no training; where it fails, the time of that is all there is
         setup = setup_of(apply_values(config, values, f"trial {place}"))
-        training = prepare_residual(problem.measurement, setup)
-        curve = _Curve(trial, training, phases(setup.optimizer)[-1], seen)
-        start = initial_parameters(training, setup, config.seed)
-        found = minimise(training.problem, start, setup, held_out=training.held_out, watch=curve)
-        loss = float(training.per_speed_held_out_loss(found.parameters)[0])
-        if found.outcomes[0] is Outcome.INTERRUPTED:
+        curve = _Curve(trial, seen)
+        found = judge(problem.measurement, setup, curve)
+        if found.outcome is Outcome.INTERRUPTED:
             raise KeyboardInterrupt
-        if found.outcomes[0] is Outcome.DIVERGED or not math.isfinite(loss):
+        if found.outcome is Outcome.DIVERGED or not math.isfinite(found.loss):
             describe(outcome="diverged", epochs=found.steps, **{REASON: Outcome.DIVERGED.value})
             raise TrialFailed
-        curve.carry_to_the_end(loss)
-        describe(outcome=found.outcomes[0].label, epochs=found.steps, held_out_loss=loss, training_loss=found.loss[0])
-        return score(loss)
+        curve.carry_to_the_end(found.loss)
+        about = {"outcome": found.outcome.label, "epochs": found.steps, "training_loss": found.training_loss}
+        describe(**about, held_out_loss=found.loss)
+        return score(found.loss)
     except optuna.TrialPruned:
         assert curve is not None
         describe(outcome="pruned", epochs=curve.steps, held_out_loss=10**curve.last)
@@ -137,27 +134,28 @@ def run_trial(trial: optuna.trial.Trial, problem: StudyProblem, seen: Seen) -> f
 class _Curve:
     """The learning curve of the last phase: reported at percents of its steps, and judged there by the pruner.
 
-    Phases before it have curves of another shape; a trial is not judged by those.
+    Phases before it have curves of another shape; a trial is not judged by those. Without a loss on the way (output
+    error) there is no curve, and nothing is pruned.
     """
 
     trial: optuna.trial.Trial
-    training: ResidualTraining
-    phase: str
     seen: Seen
     steps: int = 0
     last: float = math.inf
+    known: bool = False  # whether there is a loss on the way
     due: list[int] = field(default_factory=lambda: list(CHECKPOINTS))
 
-    def __call__(self, phase: str, step: int, total: int, best: torch.Tensor) -> None:
+    def __call__(self, phase: str, step: int, total: int, loss: Callable[[], float] | None) -> None:
         import optuna
 
         self.steps += 1
         self.seen(self.trial.study)
-        if phase != self.phase or not self.due or 100 * step < self.due[0] * total:
+        self.known |= loss is not None
+        if loss is None or not self.due or 100 * step < self.due[0] * total:
             return
         while self.due and 100 * step >= self.due[0] * total:
             percent = self.due.pop(0)
-        self._report(percent, float(self.training.per_speed_held_out_loss(best)[0]))
+        self._report(percent, loss())
         if self.trial.should_prune():
             raise optuna.TrialPruned
 
@@ -168,6 +166,6 @@ class _Curve:
 
     def carry_to_the_end(self, loss: float) -> None:
         """A training that converged early keeps its loss: later trials are compared with it."""
-        for percent in self.due:
+        for percent in self.due if self.known else ():
             self._report(percent, loss)
         self.due = []
