@@ -176,6 +176,14 @@ def write_report(report: StudyReport) -> str:
     command = f"python -m pipeline stage=tune {config.chosen} tuning.n_trials={tuning.n_trials}"
     if tuning.study != config.name:
         command += f" tuning.study={tuning.study} (and what else was overridden when the study was begun)"
+    missing = {
+        name
+        for name, there in (
+            ("importance", report.importances),
+            ("learning_curves", any(trial.curve for trial in report.trials)),
+        )
+        if not there
+    }
     parts = [
         f"# Study `{tuning.study}`",
         f"**Question.** Which hyperparameters identify {', '.join(report.names)} of `{config.name}` best - "
@@ -195,7 +203,7 @@ def write_report(report: StudyReport) -> str:
         *(
             f"![{_FIGURES[name]}](figures/{name}.png)"
             for name in _FIGURES
-            if name != "importance" or report.importances
+            if name not in missing
         ),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
