@@ -200,11 +200,7 @@ def write_report(report: StudyReport) -> str:
         _list_values(report),
         _say_importance(report),
         "`trials.csv` has every trial, `finalists.csv` every finalist and seed, `best.yaml` what training uses.",
-        *(
-            f"![{_FIGURES[name]}](figures/{name}.png)"
-            for name in _FIGURES
-            if name not in missing
-        ),
+        *(f"![{_FIGURES[name]}](figures/{name}.png)" for name in _FIGURES if name not in missing),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
 
