@@ -258,7 +258,9 @@ class OutputError:
         measurement = self.measurement.update(self.model_parameters(weights)[0].numpy())
         made = sensor_deviations(measurement, self.basis.model, self.sensors.plane_scale)
         now = self.sensors
-        return self.with_sensors(replace(made, scale=now.scale, precision=now.precision, measured=now.measured))
+        return self.with_sensors(
+            replace(made, scale=now.scale, precision=now.precision, common=now.common, measured=now.measured)
+        )
 
 
 def output_error(measurement: Measurement, basis: Basis, plane_scale: float) -> OutputError:

@@ -19,6 +19,7 @@ from pipeline.identification.outcome import Outcome
 from pipeline.identification.output_error import OutputError
 from pipeline.identification.output_error_start import OutputErrorStart, prepare_output_error
 from pipeline.identification.selection import add_features, drop_features
+from pipeline.identification.sensor_deviations import split_noise
 from pipeline.identification.training import FitSetup, Minimum, Progress, minimise
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.parameters import ModelParameter
@@ -178,14 +179,16 @@ def reweigh(
     """Precisions from the predicted amplitudes and, if ``robust``, Huber's for readings far off."""
     import torch
 
-    precisions, shares = [], []
+    precisions, commons, shares = [], [], []
     for b, predicted in enumerate(problem.predicted(weights)):
         deviation = torch.as_tensor(_deviation(problem, b, predicted.numpy(), factor))
         off = (predicted - problem.sensors.measured[b]).abs() / deviation
         share = (HUBER / off.clamp(min=HUBER)) if robust else torch.ones_like(off)
-        precisions.append(np.sqrt(2.0) / deviation * share.sqrt())
+        own, common = split_noise(problem.measurement, problem.sensors.blocks[b].runs, predicted.numpy(), factor)
+        precisions.append(np.sqrt(2.0) / torch.as_tensor(own) * share.sqrt())
+        commons += [] if common is None else [torch.as_tensor(common)]
         shares.append(share[0].numpy())
-    sensors = replace(problem.sensors, precision=tuple(precisions))
+    sensors = replace(problem.sensors, precision=tuple(precisions), common=tuple(commons))
     return problem.with_sensors(sensors), tuple(shares)
 
 

@@ -9,7 +9,7 @@ Legend: S speeds, P channels, R runs.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -142,9 +142,14 @@ def mismatch(square: float | None, freedom: int, whiteness: float) -> dict[str, 
 
 def _plain_deviations(fit: OutputErrorFit) -> list[np.ndarray]:
     """(S, P, R) of each block, in units of the readings' noise, complex, without Huber's shares."""
-    pairs = zip(fit.problem.deviations(fit.weights), fit.shares, strict=True)
+    import torch
+
+    sensors = fit.problem.sensors
+    pairs = zip(sensors.precision, fit.shares, strict=True)
+    whole = replace(sensors, precision=tuple(one / torch.as_tensor(share).sqrt() for one, share in pairs))
     with np.errstate(all="ignore"):  # of a fit that ran away
-        return [np.asarray(deviation[0].numpy()) / np.sqrt(2.0 * share) for deviation, share in pairs]
+        every = fit.problem.with_sensors(whole).deviations(fit.weights)
+        return [np.asarray(deviation[0].numpy()) / np.sqrt(2.0) for deviation in every]
 
 
 def _held_out(fit: OutputErrorFit, other: OutputError) -> dict[str, float]:

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     import torch
 
 _ROUNDING = 1e-13
+_TINY = 1e-30
 
 
 class SensorState(NamedTuple):
@@ -58,7 +59,8 @@ class SensorDeviations:
     known_variation: torch.Tensor  # (S, 8 B, T) derivative of ``known``
     values: torch.Tensor  # (T,) the parameters at which both are
     measured: tuple[torch.Tensor, ...]  # (G or 1, S, P, R of the block) m
-    precision: tuple[torch.Tensor, ...]  # likewise, 1/m: root of 2 over the deviation, so that both parts count
+    precision: tuple[torch.Tensor, ...]  # likewise, 1/m: root of 2 over the reading's own deviation: both parts count
+    common: tuple[torch.Tensor, ...]  # likewise, a subtracted baseline's deviation over the own one; none without
 
     @property
     def active(self) -> tuple[tuple[int, int], ...]:
@@ -110,7 +112,19 @@ class SensorDeviations:
     def deviations(self, state: SensorState) -> list[torch.Tensor]:
         """(G, S, P, R) complex of every block: predicted minus measured, over the noise."""
         every = zip(self.predicted(state), self.measured, self.precision, strict=True)
-        return [(predicted - measured) * precision for predicted, measured, precision in every]
+        weighed = [((predicted - measured) * precision)[..., None] for predicted, measured, precision in every]
+        return [self._whiten(b, rows)[..., 0] for b, rows in enumerate(weighed)]
+
+    def _whiten(self, b: int, rows: torch.Tensor) -> torch.Tensor:
+        """Rows (G, S, P, R, n) of block b over each reading's own noise, without what runs share: with the deviations u
+        of a subtracted baseline their covariance is 1 + u u', whose inverse root takes a part along u away.
+        """
+        if not self.common:
+            return rows
+        u = self.common[b][..., None]
+        square = u.square().sum(3, keepdim=True)
+        part = (1 - (1 + square).rsqrt()) / square.clamp(min=_TINY)
+        return rows - part * u * (u * rows).sum(3, keepdim=True)
 
     def derivatives(self, state: SensorState, b: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Real rows of block b, (G, S, 2 P R, 1), and their derivatives by outputs (.., A) and by the rest (..,
@@ -134,7 +148,7 @@ class SensorDeviations:
             by_outputs * precision[..., None],
             torch.cat(rest, dim=-1),
         ]
-        flat = [part.flatten(2, 3) for part in rows]
+        flat = [self._whiten(b, part).flatten(2, 3) for part in rows]
         by_parts = [torch.cat([part.real, part.imag], dim=2) for part in flat]
         return by_parts[0], by_parts[1], by_parts[2]
 
@@ -173,6 +187,7 @@ class SensorDeviations:
             values=move(self.values),
             measured=tuple(map(move, self.measured)),
             precision=tuple(map(move, self.precision)),
+            common=tuple(map(move, self.common)),
         )
 
     def with_measured(self, measured: Sequence[torch.Tensor]) -> SensorDeviations:
@@ -188,7 +203,8 @@ def sensor_deviations(measurement: Measurement, model: CoefficientModel, plane_s
     n_coefficients = unknowns.influence.shape[0] * unknowns.influence.shape[1]
     others = np.where(unknowns.identified[:, None], 0.0, measurement.updated_known.values)  # (B, S, 8)
     blocks = tuple(block.converted(torch.as_tensor) for block in measurement.response.blocks)
-    displacement, precision = measurement.dataset.displacement, np.sqrt(2.0) / measurement.deviation
+    displacement = measurement.dataset.displacement
+    noise = [split_noise(measurement, block.runs, displacement[None][..., block.runs]) for block in blocks]
     return SensorDeviations(
         measurement=measurement,
         model=model,
@@ -203,5 +219,22 @@ def sensor_deviations(measurement: Measurement, model: CoefficientModel, plane_s
         ),
         values=torch.as_tensor(measurement.parameter_values),
         measured=tuple(torch.as_tensor(displacement[None][..., block.runs]) for block in blocks),
-        precision=tuple(torch.as_tensor(precision[None][..., block.runs]) for block in blocks),
+        precision=tuple(torch.as_tensor(np.sqrt(2.0) / own) for own, _ in noise),
+        common=tuple(torch.as_tensor(shared) for _, shared in noise if shared is not None),
     )
+
+
+def split_noise(
+    measurement: Measurement, runs: np.ndarray, displacement: np.ndarray, factor: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Each reading's own deviation (.., S, P, R), m, and that of the baseline over it; None where none was subtracted.
+
+    The ``runs`` that the same baseline was taken off share its noise. ``displacement`` (.., S, P, R) m is what is left,
+    ``factor`` (P,) a channel's deviation over the stated one.
+    """
+    subtracted = measurement.dataset.subtracted
+    if subtracted is None:
+        return measurement.deviation_of(displacement, None, factor), None
+    taken = subtracted[..., np.asarray(runs)]
+    own = measurement.deviation_of(displacement + taken, None, factor)
+    return own, np.where(taken != 0, measurement.deviation_of(taken, None, factor), 0.0) / own
