@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import Field, PositiveInt, model_validator
 
@@ -14,12 +14,15 @@ from pipeline.config.section import NonNegativeInt, Section, Share
 class AsBuiltConfig(Section):
     """The machine that makes the data, where it is not the one that the fit assumes: no identification reads it.
 
+    Its vibration is that of the dynamic stiffness (``frequency``), or of integration in ``time``.
+
     Numbers of rotor and coupling are what they differ by, as a share where they have no unit. Weights and probes differ
     by normal deviates of the given standard deviations. ``shaft`` takes the place of the model's and has as many
     elements; ``shear_effects`` and ``rotary_inertia`` are those of its beam. A pedestal stands under every bearing and
     moves in x and y alike; the model's bearings stand on rock.
     """
 
+    method: Literal["frequency", "time"] = "frequency"
     refinement: PositiveInt = 1  # elements for each one of the model
     shaft: tuple[ShaftSegmentConfig, ...] | None = None
     shear_effects: bool | None = None
@@ -37,6 +40,11 @@ class AsBuiltConfig(Section):
     unbalance_phase: PositiveAngle | None = None
     probe_gain: Share = 0.0
     probe_angle: PositiveAngle | None = None
+
+    @property
+    def in_time(self) -> bool:
+        """Whether the vibration is integrated."""
+        return self.method == "time"
 
     @property
     def beam(self) -> dict[str, Any]:

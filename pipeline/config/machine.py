@@ -80,8 +80,9 @@ class MachineConfig(Section):
         elements = sum(one.elements for one in self.rotor.shaft)
         if built.shaft is not None and (count := sum(one.elements for one in built.shaft)) != elements:
             raise ValueError(f"as_built.shaft must have the {elements} elements of the model's shaft, but got {count}")
-        if built.pedestal_stiffness and any(run.frequency_hz or run.frequency_ratio for run in self.runs):
-            raise ValueError("as_built.pedestal_stiffness needs runs that turn with the rotor, but one does not")
+        alone = "method=time" if built.in_time else "pedestal_stiffness" if built.pedestal_stiffness else ""
+        if alone and any(run.frequency_hz or run.frequency_ratio for run in self.runs):
+            raise ValueError(f"as_built.{alone} needs runs that turn with the rotor, but one does not")
         return self
 
     @model_validator(mode="after")

@@ -16,6 +16,7 @@ from pipeline.config.rotor import RotorConfig
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.data.sensors import Channels, project
 from pipeline.data.simulate import simulate
+from pipeline.data.time_integration import integrate
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.parameters import OF_COUPLING, OF_DISC, OF_SHAFT, ModelParameter, update_rotor
@@ -77,7 +78,11 @@ def simulate_as_built(
             size, turn = generator.standard_normal(2)
             magnitude = one.magnitude * (1 + built.unbalance_magnitude * size)
             acting[i] = replace(one, magnitude=magnitude, phase=one.phase + angle * turn)
-    found = simulate(rotor, stand_on_pedestals(bearings, built), tuple(acting), own_frequencies)
+    felt = stand_on_pedestals(bearings, built)
+    if built.in_time:
+        found = integrate(rotor, felt, tuple(acting))
+    else:
+        found = simulate(rotor, felt, tuple(acting), own_frequencies)
     keep = [p for p, (node, _) in enumerate(found.channels) if node % n == 0]
     channels = tuple((found.channels[p][0] // n, found.channels[p][1]) for p in keep)
     return replace(found, channels=channels, displacement=found.displacement[:, keep], excitations=tuple(excitations))

@@ -11,15 +11,16 @@ import scipy.linalg
 from pipeline.config.bearings import CylindricalBearingConfig, PerNodeBearingConfig
 from pipeline.config.compose import compose_config
 from pipeline.config.schema import Config
+from pipeline.data import time_integration
 from pipeline.data.as_built import stand_on_pedestals
 from pipeline.data.dataset import VibrationDataset, assemble_forces, subtract_baseline
 from pipeline.data.sensors import list_directions, measure, project
-from pipeline.errors import ConfigError
+from pipeline.errors import ConfigError, PipelineError
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel, bearing_dof
 from pipeline.rotor.stored import load_rotor
 from pipeline.stages import refit_study
-from pipeline.stages.generate import configure_sensors, model_machine, read_probes
+from pipeline.stages.generate import configure_excitations, configure_sensors, model_machine, read_probes
 from pipeline.stages.measurement import build_measurement
 
 SMALL = [
@@ -41,6 +42,7 @@ SMALL = [
         (["machine.bearings.nodess=3"], "did you mean 'nodes'"),
         (["+machine.as_built.pedestal_mass=20 kg"], "must have a pedestal_stiffness beside pedestal_mass"),
         (["+machine.as_built.shaft=[{length: 1 m, outer_diameter: 50 mm, elements: 3}]"], "have the 8 elements"),
+        (["+machine.as_built.method=time", "+machine.runs.3.frequency_ratio=0.5"], "turn with the rotor"),
         (["+machine.as_built.pedestal_stiffness=1e8", "+machine.runs.3.frequency_ratio=0.5"], "turn with the rotor"),
     ],
 )
@@ -151,6 +153,45 @@ def test_another_beam_and_a_soft_pedestal_move_the_readings(built: str, least: f
     stated = compose_config(["stage=train", *SMALL, "machine=overhung"])
     other, same = (project(model_machine(one)[2], ((1, 0.0), (6, 0.0))).displacement for one in (config, stated))
     assert least < np.linalg.norm(other - same) / np.linalg.norm(same) < most
+
+
+def test_integration_in_time_gives_what_the_dynamic_stiffness_gives() -> None:
+    """Within a thousandth of the largest reading, at a critical speed too: the error is that of the step."""
+    near = [
+        "experiment=realistic",
+        "machine=overhung",
+        "machine.speeds={start_rpm: 900, stop_rpm: 5700, step_rpm: 800}",
+    ]
+    config = compose_config(["stage=train", *near, "+machine.as_built={method: time}"])
+    in_time = model_machine(config)[2]
+    stated = model_machine(compose_config(["stage=train", *near]))[2]
+    assert in_time.channels == stated.channels
+    off = np.abs(in_time.displacement - stated.displacement).max(axis=(1, 2))
+    share = off / np.abs(stated.displacement).max(axis=(1, 2))
+    assert (share > 1e-9).all()  # it is no copy
+    assert share.max() < 1e-3
+
+
+def test_the_error_of_integration_falls_with_the_square_of_the_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half the step, a quarter of the error."""
+    config = compose_config(["stage=train", *SMALL, "machine=overhung"])
+    rotor, truth, exact = model_machine(config)
+    few, acting = truth.at(np.array([3, 5])), configure_excitations(config)
+    errors = []
+    for steps in (180, 360):
+        monkeypatch.setattr(time_integration, "STEPS", steps)
+        found = time_integration.integrate(rotor, few, acting).displacement
+        errors.append(np.abs(found - exact.displacement[[3, 5]]).max())
+    assert errors[0] / errors[1] == pytest.approx(4, rel=0.05)
+
+
+def test_an_unstable_machine_does_not_settle() -> None:
+    """Cross stiffness beyond all damping."""
+    config = compose_config(["stage=train", *SMALL, "machine=overhung"])
+    rotor, truth, _ = model_machine(config)
+    values = truth.values * np.array([1, 30, 30, 1, 1, 1, 1, 1])
+    with pytest.raises(PipelineError, match="must settle to be read, but at 600 rpm"):
+        time_integration.integrate(rotor, replace(truth, values=values), configure_excitations(config))
 
 
 def test_a_cone_of_one_diameter_is_a_cylinder() -> None:
