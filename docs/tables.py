@@ -7,12 +7,13 @@
 A table stands between ``<!-- table: NAME -->`` and ``<!-- end -->``; ``docs/tables.md`` has its template, in which
 ``{EXPERIMENT/FILE.PATH}`` is a figure of ``artifacts/EXPERIMENT/FILE.json`` and ``{GROUP/NAME/FILE.PATH}`` one of
 ``docs/measured/GROUP.json``, which keeps what takes too long for every ``make reproduce``, with its command. ``*`` in a
-path matches every key; the largest match is printed, after ``least`` the smallest, in two digits. ``*0.6745`` behind a
+path matches any text; the largest match is printed, after ``least`` the smallest, in two digits. ``*0.6745`` behind a
 path multiplies; ``:3`` prints three digits, ``:d`` a whole number, ``:>150`` that the figure is larger.
 """
 
 from __future__ import annotations
 
+import fnmatch
 import json
 import math
 import re
@@ -115,7 +116,7 @@ def _select(value: Any, path: list[str]) -> Iterator[float]:
     if not path:
         yield float(value)
         return
-    for key in value if path[0] == "*" else [path[0]] if path[0] in value else []:
+    for key in fnmatch.filter(value, path[0]):
         yield from _select(value[key], path[1:])
 
 
