@@ -22,7 +22,7 @@ env: .venv/.installed  ## make or update .venv (minutes the first time, nothing 
 # Two processes: a file of tests stays in one of them.
 PYTEST = $(RUN) pytest -n 2 --dist loadfile
 
-demo: env  ## from recordings of a machine to its results on one screen and in one picture
+demo: env  ## from synthetic recordings of a machine to its results on one screen and in one picture
 	$(RUN) pipeline 'stage=[ingest,train,evaluate,predict,summary]' experiment=measured_demo \
 		output=artifacts/demo tracking=none
 
