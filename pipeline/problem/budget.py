@@ -40,12 +40,6 @@ def systematic_shifts(measurement: Measurement, bearings: BearingTable) -> np.nd
     return np.asarray(np.linalg.pinv(unknown / size) @ model / size.swapaxes(1, 2))
 
 
-def _rows(derivative: np.ndarray) -> np.ndarray:
-    """(S, 2 P R, ..) real rows of a derivative (S, P, R, ..)."""
-    flat = derivative.reshape(len(derivative), -1, derivative.shape[-1])
-    return np.concatenate([flat.real, flat.imag], axis=1)
-
-
 def budget_percent(measurement: Measurement, bearings: BearingTable) -> dict[str, np.ndarray] | None:
     """Kind of parameter -> (A,) percent of the coefficient, the median over the speed.
 
