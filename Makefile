@@ -12,7 +12,7 @@ export DVC_NO_ANALYTICS := 1
 unexport PYTHONHOME PYTHONPATH
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo reproduce test test-quick test-nightly comparison studies promote bench tables measured house lint clean
+.PHONY: help env demo reproduce test test-quick test-nightly comparison ablation paper-study studies promote bench tables measured house lint clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' Makefile
@@ -41,15 +41,43 @@ test-nightly: env  ## run the tests that take long: every combination, kill and 
 	$(RUN) dvc repro
 	$(PYTEST) -m nightly
 
-comparison: env  ## every method on every case, for docs/comparison.md (half an hour)
-	for name in ball_bearing hydrostatic_stiffness hydrostatic_damping impulses; do \
-		$(RUN) pipeline stage=compare experiment=$$name output=artifacts/comparison/$$name \
-			'comparison.methods=[$(EVERY_METHOD)]' 'comparison.noise=[0,0.0001,0.001,0.01]' \
-			'comparison.sensors=[all,bearings,location]' 'comparison.speeds=[10,60,591]' \
-			comparison.data_sets=10 || exit; \
-	done
-EVERY_METHOD = least_squares,tikhonov,total_least_squares,multi_frequency,kalman,kriging,critical_speeds,spline,$\
-	residual,preconditioned,response
+# One process each and few speeds: ten data sets an entry, in the time of a lunch. Interrupted, it goes on from there.
+COMPARE = $(RUN) pipeline stage=compare tracking=none comparison.workers=1 comparison.data_sets=10 \
+	comparison.other_data_sets=10
+comparison: env  ## every method on ten data sets of every case, into docs/comparison.md (an hour on one core)
+	$(COMPARE) experiment=hydrostatic_stiffness output=artifacts/comparison/hydrostatic_stiffness \
+		'comparison.methods=[$(EVERY_METHOD)]' $(EVERY_CASE)
+	$(COMPARE) experiment=realistic machine=overhung '~identify.model_parameters' output=artifacts/comparison/realistic \
+		'comparison.sensors=[bearings]' 'comparison.speeds=[40]' 'comparison.noise=[0.005]' 'comparison.floor=0.05 um'
+	$(COMPARE) experiment=noisy_all output=artifacts/comparison/noisy_all \
+		'comparison.sensors=[bearings]' 'comparison.speeds=[60]' 'comparison.noise=[0.01]'
+	$(COMPARE) experiment=all_coefficients output=artifacts/comparison/all_coefficients \
+		'comparison.sensors=[bearings]' 'comparison.speeds=[40]' 'comparison.noise=[0.001]'
+	$(COMPARE) experiment=all_coefficients output=artifacts/comparison/tikhonov \
+		'comparison.methods=[least_squares,least_squares_expanded,smoothed,tikhonov]' \
+		'comparison.sensors=[bearings,all]' 'comparison.speeds=[100]' 'comparison.noise=[0.0001,0.001]'
+	$(MAKE) ablation
+	$(COMPARE) experiment=hydrostatic_damping output=artifacts/comparison/hydrostatic_damping $(EVERY_CASE)
+	$(COMPARE) experiment=impulses output=artifacts/comparison/impulses 'comparison.sensors=[bearings]' \
+		'comparison.speeds=[20]' 'comparison.noise=[0.01]'
+	$(COMPARE) experiment=ball_bearing output=artifacts/comparison/ball_bearing \
+		'comparison.methods=[$(EVERY_METHOD)]' $(EVERY_CASE)
+	.venv/bin/python docs/comparison_tables.py artifacts/comparison docs/comparison.md
+EVERY_METHOD = least_squares,least_squares_expanded,smoothed,tikhonov,total_least_squares,multi_frequency,kalman,$\
+	kriging,critical_speeds,spline,residual,preconditioned,response
+EVERY_CASE = 'comparison.noise=[0,0.01]' 'comparison.sensors=[bearings,all,location]' 'comparison.speeds=[10,100]' \
+	'+comparison.most_data_sets={kriging: 2, critical_speeds: 3}'
+
+ablation: env  ## the paper's residual, and its improvements one at a time and together, into artifacts/comparison/ablation
+	$(COMPARE) experiment=hydrostatic_stiffness output=artifacts/comparison/ablation \
+		'comparison.methods=[paper,paper_scaling,paper_logarithm,paper_second_order,residual]' \
+		'comparison.noise=[0,0.01]' 'comparison.sensors=[bearings]' 'comparison.speeds=[100]' comparison.data_sets=3
+
+paper-study: env  ## Adam's rate and epochs for the paper's residual, by held-out speeds, into artifacts/paper_study
+	$(RUN) pipeline stage=tune experiment=hydrostatic_stiffness tuning=paper loss.scaling=none model.parametrisation=scaled \
+		optimizer=adam tuned=false output=artifacts/paper_study tuning.study=hydrostatic_stiffness_paper \
+		tuning.folder=artifacts/paper_study/study tuning.n_trials=20 tuning.startup_trials=8 tuning.finalists=2 \
+		'tuning.seeds=[0,1,2]'
 
 studies: env  ## repeat the hyperparameter studies, into artifacts/NAME/study (half an hour)
 	for name in $(STUDIED); do \

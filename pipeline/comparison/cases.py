@@ -40,11 +40,14 @@ def choose_main_case(settings: ComparisonConfig, n_speeds: int) -> Case:
 
 
 def list_cases(settings: ComparisonConfig, n_speeds: int) -> tuple[Case, ...]:
-    """Every noise with every sensor set at all speeds, and the main case with fewer speeds and with other noise."""
+    """Every noise with every sensor set at all speeds, and the main case with fewer speeds: each with its data sets."""
     main = choose_main_case(settings, n_speeds)
     made = [Case(noise, sensors, main.speeds) for sensors in settings.sensors for noise in settings.noise]
     made += [replace(main, speeds=min(count, n_speeds)) for count in settings.speeds]
-    made += [replace(main, data_set=i) for i in range(settings.data_sets)]
+    counts = {
+        case: settings.data_sets if case == main else settings.other_data_sets if case.noise else 1 for case in made
+    }
+    made += [replace(case, data_set=i) for case, count in counts.items() for i in range(count)]
     return tuple(dict.fromkeys(made))
 
 
@@ -57,11 +60,12 @@ class Machine:
     vibration: VibrationDataset
     noise_seed: int
 
-    def measure(self, case: Case, location: int | None) -> VibrationDataset:
-        """The data set of a case. The same noise, scaled, at every level of it."""
+    def measure(self, case: Case, location: int | None, floor: float) -> VibrationDataset:
+        """The data set of a case, with a ``floor`` (m) of the noise. The same noise, scaled, at every level of it."""
         clean = self.vibration.at(self.speeds(case))
         generator = np.random.default_rng([self.noise_seed, case.data_set])
-        return measure(clean, Sensors(self._channels(case.sensors, location), multiplicative=case.noise), generator)
+        sensors = Sensors(self._channels(case.sensors, location), additive=floor, multiplicative=case.noise)
+        return measure(clean, sensors, generator)
 
     def truth(self, case: Case) -> BearingTable:
         """The modelled coefficients at the speeds of a case."""
@@ -84,11 +88,12 @@ def take_measurement(machine: Machine, case: Case, identify: IdentifyConfig, set
     """What a method sees of a case: the truth is hidden except for what is known."""
     unknowns = identify.unknowns_of(machine.rotor.bearing_nodes)
     truth, model = machine.truth(case), settings.response.model
+    floor = settings.floor if case.noise else 0.0
     return Measurement(
         rotor=machine.rotor,
-        dataset=machine.measure(case, settings.location),
+        dataset=machine.measure(case, settings.location, floor),
         known=replace(truth, values=np.where(unknowns.identified[:, None], 0.0, truth.values)),
-        noise=NoiseModel(0.0, max(case.noise, ROUNDING)),
+        noise=NoiseModel(floor, max(case.noise, ROUNDING)),
         unknowns=unknowns,
         guess=Guess(model.initial_stiffness, model.initial_damping),
     )

@@ -45,6 +45,7 @@ class Result(BaseModel):
     words: str
     doubt: str
     seconds: float
+    used_speeds: int | None = None  # where the method did not look at all of them
     coefficients: dict[str, dict[str, CoefficientResult]]  # node -> name; empty where there is no answer
 
     @property
@@ -88,6 +89,7 @@ def judge_method(
         words=words,
         doubt=doubt,
         seconds=seconds,
+        used_speeds=None if answer is None else answer.n_speeds,
         coefficients=found,
     )
 

@@ -22,6 +22,8 @@ from pipeline.files import read_json, write_json
 from pipeline.processes import delay_interrupt, end_with_parent, limit_threads
 
 _PACKAGES = ("comparison", "data", "identification", "methods", "problem", "rotor")
+_ASKED = {"methods", "noise", "sensors", "speeds", "data_sets", "other_data_sets", "most_data_sets", "workers"}
+"""Settings that say which results are asked for, and change none."""
 Done = Callable[[int, int, Result], None]
 """(results so far, of how many, the newest one)."""
 
@@ -62,7 +64,7 @@ class ComparisonSetup:
             machine.vibration.fingerprint,
             machine.modelled.values.tobytes(),
             self.identify.model_dump_json(),
-            self.settings.model_dump_json(exclude={"methods", "noise", "sensors", "speeds", "data_sets", "workers"}),
+            self.settings.model_dump_json(exclude=_ASKED),
             f"{machine.noise_seed} {self.seed}",
             *(path.read_bytes() for package in _PACKAGES for path in sorted((root / package).glob("*.py"))),
         )

@@ -7,11 +7,13 @@ from typing import Annotated, Literal, get_args
 from pydantic import Field, PositiveInt, model_validator
 
 from pipeline.config.identification import LossConfig, ModelConfig, OptimizerConfig, TrainingConfig
-from pipeline.config.quantities import Damping, Stiffness
+from pipeline.config.quantities import Damping, Deviation, Stiffness
 from pipeline.config.section import NonNegativeInt, Section, Share
 
 MethodName = Literal[
     "least_squares",
+    "least_squares_expanded",
+    "smoothed",
     "tikhonov",
     "total_least_squares",
     "multi_frequency",
@@ -19,6 +21,10 @@ MethodName = Literal[
     "kriging",
     "critical_speeds",
     "spline",
+    "paper",
+    "paper_scaling",
+    "paper_logarithm",
+    "paper_second_order",
     "residual",
     "preconditioned",
     "response",
@@ -57,9 +63,11 @@ class ComparisonConfig(Section):
     """The methods, and the cases that each is tried on.
 
     ``noise`` is the root mean square of each complex displacement's noise as a share of it; ``speeds`` how many of the
-    experiment's speeds are measured. Every noise is tried with every sensor set at all speeds; fewer speeds with the
-    sensors at the bearings (else the first set) and the largest noise. That case at all speeds has ``data_sets`` of
-    other noise, the others one. ``location`` is the node of the sensor set of that name, null for the middle one.
+    experiment's speeds are measured; ``floor`` is noise that every reading of a noisy case has beside it. Every noise
+    is tried with every sensor set at all speeds; fewer speeds with the sensors at the bearings (else the first set) and
+    the largest noise. That case at all speeds has ``data_sets`` of other noise, the others with noise have
+    ``other_data_sets``; a method named in ``most_data_sets`` has so many at most, because it is slow. ``location`` is
+    the node of the sensor set of that name, null for the middle one.
     """
 
     methods: tuple[MethodName, ...] = Field(min_length=1)
@@ -67,9 +75,13 @@ class ComparisonConfig(Section):
     sensors: tuple[SensorSet, ...] = Field(min_length=1)
     speeds: tuple[Annotated[int, Field(ge=2)], ...] = Field(min_length=1)
     location: NonNegativeInt | None = None
+    floor: Deviation
     data_sets: PositiveInt
+    other_data_sets: PositiveInt
+    most_data_sets: dict[MethodName, PositiveInt]
     workers: PositiveInt
     prior: PriorConfig
+    paper: FitConfig
     residual: FitConfig
     preconditioned: FitConfig
     response: FitConfig
@@ -81,10 +93,14 @@ class ComparisonConfig(Section):
             values = getattr(self, key)
             if len(set(values)) != len(values):
                 raise ValueError(f"must name each of its {key} once, but got {list(values)}")
-        for name in ("residual", "preconditioned", "response"):
-            got = getattr(self, name).loss.kind
-            if got != name:
-                raise ValueError(f"{name} must have loss={name}, but got {got}")
+        for name in ("paper", "residual", "preconditioned", "response"):
+            got, wanted = getattr(self, name).loss.kind, "residual" if name == "paper" else name
+            if got != wanted:
+                raise ValueError(f"{name} must have loss={wanted}, but got {got}")
         if (self.trained.loss.kind, self.trained.loss.hidden) != ("response", "trained"):
             raise ValueError("trained must have loss=response with hidden: trained")
         return self
+
+    def data_sets_of(self, method: MethodName) -> int:
+        """How many data sets a method gets at most."""
+        return self.most_data_sets.get(method, self.data_sets)

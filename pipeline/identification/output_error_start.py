@@ -2,7 +2,7 @@
 
 From a random start the output error may stick; the residual, linear in the coefficients, has one answer. Where the
 sensors are too few to tell the forces at the bearings, the start is the configured guess in several sizes, and what a
-Kalman filter makes of each speed by itself.
+stationary Kalman smoother makes of each speed by itself.
 
 Legend: G starts, S speeds, P channels, R runs, M members, U unknowns, A those of them that members have, K features, Z
 weights.

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from pipeline.methods import critical_speeds, kalman, kriging, least_squares, multi_frequency, spline
-from pipeline.methods.fem_nn import fit_by, fit_trained
+from pipeline.methods import critical_speeds, kalman, kriging, least_squares, multi_frequency, smoothed, spline
+from pipeline.methods.fem_nn import fit_by, fit_trained, improve_paper
 from pipeline.methods.method import Method
 
 METHODS: dict[str, Method] = {
@@ -15,6 +15,20 @@ METHODS: dict[str, Method] = {
             "Tiwari, Lees, Friswell 2002",
             "nothing",
             least_squares.solve_plain,
+        ),
+        Method(
+            "least_squares_expanded",
+            "per-speed least squares, expansion",
+            "weighted; docs/noise.md",
+            "the noise",
+            least_squares.solve_expanded,
+        ),
+        Method(
+            "smoothed",
+            "smoothed least squares",
+            "Reinsch 1967; Craven, Wahba 1979; Wahba 1983",
+            "the noise",
+            smoothed.solve_smoothed,
         ),
         Method(
             "tikhonov",
@@ -40,8 +54,8 @@ METHODS: dict[str, Method] = {
         ),
         Method(
             "kalman",
-            "Kalman filter and least squares",
-            "Kang et al. 2020",
+            "stationary Kalman smoother, least squares",
+            "after Kang et al. 2020",
             "the noise, a guess",
             kalman.identify_by_filter,
         ),
@@ -60,12 +74,45 @@ METHODS: dict[str, Method] = {
             critical_speeds.identify_by_critical_speeds,
         ),
         Method(
-            "spline", "output error, spline", "SciPy least squares", "the noise, a guess", spline.identify_by_spline
+            "spline",
+            "output error, spline",
+            "SciPy least squares",
+            "the noise, a guess",
+            spline.identify_by_spline,
+            takes_planes=True,
+        ),
+        Method(
+            "paper",
+            "FEM-NN, the paper's residual",
+            "the paper, eq. 6, unscaled, tuned Adam",
+            "a guess",
+            fit_by(lambda options: options.settings.paper),
+        ),
+        Method(
+            "paper_scaling",
+            "the paper's residual, scaled",
+            "docs/method.md",
+            "a guess",
+            fit_by(lambda options: improve_paper(options, scaling=True)),
+        ),
+        Method(
+            "paper_logarithm",
+            "the paper's residual, logarithmic output",
+            "docs/method.md",
+            "a guess",
+            fit_by(lambda options: improve_paper(options, logarithm=True)),
+        ),
+        Method(
+            "paper_second_order",
+            "the paper's residual, Levenberg-Marquardt",
+            "docs/method.md",
+            "a guess",
+            fit_by(lambda options: improve_paper(options, second_order=True)),
         ),
         Method(
             "residual",
-            "FEM-NN, residual",
-            "the paper, eq. 6",
+            "FEM-NN, improved residual",
+            "docs/method.md",
             "a guess",
             fit_by(lambda options: options.settings.residual),
         ),
@@ -78,7 +125,7 @@ METHODS: dict[str, Method] = {
         ),
         Method(
             "response",
-            "FEM-NN, response",
+            "FEM-RF, output error",
             "docs/noise.md",
             "the noise, a guess",
             fit_by(lambda options: options.settings.response),

@@ -1,6 +1,7 @@
-"""FEM-NN: a model of the speed, fitted by the paper's residual, the preconditioned residual, or the output error.
+"""A model of the speed, fitted by the paper's residual, the preconditioned residual, or the output error.
 
-The output error takes any model: with B-splines in place of the network it is the network's fair competitor.
+By the residuals it is a network whose layers are all trained (FEM-NN). By the output error its hidden layer stays as it
+was drawn (FEM-RF, random features).
 """
 
 from __future__ import annotations
@@ -57,3 +58,14 @@ def fit_trained(data: Measurement, options: MethodOptions) -> Estimate:
     if len(data.dataset.speeds) < FEWEST_SPEEDS:
         raise Refusal(Reason.FEW_SPEEDS, f"{len(data.dataset.speeds)} can't be halved: give {FEWEST_SPEEDS} or more")
     return fit_by(lambda options: options.settings.trained)(data, options)
+
+
+def improve_paper(
+    options: MethodOptions, *, scaling: bool = False, logarithm: bool = False, second_order: bool = False
+) -> FitConfig:
+    """The paper's residual with single pieces of the residual as it is configured: an ablation."""
+    paper, ours = options.settings.paper, options.settings.residual
+    loss = paper.loss.model_copy(update={"scaling": ours.loss.scaling}) if scaling else paper.loss
+    model = paper.model.model_copy(update={"parametrisation": ours.model.parametrisation}) if logarithm else paper.model
+    optimizer = ours.optimizer if second_order else paper.optimizer
+    return paper.model_copy(update={"loss": loss, "model": model, "optimizer": optimizer})

@@ -1,6 +1,7 @@
-"""Kalman filter from a single measured location, then least squares (Kang, Shi, Zhang, Zhen and Gu 2020).
+"""Kalman's measurement update at each frequency, then least squares (after Kang, Shi, Zhang, Zhen and Gu 2020).
 
-Each speed by itself; :mod:`pipeline.problem.kalman_filter` has the equations.
+It is no filter that follows a signal in time: the motion is stationary, its state are complex amplitudes, and each
+speed is solved by itself, with a prior of the bearing forces (:mod:`pipeline.problem.kalman_filter`).
 
 Legend: M members, S speeds, P channels, R runs, U unknowns, A those of them that members have.
 """

@@ -12,9 +12,12 @@ from pipeline.methods.method import (
     MethodOptions,
     Reason,
     Refusal,
+    describe_sensors,
     make_estimate,
+    refuse_undetermined,
     require_residual,
 )
+from pipeline.problem.identifiability import judge_identifiability
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise import (
     bearing_rows,
@@ -25,7 +28,8 @@ from pipeline.problem.noise import (
     residual_sensitivity,
     whiten,
 )
-from pipeline.problem.residual import LinearResidual, per_speed_least_squares
+from pipeline.problem.residual import LinearResidual, linear_residual, per_speed_least_squares
+from pipeline.problem.response import expand
 
 _ROUNDS = 4
 """The weights of total least squares depend on its answer: so often they are made again."""
@@ -57,6 +61,24 @@ def solve_tikhonov(data: Measurement, options: MethodOptions) -> Estimate:
     inverse = _invert(members, _validate_strength(members))
     values = -np.einsum("msur,msr->msu", inverse, members.offset)
     return make_estimate(data, values, _propagate_noise(data, values, inverse))
+
+
+def solve_expanded(data: Measurement, options: MethodOptions) -> Estimate:
+    """Least squares of each speed on the motion of the bearings that all sensors together tell of, at any nodes.
+
+    Forces and motion at the bearings are the weighted least squares answer to the readings
+    (:func:`pipeline.problem.response.expand`); the rows of the residual are weighted by the noise that is left in them.
+    """
+    found = expand(data.response, data.dataset.displacement, data.deviation)
+    if found is None:
+        raise Refusal(Reason.FORCES_NOT_SEEN, f"they are at {describe_sensors(data)}")
+    residual = linear_residual(found.equations, data.unknowns, data.known)
+    refuse_undetermined(judge_identifiability(found.equations, residual, options.constant))
+    values, _ = per_speed_least_squares(residual)
+    for _ in range(2):
+        white = whiten(residual, found.residual_covariance(data.response, data.table(values)))
+        values, _ = per_speed_least_squares(white)
+    return make_estimate(data, values, least_squares_deviation(white))
 
 
 def solve_total(data: Measurement, options: MethodOptions) -> Estimate:

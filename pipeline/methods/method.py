@@ -26,6 +26,7 @@ class Reason(Enum):
     """What a method can't do, by name."""
 
     BEARINGS_NOT_MEASURED = "x and y must be measured at every bearing"
+    FORCES_NOT_SEEN = "the sensors must tell the forces at the bearings"
     NOT_DETERMINED = "the measurement must determine the unknowns"
     NOTHING_TO_VALIDATE = "there must be more equations than unknowns at a speed"
     ONE_FREQUENCY = "there must be forces of two or more frequencies at a rotor speed"
@@ -71,6 +72,7 @@ class Estimate:
     deviation: np.ndarray | None  # (B, S, 8) standard deviations, NaN for known ones; None where none is stated
     words: str = ""  # what the answer cost or rests on
     doubt: str = ""  # what speaks against it: it does not explain its readings
+    n_speeds: int | None = None  # how many speeds were looked at, where they are not all
 
 
 @dataclass(frozen=True)
@@ -155,15 +157,26 @@ def drop_unbalance(measurement: Measurement) -> Measurement:
     return replace(part, unknowns=replace(part.unknowns, planes=()))
 
 
+def describe_unbalance(planes: tuple[int, ...], found: np.ndarray) -> str:
+    """Name the residual unbalance (N,) complex, kg m, of the planes; no words where there are none."""
+    sizes = (f"{1e6 * abs(u):.3g} g mm at node {node}" for node, u in zip(planes, found, strict=True))
+    return f", residual unbalance {', '.join(sizes)}" if planes else ""
+
+
 def stack_rows(values: np.ndarray) -> np.ndarray:
     """Complex numbers (S, P, R, ..) as rows of each speed (S, 2 P R, ..): real parts, then imaginary ones."""
     flat = values.reshape(len(values), -1, *values.shape[3:])
     return np.concatenate([flat.real, flat.imag], axis=1)
 
 
-def differentiate_response(measurement: Measurement, values: np.ndarray) -> np.ndarray:
-    """(S, P, R, A) derivative of the response by the active unknowns, at unknowns (M, S, U)."""
-    by_coefficient = measurement.response.sensitivity(measurement.table(values))
+def differentiate_response(
+    measurement: Measurement, values: np.ndarray, unbalance: np.ndarray | None = None
+) -> np.ndarray:
+    """(S, P, R, A) derivative of the response by the active unknowns, at unknowns (M, S, U).
+
+    ``unbalance`` (N,) kg m is the residual one.
+    """
+    by_coefficient = measurement.response.sensitivity(measurement.table(values), unbalance)
     return np.einsum("sprbc,bca->spra", by_coefficient, measurement.unknowns.influence)
 
 

@@ -22,6 +22,7 @@ from pipeline.methods.method import (
     Reason,
     Refusal,
     describe_sensors,
+    describe_unbalance,
     make_estimate,
     require_bearing_equations,
 )
@@ -55,8 +56,7 @@ def identify_by_frequencies(measurement: Measurement, options: MethodOptions) ->
     if planes:
         pairs = answer[:, len(unknowns.active) :].reshape(len(answer), -1, 2)
         found = np.median(pairs, axis=0) @ np.array([1.0, 1j])
-        sizes = (f"{1e6 * abs(u):.3g} g mm at node {node}" for node, u in zip(planes, found, strict=True))
-        words += f", residual unbalance {', '.join(sizes)}"
+        words += describe_unbalance(planes, found)
     return make_estimate(data, values, deviation, words)
 
 

@@ -2,30 +2,31 @@
 
 Each unknown (its logarithm, where it must be positive) is a spline of the logarithm of the speed. Predicted less
 measured displacements over their noise are minimised by SciPy's least squares. The number of spline coefficients
-grows until Akaike's criterion rises (Akaike 1974).
+grows until Akaike's criterion rises (Akaike 1974). A residual unbalance is fitted with them.
 
-Legend: M members, S speeds, P channels, R runs, U unknowns, A active unknowns, K spline coefficients of each.
+Legend: M members, S speeds, P channels, R runs, U unknowns, A active unknowns, K spline coefficients of each, N balance
+planes.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from pipeline.coefficients import is_direct
 from pipeline.methods.least_squares import solve_total
 from pipeline.methods.method import (
     Estimate,
     MethodOptions,
     Refusal,
-    differentiate_response,
+    describe_unbalance,
     doubt,
+    drop_unbalance,
     make_estimate,
     require_determined,
-    stack_rows,
 )
+from pipeline.methods.spline_problem import Parameters, SplineProblem, make_parameters
 from pipeline.problem.measurement import Measurement
 
 GROWTH = (1, 2, 4, 6, 9, 13, 19, 28, 41)
@@ -43,77 +44,10 @@ _VANISHED = 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class Parameters:
-    """x (S, A) stands for ``size exp(x)`` of a direct coefficient, ``size x`` of a cross-coupled one."""
-
-    task: Measurement
-    size: np.ndarray  # (A,) N/m and N s/m
-    positive: np.ndarray  # (A,)
-
-    def values(self, x: np.ndarray) -> np.ndarray:
-        """(M, S, U) unknowns."""
-        return self.task.unknowns.from_active(np.where(self.positive, self.slope(x), self.size * x))
-
-    def from_values(self, values: np.ndarray) -> np.ndarray:
-        """(S, A) from unknowns (M, S, U); what must be positive is kept above a thousandth of its size."""
-        columns = []
-        for a, (m, u) in enumerate(self.task.unknowns.active):
-            own = values[m, :, u] / self.size[a]
-            columns.append(np.log(np.maximum(own, _SMALLEST)) if self.positive[a] else own)
-        return np.stack(columns, axis=1)
-
-    def slope(self, x: np.ndarray) -> np.ndarray:
-        """(S, A) derivative of the unknowns by x."""
-        return np.asarray(self.size * np.where(self.positive, np.exp(np.where(self.positive, x, 0.0)), 1.0))
-
-    def predict(self, x: np.ndarray) -> np.ndarray:
-        """(S, P, R) m, the response."""
-        return self.task.response.predict(self.task.table(self.values(x)))
-
-    def sensitivity(self, x: np.ndarray) -> np.ndarray:
-        """(S, P, R, A) derivative of the response by x."""
-        return differentiate_response(self.task, self.values(x)) * self.slope(x)[:, None, None]
-
-
-_SMALLEST = 1e-3
-
-
-def make_parameters(task: Measurement, size: np.ndarray | None = None) -> Parameters:
-    """The free numbers, with sizes (M, U) of the unknowns or the configured guesses."""
-    of = task.guess.sizes(task.unknowns) if size is None else size
-    return Parameters(
-        task,
-        np.array([of[m, u] for m, u in task.unknowns.active]),
-        np.array([is_direct(task.unknowns.names[u]) for _, u in task.unknowns.active]),
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class _Problem:
-    """What does not change with the size of the spline."""
-
-    task: Measurement
-    parameters: Parameters
-    weight: np.ndarray  # (S, P, R) 1/m: root of 2 over the deviation, so that real and imaginary part count
-
-    def deviations(self, x: np.ndarray) -> np.ndarray:
-        """(S, rows) whitened, for x (S, A)."""
-        return stack_rows((self.parameters.predict(x) - self.task.dataset.displacement) * self.weight)
-
-    def sensitivity(self, x: np.ndarray) -> np.ndarray:
-        """(S, rows, A) derivative of :meth:`deviations` by x."""
-        return stack_rows(self.parameters.sensitivity(x) * self.weight[..., None])
-
-    def reweighted(self, x: np.ndarray) -> _Problem:
-        """The same with weights from the predicted readings: the measured ones share their noise, which biases."""
-        deviation = self.task.deviation_of(self.parameters.predict(x), self.task.dataset.subtracted)
-        return replace(self, weight=np.sqrt(2.0) / deviation)
-
-
-@dataclass(frozen=True, eq=False)
 class _Fit:
     basis: np.ndarray  # (S, K)
     z: np.ndarray  # (K, A)
+    pairs: np.ndarray  # (2 N,) real and imaginary parts of the residual unbalance
     chi_square: float
 
     @property
@@ -124,42 +58,48 @@ class _Fit:
     @property
     def criterion(self) -> float:
         """Akaike's criterion."""
-        return self.chi_square + 2 * self.z.size
+        return self.chi_square + 2 * self.n_numbers
+
+    @property
+    def n_numbers(self) -> int:
+        """K A + 2 N."""
+        return self.z.size + self.pairs.size
 
 
 def identify_by_spline(task: Measurement, options: MethodOptions) -> Estimate:
     """The spline of the size that Akaike's criterion chooses, and its Cramer-Rao deviations."""
-    require_determined(task, together=True)
+    require_determined(task.subtract_unbalance(), together=True)
     parameters, starts = _list_starts(task, options)
-    problem = _Problem(task, parameters, np.sqrt(2.0) / task.deviation)
+    problem = SplineProblem(task, parameters, np.sqrt(2.0) / task.deviation)
     fits = [_choose_start(problem, starts, options.constant)]
     n_speeds = len(task.dataset.speeds)
     for count in [] if options.constant else [*(k for k in GROWTH[1:] if k < n_speeds), n_speeds]:
-        fits.append(_improve(problem, count, fits[-1].x))
+        fits.append(_improve(problem, count, fits[-1].x, fits[-1].pairs))
         best = min(fits, key=lambda fit: fit.criterion)
         if len(fits) - 1 - fits.index(best) >= _LOOK_AHEAD:
             break
     best = min(fits, key=lambda fit: fit.criterion)
-    problem = problem.reweighted(best.x)
-    best = _fit(problem, best.basis.shape[1], best.x)
+    problem = problem.reweighted(best.x, best.pairs)
+    best = _fit(problem, best.basis.shape[1], best.x, best.pairs)
     deviation = _bound_deviation(problem, best) * parameters.slope(best.x)
-    expected = 2 * task.dataset.displacement.size - best.z.size
-    words = f"{best.z.size} numbers, chi-square {best.chi_square:.4g} where {expected} is expected"
+    expected = 2 * task.dataset.displacement.size - best.n_numbers
+    words = f"{best.n_numbers} numbers, chi-square {best.chi_square:.4g} where {expected} is expected"
+    words += describe_unbalance(task.unknowns.planes, parameters.unbalance(best.pairs))
     spread = task.unknowns.from_active(deviation)
     return make_estimate(task, parameters.values(best.x), spread, words, doubt(best.chi_square / expected))
 
 
-def _choose_start(problem: _Problem, starts: list[np.ndarray], constant: bool) -> _Fit:
+def _choose_start(problem: SplineProblem, starts: list[np.ndarray], constant: bool) -> _Fit:
     """Constants; where there are several starts, the one that is best when it has become a small spline."""
-    made = sorted((_improve(problem, 1, x) for x in starts), key=lambda fit: fit.chi_square)
+    balanced = np.zeros(problem.n_pairs)
+    made = sorted((_improve(problem, 1, x, balanced) for x in starts), key=lambda fit: fit.chi_square)
     if len(made) == 1 or constant:
         return made[0]
 
     def promise(fit: _Fit) -> float:
-        x = fit.x
         for count in GROWTH[1:_SMALL]:
-            x = _improve(problem, count, x).x if count < len(x) else x
-        return float((problem.deviations(x) ** 2).sum())
+            fit = _improve(problem, count, fit.x, fit.pairs) if count < len(fit.x) else fit
+        return fit.chi_square
 
     return min(made[:_KEPT_STARTS], key=promise)
 
@@ -168,7 +108,7 @@ def _list_starts(task: Measurement, options: MethodOptions) -> tuple[Parameters,
     """Constants (S, A) to begin with: the medians of a linear answer, or the guess in several sizes."""
     n_speeds = len(task.dataset.speeds)
     try:
-        found = task.unknowns.leading(solve_total(task, options).coefficients.values)
+        found = task.unknowns.leading(solve_total(drop_unbalance(task), options).coefficients.values)
     except (Refusal, np.linalg.LinAlgError):
         parameters = make_parameters(task)
         guess = np.repeat(task.guess.sizes(task.unknowns)[:, None], n_speeds, axis=1)
@@ -197,35 +137,39 @@ def make_basis(speeds: np.ndarray, count: int) -> np.ndarray:
     return np.asarray(BSpline.design_matrix(place, knots, 3).toarray())
 
 
-def _improve(problem: _Problem, count: int, start: np.ndarray) -> _Fit:
+def _improve(problem: SplineProblem, count: int, start: np.ndarray, pairs: np.ndarray) -> _Fit:
     """:func:`_fit`, once more where an unknown has all but vanished: as an exponential, nothing draws it back."""
-    fit = _fit(problem, count, start)
+    fit = _fit(problem, count, start, pairs)
     x = fit.x
     gone = problem.parameters.positive & (np.median(x, axis=0) < np.log(_VANISHED))
     if not gone.any():
         return fit
-    return min(fit, _fit(problem, count, np.where(gone, 0.0, x)), key=lambda one: one.chi_square)
+    return min(fit, _fit(problem, count, np.where(gone, 0.0, x), fit.pairs), key=lambda one: one.chi_square)
 
 
-def _fit(problem: _Problem, count: int, start: np.ndarray) -> _Fit:
-    """SciPy's trust-region least squares from the spline nearest to ``start`` (S, A)."""
+def _fit(problem: SplineProblem, count: int, start: np.ndarray, pairs: np.ndarray) -> _Fit:
+    """SciPy's trust-region least squares from the spline nearest to ``start`` (S, A), and the unbalance ``pairs``."""
     from scipy.optimize import least_squares
 
     own = make_basis(problem.task.dataset.speeds, count)
     first = np.linalg.lstsq(own, start, rcond=None)[0]
     large = first.size > _DENSE
 
+    def split(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return own @ z[: first.size].reshape(first.shape), z[first.size :]
+
     def residual(z: np.ndarray) -> np.ndarray:
-        return problem.deviations(own @ z.reshape(first.shape)).ravel()
+        return problem.deviations(*split(z)).ravel()
 
     def jacobian(z: np.ndarray) -> Any:
-        by_speed = problem.sensitivity(own @ z.reshape(first.shape))
-        return _make_sparse(by_speed, own) if large else _make_dense(by_speed, own)
+        by_speed = problem.sensitivity(*split(z))
+        by_x, by_pairs = np.split(by_speed, [first.shape[1]], axis=2)
+        return _make_sparse(by_x, own, by_pairs) if large else _make_dense(by_x, own, by_pairs)
 
     with np.errstate(over="ignore", invalid="ignore"):  # a step too far is taken back
         found = least_squares(
             residual,
-            first.ravel(),
+            np.concatenate([first.ravel(), pairs]),
             jacobian,
             x_scale="jac",
             ftol=1e-12,
@@ -234,42 +178,50 @@ def _fit(problem: _Problem, count: int, start: np.ndarray) -> _Fit:
             max_nfev=_MOST_EVALUATIONS,
             tr_solver="lsmr" if large else "exact",
         )
-    return _Fit(own, found.x.reshape(first.shape), 2 * float(found.cost))
+    z, rest = np.split(found.x, [first.size])
+    return _Fit(own, z.reshape(first.shape), rest, 2 * float(found.cost))
 
 
-def _make_dense(by_speed: np.ndarray, own: np.ndarray) -> np.ndarray:
-    """(S rows, K A) derivative by the spline's coefficients."""
-    return np.einsum("sra,sk->srka", by_speed, own).reshape(by_speed.shape[0] * by_speed.shape[1], -1)
+def _make_dense(by_x: np.ndarray, own: np.ndarray, by_pairs: np.ndarray) -> np.ndarray:
+    """(S rows, K A + 2 N) derivative by the spline's coefficients and the unbalance."""
+    n_rows = by_x.shape[0] * by_x.shape[1]
+    spread = np.einsum("sra,sk->srka", by_x, own).reshape(n_rows, -1)
+    return np.concatenate([spread, by_pairs.reshape(n_rows, -1)], axis=1)
 
 
-def _make_sparse(by_speed: np.ndarray, own: np.ndarray) -> Any:
+def _make_sparse(by_x: np.ndarray, own: np.ndarray, by_pairs: np.ndarray) -> Any:
     """:func:`_make_dense`, without its zeros."""
-    from scipy.sparse import csr_array
+    from scipy.sparse import csr_array, hstack
 
-    n_speeds, n_rows, n_active = by_speed.shape
+    n_speeds, n_rows, n_active = by_x.shape
     speed, place = np.nonzero(own)
-    data = by_speed[speed] * own[speed, place][:, None, None]
+    data = by_x[speed] * own[speed, place][:, None, None]
     row = np.broadcast_to((speed[:, None] * n_rows + np.arange(n_rows))[..., None], data.shape)
     column = np.broadcast_to((place[:, None] * n_active + np.arange(n_active))[:, None], data.shape)
     shape = (n_speeds * n_rows, own.shape[1] * n_active)
-    return csr_array((data.ravel(), (row.ravel(), column.ravel())), shape=shape)
+    spread = csr_array((data.ravel(), (row.ravel(), column.ravel())), shape=shape)
+    if not by_pairs.shape[2]:
+        return spread
+    return hstack([spread, csr_array(by_pairs.reshape(n_speeds * n_rows, -1))], format="csr")
 
 
-def _sum_information(problem: _Problem, fit: _Fit) -> np.ndarray:
-    """(K A, K A) information of the spline coefficients."""
-    local = problem.sensitivity(fit.x)
-    local = local.swapaxes(1, 2) @ local
-    own = fit.basis
-    return np.einsum("sk,sab,sl->kalb", own, local, own, optimize=True).reshape(fit.z.size, fit.z.size)
-
-
-def _bound_deviation(problem: _Problem, fit: _Fit) -> np.ndarray:
-    """(S, A) standard deviation of x."""
+def _bound_deviation(problem: SplineProblem, fit: _Fit) -> np.ndarray:
+    """(S, A) standard deviation of x, that of the unbalance allowed for."""
     count, active = fit.z.shape
+    rows = problem.sensitivity(fit.x, fit.pairs)
+    local = rows.swapaxes(1, 2) @ rows  # (S, A + 2 N, A + 2 N)
+    by_x, across = local[:, :active, :active], local[:, :active, active:]
+    by_pairs = local[:, active:, active:].sum(axis=0)
     if count == len(fit.basis):  # every speed for itself
-        rows = problem.sensitivity(fit.x)
-        spread = np.linalg.pinv(rows.swapaxes(1, 2) @ rows, hermitian=True)
+        own = np.linalg.pinv(by_x, hermitian=True)
+        carried = own @ across
+        rest = np.linalg.pinv(by_pairs - (across.swapaxes(1, 2) @ carried).sum(axis=0), hermitian=True)
+        spread = own + carried @ rest @ carried.swapaxes(1, 2)
         return np.sqrt(np.maximum(np.einsum("saa->sa", spread), 0.0))
-    covariance = np.linalg.pinv(_sum_information(problem, fit), hermitian=True).reshape(count, active, count, active)
-    spread = np.einsum("sk,kala,sl->sa", fit.basis, covariance, fit.basis, optimize=True)
+    basis = fit.basis
+    outer = np.einsum("sk,sab,sl->kalb", basis, by_x, basis, optimize=True).reshape(fit.z.size, fit.z.size)
+    border = np.einsum("sk,san->kan", basis, across).reshape(fit.z.size, -1)
+    whole = np.linalg.pinv(np.block([[outer, border], [border.T, by_pairs]]), hermitian=True)
+    covariance = whole[: fit.z.size, : fit.z.size].reshape(count, active, count, active)
+    spread = np.einsum("sk,kala,sl->sa", basis, covariance, basis, optimize=True)
     return np.sqrt(np.maximum(spread, 0.0))

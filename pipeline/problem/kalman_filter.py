@@ -1,10 +1,11 @@
-"""Coefficients of each speed from few sensors: a Kalman filter of the motion at the bearings, then least squares.
+"""Coefficients of each speed from few sensors: a stationary Kalman smoother over frequency, then least squares.
 
 With the coefficients at hand, the model predicts the motion. What its bearings lack acts as an unknown force f at
 the bearings, of which the filter knows the size beforehand, a share of the bearing force. Its update from the measured
 displacement gives f and the motion of the bearings, ``f = P a' (a P a' + R)^-1 (measured - predicted)``, and least
 squares over the runs gives the coefficients, ``H_new q_b = H q_b - f`` (Kang, Shi, Zhang, Zhen and Gu 2020). That is
-repeated until nothing changes. The filter is that of the stationary motion: its state are the amplitudes.
+repeated until nothing changes. Kang et al. filter in time. Here the motion is stationary and its state are the complex
+amplitudes, so that one measurement update with a prior, at each frequency by itself, is all that is left of the filter.
 
 Legend: B bearings, M members (B, or 1 where they share their coefficients), S speeds, P channels, R runs, U unknowns.
 """

@@ -214,12 +214,22 @@ class ResponseEquations:
             result[..., block.runs] = found.sensors
         return result
 
-    def sensitivity(self, bearings: BearingTable) -> np.ndarray:
-        """(S, P, R, B, 8) derivative of :meth:`predict` by the coefficients, without residual unbalance."""
+    def sensitivity(self, bearings: BearingTable, unbalance: np.ndarray | None = None) -> np.ndarray:
+        """(S, P, R, B, 8) derivative of :meth:`predict` by the coefficients."""
         shape = (len(self.speeds), self.n_channels, self.n_runs, len(self.bearing_nodes), 8)
         result = np.empty(shape, dtype=complex)
         for block in self.blocks:
-            result[:, :, block.runs] = derive(block, respond(block, self.change(bearings, block)))
+            result[:, :, block.runs] = derive(block, respond(block, self.change(bearings, block), unbalance))
+        return result
+
+    def derive_by_unbalance(self, bearings: BearingTable) -> np.ndarray:
+        """(S, P, R, N) derivative of :meth:`predict` by the residual unbalance, m over kg m."""
+        shape = (len(self.speeds), self.n_channels, self.n_runs, len(self.planes))
+        result = np.zeros(shape, dtype=complex)
+        for block in self.blocks:
+            if block.unit_sensors.shape[-1]:
+                found = respond(block, self.change(bearings, block), derivative=False)
+                result[:, :, block.runs] = found.unit_sensors[:, :, None]
         return result
 
     def change(self, bearings: BearingTable, block: ResponseBlock) -> np.ndarray:

@@ -18,6 +18,8 @@ _LEAST = 1e-4
 """Percent; what is smaller is exact for every purpose, and drawn as a hollow marker on the edge."""
 _LOOKS: dict[str, tuple[str, str, str]] = {
     "least_squares": (GREY, "-", "o"),
+    "least_squares_expanded": (GREY, ":", "<"),
+    "smoothed": (GREEN, "--", "D"),
     "tikhonov": (GREY, "--", "s"),
     "total_least_squares": (SKY, "-", "^"),
     "multi_frequency": (GREEN, "-", "P"),
@@ -25,6 +27,10 @@ _LOOKS: dict[str, tuple[str, str, str]] = {
     "kriging": (YELLOW, "-", "D"),
     "critical_speeds": (YELLOW, "--", "X"),
     "spline": (BLUE, "--", "s"),
+    "paper": (ORANGE, "-.", "x"),
+    "paper_scaling": (ORANGE, "-.", "1"),
+    "paper_logarithm": (ORANGE, "-.", "2"),
+    "paper_second_order": (ORANGE, "-.", "3"),
     "residual": (ORANGE, ":", "<"),
     "preconditioned": (ORANGE, "--", ">"),
     "response": (BLACK, "-", "o"),

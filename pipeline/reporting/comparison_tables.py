@@ -1,8 +1,15 @@
-"""The rows of a comparison as tables: error against noise, sensors and number of speeds, and against the best."""
+"""The rows of a comparison as tables: error against noise, sensors and number of speeds, and against the best.
+
+An entry is the mean over the data sets of other noise, and their standard deviation. A method is better than another
+only where their differences, data set by data set, have a mean beyond what their own spread explains (Student's paired
+test, 5 %). The best and all that are not told from it are printed bold.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from textwrap import wrap
 
 import numpy as np
 
@@ -29,16 +36,55 @@ class Comparison:
         """The methods in the order of the results."""
         return tuple(dict.fromkeys(r.method for r in self.results))
 
-    def error(self, method: str, case: Case, name: str | None = None) -> float:
-        """Median error over speed in percent, mean over bearings and data sets; of the worst coefficient, or ``name``.
+    def entries(self, method: str, case: Case, name: str | None = None) -> dict[int, float]:
+        """Data set -> median error over speed in percent, mean over bearings; of the worst coefficient, or ``name``.
 
-        NaN where there is no answer.
+        Data sets without an answer are left out.
         """
+        names = [name] if name else self.names
         rows = [r for r in self.of(method, case) if r.answered]
-        if not rows:
-            return float("nan")
-        errors = [np.mean([r.error(of) for r in rows]) for of in ([name] if name else self.names)]
-        return float(np.max(errors))
+        errors = {r.data_set: [r.error(one) for one in names] for r in rows}
+        return {i: float(np.nanmax(of)) for i, of in errors.items() if not np.isnan(of).all()}
+
+    def error(self, method: str, case: Case, name: str | None = None) -> float:
+        """The mean of the :meth:`entries`; NaN where there is no answer."""
+        found = self.entries(method, case, name)
+        return float(np.mean(list(found.values()))) if found else float("nan")
+
+    def spread(self, method: str, case: Case, name: str | None = None) -> float:
+        """The standard deviation of the :meth:`entries`; NaN where there are fewer than two."""
+        found = self.entries(method, case, name)
+        return float(np.std(list(found.values()), ddof=1)) if len(found) > 1 else float("nan")
+
+    def differs(self, method: str, other: str, case: Case, name: str | None = None) -> bool:
+        """Whether the errors of two methods differ beyond their spread: Student's test of the paired differences, 5 %.
+
+        On clean data, where nothing varies, they differ unless both are rounding.
+        """
+        mine, others = self.entries(method, case, name), self.entries(other, case, name)
+        common = sorted(set(mine) & set(others))
+        if not case.noise:
+            return any(max(mine[i], others[i]) >= ROUNDING_PERCENT and mine[i] != others[i] for i in common)
+        if len(common) < 2:
+            return False
+        from scipy.stats import t
+
+        difference = np.array([mine[i] - others[i] for i in common])
+        bar = t.ppf(0.975, len(common) - 1) * difference.std(ddof=1) / np.sqrt(len(common))
+        return bool(abs(difference.mean()) > bar)
+
+    def level_with_best(self, case: Case, name: str | None = None) -> set[str]:
+        """The best method and those that are not told from it, of those that always answer.
+
+        One data set with noise tells nothing.
+        """
+        least, found = 2 if case.noise else 1, {method: self.entries(method, case, name) for method in self.methods}
+        enough = [method for method in self.methods if len(self.of(method, case)) == len(found[method]) >= least]
+        errors = {method: self.error(method, case, name) for method in enough}
+        if not errors:
+            return set()
+        best = min(errors, key=lambda method: errors[method])
+        return {method for method in errors if method == best or not self.differs(method, best, case, name)}
 
     def by_coefficient(self, method: str) -> dict[str, float]:
         """Coefficient -> error in the main case; empty where there is no answer."""
@@ -56,19 +102,34 @@ class Comparison:
         ]
         return float(np.mean(shares)) if shares else None
 
-    def seconds(self, method: str, case: Case) -> float:
-        """Median processor time of an answer over the data sets."""
-        return float(np.median([r.seconds for r in self.of(method, case)]))
-
     def cell(self, method: str, case: Case) -> str:
         """The error, with a question mark where a fit doubts itself, or the name of what the method can't do."""
         rows = self.of(method, case)
         if not rows:
             return ""
-        error = self.error(method, case)
-        if np.isnan(error):
+        found = self.entries(method, case)
+        if not found:
             return rows[0].outcome.replace("_", " ")
-        return format_error(error) + (" ?" if any(r.doubt for r in rows) else "")
+        silent = f" ({len(found)} of {len(rows)} answer)" if len(found) < len(rows) else ""
+        return self.format_entry(method, case) + silent + (" ?" if any(r.doubt for r in rows) else "")
+
+    def format_entry(self, method: str, case: Case, name: str | None = None) -> str:
+        """Mean, and the spread where there are several data sets; bold where it is level with the best."""
+        error, spread = self.error(method, case, name), self.spread(method, case, name)
+        text = format_error(error)
+        if error >= ROUNDING_PERCENT and not np.isnan(spread):
+            text += f" ± {format_spread(spread)}"
+        return f"**{text}**" if method in self.level_with_best(case, name) else text
+
+    def label(self, method: str, cases: Sequence[Case]) -> str:
+        """The method's name, and what it sees less of than the others."""
+        made = [(case, self.of(method, case)) for case in cases if case.noise]
+        used = {r.used_speeds for case in cases for r in self.of(method, case) if r.used_speeds}
+        notes = [f"{min(used)} speeds"] if used else []
+        most = {case: max(len(self.of(m, case)) for m in self.methods) for case, _ in made}
+        if fewer := {len(rows) for case, rows in made if 0 < len(rows) < most[case]}:
+            notes.append(f"{min(fewer)} data set{'s' * (min(fewer) > 1)}")
+        return METHODS[method].label + (f" ({', '.join(notes)})" if notes else "")
 
     def along(self, key: str) -> list[Case]:
         """The main case with every value of ``noise``, ``sensors`` or ``speeds`` that there is."""
@@ -77,9 +138,9 @@ class Comparison:
         made = [replace(self.main, **{key: value}) for value in values]
         return [case for case in made if any(self.of(method, case) for method in self.methods)]
 
-    def best_other(self, method: str, case: Case, name: str) -> tuple[str, float]:
-        """The best of the other methods for a coefficient, and how many times its error that of ``method`` is."""
-        others = {other: self.error(other, case, name) for other in self.methods if other != method}
+    def best_other(self, method: str, case: Case, name: str, *without: str) -> tuple[str, float]:
+        """The best of the others but ``without`` for a coefficient, and the error of ``method`` over its error."""
+        others = {other: self.error(other, case, name) for other in self.methods if other not in (method, *without)}
         answered = {other: error for other, error in others.items() if not np.isnan(error)}
         if not answered:
             return "", float("nan")
@@ -101,7 +162,14 @@ ROUNDING_PERCENT = 1e-8
 
 def format_error(error: float) -> str:
     """An error in percent, to two digits where it has them."""
-    return f"{error:.2g}" if error >= ROUNDING_PERCENT else f"< {ROUNDING_PERCENT:g}".replace("e-0", "e-")
+    if error < ROUNDING_PERCENT:
+        return f"< {ROUNDING_PERCENT:g}".replace("e-0", "e-")
+    return f"{error:.0f}" if 100 <= error < 1e5 else f"{error:.2g}"
+
+
+def format_spread(spread: float) -> str:
+    """A standard deviation in percent, to one digit where it has them."""
+    return f"{spread:.0f}" if 9.5 <= spread < 1e5 else f"{spread:.1g}"
 
 
 def format_noise(noise: float) -> str:
@@ -109,7 +177,6 @@ def format_noise(noise: float) -> str:
     return f"{100 * noise:g} %"
 
 
-_KEYS = ("noise", "sensors", "speeds")
 SENSOR_TEXT = {"all": "all nodes", "bearings": "bearings", "location": "one location"}
 
 
@@ -119,34 +186,102 @@ def describe_case(case: Case, *keys: str) -> str:
     return ", ".join(texts[key] for key in keys)
 
 
-def make_tables(comparison: Comparison) -> list[tuple[str, list[str], list[list[str]]]]:
-    """(title, header, rows) of every table; the first column names the method."""
-    main, made = comparison.main, []
-    by_noise = [
-        ("noise", [replace(one, sensors=case.sensors) for one in comparison.along("noise")])
-        for case in comparison.along("sensors")
-    ]
-    for key, columns in [*by_noise, ("speeds", comparison.along("speeds"))]:
-        rows = [[METHODS[m].label, *(comparison.cell(m, case) for case in columns)] for m in comparison.methods]
-        fixed = describe_case(columns[0], *(other for other in _KEYS if other != key))
-        title = f"median error % of the worst coefficient against {key}; {fixed}"
-        made.append((title, ["method", *(describe_case(case, key) for case in columns)], rows))
+Table = tuple[str, list[str], list[list[str]]]
+
+
+def make_tables(comparison: Comparison) -> list[Table]:
+    """(title, header, rows) of every table; the first column names the method, bold is marked by ``**``."""
+    main = comparison.main
+    noise, speeds = comparison.along("noise"), [case for case in comparison.along("speeds") if case != main]
+    title = f"sensors: {describe_case(main, 'sensors', 'speeds')}"
+    if speeds:
+        title += f"; fewer speeds at {format_noise(main.noise)} noise"
+    columns = [*((case, describe_case(case, "noise")) for case in noise)]
+    columns += [(case, describe_case(case, "speeds")) for case in speeds]
+    first = _make_table(comparison, title, columns)
+    first[1].append("inside")
+    for row, method in zip(first[2], comparison.methods, strict=True):
+        held = comparison.coverage(method, main)
+        row.append("" if held is None else f"{held:.0f}")
+    made = [first]
+    others = [case for case in comparison.along("sensors") if case.sensors != main.sensors]
+    if others:
+        pairs = [replace(case, noise=one.noise) for case in others for one in noise]
+        columns = [(case, describe_case(case, "sensors", "noise")) for case in pairs]
+        names = " or ".join(SENSOR_TEXT[case.sensors] for case in others)
+        made.append(_make_table(comparison, f"sensors: {names}, {describe_case(main, 'speeds')}", columns))
     each = []
     for m in comparison.methods:
-        errors = comparison.by_coefficient(m)
-        cells = [format_error(errors[name]) if name in errors else "" for name in comparison.names]
-        each.append([METHODS[m].label, *cells])
-    title = f"median error % of each coefficient; {describe_case(main, *_KEYS)}"
-    made.append((title, ["method", *comparison.names], each))
-    about = []
-    for m in comparison.methods:
-        held = comparison.coverage(m, main)
-        inside, seconds = "" if held is None else f"{held:.0f}", f"{comparison.seconds(m, main):.2g}"
-        about.append([METHODS[m].label, METHODS[m].source, METHODS[m].beforehand, inside, seconds])
-    made.append(("the methods", ["method", "source", "needs beforehand", "inside 95 %, %", "seconds"], about))
+        found = comparison.by_coefficient(m)
+        cells = [comparison.format_entry(m, main, name) if name in found else "" for name in comparison.names]
+        each.append([comparison.label(m, [main]), *cells])
+    made.append(
+        (f"each coefficient; {describe_case(main, 'noise', 'sensors', 'speeds')}", ["method", *comparison.names], each)
+    )
     return made
 
 
+def _make_table(comparison: Comparison, title: str, columns: Sequence[tuple[Case, str]]) -> Table:
+    cases = [case for case, _ in columns]
+    rows = [[comparison.label(m, cases), *(comparison.cell(m, case) for case in cases)] for m in comparison.methods]
+    return title, ["method", *(name for _, name in columns)], rows
+
+
 def write_markdown(comparison: Comparison) -> str:
-    """Write all tables as Markdown."""
-    return "\n".join(f"{title}\n\n{format_markdown(header, rows)}" for title, header, rows in make_tables(comparison))
+    """Write all tables as Markdown; methods that answer in no case of a table are named below it."""
+    parts = []
+    for title, header, rows in make_tables(comparison):
+        answers = [any(any(c.isdigit() for c in cell) for cell in row[1:]) for row in rows]
+        shown = [row for row, answered in zip(rows, answers, strict=True) if answered]
+        silent = {row[0]: row[1] for row, answered in zip(rows, answers, strict=True) if not answered and row[1]}
+        text = f"Median error in percent, {title}:\n\n{format_markdown(header, shown)}"
+        if silent:
+            named = "; ".join(f"{name} ({reason})" for name, reason in silent.items())
+            text += "\n" + "\n".join(wrap(f"No answer: {named}.", 100)) + "\n"
+        parts.append(text)
+    return "\n".join(parts)
+
+
+def tabulate(comparison: Comparison) -> list[dict[str, object]]:
+    """A row a method, case, bearing and coefficient, over its data sets; one without coefficient where none answers.
+
+    ``median_error_percent`` is the mean over the data sets; ``_std``, ``_median``, ``_min`` and ``_max`` follow it.
+    """
+    rows: list[dict[str, object]] = []
+    keys = dict.fromkeys((r.method, replace(r.case, data_set=0)) for r in comparison.results)
+    for method, case in keys:
+        found = comparison.of(method, case)
+        answered = [r for r in found if r.answered]
+        about: dict[str, object] = {
+            "method": method,
+            "noise": case.noise,
+            "sensors": case.sensors,
+            "speeds": case.speeds,
+            "used_speeds": found[0].used_speeds or case.speeds,
+            "data_sets": len(found),
+            "answered": len(answered),
+            "outcome": (answered or found)[0].outcome,
+            "words": (answered or found)[0].words,
+            "doubt": next((r.doubt for r in found if r.doubt), ""),
+            "seconds": float(np.median([r.seconds for r in found])),
+        }
+        places = dict.fromkeys((node, name) for r in answered for node, of in r.coefficients.items() for name in of)
+        rows += [about | {"bearing_node": n, "coefficient": c} | _summarize(answered, n, c) for n, c in places]
+        if not places:
+            rows.append(about | {"bearing_node": None, "coefficient": None} | _summarize([], "", ""))
+    return rows
+
+
+def _summarize(answered: Sequence[Result], node: str, name: str) -> dict[str, object]:
+    """Over the data sets; None for what none of them has."""
+    of = [r.coefficients[node][name] for r in answered if name in r.coefficients.get(node, {})]
+    errors = np.array([one.median_error for one in of])
+    several = {"std": lambda e: np.std(e, ddof=1)} if len(of) > 1 else {}
+    several |= {"median": np.median, "min": np.min, "max": np.max} if len(of) else {}
+    result: dict[str, object] = {"median_error_percent": float(errors.mean()) if len(of) else None}
+    for key in ("std", "median", "min", "max"):
+        result[f"median_error_percent_{key}"] = float(several[key](errors)) if key in several else None
+    for key in ("p95_error", "median_deviation", "within_interval"):
+        values = [value for one in of if (value := getattr(one, key)) is not None]
+        result[f"{key}_percent"] = float(np.mean(values)) if values else None
+    return result

@@ -187,7 +187,11 @@ def test_a_mistake_is_said_in_a_sentence(
 OTHERS = ["compressor_journal_and_isotropic", "compressor_two_journals"]
 FIVE_SPEEDS = [f"machine.speeds.{key}" for key in ("start_rpm=800", "stop_rpm=4000", "step_rpm=800")]
 FEW_STEPS = [
-    f"comparison.{loss}.optimizer.levenberg_marquardt.steps=20" for loss in ("residual", "preconditioned", "response")
+    "comparison.paper.optimizer.adam.steps=20",
+    *(
+        f"comparison.{loss}.optimizer.levenberg_marquardt.steps=20"
+        for loss in ("residual", "preconditioned", "response")
+    ),
 ]
 
 
@@ -296,3 +300,29 @@ def test_impulses_give_all_coefficients_and_the_unbalance(artifacts: Artifacts) 
     found = pd.read_csv(table).set_index("node")["magnitude"]
     hidden = {one.node: one.magnitude for one in config.machine.residual_unbalance}
     assert all(abs(found[node] / size - 1) < 0.005 for node, size in hidden.items())
+
+
+def test_a_win_is_one_beyond_the_spread_of_the_paired_differences() -> None:
+    """Errors that vary together are told apart by a small steady difference; those that vary alone are not."""
+    case, common = Case(0.01, "bearings", 10), [1.0, 2.0, 3.0, 4.0]
+    errors = {
+        "response": common,
+        "spline": [error + 0.2 + 0.01 * i for i, error in enumerate(common)],
+        "smoothed": [4.5, 1.0, 4.0, 1.5],
+        "kriging": [5.0, None, 5.0, 5.0],
+    }
+    rows = [row(m, 0.01, error, data_set=i) for m, of in errors.items() for i, error in enumerate(of)]
+    made = Comparison((*rows, row("tikhonov", 0.01, 0.5)), case, ("kxx",))
+    assert made.level_with_best(case) == {"response", "smoothed"}
+    assert made.differs("spline", "response", case)
+    assert made.cell("response", case) == "**2.5 ± 1**"
+    assert made.cell("spline", case) == "2.7 ± 1"
+    assert made.cell("kriging", case) == "5 ± 0 (3 of 4 answer)"
+    assert made.cell("tikhonov", case) == "0.5"  # one data set tells nothing
+    assert made.label("tikhonov", [case]).endswith("(1 data set)")
+
+
+def test_clean_data_have_one_best_answer_or_rounding() -> None:
+    case = Case(0.0, "bearings", 10)
+    rows = (row("response", 0.0, 1e-4), row("spline", 0.0, 1e-12), row("kalman", 0.0, 1e-9), row("residual", 0.0, 2e-4))
+    assert Comparison(rows, case, ("kxx",)).level_with_best(case) == {"spline", "kalman"}

@@ -44,3 +44,17 @@ def test_constants_are_the_same_minimum() -> None:
     one = identify_by_spline(data, options(*BALLS)).coefficients.values
     other = fit(data, setup_of(*BALLS)).table(data.known).values
     np.testing.assert_allclose(one, other, rtol=3e-4)
+
+
+BLOWS = ("experiment=impulses", "machine.speeds.step_rpm=1000")
+
+
+@pytest.mark.slow
+def test_the_spline_finds_the_residual_unbalance() -> None:
+    """On clean data exactly, and the runs that turn with the rotor count as the others do."""
+    case = Case(0.0, "bearings", 6)
+    found = identify_by_spline(task(case, *BLOWS), options(*BLOWS))
+    hidden = {one.node: 1e6 * one.magnitude for one in composed(*BLOWS).machine.residual_unbalance}
+    for node, size in hidden.items():
+        assert f"{size:.3g} g mm at node {node}" in found.words
+    assert errors(found, case, *BLOWS).max() < 1e-6

@@ -38,12 +38,12 @@ test_all_stages_of_all_combinations = at_night(
 )
 
 
-EXACT = "least_squares,tikhonov,total_least_squares,kalman,spline,response"
+EXACT = "least_squares,smoothed,tikhonov,total_least_squares,kalman,spline,response"
 COMPARED = {
     "ball_bearing": f"comparison.methods=[{EXACT},kriging,critical_speeds]",
     "hydrostatic_damping": f"comparison.methods=[{EXACT}]",
     "hydrostatic_stiffness": f"comparison.methods=[{EXACT}]",
-    "impulses": "comparison.methods=[multi_frequency,total_least_squares,response]",
+    "impulses": "comparison.methods=[multi_frequency,smoothed,total_least_squares,response]",
 }
 """The methods that thresholds are set for."""
 FEW_CASES = [

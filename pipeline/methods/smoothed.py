@@ -1,0 +1,96 @@
+"""Least squares at each speed, then a weighted smoothing spline over the speed: what an engineer would do.
+
+The answer of each speed is that of least squares with expansion, and its weight what the readings' noise leaves of it.
+Each unknown is divided by the power law of the speed that is nearest to it, and a natural cubic smoothing spline of the
+logarithm of the speed (Reinsch 1967) goes through what is left. Generalised cross-validation chooses how smooth it is
+(Craven and Wahba 1979), and the deviation is Wahba's (1983), which allows for what the smoothing hides.
+
+Legend: M members, S speeds, U unknowns.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.methods.least_squares import solve_expanded
+from pipeline.methods.method import Estimate, MethodOptions, make_estimate
+from pipeline.problem.measurement import Measurement
+
+_STRENGTHS = np.concatenate([[0.0], np.geomspace(1e-12, 1e12, 241)])
+"""Of the penalty, over the median curvature that a smoothest but straight line would have."""
+_FEWEST = 4
+"""Speeds; through fewer a spline has nothing to smooth."""
+_LEAST_WEIGHT = 1e-12
+
+
+def solve_smoothed(data: Measurement, options: MethodOptions) -> Estimate:
+    """Weighted means where the coefficients are known to be constant, else smoothing splines. Raises Refusal."""
+    found, unknowns = solve_expanded(data, options), data.unknowns
+    assert found.deviation is not None
+    values = unknowns.leading(found.coefficients.values)
+    spread = unknowns.leading(found.deviation)
+    smooth, deviation = np.zeros_like(values), np.zeros_like(values)
+    for m, u in unknowns.active:
+        answer, own = values[m, :, u], spread[m, :, u]
+        if options.constant:
+            smooth[m, :, u], deviation[m, :, u] = _average(answer, own)
+        elif len(answer) >= _FEWEST:
+            smooth[m, :, u], deviation[m, :, u] = smooth_over_speed(data.dataset.speeds, answer, own)
+        else:
+            smooth[m, :, u], deviation[m, :, u] = answer, own
+    return make_estimate(data, smooth, deviation)
+
+
+def _average(values: np.ndarray, deviation: np.ndarray) -> tuple[float, float]:
+    weight = 1 / deviation**2
+    return float(weight @ values / weight.sum()), float(1 / np.sqrt(weight.sum()))
+
+
+def smooth_over_speed(speeds: np.ndarray, values: np.ndarray, deviation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Smooth values (S,) and their standard deviation (S,), from values of each speed with deviations (S,)."""
+    place = np.log(speeds)
+    usable = np.isfinite(deviation) & (values != 0)
+    weight = np.where(usable, np.abs(values) / np.where(usable, deviation, 1.0), 0.0)
+    size = np.abs(np.where(usable, values, 1.0))
+    law = np.exp(np.polyval(np.polyfit(place, np.log(size), 1, w=np.minimum(weight, np.median(weight))), place))
+    ratio, own = np.where(usable, values, 0.0) / law, np.where(usable, deviation, np.inf) / law
+    weight = 1 / own**2
+    weight = np.maximum(weight, _LEAST_WEIGHT * weight.max())
+    smooth, variance = smooth_by_cross_validation(place, ratio, weight)
+    return smooth * law, np.sqrt(variance) * law
+
+
+def smooth_by_cross_validation(
+    place: np.ndarray, values: np.ndarray, weight: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The smoothing spline (S,) of least cross-validation, and its variance (S,); ``weight`` (S,) is 1 over variances.
+
+    It minimises ``sum w (y - f)^2 + strength int f''^2``, a filter in the basis of Demmler and Reinsch.
+    """
+    root = np.sqrt(weight)
+    curvature, modes = np.linalg.eigh(_penalise(place) / root[:, None] / root)
+    curvature = np.maximum(curvature, 0.0)
+    inside = modes.T @ (root * values)
+    strength = _STRENGTHS / np.median(curvature)
+    kept = 1 / (1 + strength[:, None] * curvature)  # (strengths, S)
+    freedom = (1 - kept).sum(axis=1)
+    left_over = (((1 - kept) * inside) ** 2).sum(axis=1)
+    score = np.divide(left_over, freedom**2, out=np.full(len(kept), np.inf), where=freedom > 1e-6 * len(values))
+    best = kept[score.argmin()]
+    return modes @ (best * inside) / root, (modes**2 @ best) / weight
+
+
+def _penalise(place: np.ndarray) -> np.ndarray:
+    """(S, S) of the integral of the squared second derivative of the natural cubic spline through S values."""
+    from scipy.linalg import solveh_banded
+
+    step = np.diff(place)
+    n = len(place)
+    second = np.zeros((n - 2, n))
+    rows = np.arange(n - 2)
+    second[rows, rows], second[rows, rows + 2] = 1 / step[:-1], 1 / step[1:]
+    second[rows, rows + 1] = -1 / step[:-1] - 1 / step[1:]
+    banded = np.zeros((2, n - 2))
+    banded[1], banded[0, 1:] = (step[:-1] + step[1:]) / 3, step[1:-1] / 6
+    penalty = second.T @ solveh_banded(banded, second)
+    return np.asarray((penalty + penalty.T) / 2)
