@@ -96,7 +96,8 @@ class SensorDeviations:
             known = known + (self.known_variation @ (state.parameters - self.values)[:, None, :, None])[..., 0]
         unknowns, _ = self.unknowns(state.outputs)
         eight = (unknowns @ self.influence.T + known).unflatten(-1, (-1, 8))  # (G, S, B, 8)
-        return impedance_change(eight, block.frequencies, self.measurement.response.reference)
+        change: torch.Tensor = impedance_change(eight, block.frequencies, self.measurement.response.reference)
+        return change
 
     def _block(self, state: SensorState, b: int) -> ResponseBlock:
         """Block b at the state's model parameters."""

@@ -252,8 +252,16 @@ def test_the_output_error_gives_the_same_bits_with_any_truth(
     assert [name for name in files if (folder / name).read_bytes() != (realistic / name).read_bytes()] == []
 
 
+@pytest.mark.parametrize(
+    "study",
+    [
+        ["experiment=ball_bearing"],
+        ["experiment=noisy_stiffness", "tuning=response", "training.holdout_every=5"],
+    ],
+    ids=["residual", "output error"],
+)
 def test_a_study_chooses_before_any_truth_is_opened(
-    run: Run, tmp_path: Path, opened: list[str], monkeypatch: pytest.MonkeyPatch
+    run: Run, study: list[str], tmp_path: Path, opened: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With another truth the trials, the finalists and the choice are the same to the last bit."""
     from pipeline.stages import tune
@@ -266,7 +274,7 @@ def test_a_study_chooses_before_any_truth_is_opened(
         return chosen[-1][0]
 
     monkeypatch.setattr(tune, "choose", spy)
-    base = ["experiment=ball_bearing", *COARSE[:4], "tuning.n_trials=2", "tuning.finalists=1", "tuning.seeds=[0,1]"]
+    base = [*study, *COARSE[:4], "tuning.n_trials=2", "tuning.finalists=1", "tuning.seeds=[0,1]"]
     run("generate", base, tmp_path / "told")
     _lie(tmp_path / "told", "other numbers", tmp_path / "lied")
     trials = []
