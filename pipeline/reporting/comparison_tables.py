@@ -83,7 +83,8 @@ class Comparison:
         errors = {method: self.error(method, case, name) for method in enough}
         if not errors:
             return set()
-        best = min(errors, key=lambda method: errors[method])
+        most = max(len(found[method]) for method in enough)
+        best = min((m for m in enough if len(found[m]) == most), key=lambda method: errors[method])
         return {method for method in errors if method == best or not self.differs(method, best, case, name)}
 
     def by_coefficient(self, method: str) -> dict[str, float]:
@@ -124,7 +125,8 @@ class Comparison:
     def label(self, method: str, cases: Sequence[Case]) -> str:
         """The method's name, and what it sees less of than the others."""
         made = [(case, self.of(method, case)) for case in cases if case.noise]
-        used = {r.used_speeds for case in cases for r in self.of(method, case) if r.used_speeds}
+        seen = [(r.used_speeds, case.speeds) for case in cases for r in self.of(method, case)]
+        used = [count for count, there in seen if count is not None and count < there]
         notes = [f"{min(used)} speeds"] if used else []
         most = {case: max(len(self.of(m, case)) for m in self.methods) for case, _ in made}
         if fewer := {len(rows) for case, rows in made if 0 < len(rows) < most[case]}:
