@@ -59,6 +59,23 @@ class JournalTableConfig(Section):
         return self
 
 
+class SpeedTableConfig(Section):
+    """Coefficients at some speeds, such as measured or published ones, and straight lines between them.
+
+    ``rows`` are (speed in rpm, kxx, kxy, kyx, kyy, cxx, cxy, cyx, cyy), N/m and N s/m.
+    """
+
+    kind: Literal["speed_table"]
+    rows: tuple[Annotated[tuple[float, ...], Field(min_length=9, max_length=9)], ...] = Field(min_length=2)
+
+    @model_validator(mode="after")
+    def _ascending(self) -> SpeedTableConfig:
+        speeds = [row[0] for row in self.rows]
+        if speeds[0] < 0 or any(b <= a for a, b in itertools.pairwise(speeds)):
+            raise ValueError(f"must have rows with ascending speeds (rpm), but got {speeds}")
+        return self
+
+
 class LinearBearingConfig(Section):
     """A support with the same coefficients at every speed, N/m and N s/m."""
 
@@ -79,7 +96,9 @@ class RotorFileBearingConfig(Section):
     kind: Literal["rotor_file"]
 
 
-_SingleBearing = BallBearingConfig | CylindricalBearingConfig | JournalTableConfig | LinearBearingConfig
+_SingleBearing = (
+    BallBearingConfig | CylindricalBearingConfig | JournalTableConfig | SpeedTableConfig | LinearBearingConfig
+)
 AnyBearingConfig = Annotated[_SingleBearing, Field(discriminator="kind")]
 
 

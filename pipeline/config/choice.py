@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 DEFAULTS = "default/"
 """The folder below ``conf/experiment`` that has the experiments of machines without one."""
-_CHANGING = {"cylindrical", "journal_table", "rotor_file"}
+_CHANGING = {"cylindrical", "journal_table", "speed_table", "rotor_file"}
 """Kinds of bearings whose coefficients change with the speed, or may."""
 _KINDS = ("kind", "format")
 """Keys that say what the others of their section may be."""

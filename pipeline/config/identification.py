@@ -261,7 +261,7 @@ class RobustnessConfig(Section):
     (``refit``) all that differs from one measurement of the modelled machine to the next.
     """
 
-    over: Literal["initial_guess", "seed", "noise", "refit"]
+    over: Literal["initial_guess", "seed", "refit"]
     lowest_stiffness: Stiffness
     highest_stiffness: Stiffness
     count: Annotated[int, Field(ge=2, le=1000)]

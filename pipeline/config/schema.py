@@ -76,7 +76,6 @@ class Config(Section):
     output: str = Field(min_length=1)
     seed: NonNegativeInt
     threads: PositiveInt
-    device: str = Field(pattern=r"^(cpu|cuda(:\d+)?)$")
     force: bool
     machine: MachineConfig
     data: DataConfig
@@ -113,10 +112,10 @@ class Config(Section):
 
     @model_validator(mode="after")
     def _trains_by_a_residual(self) -> Config:
-        other = self.stage == "robustness" and self.robustness.over not in ("noise", "refit")
+        other = self.stage == "robustness" and self.robustness.over != "refit"
         if self.loss.kind == "response" and other:
             raise ValueError(
                 "robustness over seeds and guesses must have loss=residual or loss=preconditioned, but got "
-                "loss=response, which has a start of its own: use stage=robustness robustness=noise_seeds"
+                "loss=response, which has a start of its own: use stage=robustness robustness=refits"
             )
         return self

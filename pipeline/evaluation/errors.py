@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from pipeline.identification.uncertainty import NOMINAL_95
 from pipeline.rotor.bearing_table import BearingTable
 
 
@@ -67,6 +68,3 @@ def find_worst_mean(errors: CoefficientErrors, name: str) -> float:
 def measure_coverage(errors: np.ndarray, deviation: np.ndarray) -> np.ndarray:
     """Percent (over the last axis) of errors inside the nominal 95 % interval, 1.96 standard deviations."""
     return np.asarray(100.0 * (np.abs(errors) <= NOMINAL_95 * deviation).mean(axis=-1))
-
-
-NOMINAL_95 = 1.959964

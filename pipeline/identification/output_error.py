@@ -10,7 +10,9 @@ are fitted are the output weights in an orthonormal basis of the features over t
 unknown has as many as the data determine (:mod:`pipeline.identification.selection`); the others stay zero.
 
 Uncertain numbers of the model (:mod:`pipeline.problem.model_parameters`) are weights too. Each has a prior of unit
-variance, which is one more row: what the data do not tell of it stays at its prior and widens the deviations.
+variance, which is one more row: what the data do not tell of it stays at its prior and widens the deviations. So have
+the features beyond the trend, a wide one, once it is chosen how many there are: where the readings say nothing, a
+coefficient must not run away.
 
 Legend: G data sets or starts, M members (bearings, or 1 where they share their coefficients), S speeds, P channels, R
 runs, B bearings, U unknowns, A those of them that members have, K features, N balance planes, T model parameters,
@@ -41,6 +43,7 @@ class OutputError:
     basis: Basis
     features: torch.Tensor  # (M, S, K) at the speeds of the measurement
     kept: torch.Tensor  # (A, K) bool: the features that an unknown has
+    prior: torch.Tensor  # (K,) precision of a feature's weight before the data; 0 for none
 
     @property
     def measurement(self) -> Measurement:
@@ -93,6 +96,13 @@ class OutputError:
 
         return torch.cat([self.kept.flatten(), torch.ones(self.n_rest, dtype=torch.bool)])
 
+    def prior_precision(self) -> torch.Tensor:
+        """(Z,) of the weights: those of the features, none of the planes, 1 of the model parameters."""
+        import torch
+
+        own = (self.prior * self.kept).flatten()
+        return torch.cat([own, torch.zeros(2 * self.n_planes), torch.ones(self.n_parameters)]).to(self.prior.dtype)
+
     # --- from weights to coefficients ---------------------------------------------------------------
 
     def unbalance(self, weights: torch.Tensor) -> torch.Tensor:
@@ -144,11 +154,11 @@ class OutputError:
         return self.sensors.deviations(self.state(weights))
 
     def rows(self, weights: torch.Tensor) -> torch.Tensor:
-        """(G, 1, rows + T), whitened; the priors come last."""
+        """(G, 1, rows + Z), whitened; the priors come last."""
         import torch
 
         parts = [torch.view_as_real(d).reshape(len(weights), -1) for d in self.deviations(weights)]
-        return torch.cat([*parts, self.model_parameters(weights)], dim=-1)[:, None]
+        return torch.cat([*parts, self.prior_precision().sqrt() * weights[:, 0]], dim=-1)[:, None]
 
     def loss(self, weights: torch.Tensor) -> torch.Tensor:
         """(G, 1) root mean square of the whitened deviations: 1 where nothing but the stated noise is left."""
@@ -159,7 +169,7 @@ class OutputError:
         return self.sensors.rounding()
 
     def jacobian(self, weights: torch.Tensor) -> torch.Tensor:
-        """(G, 1, rows + T, Z) derivative of :meth:`rows`, block by block real parts first: large; :meth:`normal` does
+        """(G, 1, rows + Z, Z) derivative of :meth:`rows`, block by block real parts first: large; :meth:`normal` does
         without it.
         """
         import torch
@@ -170,7 +180,7 @@ class OutputError:
             full = torch.cat([torch.einsum("gsda,ask->gsdak", by_output, own).flatten(-2), by_rest], dim=-1)
             both = full.unflatten(2, (2, -1)).movedim(2, 3)  # (G, S, P R, 2, Z): as view_as_real orders the rows
             parts.append(both.flatten(1, 3))
-        priors = torch.eye(self.size, dtype=weights.dtype)[self.size - self.n_parameters :]
+        priors = torch.diag(self.prior_precision().sqrt())
         return torch.cat([*parts, priors.expand(len(weights), -1, -1)], dim=1)[:, None]
 
     def _own_features(self) -> torch.Tensor:
@@ -201,9 +211,9 @@ class OutputError:
                 matrix[:, outer:, :outer] += mixed.mT
                 matrix[:, outer:, outer:] += (by_rest.mT @ by_rest).sum(1)
                 gradient[:, outer:] += (by_rest.mT @ right).sum(1)[..., 0]
-        priors = slice(self.size - self.n_parameters, self.size)
-        gradient[:, priors] += self.model_parameters(weights)
-        matrix[:, priors, priors] += torch.eye(self.n_parameters, dtype=weights.dtype)
+        priors = self.prior_precision()
+        gradient += priors * weights[:, 0]
+        matrix += torch.diag(priors)
         return gradient[:, None], matrix[:, None]
 
     def members(self) -> tuple[OutputError, ...]:
@@ -214,7 +224,7 @@ class OutputError:
 
     def truncated(self, order: int) -> OutputError:
         """The same with the first ``order`` features alone, and weights that are as many fewer."""
-        return replace(self, features=self.features[..., :order], kept=self.kept[:, :order])
+        return replace(self, features=self.features[..., :order], kept=self.kept[:, :order], prior=self.prior[:order])
 
     def with_features(self, weights: torch.Tensor, order: int) -> torch.Tensor:
         """The weights (G, 1, ..) of this problem as those of ``order`` features: cut, or filled up with zeros."""
@@ -241,9 +251,9 @@ class OutputError:
 
     # --- other data ----------------------------------------------------------------------------------
 
-    def to(self, device: str) -> OutputError:
-        """The same on another device, to be used under ``torch.device(device)``; the basis stays where it is."""
-        return OutputError(self.sensors.to(device), self.basis, self.features.to(device), self.kept.to(device))
+    def with_prior(self) -> OutputError:
+        """The same with the prior of the basis."""
+        return replace(self, prior=self.basis.prior_precision(self.features.shape[1]))
 
     def with_sensors(self, sensors: SensorDeviations) -> OutputError:
         """The same for other readings or precisions."""
@@ -269,4 +279,5 @@ def output_error(measurement: Measurement, basis: Basis, plane_scale: float) -> 
 
     sensors = sensor_deviations(measurement, basis.model, plane_scale)
     kept = torch.ones(len(sensors.active), basis.n_features, dtype=torch.bool)
-    return OutputError(sensors, basis, basis.at(measurement.dataset.speeds), kept)
+    none = torch.zeros(basis.n_features, dtype=torch.float64)
+    return OutputError(sensors, basis, basis.at(measurement.dataset.speeds), kept, none)

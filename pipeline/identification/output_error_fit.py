@@ -9,11 +9,13 @@ Legend: G fits, S speeds, P channels, R runs, U unknowns, A those of them that m
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pipeline.data.dataset import Excitation
+from pipeline.identification.basis_error import MeanSquareError, measure_error
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.outcome import Outcome
 from pipeline.identification.output_error import OutputError
@@ -72,10 +74,15 @@ class OutputErrorFit:
         """(Z, Z) of the weights: the inverse of the information, the Cramer-Rao bound of the parametrisation."""
         return np.asarray(invert_information(self.problem, self.weights)[0])
 
+    @cached_property
+    def error(self) -> MeanSquareError:
+        """Of the weights: their covariance, and what the functions of the speed can't follow."""
+        return measure_error(self.problem, self.weights, self.covariance())
+
     def model_parameters(self) -> tuple[FittedParameter, ...]:
         """T, each with its posterior."""
         values = self.problem.model_parameters(self.weights)[0].numpy()
-        variance = np.diag(self.covariance())[self.problem.size - self.problem.n_parameters :]
+        variance = np.diag(self.error.matrix)[len(self.error.matrix) - self.problem.n_parameters :]
         every = zip(self.problem.measurement.parameters, values, np.sqrt(variance), strict=True)
         return tuple(FittedParameter(parameter, float(value), float(spread)) for parameter, value, spread in every)
 
@@ -152,6 +159,8 @@ def fit_from(start: OutputErrorStart, setup: FitSetup, progress: Progress | None
             # The choice takes the minimum for quadratic: where there is none yet, it may lead anywhere, or to NaN.
             if float(chosen.loss(from_there)) <= _NO_WORSE * float(problem.loss(weights)):
                 problem, weights = chosen, from_there
+        if turn == _CHOICE:
+            problem = problem.with_prior()
         pairs = zip(problem.sensors.precision, before.sensors.precision, strict=True)
         if turn > _CHOICE and max(float((new / old).log().abs().max()) for new, old in pairs) < _SETTLED:
             break

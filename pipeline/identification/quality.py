@@ -82,8 +82,9 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
     plain = _plain_deviations(fit)
     value, readings = chi_square(plain)
     posterior = fit.model_parameters()
-    # What the data do not tell of a model parameter its prior does: it takes no reading away.
-    used = fit.problem.n_fitted - sum(one.deviation**2 for one in posterior)
+    # What the data do not tell of a weight its prior does: it takes no reading away.
+    by_prior = np.diag(fit.covariance()) * fit.problem.prior_precision().numpy()
+    used = fit.problem.n_fitted - float(by_prior.sum())
     correlation, significance = autocorrelation(plain)
     bad = _bad_points(fit, plain)
     summary: dict[str, object] = {
@@ -93,7 +94,7 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
     }
     stated = np.allclose(fit.factor, 1.0)
     square = 2 * value + sum(one.value**2 for one in posterior)
-    freedom = 2 * readings + len(posterior) - fit.problem.n_fitted
+    freedom = 2 * readings + len(posterior) - fit.problem.n_fitted + by_prior[: fit.problem.n_outer].sum()
     summary["mismatch"] = mismatch(square if stated else None, freedom, significance)
     for name, other in (("held_out_speeds", fit.start.held_out_speeds), ("held_out_runs", fit.start.held_out_runs)):
         if other is not None:
@@ -117,7 +118,7 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
     return Quality(whole, bad, variance_inflation(correlation), posterior)
 
 
-def mismatch(square: float | None, freedom: int, whiteness: float) -> dict[str, float | None]:
+def mismatch(square: float | None, freedom: float, whiteness: float) -> dict[str, float | None]:
     """Probabilities of what was found, or of worse, if the model and the stated noise are right.
 
     Args:

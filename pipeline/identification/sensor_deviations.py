@@ -9,8 +9,7 @@ runs, B bearings, U unknowns, A those of them that members have, N balance plane
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -170,30 +169,6 @@ class SensorDeviations:
         pairs = zip(self.measured, self.precision, strict=True)
         squared = [(measured * precision).abs().square().sum((1, 2, 3)).max() for measured, precision in pairs]
         return _ROUNDING * (torch.stack(squared).sum() / self.n_rows).sqrt()[None]
-
-    def to(self, device: str) -> SensorDeviations:
-        """The same on another device, to be used under ``torch.device(device)``."""
-
-        def move(tensor: torch.Tensor) -> torch.Tensor:
-            return tensor.to(device)
-
-        return replace(
-            self,
-            scale=move(self.scale),
-            influence=move(self.influence),
-            known=move(self.known),
-            blocks=tuple(block.converted(move) for block in self.blocks),
-            variations=tuple(block.converted(move) for block in self.variations),
-            known_variation=move(self.known_variation),
-            values=move(self.values),
-            measured=tuple(map(move, self.measured)),
-            precision=tuple(map(move, self.precision)),
-            common=tuple(map(move, self.common)),
-        )
-
-    def with_measured(self, measured: Sequence[torch.Tensor]) -> SensorDeviations:
-        """The same for other readings (G, S, P, R) of each block."""
-        return replace(self, measured=tuple(measured))
 
 
 def sensor_deviations(measurement: Measurement, model: CoefficientModel, plane_scale: float) -> SensorDeviations:

@@ -1,8 +1,9 @@
 """How well the coefficients are known: the covariance of the weights, carried to whatever follows from it.
 
-The covariance is the inverse of the information, so the deviations are the Cramer-Rao bound of the network's output
-layer. Legend: M members, S speeds, B bearings, F features, K members of their basis, A active unknowns, N balance
-planes, T model parameters, Z = A K + 2 N + T weights.
+The covariance is the mean square error of the weights: of the noise (the inverse of the information, the Cramer-Rao
+bound of the network's output layer) and of what the functions of the speed can't follow
+(:mod:`pipeline.identification.basis_error`). Legend: M members, S speeds, B bearings, F features, K members of their
+basis, L local functions, A active unknowns, N balance planes, T model parameters, Z = A (K + L) + 2 N + T weights.
 """
 
 from __future__ import annotations
@@ -16,12 +17,17 @@ import numpy as np
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.errors import DataError
 from pipeline.files import write_beside
+from pipeline.identification.basis_error import evaluate_local
 from pipeline.identification.identified import IdentifiedModel
 
 if TYPE_CHECKING:
     from pipeline.identification.output_error_fit import OutputErrorFit
 
 UNCERTAINTY = "uncertainty.safetensors"
+NOMINAL_95 = 1.959964
+"""Standard deviations to either side of a normal value, within which 95 of 100 lie."""
+_WIDEST = 5.0
+"""Of a logarithm: beyond it a coefficient is not known at all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,9 +41,10 @@ class Uncertainty:
     planes: np.ndarray  # (N,) nodes
     plane_scale: float  # kg m of a weight of 1
     parameters: np.ndarray  # (T,) model parameters, in prior deviations
+    n_local: int  # L
 
     def sensitivity(self, identified: IdentifiedModel, speeds: np.ndarray) -> np.ndarray:
-        """(B, S, 8, A K) derivative of the coefficients by the weights of the model."""
+        """(B, S, 8, A (K + L)) derivative of the coefficients by the weights of features and local functions."""
         import torch
 
         model, parameters = identified.model, identified.parameters
@@ -45,6 +52,8 @@ class Uncertainty:
             inputs = model.scaled_inputs(speed=np.atleast_1d(speeds))
             basis = (model.features(parameters, inputs) @ torch.as_tensor(self.weights)).numpy()  # (M, S, K)
             slope = model.physical_slope(model.raw(parameters, inputs), model.scale_tensor()).numpy()  # (M, S, U)
+        local = evaluate_local(model, np.atleast_1d(speeds), self.n_local)  # (S, L)
+        basis = np.concatenate([basis, np.broadcast_to(local, (len(basis), *local.shape))], axis=-1)
         n_bearings, count = len(identified.bearing_nodes), basis.shape[-1]
         result = np.zeros((n_bearings, basis.shape[1], len(COEFFICIENTS), len(self.active) * count))
         for a, (m, u) in enumerate(self.active):
@@ -56,13 +65,22 @@ class Uncertainty:
         return result
 
     def deviation(self, identified: IdentifiedModel, speeds: np.ndarray) -> np.ndarray:
-        """(B, S, 8) standard deviations, N/m and N s/m; NaN for coefficients that were not identified."""
+        """(B, S, 8) standard deviations, N/m and N s/m; NaN for coefficients that were not identified.
+
+        A coefficient that is an exponential has a log-normal error: its deviation is that whose nominal 95 % interval
+        has the upper end of the log-normal one. The two differ where the coefficient is known to a few tens of percent.
+        """
         with np.errstate(over="ignore", invalid="ignore"):  # of coefficients that ran away
             moved = self.sensitivity(identified, speeds)
             outer = moved.shape[-1]
             variance = np.einsum("bscz,zy,bscy->bsc", moved, self.covariance[:outer, :outer], moved, optimize=True)
-        known = ~identified.unknowns.identified[:, None]
-        return np.where(known, np.nan, np.sqrt(np.maximum(variance, 0.0)))
+            deviation = np.sqrt(np.maximum(variance, 0.0))
+            unknowns, own = identified.unknowns, identified.values(speeds)
+            values = np.abs(unknowns.expand(own[: unknowns.n_members], np.zeros_like(deviation)))
+            share = np.minimum(deviation / np.where(values > 0, values, np.inf), _WIDEST)
+            exponential = unknowns.expansion[..., list(identified.model.positive)].any(axis=-1)[:, None]  # (B, 1, 8)
+            deviation = np.where(exponential, values * np.expm1(NOMINAL_95 * share) / NOMINAL_95, deviation)
+        return np.where(unknowns.identified[:, None], deviation, np.nan)
 
     def unbalance_deviation(self) -> np.ndarray:
         """(N,) standard deviation of the residual unbalance's magnitude, kg m: the mean one of its two parts."""
@@ -81,11 +99,12 @@ def uncertainty_of(fit: OutputErrorFit, inflation: float = 1.0) -> Uncertainty:
     return Uncertainty(
         problem.basis.weights.numpy(),
         np.array(problem.active, dtype=np.int64).reshape(-1, 2),
-        inflation * fit.covariance(),
+        inflation * fit.error.matrix,
         fit.residual_unbalance(),
         np.array(problem.measurement.unknowns.planes, dtype=np.int64),
         problem.sensors.plane_scale,
         problem.model_parameters(fit.weights)[0].numpy(),
+        fit.error.n_local,
     )
 
 
@@ -107,6 +126,7 @@ def _parts(uncertainty: Uncertainty) -> dict[str, np.ndarray]:
         "planes": uncertainty.planes,
         "plane_scale": np.array([uncertainty.plane_scale]),
         "parameters": uncertainty.parameters,
+        "n_local": np.array([uncertainty.n_local]),
     }
 
 
@@ -133,8 +153,13 @@ def load_uncertainty(folder: Path, identified: IdentifiedModel) -> Uncertainty |
             parts["planes"],
             float(parts["plane_scale"][0]),
             parts["parameters"],
+            int(parts["n_local"][0]),
         )
-        size = len(found.active) * found.weights.shape[-1] + 2 * len(found.planes) + len(found.parameters)
+        size = (
+            len(found.active) * (found.weights.shape[-1] + found.n_local)
+            + 2 * len(found.planes)
+            + len(found.parameters)
+        )
         if found.covariance.shape != (size, size) or len(found.weights) != len(identified.parameters):
             raise ValueError("its numbers do not fit the model")
     except (OSError, SafetensorError, KeyError, IndexError, ValueError) as error:

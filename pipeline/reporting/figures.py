@@ -233,7 +233,7 @@ def _draw_final_errors(path: Path, rows: pd.DataFrame, over: str) -> Path:
     return path
 
 
-def draw_noise_study(path: Path, rows: pd.DataFrame) -> Path:
+def draw_refits(path: Path, rows: pd.DataFrame) -> Path:
     """Above, the median error over speed of every data set; below, the share of speeds inside the 95 % interval."""
     groups = list(rows.groupby(["bearing_node", "coefficient"], sort=False))
     generator = np.random.default_rng(0)

@@ -26,11 +26,12 @@ from pipeline.config.bearings import (
     LinearBearingConfig,
     PerNodeBearingConfig,
     RotorFileBearingConfig,
+    SpeedTableConfig,
 )
 from pipeline.config.rotor import RotorConfig, ShaftSegmentConfig
 from pipeline.errors import ConfigError
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.journal_table import journal_coefficients
+from pipeline.rotor.journal_table import interpolate_coefficients, journal_coefficients
 from pipeline.rotor.model import RotorModel
 
 GRAVITY = 9.80665  # m/s^2
@@ -143,6 +144,8 @@ def _tabulate(bearing: BearingConfig, speeds: np.ndarray) -> np.ndarray | None:
     """(S, 8) of a bearing that is a table itself; None for those that ROSS models."""
     if isinstance(bearing, JournalTableConfig):
         return journal_coefficients(bearing, speeds)
+    if isinstance(bearing, SpeedTableConfig):
+        return interpolate_coefficients(bearing, speeds)
     if isinstance(bearing, LinearBearingConfig):
         return np.tile([getattr(bearing, name) for name in COEFFICIENTS], (len(speeds), 1))
     return None

@@ -1,16 +1,19 @@
 """The same machine measured again and again (``robustness.over=refit``): each time from the data to the bands.
 
 Every data set has its own noise and, as ``machine.as_built`` says, its own errors of weights and probes. Every fit is
-complete: its start, its choice of features and its weights are its own. So the coverage is that of one who measures
-once.
+complete: its start, its choice of features and its weights are its own. So error and coverage are those of one who
+measures once. The bound is that of the noise: the deviation at the true coefficients, as the functions that the fit
+chose come nearest to them.
+
+Legend: S training speeds, A active unknowns.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,12 +22,16 @@ from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError
 from pipeline.evaluation.errors import measure_coverage
 from pipeline.files import write_json
-from pipeline.identification.fit import fit
 from pipeline.identification.losses import loss_of
+from pipeline.identification.output_error_fit import fit_output_error, unknown_deviation
+from pipeline.identification.output_error_start import start_at
+from pipeline.identification.quality import output_error_quality
 from pipeline.identification.training import setup_of
+from pipeline.identification.uncertainty import uncertainty_of
 from pipeline.processes import open_pool
 from pipeline.reporting.console import count_progress, say, table
 from pipeline.reporting.error_table import MISMATCH
+from pipeline.reporting.figures import draw_refits
 from pipeline.stages.execution import StageOutput, use_threads
 from pipeline.stages.generate import model_machine, read_probes
 from pipeline.stages.measurement import build_measurement, update_measurement
@@ -41,6 +48,8 @@ class Refit:
     names: tuple[tuple[int, str], ...]  # A of (bearing node, coefficient)
     error: np.ndarray  # (A,) median over speed, percent
     within: np.ndarray  # (A,) percent of the speeds inside the 95 % interval
+    over_bound: np.ndarray  # (S, A) error over its Cramer-Rao bound
+    bound: np.ndarray  # (A,) median over speed, percent
     probability: float | None  # of such deviations, or larger ones, if the model is right
     misfit: float  # chi-square over what is expected
 
@@ -52,26 +61,36 @@ def refit(config: Config, seed: int) -> Refit:
     asked = config.identify.unknowns_of(rotor.bearing_nodes).identified[:, None]
     known = replace(truth, values=np.where(asked, 0.0, truth.values))  # the fit sees nothing of what it is to find
     measurement = build_measurement(config, rotor, read_probes(config, rotor, complete, seed), known)
-    setup = setup_of(config)
-    found = fit(measurement, setup)
-    answer = found.table(update_measurement(measurement, found.uncertainty).updated_known)
-    deviation = found.deviation(truth.speeds)
-    assert deviation is not None
-    assert found.quality.misfit is not None
-    unknowns = measurement.unknowns
-    reached, real = unknowns.leading(answer.values), unknowns.leading(truth.values)
-    error, spread = reached - real, unknowns.leading(np.nan_to_num(deviation))
+    found = fit_output_error(measurement, setup_of(config))
+    quality, identified, unknowns = output_error_quality(found), found.identified, measurement.unknowns
+    uncertainty = uncertainty_of(found, quality.inflation if config.loss.noise == "estimated" else 1.0)
+    answer = identified.table(update_measurement(measurement, uncertainty).updated_known)
+    deviation = np.nan_to_num(uncertainty.deviation(identified, truth.speeds))
+
+    def list_active(values: np.ndarray) -> np.ndarray:
+        """(.., A) of values (B, .., 8)."""
+        leading = unknowns.leading(values)
+        return np.stack([leading[m, :, u] for m, u in unknowns.active], axis=-1)
+
+    real, spread = list_active(truth.values), list_active(deviation)
+    error = list_active(answer.values) - real
+    keep = found.start.keep
+    at_truth = start_at(found.problem, unknowns.leading(truth.values[:, keep]))
+    bound = unknown_deviation(found.problem, at_truth)[0]  # (S, A)
+    assert quality.misfit is not None
     return Refit(
         names=tuple((rotor.bearing_nodes[m], unknowns.names[u]) for m, u in unknowns.active),
-        error=np.array([100 * np.median(np.abs(error[m, :, u] / real[m, :, u])) for m, u in unknowns.active]),
-        within=np.array([measure_coverage(error[m, :, u], spread[m, :, u]) for m, u in unknowns.active]),
-        probability=found.quality.summary["fit"]["mismatch"]["probability"],
-        misfit=found.quality.misfit,
+        error=100 * np.median(np.abs(error / real), axis=0),
+        within=measure_coverage(error.T, spread.T),
+        over_bound=error[keep] / bound,
+        bound=100 * np.median(bound / np.abs(real[keep]), axis=0),
+        probability=quality.summary["fit"]["mismatch"]["probability"],
+        misfit=quality.misfit,
     )
 
 
 def run(config: Config) -> StageOutput:
-    """``robustness.json`` and ``robustness.csv``, a row a data set, bearing and coefficient.
+    """``robustness.json``, ``robustness.csv`` (a row a data set, bearing and coefficient) and a figure.
 
     Raises ConfigError where the loss is another, or where there is no machine to measure again.
     """
@@ -83,9 +102,13 @@ def run(config: Config) -> StageOutput:
         )
     found = list(_refit_all(config))
     rows, summary = _tabulate(found), _summarize(found)
-    _print(config, rows, summary)
+    _print(config, summary)
     work = locate_files(config)
-    written = [write_json(work.folder / "robustness.json", summary), write_table(work.folder / "robustness.csv", rows)]
+    written = [
+        write_json(work.folder / "robustness.json", summary),
+        write_table(work.folder / "robustness.csv", rows),
+        draw_refits(work.figure("robustness"), rows),
+    ]
     return StageOutput(summary, {}, written)
 
 
@@ -122,11 +145,16 @@ def _tabulate(found: list[Refit]) -> pd.DataFrame:
 def _summarize(found: list[Refit]) -> dict[str, object]:
     coefficients: dict[str, dict[str, dict[str, float]]] = {}
     error, within = (np.array([getattr(of, name) for of in found]) for name in ("error", "within"))
+    over_bound = np.array([of.over_bound for of in found])  # (data sets, S, A)
     for a, (node, name) in enumerate(found[0].names):
         coefficients.setdefault(str(node), {})[name] = {
             "median_error_percent": float(np.median(error[:, a])),
             "worst_median_error_percent": float(error[:, a].max()),
             "within_95_percent_interval": float(within[:, a].mean()),
+            # Each speed has a bound of its own: the mean of the squared ratio over speeds and data sets.
+            "rmse_over_bound": float(np.sqrt((over_bound[..., a] ** 2).mean())),
+            "bias_over_bound": float(np.sqrt((over_bound[..., a].mean(axis=0) ** 2).mean())),
+            "median_bound_percent": float(np.median([of.bound[a] for of in found])),
         }
     rejected = [of.probability is not None and of.probability < MISMATCH for of in found]
     return {
@@ -139,18 +167,21 @@ def _summarize(found: list[Refit]) -> dict[str, object]:
     }
 
 
-def _print(config: Config, rows: pd.DataFrame, summary: dict[str, object]) -> None:
-    every = rows.groupby(["bearing_node", "coefficient"], sort=False)
+def _print(config: Config, summary: Mapping[str, Any]) -> None:
     shown = [
         [
             f"node {node} {name}",
-            f"{of['median_error_percent'].median():.3g}",
-            f"{of['median_error_percent'].max():.3g}",
-            f"{of['within_95_percent_interval'].mean():.1f}",
+            f"{of['median_error_percent']:.3g}",
+            f"{of['worst_median_error_percent']:.3g}",
+            f"{of['median_bound_percent']:.3g}",
+            f"{of['rmse_over_bound']:.2f}",
+            f"{of['within_95_percent_interval']:.1f}",
         ]
-        for (node, name), of in every
+        for node, coefficients in summary["coefficients"].items()
+        for name, of in coefficients.items()
     ]
-    header = ["bearing and coefficient", "median error %, typical", "worst data set", "inside the 95 % interval, %"]
+    errors = ["median error %, typical", "worst data set", "standard deviation by the bound, %", "error over bound"]
+    header = ["bearing and coefficient", *errors, "inside the 95 % interval, %"]
     table(
         f"{config.name}: {summary['data_sets']} measurements of the machine, each identified by itself", header, shown
     )

@@ -41,10 +41,6 @@ def choose_starts(config: Config) -> np.ndarray:
 
 def run(config: Config) -> StageOutput:
     """``robustness.json``, a table with the final error of every start, and Figure 2."""
-    if config.robustness.over == "noise":
-        from pipeline.stages import noise_study  # it imports what this module has
-
-        return noise_study.run(config)
     if config.robustness.over == "refit":
         from pipeline.stages import refit_study
 

@@ -124,18 +124,6 @@ def test_the_normal_equations_are_those_of_the_dense_jacobian(full_problem: Outp
     assert float((gradient[0, 0] - jacobian.T @ rows).abs().max()) < 1e-10 * scale
 
 
-def test_everything_can_be_moved_to_another_device(full_problem: OutputErrorFit) -> None:
-    """Torch refuses to mix devices: `meta`, which computes shapes alone, tells what would stay behind."""
-    import torch
-
-    problem, free = full_problem.problem.to("meta"), full_problem.weights.to("meta")
-    with torch.device("meta"):
-        gradient, matrix = problem.normal(free)
-        assert gradient.shape == (1, 1, problem.size)
-        assert matrix.shape == (1, 1, problem.size, problem.size)
-        assert problem.loss(free).device.type == "meta"
-
-
 def mean_square(fit: OutputErrorFit) -> float:
     """Of the deviations over their noise: 1 where nothing but noise is left."""
     return float(fit.problem.loss(fit.weights)) ** 2

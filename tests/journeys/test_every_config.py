@@ -168,7 +168,7 @@ def test_configure_writes_what_the_other_stages_read(experiment: str, run: Run, 
     assert contents(tmp_path / "x").keys() == {"config.yaml"}
     mapping = yaml.safe_load((tmp_path / "x" / "config.yaml").read_text())
     assert mapping["name"] == experiment
-    assert not {"stage", "tracking", "check", "threads", "device", "output"} & mapping.keys()
+    assert not {"stage", "tracking", "check", "threads", "output"} & mapping.keys()
     assert mapping["machine"]["rotor"]["shaft"][0]["length"] < 10  # m
 
 

@@ -1,0 +1,91 @@
+"""Deviations where the functions of the speed can't follow the coefficients: local functions say by how much."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from running import composed
+
+from pipeline.identification.basis_error import N_LOCAL, count_local, evaluate_local
+from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
+from pipeline.identification.training import setup_of
+from pipeline.stages.generate import model_machine, read_probes
+from pipeline.stages.measurement import build_measurement
+
+NOISE = ["stated_noise.additive=0.05 um", "stated_noise.multiplicative=0.005"]
+DIRECT = "identify.unknowns=[kxx,kyy,cxx,cyy]"
+
+
+def fitted(name: str, *overrides: str) -> tuple[OutputErrorFit, np.ndarray]:
+    """The fit of a machine of studies/coverage, its cross terms known, and the true unknowns (S, A)."""
+    config = composed("stage=train", f"machine.file=studies/coverage/{name}.yaml", *NOISE, DIRECT, *overrides)
+    rotor, truth, complete = model_machine(config, 3)
+    measurement = build_measurement(config, rotor, read_probes(config, rotor, complete, 3), truth)
+    leading = measurement.unknowns.leading(truth.values)
+    fit = fit_output_error(measurement, setup_of(config))
+    return fit, np.stack([leading[m, :, u] for m, u in measurement.unknowns.active], axis=-1)
+
+
+def held(fit: OutputErrorFit, truth: np.ndarray, matrix: np.ndarray, n_local: int) -> float:
+    """Share of coefficients and speeds inside their 95 % intervals."""
+    problem = fit.problem
+    values, slope = (part[0].numpy() for part in problem.unknowns(fit.weights))
+    local = evaluate_local(problem.basis.model, problem.measurement.dataset.speeds, n_local)
+    count = problem.features.shape[-1] + n_local
+    inside = []
+    for a, (m, _) in enumerate(problem.active):
+        functions = np.concatenate([problem.features[m].numpy(), local], axis=1)
+        own = slice(a * count, (a + 1) * count)
+        spread = np.sqrt(np.einsum("sk,kl,sl->s", functions, matrix[own, own], functions))
+        inside.append(np.abs(values[:, a] - truth[:, a]) <= 1.96 * spread * np.abs(slope[:, a]))
+    return float(np.mean(inside))
+
+
+@pytest.mark.slow
+def test_intervals_hold_coefficients_with_kinks() -> None:
+    """The inverse of the information is too narrow by far; the mean square error is not."""
+    fit, truth = fitted("overhung_kinked")
+    narrow, wide = held(fit, truth, fit.covariance(), 0), held(fit, truth, fit.error.matrix, fit.error.n_local)
+    print(f"inside: {narrow:.3f} by the information, {wide:.3f} by the mean square error")
+    assert narrow < 0.8
+    assert 0.88 < wide <= 1.0
+
+
+@pytest.mark.slow
+def test_where_the_functions_suffice_the_deviations_hardly_change() -> None:
+    """Tables over the Sommerfeld number are nearly power laws."""
+    fit, _ = fitted("rigid")
+    n_rest = fit.problem.n_rest
+    assert n_rest == 0
+    n_features, n_local = fit.problem.features.shape[-1], fit.error.n_local
+    own = np.arange(len(fit.error.matrix)) % (n_features + n_local) < n_features
+    before, after = np.diag(fit.covariance()), np.diag(fit.error.matrix[np.ix_(own, own)])
+    kept = fit.problem.fitted().numpy()
+    ratio = np.sqrt(after[kept] / before[kept])
+    print(ratio.round(3))
+    assert ratio.min() >= 1.0
+    assert np.median(ratio) < 1.1
+    assert np.allclose(after[~kept], before[~kept])
+
+
+def test_constants_and_few_speeds_have_no_local_functions() -> None:
+    """A constant is one by assumption; few readings can't tell a local function from noise."""
+    from pipeline.identification.model import CoefficientModel
+
+    model = CoefficientModel(
+        unknowns=("kxx",),
+        inputs=("speed",),
+        parametrisation="log",
+        scale=((1e6,),),
+        hidden=(4,),
+        ranges=((10.0, 500.0),),
+    )
+    assert count_local(model, 91) == N_LOCAL
+    assert count_local(model, 30) == 10
+    assert count_local(model, 11) == 0
+    assert count_local(replace(model, hidden=None), 91) == 0
+    functions = evaluate_local(model, np.array([10.0, 200.0, 500.0]), 10)
+    np.testing.assert_allclose(functions.sum(axis=1), 1.0)  # they add up to a constant
+    assert evaluate_local(model, np.array([10.0]), 0).shape == (1, 0)
