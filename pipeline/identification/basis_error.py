@@ -4,10 +4,10 @@ The inverse of the information is the covariance of a model whose functions can 
 can't (a kink, a feature that was dropped), the answer is biased, and its intervals are too narrow. So each unknown is
 thought to deviate from its fitted function by local functions of the speed (cubic B-splines) with normal weights t of
 one variance tau^2. The readings say how large it is: after the fit, the score of t is normal with the covariance
-``S + S T S`` where S is the information of t beside the fitted weights z, ``T = diag(tau^2)``, and tau^2 has the greatest
-likelihood (empirical Bayes; by expectation maximisation, Dempster, Laird and Rubin 1977). Where the functions suffice,
-tau goes to zero and nothing is wider. The error of z is then that of the noise and ``-H_zz^-1 H_zt t``, that of the
-deviation ``-t``; their mean square takes the place of the covariance. An interval holds its share of the speeds on
+``S + S T S``, where S is the information of t beside the fitted weights z and ``T = diag(tau^2)``, and tau^2 has the
+greatest likelihood (empirical Bayes; by expectation maximisation, Dempster, Laird and Rubin 1977). Where the functions
+suffice, tau goes to zero and nothing is wider. The error of z is then that of the noise and ``-H_zz^-1 H_zt t``, that of
+the deviation ``-t``; their mean square takes the place of the covariance. An interval holds its share of the speeds on
 average, less beside a kink and more elsewhere (Nychka 1988).
 
 Legend: S speeds, A active unknowns, K features, L local functions, Z weights of the fit.
@@ -62,10 +62,10 @@ def evaluate_local(model: CoefficientModel, speeds: np.ndarray, count: int) -> n
 
 
 def measure_error(problem: OutputError, weights: torch.Tensor, covariance: np.ndarray) -> MeanSquareError:
-    """The mean square error at the minimum ``weights`` (1, 1, Z), whose ``covariance`` (Z, Z) that of noise alone is."""
+    """The mean square error at the minimum ``weights`` (1, 1, Z); ``covariance`` (Z, Z) is that of the noise alone."""
     speeds = problem.measurement.dataset.speeds
     count = count_local(problem.basis.model, len(speeds))
-    n_active, n_features = problem.kept.shape
+    n_active = len(problem.kept)
     if not count:
         return MeanSquareError(covariance, 0, np.zeros(n_active))
     gradient, matrix, local = _expand(problem, weights, evaluate_local(problem.basis.model, speeds, count))

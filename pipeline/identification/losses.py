@@ -7,7 +7,7 @@ displacements over the sensors' noise.
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from pipeline.problem.determination import Deviations
 from pipeline.problem.diagnosis import Diagnosis, diagnose_residual, diagnose_response
 from pipeline.problem.identifiability import Verdict, require_identifiable
 from pipeline.problem.measurement import Guess, Measurement
+
+if TYPE_CHECKING:
+    from pipeline.identification.output_error_fit import OutputErrorFit
 
 
 class Loss(Protocol):
@@ -147,16 +150,12 @@ class OutputErrorLoss:
         diagnosis: Diagnosis | None = None,
     ) -> Fit:
         """The fit by its rounds of precisions."""
-        from pipeline.identification.output_error_fit import fit_output_error
         from pipeline.identification.quality import output_error_quality
-        from pipeline.identification.trained_fit import train_hidden
         from pipeline.identification.uncertainty import uncertainty_of
 
         if not setup.force:
             require_identifiable((diagnosis or self.diagnose(measurement, setup)).reports)
-        found = fit_output_error(measurement, setup, progress)
-        if setup.loss.hidden == "trained" and found.minimum.outcomes[0] is not Outcome.INTERRUPTED:
-            found = train_hidden(found, setup, progress)
+        found = fit_sensors(measurement, setup, progress)
         quality = output_error_quality(found)
         return Fit(
             model=found.identified,
@@ -169,6 +168,17 @@ class OutputErrorLoss:
             uncertainty=uncertainty_of(found, quality.inflation if setup.loss.noise == "estimated" else 1.0),
             quality=quality,
         )
+
+
+def fit_sensors(measurement: Measurement, setup: FitSetup, progress: Progress | None = None) -> OutputErrorFit:
+    """The fit of :class:`OutputErrorLoss`, with the problem that it solved. Raises as its ``fit``."""
+    from pipeline.identification.output_error_fit import fit_output_error
+    from pipeline.identification.trained_fit import train_hidden
+
+    found = fit_output_error(measurement, setup, progress)
+    if setup.loss.hidden == "trained" and found.minimum.outcomes[0] is not Outcome.INTERRUPTED:
+        return train_hidden(found, setup, progress)
+    return found
 
 
 _LABELS = {

@@ -26,6 +26,7 @@ import numpy as np
 from pipeline.config.identification import NetworkModelConfig
 from pipeline.errors import ConfigError
 from pipeline.identification.basis import Basis
+from pipeline.identification.basis_error import MeanSquareError
 from pipeline.identification.model import CoefficientModel
 from pipeline.identification.optimizers import levenberg_marquardt, until_still
 from pipeline.identification.outcome import Outcome
@@ -66,6 +67,11 @@ class TrainedFit(OutputErrorFit):
     def covariance(self) -> np.ndarray:
         """(Z, Z) from the scatter of the networks."""
         return self.scatter
+
+    @property
+    def error(self) -> MeanSquareError:
+        """The scatter: networks of their own follow what the mean can't."""
+        return MeanSquareError(self.scatter, 0, np.zeros(len(self.problem.active)))
 
 
 def train_hidden(found: OutputErrorFit, setup: FitSetup, progress: Progress | None = None) -> TrainedFit:
@@ -198,7 +204,8 @@ def _mean(
     def of(other: OutputError) -> _Mean:
         at = basis.at(other.measurement.dataset.speeds)
         kept = torch.ones(len(before.active), basis.n_features, dtype=torch.bool)
-        return _Mean(other.sensors, basis, at, kept, round(spent) + before.n_parameters)
+        none = torch.zeros(basis.n_features, dtype=torch.float64)
+        return _Mean(other.sensors, basis, at, kept, none, round(spent) + before.n_parameters)
 
     problem, answer = of(before), each.mean(dim=0)
     # Where a combination is nearly free the networks lie along a curved valley, and their mean beside it.

@@ -78,8 +78,10 @@ class Uncertainty:
             unknowns, own = identified.unknowns, identified.values(speeds)
             values = np.abs(unknowns.expand(own[: unknowns.n_members], np.zeros_like(deviation)))
             share = np.minimum(deviation / np.where(values > 0, values, np.inf), _WIDEST)
-            exponential = unknowns.expansion[..., list(identified.model.positive)].any(axis=-1)[:, None]  # (B, 1, 8)
-            deviation = np.where(exponential, values * np.expm1(NOMINAL_95 * share) / NOMINAL_95, deviation)
+            of_positive = np.abs(unknowns.expansion[..., list(identified.model.positive)]).sum(axis=-1)  # (B, 8)
+            deviation = np.where(
+                of_positive[:, None] > 0, values * np.expm1(NOMINAL_95 * share) / NOMINAL_95, deviation
+            )
         return np.where(unknowns.identified[:, None], deviation, np.nan)
 
     def unbalance_deviation(self) -> np.ndarray:

@@ -22,8 +22,8 @@ from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError
 from pipeline.evaluation.errors import measure_coverage
 from pipeline.files import write_json
-from pipeline.identification.losses import loss_of
-from pipeline.identification.output_error_fit import fit_output_error, unknown_deviation
+from pipeline.identification.losses import fit_sensors, loss_of
+from pipeline.identification.output_error_fit import unknown_deviation
 from pipeline.identification.output_error_start import start_at
 from pipeline.identification.quality import output_error_quality
 from pipeline.identification.training import setup_of
@@ -61,7 +61,7 @@ def refit(config: Config, seed: int) -> Refit:
     asked = config.identify.unknowns_of(rotor.bearing_nodes).identified[:, None]
     known = replace(truth, values=np.where(asked, 0.0, truth.values))  # the fit sees nothing of what it is to find
     measurement = build_measurement(config, rotor, read_probes(config, rotor, complete, seed), known)
-    found = fit_output_error(measurement, setup_of(config))
+    found = fit_sensors(measurement, setup_of(config))
     quality, identified, unknowns = output_error_quality(found), found.identified, measurement.unknowns
     uncertainty = uncertainty_of(found, quality.inflation if config.loss.noise == "estimated" else 1.0)
     answer = identified.table(update_measurement(measurement, uncertainty).updated_known)
