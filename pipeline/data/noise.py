@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+NOMINAL_95 = 1.959964
+"""Standard deviations to either side of a normal value, within which 95 of 100 lie."""
+
 
 @dataclass(frozen=True)
 class NoiseModel:

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from pipeline.identification.uncertainty import NOMINAL_95
+from pipeline.data.noise import NOMINAL_95
 from pipeline.rotor.bearing_table import BearingTable
 
 

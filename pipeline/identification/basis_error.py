@@ -6,9 +6,11 @@ thought to deviate from its fitted function by local functions of the speed (cub
 one variance tau^2. The readings say how large it is: after the fit, the score of t is normal with the covariance
 ``S + S T S``, where S is the information of t beside the fitted weights z and ``T = diag(tau^2)``, and tau^2 has the
 greatest likelihood (empirical Bayes; by expectation maximisation, Dempster, Laird and Rubin 1977). Where the functions
-suffice, tau goes to zero and nothing is wider. The error of z is then that of the noise and ``-H_zz^-1 H_zt t``, that of
-the deviation ``-t``; their mean square takes the place of the covariance. An interval holds its share of the speeds on
-average, less beside a kink and more elsewhere (Nychka 1988).
+suffice, tau goes to zero and nothing is wider.
+
+The error of z is then that of the noise and ``-H_zz^-1 H_zt t``, that of the deviation ``-t``; their mean square takes
+the place of the covariance. An interval holds its share of the speeds on average, less beside a kink and more elsewhere
+(Nychka 1988).
 
 Legend: S speeds, A active unknowns, K features, L local functions, Z weights of the fit.
 """

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
+from pipeline.data.noise import NOMINAL_95
 from pipeline.errors import DataError
 from pipeline.files import write_beside
 from pipeline.identification.basis_error import evaluate_local
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
     from pipeline.identification.output_error_fit import OutputErrorFit
 
 UNCERTAINTY = "uncertainty.safetensors"
-NOMINAL_95 = 1.959964
-"""Standard deviations to either side of a normal value, within which 95 of 100 lie."""
 _WIDEST = 5.0
 """Of a logarithm: beyond it a coefficient is not known at all."""
 
