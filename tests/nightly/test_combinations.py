@@ -33,7 +33,7 @@ test_all_stages_of_all_combinations = at_night(
     [
         chosen
         for chosen in product(("constant", "network"), list_options("optimizer"), ("initial_guesses", "seeds"))
-        if chosen not in by_day.BY_DAY  # noise_seeds is of another loss
+        if chosen not in by_day.BY_DAY  # refits is of another loss
     ],
 )
 
