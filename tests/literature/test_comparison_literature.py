@@ -67,7 +67,7 @@ def test_kalman_filter_from_one_location() -> None:
 def test_kriging_and_differential_evolution_find_constant_bearings() -> None:
     """Han, Guo and Gao (2013): and robustly under noise."""
     for noise, bar in ((0.0, 0.005), (0.01, 0.4)):
-        case = Case(noise, "all", 591)
+        case = Case(noise, "all", 60)
         assert errors(answer("kriging", case, *BALLS), case, *BALLS).max() < bar
 
 

@@ -39,7 +39,7 @@ GOOD = {
     "total_least_squares": Good(FILM, Case(0.0, "all", 60), EXACT),
     "multi_frequency": Good(BLOWS, Case(0.0, "all", 12), EXACT),
     "kalman": Good(FILM, Case(0.0, "location", 60), 1e-8),
-    "kriging": Good(BALLS, Case(0.0, "all", 591), 0.03, loud=0.1),
+    "kriging": Good(BALLS, Case(0.0, "all", 60), 0.005, loud=0.1),
     "critical_speeds": Good(BALLS, Case(0.0, "all", 591), 5.0, loud=0.2),
     "spline": Good(FILM, Case(0.0, "all", 60), EXACT),
     "paper": Good(FILM, Case(0.0, "all", 60), 0.4, loud=0.1),
