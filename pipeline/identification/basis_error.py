@@ -29,9 +29,10 @@ from pipeline.identification.output_error import OutputError
 if TYPE_CHECKING:
     import torch
 
-N_LOCAL = 20
-"""Of machines with 60 to 91 speeds, 15 made intervals of kinked coefficients too wide and 30 too narrow."""
-_SPEEDS_EACH = 3
+N_LOCAL = 30
+"""Chosen by five machines (docs/model_error.md): with 20 intervals are too wide for kinked coefficients, with 40 too
+narrow."""
+_SPEEDS_EACH = 2
 """At least so many speeds for a local function: fewer can't tell it from noise."""
 _LEAST = 4  # cubic B-splines
 _ROUNDS, _STILL = 60, 1e-2
@@ -74,13 +75,12 @@ def measure_error(problem: OutputError, weights: torch.Tensor, covariance: np.nd
     by_fit = covariance @ matrix[np.ix_(~local, local)]  # (Z, A L): how the fitted weights follow the local ones
     information = matrix[np.ix_(local, local)] - matrix[np.ix_(local, ~local)] @ by_fit
     score = -(gradient[local] - by_fit.T @ gradient[~local])
-    variance = _maximise_likelihood(information, score, n_active)
-    spread = np.repeat(variance, count)
+    variance, moment = _maximise_likelihood(information, score, n_active)
     error = np.zeros_like(matrix)
-    error[np.ix_(~local, ~local)] = covariance + (by_fit * spread) @ by_fit.T
-    error[np.ix_(~local, local)] = by_fit * spread
-    error[np.ix_(local, ~local)] = (by_fit * spread).T
-    error[np.ix_(local, local)] = np.diag(spread)
+    error[np.ix_(~local, ~local)] = covariance + by_fit @ moment @ by_fit.T
+    error[np.ix_(~local, local)] = by_fit @ moment
+    error[np.ix_(local, ~local)] = (by_fit @ moment).T
+    error[np.ix_(local, local)] = moment
     return MeanSquareError(error, count, np.sqrt(variance))
 
 
@@ -104,16 +104,19 @@ def _expand(
     return gradient[0, 0].numpy(), matrix[0, 0].numpy(), local
 
 
-def _maximise_likelihood(information: np.ndarray, score: np.ndarray, n_active: int) -> np.ndarray:
-    """(A,) tau^2 of the local weights, from their ``information`` (A L, A L) and ``score`` (A L,) at zero."""
+def _maximise_likelihood(information: np.ndarray, score: np.ndarray, n_active: int) -> tuple[np.ndarray, np.ndarray]:
+    """(A,) tau^2 and (A L, A L) mean square of the local weights after the data, from their ``information`` (A L, A L)
+    and ``score`` (A L,) at zero.
+    """
     count = len(score) // n_active
     variance = np.full(n_active, _FIRST)
     for _ in range(_ROUNDS):
         spread = np.linalg.inv(information + np.diag(np.repeat(1 / variance, count)))
-        squares = (spread @ score) ** 2 + np.diag(spread)
+        mean = spread @ score
+        squares = mean**2 + np.diag(spread)
         found = np.maximum(squares.reshape(n_active, count).mean(axis=1), _SMALLEST)
         still = bool((np.abs(np.log(found / variance)) < _STILL).all())
         variance = found
         if still:
             break
-    return variance
+    return variance, spread + np.outer(mean, mean)
