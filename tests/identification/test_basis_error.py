@@ -83,8 +83,8 @@ def test_constants_and_few_speeds_have_no_local_functions() -> None:
         ranges=((10.0, 500.0),),
     )
     assert count_local(model, 91) == N_LOCAL
-    assert count_local(model, 30) == 10
-    assert count_local(model, 11) == 0
+    assert count_local(model, 30) == 15
+    assert count_local(model, 7) == 0
     assert count_local(replace(model, hidden=None), 91) == 0
     functions = evaluate_local(model, np.array([10.0, 200.0, 500.0]), 10)
     np.testing.assert_allclose(functions.sum(axis=1), 1.0)  # they add up to a constant
