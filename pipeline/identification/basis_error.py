@@ -5,8 +5,8 @@ can't (a kink, a feature that was dropped), the answer is biased, and its interv
 thought to deviate from its fitted function by local functions of the speed (cubic B-splines) with normal weights t of
 one variance tau^2. The readings say how large it is: after the fit, the score of t is normal with the covariance
 ``S + S T S``, where S is the information of t beside the fitted weights z and ``T = diag(tau^2)``, and tau^2 has the
-greatest likelihood (empirical Bayes; by expectation maximisation, Dempster, Laird and Rubin 1977). Where the functions
-suffice, tau goes to zero and nothing is wider.
+greatest likelihood (empirical Bayes; by MacKay's fixed point, 1992, since expectation maximisation hardly moves where
+tau is small). Where the functions suffice, tau goes to zero and nothing is wider.
 
 The error of z is then that of the noise and ``-H_zz^-1 H_zt t``, that of the deviation ``-t``; their mean square takes
 the place of the covariance. An interval holds its share of the speeds on average, less beside a kink and more elsewhere
@@ -35,7 +35,7 @@ narrow."""
 _SPEEDS_EACH = 2
 """At least so many speeds for a local function: fewer can't tell it from noise."""
 _LEAST = 4  # cubic B-splines
-_ROUNDS, _STILL = 60, 1e-2
+_ROUNDS, _STILL = 100, 1e-2
 _FIRST = 0.03**2
 """Deviation squared, of outputs: the logarithm of a coefficient, or its share of the coefficient's size."""
 _SMALLEST = 1e-12
@@ -111,12 +111,20 @@ def _maximise_likelihood(information: np.ndarray, score: np.ndarray, n_active: i
     count = len(score) // n_active
     variance = np.full(n_active, _FIRST)
     for _ in range(_ROUNDS):
-        spread = np.linalg.inv(information + np.diag(np.repeat(1 / variance, count)))
-        mean = spread @ score
-        squares = mean**2 + np.diag(spread)
-        found = np.maximum(squares.reshape(n_active, count).mean(axis=1), _SMALLEST)
+        spread, mean = _follow(information, score, variance)
+        # How many of an unknown's local weights the readings determine.
+        told = count - np.diag(spread).reshape(n_active, count).sum(axis=1) / variance
+        squares = (mean**2).reshape(n_active, count).sum(axis=1)
+        found = np.maximum(squares / np.maximum(told, _SMALLEST), _SMALLEST)
         still = bool((np.abs(np.log(found / variance)) < _STILL).all())
         variance = found
         if still:
             break
+    spread, mean = _follow(information, score, variance)
     return variance, spread + np.outer(mean, mean)
+
+
+def _follow(information: np.ndarray, score: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Covariance (A L, A L) and mean (A L,) of the local weights after the data, for tau^2 (A,)."""
+    spread = np.linalg.inv(information + np.diag(np.repeat(1 / variance, len(score) // len(variance))))
+    return spread, spread @ score
