@@ -172,7 +172,7 @@ def test_the_experiment_finds_how_the_machine_was_built(artifacts: Artifacts) ->
     assert built is not None
     for name, one in found.items():
         kind = name.partition(" ")[0]
-        if not kind.startswith("unbalance"):  # those of the weights were drawn
+        if not kind.startswith(("unbalance", "runout")):  # those of weights and probes were drawn
             assert abs(one["value"] - (getattr(built, kind) or 0.0)) <= 4 * one["deviation"], name
     assert found["youngs_modulus"]["deviation"] < 0.2 * found["youngs_modulus"]["prior_deviation"]
     within = json.loads((folder / "metrics.json").read_text())["within_95_percent_interval"]

@@ -98,7 +98,9 @@ def test_a_training_ends_the_same(processors: tuple[Processor, Processor], name:
     assert old["outcome"] == this["outcome"]
     assert abs(old["steps"] - this["steps"]) <= 1
     if "fit" in this:
-        assert old["fit"]["chi_square"]["numbers"] == this["fit"]["chi_square"]["numbers"]
+        # A prior takes its share of a number; one feature more or less would be far off.
+        numbers = this["fit"]["chi_square"]["numbers"]
+        assert old["fit"]["chi_square"]["numbers"] == pytest.approx(numbers, rel=1e-6)
         assert old["fit"]["bad_points"] == this["fit"]["bad_points"]
     errors, others = (one.errors(name) for one in processors)
     for key, error in errors.items():
