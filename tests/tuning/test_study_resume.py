@@ -19,7 +19,7 @@ import pytest
 from pipeline.__main__ import main
 from pipeline.errors import ConfigError
 from pipeline.identification.outcome import Outcome
-from pipeline.tuning import worker
+from pipeline.tuning import judging
 from pipeline.tuning.attempts import REPEATS, list_attempts, repeat_stopped
 from pipeline.tuning.parallel import run_study
 from pipeline.tuning.space import find_default
@@ -276,7 +276,7 @@ def failing(monkeypatch: pytest.MonkeyPatch, at: int, fail: Callable[[Any], Any]
         batch = real(*arguments, **options)
         return fail(batch) if len(calls) == at + 1 else batch
 
-    monkeypatch.setattr(worker, "minimise", minimise)
+    monkeypatch.setattr(judging, "minimise", minimise)
 
 
 def _raises(error: BaseException) -> Callable[[Any], Any]:
