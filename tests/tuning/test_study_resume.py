@@ -269,7 +269,7 @@ def test_ctrl_c_stops_every_worker(moment: str, whole_group: bool, start: Forks,
 
 def failing(monkeypatch: pytest.MonkeyPatch, at: int, fail: Callable[[Any], Any]) -> None:
     """The ``at``-th training returns what ``fail`` makes of its result, or raises."""
-    real, calls = worker.minimise, []
+    real, calls = judging.minimise, []
 
     def minimise(*arguments: Any, **options: Any) -> Any:
         calls.append(1)
