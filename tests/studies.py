@@ -24,6 +24,7 @@ from pipeline.errors import ConfigError, PipelineError
 from pipeline.stages.measurement import load_measurement
 from pipeline.stages.tune import pose_study
 from pipeline.tuning.attempts import list_results
+from pipeline.tuning.storage import open_storage
 from pipeline.tuning.study import StudyProblem
 
 if TYPE_CHECKING:
@@ -102,7 +103,7 @@ def stored(problem: StudyProblem) -> Iterator[optuna.Study | None]:
     if config.storage.startswith("sqlite") and not Path(config.storage.removeprefix("sqlite:///")).exists():
         yield None
         return
-    storage = optuna.storages.RDBStorage(config.storage)
+    storage = open_storage(config)  # its process may make the tables in this very moment
     try:
         study = optuna.load_study(study_name=config.study, storage=storage)
     except KeyError:
