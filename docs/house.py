@@ -22,6 +22,7 @@ ROOMS: tuple[tuple[frozenset[str], str], ...] = (
     (frozenset({"identification"}), "models, losses, optimisers: fit(measurement, setup)"),
     (frozenset({"evaluation"}), "errors, thresholds"),
     (frozenset({"twin"}), "predicted vibration, critical speeds, stability"),
+    (frozenset({"trust"}), "verdicts: what speaks for an answer"),
     (frozenset({"methods"}), "the conventional methods"),
     (frozenset({"comparison"}), "methods on cases"),
     (frozenset({"tuning"}), "hyperparameter studies (Optuna)"),

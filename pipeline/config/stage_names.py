@@ -16,6 +16,7 @@ STAGES: dict[str, str] = {
     "robustness": "train from many initial guesses or seeds at once",
     "compare": "identify the modelled machine by every method, over noise, sensors and number of speeds",
     "predict": "predict vibration never seen, critical speeds and stability with the digital twin",
+    "verdict": "say whether each coefficient can be trusted, why, and what to do next",
     "summary": "put the results on one screen and in one picture",
     "check": "hold the metrics of all experiments against conf/thresholds; exit code 1 where one is passed",
 }

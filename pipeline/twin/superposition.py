@@ -37,6 +37,31 @@ def superpose(
     ``frequencies`` (S,) rad/s are those of the excitation. With a ``residual_unbalance``, which acts in every run, the
     runs' shares must add up to 1. None where no sum of the runs is the excitation.
     """
+    shares = _find_shares(dataset, runs, wanted, frequencies, residual_unbalance)
+    return None if shares is None else np.asarray(dataset.displacement @ shares)
+
+
+def superpose_with_noise(
+    dataset: VibrationDataset,
+    runs: Sequence[int],
+    wanted: Sequence[Excitation],
+    frequencies: np.ndarray,
+    residual_unbalance: bool,
+    noise: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """:func:`superpose`, and (S, P) m of its own noise, from that of the readings (S, P, R) m."""
+    shares = _find_shares(dataset, runs, wanted, frequencies, residual_unbalance)
+    return None if shares is None else (dataset.displacement @ shares, np.sqrt(noise**2 @ np.abs(shares) ** 2))
+
+
+def _find_shares(
+    dataset: VibrationDataset,
+    runs: Sequence[int],
+    wanted: Sequence[Excitation],
+    frequencies: np.ndarray,
+    residual_unbalance: bool,
+) -> np.ndarray | None:
+    """(R,) complex, by how much each run is in the wanted one."""
     same = [r for r in runs if np.allclose(dataset.frequencies[:, r], frequencies, rtol=1e-9)]
     if not same:
         return None
@@ -52,7 +77,9 @@ def superpose(
     shares = np.linalg.lstsq(matrix, right, rcond=None)[0]
     if np.linalg.norm(matrix @ shares - right) > _WITHIN * np.linalg.norm(right):
         return None
-    return np.asarray(dataset.displacement[..., same] @ shares)
+    every = np.zeros(len(dataset.runs), dtype=complex)
+    every[same] = shares
+    return every
 
 
 def _amplitudes(excitations: Sequence[Excitation]) -> dict[tuple[str, int, str], complex]:

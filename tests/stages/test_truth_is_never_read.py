@@ -226,14 +226,14 @@ def test_robustness_opens_the_truth_after_training(
 # --- the output error, with model parameters; the search for hyperparameters ----------------------------
 
 REALISTIC = ["experiment=realistic", *(one for one in COARSE if not one.startswith("robustness"))]
-TOLD = ["diagnosis.json", "diagnosis.csv", "systematic_budget.csv"]
+TOLD = ["diagnosis.json", "diagnosis.csv", "systematic_budget.csv", "verdicts.json", "verdicts.csv"]
 
 
 @pytest.fixture(scope="module")
 def realistic(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Sixteen coefficients and sixteen model parameters, by the output error."""
     folder = tmp_path_factory.mktemp("realistic") / "honest"
-    for stage in ("generate", "diagnose", "train"):
+    for stage in ("generate", "diagnose", "train", "verdict"):
         run(stage, REALISTIC, folder)
     return folder
 
@@ -245,7 +245,7 @@ def test_the_output_error_gives_the_same_bits_with_any_truth(
     """Diagnosis, budget, verdicts, coefficients with their deviations, model parameters; no truth is opened."""
     folder = _lie(realistic, lie, tmp_path / "lied")
     opened.clear()
-    for stage in ("diagnose", "train"):
+    for stage in ("diagnose", "train", "verdict"):
         run(stage, REALISTIC, folder)
     assert [path for path in opened if "modelled_coefficients" in path] == []
     files = [*WRITTEN, *TOLD]

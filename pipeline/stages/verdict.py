@@ -1,0 +1,96 @@
+"""Can the answer be trusted? One verdict for every coefficient, bearing and machine, with its reason and next step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from pipeline.config.schema import Config
+from pipeline.data.tables import write_table
+from pipeline.files import read_json, write_json
+from pipeline.identification.losses import loss_of
+from pipeline.identification.output_error_start import held_out_range, held_out_runs
+from pipeline.identification.training import held_out_speeds
+from pipeline.identification.uncertainty import load_uncertainty
+from pipeline.problem.measurement import Measurement
+from pipeline.reporting.console import say, table
+from pipeline.stages.execution import StageOutput
+from pipeline.stages.measurement import load_identified, load_measurement, update_measurement
+from pipeline.stages.planned_runs import list_candidates
+from pipeline.stages.workspace import locate_files
+from pipeline.trust.evidence import gather
+from pipeline.trust.next_run import weigh_candidates
+from pipeline.trust.report import judge, refuse_without_deviations
+
+
+def run(config: Config) -> StageOutput:
+    """``verdicts.json`` and ``verdicts.csv``; no modelled coefficient is read."""
+    work, measurement = locate_files(config), load_measurement(config)
+    found = judge_measurement(config, measurement)
+    written = [
+        write_json(work.folder / "verdicts.json", found),
+        write_table(work.folder / "verdicts.csv", _tabulate(found)),
+    ]
+    _print(config, found)
+    counts = {name: sum(one["verdict"] == name for one in found["verdicts"]) for name in ("good", "with care", "no")}
+    return StageOutput(
+        {"verdicts": {name.replace(" ", "_"): float(count) for name, count in counts.items()}},
+        {"data_fingerprint": measurement.dataset.fingerprint, "verdict": found["machine"]["verdict"]},
+        written,
+    )
+
+
+def judge_measurement(config: Config, measurement: Measurement) -> dict[str, Any]:
+    """The verdicts on what was identified from the measurement, training first where that is missing."""
+    identified = load_identified(config, measurement)
+    work = locate_files(config)
+    uncertainty = load_uncertainty(work.folder, identified)
+    if uncertainty is None:
+        return refuse_without_deviations(measurement.rotor.bearing_nodes, identified.unknowns.by_bearing)
+    about = read_json(work.training, "train again with stage=train")
+    updated = update_measurement(measurement, uncertainty)
+    fitted = mark_fitted(config, measurement)
+    evidence, linear = gather(
+        updated, identified, uncertainty, about["fit"], fitted, config.loss.noise == "estimated", about["outcome"]
+    )
+    candidates = list_candidates(config.machine.candidates)
+    gains = weigh_candidates(updated, identified, uncertainty, linear, candidates, None)
+    return judge(evidence, gains)
+
+
+def mark_fitted(config: Config, measurement: Measurement) -> np.ndarray:
+    """(S, P, R) mask of the readings that the fit had."""
+    data, training = measurement.dataset, config.training
+    keep = ~held_out_speeds(len(data.speeds), training.holdout_every) & ~held_out_range(data.speeds, training)
+    fitted = np.broadcast_to(keep[:, None, None], data.displacement.shape).copy()
+    if loss_of(config.loss).weighs_noise:
+        fitted[..., held_out_runs(measurement, training)] = False
+    return fitted
+
+
+def _tabulate(found: Mapping[str, Any]) -> dict[str, list[Any]]:
+    """A row a coefficient."""
+    every = found["verdicts"]
+    columns: dict[str, list[Any]] = {key: [one[key] for one in every] for key in ("bearing", "node", "coefficient")}
+    bands = [one["checks"].get("band", {}).get("percent") for one in every]
+    return columns | {
+        "verdict": [one["verdict"] for one in every],
+        "band_percent": [np.nan if band is None else band for band in bands],
+        "reason": [" ".join(one["reasons"]) for one in every],
+        "next": [one["next"] or "" for one in every],
+    }
+
+
+def _print(config: Config, found: Mapping[str, Any]) -> None:
+    rows = []
+    for one in found["verdicts"]:
+        band = one["checks"].get("band", {}).get("percent")
+        shown = "" if band is None else f"{band:.2g}"
+        rows.append([f"node {one['node']} {one['coefficient']}", one["verdict"], shown, one["reasons"][0]])
+    table(f"{config.name}: can it be trusted?", ["coefficient", "verdict", "+- % (95 %)", "why"], rows)
+    for one in found["bearings"]:
+        say(f"{config.name}: bearing at node {one['node']}: {one['verdict']}. {one['reason']}")
+    whole = found["machine"]
+    say(f"{config.name}: {whole['verdict']}. {whole['reason']}" + (f"\nnext: {whole['next']}" if whole["next"] else ""))

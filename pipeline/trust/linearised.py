@@ -1,0 +1,216 @@
+"""A fit by the output error, linear about its answer: what a run, a probe or a tolerance does to each coefficient.
+
+With readings ``e`` over their noise that the fit leaves, and its derivative ``J`` by the weights z of the coefficients,
+leaving a run out moves the weights by ``(N - N_r)^-1 (b - b_r)`` with ``N = 2 Re J^H J`` and ``b = 2 Re J^H e``, and a
+machine that is one tolerance off, so that readings differ by ``V``, moves them by ``N^-1 2 Re J^H V``.
+
+Legend: S speeds, P channels, R runs, B bearings, Z weights, T parameters. SI units.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from pipeline.data.dataset import name_direction
+from pipeline.data.noise import NOMINAL_95
+from pipeline.errors import ConfigError
+from pipeline.identification.identified import IdentifiedModel
+from pipeline.identification.uncertainty import Uncertainty
+from pipeline.problem.measurement import Measurement
+from pipeline.problem.model_parameters import model_parameters
+from pipeline.problem.response import derive_by_parameters, respond
+from pipeline.rotor.bearing_table import BearingTable
+
+TOLERANCES = {
+    "youngs_modulus": 0.01,
+    "density": 0.005,
+    "unbalance_magnitude": 0.02,
+    "unbalance_phase": float(np.radians(2.0)),
+    "probe_gain": 0.02,
+    "probe_angle": float(np.radians(1.0)),
+}
+"""Standard deviations of what is never known exactly, where the configuration states none: steel varies by 1 %, a trial
+weight and its place are off by 2 % and 2 degrees (docs/model_error.md), the scale of a proximity probe by 5 % at most
+(API 670)."""
+
+
+@dataclass(frozen=True, eq=False)
+class LinearisedFit:
+    """What the fit left over, and how readings and coefficients move with its weights."""
+
+    residual: np.ndarray  # e, (S, P, R) complex, measured less predicted over the noise
+    by_weight: np.ndarray  # J, (S, P, R, Z) complex, of the predicted readings over the noise
+    by_tolerance: dict[str, np.ndarray]  # V by kind, (S, P, R, T) complex, of one tolerance each
+    coefficients: np.ndarray  # (B, S, 8, Z) derivative of the coefficients by the weights
+    prior: np.ndarray  # (Z,) precision that the fit has without any reading
+    fitted: np.ndarray  # (S, P, R) mask of the readings that were fitted
+
+    @cached_property
+    def seen(self) -> np.ndarray:
+        """(S, P, R, Z) rows of the fitted readings, zero for the others."""
+        return np.asarray(self.fitted[..., None] * self.by_weight)
+
+    @cached_property
+    def normal(self) -> np.ndarray:
+        """N, (Z, Z) of the fitted readings and the priors."""
+        return _cross(self.seen, self.seen) + np.diag(self.prior)
+
+    @cached_property
+    def right(self) -> np.ndarray:
+        """b, (Z,)."""
+        return _right(self.seen, self.residual)
+
+    def solve(self, right: np.ndarray, without: np.ndarray | None = None) -> np.ndarray:
+        """``N^-1 right`` of all fitted readings, or of those ``without`` (S, P, R) mask."""
+        return np.asarray(np.linalg.solve(self._information(without), right))
+
+    def leave_out(self, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(B, S, 8) how the coefficients move without the readings of ``mask``, and the deviation that noise explains.
+
+        The variance of that move is what the variance grows by (Hausman 1978).
+        """
+        moved = self._without(mask) - self.solve(self.right)
+        spread = np.linalg.inv(self._information(mask)) - np.linalg.inv(self._information(None))
+        variance = np.einsum("bscz,zy,bscy->bsc", self.coefficients, spread, self.coefficients, optimize=True)
+        return self.coefficients @ moved, np.sqrt(np.maximum(variance, 0.0))
+
+    def predict_without(self, mask: np.ndarray) -> float:
+        """Mean square error of the readings of ``mask``, predicted from the others, over what noise explains."""
+        moved = self._without(mask)
+        chosen = self.by_weight[mask]
+        left = self.residual[mask] - chosen @ moved
+        spread = np.linalg.inv(self._information(mask))
+        expected = 1.0 + np.einsum("nz,zy,ny->n", chosen.conj(), spread, chosen, optimize=True).real
+        return float(np.mean(np.abs(left) ** 2 / expected))
+
+    def tolerances(self) -> dict[str, np.ndarray]:
+        """Kind -> (B, S, 8) how much one tolerance of each of its kind moves the coefficients; squares add."""
+        found = {}
+        for kind, change in self.by_tolerance.items():
+            moved = self.coefficients @ self.solve(_cross(self.seen, change))
+            found[kind] = np.sqrt((moved**2).sum(axis=-1))
+        return found
+
+    def _without(self, mask: np.ndarray) -> np.ndarray:
+        """(Z,) the weights' step of a fit without the readings of ``mask``."""
+        own = mask[..., None] * self.seen
+        return self.solve(self.right - _right(own, self.residual), mask)
+
+    def _information(self, without: np.ndarray | None) -> np.ndarray:
+        if without is None:
+            return self.normal
+        own = without[..., None] * self.seen
+        return self.normal - _cross(own, own)
+
+
+def _cross(rows: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """``2 Re A^H B`` of (S, P, R, ..)."""
+    return np.asarray(2.0 * np.einsum("sprz,sprt->zt", rows.conj(), others, optimize=True).real)
+
+
+def _right(rows: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    return np.asarray(2.0 * np.einsum("sprz,spr->z", rows.conj(), residual, optimize=True).real)
+
+
+def linearise(
+    measurement: Measurement,
+    identified: IdentifiedModel,
+    uncertainty: Uncertainty,
+    fitted: np.ndarray,
+    factor: np.ndarray | None = None,
+    tolerances: bool = True,
+) -> LinearisedFit:
+    """The fit of ``measurement``, at its fitted model parameters.
+
+    Args:
+        fitted: (S, P, R) mask of the readings that were fitted, not held out.
+        factor: (P,) noise of each channel over the stated one; None for the stated one.
+        tolerances: whether to work out what unfitted tolerances do.
+    """
+    unbalance = uncertainty.residual_unbalance
+    answer = identified.table(measurement.updated_known)
+    predicted = measurement.response.predict(answer, unbalance)
+    noise = measurement.deviation_of(predicted, measurement.dataset.subtracted, factor)
+    residual = (measurement.dataset.displacement - predicted) / noise
+    by_coefficient = measurement.response.sensitivity(answer, unbalance) / noise[..., None, None]
+    by_number = uncertainty.sensitivity(identified, answer.speeds)  # (B, S, 8, A (K + L))
+    count = by_number.shape[-1]
+    kept = np.diag(uncertainty.covariance)[:count] > 0
+    kept &= ~_is_local(count, uncertainty.n_local, len(uncertainty.active))
+    by_number = by_number[..., kept]
+    parts = [np.einsum("sprbc,bscz->sprz", by_coefficient, by_number, optimize=True)]
+    # The features are orthonormal over the speeds: an output of 1 at every speed is a weight of their root.
+    priors = [np.full(by_number.shape[-1], 1.0 / len(answer.speeds))]
+    if unbalance.size:
+        by_plane = measurement.response.derive_by_unbalance(answer) * uncertainty.plane_scale / noise[..., None]
+        parts += [by_plane, 1j * by_plane]
+        priors.append(np.full(2 * unbalance.size, _NO_PRIOR))
+    names = [one.kind for one in measurement.parameters]
+    if names:
+        parts.append(_by_parameters(measurement, answer, by_coefficient, noise))
+        priors.append(np.ones(len(names)))
+    joined = np.concatenate(parts, axis=-1)
+    moved = np.zeros((*by_number.shape[:3], joined.shape[-1]))
+    moved[..., : by_number.shape[-1]] = by_number
+    return LinearisedFit(
+        residual,
+        joined,
+        _by_tolerances(measurement, answer, by_coefficient, noise) if tolerances else {},
+        moved,
+        np.concatenate(priors),
+        fitted,
+    )
+
+
+_NO_PRIOR = 1e-12
+
+
+def _is_local(count: int, n_local: int, active: int) -> np.ndarray:
+    """(A (K + L),) mask of the local functions, which no fit had."""
+    each = count // active
+    return np.tile(np.arange(each) >= each - n_local, active)
+
+
+def _by_parameters(
+    measurement: Measurement, answer: BearingTable, by_coefficient: np.ndarray, noise: np.ndarray
+) -> np.ndarray:
+    """(S, P, R, T) derivative of the readings over the noise by the measurement's parameters."""
+    found = np.einsum("sprbc,sbct->sprt", by_coefficient, measurement.known_variation).astype(complex)
+    for block, variation in zip(measurement.response.blocks, measurement.variations, strict=True):
+        change = measurement.response.change(answer, block)
+        own = derive_by_parameters(variation, respond(block, change), change[None], None)[0]
+        found[:, :, block.runs] += own / noise[:, :, block.runs, None]
+    return found
+
+
+def _by_tolerances(
+    measurement: Measurement, answer: BearingTable, by_coefficient: np.ndarray, noise: np.ndarray
+) -> dict[str, np.ndarray]:
+    """The tolerances that the fit does not have among its parameters, by kind."""
+    stated, found = {one.kind for one in measurement.parameters}, {}
+    for kind, size in TOLERANCES.items():
+        if kind in stated:
+            continue
+        try:
+            own = model_parameters(
+                {kind: size}, measurement.rotor, measurement.dataset, measurement.known, measurement.unknowns
+            )
+        except ConfigError:  # the machine has none of this kind
+            continue
+        data = replace(measurement, parameters=own, values=(), rotor=measurement.updated_rotor)
+        found[kind] = _by_parameters(data, answer, by_coefficient, noise)
+    return found
+
+
+def name_channels(measurement: Measurement) -> list[str]:
+    """What each channel is called."""
+    return [f"node {node} {name_direction(angle)}" for node, angle in measurement.dataset.channels]
+
+
+def widen(deviation: np.ndarray, tolerances: dict[str, np.ndarray], inflation: float) -> np.ndarray:
+    """(B, S, 8) half the nominal 95 % interval: of the fit, its variance times ``inflation``, and of the tolerances."""
+    variance = inflation * deviation**2 + sum(moved**2 for moved in tolerances.values())
+    return np.asarray(NOMINAL_95 * np.sqrt(variance))

@@ -1,0 +1,92 @@
+"""Which run would help a coefficient most: the information that each candidate would add to that of the fit.
+
+Legend: S speeds, P channels, R runs, B bearings, Z weights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.data.dataset import Excitation
+from pipeline.identification.identified import IdentifiedModel
+from pipeline.identification.uncertainty import Uncertainty
+from pipeline.problem.measurement import Measurement
+from pipeline.trust.linearised import LinearisedFit, linearise
+
+Runs = Sequence[tuple[Excitation, ...]]
+
+
+@dataclass(frozen=True, eq=False)
+class Gains:
+    """What each candidate run would leave of the deviations."""
+
+    runs: tuple[tuple[Excitation, ...], ...]
+    deviation: np.ndarray  # (C, B, S, 8) by linear theory, with the run
+    before: np.ndarray  # (B, S, 8) without
+
+    def best(self, b: int, c: int) -> tuple[tuple[Excitation, ...], float] | None:
+        """The run that lowers the deviation of a coefficient most, and by how many times (median over the speed)."""
+        if not self.runs:
+            return None
+        with np.errstate(divide="ignore", invalid="ignore"):
+            gain = np.median(self.before[b, :, c] / self.deviation[:, b, :, c], axis=1)
+        k = int(np.nanargmax(gain)) if np.isfinite(gain).any() else 0
+        return self.runs[k], float(gain[k])
+
+
+def weigh_candidates(
+    measurement: Measurement,
+    identified: IdentifiedModel,
+    uncertainty: Uncertainty,
+    linear: LinearisedFit,
+    candidates: Runs,
+    factor: np.ndarray | None,
+) -> Gains:
+    """Every candidate beside the runs that there are; ``measurement`` is at the fitted model parameters."""
+    nodes = measurement.rotor.n_nodes
+    able = tuple(acting for acting in candidates if all(one.node < nodes for one in acting))
+    before = _spread(linear, np.linalg.inv(linear.normal))
+    if not able:
+        return Gains((), np.empty((0, *before.shape)), before)
+    data = measurement.dataset
+    excitations = tuple(replace(one, run=f"candidate {i}") for i, acting in enumerate(able) for one in acting)
+    shape = (*data.displacement.shape[:2], len(able))
+    plan = replace(
+        data,
+        runs=tuple(f"candidate {i}" for i in range(len(able))),
+        displacement=np.zeros(shape, dtype=complex),
+        excitations=excitations,
+        own_frequencies=None,
+        subtracted=None,
+    )
+    planned = replace(measurement, dataset=plan)
+    seen = linearise(planned, identified, uncertainty, np.ones(shape, dtype=bool), factor, tolerances=False).by_weight
+    found = []
+    for i in range(len(able)):
+        rows = seen[:, :, i]
+        added = 2.0 * np.einsum("spz,spy->zy", rows.conj(), rows, optimize=True).real
+        found.append(_spread(linear, np.linalg.inv(linear.normal + added)))
+    return Gains(able, np.array(found), before)
+
+
+def _spread(linear: LinearisedFit, covariance: np.ndarray) -> np.ndarray:
+    moved = linear.coefficients
+    variance = np.einsum("bscz,zy,bscy->bsc", moved, covariance, moved, optimize=True)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+
+def describe_run(acting: Sequence[Excitation]) -> str:
+    """In words: weights and forces with their nodes and angles."""
+    words = []
+    for one in acting:
+        if one.kind == "unbalance":
+            what = f"a weight of {1e6 * one.magnitude:.3g} g mm at node {one.node}"
+        else:
+            what = f"a {one.whirl} rotating force of {one.magnitude:.3g} N at node {one.node}"
+        if len(acting) > 1:
+            what += f" at {np.degrees(one.phase):.0f} deg"
+        words.append(what)
+    return " and ".join(words)

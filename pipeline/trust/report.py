@@ -1,0 +1,155 @@
+"""The verdicts of a machine, as verdicts.json holds them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.trust.evidence import Evidence
+from pipeline.trust.next_run import Gains, describe_run
+from pipeline.trust.verdict import CoefficientVerdict, Reason, Verdict, judge_coefficient, judge_machine, worst
+
+_WORTH = 1.3
+"""A run that lowers a deviation by less is not worth its time."""
+
+
+def judge(evidence: Evidence, gains: Gains | None, mistakes: Sequence[Reason] = ()) -> dict[str, Any]:
+    """``verdicts``, ``bearings`` and ``machine``; numbers that are not finite are null.
+
+    Args:
+        gains: what candidate runs would add; None where there are none.
+        mistakes: single mistakes that would explain the readings.
+    """
+    common, nodes = [*mistakes, *judge_machine(evidence)], evidence.answer.nodes
+    found = []
+    for b, c in np.argwhere(evidence.identified):
+        own, checks = judge_coefficient(evidence, int(b), int(c))
+        own = [_with_next(one, gains, int(b), int(c)) for one in own]
+        found.append(
+            CoefficientVerdict(int(b) + 1, nodes[b], COEFFICIENTS[c], (*own, *common), checks | _common(evidence))
+        )
+    bearings = [_judge_bearing(node, [one for one in found if one.node == node]) for node in nodes]
+    return {
+        "verdicts": [_to_json(one) for one in found],
+        "bearings": bearings,
+        "machine": _judge_whole(common, found),
+    }
+
+
+def refuse_without_deviations(nodes: Sequence[int], coefficients: Sequence[Sequence[str]]) -> dict[str, Any]:
+    """The verdicts on a fit by a residual, which weighs no noise and states no deviations."""
+    reason = Reason(
+        Verdict.WITH_CARE,
+        "This loss weighs no noise, so nobody knows how far its answer may be off.",
+        "Train with loss=response, which states deviations, and ask again.",
+    )
+    found = [
+        CoefficientVerdict(b + 1, node, name, (reason,)) for b, node in enumerate(nodes) for name in coefficients[b]
+    ]
+    bearings = [_judge_bearing(node, [one for one in found if one.node == node]) for node in nodes]
+    return {
+        "verdicts": [_to_json(one) for one in found],
+        "bearings": bearings,
+        "machine": _judge_whole([reason], found),
+    }
+
+
+def _with_next(reason: Reason, gains: Gains | None, b: int, c: int) -> Reason:
+    """The run that would help most, where the reason has no step of its own."""
+    if reason.next is not None:
+        return reason
+    told = None if gains is None else gains.best(b, c)
+    if told is None or told[1] < _WORTH:
+        step = "No single run of machine.candidates helps much: use larger weights, more speeds, or probes elsewhere."
+    else:
+        step = f"Add a run with {describe_run(told[0])}: its deviation falls {told[1]:.2g} times."
+    return Reason(reason.verdict, reason.sentence, step)
+
+
+def _common(evidence: Evidence) -> dict[str, Any]:
+    """The figures that all coefficients share."""
+    mismatch, square = evidence.fit["mismatch"], evidence.fit["chi_square"]
+    held_out = {
+        f"{name}_over_noise": evidence.fit[name]["mean_square_over_noise"]
+        for name in ("held_out_speeds", "held_out_runs")
+        if name in evidence.fit
+    }
+    moved = max(evidence.priors.items(), key=lambda item: abs(item[1][0]), default=None)
+    return {
+        "mismatch": {
+            "chi_square_over_expected": square["value"] / max(square["expected"], 1.0),
+            "probability": mismatch["probability"],
+            "ljung_box_probability": evidence.ljung_box,
+        },
+        "held_out": held_out,
+        "predicted_from_other_runs_over_noise": dict(evidence.predicted),
+        "superposition_over_noise": dict(evidence.superposed),
+        "model_parameters": None if moved is None else {"most_moved": moved[0], "prior_deviations": moved[1][0]},
+        "stability": {"largest_growth": evidence.growth, "unstable_from_rpm": evidence.unstable_rpm},
+        "speeds": {"first_rpm": _rpm(evidence, 0), "last_rpm": _rpm(evidence, -1)},
+    }
+
+
+def _rpm(evidence: Evidence, s: int) -> float:
+    from pipeline.data.vibration_files import to_rpm
+
+    return float(to_rpm(evidence.answer.speeds)[s])
+
+
+def _to_json(one: CoefficientVerdict) -> dict[str, Any]:
+    reasons = [reason.sentence for reason in one.reasons] or [_praise(one)]
+    return {
+        "bearing": one.bearing,
+        "node": one.node,
+        "coefficient": one.coefficient,
+        "verdict": one.verdict.value,
+        "reasons": reasons,
+        "next": one.next,
+        "checks": _finite(one.checks),
+    }
+
+
+def _praise(one: CoefficientVerdict) -> str:
+    band = one.checks["band"]["percent"]
+    return f"{one.coefficient} at node {one.node} is known to {band:.2g} % (95 %), and no check speaks against it."
+
+
+def _judge_bearing(node: int, own: Sequence[CoefficientVerdict]) -> dict[str, Any]:
+    good = [one.coefficient for one in own if one.verdict is Verdict.GOOD]
+    verdict = worst([one.verdict for one in own])
+    if verdict is Verdict.NO and any(one.verdict is not Verdict.NO for one in own):
+        verdict = Verdict.WITH_CARE
+    bad = max(own, key=lambda one: list(Verdict).index(one.verdict), default=None)
+    if bad is None or bad.verdict is Verdict.GOOD:
+        sentence = f"All {len(own)} coefficients are good."
+    else:
+        sentence = f"{len(good)} of {len(own)} coefficients are good. {bad.reasons[0].sentence}"
+    return {"node": node, "verdict": verdict.value, "reason": sentence, "next": None if bad is None else bad.next}
+
+
+def _judge_whole(common: Sequence[Reason], found: Sequence[CoefficientVerdict]) -> dict[str, Any]:
+    good = sum(one.verdict is Verdict.GOOD for one in found)
+    verdict = worst([one.verdict for one in found])
+    if verdict is Verdict.NO and any(one.verdict is not Verdict.NO for one in found):
+        verdict = Verdict.WITH_CARE
+    head = f"{good} of {len(found)} coefficients are good."
+    bad = max(found, key=lambda one: list(Verdict).index(one.verdict), default=None)
+    reasons = list(common) or ([] if bad is None else list(bad.reasons))
+    first = max(reasons, key=lambda reason: list(Verdict).index(reason.verdict), default=None)
+    return {
+        "verdict": verdict.value,
+        "reason": head if first is None else f"{head} {first.sentence}",
+        "next": None if first is None else first.next or (None if bad is None else bad.next),
+    }
+
+
+def _finite(value: Any) -> Any:
+    """JSON has no infinity."""
+    if isinstance(value, dict):
+        return {key: _finite(of) for key, of in value.items()}
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    return value

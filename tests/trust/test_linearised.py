@@ -1,0 +1,72 @@
+"""What the linear theory of a fit says of left-out readings and tolerances, held to fits that were made."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.trust.evidence import ljung_box
+from pipeline.trust.linearised import LinearisedFit
+
+
+def a_line(noise: float = 0.3, shift: float = 0.0) -> LinearisedFit:
+    """Two numbers z, of 40 speeds, 3 probes and 2 runs; ``shift`` is one that run 1 has and the model lacks."""
+    draw = np.random.default_rng(5)
+    by_weight = draw.standard_normal((40, 3, 2, 2)) + 1j * draw.standard_normal((40, 3, 2, 2))
+    off = noise * (draw.standard_normal((40, 3, 2)) + 1j * draw.standard_normal((40, 3, 2)))
+    off[..., 1] += shift * by_weight[..., 1, 0]
+    fitted = np.ones((40, 3, 2), dtype=bool)
+    rows, right = (one.reshape(-1, *one.shape[3:]) for one in (by_weight, off))
+    z = np.linalg.lstsq(np.concatenate([rows.real, rows.imag]), np.concatenate([right.real, right.imag]), rcond=None)[0]
+    coefficients = np.zeros((1, 40, 8, 2))
+    coefficients[..., 0, 0] = coefficients[..., 3, 1] = 1.0
+    return LinearisedFit(off - by_weight @ z, by_weight, {}, coefficients, np.full(2, 1e-12), fitted)
+
+
+def test_a_run_left_out_moves_the_answer_as_a_fit_without_it() -> None:
+    linear = a_line(shift=0.5)
+    mask = np.zeros((40, 3, 2), dtype=bool)
+    mask[..., 1] = True
+    moved, spread = linear.leave_out(mask)
+    kept = linear.by_weight[..., 0, :].reshape(-1, 2)
+    right = linear.residual[..., 0].ravel()
+    own = np.linalg.lstsq(np.concatenate([kept.real, kept.imag]), np.concatenate([right.real, right.imag]), rcond=None)
+    np.testing.assert_allclose(moved[0, 0, [0, 3]], own[0], rtol=1e-6)
+    assert abs(moved[0, 0, 0]) > 4 * spread[0, 0, 0]  # the half that the run adds
+
+
+def test_a_right_run_is_predicted_to_its_noise() -> None:
+    mask = np.zeros((40, 3, 2), dtype=bool)
+    mask[..., 1] = True
+    assert a_line(noise=np.sqrt(0.5)).predict_without(mask) == pytest.approx(1.0, abs=0.25)
+    assert a_line(noise=np.sqrt(0.5), shift=2.0).predict_without(mask) > 3.0
+
+
+def test_a_tolerance_moves_the_answer_as_readings_that_differ_by_it() -> None:
+    linear = a_line()
+    change = linear.by_weight @ np.array([[0.2], [0.0]])
+    moved = replace(linear, by_tolerance={"probe_gain": change}).tolerances()["probe_gain"]
+    np.testing.assert_allclose(moved[0, :, 0], 0.2, rtol=1e-6)
+    np.testing.assert_allclose(moved[0, :, 3], 0.0, atol=1e-9)
+
+
+def test_ljung_box_tells_white_residuals_from_a_drift() -> None:
+    draw = np.random.default_rng(1)
+    white = draw.standard_normal((100, 2, 2)) + 1j * draw.standard_normal((100, 2, 2))
+    fitted = np.ones(white.shape, dtype=bool)
+    assert ljung_box(white, fitted) > 0.01
+    assert ljung_box(white + np.sin(np.arange(100) / 10)[:, None, None], fitted) < 1e-6
+
+
+def test_ljung_box_is_the_published_statistic() -> None:
+    """Ljung and Box (1978), one series, five lags, written out."""
+    from scipy.stats import chi2
+
+    series = np.random.default_rng(3).standard_normal(25).cumsum()
+    centred = series - series.mean()
+    shares = [np.sum(centred[k:] * centred[:-k]) / np.sum(centred**2) for k in range(1, 6)]
+    statistic = 25 * 27 * sum(r**2 / (25 - k) for k, r in enumerate(shares, 1))
+    found = ljung_box(series[:, None, None].astype(complex), np.ones((25, 1, 1), dtype=bool))
+    assert found == pytest.approx(chi2.sf(statistic, 5))

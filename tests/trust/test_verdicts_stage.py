@@ -1,0 +1,51 @@
+"""stage=verdict on what `make reproduce` made."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ARTIFACTS = Path(__file__).resolve().parents[2] / "artifacts"
+
+
+def read(experiment: str) -> dict[str, Any]:
+    path: Path = ARTIFACTS / experiment / "verdicts.json"
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+@pytest.mark.slow  # of what `make reproduce` makes
+@pytest.mark.parametrize("experiment", ["realistic", "measured_demo"])
+def test_the_cases_to_judge_by_are_good(experiment: str) -> None:
+    found = read(experiment)
+    assert found["machine"]["verdict"] == "good"
+    assert {one["verdict"] for one in found["verdicts"]} == {"good"}
+    assert all(one["next"] is None and one["reasons"] for one in found["verdicts"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("experiment", ["realistic", "measured_demo"])
+def test_no_good_coefficient_is_outside_its_band(experiment: str) -> None:
+    metrics = json.loads((ARTIFACTS / experiment / "metrics.json").read_text(encoding="utf-8"))["coefficients"]
+    for one in read(experiment)["verdicts"]:
+        error = metrics[str(one["node"])][one["coefficient"]]["median_error_percent"]
+        assert error < one["checks"]["band"]["percent"]
+
+
+@pytest.mark.slow
+def test_a_tolerance_that_nobody_fitted_is_named_with_its_cure() -> None:
+    """kyy of noisy_direct: one degree of the probes moves it by a fifth."""
+    own = {(one["node"], one["coefficient"]): one for one in read("noisy_direct")["verdicts"]}
+    assert own[1, "kyy"]["verdict"] == "with care"
+    assert "probe angle" in own[1, "kyy"]["reasons"][0]
+    assert "identify.model_parameters.probe_angle" in own[1, "kyy"]["next"]
+    assert own[1, "cxx"]["verdict"] == "good"
+
+
+@pytest.mark.slow
+def test_a_loss_without_deviations_is_never_good() -> None:
+    found = read("ball_bearing")
+    assert {one["verdict"] for one in found["verdicts"]} == {"with care"}
+    assert "loss=response" in found["machine"]["next"]
