@@ -41,14 +41,14 @@ test-nightly: env  ## run the tests that take long: every combination, kill and 
 	$(RUN) dvc repro
 	$(PYTEST) -m nightly
 
-# One process each and few speeds: ten data sets an entry within an hour. Interrupted, it goes on from there. Trained
+# One process each and few speeds: ten data sets an entry within a quarter of an hour. Interrupted, it goes on from there. Trained
 # networks take ten times as long as the others: they are on the realistic machine alone.
 COMPARE = $(RUN) pipeline stage=compare tracking=none comparison.workers=1 comparison.data_sets=10 \
 	comparison.other_data_sets=10
 AT_BEARINGS = 'comparison.sensors=[bearings]' 'comparison.speeds=[100]' 'comparison.noise=[0.01]'
 ANSWER_SOON = 'comparison.methods=[least_squares,least_squares_expanded,smoothed,tikhonov,total_least_squares,$\
 	multi_frequency,kalman,spline,residual,preconditioned,response]'
-comparison: env  ## every method on ten data sets, into docs/comparison.md (an hour on one core)
+comparison: env  ## every method on ten data sets, into docs/comparison.md (a quarter of an hour)
 	$(COMPARE) experiment=hydrostatic_stiffness output=artifacts/comparison/hydrostatic_stiffness $(ANSWER_SOON) \
 		'comparison.noise=[0,0.01]' 'comparison.sensors=[bearings,all,location]' 'comparison.speeds=[10,100]'
 	$(COMPARE) experiment=hydrostatic_stiffness output=artifacts/comparison/kriging $(AT_BEARINGS) \
