@@ -3,13 +3,13 @@
 Vibration: ``run, speed_rpm, node, direction, amplitude_m, phase_deg``, one row a measured displacement; direction x,
 y, or the angle of a probe in degrees from x towards y; amplitude zero-to-peak, phase of Q in q(t) = Re(Q e^{jwt}). A
 column ``frequency_hz`` gives the excitation frequency where it is not the rotor speed's; without it, and where it is
-blank, the response is synchronous.
+blank, the response is synchronous. The order of the rows means nothing.
 Excitation: ``run, kind, node, magnitude, phase_deg, whirl``; kind ``unbalance`` (kg m) or ``force`` (N).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -126,13 +126,10 @@ def read_measured(
     strange = amplitude[(amplitude < 0) | (amplitude > 1)]
     if len(strange):
         raise DataError(f"'{vibration}' must have amplitudes of zero or more, up to 1 m, but got {strange[0]:g} m")
-    runs = tuple(dict.fromkeys(table["run"].tolist()))
-    for run in runs:
-        if (np.diff(rpm[table["run"] == run]) < 0).any():
-            raise DataError(
-                f"'{vibration}' must have ascending speeds in every run, but run '{run}' is not sorted by speed_rpm"
-            )
-    acting = {e.run for e in excitations}
+    acting = dict.fromkeys(e.run for e in excitations)
+    measured = dict.fromkeys(table["run"].tolist())
+    # The order of the rows means nothing: that of the runs is the excitations', then the alphabet's.
+    runs = (*(run for run in acting if run in measured), *sorted(measured.keys() - acting.keys()))
     if baseline is not None:
         _check_baseline(baseline, runs, acting, vibration, excitation)
     for run in runs:
@@ -141,7 +138,7 @@ def read_measured(
                 f"'{excitation}' must have a row for every run, but run '{run}' of '{vibration}' has none: add it, or "
                 f"name the run of the machine as it was found as data.baseline={run}"
             )
-    for run in sorted(acting - set(runs)):
+    for run in sorted(acting.keys() - measured.keys()):
         raise DataError(f"'{vibration}' must have data of every run, but run '{run}' of '{excitation}' has none")
     dataset = _assemble(table, nodes, angles, vibration, runs, excitations)
     if dataset.own_frequencies is not None:
@@ -149,7 +146,9 @@ def read_measured(
     return dataset if baseline is None else subtract_baseline(dataset, baseline)
 
 
-def _check_baseline(baseline: str, runs: tuple[str, ...], acting: set[str], vibration: Path, excitation: Path) -> None:
+def _check_baseline(
+    baseline: str, runs: tuple[str, ...], acting: Collection[str], vibration: Path, excitation: Path
+) -> None:
     if baseline not in runs:
         raise DataError(f"data.baseline must be a run of '{vibration}', but it is not: {nearest(baseline, runs)}")
     if baseline in acting:
@@ -176,7 +175,11 @@ def _assemble(
     shape = (len(rpm), len(pairs), len(runs))
     counts = np.bincount(np.ravel_multi_index((at_speed, at_channel.ravel(), at_run), shape), minlength=np.prod(shape))
     if counts.max() > 1:
-        raise DataError(f"'{path}' must have one row a run, speed, node and direction, but some are there twice")
+        s, p, r = np.unravel_index(int(counts.argmax()), shape)
+        raise DataError(
+            f"'{path}' must have one row a run, speed, node and direction, but some are there twice (the first: run "
+            f"'{runs[r]}', {rpm[s]:g} rpm, node {pairs[p][0]} {name_direction(pairs[p][1])})"
+        )
     missing = np.argwhere(counts.reshape(shape) == 0)
     if len(missing):
         s, p, r = missing[0]
