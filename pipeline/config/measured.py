@@ -7,11 +7,19 @@ equations behind the words are in :mod:`pipeline.ingest.conventions`. Values are
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, PositiveFloat, model_validator
+from pydantic import BeforeValidator, Field, PositiveFloat, model_validator
 
-from pipeline.config.quantities import Deviation, Force, LengthUnit, ShaftAngle, UnbalanceMagnitude
+from pipeline.config.quantities import (
+    AnyDamping,
+    AnyStiffness,
+    Deviation,
+    Force,
+    LengthUnit,
+    ShaftAngle,
+    UnbalanceMagnitude,
+)
 from pipeline.config.runs import SpeedsConfig
 from pipeline.config.section import NonNegativeInt, Section
 
@@ -23,6 +31,32 @@ Text = Annotated[str, Field(min_length=1)]
 
 AS_MODELLED = "bearings"
 """In place of a file of known coefficients: those of the machine's ``bearings``."""
+
+
+class KnownConfig(Section):
+    """Known coefficients of every bearing that do not change with the speed, such as ``{cxy: 0 N s/m}``."""
+
+    kxx: AnyStiffness | None = None
+    kxy: AnyStiffness | None = None
+    kyx: AnyStiffness | None = None
+    kyy: AnyStiffness | None = None
+    cxx: AnyDamping | None = None
+    cxy: AnyDamping | None = None
+    cyx: AnyDamping | None = None
+    cyy: AnyDamping | None = None
+
+
+def _parse_known(value: Any) -> Any:
+    """A mapping has its own errors; what is neither that nor a text is told as such."""
+    if isinstance(value, Mapping):
+        return KnownConfig.model_validate(dict(value))
+    if value is not None and not isinstance(value, (str, KnownConfig)):
+        raise ValueError(f"must be a file, '{AS_MODELLED}', or values such as {{cxy: 0 N s/m}}, but got {value!r}")
+    return value
+
+
+Known = Annotated[Text | KnownConfig | None, BeforeValidator(_parse_known)]
+"""The coefficients that are not identified: a file, the machine's ``bearings``, or values."""
 
 
 def convert_phase(phase: float, shaft_angle: str, tacho: float | None) -> float:
@@ -145,7 +179,8 @@ class CsvConfig(Section):
 class MeasuredConfig(Section):
     """All formats share these keys; each adds ``probes`` and ``runs``. Runs that name no file are in ``file``.
 
-    ``known`` is a table of the coefficients that are not identified, or ``bearings``: those of the machine's bearings.
+    ``known`` gives the coefficients that are not identified: a table, ``bearings`` (those of the machine), or
+    values that hold for every bearing and speed. Where all eight are identified, there is none.
     ``synthetic`` says that the recordings were modelled with the machine's bearings: answers are judged by them.
     """
 
@@ -155,7 +190,7 @@ class MeasuredConfig(Section):
     speeds: SpeedsConfig | None = None
     interpolation: Literal["cubic", "linear"] = "cubic"
     slow_roll: SlowRollConfig | None = None
-    known: Text | None = None
+    known: Known = None
     synthetic: bool = False
 
     def check_shared(

@@ -20,20 +20,22 @@ from pipeline.config.identification import (
     TrainingConfig,
 )
 from pipeline.config.machine import MachineConfig
+from pipeline.config.measured import Known
 from pipeline.config.runs import DesignConfig, NoiseConfig
 from pipeline.config.section import NonNegativeInt, Section
 from pipeline.config.tuning import TuningConfig
 
 
 class DataConfig(Section):
-    """The files that training reads; null stands for the experiment's own.
+    """The files that training reads; null stands for the experiment's own. ``known`` may be values in place of a file,
+    or ``bearings``: those of the machine's bearings.
 
     ``baseline`` is the run of the machine as it was found, which is subtracted from the others.
     """
 
     vibration: str | None = None
     excitation: str | None = None
-    known: str | None = None
+    known: Known = None
     baseline: str | None = None
 
 

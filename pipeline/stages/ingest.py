@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
-from pipeline.coefficients import COEFFICIENTS
-from pipeline.config.measured import AS_MODELLED
 from pipeline.config.recordings import (
     AnyRecordingsConfig,
     NoRecordingsConfig,
@@ -22,14 +18,12 @@ from pipeline.data.vibration_files import to_rpm, write_excitation, write_vibrat
 from pipeline.errors import ConfigError, DataError
 from pipeline.files import write_json
 from pipeline.ingest.dataset import MeasuredRuns, read_measured_runs
-from pipeline.ingest.known import read_known
 from pipeline.ingest.plausibility import note_size, note_whirl
 from pipeline.reporting.console import say, table, warn
 from pipeline.reporting.ingest_figures import draw_bode, draw_measured_orbits
-from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor
 from pipeline.stages.execution import StageOutput
+from pipeline.stages.known import load_known
 from pipeline.stages.workspace import Workspace, list_known, locate_files, require_nodes, require_own
 
 
@@ -59,12 +53,14 @@ def run(config: Config) -> StageOutput:
         require_nodes(rotor, f"machine.recordings.runs, run '{measured_run.name}',", acting)
     measured = read_measured_runs(ingest)
     dataset = measured.dataset
-    known = _load_known(config, ingest, rotor, dataset.speeds)
+    known = load_known(config, ingest.known, "machine.recordings.known", rotor.bearing_nodes, dataset.speeds)
     notes = [*measured.notes, *note_whirl(dataset)]
     notes += note_size(dataset, rotor, config.model.initial_stiffness, config.model.initial_damping)
     written = [write_excitation(work.excitation, dataset)]
     if known is not None:
         written.append(write_coefficients(work.known, known, list_known(config, rotor.bearing_nodes)))
+    else:
+        work.known.unlink(missing_ok=True)
     if ingest.synthetic:
         modelled = load_modelled_bearings(config.machine.rotor, config.machine.bearings, dataset.speeds)
         written.append(write_coefficients(work.modelled, modelled))
@@ -84,21 +80,6 @@ def run(config: Config) -> StageOutput:
         tags={"data_fingerprint": dataset.fingerprint},
         files=written,
     )
-
-
-def _load_known(
-    config: Config, ingest: AnyRecordingsConfig, rotor: RotorModel, speeds: np.ndarray
-) -> BearingTable | None:
-    """Return the coefficients that training takes as known; None where nothing gives those that it needs."""
-    nodes = rotor.bearing_nodes
-    needed = list_known(config, nodes)
-    if ingest.known == AS_MODELLED:
-        return load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
-    if ingest.known is not None:
-        return read_known(Path(ingest.known), nodes, speeds, needed)
-    if any(needed.values()):
-        return None
-    return BearingTable(nodes, speeds, np.zeros((len(nodes), len(speeds), len(COEFFICIENTS))))
 
 
 def _summarize(measured: MeasuredRuns, ingest: AnyRecordingsConfig, notes: list[str]) -> dict[str, object]:
@@ -177,6 +158,6 @@ def _report(config: Config, ingest: AnyRecordingsConfig, measured: MeasuredRuns,
     )
     if not work.known.exists():
         say(
-            "some coefficients are taken as known (identify.unknowns): give their table as machine.recordings.known, "
-            "or data.known"
+            "some coefficients are not identified (identify.unknowns) and must be known before a fit: give "
+            "machine.recordings.known"
         )

@@ -24,6 +24,7 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_rotor
 from pipeline.stages.execution import make_missing
+from pipeline.stages.known import load_known, require_known
 from pipeline.stages.workspace import (
     Workspace,
     hash_machine,
@@ -44,7 +45,8 @@ def load_measurement(config: Config) -> Measurement:
     files = locate_files(config)
     if files.own:
         source = "generate" if config.machine.recordings.format == "none" else "ingest"
-        make_missing(config, source, files.vibration, files.excitation, files.known)
+        own_known = [files.known] if config.data.known is None else []
+        make_missing(config, source, files.vibration, files.excitation, *own_known)
         _require_generated_from(config, files)
     # A rotor file says itself how many nodes there are, and where the bearings stand.
     n_nodes = config.machine.rotor.n_nodes if config.machine.rotor.file is None else None
@@ -79,7 +81,11 @@ def build_measurement(config: Config, rotor: RotorModel, dataset: VibrationDatas
 
 
 def _read_known(config: Config, files: Workspace, nodes: tuple[int, ...], dataset: VibrationDataset) -> BearingTable:
-    return read_coefficients(files.known, nodes, dataset.speeds, list_known(config, nodes))
+    """From ``data.known``, or as the experiment's own data were made. Raises ConfigError where nothing gives them."""
+    given = config.data.known
+    if given is None and files.own and files.known.exists():
+        return read_coefficients(files.known, nodes, dataset.speeds, list_known(config, nodes))
+    return require_known(load_known(config, given, "data.known", nodes, dataset.speeds), config, nodes)
 
 
 def _require_generated_from(config: Config, files: Workspace) -> None:
@@ -93,8 +99,8 @@ def _require_generated_from(config: Config, files: Workspace) -> None:
     if made_from not in (None, hash_origin(config, files)):
         raise DataError(
             f"'{files.vibration}', '{files.excitation}' and '{files.known}' must come from one stage=generate, but "
-            "they do not belong together: run it again, or give files of your own as data.vibration=..., "
-            "data.excitation=... and data.known=..."
+            "they do not belong together: run it again, or give files of your own as data.vibration=... and "
+            "data.excitation=..."
         )
 
 

@@ -24,13 +24,13 @@ def _file(name: str, meaning: str) -> Any:
 
 @dataclass(frozen=True)
 class Workspace:
-    """Names of an experiment's files; the first three are given in ``data`` or its own."""
+    """Names of an experiment's files; vibration and excitation are given in ``data`` or its own."""
 
     folder: Path
     vibration: Path
     excitation: Path
     known: Path
-    own: bool  # all three are the experiment's own
+    own: bool  # vibration and excitation are the experiment's own
     config = _file("config.yaml", "The composed configuration.")
     modelled = _file("modelled_coefficients.csv", "The truth of modelled data; training never reads it.")
     identified = _file("identified_coefficients.csv", "The answer of training.")
@@ -50,8 +50,8 @@ def locate_files(config: Config) -> Workspace:
         folder,
         Path(data.vibration or folder / "vibration.parquet"),
         Path(data.excitation or folder / "excitation.csv"),
-        Path(data.known or folder / "known_coefficients.csv"),
-        own=not (data.vibration or data.excitation or data.known),
+        folder / "known_coefficients.csv",
+        own=not (data.vibration or data.excitation),
     )
 
 
@@ -59,8 +59,8 @@ def require_own(work: Workspace, stage: str) -> None:
     """Raise DataError where ``data`` names files: a stage must not write over what a user made."""
     if not work.own:
         raise DataError(
-            f"{stage} must write the experiment's own files, but data.vibration, data.excitation or data.known names "
-            "others: leave them out"
+            f"{stage} must write the experiment's own files, but data.vibration or data.excitation names others: leave "
+            "them out"
         )
 
 

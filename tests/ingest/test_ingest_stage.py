@@ -253,7 +253,7 @@ def test_without_known_coefficients_it_says_what_training_needs(
     section = ball_section(ball_tables, known=None)
     run_stage(with_ingest(section, output=str(out)))
     assert not (out / "known_coefficients.csv").exists()
-    assert "give their table as machine.recordings.known" in capsys.readouterr().out
+    assert "must be known before a fit: give machine.recordings.known" in capsys.readouterr().out
     mapping = json.loads(_mapping())
     mapping["identify"]["unknowns"] = ["kxx", "kyy", *KNOWN]
     run_stage(with_ingest(section, output=str(out), identify=mapping["identify"]))

@@ -14,10 +14,10 @@ from measured_files import CONVENTIONS, PROBES, Vectors, long, probes_config, ta
 from reading import DISC, GRID, ONE, RPM, RUNOUT, RUNS, TURNS, check_read, notes, read, seen, wide_runs
 
 from pipeline.config.measured import convert_phase
+from pipeline.data.coefficient_files import read_known
 from pipeline.data.tables import TextFormat, read_table
 from pipeline.data.vibration_files import write_excitation, write_vibration
 from pipeline.errors import ConfigError
-from pipeline.ingest.known import read_known
 
 
 def test_the_high_spot_of_a_stiff_rotor_is_where_the_unbalance_is(tmp_path: Path) -> None:
@@ -314,7 +314,7 @@ def test_known_coefficients_at_other_speeds(tmp_path: Path) -> None:
         with refused(words):
             read_known(tmp_path / "known.csv", nodes, np.array(speeds) * RPM, {0: ("cxx",), 1: ("cxx",)})
     pd.concat([frame, frame]).to_csv(tmp_path / "twice.csv", index=False)
-    with refused("must have one row a speed, but some are there twice"):
+    with refused("must have one row a bearing and speed, but some are there twice"):
         read_known(tmp_path / "twice.csv", (0,), np.array([600.0]) * RPM, of)
 
 

@@ -1,0 +1,71 @@
+"""The order of the rows of vibration.csv means nothing."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import refused
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from pipeline.data.dataset import Excitation, VibrationDataset
+from pipeline.data.vibration_files import read_measured, write_excitation, write_vibration
+
+CHANNELS = ((0, 0.0), (0, 90.0), (2, 45.0))
+FREQUENCIES = np.array([[30.0, 30.0, 55.0], [60.0, 60.0, 55.0], [90.0, 90.0, 55.0]])
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A baseline, a run with two weights and a run of a force with a frequency of its own."""
+    folder = tmp_path_factory.mktemp("rows")
+    random = np.random.default_rng(3)
+    values = random.normal(size=(3, 3, 3)) + 1j * random.normal(size=(3, 3, 3))
+    acting = (
+        Excitation("weights", "unbalance", 1, 2e-4, 0.3),
+        Excitation("weights", "unbalance", 2, 1e-4, -1.1),
+        Excitation("force", "force", 1, 5.0, 0.0, "backward"),
+    )
+    runs = ("found", "weights", "force")
+    dataset = VibrationDataset(FREQUENCIES[:, 0], runs, CHANNELS, 1e-6 * values, acting, FREQUENCIES)
+    write_vibration(folder / "vibration.csv", dataset)
+    write_excitation(folder / "excitation.csv", dataset)
+    return folder
+
+
+def table(files: Path) -> tuple[list[str], list[list[str]]]:
+    header, *rows = csv.reader((files / "vibration.csv").read_text().splitlines())
+    return header, rows
+
+
+def with_rows(files: Path, rows: list[list[str]], header: list[str]) -> VibrationDataset:
+    path = files / "theirs.csv"
+    with path.open("w", newline="") as file:
+        csv.writer(file).writerows([header, *rows])
+    return read_measured(path, files / "excitation.csv", "found", 3)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=40, deadline=None)
+@given(order=st.permutations(range(27)))
+def test_rows_in_any_order_are_the_same_measurement_bit_for_bit(order: list[int], files: Path) -> None:
+    """Channel by channel, descending, or mixed: what a fit reads does not change."""
+    header, rows = table(files)
+    sorted_one = read_measured(files / "vibration.csv", files / "excitation.csv", "found", 3)
+    found = with_rows(files, [rows[i] for i in order], header)
+    assert found.fingerprint == sorted_one.fingerprint
+    assert found.runs == ("weights", "force")
+    assert (np.diff(found.speeds) > 0).all()
+    for ours, theirs in zip(vars(sorted_one).values(), vars(found).values(), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+@pytest.mark.parametrize("row", [0, 13, 26])
+def test_a_row_that_is_there_twice_is_named(row: int, files: Path) -> None:
+    header, rows = table(files)
+    run, rpm, node, direction = rows[row][:4]
+    words = f"the first: run '{run}', {float(rpm):g} rpm, node {node} {direction})"
+    with refused("must have one row a run, speed, node and direction", words):
+        with_rows(files, [*rows[::-1], rows[row]], header)

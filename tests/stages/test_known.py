@@ -1,0 +1,87 @@
+"""Known coefficients: a file, one row, values, the machine's bearings, or none where all eight are identified."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import Run, refused
+from damaged import answers, measured
+from running import composed
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.measured import KnownConfig
+from pipeline.config.schema import Config
+from pipeline.errors import ConfigError
+from pipeline.stages.known import load_known
+from pipeline.stages.measurement import load_measurement
+
+REST = [name for name in COEFFICIENTS if name not in ("kxx", "kyy")]
+SPEEDS = np.array([100.0, 200.0])
+
+
+def one_row(mine: Path, **speed: str) -> str:
+    """Ball bearings have the same coefficients at every speed."""
+    rows = pd.read_csv(mine / "known_coefficients.csv").drop_duplicates("bearing_node").drop(columns="speed_rpm")
+    rows.assign(**speed).to_csv(mine / "constants.csv", index=False)
+    return str(mine / "constants.csv")
+
+
+def values(mine: Path) -> dict[str, str]:
+    first = pd.read_csv(mine / "known_coefficients.csv").iloc[0]
+    return {name: f"{float(first[name])!r} {'N/m' if name.startswith('k') else 'N s/m'}" for name in REST}
+
+
+@pytest.mark.parametrize("way", ["one row", "a blank speed", "values", "bearings"])
+def test_constants_need_no_row_a_speed(way: str, run: Run, base: Config, mine: Path) -> None:
+    """The same answer, bit for bit, as with a file of every speed."""
+    ways: dict[str, Callable[[], Any]] = {
+        "one row": lambda: one_row(mine),
+        "a blank speed": lambda: one_row(mine, speed_rpm=""),
+        "values": lambda: KnownConfig.model_validate(values(mine)),
+        "bearings": lambda: "bearings",
+    }
+    known = ways[way]()
+    given = measured(mine).model_copy(update={"known": known})
+    run("train", base, mine.parent / "output", data=given)
+    assert answers(mine.parent / "output") == answers(mine)
+
+
+def test_no_known_file_where_all_eight_are_identified(mine: Path) -> None:
+    (mine / "known_coefficients.csv").unlink()
+    config = composed("experiment=noisy_all", "tracking=none", "machine=one_disc", "data.baseline=null")
+    config = config.model_copy(update={"data": measured(mine).model_copy(update={"known": None})})
+    assert not load_measurement(config).known.values.any()
+
+
+def test_what_is_needed_and_missing_is_named(base: Config, mine: Path, run: Run) -> None:
+    without = measured(mine).model_copy(update={"known": None})
+    with refused("but nothing gives kxy, kyx, cxx, cxy, cyx, cyy", "{kxy: 0 N/m, ", "data.known", kind=ConfigError):
+        run("train", base, mine.parent / "output", data=without)
+    some = KnownConfig.model_validate({key: value for key, value in values(mine).items() if key != "cyx"})
+    with refused("data.known must have a value of every", "cyx is missing", kind=ConfigError):
+        load_known(base, some, "data.known", (0, 2), SPEEDS)
+
+
+def test_the_bearings_give_nothing_of_what_is_identified(base: Config) -> None:
+    found = load_known(base, "bearings", "data.known", (0, 2), SPEEDS)
+    assert found is not None
+    assert not found.coefficient("kxx").any()
+    assert not found.coefficient("kyy").any()
+
+
+@pytest.mark.parametrize(
+    ("known", "words"),
+    [
+        ("{cxy: 0 N/m}", "data.known.cxy: must convert to N * s / m (such as 0 N s/m), but got '0 N/m'"),
+        ("{cxz: 0}", "cxz"),
+        ("3", "must be a file, 'bearings', or values such as {cxy: 0 N s/m}, but got 3"),
+    ],
+)
+def test_values_that_are_none_are_refused_with_their_key(known: str, words: str) -> None:
+    with refused(words, kind=ConfigError):
+        composed("experiment=ball_bearing", "tracking=none", f"data.known={known}")
