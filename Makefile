@@ -12,7 +12,7 @@ export DVC_NO_ANALYTICS := 1
 unexport PYTHONHOME PYTHONPATH
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo reproduce test test-quick test-nightly comparison ablation paper-study studies promote bench tables measured house lint clean
+.PHONY: help env demo reproduce test test-quick test-nightly comparison ablation paper-study studies promote bench tables measured house docs lint clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' Makefile
@@ -104,6 +104,9 @@ measured: env  ## repeat what no make reproduce makes (docs/measured/NAME.json):
 house: env  ## draw who imports whom, docs/figures/house.png
 	.venv/bin/python docs/house.py docs/figures/house.png
 
+docs: env  ## serve the documentation at http://127.0.0.1:8000
+	NO_MKDOCS_2_WARNING=1 $(RUN) mkdocs serve
+
 lint: env  ## ruff and mypy, strict where the numbers are made
 	$(RUN) ruff check .
 	$(RUN) ruff format --check .
@@ -111,7 +114,7 @@ lint: env  ## ruff and mypy, strict where the numbers are made
 	$(RUN) mypy --strict --follow-imports=silent -p pipeline.problem -p pipeline.identification
 
 clean:  ## remove .venv, caches and Hydra's run folders; artifacts, studies and tracking stay
-	rm -rf .venv .cache build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis outputs multirun dvc_plots
+	rm -rf .venv .cache build dist site *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis outputs multirun dvc_plots
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # The stamp is written last. Without one, what lies in .venv is an interrupted install and is made anew;
@@ -124,6 +127,6 @@ clean:  ## remove .venv, caches and Hydra's run folders; artifacts, studies and 
 		exit 1; }
 	@test -e $@ || "$(PYTHON)" -m venv .venv
 	@rm -f $@
-	@echo "Installing the pinned packages into .venv (2.4 GB and some minutes the first time) ..."
-	@.venv/bin/python -m pip install -qq --disable-pip-version-check -c constraints.txt -e '.[test]'
+	@echo "Installing the pinned packages into .venv (2.7 GB and some minutes the first time) ..."
+	@.venv/bin/python -m pip install -qq --disable-pip-version-check -c constraints.txt -e '.[test,docs]'
 	@touch $@
