@@ -25,7 +25,10 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = ("README.md", "docs/method.md", "docs/noise.md", "docs/all_coefficients.md", "docs/model_error.md")
+PAGES = (
+    "README.md",
+    *(f"docs/{name}.md" for name in ("results", "paper", "method", "noise", "all_coefficients", "model_error")),
+)
 MEASURED = ROOT / "docs" / "measured"
 ROUNDING = 1e-10
 """Smaller figures are rounding: their digits mean nothing."""

@@ -1,0 +1,85 @@
+"""README and the pages of docs: short, without dead links, and every command in them is one that the program takes."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
+BUILT_WITHOUT = {"tables.md"}
+"""Markdown that no page of the site is made of."""
+
+_LINK = re.compile(r"\]\(([^)#]+)(?:#[^)]*)?\)")
+_COMMAND = re.compile(r"^ {4,}(python -m pipeline .*)$", re.M)
+_INLINE = re.compile(r"`(python -m pipeline [^`]*)`")
+_ELSEWHERE = re.compile(r"machine\.file=|--config-dir|hydra/launcher|--help|--cfg|machine\.runs_file=|data\.known=my/")
+"""Commands on files that a reader has, or that another test runs."""
+
+
+def commands(page: Path) -> list[str]:
+    """The commands of a page, each on one line, with neither comments nor what the shell fills in."""
+    text = page.read_text(encoding="utf-8").replace("\\\n", " ")
+    found = [*_COMMAND.findall(text), *(" ".join(one.split()) for one in _INLINE.findall(text))]
+    return [re.sub(r"\s+#.*", "", one) for one in found if not re.search(r"\b[A-Z]{3,}\b", one)]
+
+
+COMMANDS = sorted({one for page in PAGES for one in commands(page) if not _ELSEWHERE.search(one)})
+
+
+def test_readme_is_short() -> None:
+    lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= 120
+    assert [line for line in lines if len(line) > 100 and not line.startswith(("|", "![", "    "))] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_a_link_leads_somewhere(page: Path) -> None:
+    """A link to another page, file or picture; those of the internet are left alone."""
+    targets = [one for one in _LINK.findall(page.read_text(encoding="utf-8")) if "://" not in one]
+    assert [one for one in targets if not (page.parent / one).exists()] == []
+
+
+def test_every_page_is_in_the_navigation() -> None:
+    text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    listed = re.findall(r"[\w/]+\.(?:md|ipynb)\b", text[text.index("\nnav:") :])
+    pages = [*DOCS.glob("*.md"), *DOCS.glob("notebooks/*.ipynb")]
+    assert sorted(listed) == sorted({page.relative_to(DOCS).as_posix() for page in pages} - BUILT_WITHOUT)
+
+
+def test_the_commands_are_found() -> None:
+    """The next test is about many of them, or its pattern no longer fits the pages."""
+    assert len(COMMANDS) > 30
+
+
+@pytest.mark.slow
+def test_the_program_takes_every_command() -> None:
+    """Its stages, experiments, keys and values exist; running them all would take hours."""
+    from pipeline.config.compose import compose_stages, expand_sweeps
+    from pipeline.errors import ConfigError
+
+    refused = {}
+    for command in COMMANDS:
+        words = shlex.split(command)[3:]
+        try:
+            jobs = expand_sweeps([w for w in words if w != "-m"])[0] if "-m" in words else [words]
+            for job in jobs:
+                compose_stages(job)
+        except ConfigError as error:
+            refused[command] = str(error)
+    assert refused == {}
+
+
+def test_the_citation_has_what_its_format_asks_for() -> None:
+    """https://citation-file-format.github.io, version 1.2.0: what a citation must have, at each place."""
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert {"cff-version", "message", "title", "authors"} <= citation.keys()
+    for entry in [citation, *citation["references"]]:
+        assert entry["title"]
+        assert entry["type"]
+        assert all({"name"} == one.keys() or "family-names" in one for one in entry["authors"])
