@@ -170,6 +170,8 @@ class LossConfig(Section):
     ``response``: predicted less measured displacements over the sensors' noise, which is as ``stated_noise`` says or of
     that shape and ``estimated`` size; ``robust`` gives readings far off less weight. It keeps the hidden layers of a
     network as ``drawn`` (random features), or has them ``trained`` in so many ``networks``, whose mean is the answer.
+    ``beyond_trend`` is the prior standard deviation of a coefficient from a power law and a straight line over the
+    speed, of the model's output: its logarithm, or its share of the coefficient's size.
     """
 
     kind: Literal["residual", "preconditioned", "response"]
@@ -177,6 +179,7 @@ class LossConfig(Section):
     regularisation: Share
     noise: Literal["stated", "estimated"] = "stated"
     robust: bool = True
+    beyond_trend: PositiveFloat = 0.3
     hidden: Literal["drawn", "trained"] = "drawn"
     networks: Annotated[int, Field(ge=4, le=200, multiple_of=2)] = 8
 

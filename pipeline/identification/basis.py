@@ -16,11 +16,8 @@ from pipeline.identification.model import CoefficientModel
 if TYPE_CHECKING:
     import torch
 
-BEYOND_TREND = 0.3
-"""Standard deviation of a coefficient from a power law and a straight line, of outputs (its logarithm, or its share of
-the coefficient's size): wide for bearings as machines have them, too narrow for a coefficient to vanish."""
 BEYOND_CONSTANT = 1.0
-"""The same where there is no trend: from a constant."""
+"""Standard deviation of a coefficient from a constant, of outputs, where there is no trend."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,14 +38,14 @@ class Basis:
         """(M, S, K) the basis at ``speeds`` (S,) rad/s."""
         return self.model.features(self.parameters, self.model.scaled_inputs(speed=speeds)) @ self.weights
 
-    def prior_precision(self, n_speeds: int) -> torch.Tensor:
-        """(K,) of the weights: what a coefficient is taken to deviate by from its trend, as normal with mean zero.
+    def prior_precision(self, n_speeds: int, beyond_trend: float) -> torch.Tensor:
+        """(K,) of the weights: a coefficient deviates from its trend by ``beyond_trend``, as normal with mean zero.
 
         Features are orthonormal over ``n_speeds``: weights of variance v make outputs of variance v K / S.
         """
         import torch
 
-        spread = BEYOND_TREND if self.model.trend else BEYOND_CONSTANT
+        spread = beyond_trend if self.model.trend else BEYOND_CONSTANT
         count = self.n_features - self.n_trend
         precision = torch.zeros(self.n_features, dtype=torch.float64)
         precision[self.n_trend :] = count / (n_speeds * spread**2)

@@ -251,9 +251,9 @@ class OutputError:
 
     # --- other data ----------------------------------------------------------------------------------
 
-    def with_prior(self) -> OutputError:
-        """The same with the prior of the basis."""
-        return replace(self, prior=self.basis.prior_precision(self.features.shape[1]))
+    def with_prior(self, beyond_trend: float) -> OutputError:
+        """The same with the prior of the basis, which is this wide."""
+        return replace(self, prior=self.basis.prior_precision(self.features.shape[1], beyond_trend))
 
     def with_sensors(self, sensors: SensorDeviations) -> OutputError:
         """The same for other readings or precisions."""

@@ -160,7 +160,7 @@ def fit_from(start: OutputErrorStart, setup: FitSetup, progress: Progress | None
             if float(chosen.loss(from_there)) <= _NO_WORSE * float(problem.loss(weights)):
                 problem, weights = chosen, from_there
         if turn == _CHOICE:
-            problem = problem.with_prior()
+            problem = problem.with_prior(setup.loss.beyond_trend)
         pairs = zip(problem.sensors.precision, before.sensors.precision, strict=True)
         if turn > _CHOICE and max(float((new / old).log().abs().max()) for new, old in pairs) < _SETTLED:
             break

@@ -9,7 +9,7 @@ import pytest
 import torch
 from running import composed
 
-from pipeline.identification.basis import BEYOND_TREND, Basis
+from pipeline.identification.basis import Basis
 from pipeline.identification.output_error import OutputError
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
 from pipeline.identification.training import setup_of
@@ -33,7 +33,7 @@ def fitted(*overrides: str, seed: int = 0) -> tuple[OutputErrorFit, np.ndarray]:
 
 
 def without_prior(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(OutputError, "with_prior", lambda self: self)
+    monkeypatch.setattr(OutputError, "with_prior", lambda self, _: self)
 
 
 def direct(fit: OutputErrorFit, truth: np.ndarray) -> np.ndarray:
@@ -65,11 +65,11 @@ def test_its_standard_deviation_is_that_of_the_outputs() -> None:
     fit, _ = fitted("experiment=noisy_stiffness", "machine.speeds.step_rpm=100")
     basis: Basis = fit.problem.basis
     n_speeds = fit.problem.features.shape[1]
-    precision = basis.prior_precision(n_speeds)
+    precision = basis.prior_precision(n_speeds, 0.5)
     assert not precision[: basis.n_trend].any()
     own = precision[basis.n_trend :]
     drawn = torch.randn(2000, len(own), generator=torch.Generator().manual_seed(0), dtype=torch.float64) / own.sqrt()
     outputs = drawn @ fit.problem.features[0, :, basis.n_trend :].T
-    assert float(outputs.square().mean().sqrt()) == pytest.approx(BEYOND_TREND, rel=0.05)
+    assert float(outputs.square().mean().sqrt()) == pytest.approx(0.5, rel=0.05)
     bare = replace(basis, model=replace(basis.model, trend=False))
-    assert float(bare.prior_precision(n_speeds)[-1]) < float(precision[-1])
+    assert float(bare.prior_precision(n_speeds, 0.5)[-1]) < float(precision[-1])
