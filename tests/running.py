@@ -35,7 +35,7 @@ EXPERIMENTS = [name for name in list_options("experiment") if name not in (REFUS
 DEFAULT = "hydrostatic_stiffness"
 FIGURES = [
     *("stiffness", "damping", "training", "robustness"),
-    *("prediction_time", "prediction_orbit", "prediction_response"),
+    *("prediction_time", "prediction_orbit", "prediction_response", "campbell"),
 ]
 
 

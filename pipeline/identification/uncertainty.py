@@ -83,6 +83,13 @@ class Uncertainty:
             )
         return np.where(unknowns.identified[:, None], deviation, np.nan)
 
+    @property
+    def of_machine(self) -> np.ndarray:
+        """(A (K + L) + T, A (K + L) + T) covariance of coefficients and model parameters, without balance planes."""
+        last = len(self.covariance) - len(self.parameters)
+        own = np.r_[: last - 2 * len(self.planes), last : len(self.covariance)]
+        return np.asarray(self.covariance[np.ix_(own, own)])
+
     def unbalance_deviation(self) -> np.ndarray:
         """(N,) standard deviation of the residual unbalance's magnitude, kg m: the mean one of its two parts."""
         last = len(self.covariance) - len(self.parameters)

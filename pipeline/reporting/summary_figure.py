@@ -121,7 +121,7 @@ def _draw_response(ax: Any, results: Results) -> None:
             draw_markers(ax, rpm, size[:, d], colour, f"{direction} predicted", "os"[d])
         if found.deviation is not None:
             draw_band(ax, rpm, size[:, d], MICROMETRES * found.deviation[:, d], colour, 1e-3 * size[:, d])
-    for i, one in enumerate(results.critical):
+    for i, one in enumerate(results.behaviour.critical):
         label = "critical speed" if i == 0 else None
         ax.axvline(one.speed / RAD_S_PER_RPM, color=GREY, ls=":", lw=1.2, label=label)
     ax.set_title(f"predicted: node {found.node} under an unbalance that no run has")

@@ -19,7 +19,7 @@ from pipeline.evaluation.errors import measure_relative_errors
 from pipeline.reporting.error_table import describe_verdicts
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
-from pipeline.twin.modes import CriticalSpeed, StabilityMargin
+from pipeline.twin.mode_deviations import Behaviour
 from pipeline.twin.prediction import PredictedVibration
 from pipeline.units import RAD_S_PER_RPM
 
@@ -58,8 +58,7 @@ class Results:
     training: Mapping[str, Any]  # training.json
     shown: ShownRun
     vibration: Mapping[str, PredictedVibration]  # of the unbalance that no run has, by system
-    critical: list[CriticalSpeed]
-    margin: StabilityMargin
+    behaviour: Behaviour  # of the identified system
     at: int  # index of the prediction's speed
 
 
@@ -76,7 +75,7 @@ def write_summary(config: Config, results: Results, picture: Path) -> str:
         *_wrap_entry("fit", _describe_fit(results.training)),
         *_wrap_entry("", _describe_run(results)),
         *_wrap_entry("critical", _list_critical_speeds(results)),
-        *_wrap_entry("stability", _describe_stability(results.margin)),
+        *_wrap_entry("stability", _describe_stability(results.behaviour)),
         *_wrap_entry("prediction", _describe_prediction(config, results)),
         f"{'picture':<{len(_INDENT)}}{picture}",
     ]
@@ -141,15 +140,15 @@ def format_engineering(value: float, deviation: float | None = None) -> str:
     """Write a number by powers of 1000, such as ``(12.34 +- 0.05)e6``."""
     size = max(abs(value), deviation or 0.0)
     if not math.isfinite(size) or size == 0:
-        return _format_deviation(value, deviation)
+        return format_deviation(value, deviation)
     power = 3 * math.floor(math.log10(size) / 3)
-    shown = _format_deviation(value / 10**power, None if deviation is None else deviation / 10**power)
+    shown = format_deviation(value / 10**power, None if deviation is None else deviation / 10**power)
     if power == 0:
         return shown
     return f"{shown}e{power}" if deviation is None else f"({shown})e{power}"
 
 
-def _format_deviation(value: float, deviation: float | None) -> str:
+def format_deviation(value: float, deviation: float | None) -> str:
     """Write two digits of the deviation, or five of a value without one."""
     size = max(abs(value), deviation or 0.0)
     if not math.isfinite(size) or size == 0:
@@ -191,20 +190,23 @@ def _describe_run(results: Results) -> str:
 
 
 def _list_critical_speeds(results: Results) -> str:
-    rpm = to_rpm(results.dataset.speeds)
-    found = [
-        f"{one.speed / RAD_S_PER_RPM:.1f} rpm (logarithmic decrement {one.logarithmic_decrement:.3g})"
-        for one in results.critical
-    ]
+    rpm, of = to_rpm(results.dataset.speeds), results.behaviour
+    found = []
+    for one in of.critical:
+        known_to = (None, None) if of.deviations is None else of.deviations.of_critical(one)
+        speed = format_deviation(one.speed / RAD_S_PER_RPM, known_to[0] and known_to[0] / RAD_S_PER_RPM)
+        found.append(f"{speed} rpm (logarithmic decrement {format_deviation(one.logarithmic_decrement, known_to[1])})")
     return f"{_join(found)}, between {rpm[0]:g} and {rpm[-1]:g} rpm"
 
 
-def _describe_stability(margin: StabilityMargin) -> str:
-    verdict = "stable at all speeds" if margin.stable else f"UNSTABLE, growth {margin.largest_growth:.3g} 1/s"
+def _describe_stability(of: Behaviour) -> str:
+    margin, known_to = of.margin, (None, None) if of.deviations is None else of.deviations.of_margin(of.margin)
+    growth = format_deviation(margin.largest_growth, known_to[0])
+    verdict = "stable at all speeds" if margin.stable else f"UNSTABLE, growth {growth} 1/s"
     if margin.smallest_logarithmic_decrement is None or margin.at_speed is None:
         return f"{verdict}; no whirling mode below twice the top speed"
-    at = margin.at_speed / RAD_S_PER_RPM
-    return f"{verdict}; smallest logarithmic decrement {margin.smallest_logarithmic_decrement:.3g} at {at:g} rpm"
+    decrement = format_deviation(margin.smallest_logarithmic_decrement, known_to[1])
+    return f"{verdict}; smallest logarithmic decrement {decrement} at {margin.at_speed / RAD_S_PER_RPM:g} rpm"
 
 
 def _describe_prediction(config: Config, results: Results) -> str:
@@ -215,7 +217,7 @@ def _describe_prediction(config: Config, results: Results) -> str:
     words = []
     for d, direction in enumerate("xy"):
         deviation = None if found.deviation is None else float(1e6 * found.deviation[results.at, d])
-        words.append(f"{direction} {_format_deviation(float(size[results.at, d]), deviation)} um")
+        words.append(f"{direction} {format_deviation(float(size[results.at, d]), deviation)} um")
     s, d = np.unravel_index(size.argmax(), size.shape)
     return (
         f"node {found.node} at {rpm[results.at]:g} rpm: {', '.join(words)} (zero-to-peak); at most {size[s, d]:.4g} um "

@@ -12,6 +12,7 @@ from pipeline.data.vibration_files import to_rpm
 from pipeline.reporting.figures import (
     BLUE,
     GREY,
+    LOOKS,
     MICROMETRES,
     ORANGE,
     draw_band,
@@ -19,6 +20,9 @@ from pipeline.reporting.figures import (
     open_figure,
     place_legend,
 )
+from pipeline.reporting.twin_tables import RAD_S_PER_HERTZ
+from pipeline.twin.mode_deviations import Behaviour
+from pipeline.twin.modes import follow_modes
 from pipeline.twin.prediction import PredictedVibration, sample_motion
 
 
@@ -81,3 +85,54 @@ def draw_response(path: Path, vibration: Mapping[str, PredictedVibration]) -> Pa
             row[0].set_ylabel(label)
         axes[0, 0].legend()
     return path
+
+
+def draw_campbell(path: Path, behaviour: Mapping[str, Behaviour]) -> Path:
+    """The Campbell diagram and the logarithmic decrements, with two standard deviations either side.
+
+    Modes up to twice the top speed; the modelled machine as lines, the identified one as markers.
+    """
+    modes = behaviour["identified"].modes
+    rpm, top = to_rpm(modes.speeds), 2.0 * modes.speeds.max() / RAD_S_PER_HERTZ
+    with open_figure(path, 2, 1, 8.0, 8.0, sharex=True, height_ratios=(3, 2)) as axes:
+        frequencies, decrements = axes[:, 0]
+        synchronous = modes.speeds / RAD_S_PER_HERTZ
+        frequencies.plot(rpm, synchronous, color=GREY, ls="--", lw=1.2, label="rotor speed (1X)")
+        decrements.axhline(0.0, color=GREY, ls="--", lw=1.2)
+        for name, of in behaviour.items():
+            _draw_modes(axes[:, 0], name, of, top)
+        frequencies.set(ylabel="damped natural frequency (Hz)", ylim=(0.0, top))
+        decrements.set(xlabel="rotor speed (rpm)", ylabel="logarithmic decrement (stable above 0)")
+        decrements.set_yscale("symlog", linthresh=0.1)
+        decrements.yaxis.set_major_formatter("{x:g}")
+        _show_each_once(frequencies)
+    return path
+
+
+def _draw_modes(axes: Any, name: str, of: Behaviour, top: float) -> None:
+    rpm, order = to_rpm(of.modes.speeds), follow_modes(of.modes)
+
+    def follow(values: np.ndarray, scale: float = 1.0) -> np.ndarray:
+        return np.take_along_axis(values, order, axis=1) / scale
+
+    hertz = follow(of.modes.frequency, RAD_S_PER_HERTZ)
+    seen = hertz <= top  # false for NaN
+    lines = [np.where(seen, line, np.nan) for line in (hertz, follow(of.modes.logarithmic_decrement))]
+    for k in np.flatnonzero(seen.any(axis=0)):
+        colour = LOOKS[k % len(LOOKS)][0]
+        for ax, line in zip(axes, lines, strict=True):
+            _draw(ax, name, rpm, line[:, k], colour)
+        if of.deviations is not None:
+            draw_band(axes[0], rpm, lines[0][:, k], follow(of.deviations.frequency, RAD_S_PER_HERTZ)[:, k], colour)
+            draw_band(axes[1], rpm, lines[1][:, k], follow(of.deviations.logarithmic_decrement)[:, k], colour)
+    if name == "identified":
+        for one in of.critical:
+            speed = one.speed / RAD_S_PER_HERTZ
+            axes[0].plot(60.0 * speed, speed, "k*", ms=11, label="critical speed")
+
+
+def _show_each_once(ax: Any) -> None:
+    """A legend with one entry for all modes of a kind."""
+    handles, labels = ax.get_legend_handles_labels()
+    first = dict(zip(reversed(labels), reversed(handles), strict=True))
+    ax.legend(list(first.values())[::-1], list(first)[::-1], loc="upper left")

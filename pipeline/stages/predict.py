@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,17 +18,18 @@ from pipeline.files import write_json
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.uncertainty import Uncertainty, load_uncertainty
 from pipeline.problem.measurement import Measurement
-from pipeline.reporting.console import say, table
-from pipeline.reporting.twin_figures import draw_orbit, draw_response, draw_time
+from pipeline.reporting.console import say
+from pipeline.reporting.twin_figures import draw_campbell, draw_orbit, draw_response, draw_time
+from pipeline.reporting.twin_tables import print_twin, summarize_modes, tabulate_modes, tabulate_vibration
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import translation_dof
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_identified, load_measurement, load_modelled, update_measurement
 from pipeline.stages.workspace import locate_files, require_nodes
-from pipeline.twin.modes import CriticalSpeed, StabilityMargin, find_critical_speeds, find_modes, measure_stability
+from pipeline.twin.mode_deviations import Behaviour, describe_modes, deviate_modes
+from pipeline.twin.modes import find_modes
 from pipeline.twin.prediction import PredictedVibration, add_deviation, predict
 from pipeline.twin.superposition import error_percent, superpose
-from pipeline.units import RAD_S_PER_RPM
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +40,7 @@ class Twin:
     uncertainty: Uncertainty | None
     systems: Mapping[str, BearingTable]
     vibration: Mapping[str, PredictedVibration]  # under the unbalance that no run has
-    critical: Mapping[str, list[CriticalSpeed]]
-    margin: Mapping[str, StabilityMargin]
+    behaviour: Mapping[str, Behaviour]
     at: int  # index of the prediction's speed
 
 
@@ -72,18 +71,21 @@ def build_twin(config: Config, measurement: Measurement) -> Twin:
         vibration["identified"] = add_deviation(
             vibration["identified"], updated, identified, unseen, model, uncertainty
         )
-    modes = {name: find_modes(rotors[name], system) for name, system in systems.items()}
-    critical = {name: find_critical_speeds(of) for name, of in modes.items()}
-    margin = {name: measure_stability(of) for name, of in modes.items()}
-    return Twin(model, uncertainty, systems, vibration, critical, margin, at)
+    behaviour = {name: describe_modes(find_modes(rotors[name], system)) for name, system in systems.items()}
+    if uncertainty is not None:
+        modes = behaviour["identified"].modes
+        known_to = deviate_modes(modes, updated, identified, model, uncertainty)
+        behaviour["identified"] = describe_modes(modes, known_to)
+    return Twin(model, uncertainty, systems, vibration, behaviour, at)
 
 
 def run(config: Config) -> StageOutput:
-    """``prediction.json``, ``prediction.csv`` and Figure 6."""
+    """``prediction.json``, ``prediction.csv``, ``modes.csv``, Figure 6 and the Campbell diagram."""
     measurement = load_measurement(config)
     twin = build_twin(config, measurement)
     vibration, at = dict(twin.vibration), twin.at
-    summary: dict[str, Any] = {name: _summarize_modes(twin.critical[name], twin.margin[name]) for name in twin.systems}
+    running = config.machine.prediction.speed_rpm
+    summary: dict[str, Any] = {name: summarize_modes(of, running) for name, of in twin.behaviour.items()}
     if "modelled" in vibration:
         error = vibration["identified"].error_percent(vibration["modelled"])
         summary["displacement"] = {
@@ -95,15 +97,17 @@ def run(config: Config) -> StageOutput:
         truth = vibration["modelled"].displacement
         off = {direction: error_percent(summed[:, d], truth[:, d]) for d, direction in enumerate("xy")}
         summary["influence_coefficients"] = {"error_percent": off}
-    _print(config, summary, vibration, at)
+    print_twin(config, summary, vibration, at)
     _say_superposed(config, summed, summary, at)
     work = locate_files(config)
     written = [
         write_json(work.folder / "prediction.json", summary),
-        _write_table(work.folder / "prediction.csv", vibration),
+        write_table(work.folder / "prediction.csv", tabulate_vibration(vibration)),
+        write_table(work.folder / "modes.csv", tabulate_modes(twin.behaviour)),
         draw_time(work.figure("prediction_time"), vibration, at),
         draw_orbit(work.figure("prediction_orbit"), vibration, at),
         draw_response(work.figure("prediction_response"), vibration),
+        draw_campbell(work.figure("campbell"), twin.behaviour),
     ]
     return StageOutput(summary, {"data_fingerprint": measurement.dataset.fingerprint}, written)
 
@@ -161,67 +165,3 @@ def find_same_run(unseen: tuple[Excitation, ...], seen: tuple[Excitation, ...]) 
 
     runs = dict.fromkeys(e.run for e in seen)
     return next((run for run in runs if shape([e for e in seen if e.run == run]) == shape(list(unseen))), None)
-
-
-def _summarize_modes(found: list[CriticalSpeed], margin: StabilityMargin) -> dict[str, object]:
-    return {
-        "critical_speeds": {
-            f"{i + 1}": {
-                "rpm": critical.speed / RAD_S_PER_RPM,
-                "logarithmic_decrement": critical.logarithmic_decrement,
-            }
-            for i, critical in enumerate(found)
-        },
-        "stability": {
-            "stable": margin.stable,
-            "largest_growth": margin.largest_growth,
-            "smallest_logarithmic_decrement": margin.smallest_logarithmic_decrement,
-            "at_rpm": None if margin.at_speed is None else margin.at_speed / RAD_S_PER_RPM,
-        },
-    }
-
-
-def _write_table(path: Path, vibration: dict[str, PredictedVibration]) -> Path:
-    columns = {"speed_rpm": to_rpm(next(iter(vibration.values())).speeds)}
-    for name, predicted in vibration.items():
-        for d, direction in enumerate("xy"):
-            columns[f"{direction}_{name}_amplitude_m"] = np.abs(predicted.displacement[:, d])
-            if predicted.deviation is not None:
-                columns[f"{direction}_{name}_amplitude_std_m"] = predicted.deviation[:, d]
-            columns[f"{direction}_{name}_phase_deg"] = np.degrees(np.angle(predicted.displacement[:, d]))
-    return write_table(path, columns)
-
-
-def _print(config: Config, summary: Mapping[str, Any], vibration: dict[str, PredictedVibration], at: int) -> None:
-    rows = []
-    for name in vibration:
-        of = summary[name]
-        criticals = ", ".join(
-            f"{c['rpm']:.1f} ({c['logarithmic_decrement']:.3f})" for c in of["critical_speeds"].values()
-        )
-        decrement = of["stability"]["smallest_logarithmic_decrement"]
-        amplitude = 1e6 * np.abs(vibration[name].displacement[at])
-        rows.append(
-            [
-                name,
-                f"{amplitude[0]:.5f}",
-                f"{amplitude[1]:.5f}",
-                criticals or "none",
-                "none" if decrement is None else f"{decrement:.4f}",
-            ]
-        )
-    rpm = config.machine.prediction.speed_rpm
-    header = [
-        "system",
-        f"x at {rpm:g} rpm, um",
-        f"y at {rpm:g} rpm, um",
-        "critical speeds, rpm (log decrement)",
-        "smallest log decrement",
-    ]
-    table(f"{config.name}: node {config.machine.prediction.node} under an unbalance never seen", header, rows)
-    if "displacement" in summary:
-        errors = (
-            f"{direction} {e['mean_error_percent']:.2g} % mean, {e['max_error_percent']:.2g} % max"
-            for direction, e in summary["displacement"].items()
-        )
-        say(f"error of the displacement over all speeds: {'; '.join(errors)}")

@@ -43,8 +43,7 @@ def _collect_results(config: Config, measurement: Measurement, twin: Twin, train
         training=training,
         shown=_choose_run(config, measurement, twin.systems["identified"], uncertainty),
         vibration=twin.vibration,
-        critical=twin.critical["identified"],
-        margin=twin.margin["identified"],
+        behaviour=twin.behaviour["identified"],
         at=twin.at,
     )
 

@@ -22,20 +22,33 @@ class WhirlModes:
     frequency: np.ndarray  # (S, K) damped natural frequency, rad/s; NaN where there are fewer modes
     logarithmic_decrement: np.ndarray  # (S, K)
     growth: np.ndarray  # (S,) largest real part among all eigenvalues, 1/s; positive is unstable, rounding is zero
+    growing: np.ndarray  # (S,) imaginary part of that eigenvalue, rad/s; zero where it does not oscillate
+
+    @property
+    def eigenvalues(self) -> np.ndarray:
+        """(S, K) complex, 1/s."""
+        return self.frequency * (1j - self.logarithmic_decrement / (2.0 * math.pi))
+
+
+def assemble_systems(rotor: RotorModel, bearings: BearingTable) -> tuple[np.ndarray, np.ndarray]:
+    """``K + K_b`` and ``C + W G + C_b``, (S, n, n) each, at the speeds of ``bearings``."""
+    n = rotor.n_dof
+    stiffness = np.broadcast_to(rotor.stiffness, (len(bearings.speeds), n, n)).copy()
+    damping = rotor.damping + bearings.speeds[:, None, None] * rotor.gyroscopic
+    blocks = bearings.values.reshape(*bearings.values.shape[:2], 2, 2, 2)
+    for b, pair in enumerate(bearing_dof(rotor)):
+        where = (slice(None), *np.ix_(pair, pair))
+        stiffness[where] += blocks[b, :, 0]
+        damping[where] += blocks[b, :, 1]
+    return stiffness, damping
 
 
 def find_modes(rotor: RotorModel, bearings: BearingTable, count: int = 8) -> WhirlModes:
     """Eigenvalues of ``M q'' + (C + W G + C_b) q' + (K + K_b) q = 0`` at the speeds of ``bearings``."""
-    n, places = rotor.n_dof, bearing_dof(rotor)
+    n = rotor.n_dof
     # One factorisation of the mass serves all speeds; only bearings and gyroscopic terms change.
     inverse = np.linalg.inv(rotor.mass)
-    stiffness = np.broadcast_to(rotor.stiffness, (len(bearings.speeds), n, n)).copy()
-    damping = rotor.damping + bearings.speeds[:, None, None] * rotor.gyroscopic
-    blocks = bearings.values.reshape(*bearings.values.shape[:2], 2, 2, 2)
-    for b, pair in enumerate(places):
-        where = (slice(None), *np.ix_(pair, pair))
-        stiffness[where] += blocks[b, :, 0]
-        damping[where] += blocks[b, :, 1]
+    stiffness, damping = assemble_systems(rotor, bearings)
     state = np.zeros((len(bearings.speeds), 2 * n, 2 * n))
     state[:, :n, n:] = np.eye(n)
     state[:, n:, :n] = -inverse @ stiffness
@@ -49,10 +62,28 @@ def find_modes(rotor: RotorModel, bearings: BearingTable, count: int = 8) -> Whi
         whirling = whirling[np.argsort(whirling.imag)][:count]
         frequency[s, : len(whirling)] = whirling.imag
         decrement[s, : len(whirling)] = -2.0 * math.pi * whirling.real / whirling.imag
-    growth = eigenvalues.real.max(axis=1)
+    rightmost = np.take_along_axis(eigenvalues, eigenvalues.real.argmax(axis=1)[:, None], axis=1)[:, 0]
+    growth = rightmost.real
     # The sign of an undamped mode's real part is a matter of rounding.
     rounding = np.finfo(float).eps * 2 * n * np.abs(eigenvalues).max(axis=1)
-    return WhirlModes(bearings.speeds, frequency, decrement, np.where(np.abs(growth) < rounding, 0.0, growth))
+    growth = np.where(np.abs(growth) < rounding, 0.0, growth)
+    return WhirlModes(bearings.speeds, frequency, decrement, growth, np.abs(rightmost.imag))
+
+
+def follow_modes(modes: WhirlModes) -> np.ndarray:
+    """(S, K) which mode of each speed continues the modes of the speed before: the nearest eigenvalues, all at once.
+
+    By their order in frequency, modes of different damping change places where their frequencies meet.
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    values = modes.eigenvalues
+    missing = 10.0 * np.nanmax(np.abs(values), initial=1.0)
+    order = np.tile(np.arange(values.shape[1]), (len(values), 1))
+    for s in range(1, len(values)):
+        distance = np.abs(values[s - 1, order[s - 1], None] - values[s])
+        order[s] = linear_sum_assignment(np.where(np.isnan(distance), missing, distance))[1]
+    return order
 
 
 @dataclass(frozen=True)
@@ -61,6 +92,31 @@ class CriticalSpeed:
 
     speed: float  # rad/s
     logarithmic_decrement: float
+    place: tuple[int, int]  # (speed before it, mode)
+
+
+def amplify(decrement: float, deviation: float = 0.0) -> tuple[float, float] | None:
+    """The amplification factor ``1 / (2 zeta)`` of a logarithmic decrement ``d = 2 pi zeta / sqrt(1 - zeta^2)``.
+
+    It is what API RP 684 reads from the half-power points of the response of one lightly damped mode,
+    ``N_c / (N_2 - N_1)``, with no probe, weight or neighbouring mode in it; its short form is ``pi / d``. The second
+    number is its standard deviation, from that of the decrement. None for a mode that is not damped.
+    """
+    if decrement <= 0:
+        return None
+    root = math.sqrt(4.0 * math.pi**2 + decrement**2)
+    return root / (2.0 * decrement), 2.0 * math.pi**2 / (decrement**2 * root) * deviation
+
+
+def require_separation(amplification: float | None, above: bool) -> float:
+    """The separation margin in percent that API 617 asks of a critical speed ``above`` the running speed, or below it.
+
+    ``17 (1 - 1 / (AF - 1.5))`` and at most 16 below; 10 more and at most 26 above. None, zero, is asked where AF < 2.5.
+    """
+    if amplification is not None and amplification < 2.5:
+        return 0.0
+    asked = 17.0 if amplification is None else 17.0 * (1.0 - 1.0 / (amplification - 1.5))
+    return min(10.0 + asked, 26.0) if above else min(asked, 16.0)
 
 
 def find_critical_speeds(modes: WhirlModes) -> list[CriticalSpeed]:
@@ -83,7 +139,8 @@ def find_critical_speeds(modes: WhirlModes) -> list[CriticalSpeed]:
             t = gap[s, k] / (gap[s, k] - gap[s + 1, k])
             speed = modes.speeds[s] + t * (modes.speeds[s + 1] - modes.speeds[s])
             values = modes.logarithmic_decrement[s : s + 2, k]
-            found.append(CriticalSpeed(float(speed), float(values[0] + t * (values[1] - values[0]))))
+            decrement = values[0] + t * (values[1] - values[0])
+            found.append(CriticalSpeed(float(speed), float(decrement), (int(s), k)))
     return sorted(found, key=lambda critical: critical.speed)
 
 
@@ -95,6 +152,7 @@ class StabilityMargin:
     largest_growth: float  # 1/s, over all modes and speeds; at most zero is stable
     smallest_logarithmic_decrement: float | None  # over the modes within twice the top speed; None without any
     at_speed: float | None  # rad/s, where that is
+    place: tuple[int, int] | None  # (speed, mode) of it
 
 
 def measure_stability(modes: WhirlModes) -> StabilityMargin:
@@ -111,4 +169,5 @@ def measure_stability(modes: WhirlModes) -> StabilityMargin:
         float(modes.growth.max()),
         float(within[s, k]) if found else None,
         float(modes.speeds[s]) if found else None,
+        (int(s), int(k)) if found else None,
     )

@@ -62,8 +62,6 @@ def add_deviation(
     by_coefficient = equations.sensitivity(bearings)[:, :, 0]  # (S, 2, B, 8)
     by_number = uncertainty.sensitivity(identified, bearings.speeds)  # (B, S, 8, A (K + L))
     moved = np.einsum("sdbc,bscz->sdz", by_coefficient, by_number)
-    count, size = moved.shape[-1], len(uncertainty.covariance)
-    own = np.r_[:count, size - len(measurement.parameters) : size]
     if measurement.parameters:
         rotor, parameters = measurement.rotor, without_probes(measurement.parameters)
         values = measurement.parameter_values
@@ -75,7 +73,7 @@ def add_deviation(
         moved = np.concatenate([moved, by_model], axis=-1)
     direction = predicted.displacement.conj() / np.abs(predicted.displacement)
     along = (direction[..., None] * moved).real
-    variance = np.einsum("sdz,zy,sdy->sd", along, uncertainty.covariance[np.ix_(own, own)], along, optimize=True)
+    variance = np.einsum("sdz,zy,sdy->sd", along, uncertainty.of_machine, along, optimize=True)
     return replace(predicted, deviation=np.sqrt(np.maximum(variance, 0.0)))
 
 

@@ -150,7 +150,7 @@ def made_modes(speeds: np.ndarray, *lines: np.ndarray) -> WhirlModes:
     """Modes along given lines; the decrement of each is a thousandth of the speed."""
     frequency = np.stack(lines, axis=1)
     decrement = np.repeat(1e-3 * speeds[:, None], len(lines), axis=1)
-    return WhirlModes(speeds, frequency, decrement, np.full(len(speeds), -1.0))
+    return WhirlModes(speeds, frequency, decrement, np.full(len(speeds), -1.0), np.zeros(len(speeds)))
 
 
 @given(

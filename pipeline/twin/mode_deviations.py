@@ -1,0 +1,180 @@
+"""How well the modes are known: the fit's covariance, carried to eigenvalues by their derivatives.
+
+With right and left vectors u and v of ``(l^2 M + l (C + W G + C_b) + K + K_b) u = 0`` an eigenvalue moves by
+
+    dl = - v (l^2 dM + l (dC + W dG + dC_b) + dK + dK_b) u / v (2 l M + C + W G + C_b) u
+
+(Nelson 1976; Friswell, Penny, Garvey and Lees 2010, section 6.10), which is exact to first order and costs one solution
+for all numbers of the fit. Samples of the posterior would cost the eigenvalues of every speed anew, and the deviation
+of the predicted vibration beside it is of first order, too.
+
+Legend: S speeds, K modes, n DOF, B bearings, T model parameters, Z numbers of the fit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.identification.identified import IdentifiedModel
+from pipeline.identification.uncertainty import Uncertainty
+from pipeline.problem.measurement import Measurement
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.model import RotorModel, bearing_dof
+from pipeline.rotor.parameters import rotor_change
+from pipeline.twin.modes import (
+    CriticalSpeed,
+    StabilityMargin,
+    WhirlModes,
+    assemble_systems,
+    find_critical_speeds,
+    measure_stability,
+)
+
+_OFF = 1e-7
+"""Share of an eigenvalue that inverse iteration is off it: the matrix stays regular, and two steps give the vector."""
+
+
+@dataclass(frozen=True, eq=False)
+class ModeDeviations:
+    """Standard deviations of the modes, and what those of anything that follows from them need."""
+
+    modes: WhirlModes
+    frequency: np.ndarray  # (S, K) rad/s; NaN where there is no mode
+    logarithmic_decrement: np.ndarray  # (S, K)
+    by_number: np.ndarray  # (S, K, Z) complex derivative of the eigenvalues, 1/s
+    growth: np.ndarray  # (S,) of the largest real part, 1/s
+    covariance: np.ndarray  # (Z, Z)
+
+    def of_critical(self, critical: CriticalSpeed) -> tuple[float, float]:
+        """Deviations of its speed (rad/s) and of its logarithmic decrement."""
+        modes, (s, k) = self.modes, critical.place
+        step = modes.speeds[s + 1] - modes.speeds[s]
+        share = (critical.speed - modes.speeds[s]) / step
+        lines = (modes.frequency, modes.logarithmic_decrement)
+        slope = [float(line[s + 1, k] - line[s, k]) / step for line in lines]
+        ends = [self._derive(at, k) for at in (s, s + 1)]
+        moved = [(1.0 - share) * left + share * right for left, right in zip(*ends, strict=True)]
+        # The crossing runs along its line until frequency and speed are equal again.
+        speed = moved[0] / (1.0 - slope[0])
+        first, second = deviate(np.stack([speed, moved[1] + slope[1] * speed]), self.covariance)
+        return float(first), float(second)
+
+    def of_margin(self, margin: StabilityMargin) -> tuple[float, float | None]:
+        """Deviations of the largest growth (1/s) and of the smallest logarithmic decrement."""
+        growth = float(self.growth[self.modes.growth.argmax()])
+        return growth, None if margin.place is None else float(self.logarithmic_decrement[margin.place])
+
+    def _derive(self, s: int, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """(Z,) derivatives of a mode's frequency (rad/s) and of its logarithmic decrement."""
+        modes, moved = self.modes, self.by_number[s, k]
+        return moved.imag, _derive_decrement(moved, modes.frequency[s, k], modes.logarithmic_decrement[s, k])
+
+
+def deviate(moved: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """(..) standard deviations, from derivatives (.., Z) and the covariance of the numbers."""
+    return np.sqrt(np.maximum(((moved @ covariance) * moved).sum(axis=-1), 0.0))
+
+
+def _derive_decrement(moved: np.ndarray, frequency: np.ndarray, decrement: np.ndarray) -> np.ndarray:
+    """The derivative of ``d = -2 pi re / im`` from that of the eigenvalue."""
+    return np.asarray((-2.0 * math.pi * moved.real - decrement * moved.imag) / frequency)
+
+
+def deviate_modes(
+    modes: WhirlModes,
+    measurement: Measurement,
+    bearings: BearingTable,
+    identified: IdentifiedModel,
+    uncertainty: Uncertainty,
+) -> ModeDeviations:
+    """The deviations that the covariance of coefficients and model parameters implies, to first order.
+
+    ``measurement`` is at the fitted model parameters, ``modes`` and ``bearings`` are those of its rotor.
+    """
+    by_number = uncertainty.sensitivity(identified, bearings.speeds)  # (B, S, 8, A (K + L))
+    count, covariance = by_number.shape[-1], uncertainty.of_machine
+    changes = [rotor_change(one, measurement.rotor) for one in measurement.parameters]
+    values = np.concatenate([modes.eigenvalues, (modes.growth + 1j * modes.growing)[:, None]], axis=1)
+    stiffness, damping = assemble_systems(measurement.updated_rotor, bearings)
+    moved = np.full((*values.shape, len(covariance)), np.nan, dtype=complex)  # (S, K + 1, Z)
+    for s, of in enumerate(values):
+        there = np.flatnonzero(~np.isnan(of))
+        system = System(measurement.updated_rotor, stiffness[s], damping[s], float(bearings.speeds[s]))
+        by_coefficient, by_rotor = system.derive(of[there], changes)
+        moved[s, there, :count] = np.einsum("kbc,bcz->kz", by_coefficient, by_number[:, s], optimize=True)
+        if changes:
+            by_known = np.einsum("kbc,bct->kt", by_coefficient, measurement.known_variation[s])
+            moved[s, there, count:] = by_rotor + by_known
+    modal, growing = moved[:, :-1], moved[:, -1].real
+    by_decrement = _derive_decrement(modal, modes.frequency[..., None], modes.logarithmic_decrement[..., None])
+    return ModeDeviations(
+        modes,
+        deviate(modal.imag, covariance),
+        deviate(by_decrement, covariance),
+        modal,
+        deviate(growing, covariance),
+        covariance,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Behaviour:
+    """The modes of one system, and what follows from them."""
+
+    modes: WhirlModes
+    critical: list[CriticalSpeed]
+    margin: StabilityMargin
+    deviations: ModeDeviations | None  # of a fit that states them
+
+
+def describe_modes(modes: WhirlModes, deviations: ModeDeviations | None = None) -> Behaviour:
+    """Critical speeds and stability of these modes."""
+    return Behaviour(modes, find_critical_speeds(modes), measure_stability(modes), deviations)
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """The rotor on its bearings at one speed."""
+
+    rotor: RotorModel
+    stiffness: np.ndarray  # (n, n) K + K_b
+    damping: np.ndarray  # (n, n) C + W G + C_b
+    speed: float  # W, rad/s
+
+    def derive(self, values: np.ndarray, changes: Sequence[RotorModel | None] = ()) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of the eigenvalues ``values`` (K,).
+
+        By the coefficients, (K, B, 8) 1/s over N/m and N s/m, and by ``changes`` of the rotor, (K, T) 1/s.
+        """
+        mass, places, of = self.rotor.mass, bearing_dof(self.rotor), values[:, None, None]
+        shifted = of * (1.0 + _OFF) + _OFF
+        system = shifted**2 * mass + shifted * self.damping + self.stiffness  # (K, n, n)
+        right, left = _find_null(system), _find_null(system.swapaxes(1, 2))
+        left = left / _multiply(left, 2.0 * of * mass + self.damping, right)[:, None]
+        by_stiffness = -left[:, places, None] * right[:, places][:, :, None]  # (K, B, 2, 2)
+        by_stiffness = by_stiffness.reshape(*by_stiffness.shape[:2], 4)
+        by_coefficient = np.concatenate([by_stiffness, of * by_stiffness], axis=-1)
+        by_rotor = np.zeros((len(values), len(changes)), dtype=complex)
+        for t, change in enumerate(changes):
+            if change is not None:
+                turned = change.damping + self.speed * change.gyroscopic
+                by_rotor[:, t] = -_multiply(left, of**2 * change.mass + of * turned + change.stiffness, right)
+        return by_coefficient, by_rotor
+
+
+def _multiply(left: np.ndarray, matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """(K,) ``left matrix right`` of each mode."""
+    return np.asarray((left[:, None] @ matrix @ right[..., None])[:, 0, 0])
+
+
+def _find_null(system: np.ndarray) -> np.ndarray:
+    """(K, n) the vector that each nearly singular matrix (K, n, n) takes to nearly zero, by inverse iteration."""
+    found = np.broadcast_to(np.linspace(1.0, 2.0, system.shape[-1]), system.shape[:2])
+    for _ in range(2):
+        found = np.linalg.solve(system, found[..., None])[..., 0]
+        found = found / np.linalg.norm(found, axis=1, keepdims=True)
+    return found

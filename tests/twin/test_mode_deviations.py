@@ -1,0 +1,201 @@
+"""Deviations of modes and critical speeds: derivatives against differences, intervals against draws."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import Machine
+
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.model import RotorModel
+from pipeline.rotor.parameters import ModelParameter, rotor_change, update_rotor
+from pipeline.twin.mode_deviations import ModeDeviations, System, describe_modes, deviate
+from pipeline.twin.modes import (
+    WhirlModes,
+    amplify,
+    assemble_systems,
+    find_critical_speeds,
+    find_modes,
+    follow_modes,
+    require_separation,
+)
+
+
+def derive(rotor: RotorModel, bearings: BearingTable, s: int, changes: list[RotorModel | None]) -> tuple:
+    """Eigenvalues of the speed s and their derivatives."""
+    stiffness, damping = assemble_systems(rotor, bearings)
+    values = find_modes(rotor, bearings).eigenvalues[s]
+    values = values[~np.isnan(values)]
+    return values, *System(rotor, stiffness[s], damping[s], bearings.speeds[s]).derive(values, changes)
+
+
+def eigenvalues(rotor: RotorModel, bearings: BearingTable, s: int) -> np.ndarray:
+    found = find_modes(rotor, bearings.at(np.array([s]))).eigenvalues[0]
+    return found[~np.isnan(found)]
+
+
+def test_derivatives_by_coefficients_equal_differences(hydrostatic: Machine) -> None:
+    """Oracle: central differences of the eigenvalues themselves, each of the sixteen coefficients."""
+    rotor, bearings, s = hydrostatic.rotor, hydrostatic.bearings, 12
+    values, by_coefficient, _ = derive(rotor, bearings, s, [])
+    for b, c in np.ndindex(2, 8):
+        step = 1e-4 * np.abs(bearings.values[b, s, :4] if c < 4 else bearings.values[b, s, 4:]).max()
+        ends = []
+        for sign in (1, -1):
+            moved = bearings.values.copy()
+            moved[b, s, c] += sign * step
+            ends.append(eigenvalues(rotor, replace(bearings, values=moved), s))
+        differences = (ends[0] - ends[1]) / (2 * step)
+        np.testing.assert_allclose(by_coefficient[:, b, c], differences, atol=1e-4 * np.abs(differences).max())
+    assert by_coefficient.shape == (len(values), 2, 8)
+
+
+@pytest.mark.parametrize("kind", ["youngs_modulus", "density", "disc_mass", "disc_inertia", "coupling_stiffness"])
+def test_derivatives_by_model_parameters_equal_differences(kind: str, hydrostatic: Machine) -> None:
+    rotor, bearings, s = hydrostatic.rotor, hydrostatic.bearings, 12
+    parameter = ModelParameter(kind, 1e5 if kind == "coupling_stiffness" else 0.02, "", 2)
+    by_rotor = derive(rotor, bearings, s, [rotor_change(parameter, rotor), None])[2]
+    step = 1e-3
+    ends = [eigenvalues(update_rotor(rotor, [parameter], np.array([v])), bearings, s) for v in (step, -step)]
+    differences = (ends[0] - ends[1]) / (2 * step)
+    np.testing.assert_allclose(by_rotor[:, 0], differences, atol=1e-4 * np.abs(differences).max())
+    assert not by_rotor[:, 1].any()
+
+
+def toy(machine: Machine) -> tuple[WhirlModes, ModeDeviations, np.ndarray]:
+    """Two numbers that move all direct stiffnesses and all direct dampings by shares of themselves: a linear-Gaussian
+    toy whose covariance is known. Also the (S, B, 8, 2) derivatives of the coefficients."""
+    rotor, bearings = machine.rotor, machine.bearings
+    by_number = np.zeros((len(bearings.speeds), 2, 8, 2))
+    for c, number in ((0, 0), (3, 0), (4, 1), (7, 1)):
+        by_number[..., c, number] = bearings.values[..., c].T
+    modes = find_modes(rotor, bearings)
+    covariance = np.array([[1.0, 0.5], [0.5, 1.0]]) * 0.01**2
+    moved = np.full((*modes.frequency.shape, 2), np.nan, dtype=complex)
+    for s in range(len(bearings.speeds)):
+        by_coefficient = derive(rotor, bearings, s, [])[1]
+        moved[s, : len(by_coefficient)] = np.einsum("kbc,bcz->kz", by_coefficient, by_number[s])
+    turned = (-2 * math.pi * moved.real - modes.logarithmic_decrement[..., None] * moved.imag) / modes.frequency[
+        ..., None
+    ]
+    widths = deviate(moved.imag, covariance), deviate(turned, covariance)
+    return modes, ModeDeviations(modes, *widths, moved, np.zeros(len(moved)), covariance), by_number
+
+
+@pytest.fixture(scope="module")
+def rolling() -> Machine:
+    """The ball bearing rotor with damping, whose critical speeds lie near 3800 rpm."""
+    from benchmarks.machines import machine
+
+    made = machine("experiment=ball_bearing", "machine.speeds.start_rpm=3000", "machine.speeds.step_rpm=200")
+    values = made.bearings.values.copy()
+    values[..., [4, 7]] = 2e4
+    return replace(made, bearings=replace(made.bearings, values=values))
+
+
+def test_intervals_of_critical_speeds_hold(rolling: Machine) -> None:
+    """A linear-Gaussian toy: of 400 seeded draws of the numbers, the share within 1.96 deviations is 95 %.
+
+    The binomial deviation of that share is 1.1 %; the bar is three of them. The modes of every draw are found anew.
+    """
+    modes, deviations, by_number = toy(rolling)
+    critical = find_critical_speeds(modes)
+    assert len(critical) == 2
+    generator, inside = np.random.default_rng(0), []
+    known_to = [deviations.of_critical(one) for one in critical]
+    for draw in generator.multivariate_normal(np.zeros(2), deviations.covariance, size=400):
+        values = rolling.bearings.values + (by_number @ draw).swapaxes(0, 1)
+        drawn = find_critical_speeds(find_modes(rolling.rotor, replace(rolling.bearings, values=values)))
+        for one, there, (speed, decrement) in zip(critical, drawn, known_to, strict=True):
+            inside.append(
+                [
+                    abs(there.speed - one.speed) < 1.96 * speed,
+                    abs(there.logarithmic_decrement - one.logarithmic_decrement) < 1.96 * decrement,
+                ]
+            )
+    share = np.mean(inside, axis=0)
+    print(f"95 % intervals hold for {100 * share[0]:.1f} % (speed) and {100 * share[1]:.1f} % (decrement) of the draws")
+    np.testing.assert_allclose(share, 0.95, atol=0.033)
+
+
+def test_a_critical_speed_follows_its_stiffness(rolling: Machine) -> None:
+    """Closed form: of a system without gyroscopic terms whose stiffness is the bearings' alone, the critical speed goes
+    with the root of it. Here the shaft bends as well: the share of the bearings lies between none and all."""
+    modes, deviations, _ = toy(rolling)
+    exact = replace(deviations, covariance=np.diag([0.01**2, 0.0]))
+    for one in find_critical_speeds(modes):
+        speed, _ = exact.of_critical(one)
+        assert 0 < speed / one.speed < 0.5 * 0.01
+
+
+def test_amplification_factor_is_that_of_the_half_power_points() -> None:
+    """Oracle: the width of the resonance of one degree of freedom at 1/sqrt(2) of its peak, for zeta = 0.02."""
+    zeta = 0.02
+    ratio = np.linspace(0.9, 1.1, 200001)
+    size = ratio**2 / np.hypot(1 - ratio**2, 2 * zeta * ratio)  # of an unbalance
+    above = ratio[size >= size.max() / math.sqrt(2)]
+    half_power = ratio[size.argmax()] / (above[-1] - above[0])
+    decrement = 2 * math.pi * zeta / math.sqrt(1 - zeta**2)
+    found = amplify(decrement, 1e-3)
+    assert found is not None
+    assert found[0] == pytest.approx(1 / (2 * zeta), rel=1e-12)
+    assert found[0] == pytest.approx(half_power, rel=5e-3)
+    ends = [amplify(decrement + d) for d in (1e-6, -1e-6)]
+    assert ends[0] is not None
+    assert ends[1] is not None
+    assert found[1] == pytest.approx(abs(ends[0][0] - ends[1][0]) / 2e-6 * 1e-3, rel=1e-6)
+    assert amplify(-0.1) is None
+
+
+@pytest.mark.parametrize(
+    ("factor", "above", "asked"),
+    [(2.4, True, 0.0), (3.5, False, 8.5), (3.5, True, 18.5), (40.0, False, 16.0), (40.0, True, 26.0)],
+)
+def test_separation_margins_of_api_617(factor: float, above: bool, asked: float) -> None:
+    assert require_separation(factor, above) == pytest.approx(asked)
+
+
+def test_modes_are_followed_where_their_frequencies_meet() -> None:
+    """Two lines that cross, of different damping: each keeps its own, though the order in frequency changes."""
+    speeds = np.linspace(10.0, 100.0, 19) + 0.25
+    lines = np.stack([np.full(19, 50.0), speeds], axis=1)
+    decrements = np.stack([np.full(19, 0.1), np.full(19, 3.0)], axis=1)
+    order = lines.argsort(axis=1)
+    mixed = WhirlModes(
+        speeds,
+        np.take_along_axis(lines, order, axis=1),
+        np.take_along_axis(decrements, order, axis=1),
+        np.full(19, -1.0),
+        np.zeros(19),
+    )
+    followed = np.take_along_axis(mixed.logarithmic_decrement, follow_modes(mixed), axis=1)
+    assert (np.ptp(followed, axis=0) == 0).all()
+    assert np.ptp(mixed.logarithmic_decrement, axis=0).all()
+
+
+def test_a_fit_without_deviations_states_none(hydrostatic: Machine) -> None:
+    found = describe_modes(find_modes(hydrostatic.rotor, hydrostatic.bearings))
+    assert found.deviations is None
+    assert found.margin.stable
+
+
+@pytest.mark.slow
+def test_the_modes_of_realistic_lie_within_their_deviations(artifacts) -> None:
+    """What `make reproduce` made: the truth, a machine that was not built as modelled, within three deviations."""
+    found = artifacts.read("realistic", "prediction")
+    truth, answer = found["modelled"]["critical_speeds"], found["identified"]["critical_speeds"]
+    assert truth.keys() == answer.keys()
+    assert len(truth) == 2
+    for number, one in answer.items():
+        for key in ("rpm", "logarithmic_decrement", "amplification_factor", "separation_margin_percent"):
+            assert abs(one[key] - truth[number][key]) < 3 * one[f"{key}_std"], (number, key)
+    off = answer["1"]["rpm_std"] / answer["1"]["rpm"]
+    assert 0 < off < 1e-3
+    stability = found["identified"]["stability"]
+    away = (
+        stability["smallest_logarithmic_decrement"] - found["modelled"]["stability"]["smallest_logarithmic_decrement"]
+    )
+    assert abs(away) < 3 * stability["smallest_logarithmic_decrement_std"]
