@@ -53,6 +53,12 @@ class CheckConfig(Section):
     experiments: tuple[str, ...] = ()
 
 
+class ReportConfig(Section):
+    """``reference`` is a table of coefficients (CSV, Excel) that the report draws beside the identified ones."""
+
+    reference: str | None = None
+
+
 class NewConfig(Section):
     """``stage=new`` writes a machine file for this kind of bearings and this source of data."""
 
@@ -95,6 +101,7 @@ class Config(Section):
     comparison: ComparisonConfig
     tracking: TrackingConfig
     check: CheckConfig
+    report: ReportConfig = Field(default=ReportConfig())
     new: NewConfig = Field(default=NewConfig(bearings="fluid_film", data="simulated"), exclude=True)
     chosen_by: str = Field(default="", exclude=True)
 

@@ -18,5 +18,6 @@ STAGES: dict[str, str] = {
     "predict": "predict vibration never seen, critical speeds and stability with the digital twin",
     "verdict": "say whether each coefficient can be trusted, why, and what to do next",
     "summary": "put the results on one screen and in one picture",
+    "report": "write one page (HTML, PDF) with all that was measured, identified and predicted, to send on",
     "check": "hold the metrics of all experiments against conf/thresholds; exit code 1 where one is passed",
 }

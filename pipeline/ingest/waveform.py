@@ -53,6 +53,11 @@ def read_signal_runs(config: SignalRecordingsConfig) -> tuple[RunTracks, ...]:
     return tuple(runs)
 
 
+def read_signals(config: SignalRecordingsConfig, run: WaveformRunConfig | UffRunConfig) -> list[Signals]:
+    """The time signals of a run, a value a file, in m. Raises DataError as :func:`read_signal_runs`."""
+    return [_read(config, run, Path(source)).signals for source in run.sources(config.file)]
+
+
 def _fit_records(config: SignalRecordingsConfig, name: str, source: str, records: Iterable[_Record]) -> RunTracks:
     """Fit one vector for each record."""
     speeds: list[float] = []

@@ -62,7 +62,7 @@ def draw_bode(path: Path, dataset: VibrationDataset, baseline: str | None) -> Pa
 def draw_measured_orbits(path: Path, dataset: VibrationDataset, baseline: str | None) -> Path:
     """Orbits of every node at several speeds, the speed of the largest amplitude among them; a dot at the pulse."""
     nodes = sorted({node for node, _ in dataset.channels})
-    picked = _pick_speeds(dataset)
+    picked = pick_speeds(dataset)
     rpm = to_rpm(dataset.speeds)
     turn = np.exp(2j * np.pi * _ORBIT)
     width, height = max(5.0, 3.1 * len(picked)), 0.9 + 3.1 * len(nodes)
@@ -87,7 +87,7 @@ def draw_measured_orbits(path: Path, dataset: VibrationDataset, baseline: str | 
     return path
 
 
-def _pick_speeds(dataset: VibrationDataset) -> list[int]:
+def pick_speeds(dataset: VibrationDataset) -> list[int]:
     """Up to four indices: first, last, the largest amplitude, and one half way along the longest gap."""
     count = len(dataset.speeds)
     peak = int(np.abs(dataset.displacement).max(axis=(1, 2)).argmax())

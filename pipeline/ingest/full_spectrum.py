@@ -1,0 +1,61 @@
+"""What time signals show beyond 1X: full spectra in orders of the rotor speed, and the mean position of the shaft.
+
+Legend: n samples, P probes, T parts of a record, K orders.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.config.measured import ProbeConfig
+from pipeline.ingest.order_tracking import Signals
+
+_TURNS = 32
+"""Of a part: orders are told apart by 1/32, and by twice that after the window."""
+_PER_TURN = 32
+_HIGHEST = 4.0
+_MOST_PARTS = 48
+
+
+@dataclass(frozen=True, eq=False)
+class FullSpectra:
+    """Spectra of x + j y of one node along a record."""
+
+    speeds: np.ndarray  # (T,) rad/s, in the middle of each part
+    orders: np.ndarray  # (K,) ascending; negative turns against the rotor
+    spectrum: np.ndarray  # (T, K) m, amplitude of the circle that turns with each order
+    centre: np.ndarray  # (T, 2) m, mean x and y
+
+
+def measure_full_spectra(signals: Signals, probes: Mapping[str, ProbeConfig], node: int) -> FullSpectra | None:
+    """Spectra of the ``node`` from the probes there, resampled at equal angles; None for a record that is too short.
+
+    ``signals`` have one column for each of ``probes``, in their order.
+    """
+    angles = np.array([probe.angle for probe in probes.values() if probe.node == node])
+    columns = [p for p, probe in enumerate(probes.values()) if probe.node == node]
+    inverse = np.linalg.pinv(np.stack([np.cos(angles), np.sin(angles)], axis=1))
+    record = signals.between_pulses()
+    turns = np.asarray(record.angle.angle(record.time)) / (2 * np.pi)
+    count = int((turns[-1] - turns[0]) // _TURNS)
+    if count < 1:
+        return None
+    shown = np.unique(np.linspace(0, count - 1, min(count, _MOST_PARTS)).round().astype(int))
+    step = np.arange(_TURNS * _PER_TURN) / _PER_TURN
+    window = np.hanning(len(step))
+    orders = np.fft.fftshift(np.fft.fftfreq(len(step), 1 / _PER_TURN))
+    keep = np.abs(orders) <= _HIGHEST
+    speeds, spectra, centres = [], [], []
+    for part in shown:
+        at = np.interp(turns[0] + part * _TURNS + step, turns, record.time)
+        xy = inverse @ np.stack([np.interp(at, record.time, record.values[:, p]) for p in columns])
+        centre = xy.mean(axis=1)
+        moving = (xy[0] - centre[0]) + 1j * (xy[1] - centre[1])
+        found = np.abs(np.fft.fftshift(np.fft.fft(moving * window))) / window.sum()
+        speeds.append(2 * np.pi * _TURNS / (at[-1] - at[0]) * (len(step) - 1) / len(step))
+        spectra.append(found[keep])
+        centres.append(centre)
+    return FullSpectra(np.array(speeds), orders[keep], np.array(spectra), np.array(centres))

@@ -1,0 +1,158 @@
+"""What the report speaks of: one value, read from an experiment's files and its measurement. Nothing is fitted here.
+
+Legend: S speeds, P channels, R runs, B bearings, W probes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from pipeline.config.recordings import NoRecordingsConfig
+from pipeline.config.schema import Config
+from pipeline.data.dataset import VibrationDataset, name_direction, project_direction
+from pipeline.data.vibration_files import to_rpm
+from pipeline.problem.measurement import Measurement
+from pipeline.reporting.figures import LOOKS
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.model import RotorModel
+from pipeline.twin.modes import WhirlModes
+
+DASHES = ("solid", "dash", "dashdot", "dot")
+MOST_PROBES, MOST_RUNS = 8, 6
+"""So many are drawn; a sentence says that there are more."""
+
+
+@dataclass(frozen=True, eq=False)
+class Probe:
+    """A direction in which a node was seen: its vectors are ``displacement @ weights``."""
+
+    name: str
+    node: int
+    angle: float  # degrees, from x towards y
+    weights: np.ndarray  # (P,)
+
+
+@dataclass(frozen=True, eq=False)
+class Waveforms:
+    """What time signals show of one node beyond 1X, of one run. Legend: T parts of the record, K orders."""
+
+    node: int
+    run: str
+    speeds: np.ndarray  # (T,) rad/s
+    orders: np.ndarray  # (K,) negative is backward
+    spectrum: np.ndarray  # (T, K) m, amplitude of the full spectrum
+    centre: np.ndarray  # (T, 2) m, mean x and y
+
+
+@dataclass(frozen=True, eq=False)
+class FitContent:
+    """What was identified, and how it follows the readings."""
+
+    bearings: BearingTable
+    deviation: np.ndarray | None  # (B, S, 8) N/m and N s/m
+    unknowns: Sequence[Sequence[str]]  # of each bearing
+    modelled: BearingTable | None  # the truth of modelled data
+    predicted: np.ndarray  # (S, P, R) complex, m
+    noise: np.ndarray  # (S, P, R) m, root mean square of each reading's noise
+    modes: WhirlModes
+    rotor: RotorModel  # at the fitted model parameters
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ReportContent:
+    """Everything that the sections read. ``files`` holds the JSON files of the experiment by name, where they are."""
+
+    config: Config
+    measurement: Measurement
+    fit: FitContent | None  # None where the data determine nothing
+    waveforms: Sequence[Waveforms]
+    files: Mapping[str, Mapping[str, Any]]
+    tables: Mapping[str, Mapping[str, np.ndarray]]  # CSV files by name
+    reference: Mapping[str, np.ndarray] | None  # coefficients to compare with, at speeds of their own
+    origin: Mapping[str, str]  # versions, hashes, command
+
+    @property
+    def dataset(self) -> VibrationDataset:
+        """The readings."""
+        return self.measurement.dataset
+
+    @cached_property
+    def rpm(self) -> np.ndarray:
+        """(S,)."""
+        return to_rpm(self.dataset.speeds)
+
+    @cached_property
+    def probes(self) -> tuple[Probe, ...]:
+        """Every probe: those that recorded, or the channels of the data where these are all that is known."""
+        data, recordings = self.dataset, self.config.machine.recordings
+        if isinstance(recordings, NoRecordingsConfig) or not self.config_owns_data:
+            unit = np.eye(len(data.channels))
+            return tuple(
+                Probe(name_channel(channel), channel[0], channel[1], unit[p]) for p, channel in enumerate(data.channels)
+            )
+        found = []
+        for name, probe in recordings.probes.items():
+            weights, angle = np.zeros(len(data.channels)), float(np.degrees(probe.angle))
+            for cosine, direction in zip(project_direction(angle), (0.0, 90.0), strict=True):
+                weights[data.channels.index((probe.node, direction))] = cosine
+            found.append(Probe(name, probe.node, angle, weights))
+        return tuple(found)
+
+    @property
+    def config_owns_data(self) -> bool:
+        """Whether the recordings of the machine made the data."""
+        return self.config.data.vibration is None
+
+    @cached_property
+    def shown_probes(self) -> tuple[Probe, ...]:
+        """Those that are drawn: at bearings first, then at discs, then others."""
+        rotor = self.measurement.rotor
+
+        def rank(probe: Probe) -> tuple[int, int]:
+            return (0 if probe.node in rotor.bearing_nodes else 1 if probe.node in rotor.disc_nodes else 2), probe.node
+
+        return tuple(sorted(self.probes, key=rank)[:MOST_PROBES])
+
+    @cached_property
+    def shown_runs(self) -> tuple[int, ...]:
+        """Indices of the runs that are drawn: those that were held out last, so that none is lost."""
+        held = [r for r, name in enumerate(self.dataset.runs) if name in self.config.training.holdout_runs]
+        rest = [r for r in range(len(self.dataset.runs)) if r not in held]
+        return tuple(sorted([*rest[: max(MOST_RUNS - len(held), 0)], *held]))
+
+    def held_out(self, run: int) -> bool:
+        """Whether the run was predicted rather than fitted."""
+        weighs = "fit" in self.files.get("training", {})
+        return weighs and self.dataset.runs[run] in self.config.training.holdout_runs
+
+    def look(self, run: int) -> dict[str, Any]:
+        """Colour and dash of a run, the same in every figure."""
+        i = self.shown_runs.index(run)
+        return {"colour": LOOKS[i % len(LOOKS)][0], "dash": DASHES[i % len(DASHES)], "label": self.dataset.runs[run]}
+
+    def baseline(self) -> np.ndarray | None:
+        """(S, P) complex, m: the run of the machine as it was found, which was taken off the others."""
+        taken = self.dataset.subtracted
+        return None if taken is None or not taken.any() else taken[..., int(np.abs(taken).sum(axis=(0, 1)).argmax())]
+
+
+def name_channel(channel: tuple[int, float]) -> str:
+    """Name a channel, such as ``node 3, x`` or ``node 3, 45°``."""
+    direction = name_direction(channel[1])
+    return f"node {channel[0]}, {direction if direction in 'xy' else f'{direction}°'}"
+
+
+def find_lag(vectors: np.ndarray) -> np.ndarray:
+    """(S,) phase lag in degrees of V = A e^{-j lag}, without jumps, from 0 to 360 at the first speed."""
+    lag = np.unwrap(-np.angle(vectors))
+    return np.asarray(np.degrees(lag - 2 * np.pi * np.floor(lag[0] / (2 * np.pi))))
+
+
+def count(number: int, name: str) -> str:
+    """Such as ``1 run`` and ``2 runs``."""
+    return f"{number} {name}{'s' if number != 1 else ''}"

@@ -1,0 +1,201 @@
+"""What was measured: Bode and polar plots, orbits, and what time signals show beyond 1X."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pipeline.reporting.figures import BLACK, GREY
+from pipeline.reporting.ingest_figures import pick_speeds
+from pipeline.reporting.report.content import Probe, ReportContent, Waveforms, find_lag
+from pipeline.reporting.report.figure import Axes, Curve, Figure, HeatMap, Panel
+from pipeline.reporting.report.section import Amplitude, Block, Cell, Paragraph, Section, Table
+
+RPM = "rotor speed (rpm)"
+AMPLITUDE = "amplitude (µm pk-pk)"
+_LEAST_MOVE = 1e-6
+"""m; a shaft whose mean position moves by less, as AC-coupled signals have it, has no centreline to draw."""
+
+
+def describe_measured(content: ReportContent) -> Section:
+    """1X vectors of the probes, before any fit."""
+    words = "All figures here show readings, not the model."
+    if content.baseline() is not None:
+        words += (
+            f" The run {content.config.data.baseline} is the machine as it was found. It is subtracted from the other "
+            "runs that turn with the rotor, and with it residual unbalance and runout."
+        )
+    left = len(content.probes) - len(content.shown_probes), len(content.dataset.runs) - len(content.shown_runs)
+    for number, name in zip(left, ("probes", "runs"), strict=True):
+        if number:
+            words += f" {number} further {name} are not drawn."
+    blocks: list[Block] = [
+        Paragraph(words),
+        *_write_notes(content),
+        _list_peaks(content),
+        _draw_bode(content),
+        _draw_polar(content),
+    ]
+    orbits = _draw_orbits(content)
+    blocks += [orbits] if orbits is not None else []
+    return Section("measured", "What was measured", (*blocks, *_draw_waveforms(content)))
+
+
+def _write_notes(content: ReportContent) -> list[Paragraph]:
+    return [
+        Paragraph(note[:1].upper() + note[1:] + ".", warning=True)
+        for note in content.files.get("ingest", {}).get("notes", [])
+    ]
+
+
+def _list_peaks(content: ReportContent) -> Table:
+    rows: list[list[Cell]] = []
+    for probe in content.probes[:24]:
+        size = np.abs(content.dataset.displacement.transpose(0, 2, 1) @ probe.weights)  # (S, R)
+        s, r = np.unravel_index(size.argmax(), size.shape)
+        rows.append([probe.name, Amplitude(float(size[s, r])), f"{content.rpm[s]:.6g}", content.dataset.runs[r]])
+    return Table("Largest 1X amplitude of each probe (µm pk-pk)", ["probe", "amplitude", "speed, rpm", "run"], rows)
+
+
+def vectors_of(content: ReportContent, probe: Probe, run: int) -> np.ndarray:
+    """(S,) complex, m: what a probe read in a run."""
+    return np.asarray(content.dataset.displacement[..., run] @ probe.weights)
+
+
+def _draw_bode(content: ReportContent) -> Figure:
+    panels = []
+    baseline = content.baseline()
+    few = "o" if len(content.rpm) <= 12 else ""
+    for probe in content.shown_probes:
+        above, below = [], []
+        if baseline is not None:
+            vectors = baseline @ probe.weights
+            look: dict[str, Any] = {"colour": GREY, "dash": "dot", "width": 1.2}
+            above.append(Curve(content.rpm, np.abs(vectors), f"{content.config.data.baseline} (as found)", **look))
+            below.append(Curve(content.rpm, find_lag(vectors), f"{content.config.data.baseline} (as found)", **look))
+        for r in content.shown_runs:
+            vectors, look = vectors_of(content, probe, r), content.look(r) | {"marker": few}
+            above.append(Curve(content.rpm, np.abs(vectors), **look))
+            below.append(Curve(content.rpm, find_lag(vectors), **look))
+        axes = (
+            Axes(tuple(above), AMPLITUDE, amplitude=True),
+            Axes(tuple(below), "phase lag (deg)", lag=True),
+        )
+        panels.append(Panel(_title(probe), RPM, axes))
+    caption = (
+        "Bode plots, 1X. The lag is the rotation from the tacho pulse to the next positive peak, the high spot passing "
+        "the probe."
+    )
+    return Figure("bode", caption, tuple(panels))
+
+
+def _title(probe: Probe) -> str:
+    return probe.name if probe.name.startswith("node") else f"{probe.name} (node {probe.node}, {probe.angle:g}°)"
+
+
+def _draw_polar(content: ReportContent) -> Figure:
+    panels = []
+    for probe in content.shown_probes[:4]:
+        curves = []
+        for r in content.shown_runs:
+            vectors = vectors_of(content, probe, r)
+            curves.append(Curve(-np.degrees(np.angle(vectors)), np.abs(vectors), **content.look(r)))
+            if r == content.shown_runs[0]:
+                ticks = _space_evenly(vectors)
+                words = tuple(f"{content.rpm[s]:.0f}" for s in ticks)
+                at = vectors[ticks]
+                curves.append(
+                    Curve(-np.degrees(np.angle(at)), np.abs(at), "", BLACK, "none", ".", words=words, named=False)
+                )
+        panels.append(Panel(_title(probe), "", (Axes(tuple(curves), AMPLITUDE, amplitude=True),), polar=probe.angle))
+    caption = (
+        "Polar plots, 1X, amplitude in µm pk-pk. Zero lies at the probe; the shaft turns counterclockwise, from x "
+        "(right) towards y (up), and the lag counts against it. Numbers are speeds in rpm."
+    )
+    return Figure("polar", caption, tuple(panels))
+
+
+def _space_evenly(vectors: np.ndarray) -> np.ndarray:
+    """Indices of five points that lie evenly along the path of ``vectors`` (S,)."""
+    path = np.r_[0.0, np.cumsum(np.abs(np.diff(vectors)))]
+    return np.unique(np.searchsorted(path, np.linspace(0, path[-1], 5)).clip(max=len(path) - 1))
+
+
+def _draw_orbits(content: ReportContent) -> Figure | None:
+    """Orbits of the bearings' nodes at a few speeds; None where no node was seen in x and y."""
+    data = content.dataset
+    dof, resolution = data.resolution()
+    nodes = [node for node in content.measurement.rotor.bearing_nodes if {4 * node, 4 * node + 1} <= set(dof.tolist())]
+    nodes = nodes or sorted({int(d) // 4 for d in dof if d % 4 == 0 and d + 1 in dof})
+    if not nodes:
+        return None
+    picked = pick_speeds(data)[: 4 if len(nodes) <= 2 else 2]
+    panels = []
+    for node in nodes[:2]:
+        rows = resolution[[int(np.flatnonzero(dof == 4 * node + d)[0]) for d in range(2)]]
+        for s in picked:
+            curves: list[Curve] = []
+            for r in content.shown_runs:
+                curves += _draw_orbit(rows @ data.displacement[s, :, r], content.look(r))
+            axes = Axes(tuple(curves), "y (µm)", amplitude=True)
+            panels.append(Panel(f"node {node}, {content.rpm[s]:.5g} rpm", "x (µm)", (axes,), equal=True))
+    caption = (
+        "1X orbits: their extent is the peak-to-peak amplitude. The dot is the shaft at the tacho pulse (the "
+        "keyphasor dot); from it the orbit runs to the gap, and the arrow shows the sense. "
+        "x is to the right, y is up, the rotor turns counterclockwise."
+    )
+    return Figure("orbits", caption, tuple(panels))
+
+
+def _draw_orbit(vector: np.ndarray, look: dict[str, Any]) -> list[Curve]:
+    """The orbit of x and y (2,), its keyphasor dot and an arrow head at a quarter turn."""
+    turn = np.exp(2j * np.pi * np.linspace(0, 0.94, 120))
+    x, y = ((v * turn).real for v in vector)
+    colour = look["colour"]
+    tangent, place = np.array([x[31] - x[29], y[31] - y[29]]), np.array([x[30], y[30]])
+    length = 0.09 * max(np.ptp(x), np.ptp(y))
+    along = tangent / (np.linalg.norm(tangent) or 1.0) * length
+    across = np.array([-along[1], along[0]]) * 0.45
+    head = np.stack([place - along + across, place + along, place - along - across, place - along + across])
+    return [
+        Curve(x, y, **look),
+        Curve(head[:, 0], head[:, 1], "", colour, filled=True, named=False),
+        Curve(x[:1], y[:1], "", colour, "none", ".", named=False),
+    ]
+
+
+def _draw_waveforms(content: ReportContent) -> list[Figure]:
+    """Full spectra and the shaft centreline, where there are time signals that show them."""
+    if not content.waveforms:
+        return []
+    panels = tuple(_draw_spectrum(one) for one in content.waveforms)
+    caption = (
+        "Full spectra of the run-ups in orders of the rotor speed: positive orders whirl with the rotation, negative "
+        "ones against it. Levels are powers of ten of the amplitude in µm pk-pk."
+    )
+    figures = [Figure("spectra", caption, panels)]
+    moved = [one for one in content.waveforms if np.ptp(one.centre, axis=0).max() > _LEAST_MOVE]
+    if moved:
+        caption = "Mean position of the shaft from the DC part of the probes, against the lowest speed (square)."
+        figures.append(Figure("centreline", caption, tuple(_draw_centreline(one) for one in moved)))
+    return figures
+
+
+def _draw_spectrum(one: Waveforms) -> Panel:
+    rpm = one.speeds * 30 / np.pi
+    order = np.argsort(rpm)
+    levels = np.log10(np.maximum(2e6 * one.spectrum[order], 1e-4))
+    heat = HeatMap(one.orders, rpm[order], levels, "log10 amplitude")
+    return Panel(f"{one.run}, node {one.node}", "order", (Axes((), RPM),), heat=heat)
+
+
+def _draw_centreline(one: Waveforms) -> Panel:
+    order = np.argsort(one.speeds)
+    place = one.centre[order] - one.centre[order[0]]
+    curves = (
+        Curve(place[:, 0], place[:, 1], one.run, GREY, "solid", "o", named=False),
+        Curve(place[:1, 0], place[:1, 1], "lowest speed", BLACK, "none", "s", named=False),
+    )
+    axes = Axes(curves, "y (µm)", amplitude=True)
+    return Panel(f"{one.run}, node {one.node}", "x (µm)", (axes,), equal=True)

@@ -1,0 +1,106 @@
+"""Critical speeds, Campbell diagram and stability of the identified machine, in the terms of API RP 684."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from pipeline.data.noise import NOMINAL_95
+from pipeline.data.vibration_files import to_rpm
+from pipeline.reporting.figures import BLACK, GREY, LOOKS
+from pipeline.reporting.report.content import DASHES, FitContent, ReportContent
+from pipeline.reporting.report.figure import Axes, Curve, Figure, Panel
+from pipeline.reporting.report.section import Paragraph, Section, Table, write_number
+from pipeline.units import RAD_S_PER_RPM
+
+_RPM = "rotor speed (rpm)"
+
+
+def describe_modes(content: ReportContent) -> Section | None:
+    """Critical speeds, Campbell diagram and stability map; None without a fit."""
+    fit, found = content.fit, content.files.get("prediction", {}).get("identified")
+    if fit is None or found is None:
+        return None
+    stability, rpm = found["stability"], content.rpm
+    said = "stable" if stability["stable"] else "UNSTABLE"
+    growth = write_number(stability["largest_growth"], stability.get("largest_growth_std"), 3)
+    words = f"The identified machine is {said} from {rpm[0]:.6g} to {rpm[-1]:.6g} rpm; "
+    words += f"the largest growth rate is {growth} 1/s."
+    least = stability["smallest_logarithmic_decrement"]
+    if least is not None:
+        decrement = write_number(least, stability.get("smallest_logarithmic_decrement_std"), 3)
+        words += (
+            f" The smallest logarithmic decrement is {decrement}, at {stability['at_rpm']:.6g} rpm (modes up to twice "
+        )
+        words += "the top speed)."
+    words += (
+        " A critical speed is where a damped natural frequency equals the rotor speed. In the sense of API RP 684 one "
+    )
+    words += "with an amplification factor below 2.5 is critically damped. A dash stands for what was not stated."
+    blocks = [Paragraph(words, warning=not stability["stable"]), _list_critical_speeds(content, found)]
+    figures = () if len(rpm) < 2 else (_draw_campbell(fit, found), _draw_stability(content, fit))
+    return Section("modes", "Critical speeds and stability", (*blocks, *figures))
+
+
+def _list_critical_speeds(content: ReportContent, found: Mapping[str, Any]) -> Table | Paragraph:
+    rpm, critical = content.rpm, found["critical_speeds"]
+    if not critical:
+        return Paragraph(
+            f"No damped natural frequency equals the rotor speed between {rpm[0]:.6g} and {rpm[-1]:.6g} rpm."
+        )
+    rows = []
+    for number, one in critical.items():
+        decrement, known = one["logarithmic_decrement"], one.get("logarithmic_decrement_std")
+        factor, factor_known = one.get("amplification_factor"), one.get("amplification_factor_std")
+        if factor is None and decrement > 0:
+            factor, factor_known = np.pi / decrement, None if known is None else np.pi * known / decrement**2
+        margin = one.get("separation_margin_percent")
+        rows.append(
+            [
+                number,
+                write_number(one["rpm"], one.get("rpm_std"), 6),
+                write_number(decrement, known),
+                write_number(factor, factor_known, 3),
+                write_number(margin, digits=3),
+            ]
+        )
+    header = ["critical speed", "rpm", "log decrement", "amplification factor", "separation margin, %"]
+    return Table("Damped critical speeds", header, rows)
+
+
+def _draw_campbell(fit: FitContent, found: Mapping[str, Any]) -> Figure:
+    rpm = to_rpm(fit.modes.speeds)
+    frequency = fit.modes.frequency / RAD_S_PER_RPM
+    shown = np.nanmin(frequency, axis=0, initial=np.inf) <= 2.2 * rpm[-1]
+    curves = [
+        Curve(rpm, frequency[:, k], f"mode {i + 1}", LOOKS[i % 8][0], DASHES[i % 4])
+        for i, k in enumerate(np.flatnonzero(shown))
+    ]
+    curves.append(Curve(rpm, rpm, "1X", BLACK, "solid", width=1.0))
+    crossings = np.array([one["rpm"] for one in found["critical_speeds"].values()])
+    if len(crossings):
+        curves.append(Curve(crossings, crossings, "critical speed", BLACK, "none", "o"))
+    axes = Axes(tuple(curves), "frequency (cycles/min)", y_range=(0.0, 2.2 * float(rpm[-1])))
+    panel = Panel("Campbell diagram", _RPM, (axes,), wide=True)
+    return Figure(
+        "campbell", "Modes in the order of their damped natural frequencies; over-damped ones have none.", (panel,)
+    )
+
+
+def _draw_stability(content: ReportContent, fit: FitContent) -> Figure:
+    rpm = to_rpm(fit.modes.speeds)
+    within = np.where(fit.modes.frequency <= 2.0 * fit.modes.speeds.max(), fit.modes.logarithmic_decrement, np.nan)
+    table = content.tables.get("modes", {})
+    curves = []
+    shown = [k for k in range(within.shape[1]) if np.isfinite(within[:, k]).any()]
+    for i, k in enumerate(shown):
+        stated = table.get(f"logarithmic_decrement_std_{k + 1}")
+        band = None if stated is None or len(stated) != len(rpm) else NOMINAL_95 * stated
+        curves.append(Curve(rpm, within[:, k], f"mode {i + 1}", LOOKS[i % 8][0], DASHES[i % 4], band=band))
+    curves.append(Curve(rpm[[0, -1]], np.zeros(2), "limit of stability", GREY, "solid", width=1.0))
+    panel = Panel("Stability map", _RPM, (Axes(tuple(curves), "logarithmic decrement"),), wide=True)
+    caption = "Logarithmic decrement of the modes up to twice the top speed; below zero the machine is unstable. "
+    caption += "API RP 684 asks for 0.1 at least."
+    return Figure("stability", caption, (panel,))

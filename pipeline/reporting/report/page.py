@@ -1,0 +1,85 @@
+"""One HTML page of the sections, with all that it needs inside: it opens offline, on a phone, and prints."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pipeline.files import write_text
+from pipeline.reporting.report.figure import MICROMETRES_PEAK_TO_PEAK, Curve, Figure
+from pipeline.reporting.report.section import Amplitude, Cell, Mark, Paragraph, Section, Table, write_number
+from pipeline.reporting.report.traces import describe_panel
+
+_FOLDER = Path(__file__).parent
+_DASH = {"solid": "", "dash": "6,4", "dashdot": "7,3,2,3", "dot": "2,3"}
+
+
+def write_page(path: Path, title: str, head: Sequence[str], sections: Sequence[Section]) -> Path:
+    """Write the page: ``head`` are lines below the ``title``. Raises StorageError."""
+    from jinja2 import Environment, FileSystemLoader
+    from plotly.offline import get_plotlyjs
+
+    environment = Environment(loader=FileSystemLoader(_FOLDER), autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    environment.filters |= {"cell": _describe_cell, "kind": lambda block: type(block).__name__}
+    panels: list[dict[str, Any]] = []
+    shown = [
+        {"anchor": one.anchor, "title": one.title, "blocks": [_describe_block(block, panels) for block in one.blocks]}
+        for one in sections
+    ]
+    text = environment.get_template("page.html").render(
+        title=title,
+        head=head,
+        sections=shown,
+        style=_read("page.css"),
+        script=_read("page.js"),
+        plotly=get_plotlyjs().replace("</script", "<\\/script"),
+        panels=json.dumps(panels, separators=(",", ":"), allow_nan=False).replace("</", "<\\/"),
+    )
+    return write_text(path, text)
+
+
+def _read(name: str) -> str:
+    return (_FOLDER / name).read_text(encoding="utf-8")
+
+
+def _describe_block(block: Paragraph | Table | Figure, panels: list[dict[str, Any]]) -> dict[str, Any]:
+    """What the template needs of a block; its panels are appended to ``panels``, which the script draws."""
+    if isinstance(block, Paragraph):
+        return {"kind": "paragraph", "text": block.text, "warning": block.warning}
+    if isinstance(block, Table):
+        rows = [[_describe_cell(cell) for cell in row] for row in block.rows]
+        return {"kind": "table", "caption": block.caption, "header": block.header, "rows": rows}
+    places = []
+    for panel in block.panels:
+        described = describe_panel(panel)
+        places.append(
+            {"id": f"panel{len(panels)}", "wide": panel.wide, "height": described["height"], "title": panel.title}
+        )
+        panels.append(described | {"id": places[-1]["id"]})
+    legend = [_describe_key(curve) for curve in block.legend()]
+    pairs = len(places) in (2, 4)
+    return {
+        "kind": "figure",
+        "pairs": pairs,
+        "name": block.name,
+        "caption": block.caption,
+        "panels": places,
+        "legend": legend,
+    }
+
+
+def _describe_key(curve: Curve) -> dict[str, Any]:
+    dash = _DASH.get(curve.dash)
+    return {"label": curve.label, "colour": curve.colour, "dash": dash, "marker": curve.marker, "filled": curve.filled}
+
+
+def _describe_cell(cell: Cell) -> dict[str, Any]:
+    if isinstance(cell, Mark):
+        return {"text": cell.words, "mark": cell.kind.replace(" ", "-")}
+    if isinstance(cell, Amplitude):
+        scaled = MICROMETRES_PEAK_TO_PEAK * cell.value
+        deviation = None if cell.deviation is None else MICROMETRES_PEAK_TO_PEAK * cell.deviation
+        return {"text": write_number(scaled, deviation), "amplitude": scaled, "deviation": deviation}
+    return {"text": cell, "words": not cell[:1].isdigit() and cell[:1] not in "-–+("}

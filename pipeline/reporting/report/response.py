@@ -1,0 +1,115 @@
+"""Unbalance response: measured against predicted at the probes, and vibration that no run has."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.data.noise import NOMINAL_95
+from pipeline.reporting.figures import BLUE, ORANGE
+from pipeline.reporting.report.content import ReportContent
+from pipeline.reporting.report.figure import Axes, Curve, Figure, Panel
+from pipeline.reporting.report.measured import AMPLITUDE, RPM, vectors_of
+from pipeline.reporting.report.section import Amplitude, Cell, Mark, Paragraph, Section, Table
+
+SPEED_TOLERANCE = 5.0
+"""Percent of the predicted critical speed (API 617, unbalanced rotor response verification test)."""
+
+
+def describe_response(content: ReportContent) -> Section | None:
+    """Verification as in API 617, and the prediction of an unbalance that no run has; None without a fit."""
+    if content.fit is None:
+        return None
+    blocks = [*_verify(content), *_predict(content)]
+    return Section("response", "Unbalance response", tuple(blocks))
+
+
+def find_peak(rpm: np.ndarray, size: np.ndarray) -> tuple[float, float] | None:
+    """Speed and height of the largest peak of ``size`` (S,) inside the range, by a parabola; None without one."""
+    inner = np.flatnonzero((size[1:-1] >= size[:-2]) & (size[1:-1] > size[2:])) + 1
+    if not len(inner):
+        return None
+    s = int(inner[size[inner].argmax()])
+    near = slice(max(s - 2, 0), s + 3)  # more than three readings, for they are noisy
+    a, b, c = np.polyfit(rpm[near] - rpm[s], size[near], 2)
+    top = float(np.clip(-b / (2 * a), rpm[near][0] - rpm[s], rpm[near][-1] - rpm[s])) if a < 0 else 0.0
+    return float(rpm[s] + top), float(a * top**2 + b * top + c)
+
+
+def _verify(content: ReportContent) -> list[Paragraph | Table]:
+    """The response peaks of the runs that unbalances excite."""
+    fit, data, rows = content.fit, content.dataset, []
+    assert fit is not None
+    turning = [r for r in content.shown_runs if np.allclose(data.frequencies[:, r], data.speeds, rtol=1e-9)]
+    for r in turning:
+        if any(one.kind != "unbalance" for one in data.excitation_of(r)):
+            continue
+        for probe in content.shown_probes:
+            seen = find_peak(content.rpm, np.abs(vectors_of(content, probe, r)))
+            expected = find_peak(content.rpm, np.abs(fit.predicted[..., r] @ probe.weights))
+            if seen is None or expected is None:
+                continue
+            off = 100 * (seen[0] / expected[0] - 1)
+            at = int(np.abs(content.rpm - seen[0]).argmin())
+            noise = float(np.sqrt(fit.noise[at, :, r] ** 2 @ probe.weights**2 / 2))  # of the amplitude alone
+            rows.append(_row(content, r, probe.name, (seen, expected), (off, noise)))
+    words = (
+        "Each row is a response peak inside the speed range. As in API 617's verification test, the measured peak must "
+        f"lie within {SPEED_TOLERANCE:g} % of the predicted speed, and must not be higher than predicted (here: by "
+        "more than two deviations of the noise and 5 %). Runs that were fitted verify less than runs that were not."
+    )
+    if not rows:
+        return [Paragraph("No unbalance run has a response peak inside the speed range: there is nothing to verify.")]
+    header = [
+        "run",
+        "probe",
+        "peak, rpm",
+        "predicted, rpm",
+        "off, %",
+        "amplitude, µm pk-pk",
+        "predicted, µm pk-pk",
+        "verdict",
+    ]
+    return [Paragraph(words), Table("Unbalanced rotor response verification", header, rows)]
+
+
+def _row(
+    content: ReportContent,
+    run: int,
+    probe: str,
+    peaks: tuple[tuple[float, float], tuple[float, float]],
+    off: tuple[float, float],
+) -> list[Cell]:
+    (at, size), (expected_at, expected) = peaks
+    near, low = abs(off[0]) <= SPEED_TOLERANCE, size <= 1.05 * expected + 2 * off[1]
+    words = "within" if near and low else "speed off" if not near else "higher than predicted"
+    name = content.dataset.runs[run] + (" (not fitted)" if content.held_out(run) else "")
+    return [
+        name,
+        probe,
+        f"{at:.0f}",
+        f"{expected_at:.0f}",
+        f"{off[0]:+.2f}",
+        Amplitude(size, off[1] or None),
+        Amplitude(expected),
+        Mark("good" if near and low else "no", words),
+    ]
+
+
+def _predict(content: ReportContent) -> list[Paragraph | Figure]:
+    """The twin's vibration under the unbalance that no run has, with its band."""
+    table, asked = content.tables.get("prediction"), content.config.machine.prediction
+    if table is None:
+        return []
+    curves = []
+    for direction, colour, dash in (("x", BLUE, "solid"), ("y", ORANGE, "dash")):
+        size = table[f"{direction}_identified_amplitude_m"]
+        stated = table.get(f"{direction}_identified_amplitude_std_m")
+        band = None if stated is None else NOMINAL_95 * stated
+        curves.append(Curve(table["speed_rpm"], size, f"{direction} predicted", colour, dash, band=band))
+    acting = "; ".join(
+        f"node {one.node}: {1e6 * one.magnitude:.4g} g mm at {np.degrees(one.phase):.4g}°" for one in asked.unbalances
+    )
+    panel = Panel(f"node {asked.node}", RPM, (Axes(tuple(curves), AMPLITUDE, amplitude=True),), wide=True)
+    caption = f"Predicted 1X amplitude of node {asked.node} under an unbalance that no run has ({acting})"
+    caption += ", with its nominal 95 % band." if curves[0].band is not None else "; this fit states no band."
+    return [Figure("prediction", caption, (panel,))]

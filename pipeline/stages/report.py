@@ -1,0 +1,204 @@
+"""Write the report that an engineer sends on: one HTML page, and the same as a PDF."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.recordings import NoRecordingsConfig, UffRecordingsConfig, WaveformRecordingsConfig
+from pipeline.config.schema import Config
+from pipeline.data.tables import read_table
+from pipeline.errors import DataError, IdentifiabilityError
+from pipeline.files import hash_file, read_json
+from pipeline.identification.uncertainty import load_uncertainty
+from pipeline.ingest.full_spectrum import measure_full_spectra
+from pipeline.ingest.waveform import read_signals
+from pipeline.problem.measurement import Measurement
+from pipeline.reporting.console import say, warn
+from pipeline.reporting.report.content import FitContent, ReportContent, Waveforms
+from pipeline.reporting.report.page import write_page
+from pipeline.reporting.report.pdf import write_pdf
+from pipeline.reporting.report.sections import list_sections
+from pipeline.stages.execution import StageOutput
+from pipeline.stages.measurement import load_identified, load_measurement, load_modelled, update_measurement
+from pipeline.stages.workspace import Workspace, locate_files
+from pipeline.tracking.provenance import describe_provenance
+from pipeline.twin.modes import find_modes
+
+_TABLES: dict[str, tuple[dict[str, str], dict[str, str]]] = {
+    "residual_unbalance": (dict.fromkeys(("node", "magnitude", "phase_deg", "magnitude_std"), "number"), {}),
+    "model_parameters": (
+        dict.fromkeys(("kind", "of", "unit"), "text") | dict.fromkeys(("prior_std", "value", "std"), "number"),
+        {},
+    ),
+    "prediction": (
+        dict.fromkeys(("speed_rpm", "x_identified_amplitude_m", "y_identified_amplitude_m"), "number"),
+        dict.fromkeys(("x_identified_amplitude_std_m", "y_identified_amplitude_std_m"), "number"),
+    ),
+}
+"""Tables that sections read: columns that they need, and columns that may be there."""
+_MOST_WAVEFORMS = 2
+"""Runs, and nodes of each, whose spectra are drawn."""
+
+
+def run(config: Config) -> StageOutput:
+    """``report.html`` and ``report.pdf``."""
+    work = locate_files(config)
+    content = collect_content(config)
+    sections = list_sections(content)
+    title = f"Bearing identification: {config.name.replace('_', ' ')}"
+    made = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime())
+    head = [config.description, f"Made {made}."]
+    written = [
+        write_page(work.folder / "report.html", title, head, sections),
+        write_pdf(work.folder / "report.pdf", title, head, sections),
+    ]
+    say(f"{config.name}: report in '{written[0]}' and '{written[1]}'")
+    return StageOutput(tags={"data_fingerprint": content.dataset.fingerprint}, files=written)
+
+
+def collect_content(config: Config) -> ReportContent:
+    """Read what the sections speak of; stages whose files are missing or older than the fit run first.
+
+    Raises DataError for a reference table that breaks its laws.
+    """
+    work, measurement = locate_files(config), load_measurement(config)
+    reference = None if config.report.reference is None else _read_reference(Path(config.report.reference))
+    fit = _read_fit(config, measurement)
+    _make_current(config, work, fit is not None)
+    names = {"ingest", "diagnosis"} | ({"training", "metrics", "prediction", "verdicts"} if fit else set())
+    found = {name: work.folder / f"{name}.json" for name in names}
+    if fit is not None and _is_older(found["verdicts"], work.training):
+        del found["verdicts"]
+    return ReportContent(
+        config=config,
+        measurement=measurement,
+        fit=fit,
+        waveforms=_read_waveforms(config),
+        files={name: read_json(path) for name, path in found.items() if path.exists()},
+        tables={} if fit is None else _read_tables(work),
+        reference=reference,
+        origin=_describe_origin(config, work, measurement),
+    )
+
+
+def _make_current(config: Config, work: Workspace, fitted: bool) -> None:
+    """Run the stages whose files the report reads, where they are missing or older than what they follow from."""
+    from pipeline.stages import run_stage
+
+    needed = {"diagnose": ("diagnosis.json", work.vibration)}
+    if fitted:
+        needed |= {"evaluate": ("metrics.json", work.training), "predict": ("prediction.json", work.training)}
+    for stage, (name, source) in needed.items():
+        if not (work.folder / name).exists() or _is_older(work.folder / name, source):
+            say(f"'{work.folder / name}' is missing, or older than '{source}': running stage={stage} first")
+            run_stage(config.model_copy(update={"stage": stage}))
+
+
+def _is_older(path: Path, source: Path) -> bool:
+    return path.exists() and source.exists() and path.stat().st_mtime < source.stat().st_mtime
+
+
+def _read_fit(config: Config, measurement: Measurement) -> FitContent | None:
+    """The fit, training first where it is missing; None, with a warning, where the data determine nothing."""
+    try:
+        identified = load_identified(config, measurement)
+    except IdentifiabilityError as error:
+        warn(f"{error}\n{config.name}: the report has what was measured and the diagnosis alone")
+        return None
+    work, data = locate_files(config), measurement.dataset
+    uncertainty = load_uncertainty(work.folder, identified)
+    updated = update_measurement(measurement, uncertainty)
+    bearings = identified.table(updated.updated_known)
+    found = read_json(work.training).get("fit", {}).get("noise_factor")
+    factor = np.array(list(found.values())) if found and len(found) == len(data.channels) else None
+    return FitContent(
+        bearings,
+        None if uncertainty is None else uncertainty.deviation(identified, data.speeds),
+        identified.unknowns.by_bearing,
+        load_modelled(config, measurement),
+        updated.response.predict(bearings, None if uncertainty is None else uncertainty.residual_unbalance),
+        measurement.deviation_of(data.displacement, data.subtracted, factor),
+        find_modes(updated.updated_rotor, bearings),
+        updated.updated_rotor,
+    )
+
+
+def _read_tables(work: Workspace) -> dict[str, Mapping[str, np.ndarray]]:
+    """The tables of the experiment that are there and have a row."""
+    found: dict[str, Mapping[str, np.ndarray]] = {}
+    for name, (columns, optional) in _TABLES.items():
+        path = work.folder / f"{name}.csv"
+        if path.exists() and path.read_text(encoding="utf-8").count("\n") > 1:
+            found[name] = read_table(path, columns, optional)
+    return found
+
+
+def _read_reference(path: Path) -> dict[str, np.ndarray]:
+    """A table of coefficients at speeds of its own. Raises DataError where it has no coefficient."""
+    columns = read_table(
+        path, dict.fromkeys(("bearing_node", "speed_rpm"), "number"), dict.fromkeys(COEFFICIENTS, "number or blank")
+    )
+    if not any(name in columns for name in COEFFICIENTS):
+        raise DataError(
+            f"'{path}' must have a column of a coefficient ({', '.join(COEFFICIENTS)}; N/m and N s/m), but it has "
+            "none: name the columns so, or leave report.reference out"
+        )
+    return columns
+
+
+def _read_waveforms(config: Config) -> list[Waveforms]:
+    """Spectra of the first runs, where there are time signals at hand; a warning where their files are gone."""
+    recordings = config.machine.recordings
+    signals = isinstance(recordings, WaveformRecordingsConfig) or (
+        isinstance(recordings, UffRecordingsConfig) and recordings.tacho.recorded
+    )
+    if not signals or config.data.vibration is not None:
+        return []
+    assert isinstance(recordings, WaveformRecordingsConfig | UffRecordingsConfig)
+    found: list[Waveforms] = []
+    nodes = sorted({probe.node for probe in recordings.probes.values()})[:_MOST_WAVEFORMS]
+    for measured in recordings.runs[:_MOST_WAVEFORMS]:
+        try:
+            records = read_signals(recordings, measured)
+        except DataError as error:
+            warn(f"the report has no spectra of run '{measured.name}': {error}")
+            continue
+        for node in nodes:
+            parts = [one for r in records if (one := measure_full_spectra(r, recordings.probes, node)) is not None]
+            if parts:
+                joined = [
+                    np.concatenate([getattr(one, key) for one in parts]) for key in ("speeds", "spectrum", "centre")
+                ]
+                found.append(Waveforms(node, measured.name, joined[0], parts[0].orders, joined[1], joined[2]))
+    return found
+
+
+def _describe_origin(config: Config, work: Workspace, measurement: Measurement) -> dict[str, str]:
+    recordings = config.machine.recordings
+    origin = {
+        "command": f"python -m pipeline stage=report {config.chosen}",
+        "fingerprint of the data": measurement.dataset.fingerprint,
+    }
+    origin |= {"fingerprint of the rotor": measurement.rotor.fingerprint}
+    for path in (work.vibration, work.excitation, work.folder / "model.safetensors"):
+        if path.exists():
+            origin[path.name] = f"sha256 {hash_file(path)}"
+    if not isinstance(recordings, NoRecordingsConfig):
+        for source in dict.fromkeys(
+            s for one in recordings.runs for s in one.sources(getattr(recordings, "file", None))
+        ):
+            origin[str(source)] = f"sha256 {hash_file(Path(source)) or 'not at hand'}"
+    if config.report.reference is not None:
+        origin["reference"] = f"{config.report.reference}, sha256 {hash_file(Path(config.report.reference))}"
+    tags: dict[str, Any] = describe_provenance()
+    origin |= {name.removeprefix("version."): text for name, text in tags.items() if name.startswith("version.")}
+    if "git.revision" in tags:
+        changed = " with changes" if tags.get("git.dirty") == "true" else ""
+        origin["revision of the program"] = tags["git.revision"][:12] + changed
+    return origin

@@ -1,0 +1,149 @@
+"""The report: what its page loads, what its figures and numbers say, on values made here."""
+
+from __future__ import annotations
+
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.config.measured import ProbeConfig
+from pipeline.ingest.full_spectrum import measure_full_spectra
+from pipeline.ingest.order_tracking import Signals
+from pipeline.ingest.tacho import fit_angle
+from pipeline.reporting.report.content import find_lag
+from pipeline.reporting.report.figure import Axes, Curve, Figure, HeatMap, Panel
+from pipeline.reporting.report.page import write_page
+from pipeline.reporting.report.pdf import write_pdf
+from pipeline.reporting.report.response import find_peak
+from pipeline.reporting.report.section import Amplitude, Mark, Paragraph, Section, Table, write_number
+
+RPM = np.linspace(500, 3000, 40)
+SIZE = 1e-6 * RPM / 500
+
+
+def _sections() -> list[Section]:
+    """One of each kind of block and of panel."""
+    band = Curve(RPM, SIZE, "first run", band=0.1 * SIZE)
+    panels = (
+        Panel("probe <A>", "rotor speed (rpm)", (Axes((band,), "amplitude (µm pk-pk)", amplitude=True),)),
+        Panel("polar", "", (Axes((Curve(RPM / 10, SIZE, "first run"),), "", amplitude=True),), polar=45.0),
+        Panel("orbit", "x (µm)", (Axes((Curve(SIZE, SIZE[::-1], "orbit"),), "y (µm)", amplitude=True),), equal=True),
+        Panel("map", "order", (Axes((), "rpm"),), heat=HeatMap(np.arange(3.0), np.arange(2.0), np.eye(2, 3), "level")),
+    )
+    table = Table(
+        "rows", ["what", "size", "verdict"], [["a & b", Amplitude(3e-6, 1e-7), Mark("with care", "with care")]]
+    )
+    return [
+        Section(
+            "one", "First </script> section", (Paragraph("Words < here.", True), table, Figure("f", "Caption.", panels))
+        )
+    ]
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A page of one section."""
+    return write_page(tmp_path_factory.mktemp("page") / "report.html", "A & B", ["head"], _sections())
+
+
+class _Links(HTMLParser):
+    """Every address that the page's elements name, and how deep they are left open."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.addresses: list[str] = []
+        self.tags: list[str] = []
+        self.policy = ""
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = dict(attrs)
+        self.tags.append(tag)
+        self.addresses += [value for name in ("src", "href", "srcset", "action", "data") if (value := given.get(name))]
+        if given.get("http-equiv") == "Content-Security-Policy":
+            self.policy = given.get("content") or ""
+
+
+def test_the_page_loads_nothing_from_elsewhere(page: Path) -> None:
+    """Links lead into the page alone, and its policy forbids a browser to fetch anything."""
+    text = page.read_text(encoding="utf-8")
+    links = _Links()
+    links.feed(text)
+    assert links.addresses
+    assert all(address.startswith("#") for address in links.addresses)
+    assert links.policy.startswith("default-src 'none';")
+    assert "http" not in links.policy
+    style = re.search(r"<style>(.*?)</style>", text, re.S)
+    assert style is not None
+    assert "url(" not in style[1]
+    assert "@import" not in style[1]
+
+
+def test_the_page_has_a_place_for_every_panel_and_escapes_what_it_prints(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    found = re.search(r'<script type="application/json" id="panels">(.*?)</script>', text, re.S)
+    assert found is not None
+    panels = json.loads(found[1])
+    assert [panel["id"] for panel in panels] == re.findall(r'<div class="panel[^"]*" id="(\w+)"', text)
+    assert len(panels) == 4
+    assert "Words &lt; here." in text
+    assert "First &lt;/script&gt; section" in text
+    assert 'data-value="6.0"' in text  # 3 um zero-to-peak
+    amplitude = panels[0]["traces"][-1]
+    assert amplitude["y"][0] == pytest.approx(2.0)
+    assert panels[2]["traces"][-1]["x"][0] == pytest.approx(1.0)  # the place on an orbit is not doubled
+
+
+def test_a_pdf_has_the_same_sections(tmp_path: Path) -> None:
+    path = write_pdf(tmp_path / "report.pdf", "A & B", ["head"], _sections())
+    content = path.read_bytes()
+    assert content.startswith(b"%PDF")
+    assert b"/Outlines" in content
+    assert content.count(b"/Subtype /Image") == 2  # two rows of panels
+
+
+def test_a_lag_is_the_opposite_of_the_angle() -> None:
+    lag = np.linspace(30, 500, 50)
+    assert find_lag(2.0 * np.exp(-1j * np.radians(lag))) == pytest.approx(lag)
+    assert find_lag(np.exp(1j * np.radians([90.0]))) == pytest.approx([270.0])
+
+
+def test_a_peak_is_that_of_the_closed_form() -> None:
+    """The response of one mass to unbalance peaks at n0 / sqrt(1 - 2 z^2), with the height 1 / (2 z sqrt(1 - z^2))."""
+    damping, rpm = 0.1, np.arange(1000.0, 3000.0, 10.0)
+    ratio = rpm / 2000.0
+    size = ratio**2 / np.hypot(1 - ratio**2, 2 * damping * ratio)
+    found = find_peak(rpm, size)
+    assert found is not None
+    assert found[0] == pytest.approx(2000.0 / np.sqrt(1 - 2 * damping**2), rel=2e-4)
+    assert found[1] == pytest.approx(1 / (2 * damping * np.sqrt(1 - damping**2)), rel=1e-4)
+    assert find_peak(rpm, rpm) is None
+
+
+def test_a_number_has_two_digits_of_its_deviation() -> None:
+    assert write_number(12.3456, 0.0512) == "12.346 ± 0.051"
+    assert write_number(12.3456) == "12.35"
+    assert write_number(None) == "–"
+
+
+@pytest.mark.parametrize("sense", [1, -1])
+def test_a_circle_is_one_line_of_the_full_spectrum(sense: int) -> None:
+    """A circle of 3 um with the rotor is order +1, against it -1; the mean position is that of the probes."""
+    time = np.arange(0.0, 4.0, 1 / 4000)
+    hertz = 40.0
+    turn = np.exp(2j * np.pi * sense * hertz * time)
+    x, y = 3e-6 * turn.real + 5e-6, 3e-6 * turn.imag - 2e-6
+    probes = {"left": ProbeConfig(node=1, angle="135 deg"), "right": ProbeConfig(node=1, angle="45 deg")}
+    seen = np.stack([x * np.cos(p.angle) + y * np.sin(p.angle) for p in probes.values()], axis=1)
+    angle = fit_angle(np.arange(0.0, 3.99, 1 / hertz), 1, "here")
+    found = measure_full_spectra(Signals(time, seen, angle, "here"), probes, 1)
+    assert found is not None
+    assert found.speeds == pytest.approx(np.full(len(found.speeds), 2 * np.pi * hertz), rel=1e-3)
+    largest = found.spectrum.argmax(axis=1)
+    assert found.orders[largest] == pytest.approx(np.full(len(largest), float(sense)))
+    assert found.spectrum.max(axis=1) == pytest.approx(np.full(len(largest), 3e-6), rel=1e-3)
+    assert found.spectrum[:, np.argmin(np.abs(found.orders + sense))].max() < 1e-9
+    assert found.centre == pytest.approx(np.tile([5e-6, -2e-6], (len(found.centre), 1)), rel=1e-3)
