@@ -12,7 +12,7 @@ export DVC_NO_ANALYTICS := 1
 unexport PYTHONHOME PYTHONPATH
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo reproduce test test-quick test-nightly comparison ablation paper-study studies promote bench tables measured house docs lint clean
+.PHONY: help env demo reproduce test test-quick test-nightly comparison ablation paper-study studies promote bench tables measured house docs reference lint clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' Makefile
@@ -103,6 +103,9 @@ measured: env  ## repeat what no make reproduce makes (docs/measured/NAME.json):
 
 house: env  ## draw who imports whom, docs/figures/house.png
 	.venv/bin/python docs/house.py docs/figures/house.png
+
+reference: env  ## write docs/configuration.md from the schema and docs/meanings.yaml
+	.venv/bin/python docs/reference.py
 
 docs: env  ## serve the documentation at http://127.0.0.1:8000
 	NO_MKDOCS_2_WARNING=1 $(RUN) mkdocs serve

@@ -106,7 +106,8 @@ def to_volts_per_metre(sensitivity: str) -> float:
 
 
 def _define_quantity(unit: str, example: str, **bounds: Any) -> Any:
-    return Annotated[float, BeforeValidator(lambda value: to_si(value, unit, example)), Field(**bounds)]
+    field = Field(json_schema_extra={"unit": unit}, **bounds)
+    return Annotated[float, BeforeValidator(lambda value: to_si(value, unit, example)), field]
 
 
 Length = _define_quantity("m", "150 mm", gt=0)
@@ -127,7 +128,7 @@ AnyDamping = _define_quantity("N * s / m", "0 N s/m")
 UnbalanceMagnitude = _define_quantity("kg * m", "100 g mm", gt=0)
 RotorSpeed = _define_quantity("rad / s", "2000 rpm", gt=0)
 Frequency = _define_quantity("Hz", "5120 Hz", gt=0)
-ShaftAngle = Annotated[float, BeforeValidator(_convert_angle)]
+ShaftAngle = Annotated[float, BeforeValidator(_convert_angle), Field(json_schema_extra={"unit": "rad"})]
 """rad, between -pi and pi where it had a unit; a number that can only be degrees is refused."""
 LengthUnit = Annotated[str, BeforeValidator(lambda value: _check_unit_name(value, ("m",), "um, mil or mm"))]
 SignalUnit = Annotated[str, BeforeValidator(lambda value: _check_unit_name(value, ("V", "m"), "V, mV or um"))]
