@@ -16,7 +16,7 @@ import numpy as np
 from pipeline.data.dataset import DIRECTIONS, Excitation, VibrationDataset, assemble_forces
 from pipeline.errors import PipelineError
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.model import TRANSLATIONS, RotorModel, bearing_dof, translation_dof
+from pipeline.rotor.model import TRANSLATIONS, RotorModel, bearing_dof, seal_dof, translation_dof
 from pipeline.units import RAD_S_PER_RPM
 
 STEPS = 720
@@ -79,9 +79,13 @@ def _one_step(rotor: RotorModel, bearings: BearingTable, s: int, h: float) -> tu
         four = bearings.values[b, s].reshape(2, 2, 2)
         stiffness[np.ix_(rows, rows)] += four[0]
         damping[np.ix_(rows, rows)] += four[1]
+    mass = rotor.mass.copy()
+    for block, rows in zip(rotor.seals.matrices(bearings.speeds[[s]])[:, 0], seal_dof(rotor), strict=True):
+        for matrix, part in zip((stiffness, damping, mass), block, strict=True):
+            matrix[np.ix_(rows, rows)] += part
     beta, gamma, more = (1 - _ALPHA) ** 2 / 4, (1 - 2 * _ALPHA) / 2, 1 + _ALPHA
     k, c = h**2 * stiffness, h * damping
-    system = rotor.mass + more * (gamma * c + beta * k)
+    system = mass + more * (gamma * c + beta * k)
     now = np.hstack([k, c + more * k, more * ((1 - gamma) * c + (0.5 - beta) * k)])
     last = np.linalg.solve(system, np.hstack([-now, h**2 * np.eye(n)]))
     bent, load = last[:, : 3 * n], last[:, 3 * n :]

@@ -3,7 +3,8 @@
     D(w) = -w^2 M + j w (C + W G) + K                                        (paper, eq. 1)
 
 with excitation frequency w and rotor speed W (equal for unbalance). Beam elements couple neighbouring nodes
-only, so all four matrices share one narrow band: storage and solution cost grow linearly with the nodes.
+only, so all four matrices share one narrow band: storage and solution cost grow linearly with the nodes. Seals
+add their impedance at the rotor speed W.
 
 Legend: n DOF, S speeds, R right-hand sides, u band width on either side of the diagonal.
 """
@@ -15,7 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.errors import PipelineError
-from pipeline.rotor.model import RotorModel
+from pipeline.rotor.model import RotorModel, seal_dof
+from pipeline.rotor.seals import Seals
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +30,8 @@ class BandedStiffness:
     damping: np.ndarray
     gyroscopic: np.ndarray
     stiffness: np.ndarray
+    seals: Seals
+    seal_places: np.ndarray  # (T, 2) positions of x and y of the seals within ``dof``; -1 where they are not
 
 
 def banded(rotor: RotorModel, dof: np.ndarray | None = None) -> BandedStiffness:
@@ -36,7 +40,16 @@ def banded(rotor: RotorModel, dof: np.ndarray | None = None) -> BandedStiffness:
     blocks = [a[np.ix_(dof, dof)] for a in (rotor.mass, rotor.damping, rotor.gyroscopic, rotor.stiffness)]
     rows, columns = np.nonzero(np.any([block != 0 for block in blocks], axis=0))
     bandwidth = int(np.abs(rows - columns).max(initial=0))
-    return BandedStiffness(dof, bandwidth, *(_columns(block, bandwidth) for block in blocks))
+    places = _locate(seal_dof(rotor), dof)
+    bandwidth = max(bandwidth, int((places >= 0).all(axis=-1).any()))  # x and y of a seal lie side by side
+    mass, damping, gyroscopic, stiffness = (_columns(block, bandwidth) for block in blocks)
+    return BandedStiffness(dof, bandwidth, mass, damping, gyroscopic, stiffness, rotor.seals, places)
+
+
+def _locate(wanted: np.ndarray, dof: np.ndarray) -> np.ndarray:
+    """Positions of the ``wanted`` (T, 2) within ``dof`` (m,); -1 where they are not."""
+    positions = {int(one): i for i, one in enumerate(dof)}
+    return np.array([[positions.get(int(one), -1) for one in pair] for pair in wanted], dtype=int).reshape(-1, 2)
 
 
 def _columns(matrix: np.ndarray, bandwidth: int) -> np.ndarray:
@@ -115,12 +128,14 @@ def _assemble(
     matrix = band[:count, :, width:]
     matrix.real = system.stiffness - w**2 * system.mass
     matrix.imag = w * (system.damping + speed * system.gyroscopic)
-    if impedance is None or impedance_dof is None:
-        return
-    for block, places in zip(impedance, impedance_dof, strict=True):
-        for i in range(2):
-            for j in range(2):
-                matrix[:, places[j], width + places[i] - places[j]] += block[:, i, j]
+    added = [] if impedance is None or impedance_dof is None else list(zip(impedance, impedance_dof, strict=True))
+    if len(system.seal_places):
+        added += zip(system.seals.impedance(frequencies, speeds), system.seal_places, strict=True)
+    for block, places in added:
+        for i, row in enumerate(places):
+            for j, column in enumerate(places):
+                if row >= 0 and column >= 0:
+                    matrix[:, column, width + row - column] += block[:, i, j]
 
 
 def apply(
@@ -137,7 +152,15 @@ def apply(
     """
     blocks = [a[np.ix_(rows, columns)] for a in (rotor.mass, rotor.damping, rotor.gyroscopic, rotor.stiffness)]
     coupled = np.any([block != 0 for block in blocks], axis=(0, 1))
+    at_rows, at_columns = _locate(seal_dof(rotor), rows), _locate(seal_dof(rotor), columns)
+    coupled[at_columns[at_columns >= 0]] = True
     mass, damping, gyroscopic, stiffness = (block[:, coupled] for block in blocks)
     w, speed = frequencies[:, None, None], speeds[:, None, None]
     dynamic = stiffness - w**2 * mass + 1j * w * (damping + speed * gyroscopic)
+    if len(at_rows):
+        kept = np.cumsum(coupled) - 1  # where a column is among those that couple
+        blocks_of = rotor.seals.impedance(frequencies, speeds)
+        for t, i, j in np.ndindex(len(at_rows), 2, 2):
+            if at_rows[t, i] >= 0 and at_columns[t, j] >= 0:
+                dynamic[:, at_rows[t, i], kept[at_columns[t, j]]] += blocks_of[t, :, i, j]
     return dynamic @ x[:, coupled]

@@ -12,6 +12,8 @@ from functools import cached_property
 
 import numpy as np
 
+from pipeline.rotor.seals import NO_SEALS, Seals
+
 DOF_PER_NODE = 4
 TRANSLATIONS = 2
 """x and y come first among the DOF of a node."""
@@ -31,6 +33,8 @@ class RotorModel:
     bearing_nodes: tuple[int, ...]
     disc_nodes: tuple[int, ...]
     total_mass: float  # kg
+    seals: Seals = NO_SEALS
+    supported_nodes: tuple[int, ...] = ()  # bearing nodes whose supports are part of the bearing
 
     @property
     def n_nodes(self) -> int:
@@ -51,6 +55,8 @@ class RotorModel:
             # + 0.0 turns a rounded -0.0 into 0.0, which has other bytes.
             digest.update((np.round(matrix / scale, 9) + 0.0).tobytes())
             digest.update(f"{scale:.9e}".encode())
+        if len(self.seals.rows):
+            digest.update(self.seals.rows.tobytes())
         return digest.hexdigest()[:16]
 
 
@@ -61,4 +67,13 @@ def translation_dof(node: int, direction: int) -> int:
 
 def bearing_dof(rotor: RotorModel) -> np.ndarray:
     """(B, 2) indices of x and y at each bearing."""
-    return np.array([[translation_dof(node, d) for d in range(TRANSLATIONS)] for node in rotor.bearing_nodes])
+    return _translations(rotor.bearing_nodes)
+
+
+def seal_dof(rotor: RotorModel) -> np.ndarray:
+    """(T, 2) indices of x and y at each seal."""
+    return _translations(rotor.seals.nodes)
+
+
+def _translations(nodes: tuple[int, ...]) -> np.ndarray:
+    return np.array([[translation_dof(node, d) for d in range(TRANSLATIONS)] for node in nodes], dtype=int)

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.rotor.model import DOF_PER_NODE, TRANSLATIONS, RotorModel, translation_dof
+from pipeline.rotor.seals import NO_SEALS
 
 UNITS = {
     "youngs_modulus": "",
@@ -67,7 +68,8 @@ class ModelParameter:
 def rotor_change(parameter: ModelParameter, rotor: RotorModel) -> RotorModel | None:
     """The rotor's matrices dM, dC, dG, dK of theta = 1; None for a parameter that is none of the rotor's."""
     nothing = np.zeros_like(rotor.mass)
-    change: dict[str, Any] = {"mass": nothing, "damping": nothing, "gyroscopic": nothing, "stiffness": nothing}
+    change: dict[str, Any] = dict.fromkeys(("mass", "damping", "gyroscopic", "stiffness"), nothing)
+    change["seals"] = NO_SEALS  # no parameter changes them
     size, first = parameter.deviation, translation_dof(parameter.place, 0)
     if parameter.kind == "youngs_modulus":
         change["stiffness"] = size * rotor.stiffness

@@ -33,6 +33,8 @@ from pipeline.errors import ConfigError
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.journal_table import interpolate_coefficients, journal_coefficients
 from pipeline.rotor.model import RotorModel
+from pipeline.rotor.ross_file import read_rotor_file
+from pipeline.rotor.supports import Stand, find_seals, find_stands
 
 GRAVITY = 9.80665  # m/s^2
 _SPLINE_POINTS = 4
@@ -71,7 +73,9 @@ def assemble(config: RotorConfig) -> RotorModel:
     """
     rotor = _make_rotor(config)
     lateral = np.array([rotor.number_dof * node + dof for node in range(len(rotor.nodes)) for dof in _LATERAL])
-    without_bearings = [element for element in rotor.elements if element not in rotor.bearing_elements]
+    last, stands = len(rotor.nodes) - 1, _find_stands(rotor)
+    beside = {*map(id, rotor.bearing_elements), *(id(mass) for mass in rotor.point_mass_elements if mass.n > last)}
+    without_bearings = [element for element in rotor.elements if id(element) not in beside]
     mass, damping, gyroscopic, stiffness = _sum_elements(rotor, without_bearings, lateral)
     shaft_mass, _, shaft_gyroscopic, _ = _sum_elements(rotor, rotor.shaft_elements, lateral)
     return RotorModel(
@@ -85,7 +89,15 @@ def assemble(config: RotorConfig) -> RotorModel:
         bearing_nodes=_find_bearings(config, rotor),
         disc_nodes=tuple(int(disc.n) for disc in rotor.disk_elements),
         total_mass=float(rotor.m),
+        seals=find_seals(rotor.bearing_elements, last, ross().SealElement),
+        supported_nodes=tuple(stand.node for stand in stands if config.file is not None and stand.supported),
     )
+
+
+def _find_stands(rotor: Any) -> tuple[Stand, ...]:
+    """The bearings of a rotor, with their supports."""
+    last = len(rotor.nodes) - 1
+    return find_stands(rotor.bearing_elements, rotor.point_mass_elements, last, ross().SealElement)
 
 
 def _sum_elements(rotor: Any, elements: Sequence[Any], lateral: np.ndarray) -> list[np.ndarray]:
@@ -104,22 +116,33 @@ def _sum_elements(rotor: Any, elements: Sequence[Any], lateral: np.ndarray) -> l
 def ross_rotor(config: RotorConfig, bearing: BearingConfig, speeds: np.ndarray) -> Any:
     """ROSS's own rotor with bearings, for its analyses (and as an oracle in tests). ``speeds`` (S,) rad/s."""
     rotor = _make_rotor(config)
-    return ross().Rotor(rotor.shaft_elements, rotor.disk_elements, _make_elements(config, bearing, rotor, speeds))
+    if isinstance(bearing, RotorFileBearingConfig):
+        return rotor
+    seals = [one for one in rotor.bearing_elements if isinstance(one, ross().SealElement)]
+    bearings = _make_elements(config, bearing, rotor, speeds)
+    return ross().Rotor(rotor.shaft_elements, rotor.disk_elements, [*bearings, *seals])
 
 
 def bearing_table(config: RotorConfig, bearing: BearingConfig, speeds: np.ndarray) -> BearingTable:
     """The modelled coefficients at ``speeds`` (S,) rad/s."""
     rotor = _make_rotor(config)
     speeds = np.asarray(speeds, dtype=float)
-    elements = _make_elements(config, bearing, rotor, speeds)
-    nodes = tuple(int(element.n) for element in elements)
-    tables = [_tabulate(_select(bearing, node), speeds) for node in nodes]
-    values = np.array(
-        [
-            [_read_coefficients(element, speed) for speed in speeds] if table is None else table
-            for element, table in zip(elements, tables, strict=True)
-        ]
-    )
+    if isinstance(bearing, RotorFileBearingConfig):
+        stands = _find_stands(rotor)
+        nodes = tuple(stand.node for stand in stands)
+        values = np.array([[_flatten(*stand.blocks(speed)) for speed in speeds] for stand in stands])
+    else:
+        nodes = _find_bearings(config, rotor)
+        values = np.array(
+            [
+                [_flatten(element.K(speed), element.C(speed)) for speed in speeds] if table is None else table
+                for element, table in zip(
+                    _make_elements(config, bearing, rotor, speeds),
+                    [_tabulate(_select(bearing, node), speeds) for node in nodes],
+                    strict=True,
+                )
+            ]
+        )
     if not np.isfinite(values).all():
         raise ConfigError(
             "Modelled bearing coefficients must be finite, but ROSS gave some that are not: check the bearing's "
@@ -151,15 +174,14 @@ def _tabulate(bearing: BearingConfig, speeds: np.ndarray) -> np.ndarray | None:
     return None
 
 
-def _read_coefficients(element: Any, speed: float) -> list[float]:
-    blocks = {"k": element.K(speed), "c": element.C(speed)}
+def _flatten(stiffness: np.ndarray, damping: np.ndarray) -> list[float]:
+    """The eight coefficients of matrices over x and y (and more)."""
+    blocks = {"k": stiffness, "c": damping}
     return [float(blocks[name[0]]["xy".index(name[1]), "xy".index(name[2])]) for name in COEFFICIENTS]
 
 
 def _make_elements(config: RotorConfig, bearing: BearingConfig, rotor: Any, speeds: np.ndarray) -> list[Any]:
     """ROSS bearing elements of ``bearing`` at every bearing node of the rotor."""
-    if isinstance(bearing, RotorFileBearingConfig):
-        return sorted(rotor.bearing_elements, key=lambda element: element.n)
     nodes = _find_bearings(config, rotor)
     share = rotor.m * GRAVITY / len(nodes)
     return [_make_element(_select(bearing, node), node, speeds, share) for node in nodes]
@@ -197,7 +219,7 @@ def _make_element(bearing: BearingConfig, node: int, speeds: np.ndarray, share: 
 def _make_rotor(config: RotorConfig) -> Any:
     """ROSS's rotor without bearings, or as its file has it."""
     if config.file is not None:
-        return _load(Path(config.file))
+        return read_rotor_file(ross(), Path(config.file))
     rs = ross()
     if config.material is None:
         raise ConfigError("machine.rotor.material must be given for a rotor without machine.rotor.file")
@@ -241,22 +263,11 @@ def _diameters(segment: ShaftSegmentConfig) -> Iterator[tuple[float, float]]:
 
 def _find_bearings(config: RotorConfig, rotor: Any) -> tuple[int, ...]:
     """Where the bearings stand: in a rotor file that has bearings, the file says so."""
-    if config.file is not None and rotor.bearing_elements:
-        return tuple(sorted({int(bearing.n) for bearing in rotor.bearing_elements}))
-    return config.bearing_nodes
-
-
-def _load(file: Path) -> Any:
-    if not file.is_file():
+    if config.file is not None and (stands := _find_stands(rotor)):
+        return tuple(stand.node for stand in stands)
+    if not config.bearing_nodes:
         raise ConfigError(
-            f"machine.rotor.file must be a rotor saved by ROSS (.toml or .json), but there is no file '{file}'"
+            f"machine.rotor.file must have bearings to identify, but '{config.file}' has none: give "
+            "machine.rotor.bearing_nodes"
         )
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            return ross().Rotor.load(file)
-    except Exception as error:  # ROSS's loader raises whatever its elements' constructors raise
-        raise ConfigError(
-            f"machine.rotor.file must be a rotor saved by ROSS (.toml or .json), but '{file}' can't be read as one "
-            f"({type(error).__name__}: {error})"
-        ) from error
+    return config.bearing_nodes

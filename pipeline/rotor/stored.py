@@ -15,12 +15,15 @@ from pipeline.config.bearings import BearingConfig
 from pipeline.config.rotor import RotorConfig
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
+from pipeline.rotor.seals import Seals
 
 KIND = "rotors"
 _BEARINGS = "bearings"
-_MADE_BY = [Path(__file__).with_name(f"{name}.py") for name in ("ross_adapter", "journal_table")]
+_CODE = ("ross_adapter", "ross_file", "supports", "journal_table")
+_MADE_BY = [Path(__file__).with_name(f"{name}.py") for name in _CODE]
 _ARRAYS = ("mass", "damping", "gyroscopic", "stiffness", "shaft_mass", "shaft_gyroscopic", "positions")
-_REST = ("bearing_nodes", "disc_nodes", "total_mass")
+_REST = ("bearing_nodes", "disc_nodes", "total_mass", "supported_nodes")
+_SEALS = "seals"
 
 
 def hash_rotor(config: RotorConfig) -> str:
@@ -42,18 +45,20 @@ def load_rotor(config: RotorConfig) -> RotorModel:
     Raises ConfigError where ``config.file`` can't be read.
     """
     key = hash_rotor(config)
-    kept = _look_up(KIND, key, {*_ARRAYS, *_REST})
+    kept = _look_up(KIND, key, {*_ARRAYS, *_REST, _SEALS})
     if kept is not None:
         return RotorModel(
             **{name: kept[name] for name in _ARRAYS},
             bearing_nodes=tuple(kept["bearing_nodes"].astype(int).tolist()),
             disc_nodes=tuple(kept["disc_nodes"].astype(int).tolist()),
             total_mass=float(kept["total_mass"][0]),
+            seals=Seals(kept[_SEALS]),
+            supported_nodes=tuple(kept["supported_nodes"].astype(int).tolist()),
         )
     from pipeline.rotor.ross_adapter import assemble
 
     rotor = assemble(config)
-    _keep(KIND, key, {name: getattr(rotor, name) for name in (*_ARRAYS, *_REST)})
+    _keep(KIND, key, {name: getattr(rotor, name) for name in (*_ARRAYS, *_REST)} | {_SEALS: rotor.seals.rows})
     return rotor
 
 

@@ -20,7 +20,14 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor
 from pipeline.stages.execution import StageOutput
-from pipeline.stages.workspace import hash_origin, list_known, locate_files, require_nodes, require_own
+from pipeline.stages.workspace import (
+    hash_origin,
+    list_known,
+    locate_files,
+    require_nodes,
+    require_own,
+    require_synchronous,
+)
 from pipeline.twin.modes import StabilityMargin, find_modes, measure_stability
 from pipeline.units import RAD_S_PER_RPM
 
@@ -78,6 +85,7 @@ def model_machine(config: Config, seed: int | None = None) -> tuple[RotorModel, 
     acting, frequencies = (*runs, *residual), configure_frequencies(config, speeds)
     if built is None:
         complete = simulate(rotor, bearings, acting, frequencies)
+        require_synchronous(rotor, complete)
     else:
         require_nodes(rotor, "machine.as_built.coupling_node", [built.coupling_node])
         generator = np.random.default_rng([config.machine.probes.seed if seed is None else seed, 1])

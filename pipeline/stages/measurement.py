@@ -32,6 +32,7 @@ from pipeline.stages.workspace import (
     list_known,
     locate_files,
     require_nodes,
+    require_synchronous,
 )
 
 
@@ -65,6 +66,7 @@ def load_measurement(config: Config) -> Measurement:
 
 def build_measurement(config: Config, rotor: RotorModel, dataset: VibrationDataset, known: BearingTable) -> Measurement:
     """The measurement that a configuration asks about, from data that are at hand."""
+    require_synchronous(rotor, dataset)
     noise, model, identify = config.stated_noise, config.model, config.identify
     unknowns = identify.unknowns_of(rotor.bearing_nodes)
     return Measurement(

@@ -29,6 +29,7 @@ from pipeline.twin.modes import (
     CriticalSpeed,
     StabilityMargin,
     WhirlModes,
+    assemble_mass,
     assemble_systems,
     find_critical_speeds,
     measure_stability,
@@ -150,7 +151,8 @@ class System:
 
         By the coefficients, (K, B, 8) 1/s over N/m and N s/m, and by ``changes`` of the rotor, (K, T) 1/s.
         """
-        mass, places, of = self.rotor.mass, bearing_dof(self.rotor), values[:, None, None]
+        mass, places = assemble_mass(self.rotor, np.array([self.speed])), bearing_dof(self.rotor)
+        of = values[:, None, None]
         shifted = of * (1.0 + _OFF) + _OFF
         system = shifted**2 * mass + shifted * self.damping + self.stiffness  # (K, n, n)
         right, left = _find_null(system), _find_null(system.swapaxes(1, 2))
