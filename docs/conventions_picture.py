@@ -120,12 +120,12 @@ def draw(path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    drawn = Figure(figsize=(13.5, 4.7), layout="constrained")
+    drawn = Figure(figsize=(9.5, 9.2), layout="constrained")
     FigureCanvasAgg(drawn)
-    section, signals, runout = drawn.subplots(1, 3, width_ratios=[1.15, 1.35, 0.9])
-    draw_section(section)
-    draw_signals(signals)
-    draw_runout(runout)
+    places = drawn.subplot_mosaic([["section", "runout"], ["signals", "signals"]], width_ratios=[1.2, 1])
+    draw_section(places["section"])
+    draw_signals(places["signals"])
+    draw_runout(places["runout"])
     path.parent.mkdir(parents=True, exist_ok=True)
     drawn.savefig(path, dpi=110)
 

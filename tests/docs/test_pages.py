@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import shlex
 from pathlib import Path
@@ -16,6 +17,8 @@ BUILT_WITHOUT = {"tables.md"}
 """Markdown that no page of the site is made of."""
 
 _LINK = re.compile(r"\]\(([^)#]+)(?:#[^)]*)?\)")
+_ITEM = re.compile(r"(- |\d+\. )")
+_PARAGRAPH = re.compile(r"(?!- |\d+\. | {2}|#|\||<!--)\S")
 _COMMAND = re.compile(r"^ {4,}(python -m pipeline .*)$", re.M)
 _INLINE = re.compile(r"`(python -m pipeline [^`]*)`")
 _ELSEWHERE = re.compile(r"machine\.file=|--config-dir|hydra/launcher|--help|--cfg|machine\.runs_file=|data\.known=my/")
@@ -43,6 +46,16 @@ def test_a_link_leads_somewhere(page: Path) -> None:
     """A link to another page, file or picture; those of the internet are left alone."""
     targets = [one for one in _LINK.findall(page.read_text(encoding="utf-8")) if "://" not in one]
     assert [one for one in targets if not (page.parent / one).exists()] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_the_site_reads_a_page_as_git_does(page: Path) -> None:
+    """Python-Markdown wants a blank line before a list, and four spaces where a list goes on after one."""
+    lines = ["", *page.read_text(encoding="utf-8").splitlines()]
+    pairs = list(itertools.pairwise(lines))
+    lists = [line for before, line in pairs if _ITEM.match(line) and _PARAGRAPH.match(before)]
+    blocks = [line for before, line in pairs if re.match(r" {2,3}\S", line) and not before]
+    assert lists + blocks == []
 
 
 def test_every_page_is_in_the_navigation() -> None:

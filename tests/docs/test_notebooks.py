@@ -1,0 +1,72 @@
+"""The notebooks of docs run from top to bottom as they are, and say what they promise."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
+
+
+def read(path: Path) -> Any:
+    """A notebook."""
+    import nbformat
+
+    return nbformat.read(path, as_version=4)
+
+
+def run(name: str, results: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """What the notebook's names stand for after its last cell; its cells run in this process, without a kernel."""
+    import matplotlib
+
+    names: dict[str, Any] = {}
+    monkeypatch.chdir(ROOT / "docs" / "notebooks")
+    monkeypatch.setenv("NOTEBOOK_RESULTS", str(results))
+    monkeypatch.setattr(os, "environ", os.environ | {"MPLBACKEND": "Agg"})
+    matplotlib.use("Agg")
+    for number, cell in enumerate(read(ROOT / "docs" / "notebooks" / f"{name}.ipynb").cells):
+        if cell.cell_type == "code":
+            exec(compile(cell.source, f"{name}, cell {number}", "exec"), names)
+    matplotlib.pyplot.close("all")
+    return names
+
+
+def test_there_are_three() -> None:
+    assert [path.stem for path in NOTEBOOKS] == ["paper", "recordings", "study"]
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_no_output_is_kept(path: Path) -> None:
+    """Outputs are of one machine and one day; git keeps the cells alone."""
+    text = path.read_text(encoding="utf-8")
+    assert not re.search(r'"(?:output_type|image/png)"', text)
+    assert '"execution_count": null' in text
+
+
+@pytest.mark.slow
+def test_the_paper_is_reproduced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    names = run("paper", tmp_path, monkeypatch)
+    assert names["ends"].keys() == {1.0, 1e8}
+    assert all(abs(end / 464.16883e5 - 1) < 1e-6 for end in names["ends"].values())
+    assert names["errors"]["kxx"] < 0.002
+    assert names["errors"]["kyy"] < 0.001
+    assert names["worst"] < 0.1
+
+
+@pytest.mark.slow
+def test_recordings_become_coefficients(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    names = run("recordings", tmp_path, monkeypatch)
+    assert 0 < names["worst"] < 1
+    assert 0 < names["error"] < 0.01
+
+
+@pytest.mark.slow
+def test_a_study_is_made_and_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    names = run("study", tmp_path, monkeypatch)
+    assert len(list((tmp_path / "study").glob("trials.csv"))) == 1
+    assert len(names["finalists"]) >= 5
