@@ -12,7 +12,7 @@ export DVC_NO_ANALYTICS := 1
 unexport PYTHONHOME PYTHONPATH
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo reproduce test test-quick test-nightly comparison ablation paper-study studies promote bench tables measured house docs reference lint clean
+.PHONY: help env demo reproduce test test-quick test-nightly comparison ablation paper-study studies promote bench tables measured house docs reference lint lock audit clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' Makefile
@@ -115,6 +115,24 @@ lint: env  ## ruff and mypy, strict where the numbers are made
 	$(RUN) ruff format --check .
 	$(RUN) mypy
 	$(RUN) mypy --strict --follow-imports=silent -p pipeline.problem -p pipeline.identification
+
+# TORCH says where uv finds torch's CPU build: by itself it knows PyTorch's index.
+TORCH ?= --torch-backend=cpu
+lock: .cache/lock/bin/uv  ## write requirements.lock, the packages of the container with their hashes, after a change of constraints.txt
+	.cache/lock/bin/uv pip compile -q pyproject.toml -c constraints.txt --python-version 3.11 \
+		--python-platform x86_64-manylinux_2_34 --generate-hashes --no-strip-extras --no-annotate --no-header \
+		--no-emit-index-url $(TORCH) -o .cache/lock/made
+	{ echo "# The packages that pyproject.toml needs to run, at the versions of constraints.txt, on Linux x86-64 with"; \
+	  echo "# Python 3.11 and torch's CPU build; each is held by its hashes. Written by \`make lock\`."; \
+	  cat .cache/lock/made; } > .cache/lock/new
+	mv .cache/lock/new requirements.lock
+
+audit: .cache/lock/bin/uv  ## ask the advisory database of Python packages about those of requirements.lock (needs the network)
+	.cache/lock/bin/pip-audit -r requirements.lock --disable-pip --require-hashes
+
+.cache/lock/bin/uv:
+	"$(PYTHON)" -m venv .cache/lock
+	.cache/lock/bin/python -m pip install -qq --disable-pip-version-check uv==0.13.9 pip-audit==2.10.1
 
 clean:  ## remove .venv, caches and Hydra's run folders; artifacts, studies and tracking stay
 	rm -rf .venv .cache build dist site *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis outputs multirun dvc_plots

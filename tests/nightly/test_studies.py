@@ -12,6 +12,7 @@ import pytest
 import test_study_database as database_tests
 import test_study_mistakes as mistakes
 import test_study_resume as resume
+from postgres import Server
 from running import at_night
 
 from pipeline.tuning.attempts import repeat_stopped
@@ -103,9 +104,7 @@ def test_workers_end_with_the_process_that_started_them(steps: int, start: Forks
     wait_until(lambda: "RUNNING" not in {trial.state.name for trial in repeat_stopped(study, config)})
 
 
-def test_a_slow_machine_keeps_its_trial(
-    server: database_tests.Server, start: Forks, make: Make, undisturbed: Undisturbed
-) -> None:
+def test_a_slow_machine_keeps_its_trial(server: Server, start: Forks, make: Make, undisturbed: Undisturbed) -> None:
     """A worker keeps its trial as long as it gives heartbeats; one that stood still, as a laptop that slept, has lost
     it when it wakes up: its result changes nothing, and it ends well."""
     problem = make(**ALONE, storage=server.database(), n_trials=4)
@@ -124,9 +123,7 @@ def test_a_slow_machine_keeps_its_trial(
     assert finished(problem) == undisturbed(**ALONE)[:4]
 
 
-def test_a_server_that_stops_in_the_middle(
-    server: database_tests.Server, start: Forks, make: Make, undisturbed: Undisturbed
-) -> None:
+def test_a_server_that_stops_in_the_middle(server: Server, start: Forks, make: Make, undisturbed: Undisturbed) -> None:
     """Both workers of a command end with one sentence; when the server is back, the study goes on where it was."""
     problem = make(**ALONE, storage=server.database(), workers=2, timeout_seconds=3.0)
     worker = start(problem, halts=True)
