@@ -23,6 +23,7 @@ ROOMS: tuple[tuple[frozenset[str], str], ...] = (
     (frozenset({"evaluation"}), "errors, thresholds"),
     (frozenset({"twin"}), "predicted vibration, critical speeds, stability"),
     (frozenset({"trust"}), "verdicts: what speaks for an answer"),
+    (frozenset({"export"}), "the answer in the formats of other programs"),
     (frozenset({"methods"}), "the conventional methods"),
     (frozenset({"comparison"}), "methods on cases"),
     (frozenset({"tuning"}), "hyperparameter studies (Optuna)"),

@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import json
 import os
+import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,33 @@ def write_beside(path: Path, write: Callable[[Path], object]) -> Path:
         # A folder that is missing, or is no folder, has been reported by the error above.
         with contextlib.suppress(OSError):
             beside.unlink(missing_ok=True)
+    return path
+
+
+def write_folder(path: Path, write: Callable[[Path], object]) -> Path:
+    """Let ``write`` fill a folder under a temporary name, then put it in the place of ``path`` as a whole.
+
+    Raises StorageError (full disk, read-only folder, a file in the way); the folder that was there stays then.
+    """
+    beside, old = (path.with_name(f".{path.name}.{os.getpid()}{ending}") for ending in ("", ".old"))
+    try:
+        if path.exists() and not path.is_dir():
+            raise NotADirectoryError(0, "there is a file of that name")
+        beside.mkdir(parents=True)
+        write(beside)
+        if path.exists():
+            os.replace(path, old)
+        os.replace(beside, path)
+    except OSError as error:
+        if old.exists():
+            os.replace(old, path)
+        raise StorageError(
+            f"'{path}' must be writable, but saving failed ({error.strerror or error}): "
+            "free the disk or choose another folder with output=FOLDER"
+        ) from error
+    finally:
+        for folder in (beside, old):
+            shutil.rmtree(folder, ignore_errors=True)
     return path
 
 

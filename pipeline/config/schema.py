@@ -6,7 +6,7 @@ One class a concept, in the order of the straight line of data. Values are SI (s
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, get_args
 
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
@@ -59,6 +59,16 @@ class ReportConfig(Section):
     reference: str | None = None
 
 
+ExportFormat = Literal["ross", "csv", "excel", "json", "dyrobes", "ansys"]
+
+
+class ExportConfig(Section):
+    """``stage=export`` writes the identified bearings in these formats; ROSS's files are SI whatever the ``units``."""
+
+    units: Literal["si", "us"]
+    formats: tuple[ExportFormat, ...] = Field(min_length=1)
+
+
 class NewConfig(Section):
     """``stage=new`` writes a machine file for this kind of bearings and this source of data."""
 
@@ -102,6 +112,7 @@ class Config(Section):
     tracking: TrackingConfig
     check: CheckConfig
     report: ReportConfig = Field(default=ReportConfig())
+    export: ExportConfig = Field(default=ExportConfig(units="si", formats=get_args(ExportFormat)), exclude=True)
     new: NewConfig = Field(default=NewConfig(bearings="fluid_film", data="simulated"), exclude=True)
     chosen_by: str = Field(default="", exclude=True)
 

@@ -17,6 +17,7 @@ STAGES: dict[str, str] = {
     "compare": "identify the modelled machine by every method, over noise, sensors and number of speeds",
     "predict": "predict vibration never seen, critical speeds and stability with the digital twin",
     "verdict": "say whether each coefficient can be trusted, why, and what to do next",
+    "export": "write the identified bearings for ROSS, ANSYS, DyRoBeS, XLTRC2, Excel, CSV and JSON",
     "summary": "put the results on one screen and in one picture",
     "report": "write one page (HTML, PDF) with all that was measured, identified and predicted, to send on",
     "check": "hold the metrics of all experiments against conf/thresholds; exit code 1 where one is passed",

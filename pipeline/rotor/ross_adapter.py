@@ -113,6 +113,11 @@ def _sum_elements(rotor: Any, elements: Sequence[Any], lateral: np.ndarray) -> l
     return [matrix[np.ix_(lateral, lateral)] for matrix in sums]
 
 
+def make_rotor(config: RotorConfig) -> Any:
+    """ROSS's own rotor without bearings, or as its file has it. Raises ConfigError for a file that can't be read."""
+    return _make_rotor(config)
+
+
 def ross_rotor(config: RotorConfig, bearing: BearingConfig, speeds: np.ndarray) -> Any:
     """ROSS's own rotor with bearings, for its analyses (and as an oracle in tests). ``speeds`` (S,) rad/s."""
     rotor = _make_rotor(config)

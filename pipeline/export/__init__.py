@@ -1,0 +1,1 @@
+"""Identified bearings in the formats of other programs."""

@@ -1,0 +1,139 @@
+"""What is exported: coefficients and deviations in the units of the reader, as columns and as JSON.
+
+Legend: B bearings, S speeds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from pipeline.coefficients import COEFFICIENTS, is_stiffness
+from pipeline.data.vibration_files import to_rpm
+from pipeline.rotor.bearing_table import BearingTable
+
+Units = Literal["si", "us"]
+
+POUND_PER_INCH = 4.4482216152605 / 0.0254
+"""N/m of 1 lbf/in, and N s/m of 1 lbf s/in: the international pound and inch, exactly."""
+
+SCALE = {"si": 1.0, "us": POUND_PER_INCH}
+NAMES = {"si": ("N/m", "N-s/m"), "us": ("lb/in", "lb-s/in")}
+"""Stiffness and damping, as XLTRC2 writes them (lb is a force)."""
+
+CONVENTIONS = (
+    "z runs along the shaft, x y z are right-handed, and the shaft turns from x towards y (about +z).",
+    "kij is the force along i that a displacement along j takes: the force on the shaft is -K q - C dq/dt.",
+    "1 is x, 2 is y. In a film kyx < 0 < kxy drives forward whirl. Coefficients belong to the rotor speed.",
+    "Where the other program has x (or the load) in another direction, turn the tables: K' = R K R^T.",
+    "Where its shaft turns from y towards x, mirror y: the signs of kxy, kyx, cxy and cyx change.",
+)
+BRIEF = "shaft turns from x to y (CCW), force on the shaft is -K q - C dq/dt"
+
+
+@dataclass(frozen=True, eq=False)
+class Exported:
+    """The answer of an experiment."""
+
+    name: str
+    table: BearingTable  # SI
+    deviation: np.ndarray | None  # (B, S, 8) SI; NaN for coefficients that were known; None where the fit states none
+    identified: np.ndarray  # (B, 8) bool
+    units: Units
+
+    @property
+    def rpm(self) -> np.ndarray:
+        """(S,)."""
+        return np.asarray(to_rpm(self.table.speeds))
+
+    @property
+    def values(self) -> np.ndarray:
+        """(B, S, 8) in the units of the reader."""
+        return self.table.values / SCALE[self.units]
+
+    @property
+    def deviations(self) -> np.ndarray | None:
+        """(B, S, 8) in the units of the reader."""
+        return None if self.deviation is None else self.deviation / SCALE[self.units]
+
+    def unit(self, name: str) -> str:
+        """The unit of a coefficient."""
+        return NAMES[self.units][0 if is_stiffness(name) else 1]
+
+    def conventions(self) -> list[str]:
+        """Lines for the head of a file."""
+        return [f"{self.name}: identified bearing coefficients, {' and '.join(NAMES[self.units])}", *CONVENTIONS]
+
+
+def tabulate(exported: Exported) -> dict[str, Any]:
+    """Columns of ``coefficients.csv``: a row a bearing and speed, deviations as ``kxx_std``.
+
+    In SI they are those of ``known_coefficients.csv``; in US units the names say so (``kxx_lb_per_in``), which no one
+    takes for SI.
+    """
+    suffix = {True: "", False: ""} if exported.units == "si" else {True: "_lb_per_in", False: "_lb_s_per_in"}
+    n_bearings, n_speeds = len(exported.table.nodes), len(exported.rpm)
+    columns: dict[str, Any] = {
+        "bearing_node": np.repeat(exported.table.nodes, n_speeds),
+        "speed_rpm": np.tile(exported.rpm, n_bearings),
+    }
+    for part, ending in ((exported.values, ""), (exported.deviations, "_std")):
+        for c, name in enumerate(COEFFICIENTS if part is not None else ()):
+            assert part is not None
+            columns[f"{name}{suffix[is_stiffness(name)]}{ending}"] = part[..., c].ravel()
+    return columns
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class Coefficient(_Part):
+    """One coefficient over the speed."""
+
+    identified: bool = Field(description="false: it was known, and is repeated here")
+    value: list[float] = Field(description="one a speed, in the unit of its kind")
+    std: list[float] | None = Field(description="standard deviations; null where there are none")
+
+
+class Bearing(_Part):
+    """One bearing."""
+
+    node: int = Field(ge=0, description="node of the rotor, counted from 0")
+    speed_rpm: list[float]
+    coefficients: dict[str, Coefficient] = Field(description=f"by name: {', '.join(COEFFICIENTS)}")
+
+
+class Document(_Part):
+    """Identified bearing coefficients of a rotor."""
+
+    schema_version: Literal[1] = 1
+    experiment: str
+    stiffness_unit: Literal["N/m", "lb/in"]
+    damping_unit: Literal["N-s/m", "lb-s/in"]
+    conventions: list[str]
+    bearings: list[Bearing]
+
+
+def document(exported: Exported) -> Document:
+    """The same as JSON."""
+    deviations = exported.deviations
+    bearings = []
+    for b, node in enumerate(exported.table.nodes):
+        found = {}
+        for c, name in enumerate(COEFFICIENTS):
+            known = bool(exported.identified[b, c])
+            std = deviations[b, :, c].tolist() if known and deviations is not None else None
+            found[name] = Coefficient(identified=known, value=exported.values[b, :, c].tolist(), std=std)
+        bearings.append(Bearing(node=int(node), speed_rpm=exported.rpm.tolist(), coefficients=found))
+    stiffness, damping = NAMES[exported.units]
+    return Document(
+        experiment=exported.name,
+        stiffness_unit=stiffness,  # type: ignore[arg-type]
+        damping_unit=damping,  # type: ignore[arg-type]
+        conventions=list(CONVENTIONS),
+        bearings=bearings,
+    )

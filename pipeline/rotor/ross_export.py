@@ -1,0 +1,83 @@
+"""The rotor as a fit left it, as ROSS's own object and file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from inspect import signature
+from typing import Any
+
+import numpy as np
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.rotor import RotorConfig
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.parameters import OF_COUPLING, ModelParameter
+from pipeline.rotor.ross_adapter import make_rotor, ross
+
+
+def export_rotor(
+    config: RotorConfig, parameters: Sequence[ModelParameter], values: np.ndarray, bearings: BearingTable
+) -> Any:
+    """ROSS's rotor at the model parameters ``values`` (T,), in prior deviations, on the identified ``bearings``.
+
+    Supports are part of the bearings as the shaft feels them; seals and masses on the shaft stay. A fitted coupling is
+    a bearing element of its own. Raises ConfigError where the rotor file can't be read.
+    """
+    rs, base = ross(), make_rotor(config)
+    moved = {
+        (one.kind, one.place): value * one.deviation
+        for one, value in zip(parameters, values, strict=True)
+        if one.kind not in ("known_coefficients", "runout")
+    }
+    young, density = 1.0 + moved.get(("youngs_modulus", 0), 0.0), 1.0 + moved.get(("density", 0), 0.0)
+    shaft = [_change_material(one, young, density) for one in base.shaft_elements]
+    discs = []
+    for one in base.disk_elements:
+        mass, inertia = (1.0 + moved.get((kind, one.n), 0.0) for kind in ("disc_mass", "disc_inertia"))
+        discs.append(rs.DiskElement(one.n, mass * one.m, inertia * one.Id, inertia * one.Ip, tag=one.tag))
+    last = len(base.nodes) - 1
+    masses = [one for one in base.point_mass_elements if one.n <= last]
+    standing = [*make_bearings(bearings), *(one for one in base.bearing_elements if isinstance(one, rs.SealElement))]
+    coupling = {kind: (n, value) for (kind, n), value in moved.items() if kind in OF_COUPLING}
+    if coupling:
+        node = next(iter(coupling.values()))[0]
+        stiffness, mass = (float(coupling.get(kind, (node, 0.0))[1]) for kind in OF_COUPLING)
+        standing.append(rs.BearingElement(node, kxx=stiffness, cxx=0.0, mxx=mass, tag="coupling"))
+    return rs.Rotor(shaft, discs, standing, masses)
+
+
+def make_bearings(bearings: BearingTable) -> list[Any]:
+    """ROSS's bearing elements: tables over the speed, or constants where no coefficient changes with it."""
+    rs, made = ross(), []
+    for node, values in zip(bearings.nodes, bearings.values, strict=True):
+        columns: dict[str, Any] = {}
+        constant = bool((values == values[0]).all())
+        for name, column in zip(COEFFICIENTS, values.T, strict=True):
+            columns[name] = float(column[0]) if constant else column.tolist()
+        if not constant:
+            columns["frequency"] = bearings.speeds.tolist()
+        made.append(rs.BearingElement(node, **columns, tag=f"bearing at node {node}"))
+    return made
+
+
+def read_table(elements: Sequence[Any], speeds: np.ndarray) -> BearingTable:
+    """The coefficients as ROSS evaluates the ``elements`` at ``speeds`` (S,) rad/s.
+
+    ROSS smooths a table of four speeds or more by a spline that leaves a root mean square of 1 N/m and 1 N s/m.
+    """
+    values = [
+        [[float(getattr(one, f"{name}_interpolated")(speed)) for name in COEFFICIENTS] for speed in speeds]
+        for one in elements
+    ]
+    return BearingTable(tuple(int(one.n) for one in elements), speeds, np.array(values))
+
+
+def _change_material(element: Any, young: float, density: float) -> Any:
+    """The shaft's element with its stiffness and its mass times these; its own damping stays."""
+    if young == density == 1.0:
+        return element
+    old = element.material
+    given = {name: getattr(element, name) for name in signature(type(element).__init__).parameters if name != "self"}
+    changed = {"rho": density * float(old.rho), "E": young * float(old.E), "G_s": young * float(old.G_s)}
+    given |= {"material": ross().Material(old.name, **changed), "alpha": element.alpha / density}
+    return type(element)(**given | {"beta": element.beta / young})
