@@ -63,7 +63,7 @@ def prepare_output_error(measurement: Measurement, setup: FitSetup) -> OutputErr
     training = measurement.select(keep, runs)
     sizes = Guess(setup.model.initial_stiffness, setup.model.initial_damping).sizes(unknowns)
     basis = drawn_basis(setup, training, speeds, sizes)
-    values = _linear_start(training, basis.at(training.dataset.speeds).numpy(), np.array(basis.model.scale))
+    values = linear_start(training, basis.at(training.dataset.speeds).numpy(), np.array(basis.model.scale))
     starts, filtered = [values], None
     if values is None:
         shape = (unknowns.n_members, len(training.dataset.speeds), len(unknowns.names))
@@ -212,7 +212,7 @@ _OUTLIER = 3.0
 """Rows beyond so many standard deviations count less."""
 
 
-def _linear_start(training: Measurement, features: np.ndarray, scale: np.ndarray) -> np.ndarray | None:
+def linear_start(training: Measurement, features: np.ndarray, scale: np.ndarray) -> np.ndarray | None:
     """Unknowns (M, S, U) as combinations of the ``features`` (M, S, K); None for too few sensors.
 
     ``scale`` (M, U) are sizes of the unknowns, N/m and N s/m.

@@ -20,6 +20,7 @@ from pipeline.config.recordings import (
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.errors import DataError
 from pipeline.ingest.conventions import to_vectors
+from pipeline.ingest.plausibility import note_dead
 from pipeline.ingest.probes import check_probes, resolve
 from pipeline.ingest.table import read_table_runs
 from pipeline.ingest.tracks import LARGEST, RunTracks, format_rpm, to_common_speeds
@@ -44,6 +45,9 @@ def read_measured_runs(config: AnyRecordingsConfig) -> MeasuredRuns:
     check_probes(config.probes)
     runs = _read_runs(config)
     notes = [note for run in runs for note in run.notes] + _note_zeros(runs)
+    for run in runs:
+        sizes = {probe: float(np.sqrt((np.abs(of.vectors) ** 2).mean())) for probe, of in run.tracks.items()}
+        notes += note_dead(run.name, sizes)
     asynchronous = {run.name for run in config.runs if isinstance(run, TableRunConfig) and run.asynchronous}
     if config.slow_roll is not None:  # runout turns with the shaft
         slow = config.slow_roll

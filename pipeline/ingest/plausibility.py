@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
@@ -9,6 +11,11 @@ from pipeline.data.dataset import DIRECTIONS, VibrationDataset
 from pipeline.data.simulate import solve_response
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
+
+DEAD = 0.01
+"""Of what the probes read (median), below which one is not connected."""
+CLIPPED = 0.01
+"""Of the samples, at one of the two ends of the signal; of a sine with a thousand levels one in a hundred is there."""
 
 FAR_OFF = 300.0
 """No bearing changes the vibration by as much; a forgotten unit (um for m, mm for um) changes it by a thousand."""
@@ -61,5 +68,30 @@ def note_whirl(dataset: VibrationDataset) -> list[str]:
                 f"the orbits of run '{run}' turn backward at {100 * backward.mean():.0f} % of speeds and nodes, and an "
                 "unbalance turns the shaft forward, from x to y: check the sense of the phase (lag or lead) and the "
                 "probes' angles"
+            )
+    return notes
+
+
+def note_dead(run: str, sizes: Mapping[str, float]) -> list[str]:
+    """A sentence for each probe of a ``run`` that reads next to nothing, from the root mean squares of all, m."""
+    usual = float(np.median(list(sizes.values())))
+    return [
+        f"probe '{probe}' of run '{run}' reads {100 * size / usual:.2g} % of what the probes read (median): is it "
+        "dead, or is its scale that of another unit?"
+        for probe, size in sizes.items()
+        if 0 < size < DEAD * usual
+    ]
+
+
+def note_clipping(where: str, signals: Mapping[str, np.ndarray]) -> list[str]:
+    """A sentence for each probe whose signal stays at its largest or smallest value: it left its range."""
+    notes = []
+    for probe, signal in signals.items():
+        ends = [signal == signal.max(), signal == signal.min()]
+        held = max(float((end[1:] & end[:-1]).mean()) for end in ends) if np.ptp(signal) > 0 else 0.0
+        if held > CLIPPED:
+            notes.append(
+                f"{where}, probe '{probe}': the signal stays at one end of its range in {100 * held:.2g} % of the "
+                "samples: it is clipped, so that its amplitudes are too small; measure again with a wider range"
             )
     return notes

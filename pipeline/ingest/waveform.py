@@ -12,6 +12,7 @@ from pipeline.config.quantities import to_metres, to_volts, to_volts_per_metre
 from pipeline.config.recordings import UffRecordingsConfig, UffRunConfig, WaveformRecordingsConfig, WaveformRunConfig
 from pipeline.errors import DataError
 from pipeline.ingest.order_tracking import Signals, find_range, fit_steady, fit_sweep
+from pipeline.ingest.plausibility import note_clipping
 from pipeline.ingest.recordings import Clock, Recording, check_recording, read_recording
 from pipeline.ingest.table import note_cut, read_format
 from pipeline.ingest.tacho import Pulses, find_pulses, fit_angle
@@ -131,6 +132,7 @@ def _read(config: SignalRecordingsConfig, run: WaveformRunConfig | UffRunConfig,
             marks = _find_pulses(config, recording, channel, f"{where}, channel '{channel}',").times
     pulses = _find_pulses(config, recording, tacho, f"{where}, channel '{tacho}',")
     angle = fit_angle(pulses.times, per_revolution, f"{where}, channel '{tacho}',", marks)
+    notes += tuple(note_clipping(where, {name: values[name] for name in config.probes}))
     return _Record(Signals(recording.time, _to_metres(config, values), angle, where), pulses, notes)
 
 

@@ -180,6 +180,14 @@ class Measurement:
         """The same with the response at other ``values`` (T,) of the model parameters, in prior deviations."""
         return replace(self, values=tuple(map(float, values)))
 
+    def as_stated(self) -> Measurement:
+        """The same with rotor and weights at the :attr:`values` of the model parameters, as if they were stated so."""
+        if not self.parameters:
+            return self
+        data = update_excitations(self.dataset, self.parameters, self.parameter_values)
+        rotor, known = self.updated_rotor, self.updated_known
+        return replace(self, rotor=rotor, dataset=data, known=known, parameters=(), values=())
+
     def select(self, speeds: np.ndarray | None = None, runs: np.ndarray | None = None) -> Measurement:
         """The same at the ``speeds`` (mask or index) and for the ``runs`` (ascending indices); None for all."""
         keep = np.arange(len(self.dataset.speeds)) if speeds is None else speeds

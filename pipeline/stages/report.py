@@ -36,6 +36,11 @@ _TABLES: dict[str, tuple[dict[str, str], dict[str, str]]] = {
         dict.fromkeys(("kind", "of", "unit"), "text") | dict.fromkeys(("prior_std", "value", "std"), "number"),
         {},
     ),
+    "modes": (
+        {"system": "text", "speed_rpm": "number", "mode": "number"}
+        | dict.fromkeys(("frequency_std_hz", "logarithmic_decrement_std"), "number or blank"),
+        {},
+    ),
     "prediction": (
         dict.fromkeys(("speed_rpm", "x_identified_amplitude_m", "y_identified_amplitude_m"), "number"),
         dict.fromkeys(("x_identified_amplitude_std_m", "y_identified_amplitude_std_m"), "number"),
@@ -93,7 +98,7 @@ def _make_current(config: Config, work: Workspace, fitted: bool) -> None:
 
     needed = {"diagnose": ("diagnosis.json", work.vibration)}
     if fitted:
-        needed |= {"evaluate": ("metrics.json", work.training), "predict": ("prediction.json", work.training)}
+        needed |= {"evaluate": ("metrics.json", work.training), "predict": ("modes.csv", work.training)}
     for stage, (name, source) in needed.items():
         if not (work.folder / name).exists() or _is_older(work.folder / name, source):
             say(f"'{work.folder / name}' is missing, or older than '{source}': running stage={stage} first")

@@ -7,22 +7,26 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.config.recordings import NoRecordingsConfig
 from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
 from pipeline.files import read_json, write_json
+from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.losses import loss_of
 from pipeline.identification.output_error_start import held_out_range, held_out_runs
 from pipeline.identification.training import held_out_speeds
-from pipeline.identification.uncertainty import load_uncertainty
+from pipeline.identification.uncertainty import Uncertainty, load_uncertainty
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, table
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_identified, load_measurement, update_measurement
 from pipeline.stages.planned_runs import list_candidates
 from pipeline.stages.workspace import locate_files
-from pipeline.trust.evidence import gather
+from pipeline.trust.evidence import Evidence, gather
+from pipeline.trust.mistakes import WORTH_TRYING, Found, Probe, find_mistakes
 from pipeline.trust.next_run import weigh_candidates
 from pipeline.trust.report import judge, refuse_without_deviations
+from pipeline.trust.verdict import judge_mistakes
 
 
 def run(config: Config) -> StageOutput:
@@ -50,14 +54,39 @@ def judge_measurement(config: Config, measurement: Measurement) -> dict[str, Any
     if uncertainty is None:
         return refuse_without_deviations(measurement.rotor.bearing_nodes, identified.unknowns.by_bearing)
     about = read_json(work.training, "train again with stage=train")
+    return assess(config, measurement, identified, uncertainty, about)[0]
+
+
+def assess(
+    config: Config,
+    measurement: Measurement,
+    identified: IdentifiedModel,
+    uncertainty: Uncertainty,
+    about: Mapping[str, Any],
+) -> tuple[dict[str, Any], Evidence]:
+    """The verdicts on a fit, and what they rest on; ``about`` has ``fit`` and ``outcome`` of ``training.json``."""
     updated = update_measurement(measurement, uncertainty)
+    estimated = config.loss.noise == "estimated"
     fitted = mark_fitted(config, measurement)
-    evidence, linear = gather(
-        updated, identified, uncertainty, about["fit"], fitted, config.loss.noise == "estimated", about["outcome"]
-    )
+    evidence, linear = gather(updated, identified, uncertainty, about["fit"], fitted, estimated, about["outcome"])
     candidates = list_candidates(config.machine.candidates)
     gains = weigh_candidates(updated, identified, uncertainty, linear, candidates, None)
-    return judge(evidence, gains)
+    mistakes: list[Found] = []
+    if evidence.misfit_of_stated_noise > WORTH_TRYING:
+        values = measurement.unknowns.leading(evidence.answer.values)
+        probes = _list_probes(config) if locate_files(config).own else ()
+        mistakes = find_mistakes(updated.as_stated(), values, config.model.kind == "constant", probes)
+    return judge(evidence, gains, judge_mistakes(mistakes)), evidence
+
+
+def _list_probes(config: Config) -> tuple[Probe, ...]:
+    """The probes that x and y were made of; none where the channels are the probes."""
+    recordings = config.machine.recordings
+    if isinstance(recordings, NoRecordingsConfig):
+        return ()
+    return tuple(
+        Probe(name, one.node, round(float(np.degrees(one.angle)), 9) % 360.0) for name, one in recordings.probes.items()
+    )
 
 
 def mark_fitted(config: Config, measurement: Measurement) -> np.ndarray:

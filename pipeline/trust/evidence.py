@@ -52,6 +52,16 @@ class Evidence:
         square = self.fit["chi_square"]
         return float(square["value"] / max(square["expected"], 1.0))
 
+    @property
+    def noise_factor(self) -> float:
+        """Noise that the fit found over the stated one, median over the channels; 1 where it is not estimated."""
+        return float(np.median(list(self.fit.get("noise_factor", {"": 1.0}).values())))
+
+    @property
+    def misfit_of_stated_noise(self) -> float:
+        """Mean square of what the fit leaves over, over the stated noise."""
+        return self.misfit * self.noise_factor**2
+
 
 def gather(
     measurement: Measurement,

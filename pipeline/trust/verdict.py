@@ -18,6 +18,7 @@ import numpy as np
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.problem.determination import WEAKLY_BELOW, WELL_BELOW
 from pipeline.trust.evidence import Evidence
+from pipeline.trust.mistakes import Found
 
 GOOD_BAND = 0.20
 """Half the 95 % interval over the coefficient: a critical speed, which goes with the root of a stiffness, is then known
@@ -84,6 +85,22 @@ class CoefficientVerdict:
         return max(told, key=lambda reason: _ORDER.index(reason.verdict)).next if told else None
 
 
+def judge_mistakes(found: Sequence[Found]) -> list[Reason]:
+    """A mistake that explains the readings: the answer is that of wrong data, however narrow its bands are."""
+    if not found:
+        return []
+    best = found[0]
+    words = "; or ".join(one.sentence for one in found)
+    checks = ", or ".join(dict.fromkeys(one.check for one in found))
+    return [
+        Reason(
+            Verdict.NO if best.gross else Verdict.WITH_CARE,
+            f"The readings fit {np.sqrt(best.falls_by):.2g} times better if this is so: {words}.",
+            f"Check {checks}; correct it and identify again.",
+        )
+    ]
+
+
 def judge_machine(evidence: Evidence) -> list[Reason]:
     """What speaks against all coefficients together."""
     reasons = []
@@ -112,7 +129,7 @@ def _judge_misfit(evidence: Evidence) -> list[Reason]:
     """Whether model and noise explain the readings."""
     fit = evidence.fit
     if evidence.estimated_noise:
-        factor = float(np.median(list(fit.get("noise_factor", {"": 1.0}).values())))
+        factor = evidence.noise_factor
         if factor < NOISE_FACTOR:
             return []
         return [
@@ -174,7 +191,8 @@ def _judge_priors(evidence: Evidence) -> list[Reason]:
     return [
         Reason(
             Verdict.WITH_CARE,
-            f"The data ask for a {name} that is {abs(moved[name]):.1f} tolerances away from what is stated.",
+            f"The data ask for a {name.replace('_', ' ')} that is {abs(moved[name]):.1f} tolerances away from the "
+            "stated one.",
             f"Measure {name.replace('_', ' ')} again, or state a wider tolerance if it was a guess.",
         )
     ]
@@ -194,8 +212,8 @@ def judge_coefficient(evidence: Evidence, b: int, c: int) -> tuple[list[Reason],
         reasons.append(
             Reason(
                 Verdict.NO if wrong > MOST_LOST else Verdict.WITH_CARE,
-                f"{name} at node {node} is negative at {100 * wrong:.0f} % of the speeds, which a bearing's direct "
-                "coefficient hardly is.",
+                f"{name} at node {node} is negative at {100 * wrong:.0f} % of the speeds, which a bearing's "
+                "direct coefficient hardly is.",
                 "Check the phases of readings and weights, and the rotor's masses.",
             )
         )

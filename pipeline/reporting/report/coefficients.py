@@ -16,6 +16,7 @@ UNITS = {"k": (1e-6, "MN/m"), "c": (1e-3, "kN s/m")}
 """What SI is multiplied by, and the name of the unit."""
 _KINDS = {"k": "stiffness", "c": "damping"}
 _ROWS = 5
+_DASHES = ("solid", "dash", "dashdot", "longdash")
 
 
 def describe_coefficients(content: ReportContent) -> Section | None:
@@ -49,9 +50,9 @@ def _draw(content: ReportContent, fit: FitContent, letter: str) -> Figure:
         panels.append(
             Panel(f"bearing at node {node}", "rotor speed (rpm)", (Axes(tuple(curves), f"{_KINDS[letter]} ({unit})"),))
         )
-    caption = f"{_KINDS[letter].capitalize()} over speed: lines are identified (dotted where known and not identified)"
+    caption = f"{_KINDS[letter].capitalize()} over speed: coloured lines are identified (dotted where known)"
     caption += "" if fit.deviation is None else ", bands hold the nominal 95 %"
-    caption += "" if fit.modelled is None else ", dashed black lines are the modelled truth"
+    caption += "" if fit.modelled is None else ", thin black lines are the modelled truth"
     caption += "" if content.reference is None else ", markers are the reference"
     return Figure(_KINDS[letter], caption + ".", tuple(panels))
 
@@ -68,10 +69,10 @@ def _draw_one(
     stated = None if fit.deviation is None or not identified else fit.deviation[b, :, c] * scale
     band = None if stated is None else NOMINAL_95 * stated
     marker = "o" if len(rpm) == 1 else ""
-    curves = [Curve(rpm, values, name, colour, "solid" if identified else "dot", marker, band=band, width=2.0)]
+    curves = [Curve(rpm, values, name, colour, _DASHES[c % 4] if identified else "dot", marker, band=band, width=2.0)]
     if fit.modelled is not None and identified:
         true = fit.modelled.values[b, :, c] * scale
-        curves.append(Curve(rpm, true, "modelled", BLACK, "dash", width=1.0))
+        curves.append(Curve(rpm, true, "modelled", BLACK, width=0.8))
     if content.reference is not None and name in content.reference:
         rows = content.reference["bearing_node"] == fit.bearings.nodes[b]
         given = content.reference[name][rows] * scale

@@ -20,7 +20,7 @@ def describe_diagnosis(content: ReportContent) -> Section | None:
             [
                 f"node {node}",
                 one["verdict"],
-                f"{rank['least']} to {rank['most']} of {one['unknowns']}",
+                f"{_describe_range(rank['least'], rank['most'])} of {one['unknowns']}",
                 f"{write_number(condition['median'], digits=3)}, worst {write_number(condition['max'], digits=3)}",
                 one["least_determined"],
             ]
@@ -34,6 +34,10 @@ def describe_diagnosis(content: ReportContent) -> Section | None:
     header = ["bearing", "verdict", "rank", "condition number", "determined least"]
     table = Table("What the readings tell of each bearing", header, rows)
     return Section("diagnosis", "Diagnosis", (Paragraph(words), *blocks, table, *_list_expected(content)))
+
+
+def _describe_range(least: int, most: int) -> str:
+    return f"{least}" if least == most else f"{least} to {most}"
 
 
 def _list_expected(content: ReportContent) -> list[Table]:

@@ -20,8 +20,8 @@ _MOST_POINTS = 300
 class Curve:
     """Points (N,) that belong together, as a line, as markers or both.
 
-    ``band`` (N,) is half the width of a filled band; ``dash`` is solid, dash, dot, dashdot or none; a ``filled`` curve
-    is the outline of an area; ``words`` (N,) stand beside the points.
+    ``band`` (N,) is half the width of a filled band. ``dash`` is solid, dash, longdash, dot, dashdot or none. A
+    ``filled`` curve is the outline of an area; ``words`` (N,) stand beside the points.
     """
 
     x: np.ndarray

@@ -73,7 +73,7 @@ def _list_probes(content: ReportContent, fit: FitContent) -> Table:
     rows = []
     stated = "fit" in content.files.get("training", {})
     held = np.array([content.held_out(r) for r in range(len(content.dataset.runs))])
-    for probe in content.probes[:24]:
+    for probe in content.shown_probes:
         measured = content.dataset.displacement[..., ~held].transpose(0, 2, 1) @ probe.weights
         rest = measured - fit.predicted[..., ~held].transpose(0, 2, 1) @ probe.weights
         percent = 100 * np.linalg.norm(rest) / np.linalg.norm(measured)

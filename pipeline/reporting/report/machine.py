@@ -115,9 +115,9 @@ def _box(start: float, stop: float, half: float, label: str, colour: str) -> Cur
 
 def _list_probes(content: ReportContent) -> Table:
     positions = content.measurement.rotor.positions
-    rows = [[p.name, f"{p.node}", f"{1e3 * positions[p.node]:.4g}", f"{p.angle:g}"] for p in content.probes]
-    shown = rows if len(rows) <= 24 else [*rows[:23], [f"and {len(rows) - 23} more", "", "", ""]]
-    return Table("Probes", ["probe", "node", "position, mm", "angle from x towards y, deg"], shown)
+    rows = [[p.name, f"{p.node}", f"{1e3 * positions[p.node]:.4g}", f"{p.angle:g}"] for p in content.shown_probes]
+    caption = "Probes" + (" (those that are drawn)" if len(rows) < len(content.probes) else "")
+    return Table(caption, ["probe", "node", "position, mm", "angle from x towards y, deg"], rows)
 
 
 def _list_runs(content: ReportContent) -> Table:

@@ -29,7 +29,7 @@ def describe_measured(content: ReportContent) -> Section:
     left = len(content.probes) - len(content.shown_probes), len(content.dataset.runs) - len(content.shown_runs)
     for number, name in zip(left, ("probes", "runs"), strict=True):
         if number:
-            words += f" {number} further {name} are not drawn."
+            words += f" {number} further {name} are not shown."
     blocks: list[Block] = [
         Paragraph(words),
         *_write_notes(content),
@@ -51,7 +51,7 @@ def _write_notes(content: ReportContent) -> list[Paragraph]:
 
 def _list_peaks(content: ReportContent) -> Table:
     rows: list[list[Cell]] = []
-    for probe in content.probes[:24]:
+    for probe in content.shown_probes:
         size = np.abs(content.dataset.displacement.transpose(0, 2, 1) @ probe.weights)  # (S, R)
         s, r = np.unravel_index(size.argmax(), size.shape)
         rows.append([probe.name, Amplitude(float(size[s, r])), f"{content.rpm[s]:.6g}", content.dataset.runs[r]])
@@ -136,8 +136,9 @@ def _draw_orbits(content: ReportContent) -> Figure | None:
         rows = resolution[[int(np.flatnonzero(dof == 4 * node + d)[0]) for d in range(2)]]
         for s in picked:
             curves: list[Curve] = []
+            reach = float(np.abs(rows @ data.displacement[s][:, list(content.shown_runs)]).max())
             for r in content.shown_runs:
-                curves += _draw_orbit(rows @ data.displacement[s, :, r], content.look(r))
+                curves += _draw_orbit(rows @ data.displacement[s, :, r], content.look(r), reach)
             axes = Axes(tuple(curves), "y (µm)", amplitude=True)
             panels.append(Panel(f"node {node}, {content.rpm[s]:.5g} rpm", "x (µm)", (axes,), equal=True))
     caption = (
@@ -148,15 +149,14 @@ def _draw_orbits(content: ReportContent) -> Figure | None:
     return Figure("orbits", caption, tuple(panels))
 
 
-def _draw_orbit(vector: np.ndarray, look: dict[str, Any]) -> list[Curve]:
-    """The orbit of x and y (2,), its keyphasor dot and an arrow head at a quarter turn."""
+def _draw_orbit(vector: np.ndarray, look: dict[str, Any], reach: float) -> list[Curve]:
+    """The orbit of x and y (2,), its keyphasor dot and an arrow head at a quarter turn; ``reach`` (m) is its scale."""
     turn = np.exp(2j * np.pi * np.linspace(0, 0.94, 120))
     x, y = ((v * turn).real for v in vector)
     colour = look["colour"]
     tangent, place = np.array([x[31] - x[29], y[31] - y[29]]), np.array([x[30], y[30]])
-    length = 0.09 * max(np.ptp(x), np.ptp(y))
-    along = tangent / (np.linalg.norm(tangent) or 1.0) * length
-    across = np.array([-along[1], along[0]]) * 0.45
+    along = tangent / (np.linalg.norm(tangent) or 1.0) * 0.07 * reach
+    across = np.array([-along[1], along[0]]) * 0.6
     head = np.stack([place - along + across, place + along, place - along - across, place - along + across])
     return [
         Curve(x, y, **look),

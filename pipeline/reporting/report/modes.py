@@ -15,7 +15,7 @@ from pipeline.reporting.report.figure import Axes, Curve, Figure, Panel
 from pipeline.reporting.report.section import Paragraph, Section, Table, write_number
 from pipeline.units import RAD_S_PER_RPM
 
-_RPM = "rotor speed (rpm)"
+_RPM, _HERTZ = "rotor speed (rpm)", "frequency_std_hz"
 
 
 def describe_modes(content: ReportContent) -> Section | None:
@@ -38,9 +38,11 @@ def describe_modes(content: ReportContent) -> Section | None:
     words += (
         " A critical speed is where a damped natural frequency equals the rotor speed. In the sense of API RP 684 one "
     )
-    words += "with an amplification factor below 2.5 is critically damped. A dash stands for what was not stated."
+    words += "with an amplification factor below 2.5 is critically damped. "
+    running = content.config.machine.prediction.speed_rpm
+    words += f"Separation margins are from {running:.6g} rpm (machine.prediction.speed_rpm), in percent of it."
     blocks = [Paragraph(words, warning=not stability["stable"]), _list_critical_speeds(content, found)]
-    figures = () if len(rpm) < 2 else (_draw_campbell(fit, found), _draw_stability(content, fit))
+    figures = () if len(rpm) < 2 else (_draw_campbell(content, fit, found), _draw_stability(content, fit))
     return Section("modes", "Critical speeds and stability", (*blocks, *figures))
 
 
@@ -56,26 +58,34 @@ def _list_critical_speeds(content: ReportContent, found: Mapping[str, Any]) -> T
         factor, factor_known = one.get("amplification_factor"), one.get("amplification_factor_std")
         if factor is None and decrement > 0:
             factor, factor_known = np.pi / decrement, None if known is None else np.pi * known / decrement**2
-        margin = one.get("separation_margin_percent")
+        margin, margin_known = one.get("separation_margin_percent"), one.get("separation_margin_percent_std")
         rows.append(
             [
                 number,
                 write_number(one["rpm"], one.get("rpm_std"), 6),
                 write_number(decrement, known),
                 write_number(factor, factor_known, 3),
-                write_number(margin, digits=3),
+                write_number(margin, margin_known, 3),
+                write_number(one.get("separation_margin_required_percent"), digits=3),
             ]
         )
-    header = ["critical speed", "rpm", "log decrement", "amplification factor", "separation margin, %"]
+    header = ["critical speed", "rpm", "log decrement", "amplification factor", "separation margin, %", "required, %"]
     return Table("Damped critical speeds", header, rows)
 
 
-def _draw_campbell(fit: FitContent, found: Mapping[str, Any]) -> Figure:
+def _draw_campbell(content: ReportContent, fit: FitContent, found: Mapping[str, Any]) -> Figure:
     rpm = to_rpm(fit.modes.speeds)
     frequency = fit.modes.frequency / RAD_S_PER_RPM
     shown = np.nanmin(frequency, axis=0, initial=np.inf) <= 2.2 * rpm[-1]
     curves = [
-        Curve(rpm, frequency[:, k], f"mode {i + 1}", LOOKS[i % 8][0], DASHES[i % 4])
+        Curve(
+            rpm,
+            frequency[:, k],
+            f"mode {i + 1}",
+            LOOKS[i % 8][0],
+            DASHES[i % 4],
+            band=_read_band(content, int(k), _HERTZ),
+        )
         for i, k in enumerate(np.flatnonzero(shown))
     ]
     curves.append(Curve(rpm, rpm, "1X", BLACK, "solid", width=1.0))
@@ -89,15 +99,25 @@ def _draw_campbell(fit: FitContent, found: Mapping[str, Any]) -> Figure:
     )
 
 
+def _read_band(content: ReportContent, mode: int, column: str) -> np.ndarray | None:
+    """(S,) half the width of a mode's nominal 95 % band, in the unit of the figure; None where none is stated."""
+    table = content.tables.get("modes")
+    if table is None:
+        return None
+    rows = (table["system"] == "identified") & (table["mode"] == mode + 1)
+    band = np.full(len(content.rpm), np.nan)
+    at = np.abs(content.rpm[:, None] - table["speed_rpm"][rows]).argmin(axis=0)
+    band[at] = NOMINAL_95 * table[column][rows] * (60.0 if column == _HERTZ else 1.0)
+    return band if np.isfinite(band).any() else None
+
+
 def _draw_stability(content: ReportContent, fit: FitContent) -> Figure:
     rpm = to_rpm(fit.modes.speeds)
     within = np.where(fit.modes.frequency <= 2.0 * fit.modes.speeds.max(), fit.modes.logarithmic_decrement, np.nan)
-    table = content.tables.get("modes", {})
     curves = []
     shown = [k for k in range(within.shape[1]) if np.isfinite(within[:, k]).any()]
     for i, k in enumerate(shown):
-        stated = table.get(f"logarithmic_decrement_std_{k + 1}")
-        band = None if stated is None or len(stated) != len(rpm) else NOMINAL_95 * stated
+        band = _read_band(content, k, "logarithmic_decrement_std")
         curves.append(Curve(rpm, within[:, k], f"mode {i + 1}", LOOKS[i % 8][0], DASHES[i % 4], band=band))
     curves.append(Curve(rpm[[0, -1]], np.zeros(2), "limit of stability", GREY, "solid", width=1.0))
     panel = Panel("Stability map", _RPM, (Axes(tuple(curves), "logarithmic decrement"),), wide=True)

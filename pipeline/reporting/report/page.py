@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,10 @@ from pipeline.reporting.report.figure import MICROMETRES_PEAK_TO_PEAK, Curve, Fi
 from pipeline.reporting.report.section import Amplitude, Cell, Mark, Paragraph, Section, Table, write_number
 from pipeline.reporting.report.traces import describe_panel
 
+_NUMBER = re.compile(r"[-+–]?[\d.]*(e[-+]?\d+)?( ± [\d.]+)?")
+"""Columns of these are aligned to the right."""
 _FOLDER = Path(__file__).parent
-_DASH = {"solid": "", "dash": "6,4", "dashdot": "7,3,2,3", "dot": "2,3"}
+_DASH = {"solid": "", "dash": "6,4", "dashdot": "7,3,2,3", "dot": "2,3", "longdash": "9,3"}
 
 
 def write_page(path: Path, title: str, head: Sequence[str], sections: Sequence[Section]) -> Path:
@@ -22,7 +25,6 @@ def write_page(path: Path, title: str, head: Sequence[str], sections: Sequence[S
     from plotly.offline import get_plotlyjs
 
     environment = Environment(loader=FileSystemLoader(_FOLDER), autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    environment.filters |= {"cell": _describe_cell, "kind": lambda block: type(block).__name__}
     panels: list[dict[str, Any]] = []
     shown = [
         {"anchor": one.anchor, "title": one.title, "blocks": [_describe_block(block, panels) for block in one.blocks]}
@@ -50,7 +52,10 @@ def _describe_block(block: Paragraph | Table | Figure, panels: list[dict[str, An
         return {"kind": "paragraph", "text": block.text, "warning": block.warning}
     if isinstance(block, Table):
         rows = [[_describe_cell(cell) for cell in row] for row in block.rows]
-        return {"kind": "table", "caption": block.caption, "header": block.header, "rows": rows}
+        words = [any(not _NUMBER.fullmatch(row[c]["text"]) for row in rows) for c in range(len(block.header))]
+        header = list(zip(block.header, words, strict=True))
+        cells = [list(zip(row, words, strict=True)) for row in rows]
+        return {"kind": "table", "caption": block.caption, "header": header, "rows": cells}
     places = []
     for panel in block.panels:
         described = describe_panel(panel)
@@ -82,4 +87,4 @@ def _describe_cell(cell: Cell) -> dict[str, Any]:
         scaled = MICROMETRES_PEAK_TO_PEAK * cell.value
         deviation = None if cell.deviation is None else MICROMETRES_PEAK_TO_PEAK * cell.deviation
         return {"text": write_number(scaled, deviation), "amplitude": scaled, "deviation": deviation}
-    return {"text": cell, "words": not cell[:1].isdigit() and cell[:1] not in "-–+("}
+    return {"text": cell}

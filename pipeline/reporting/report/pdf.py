@@ -14,7 +14,7 @@ from pipeline.reporting.figures import BLACK, GREY
 from pipeline.reporting.report.figure import MICROMETRES, MICROMETRES_PEAK_TO_PEAK, Axes, Curve, Figure, HeatMap, Panel
 from pipeline.reporting.report.section import Amplitude, Cell, Mark, Paragraph, Section, Table, write_number
 
-_DASHES = {"solid": "-", "dash": "--", "dashdot": "-.", "dot": ":", "none": ""}
+_DASHES: dict[str, Any] = {"longdash": (0, (8, 3)), "solid": "-", "dash": "--", "dashdot": "-.", "dot": ":", "none": ""}
 _WIDTH, _PANEL, _ROW, _DPI = 186.0, 3.66, 2.5, 110
 """mm of a page between its margins; inches of a panel and of a row of panels; dots an inch."""
 _WHEN_WIDE = 5
@@ -78,12 +78,13 @@ def _write_table(pdf: Any, table: Table) -> None:
     pdf.multi_cell(0, 4.6, table.caption, align="L", new_x="LMARGIN", new_y="NEXT")
     pdf.set_font("DejaVu", "", 6.5 if len(table.header) >= _WHEN_WIDE else 8)
     texts = [list(table.header), *([_write_cell(cell) for cell in row] for row in table.rows)]
-    widths = [max(4.0, min(38.0, 1.0 + max(len(row[c]) for row in texts))) for c in range(len(table.header))]
+    widths = [max(4.0, min(70.0, 1.0 + max(len(row[c]) for row in texts))) for c in range(len(table.header))]
     layout: dict[str, Any] = {
         "borders_layout": TableBordersLayout.HORIZONTAL_LINES,
         "line_height": 3.9,
         "text_align": "LEFT",
     }
+    pdf.set_draw_color(170)
     with pdf.table(col_widths=tuple(widths), width=min(_WIDTH, 2.6 * sum(widths)), align="LEFT", **layout) as drawn:
         for row in texts:
             line = drawn.row()
@@ -124,7 +125,9 @@ def _draw_row(panels: Sequence[Panel], legend: Sequence[Curve], columns: int) ->
     width, lines = 2 * _PANEL, math.ceil(len(legend) / 4)
     top = 0.26 + 0.17 * lines
     deepest = max(len(panel.axes) for panel in panels)
-    height = top + (_ROW + 0.4 if panels[0].equal or panels[0].polar is not None else _ROW + 0.7 * (deepest - 1))
+    height = top + (
+        _ROW + 0.4 if panels[0].equal else _ROW + 0.6 if panels[0].polar is not None else _ROW + 0.7 * (deepest - 1)
+    )
     with rc_context(
         {"font.size": 7.5, "axes.grid": True, "grid.alpha": 0.3, "axes.spines.top": False, "axes.spines.right": False}
     ):
@@ -133,7 +136,9 @@ def _draw_row(panels: Sequence[Panel], legend: Sequence[Curve], columns: int) ->
         for i, panel in enumerate(panels):
             left = (i * _PANEL + 0.58) / width
             right = (i * _PANEL + _PANEL - 0.14) / width if columns > 1 else 1 - 0.14 / width
-            _draw_panel(drawing, panel, (left, 0.42 / height, right - left, 1 - (top + 0.42) / height))
+            lift = 0.2 if panel.polar is not None else 0.0  # for the angles around it
+            box = (left, 0.42 / height, right - left, 1 - (top + 0.42 + lift) / height)
+            _draw_panel(drawing, panel, box)
         if legend:
             handles = [_draw_key(curve) for curve in legend]
             drawing.legend(handles=handles, loc="upper left", ncols=4, frameon=False, borderaxespad=0.1, fontsize=7)
@@ -152,6 +157,8 @@ def _draw_key(curve: Curve) -> Any:
 
 
 def _draw_panel(drawing: Any, panel: Panel, box: tuple[float, float, float, float]) -> None:
+    from matplotlib.ticker import MaxNLocator
+
     left, bottom, width, height = box
     if panel.polar is not None:
         ax = drawing.add_axes(box, projection="polar")
@@ -159,8 +166,9 @@ def _draw_panel(drawing: Any, panel: Panel, box: tuple[float, float, float, floa
         ax.set_theta_direction(-1)
         for curve in (one.thin() for one in panel.axes[0].curves):
             _draw_curve(ax, curve, np.radians(curve.x), MICROMETRES_PEAK_TO_PEAK * curve.y)
-        ax.set_title(panel.title, fontsize=8, loc="left")
+        ax.set_title(panel.title, fontsize=8, loc="left", x=-0.3, y=1.04)
         ax.tick_params(labelsize=6)
+        ax.yaxis.set_major_locator(MaxNLocator(4))
         return
     shares = [1.7, *([1.0] * (len(panel.axes) - 1))]
     top = bottom + height

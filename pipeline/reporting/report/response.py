@@ -13,6 +13,7 @@ from pipeline.reporting.report.section import Amplitude, Cell, Mark, Paragraph, 
 
 SPEED_TOLERANCE = 5.0
 """Percent of the predicted critical speed (API 617, unbalanced rotor response verification test)."""
+_LEAST_PROMINENCE = 0.05
 
 
 def describe_response(content: ReportContent) -> Section | None:
@@ -24,8 +25,13 @@ def describe_response(content: ReportContent) -> Section | None:
 
 
 def find_peak(rpm: np.ndarray, size: np.ndarray) -> tuple[float, float] | None:
-    """Speed and height of the largest peak of ``size`` (S,) inside the range, by a parabola; None without one."""
-    inner = np.flatnonzero((size[1:-1] >= size[:-2]) & (size[1:-1] > size[2:])) + 1
+    """Speed and height of the highest peak of ``size`` (S,) inside the range, by a parabola; None without one.
+
+    A peak stands out by a twentieth of the largest value at least: noise does not.
+    """
+    from scipy.signal import find_peaks
+
+    inner, _ = find_peaks(size, prominence=_LEAST_PROMINENCE * size.max())
     if not len(inner):
         return None
     s = int(inner[size[inner].argmax()])

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from pipeline.reporting.report.content import ReportContent
-from pipeline.reporting.report.section import Mark, Paragraph, Section, Table
+from pipeline.reporting.report.section import Cell, Mark, Paragraph, Section, Table
 
 
 def describe_verdicts(content: ReportContent) -> Section:
@@ -20,13 +20,13 @@ def describe_verdicts(content: ReportContent) -> Section:
     if machine:
         said = f"The machine as a whole: {machine['verdict']}. {_join(machine)}"
         blocks.append(Paragraph(said, warning=machine["verdict"] != "good"))
-    bearings = [
+    bearings: list[list[Cell]] = [
         [f"node {one['node']}", Mark(one["verdict"], one["verdict"]), one.get("reason") or "", one.get("next") or ""]
         for one in found.get("bearings", [])
     ]
     if bearings:
-        blocks.append(Table("Bearings", ["bearing", "verdict", "why", "next step"], bearings))
-    rows = [
+        blocks.append(_make_table("Bearings", ["bearing", "verdict", "why", "next step"], bearings))
+    rows: list[list[Cell]] = [
         [
             f"node {one['node']} {one['coefficient']}",
             Mark(one["verdict"], one["verdict"]),
@@ -35,8 +35,14 @@ def describe_verdicts(content: ReportContent) -> Section:
         ]
         for one in found.get("verdicts", [])
     ]
-    blocks.append(Table("Coefficients", ["coefficient", "verdict", "why", "next step"], rows))
+    blocks.append(_make_table("Coefficients", ["coefficient", "verdict", "why", "next step"], rows))
     return Section("verdicts", title, tuple(blocks))
+
+
+def _make_table(caption: str, header: list[str], rows: list[list[Cell]]) -> Table:
+    """The table, without its last column where nothing stands in it."""
+    last = len(header) if any(row[-1] for row in rows) else len(header) - 1
+    return Table(caption, header[:last], [row[:last] for row in rows])
 
 
 def _join(one: Mapping[str, Any]) -> str:

@@ -1,0 +1,50 @@
+"""One mistake that a person may have made, as the measurement without it; and how readings are changed.
+
+Legend: S speeds, P channels, R runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.problem.measurement import Measurement
+from pipeline.trust.quick_fit import Extra
+
+
+@dataclass(frozen=True, eq=False)
+class Mistake:
+    """One explanation: the measurement without the mistake, and what it leaves free."""
+
+    sentence: str  # what was done, as "the phases of all readings are leads, not lags"
+    check: str  # what to look at
+    measurement: Measurement
+    extra: Extra | None = None
+    gross: bool = True  # False: a number is a little off
+    penalty: float = 1.0  # on what it leaves over: it explains nothing, or leaves many numbers free
+
+
+def change(part: Measurement, displacement: np.ndarray, deviation: np.ndarray) -> Measurement:
+    """Other readings with their noise; the response is not solved again."""
+    made = replace(part, dataset=replace(part.dataset, displacement=displacement, subtracted=None))
+    vars(made)["response"] = part.response
+    vars(made)["deviation"] = deviation
+    return made
+
+
+def scale(part: Measurement, factor: np.ndarray | complex) -> Measurement:
+    """Readings times ``factor`` (broadcast to (S, P, R))."""
+    size = np.abs(factor) * np.ones_like(part.deviation)
+    return change(part, part.dataset.displacement * factor, part.deviation * size)
+
+
+def exchange(part: Measurement, order: Sequence[int], axis: int) -> Measurement:
+    """The readings in another ``order`` of channels (axis 1) or runs (axis 2)."""
+    data = part.dataset
+    return change(part, np.take(data.displacement, order, axis), np.take(part.deviation, order, axis))
+
+
+LEFT_OUT = 3.0
+"""The penalty on leaving a probe or a run out, which explains nothing."""

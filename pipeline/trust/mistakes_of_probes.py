@@ -1,0 +1,160 @@
+"""Single mistakes with readings and probes, which :mod:`pipeline.trust.mistakes` tries.
+
+Legend: S speeds, P channels, R runs.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pipeline.problem.measurement import Measurement
+from pipeline.trust.mistake import LEFT_OUT, Mistake, change, exchange, scale
+from pipeline.trust.quick_fit import Extra
+
+_FACTORS = {
+    0.5: "peak-to-peak amplitudes taken for zero-to-peak",
+    2.0: "zero-to-peak amplitudes taken for peak-to-peak",
+    2.0**0.5: "rms amplitudes taken for zero-to-peak",
+    2.0**-0.5: "zero-to-peak amplitudes taken for rms",
+    25.4: "mil taken for um",
+    1 / 25.4: "um taken for mil",
+}
+
+
+def _call_factor(factor: float) -> str:
+    return f"{1 / factor:.3g} times too large" if factor < 1 else f"{factor:.3g} times too small"
+
+
+def of_all_readings(part: Measurement) -> Iterator[Mistake]:
+    """Of conventions, which all readings share."""
+    data = part.dataset
+    yield Mistake(
+        "the phases of all readings have the wrong sign (lag for lead, or the shaft turns the other way)",
+        "conventions.phase, and the sense of rotation",
+        change(part, data.displacement.conj(), part.deviation),
+    )
+    for factor, words in _FACTORS.items():
+        yield Mistake(f"all readings are {_call_factor(factor)}: {words}", "the conventions", scale(part, factor))
+    for degrees in (90, 180, 270):
+        yield Mistake(
+            f"all phases are turned by {degrees} deg: the tacho at the other edge or angle, or all weights",
+            "tacho.edge, tacho.angle and shaft_angle",
+            scale(part, np.exp(1j * np.radians(degrees))),
+        )
+    yield Mistake(
+        "all readings, or all weights, are not as stated",
+        "the conventions, the tacho's angle, and the unit of the weights",
+        part,
+        lambda predicted: np.stack([predicted, 1j * predicted], axis=-1),
+        gross=False,
+    )
+    mirrored = tuple((node, -angle % 360.0) for node, angle in data.channels)
+    if mirrored != data.channels:
+        yield Mistake(
+            "the angles of all probes have the wrong sign (counted against the rotation)",
+            "the probes' angles, from x towards y in the sense of rotation",
+            _with_channels(part, mirrored),
+        )
+
+
+def _with_channels(part: Measurement, channels: tuple[tuple[int, float], ...]) -> Measurement:
+    made = replace(part, dataset=replace(part.dataset, channels=channels))
+    vars(made)["deviation"] = part.deviation
+    return made
+
+
+def of_probes(part: Measurement, names: Sequence[str]) -> Iterator[Mistake]:
+    """Of single probes, and of those that are exchanged; ``names`` are the channels'."""
+    data, count = part.dataset, len(part.dataset.channels)
+    for p in range(count):
+        sign = np.ones((1, count, 1))
+        sign[0, p] = -1.0
+        yield Mistake(
+            f"probe '{names[p]}' has the wrong sign, or stands opposite to its stated angle",
+            f"the wiring, the sign of the scale and the angle of '{names[p]}'",
+            scale(part, sign),
+        )
+        for factor, words in _FACTORS.items():
+            gain = np.ones((1, count, 1))
+            gain[0, p] = factor
+            yield Mistake(
+                f"the readings of probe '{names[p]}' are {_call_factor(factor)} (as {words})",
+                f"the scale of '{names[p]}'",
+                scale(part, gain),
+            )
+        for turn in (90.0, 270.0):
+            node, angle = data.channels[p]
+            turned = tuple((node, (angle + turn) % 360.0) if i == p else one for i, one in enumerate(data.channels))
+            yield Mistake(
+                f"probe '{names[p]}' stands {turn:g} deg from its stated angle",
+                f"the angle of '{names[p]}'",
+                _with_channels(part, turned),
+            )
+        yield Mistake(
+            f"probe '{names[p]}' is left out: it is dead, clipped, loose, or somewhere else",
+            f"the signal of '{names[p]}'",
+            _without_probe(part, p),
+            penalty=LEFT_OUT,
+        )
+        yield Mistake(
+            f"the readings of probe '{names[p]}' are not as stated",
+            f"scale and place of '{names[p]}'",
+            part,
+            _probe_gain(p, count),
+            gross=False,
+        )
+    for i, j in itertools.combinations(range(count), 2):
+        order = list(range(count))
+        order[i], order[j] = j, i
+        yield Mistake(
+            f"probes '{names[i]}' and '{names[j]}' are exchanged",
+            "the cables of these two channels",
+            exchange(part, order, 1),
+        )
+    yield from _of_bearings(part)
+
+
+def _probe_gain(probe: int, count: int) -> Extra:
+    def columns(predicted: np.ndarray) -> np.ndarray:
+        own = predicted * (np.arange(count) == probe)[:, None]
+        return np.stack([own, 1j * own], axis=-1)
+
+    return columns
+
+
+def _without_probe(part: Measurement, probe: int) -> Measurement:
+    """The measurement without a channel."""
+    data, rest = part.dataset, [p for p in range(len(part.dataset.channels)) if p != probe]
+    made = replace(
+        part,
+        dataset=replace(
+            data,
+            channels=tuple(data.channels[p] for p in rest),
+            displacement=data.displacement[:, rest],
+            subtracted=None if data.subtracted is None else data.subtracted[:, rest],
+        ),
+    )
+    vars(made)["deviation"] = part.deviation[:, rest]
+    return made
+
+
+def _of_bearings(part: Measurement) -> Iterator[Mistake]:
+    """The probes of two nodes exchanged."""
+    data = part.dataset
+    nodes = list(dict.fromkeys(node for node, _ in data.channels))
+    for a, b in itertools.combinations(nodes, 2):
+        of = {node: [p for p, (own, _) in enumerate(data.channels) if own == node] for node in (a, b)}
+        if len(of[a]) != len(of[b]):
+            continue
+        order = list(range(len(data.channels)))
+        for i, j in zip(of[a], of[b], strict=True):
+            order[i], order[j] = j, i
+        yield Mistake(
+            f"the probes of node {a} and those of node {b} are exchanged",
+            "which cables come from which bearing, and from which end the nodes count",
+            exchange(part, order, 1),
+        )

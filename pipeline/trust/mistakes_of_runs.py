@@ -1,0 +1,166 @@
+"""Single mistakes with runs, weights, rotor, runout and baseline, which :mod:`pipeline.trust.mistakes` tries.
+
+Legend: S speeds, P channels, R runs.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from pipeline.data.dataset import Excitation, VibrationDataset
+from pipeline.problem.measurement import Measurement
+from pipeline.trust.mistake import LEFT_OUT, Mistake, change, exchange, scale
+from pipeline.trust.quick_fit import Extra
+
+
+def of_runs(part: Measurement) -> Iterator[Mistake]:
+    """Of single runs, and of two that are exchanged."""
+    data = part.dataset
+    for i, j in itertools.combinations(range(len(data.runs)), 2):
+        order = list(range(len(data.runs)))
+        order[i], order[j] = j, i
+        if np.array_equal(data.frequencies[:, i], data.frequencies[:, j]):
+            yield Mistake(
+                f"the recordings of runs '{data.runs[i]}' and '{data.runs[j]}' are exchanged",
+                "the files of these runs",
+                exchange(part, order, 2),
+            )
+    for r, run in enumerate(data.runs):
+        own = data.displacement.copy()
+        own[..., r] = own[..., r].conj()
+        yield Mistake(
+            f"the phases of run '{run}' have the wrong sign (lag for lead)",
+            f"the phase convention of run '{run}'",
+            change(part, own, part.deviation),
+        )
+        for degrees in (90, 180, 270):
+            turn = np.ones((1, 1, len(data.runs)), dtype=complex)
+            turn[..., r] = np.exp(-1j * np.radians(degrees))
+            yield Mistake(
+                f"the weight of run '{run}' is {degrees} deg from its stated angle",
+                f"where the weight of run '{run}' was",
+                scale(part, turn),
+            )
+        if len(data.runs) > 2:
+            rest = np.delete(np.arange(len(data.runs)), r)
+            yield Mistake(
+                f"run '{run}' is left out: it is not the run that it is called",
+                f"the recording and the weights of run '{run}'",
+                part.select(None, rest),
+                penalty=LEFT_OUT,
+            )
+        yield Mistake(
+            f"the weight of run '{run}' is not as stated",
+            f"mass, radius and angle of the weight of run '{run}'",
+            part,
+            _run_gain(r, len(data.runs)),
+            gross=False,
+        )
+
+
+def _run_gain(run: int, count: int) -> Extra:
+    def columns(predicted: np.ndarray) -> np.ndarray:
+        own = predicted * (np.arange(count) == run)
+        return np.stack([own, 1j * own], axis=-1)
+
+    return columns
+
+
+def of_weights(part: Measurement) -> Iterator[Mistake]:
+    """Of the planes and angles of weights."""
+    data, rotor = part.dataset, part.rotor
+    weights = [i for i, one in enumerate(data.excitations) if one.kind == "unbalance"]
+    planes = dict.fromkeys([*rotor.disc_nodes, *(data.excitations[i].node for i in weights)])
+    for i in weights:
+        one = data.excitations[i]
+        for node in planes:
+            if node != one.node:
+                yield Mistake(
+                    f"the weight of run '{one.run}' at node {one.node} is at node {node}",
+                    f"the plane of the weight of run '{one.run}'",
+                    _with_weights(data, part, {i: replace(one, node=node)}),
+                )
+        if len([e for e in data.excitations if e.run == one.run]) > 1 or abs(np.sin(one.phase)) > _STRAIGHT:
+            yield Mistake(
+                f"the weight of run '{one.run}' at node {one.node} has the wrong sign of its angle",
+                "whether angles on the shaft count with the rotation (shaft_angle)",
+                _with_weights(data, part, {i: replace(one, phase=-one.phase)}),
+            )
+    if any(abs(np.sin(data.excitations[i].phase)) > _STRAIGHT for i in weights):
+        mirrored = {i: replace(data.excitations[i], phase=-data.excitations[i].phase) for i in weights}
+        yield Mistake(
+            "the angles of all weights have the wrong sign (against the rotation)",
+            "shaft_angle",
+            _with_weights(data, part, mirrored),
+        )
+
+
+_STRAIGHT = 0.02
+
+
+def _with_weights(data: VibrationDataset, part: Measurement, changed: dict[int, Excitation]) -> Measurement:
+    acting = tuple(changed.get(i, one) for i, one in enumerate(data.excitations))
+    made = replace(part, dataset=replace(data, excitations=acting))
+    vars(made)["deviation"] = part.deviation
+    return made
+
+
+# --- rotor, runout, residual unbalance -----------------------------------------------------------------
+
+
+def of_rest(part: Measurement) -> Iterator[Mistake]:
+    """Of rotor, baseline and runout."""
+    data = part.dataset
+    shape = data.displacement.shape
+    yield from _of_rotor(part)
+    turning = part.synchronous()
+    if turning.sum() > 2 and rotor_planes(part):
+        unknowns = replace(part.unknowns, planes=rotor_planes(part))
+        yield Mistake(
+            "the machine's own unbalance is in the readings: the baseline is not subtracted, or it is twice",
+            "data.baseline, or identify.unbalance_planes",
+            replace(part, unknowns=unknowns).subtract_unbalance(),
+            gross=False,
+        )
+    if data.subtracted is None and turning.any():
+        constant = np.zeros((*shape, 2 * shape[1]), dtype=complex)
+        for p in range(shape[1]):
+            constant[:, p, :, 2 * p], constant[:, p, :, 2 * p + 1] = turning, 1j * turning
+        size = float(np.median(np.abs(data.displacement)))
+        yield Mistake(
+            "a vector that is the same at all speeds is in the readings: runout",
+            "slow_roll, or fit identify.model_parameters.runout",
+            part,
+            lambda predicted: size * constant,
+            gross=False,
+        )
+
+
+def rotor_planes(part: Measurement) -> tuple[int, ...]:
+    """Nodes at which the machine's own unbalance may be thought of: its discs."""
+    return tuple(dict.fromkeys(part.rotor.disc_nodes))
+
+
+_SHARES = (-0.67, -0.2, -0.1, -0.05, -0.03, 0.03, 0.05, 0.1, 0.2)
+"""Of Young's modulus: aluminium for steel, hot steel, another diameter."""
+
+
+def _of_rotor(part: Measurement) -> Iterator[Mistake]:
+    for share in _SHARES:
+        for what, name in (("stiffness", "shaft's Young's modulus (or its diameters)"), ("mass", "rotor's mass")):
+            changed = {what: (1 + share) * getattr(part.rotor, what)}
+            made = replace(part, rotor=replace(part.rotor, **changed))
+            vars(made)["deviation"] = part.deviation
+            yield Mistake(
+                f"the {name} is {abs(100 * share):.0f} % {'larger' if share > 0 else 'smaller'} than stated",
+                "machine.rotor: is it this rotor's file, and of this material?",
+                made,
+                gross=abs(share) > _GROSS,
+            )
+
+
+_GROSS = 0.15
