@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, PositiveInt, model_validator
 
-from pipeline.config.quantities import Angle, Force, Length, Viscosity
+from pipeline.config.quantities import Angle, AnyDamping, AnyStiffness, Force, Length, Viscosity
 from pipeline.config.section import NonNegativeInt, Section
 
 
@@ -77,17 +77,17 @@ class SpeedTableConfig(Section):
 
 
 class LinearBearingConfig(Section):
-    """A support with the same coefficients at every speed, N/m and N s/m."""
+    """A support with the same coefficients at every speed."""
 
     kind: Literal["linear"]
-    kxx: float = 0.0
-    kxy: float = 0.0
-    kyx: float = 0.0
-    kyy: float = 0.0
-    cxx: float = 0.0
-    cxy: float = 0.0
-    cyx: float = 0.0
-    cyy: float = 0.0
+    kxx: AnyStiffness = 0.0
+    kxy: AnyStiffness = 0.0
+    kyx: AnyStiffness = 0.0
+    kyy: AnyStiffness = 0.0
+    cxx: AnyDamping = 0.0
+    cxy: AnyDamping = 0.0
+    cyx: AnyDamping = 0.0
+    cyy: AnyDamping = 0.0
 
 
 class RotorFileBearingConfig(Section):

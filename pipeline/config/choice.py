@@ -54,7 +54,7 @@ def choose(parsed: Sequence[Override], loader: ConfigLoader) -> list[Override]:
     rest = _begin_anew(rest, loader)
     name = str(machine.value()) if path is None else clean_name(path)
     if experiment is None:
-        more = [*_choose_experiment(_compose_machine(rest, loader)), f"name={name}"]
+        more = [*_choose_experiment(_compose(rest, loader)), f"name={name}"]
     else:
         own = str(machine.value()) not in list_options("machine") and isinstance(experiment.value(), str)
         given = str(experiment.value())
@@ -77,14 +77,14 @@ def _locate(file: Override) -> Path | None:
 
 
 def _begin_anew(parsed: Sequence[Override], loader: ConfigLoader) -> list[Override]:
-    """``parsed`` so that a section of the machine whose kind is given anew has nothing of the former kind.
+    """``parsed`` so that a section that is given anew, with its kind or as known values, has nothing of the former.
 
     Such are ``machine.bearings.kind=rotor_file`` and ``machine.bearings={kind: linear, kxx: 1e7, kyy: 1e7}``.
     """
     sections = {id(override): _find_kind(override) for override in parsed}
     if not any(sections.values()):
         return list(parsed)
-    there = _compose_machine([o for o in parsed if o.key_or_group in ("machine", "experiment")], loader)
+    there = _compose([o for o in parsed if o.key_or_group in ("machine", "experiment")], loader)
     made: list[Override] = []
     for override in parsed:
         key, tag, value, text = sections[id(override)] or ("", "", None, "")
@@ -100,8 +100,10 @@ def _find_kind(override: Override) -> tuple[str, str, Any, str] | None:
     """Return section, name and value of its kind, and the section's text; None where the override gives no kind."""
     key, value = override.key_or_group, override.value()
     section, _, tag = key.rpartition(".")
-    if override.is_delete() or override.is_sweep_override() or not key.startswith("machine."):
+    if override.is_delete() or override.is_sweep_override() or not key.startswith(("machine.", "data.")):
         return None
+    if isinstance(value, dict) and tag == "known":
+        return key, "", None, get_text(override).partition("=")[2]
     if isinstance(value, dict) and (tags := [tag for tag in _KINDS if tag in value]):
         return key, tags[0], value[tags[0]], get_text(override).partition("=")[2]
     if tag in _KINDS and isinstance(value, str):
@@ -109,33 +111,36 @@ def _find_kind(override: Override) -> tuple[str, str, Any, str] | None:
     return None
 
 
-def _look_up(machine: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+def _look_up(composed: Mapping[str, Any], key: str) -> Mapping[str, Any]:
     """Return the section at a dotted key such as ``machine.bearings.nodes.21``; empty where there is none."""
-    node: Any = machine
-    for part in key.split(".")[1:]:
+    node: Any = composed
+    for part in key.split("."):
         inside = node if isinstance(node, Mapping) else {}
         node = inside.get(part, inside.get(int(part)) if part.isdigit() else None)
     return node if isinstance(node, Mapping) else {}
 
 
-def _compose_machine(parsed: Sequence[Override], loader: ConfigLoader) -> Mapping[str, Any]:
-    """Compose the machine alone. A mistake gives an empty mapping: it is told when the whole is composed."""
-    keys = ("machine", "experiment")
+def _compose(parsed: Sequence[Override], loader: ConfigLoader) -> Mapping[str, Any]:
+    """Compose machine and data alone. A mistake gives an empty mapping: it is told when the whole is composed."""
+    keys = ("machine", "experiment", "data")
     of_machine = [o for o in parsed if o.key_or_group.partition(".")[0] in keys and not o.is_sweep_override()]
     try:
-        machine = compose(of_machine, loader).get("machine")
+        composed = compose(of_machine, loader)
     except ConfigError:
         return {}
-    return machine if isinstance(machine, Mapping) else {}
+    return composed if isinstance(composed.get("machine"), Mapping) else {}
 
 
-def _choose_experiment(machine: Mapping[str, Any]) -> list[str]:
+def _choose_experiment(composed: Mapping[str, Any]) -> list[str]:
     """Return the overrides that say what is identified of a machine of this kind, and at which noise."""
-    bearings, recordings, probes = (_look_up(machine, f"machine.{key}") for key in ("bearings", "recordings", "probes"))
-    each = [bearings, *_look_up(machine, "machine.bearings.nodes").values()]
+    bearings, recordings, probes = (
+        _look_up(composed, f"machine.{key}") for key in ("bearings", "recordings", "probes")
+    )
+    each = [bearings, *_look_up(composed, "machine.bearings.nodes").values()]
     kinds = {one.get("kind") for one in each if isinstance(one, Mapping)}
-    option = "fluid_film" if kinds & _CHANGING else "rolling"
-    if recordings.get("format", "none") != "none":
+    saved = not bearings and bool(_look_up(composed, "machine.rotor").get("file"))
+    option = "fluid_film" if kinds & _CHANGING or saved else "rolling"
+    if _look_up(composed, "data").get("vibration") or recordings.get("format", "none") != "none":
         baseline = recordings.get("baseline")
         more = [f"data.baseline='{baseline}'"] if isinstance(baseline, str) else []
         return [f"experiment={DEFAULTS}{option}_measured", *more]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import Any
 
 from pydantic import Field, PositiveFloat, ValidationInfo, field_validator, model_validator
 
 from pipeline.config.as_built import AsBuiltConfig
-from pipeline.config.bearings import BearingConfig, PerNodeBearingConfig
+from pipeline.config.bearings import BearingConfig, PerNodeBearingConfig, RotorFileBearingConfig
 from pipeline.config.measured import MeasuredRunConfig, convert_phase
 from pipeline.config.recordings import AnyRecordingsConfig, NoRecordingsConfig, RecordingsConfig
 from pipeline.config.rotor import RotorConfig
@@ -16,25 +18,30 @@ from pipeline.config.section import NonNegativeInt, Section
 
 
 class PredictionConfig(Section):
-    """An unbalance that training never saw, and where and when to look at its vibration."""
+    """An unbalance that training never saw, and where and when to look at its vibration.
+
+    Without a speed, that is the one in the middle of the data's.
+    """
 
     node: NonNegativeInt
-    speed_rpm: PositiveFloat
+    speed_rpm: PositiveFloat | None = None
     unbalances: tuple[UnbalanceConfig, ...] = Field(min_length=1)
 
 
 class MachineConfig(Section):
     """Rotor and bearings, how it is run and seen, what was recorded of it, and what can be done with it.
 
-    ``file`` is the machine file of the user's own that the section was read from. ``speeds`` and ``runs`` are those of
-    simulated data and of designs; of a machine with ``recordings`` that gives none, those that were recorded. A
+    ``file`` is the machine file of the user's own that the section was read from. A rotor of a file has the bearings
+    that are saved with it, where none are given. ``speeds`` and ``runs`` are those of simulated data and of designs; of
+    a machine with ``recordings`` that gives none, those that were recorded. ``prediction`` is by default the weights of
+    the first run a quarter turn further, and ``candidates`` are weights at the nodes of the runs. A
     ``residual_unbalance`` acts in every run and is not written down: the machine has it and nobody knows. So it is with
     what ``as_built`` says: ``stage=generate`` alone knows of it, and what the truth is judged by.
     """
 
     file: str | None = None
     rotor: RotorConfig
-    bearings: BearingConfig
+    bearings: BearingConfig = Field(default=None, validate_default=True)
     recordings: RecordingsConfig
     speeds: SpeedsConfig = Field(default=None, validate_default=True)
     runs: tuple[RunConfig, ...] = Field(default=None, validate_default=True, min_length=1)
@@ -42,8 +49,17 @@ class MachineConfig(Section):
     residual_unbalance: tuple[UnbalanceConfig, ...] = ()
     as_built: AsBuiltConfig | None = None
     probes: ProbesConfig
-    prediction: PredictionConfig
-    candidates: CandidateConfig
+    prediction: PredictionConfig = Field(default=None, validate_default=True)
+    candidates: CandidateConfig = Field(default=None, validate_default=True)
+
+    @field_validator("bearings", mode="before")
+    @classmethod
+    def _saved_bearings(cls, value: Any, info: ValidationInfo) -> Any:
+        if value is not None:
+            return value
+        if "rotor" in info.data and info.data["rotor"].file is None:
+            raise ValueError("must be given, but is missing")
+        return RotorFileBearingConfig(kind="rotor_file")
 
     @field_validator("speeds", mode="before")
     @classmethod
@@ -68,6 +84,30 @@ class MachineConfig(Section):
         if isinstance(recordings, NoRecordingsConfig):
             raise ValueError("must be given (a list of runs, each with unbalances or forces), but is missing")
         return [_plan_run(run, recordings) for run in recordings.runs if run.unbalances or run.forces]
+
+    @field_validator("prediction", mode="before")
+    @classmethod
+    def _unseen_unbalance(cls, value: Any, info: ValidationInfo) -> Any:
+        weights = _list_weights(info.data.get("runs") or ())
+        if value is not None or "runs" not in info.data:
+            return value or PredictionConfig(node=0, unbalances=(UnbalanceConfig(node=0, magnitude=1.0),))
+        first = next(iter(weights.values()), ())
+        if not first:
+            raise ValueError("must be given where no run has an unbalance, but is missing")
+        turned = tuple(one.model_copy(update={"phase": one.phase + math.pi / 2}) for one in first)
+        return PredictionConfig(node=first[0].node, unbalances=turned)
+
+    @field_validator("candidates", mode="before")
+    @classmethod
+    def _weights_of_the_runs(cls, value: Any, info: ValidationInfo) -> Any:
+        weights = [one for run in _list_weights(info.data.get("runs") or ()).values() for one in run]
+        if value is not None or "runs" not in info.data:
+            return value or CandidateConfig(unbalance_nodes=(0,), unbalance=1.0, **_NO_FORCE)
+        if not weights:
+            raise ValueError("must be given where no run has an unbalance, but is missing")
+        nodes = tuple(sorted({one.node for one in weights}))
+        largest = max(one.magnitude for one in weights)
+        return CandidateConfig(unbalance_nodes=nodes, unbalance=largest, **_NO_FORCE)
 
     @model_validator(mode="after")
     def _is_built_of_the_same_parts(self) -> MachineConfig:
@@ -119,6 +159,14 @@ class MachineConfig(Section):
             if node > last:
                 raise ValueError(f"must use nodes 0 to {last} of the rotor, but {what} got node {node}")
         return self
+
+
+_NO_FORCE: dict[str, Any] = {"force_nodes": (), "force": 1.0, "whirls": (), "phases_deg": (0.0, 90.0, 180.0, 270.0)}
+
+
+def _list_weights(runs: Sequence[RunConfig]) -> dict[str, tuple[UnbalanceConfig, ...]]:
+    """The unbalances of each run that has some."""
+    return {run.name: run.unbalances for run in runs if run.unbalances}
 
 
 def _plan_run(run: MeasuredRunConfig, recordings: AnyRecordingsConfig) -> RunConfig:

@@ -62,7 +62,10 @@ def store_files(folder: Path | None) -> Iterator[None]:
 
 
 def store_machine(path: Path) -> str:
-    """Put a machine file into Hydra's store; its name there, which has the hash of path and content in it."""
+    """Put a machine file into Hydra's store; its name there, which has the hash of path and content in it.
+
+    Its key ``data`` names vibration that was processed elsewhere, and takes the place of the configuration's own.
+    """
     from hydra.core.config_store import ConfigStore
 
     content = _read_yaml(path, "machine.file")
@@ -80,8 +83,10 @@ def store_machine(path: Path) -> str:
         raise ConfigError(f"machine.file must be given on the command line alone, but '{path}' has a key 'file'")
     refuse_renamed_in(content, path, in_machine=True)
     name = f"{clean_name(path)}-{hashlib.sha256(str(path).encode() + path.read_bytes()).hexdigest()[:8]}"
-    node = _resolve_paths(content, _PATHS, path.parent) | {"file": str(path)}
-    ConfigStore.instance().store(name, node, group="machine", provider=str(path))
+    data = {key: content.pop(key) for key in ("data",) if key in content}
+    node = {"machine": _resolve_paths(content, _PATHS, path.parent) | {"file": str(path)}}
+    node |= _resolve_paths(data, _DATA_PATHS, path.parent)
+    ConfigStore.instance().store(name, node, group="machine", package="_global_", provider=str(path))
     return name
 
 

@@ -73,7 +73,7 @@ class NewConfig(Section):
     """``stage=new`` writes a machine file for this kind of bearings and this source of data."""
 
     bearings: Literal["rolling", "fluid_film"]
-    data: Literal["recordings", "tables", "simulated"]
+    data: Literal["recordings", "tables", "processed", "simulated"]
 
 
 class PromotedConfig(Section):

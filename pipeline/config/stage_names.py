@@ -5,6 +5,7 @@ from __future__ import annotations
 STAGES: dict[str, str] = {
     "new": "write a machine file of your own, with comments, to machine.file",
     "configure": "write the experiment's composed configuration to config.yaml",
+    "identify": "from a machine's data to its results: all of the stages that belong to it, in one command",
     "generate": "model the machine with ROSS and write its vibration",
     "ingest": "turn measured data into the two files that training reads, and draw them",
     "diagnose": "tell which coefficients the data determine: rank, condition number, predicted deviation",
@@ -22,3 +23,12 @@ STAGES: dict[str, str] = {
     "report": "write one page (HTML, PDF) with all that was measured, identified and predicted, to send on",
     "check": "hold the metrics of all experiments against conf/thresholds; exit code 1 where one is passed",
 }
+
+RESULTS: dict[str, str] = {
+    "evaluate": "metrics.json",
+    "predict": "prediction.json",
+    "verdict": "verdicts.json",
+    "summary": "summary.txt",
+    "report": "report.html",
+}
+"""What stage=identify makes of a fit, in this order, and the file that shows that it was made."""

@@ -29,11 +29,11 @@ def run(config: Config) -> StageOutput:
     write_text(path, fill_template(path, config.new.bearings, config.new.data))
     say(f"machine file in '{path}'")
     if config.new.data == "simulated":
-        say(f"it runs as it is; next: {command.format('stage=train')}")
+        say(f"it runs as it is; next: {command.format('stage=identify')}")
     else:
         say(
-            "fill in rotor, probes and the paths of your recordings (what you leave as it is belongs to an example), "
-            f"next: {command.format('stage=ingest')}"
+            "fill in rotor, probes, runs and the paths of your data (what you leave as it is belongs to an example), "
+            f"next: {command.format('stage=identify')}"
         )
     return StageOutput(files=[path])
 
@@ -43,12 +43,18 @@ def fill_template(path: Path, bearings: str, data: str) -> str:
 
     In ``machine_file.yaml``, a line such as ``#: simulated fluid_film`` begins a part of files that are all of that.
     """
-    tags = {bearings, data, "simulated" if data == "simulated" else "measured"}
+    of_data = {
+        "simulated": {"simulated", "planned"},
+        "processed": {"processed", "planned", "measured"},
+        "recordings": {"recordings", "recorded", "measured"},
+        "tables": {"tables", "recorded", "measured"},
+    }
+    tags = {bearings} | of_data[data]
     lines, wanted = [], True
     for line in TEMPLATE.read_text(encoding="utf-8").splitlines(keepends=True):
         if line.startswith("#:"):
             wanted = set(line.split()[1:]) <= tags
         elif wanted:
             lines.append(line)
-    command = f"python -m pipeline stage=train {quote_override('machine.file', path.name)}"
+    command = f"python -m pipeline stage=identify {quote_override('machine.file', path.name)}"
     return "".join(lines).replace("{command}", command).replace("{name}", clean_name(path))

@@ -236,7 +236,7 @@ def main_or_raise(arguments: list[str]) -> None:
         ({"bearings": {"kind": "bal"}}, ["machine.bearings.kind", "did you mean 'ball'?"]),
         ({"runs": None}, ["machine.runs: must be given"]),
         ({"speeds": None}, ["machine.speeds: must be given"]),
-        ({"prediction": None}, ["machine.prediction: must be given"]),
+        ({"bearings": None}, ["machine.bearings: must be given"]),
         ({"recordings": {"format": "tabel"}}, ["machine.recordings.format", "did you mean 'table'?"]),
         ({"runs": [{"name": "a", "forces": [{"node": 99, "magnitude": 1}]}]}, ["nodes 0 to 6", "run 'a'", "node 99"]),
         ({"residual_unbalance": [{"node": 9, "magnitude": 1e-4}]}, ["residual_unbalance got node 9"]),

@@ -18,7 +18,11 @@ from pipeline.stages.new import fill_template
 
 pytestmark = pytest.mark.slow  # every test composes a configuration by Hydra: half a second each
 
-KINDS = [(bearings, data) for bearings in ("rolling", "fluid_film") for data in ("simulated", "recordings", "tables")]
+KINDS = [
+    (bearings, data)
+    for bearings in ("rolling", "fluid_film")
+    for data in ("simulated", "recordings", "tables", "processed")
+]
 
 
 def made_by_new(path: Path, *overrides: str) -> Path:
@@ -37,7 +41,9 @@ def test_a_template_composes(bearings: str, data: str, folder: Path) -> None:
     assert text.startswith("# ")
     config = compose_config([given_by(path)])
     assert config.identify.unknowns == UNKNOWNS[bearings]
-    assert (config.machine.recordings.format == "none") == (data == "simulated")
+    assert (config.machine.recordings.format == "none") == (data in ("simulated", "processed"))
+    assert (config.data.vibration is not None) == (data == "processed")
+    assert config.loss.noise == ("stated" if data == "simulated" else "estimated")
     assert config.name == "rig_2"
     assert "artifacts/rig_2" in text
 
@@ -45,11 +51,11 @@ def test_a_template_composes(bearings: str, data: str, folder: Path) -> None:
 def test_new_says_the_next_command(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = folder / "rig.yaml"
     assert main(["stage=new", given_by(path)]) == 0
-    assert f"stage=train 'machine.file=\\'{path}\\''" in capsys.readouterr().out.replace("'\"'\"'", "\\'")
+    assert f"stage=identify 'machine.file=\\'{path}\\''" in capsys.readouterr().out.replace("'\"'\"'", "\\'")
     assert [p.name for p in folder.iterdir()] == ["rig.yaml"]
     assert list(Path().iterdir()) == []
     made_by_new(folder / "other.yaml", "new.data=tables")
-    assert "stage=ingest" in capsys.readouterr().out
+    assert "stage=identify" in capsys.readouterr().out
 
 
 def test_new_replaces_nothing(folder: Path) -> None:
