@@ -18,13 +18,10 @@ from pipeline.config.section import NonNegativeInt, Section
 
 
 class PredictionConfig(Section):
-    """An unbalance that training never saw, and where and when to look at its vibration.
-
-    Without a speed, that is the one in the middle of the data's.
-    """
+    """An unbalance that training never saw, and where and when to look at its vibration."""
 
     node: NonNegativeInt
-    speed_rpm: PositiveFloat | None = None
+    speed_rpm: PositiveFloat
     unbalances: tuple[UnbalanceConfig, ...] = Field(min_length=1)
 
 
@@ -34,7 +31,7 @@ class MachineConfig(Section):
     ``file`` is the machine file of the user's own that the section was read from. A rotor of a file has the bearings
     that are saved with it, where none are given. ``speeds`` and ``runs`` are those of simulated data and of designs; of
     a machine with ``recordings`` that gives none, those that were recorded. ``prediction`` is by default the weights of
-    the first run a quarter turn further, and ``candidates`` are weights at the nodes of the runs. A
+    the first run a quarter turn further at the middle speed, and ``candidates`` are weights at the nodes of the runs. A
     ``residual_unbalance`` acts in every run and is not written down: the machine has it and nobody knows. So it is with
     what ``as_built`` says: ``stage=generate`` alone knows of it, and what the truth is judged by.
     """
@@ -88,21 +85,21 @@ class MachineConfig(Section):
     @field_validator("prediction", mode="before")
     @classmethod
     def _unseen_unbalance(cls, value: Any, info: ValidationInfo) -> Any:
-        weights = _list_weights(info.data.get("runs") or ())
-        if value is not None or "runs" not in info.data:
-            return value or PredictionConfig(node=0, unbalances=(UnbalanceConfig(node=0, magnitude=1.0),))
-        first = next(iter(weights.values()), ())
+        if value is not None or not {"speeds", "runs"} <= info.data.keys():
+            return value or PredictionConfig(node=0, speed_rpm=1, unbalances=(UnbalanceConfig(node=0, magnitude=1.0),))
+        first = next(iter(_list_weights(info.data["runs"]).values()), ())
         if not first:
             raise ValueError("must be given where no run has an unbalance, but is missing")
         turned = tuple(one.model_copy(update={"phase": one.phase + math.pi / 2}) for one in first)
-        return PredictionConfig(node=first[0].node, unbalances=turned)
+        rpm = info.data["speeds"].rpm()
+        return PredictionConfig(node=first[0].node, speed_rpm=rpm[len(rpm) // 2], unbalances=turned)
 
     @field_validator("candidates", mode="before")
     @classmethod
     def _weights_of_the_runs(cls, value: Any, info: ValidationInfo) -> Any:
-        weights = [one for run in _list_weights(info.data.get("runs") or ()).values() for one in run]
         if value is not None or "runs" not in info.data:
             return value or CandidateConfig(unbalance_nodes=(0,), unbalance=1.0, **_NO_FORCE)
+        weights = [one for run in _list_weights(info.data["runs"]).values() for one in run]
         if not weights:
             raise ValueError("must be given where no run has an unbalance, but is missing")
         nodes = tuple(sorted({one.node for one in weights}))

@@ -98,7 +98,7 @@ def run(config: Config) -> StageOutput:
         off = {direction: error_percent(summed[:, d], truth[:, d]) for d, direction in enumerate("xy")}
         summary["influence_coefficients"] = {"error_percent": off}
     print_twin(config, summary, vibration, at)
-    _say_superposed(config, summed, summary, at, float(to_rpm(measurement.dataset.speeds)[at]))
+    _say_superposed(config, summed, summary, at)
     work = locate_files(config)
     written = [
         write_json(work.folder / "prediction.json", summary),
@@ -127,21 +127,19 @@ def superpose_unseen(config: Config, measurement: Measurement) -> np.ndarray | N
     return summed @ resolution[np.concatenate(rows)].T
 
 
-def _say_superposed(config: Config, summed: np.ndarray | None, summary: Mapping[str, Any], at: int, rpm: float) -> None:
+def _say_superposed(config: Config, summed: np.ndarray | None, summary: Mapping[str, Any], at: int) -> None:
     beside = f"{config.name}: influence coefficients (sums of the runs, without a bearing model)"
     if summed is None:
         say(f"{beside} have no answer: the unbalance is no sum of the runs', or no probes show the node")
         return
     size, error = 1e6 * np.abs(summed[at]), summary.get("influence_coefficients", {}).get("error_percent", {})
     off = ", ".join(f"{direction} {percent:.2g} %" for direction, percent in error.items())
-    shown = f"x {size[0]:.5f} um, y {size[1]:.5f} um at {rpm:g} rpm"
+    shown = f"x {size[0]:.5f} um, y {size[1]:.5f} um at {config.machine.prediction.speed_rpm:g} rpm"
     say(f"{beside}: {shown}" + (f"; error over all speeds (root mean square) {off}" if off else ""))
 
 
 def _find_speed(config: Config, speeds: np.ndarray) -> int:
     rpm, wanted = to_rpm(speeds), config.machine.prediction.speed_rpm
-    if wanted is None:
-        return len(rpm) // 2
     nearest = int(np.abs(rpm - wanted).argmin())
     if abs(rpm[nearest] - wanted) > 1e-6 * wanted:
         raise ConfigError(
