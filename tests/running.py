@@ -34,7 +34,7 @@ MEASURED = "measured_demo"  # read, not generated: test_measured_demo.py
 EXPERIMENTS = [name for name in list_options("experiment") if name not in (REFUSED, MEASURED)]
 DEFAULT = "hydrostatic_stiffness"
 FIGURES = [
-    *("stiffness", "damping", "training", "robustness"),
+    *("identified", "stiffness", "damping", "training", "robustness"),
     *("prediction_time", "prediction_orbit", "prediction_response", "campbell"),
 ]
 

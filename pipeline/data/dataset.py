@@ -97,6 +97,11 @@ class VibrationDataset:
             matrix[p, translation_dof(node, 0)], matrix[p, translation_dof(node, 1)] = project_direction(angle)
         return matrix
 
+    def project(self, node: int, angle: float) -> np.ndarray:
+        """(S, R) complex, m: what a probe in the direction ``angle`` (degrees) sees of a ``node`` known in x and y."""
+        places = [self.channels.index((node, of)) for of in DIRECTIONS.values()]
+        return np.asarray(np.tensordot(self.displacement[:, places], project_direction(angle), (1, 0)))
+
     def resolution(self) -> tuple[np.ndarray, np.ndarray]:
         """Which lateral DOF the channels determine by themselves, (D,), and how, (D, P): ``q = resolution @ channels``.
 

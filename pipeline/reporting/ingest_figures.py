@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,9 @@ from pipeline.reporting.figures import BLACK, BLUE, GREEN, GREY, MARKERS, MICROM
 _COLOURS = (BLUE, ORANGE, GREEN, PURPLE, SKY, BLACK)
 _LINES = ("-", "--", "-.", ":")
 _ORBIT = np.linspace(0.0, 0.94, 200)
-"""Parts of a turn, from the tacho pulse: the gap shows in which sense the orbit is run through."""
+"""Parts of a turn, from the tacho pulse."""
+_ARROW = 60
+"""Where on the orbit its arrow head is."""
 
 
 def _choose_looks(dataset: VibrationDataset, baseline: str | None) -> list[dict[str, Any]]:
@@ -34,33 +37,46 @@ def _place_legend(drawn: Any, axes: np.ndarray) -> None:
     drawn.legend(handles, labels, loc="outside upper center", ncols=min(4, len(labels)))
 
 
-def draw_bode(path: Path, dataset: VibrationDataset, baseline: str | None) -> Path:
-    """Amplitude and phase over the speed of every node, direction and run."""
-    nodes = sorted({node for node, _ in dataset.channels})
-    rpm = to_rpm(dataset.speeds)
-    ratios = {"height_ratios": [1.6, 1.0] * len(nodes)}
-    height = 0.6 + 4.4 * len(nodes)
-    with open_figure(path, 2 * len(nodes), 2, 10.5, height, sharex=True, gridspec_kw=ratios) as axes:
-        few = "o" if len(rpm) <= MARKERS else None
-        for n, node in enumerate(nodes):
-            for d, (direction, angle) in enumerate(DIRECTIONS.items()):
-                above, below = axes[2 * n, d], axes[2 * n + 1, d]
-                values = dataset.displacement[:, dataset.channels.index((node, angle))]
-                for r, look in enumerate(_choose_looks(dataset, baseline)):
-                    mark = {"marker": few, "ms": 4, "mfc": "none"}
-                    above.semilogy(rpm, MICROMETRES * np.abs(values[:, r]), **look, **mark)
-                    below.plot(rpm, np.degrees(np.unwrap(np.angle(values[:, r]))), **look, **mark)
-                above.set_title(f"{direction} at node {node}")
-            axes[2 * n, 0].set_ylabel("amplitude (µm, zero-to-peak)")
-            axes[2 * n + 1, 0].set_ylabel("phase of Q (deg)")
-        for ax in axes[-1]:
-            ax.set_xlabel("rotor speed (rpm)")
+def draw_bode(
+    path: Path, dataset: VibrationDataset, baseline: str | None, probes: Mapping[str, tuple[int, float]]
+) -> Path:
+    """Bode plots of every probe and run, as an analyser shows them: peak-to-peak over phase lag.
+
+    ``probes`` are node and angle (degrees) by name; the ``dataset`` has x and y of their nodes.
+    """
+    rows, rpm = (len(probes) + 1) // 2, to_rpm(dataset.speeds)
+    ratios = {"height_ratios": [1.6, 1.0] * rows}
+    few = "o" if len(rpm) <= MARKERS else None
+    with open_figure(path, 2 * rows, 2, 10.5, 0.6 + 4.4 * rows, sharex=True, gridspec_kw=ratios) as axes:
+        for i, (name, (node, angle)) in enumerate(probes.items()):
+            above, below = axes[2 * (i // 2), i % 2], axes[2 * (i // 2) + 1, i % 2]
+            seen = dataset.project(node, angle)  # (S, R)
+            for r, look in enumerate(_choose_looks(dataset, baseline)):
+                mark = {"marker": few, "ms": 4, "mfc": "none"}
+                above.plot(rpm, 2 * MICROMETRES * np.abs(seen[:, r]), **look, **mark)
+                below.plot(rpm, find_lag(seen[:, r]), **look, **mark)
+            above.set_title(f"{name}: node {node}, {angle:g}°", loc="left")
+            above.set_ylabel("amplitude (µm pk-pk)")
+            below.set_ylabel("phase lag (deg)")
+            below.tick_params(labelbottom=True)
+            below.set_xlabel("rotor speed (rpm)")
+        for ax in axes[-2:, 1][: 2 * (len(probes) % 2)]:
+            ax.set_visible(False)
         _place_legend(axes[0, 0].figure, axes)
     return path
 
 
+def find_lag(vectors: np.ndarray) -> np.ndarray:
+    """(S,) phase lag in degrees of V = A e^{-j lag}, without jumps, from 0 to 360 at the first speed."""
+    lag = np.unwrap(-np.angle(vectors))
+    return np.asarray(np.degrees(lag - 2 * np.pi * np.floor(lag[0] / (2 * np.pi))))
+
+
 def draw_measured_orbits(path: Path, dataset: VibrationDataset, baseline: str | None) -> Path:
-    """Orbits of every node at several speeds, the speed of the largest amplitude among them; a dot at the pulse."""
+    """Orbits of every node at several speeds, that of the largest amplitude among them; a dot at the pulse.
+
+    An arrow shows the sense in which each is run through; the rotor turns counterclockwise.
+    """
     nodes = sorted({node for node, _ in dataset.channels})
     picked = pick_speeds(dataset)
     rpm = to_rpm(dataset.speeds)
@@ -76,13 +92,17 @@ def draw_measured_orbits(path: Path, dataset: VibrationDataset, baseline: str | 
                     ax.plot(x, y, **look)
                     size = 4 if look["color"] == GREY else 5.5
                     ax.plot(x[:1], y[:1], ls="", marker="o", ms=size, color=look["color"])
+                    arrow = {"arrowstyle": "-|>", "color": look["color"], "lw": 0, "mutation_scale": 17}
+                    ax.annotate("", (x[_ARROW + 2], y[_ARROW + 2]), (x[_ARROW], y[_ARROW]), arrowprops=arrow)
                 ax.set_aspect("equal", adjustable="datalim")
                 ax.locator_params(nbins=5)
                 ax.set_title(f"node {node}, {rpm[at]:.5g} rpm")
                 if n == len(nodes) - 1:
                     ax.set_xlabel("x (µm)")
             axes[n, 0].set_ylabel("y (µm)")
-        axes[0, 0].plot([], [], ls="", marker="o", ms=5.5, color=BLACK, label="at the tacho pulse")
+        axes[0, 0].plot(
+            [], [], ls="", marker="o", ms=5.5, color=BLACK, label="at the tacho pulse; the rotor turns counterclockwise"
+        )
         _place_legend(axes[0, 0].figure, axes)
     return path
 

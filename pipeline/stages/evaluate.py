@@ -20,6 +20,7 @@ from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say
 from pipeline.reporting.error_table import describe_quality, describe_verdicts, make_error_table, print_error_table
 from pipeline.reporting.figures import draw_coefficients, draw_history
+from pipeline.reporting.identified_figure import draw_identified
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.diagnose import diagnose
 from pipeline.stages.execution import StageOutput
@@ -74,6 +75,7 @@ def run(config: Config) -> StageOutput:
         metrics["held_out"] = _judge_held_out(config, update_measurement(measurement, uncertainty), answer, uncertainty)
     written += [
         draw_history(work.figure("training"), work.history, loss.label),
+        draw_identified(work.figure("identified"), answer, modelled, names, deviation),
         draw_coefficients(work.figure("stiffness"), "k", answer, modelled, names, deviation),
         draw_coefficients(work.figure("damping"), "c", answer, modelled, names, deviation),
         write_json(work.metrics, metrics),

@@ -69,7 +69,7 @@ def run(config: Config) -> StageOutput:
     written.append(write_vibration(work.vibration, dataset))
     written += [
         write_json(work.folder / "ingest.json", _summarize(measured, ingest, notes)),
-        draw_bode(work.figure("ingest_bode"), dataset, ingest.baseline),
+        draw_bode(work.figure("ingest_bode"), dataset, ingest.baseline, _list_probes(ingest)),
         draw_measured_orbits(work.figure("ingest_orbits"), dataset, ingest.baseline),
     ]
     _report(config, ingest, measured, work)
@@ -80,6 +80,11 @@ def run(config: Config) -> StageOutput:
         tags={"data_fingerprint": dataset.fingerprint},
         files=written,
     )
+
+
+def _list_probes(ingest: AnyRecordingsConfig) -> dict[str, tuple[int, float]]:
+    """Node and angle in degrees of each probe."""
+    return {name: (probe.node, float(np.degrees(probe.angle))) for name, probe in ingest.probes.items()}
 
 
 def _summarize(measured: MeasuredRuns, ingest: AnyRecordingsConfig, notes: list[str]) -> dict[str, object]:

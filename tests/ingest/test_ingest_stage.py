@@ -289,7 +289,7 @@ def test_figures_show_something(tmp_path: Path) -> None:
     still = VibrationDataset(dataset.speeds, dataset.runs, dataset.channels, displacement, dataset.excitations)
     one = VibrationDataset(dataset.speeds[:1], dataset.runs, dataset.channels, displacement[:1], dataset.excitations)
     for path in (
-        draw_bode(tmp_path / "a.png", still, "one"),
+        draw_bode(tmp_path / "a.png", still, "one", {"left": (0, 45.0), "right": (0, 135.0), "alone": (1, 0.0)}),
         draw_measured_orbits(tmp_path / "b.png", dataset, None),
         draw_measured_orbits(tmp_path / "c.png", one, "one"),
     ):

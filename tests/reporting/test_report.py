@@ -14,7 +14,7 @@ from pipeline.config.measured import ProbeConfig
 from pipeline.ingest.full_spectrum import measure_full_spectra
 from pipeline.ingest.order_tracking import Signals
 from pipeline.ingest.tacho import fit_angle
-from pipeline.reporting.report.content import find_lag
+from pipeline.reporting.ingest_figures import find_lag
 from pipeline.reporting.report.figure import Axes, Curve, Figure, HeatMap, Panel
 from pipeline.reporting.report.page import write_page
 from pipeline.reporting.report.pdf import write_pdf

@@ -8,12 +8,11 @@ from pipeline.coefficients import COEFFICIENTS
 from pipeline.data.noise import NOMINAL_95
 from pipeline.data.vibration_files import to_rpm
 from pipeline.reporting.figures import BLACK, LOOKS
+from pipeline.reporting.identified_figure import UNITS
 from pipeline.reporting.report.content import FitContent, ReportContent
 from pipeline.reporting.report.figure import Axes, Curve, Figure, Panel
 from pipeline.reporting.report.section import Paragraph, Section, Table, write_number
 
-UNITS = {"k": (1e-6, "MN/m"), "c": (1e-3, "kN s/m")}
-"""What SI is multiplied by, and the name of the unit."""
 _KINDS = {"k": "stiffness", "c": "damping"}
 _ROWS = 5
 _DASHES = ("solid", "dash", "dashdot", "longdash")

@@ -147,12 +147,6 @@ def name_channel(channel: tuple[int, float]) -> str:
     return f"node {channel[0]}, {direction if direction in 'xy' else f'{direction}°'}"
 
 
-def find_lag(vectors: np.ndarray) -> np.ndarray:
-    """(S,) phase lag in degrees of V = A e^{-j lag}, without jumps, from 0 to 360 at the first speed."""
-    lag = np.unwrap(-np.angle(vectors))
-    return np.asarray(np.degrees(lag - 2 * np.pi * np.floor(lag[0] / (2 * np.pi))))
-
-
 def count(number: int, name: str) -> str:
     """Such as ``1 run`` and ``2 runs``."""
     return f"{number} {name}{'s' if number != 1 else ''}"

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from pipeline.reporting.figures import BLACK, GREY
-from pipeline.reporting.ingest_figures import pick_speeds
-from pipeline.reporting.report.content import Probe, ReportContent, Waveforms, find_lag
+from pipeline.reporting.ingest_figures import find_lag, pick_speeds
+from pipeline.reporting.report.content import Probe, ReportContent, Waveforms
 from pipeline.reporting.report.figure import Axes, Curve, Figure, HeatMap, Panel
 from pipeline.reporting.report.section import Amplitude, Block, Cell, Paragraph, Section, Table
 
