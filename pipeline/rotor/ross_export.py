@@ -25,7 +25,7 @@ def export_rotor(
     """
     rs, base = ross(), make_rotor(config)
     moved = {
-        (one.kind, one.place): value * one.deviation
+        (one.kind, one.place): float(value) * one.deviation  # ROSS writes numbers of numpy as texts
         for one, value in zip(parameters, values, strict=True)
         if one.kind not in ("known_coefficients", "runout")
     }
@@ -76,8 +76,12 @@ def _change_material(element: Any, young: float, density: float) -> Any:
     """The shaft's element with its stiffness and its mass times these; its own damping stays."""
     if young == density == 1.0:
         return element
+    given = {name: getattr(element, name) for name in list(signature(type(element).__init__).parameters)[1:]}
+    if "material" not in given:  # a coupling
+        factors = {name: young if name[0] == "k" else density for name in given if name[0] in "kmI"}
+        return type(element)(**given | {name: factor * given[name] for name, factor in factors.items()})
     old = element.material
-    given = {name: getattr(element, name) for name in signature(type(element).__init__).parameters if name != "self"}
     changed = {"rho": density * float(old.rho), "E": young * float(old.E), "G_s": young * float(old.G_s)}
-    given |= {"material": ross().Material(old.name, **changed), "alpha": element.alpha / density}
-    return type(element)(**given | {"beta": element.beta / young})
+    loads = {name: young * given[name] for name in ("axial_force", "torque")}
+    own = {"alpha": element.alpha / density, "beta": element.beta / young}
+    return type(element)(**given | loads | own | {"material": ross().Material(old.name, **changed)})

@@ -168,14 +168,19 @@ class StabilityMargin:
     place: tuple[int, int] | None  # (speed, mode) of it
 
 
+def find_reached(modes: WhirlModes) -> np.ndarray:
+    """(S, K) mask of the modes up to twice the top speed: those above are reached by no unbalance."""
+    return modes.frequency <= 2.0 * modes.speeds.max()  # false for NaN
+
+
 def measure_stability(modes: WhirlModes) -> StabilityMargin:
     """The margin over all speeds.
 
     The decrement looks at modes up to twice the top speed: those far above have a decrement near zero in any
     finite element model without material damping, and no unbalance reaches them.
     """
-    within = np.where(modes.frequency <= 2.0 * modes.speeds.max(), modes.logarithmic_decrement, np.inf)
-    s, k = np.unravel_index(np.nanargmin(np.where(np.isnan(within), np.inf, within)), within.shape)
+    within = np.where(find_reached(modes), modes.logarithmic_decrement, np.inf)
+    s, k = np.unravel_index(within.argmin(), within.shape)
     found = np.isfinite(within[s, k])
     return StabilityMargin(
         bool((modes.growth <= 0).all()),
