@@ -33,7 +33,7 @@ HOMES = {
     "optuna_dashboard": ["tuning/"],
     "hydra": ["__main__.py", "config/"],
     "omegaconf": ["__main__.py", "config/"],
-    "h5py": ["ingest/recordings.py"],
+    "h5py": ["ingest/recordings.py", "data/mat_files.py"],
     "nptdms": ["ingest/recordings.py"],
     "pyuff": ["ingest/uff.py"],
     "sklearn": ["methods/"],

@@ -11,12 +11,12 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, PositiveFloat, model_validator
 
+from pipeline.config.motion import MotionConfig, Sensitivity, find_volts, to_motion
 from pipeline.config.quantities import (
     AnyDamping,
     AnyStiffness,
     Deviation,
     Force,
-    LengthUnit,
     ShaftAngle,
     UnbalanceMagnitude,
 )
@@ -66,10 +66,9 @@ def convert_phase(phase: float, shaft_angle: str, tacho: float | None) -> float:
     return tacho + phase if shaft_angle == "with_rotation" else tacho - phase
 
 
-class VectorConventionsConfig(Section):
+class VectorConventionsConfig(MotionConfig):
     """The meaning of complex numbers over the speed: unit and kind of size, sense of the angle, unit of the speed."""
 
-    length: LengthUnit
     amplitude: AmplitudeKind
     phase: PhaseSense
     speed: SpeedUnit
@@ -82,10 +81,16 @@ class ConventionsConfig(VectorConventionsConfig):
 
 
 class ProbeConfig(Section):
-    """A displacement probe: its node of the rotor, and its angle from x towards y, which is the sense of rotation."""
+    """A probe: its node of the rotor, and its angle from x towards y, which is the sense of rotation.
+
+    ``scale`` is its sensitivity, where numbers are voltages. ``mounted`` is what moves the probe of a velocity or an
+    acceleration: the shaft (a shaft rider, a laser), or the casing beside a bearing.
+    """
 
     node: NonNegativeInt
     angle: ShaftAngle
+    scale: Sensitivity | None = None
+    mounted: Literal["shaft", "casing"] | None = None
 
 
 class MeasuredUnbalanceConfig(Section):
@@ -192,6 +197,32 @@ class MeasuredConfig(Section):
     slow_roll: SlowRollConfig | None = None
     known: Known = None
     synthetic: bool = False
+
+    def check_units(self, unit: str, probes: Mapping[str, ProbeConfig]) -> None:
+        """Raise ValueError for probes that do not fit numbers in ``unit``."""
+        voltage = find_volts(unit) is not None
+        for name, probe in probes.items():
+            if voltage and probe.scale is None:
+                raise ValueError(
+                    f"probe '{name}' must have a scale (such as 7.87 V/mm or 100 mV/g) for a signal in {unit}, but it "
+                    "has none"
+                )
+            if not voltage and probe.scale is not None:
+                raise ValueError(
+                    f"probe '{name}' must have no scale where signals are in {unit}, but it has {probe.scale}"
+                )
+            order, _ = to_motion(unit, probe.scale)
+            if order and probe.mounted is None:
+                raise ValueError(
+                    f"probe '{name}' must say what it moves with where it measures "
+                    f"{'velocities' if order == 1 else 'accelerations'}, but it has no 'mounted': give mounted: casing "
+                    "(beside a bearing) or mounted: shaft (a shaft rider, a laser)"
+                )
+            if not order and probe.mounted == "casing":
+                raise ValueError(
+                    f"probe '{name}' must measure velocities or accelerations where it has mounted: casing, but its "
+                    "displacements are the shaft's: leave mounted out"
+                )
 
     def check_shared(
         self, runs: Sequence[MeasuredRunConfig], probes: Mapping[str, ProbeConfig], tacho: TachoAngleConfig

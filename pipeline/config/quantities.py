@@ -39,7 +39,7 @@ def to_si(value: Any, unit: str, example: str) -> float:
 def _parse(text: str, unit: str, example: str) -> float:
     import pint
 
-    if _is_number(text):
+    if is_number(text):
         return float(text)
     try:
         # pint's mil is an angle; a probe's is a length.
@@ -54,25 +54,8 @@ def _parse(text: str, unit: str, example: str) -> float:
         raise ValueError(f"must convert to {unit} (such as {example}), but got {text!r}") from None
 
 
-def _check_unit(value: Any, unit: str, example: str) -> str:
-    if not isinstance(value, str) or _is_number(value):
-        raise ValueError(f"must carry its unit (such as {example}), but got {value!r}")
-    if to_si(value, unit, example) == 0:
-        raise ValueError(f"must not be zero (such as {example}), but got {value!r}")
-    return value
-
-
-def _check_unit_name(value: Any, units: tuple[str, ...], examples: str) -> str:
-    if not isinstance(value, str) or not re.fullmatch(r"[^\W\d_]+", value):
-        raise ValueError(f"must be a unit (such as {examples}), but got {value!r}")
-    for unit in units:
-        with contextlib.suppress(ValueError):
-            to_si(f"1 {value}", unit, examples)
-            return value
-    raise ValueError(f"must be a unit of {' or '.join(units)} (such as {examples}), but got {value!r}")
-
-
-def _is_number(text: str) -> bool:
+def is_number(text: str) -> bool:
+    """True for a text without a unit."""
     with contextlib.suppress(ValueError):
         float(text)
         return True
@@ -81,28 +64,11 @@ def _is_number(text: str) -> bool:
 
 def _convert_angle(value: Any) -> float:
     angle = to_si(value, "rad", "45 deg")
-    if isinstance(value, str) and not _is_number(value):
+    if isinstance(value, str) and not is_number(value):
         return math.remainder(angle, 2 * math.pi)
     if abs(angle) > 2 * math.pi:  # 45 stands for degrees, but a number alone is in radians
         raise ValueError(f"must carry its unit (such as 45 deg) where it is beyond a turn in radians, but got {value}")
     return angle
-
-
-def to_metres(unit: str) -> float:
-    """Size of a length unit such as um, in m."""
-    return to_si(f"1 {unit}", "m", "um")
-
-
-def to_volts(unit: str) -> float | None:
-    """Size of a unit such as mV in V; None where it is no voltage."""
-    with contextlib.suppress(ValueError):
-        return to_si(f"1 {unit}", "V", "mV")
-    return None
-
-
-def to_volts_per_metre(sensitivity: str) -> float:
-    """A sensitivity such as 200 mV/mil in V/m."""
-    return to_si(sensitivity, "V / m", "7.87 V/mm")
 
 
 def _define_quantity(unit: str, example: str, **bounds: Any) -> Any:
@@ -130,7 +96,3 @@ RotorSpeed = _define_quantity("rad / s", "2000 rpm", gt=0)
 Frequency = _define_quantity("Hz", "5120 Hz", gt=0)
 ShaftAngle = Annotated[float, BeforeValidator(_convert_angle), Field(json_schema_extra={"unit": "rad"})]
 """rad, between -pi and pi where it had a unit; a number that can only be degrees is refused."""
-LengthUnit = Annotated[str, BeforeValidator(lambda value: _check_unit_name(value, ("m",), "um, mil or mm"))]
-SignalUnit = Annotated[str, BeforeValidator(lambda value: _check_unit_name(value, ("V", "m"), "V, mV or um"))]
-Sensitivity = Annotated[str, BeforeValidator(lambda value: _check_unit(value, "V / m", "7.87 V/mm or 200 mV/mil"))]
-"""A displacement probe has it; negative where the voltage falls when the shaft comes nearer."""

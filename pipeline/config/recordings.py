@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
@@ -18,9 +19,13 @@ from pipeline.config.measured import (
     Text,
     VectorConventionsConfig,
 )
-from pipeline.config.quantities import Frequency, Sensitivity, SignalUnit, to_volts
+from pipeline.config.motion import SignalUnit
+from pipeline.config.quantities import Frequency
 from pipeline.config.runs import check_frequency
 from pipeline.config.section import Section
+
+if TYPE_CHECKING:
+    import numpy as np
 
 Edge = Literal["rising", "falling"]
 
@@ -67,6 +72,11 @@ class TableRunConfig(MeasuredRunConfig):
         """True where the response has a frequency of its own."""
         return self.frequency_hz is not None or self.frequency_ratio is not None
 
+    def frequencies(self, speeds: np.ndarray) -> np.ndarray:
+        """(S,) rad/s of the vibration at the rotor ``speeds`` (S,) rad/s."""
+        hz, ratio = self.frequency_hz, self.frequency_ratio
+        return 0 * speeds + 2 * math.pi * hz if hz else speeds * (ratio or 1.0)
+
     @model_validator(mode="after")
     def _synchronous(self) -> TableRunConfig:
         check_frequency(self.name, self.frequency_hz, self.frequency_ratio, bool(self.unbalances))
@@ -89,6 +99,7 @@ class TableRecordingsConfig(MeasuredConfig):
     @model_validator(mode="after")
     def _lawful(self) -> TableRecordingsConfig:
         self.check_shared(self.runs, self.probes, self.tacho)
+        self.check_units(self.conventions.unit, self.probes)
         for run in self.runs:
             for name, probe in self.probes.items():
                 if self.layout == "wide" and probe.columns is None and name not in run.columns:
@@ -103,7 +114,7 @@ class SignalConfig(MeasuredConfig):
     records: Literal["constant_speed", "run_up"] | None = None
     tracking: OrderTrackingConfig = OrderTrackingConfig()
 
-    def check_signals(self, scales: Mapping[str, str | None], runs: Sequence[SignalRunConfig]) -> None:
+    def check_signals(self, probes: Mapping[str, ProbeConfig], runs: Sequence[SignalRunConfig]) -> None:
         """Raise ValueError for what time signals need."""
         if self.signal_unit is None:
             raise ValueError("must give signal_unit (V, mV, um ...) for time signals, but it is missing")
@@ -111,17 +122,7 @@ class SignalConfig(MeasuredConfig):
             raise ValueError("must give records (constant_speed or run_up) for time signals, but it is missing")
         if self.records == "run_up" and self.speeds is None:
             raise ValueError("must give speeds (start_rpm, stop_rpm, step_rpm) to track in a run-up, but got null")
-        voltage = to_volts(self.signal_unit) is not None
-        for name, scale in scales.items():
-            if voltage and scale is None:
-                raise ValueError(
-                    f"probe '{name}' must have a scale (such as 7.87 V/mm) for a signal in {self.signal_unit}, but it "
-                    "has none"
-                )
-            if not voltage and scale is not None:
-                raise ValueError(
-                    f"probe '{name}' must have no scale where signals are in {self.signal_unit}, but it has {scale}"
-                )
+        self.check_units(self.signal_unit, probes)
         for run in runs:
             if len(run.files) > 1 and self.records == "run_up":
                 raise ValueError(f"run '{run.name}' must have one file for a run-up, but it has {len(run.files)}")
@@ -147,9 +148,7 @@ class UffRecordConfig(Section):
 
 
 class UffProbeConfig(ProbeConfig, UffRecordConfig):
-    """``scale`` is for time signals in volts."""
-
-    scale: Sensitivity | None = None
+    """A probe with its record."""
 
     @model_validator(mode="after")
     def _named(self) -> UffProbeConfig:
@@ -195,6 +194,7 @@ class UffRecordingsConfig(SignalConfig):
                     "must give conventions (length, amplitude, phase, speed) for functions of the speed, but they are "
                     "missing: give them, or the tacho's record for time signals"
                 )
+            self.check_units(self.conventions.unit, self.probes)
             if any(run.files for run in self.runs):
                 raise ValueError("must give one file a run for functions of the speed, but a run has files")
             return self
@@ -202,7 +202,7 @@ class UffRecordingsConfig(SignalConfig):
             raise ValueError("must leave conventions out for time signals (signal_unit and scale say all), but it has")
         if self.tacho.edge is None:
             raise ValueError("must give tacho.edge (rising or falling) where the tacho is recorded, but it is missing")
-        self.check_signals({name: probe.scale for name, probe in self.probes.items()}, self.runs)
+        self.check_signals(self.probes, self.runs)
         return self
 
 
@@ -232,10 +232,9 @@ class TachoConfig(TachoAngleConfig):
 
 
 class WaveformProbeConfig(ProbeConfig):
-    """``channel``: a CSV column, an HDF5 path or TDMS ``group/channel``; ``scale`` for signals in volts."""
+    """``channel``: a CSV column, an HDF5 path or TDMS ``group/channel``."""
 
     channel: Text
-    scale: Sensitivity | None = None
 
 
 class WaveformRunConfig(SignalRunConfig):
@@ -266,7 +265,7 @@ class WaveformRecordingsConfig(SignalConfig):
     @model_validator(mode="after")
     def _lawful(self) -> WaveformRecordingsConfig:
         self.check_shared(self.runs, self.probes, self.tacho)
-        self.check_signals({name: probe.scale for name, probe in self.probes.items()}, self.runs)
+        self.check_signals(self.probes, self.runs)
         rates = [self.time, self.sample_rate, self.sample_rate_attribute]
         if sum(rate is not None for rate in rates) > 1:
             raise ValueError("must give at most one of time, sample_rate and sample_rate_attribute, but got several")

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pipeline.data.mat_files import read_mat
 from pipeline.errors import DataError, nearest
 from pipeline.files import write_beside
 
@@ -44,7 +45,7 @@ PLAIN = TextFormat()
 def read_table(
     path: Path, columns: Mapping[str, str], optional: Mapping[str, str] | None = None, text: TextFormat = PLAIN
 ) -> Columns:
-    """The ``columns`` of a CSV, Excel (.xlsx, its first sheet) or Parquet file, and those ``optional`` ones it has.
+    """The ``columns`` of a CSV, Excel (.xlsx, first sheet), Parquet or MAT file, and those ``optional`` ones it has.
 
     Both: name -> "number", "number or blank" (NaN), or "text".
 
@@ -57,6 +58,8 @@ def read_table(
         names, table = _read_parquet(path)
     elif path.suffix.lower() in (".xlsx", ".xlsm"):
         names, table = _read_excel(path, text)
+    elif path.suffix.lower() == ".mat":
+        names, table = _read_mat(path, columns)
     else:
         names, table = _read_csv(path, text)
     counts = Counter(names)
@@ -147,6 +150,15 @@ def _read_excel(path: Path, text: TextFormat) -> tuple[list[str], Sequence[Seque
         rows.pop()
     columns = list(zip_longest(header, *rows))[: len(header)]
     return [str(name) for name in header], [column[1:] for column in columns]
+
+
+def _read_mat(path: Path, columns: Mapping[str, str]) -> tuple[list[str], Sequence[Sequence[Any] | np.ndarray]]:
+    found = read_mat(path, columns)
+    lengths = {name: len(values) for name, values in found.items()}
+    if len(set(lengths.values())) > 1:
+        words = ", ".join(f"'{name}' {count}" for name, count in lengths.items())
+        raise DataError(f"'{path}' must have as many values in every variable, but it has {words}")
+    return list(found), [values if values.dtype.kind in "iuf" else values.tolist() for values in found.values()]
 
 
 def _read_parquet(path: Path) -> tuple[list[str], Sequence[Sequence[Any] | np.ndarray]]:

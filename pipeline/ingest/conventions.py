@@ -10,6 +10,9 @@ the shaft is nearest to the probe (the high spot): v = A cos(wt - lag), so V = A
 opposite: v = A cos(wt + lead), V = A e^{+j lead}. Complex numbers have their angle as a lead where they belong to
 e^{jwt}, and as a lag (they are conjugated here) where they belong to e^{-jwt}.
 
+Velocities and accelerations. U = (j w)^k V, so the displacement is V = U / (j w)^k, with the frequency w of the
+vibration.
+
 Excitation. An unbalance m e acts as F = w^2 m e e^{jp} [1, -j] on (x, y), that is w^2 m e (cos(wt + p), sin(wt + p)):
 p is its angle from x at t = 0, at the pulse. At the pulse the shaft's mark stands at the tacho probe's angle T. An
 unbalance at the angle s on the shaft, measured from the mark, is therefore at
@@ -35,15 +38,23 @@ RAD_S: dict[SpeedUnit, float] = {"rpm": RAD_S_PER_RPM, "Hz": 2 * math.pi, "rad/s
 
 
 def to_vectors(
-    amplitude: np.ndarray, phase: np.ndarray, metre: float, kind: AmplitudeKind, sense: PhaseSense
+    amplitude: np.ndarray, phase: np.ndarray, size: float, kind: AmplitudeKind, sense: PhaseSense
 ) -> np.ndarray:
-    """Complex V in m, zero-to-peak, of amplitudes in units of ``metre`` and phases in rad (any shape)."""
+    """Complex V in SI units, zero-to-peak, of amplitudes in units of ``size`` and phases in rad (any shape)."""
     sign = -1.0 if sense == "lag" else 1.0
     with np.errstate(over="ignore"):  # what is too large for a number is no vibration, and refused as such
-        return amplitude * (metre * _TO_PEAK[kind]) * np.exp(1j * sign * phase)
+        return amplitude * (size * _TO_PEAK[kind]) * np.exp(1j * sign * phase)
 
 
-def to_lead(values: np.ndarray, metre: float, kind: AmplitudeKind, sense: PhaseSense) -> np.ndarray:
-    """Complex V in m, zero-to-peak, of complex values in units of ``metre``."""
+def to_lead(values: np.ndarray, size: float, kind: AmplitudeKind, sense: PhaseSense) -> np.ndarray:
+    """Complex V in SI units, zero-to-peak, of complex values in units of ``size``."""
     with np.errstate(over="ignore"):
-        return (values if sense == "lead" else values.conj()) * (metre * _TO_PEAK[kind])
+        return (values if sense == "lead" else values.conj()) * (size * _TO_PEAK[kind])
+
+
+def to_displacement(vectors: np.ndarray, order: int, frequencies: np.ndarray) -> np.ndarray:
+    """V in m of ``vectors`` in m/s^k of the order k at ``frequencies`` (rad/s, of their shape): U / (j w)^k."""
+    if order == 0:
+        return vectors
+    with np.errstate(divide="ignore", invalid="ignore"):  # at standstill, which is refused later
+        return vectors / (1j * frequencies) ** order

@@ -120,9 +120,7 @@ def _list_frequencies(runs: Sequence[MeasuredRunConfig], speeds: np.ndarray) -> 
     """(S, R) rad/s."""
     columns = []
     for run in runs:
-        hz = run.frequency_hz if isinstance(run, TableRunConfig) else None
-        ratio = run.frequency_ratio if isinstance(run, TableRunConfig) else None
-        columns.append(np.full(len(speeds), 2 * np.pi * hz) if hz else speeds * (ratio or 1.0))
+        columns.append(run.frequencies(speeds) if isinstance(run, TableRunConfig) else speeds)
     return np.stack(columns, axis=1)
 
 
@@ -142,5 +140,5 @@ def _check_size(displacement: np.ndarray, runs: Sequence[RunTracks]) -> None:
     if largest.max() > LARGEST:
         raise DataError(
             f"displacements must be below {LARGEST:g} m, but run '{runs[int(largest.argmax())].name}' has "
-            f"{largest.max():.3g} m: check the unit (machine.recordings.conventions.length, or scale and signal_unit)"
+            f"{largest.max():.3g} m: check the unit (machine.recordings.conventions, or scale and signal_unit)"
         )

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.measured import ProbeConfig
 from pipeline.data.dataset import DIRECTIONS, VibrationDataset
 from pipeline.data.simulate import solve_response
+from pipeline.errors import ConfigError
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 
@@ -95,3 +97,21 @@ def note_clipping(where: str, signals: Mapping[str, np.ndarray]) -> list[str]:
                 "samples: it is clipped, so that its amplitudes are too small; measure again with a wider range"
             )
     return notes
+
+
+def note_casing(probes: Mapping[str, ProbeConfig], nodes: Sequence[int]) -> list[str]:
+    """A sentence for the probes on a casing. Raises ConfigError for one that is at none of the bearing ``nodes``."""
+    there = {name: probe.node for name, probe in probes.items() if probe.mounted == "casing"}
+    for name, node in there.items():
+        if node not in nodes:
+            raise ConfigError(
+                f"machine.recordings.probes.{name} must be at a bearing ({', '.join(map(str, nodes))}) where it "
+                f"has mounted: casing, but it is at node {node}: no casing is in the model, leave the probe out"
+            )
+    if not there:
+        return []
+    return [
+        f"probes on the casing ({', '.join(there)}) are taken for the shaft's motion: that holds where the bearing is "
+        "much stiffer than what it stands on, and the coefficients are then those of the support; elsewhere the "
+        "shaft moves by the film's deflection more"
+    ]

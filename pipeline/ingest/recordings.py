@@ -1,4 +1,4 @@
-"""Time signals as they are stored: CSV, Excel, HDF5 or TDMS, by the file's ending.
+"""Time signals as they are stored: CSV, Excel, Parquet, HDF5, TDMS or MAT, by the file's ending.
 
 Legend: n samples.
 """
@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.data.mat_files import read_mat
 from pipeline.data.tables import TextFormat, read_table
 from pipeline.errors import DataError, nearest
 
@@ -22,7 +23,7 @@ _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 
 @dataclass(frozen=True)
 class Clock:
-    """Where the time comes from: a channel, a rate in Hz, or an attribute that has the rate in Hz."""
+    """Where the time comes from: a channel, a rate in Hz, or an attribute (MAT: a variable) that has the rate in Hz."""
 
     channel: str | None = None
     unit: str | None = None
@@ -50,10 +51,15 @@ def read_recording(path: Path, names: Sequence[str], clock: Clock, text: TextFor
         channels, rate = _read_hdf5(path, wanted, clock.attribute)
     elif ending == ".tdms":
         channels, rate = _read_tdms(path, wanted)
+    elif ending == ".mat":
+        channels, rate = _read_mat(path, wanted, clock.attribute)
     elif ending in (".csv", ".txt", ".xlsx", ".xlsm", ".parquet"):
         channels, rate = read_table(path, dict.fromkeys(wanted, "number"), text=text), None
     else:
-        raise DataError(f"'{path}' must end in .csv, .txt, .xlsx, .h5, .hdf5 or .tdms, but it ends in '{path.suffix}'")
+        raise DataError(
+            f"'{path}' must end in .csv, .txt, .xlsx, .parquet, .h5, .hdf5, .tdms or .mat, but it ends in "
+            f"'{path.suffix}'"
+        )
     return check_recording(path, channels, clock, rate)
 
 
@@ -155,6 +161,17 @@ def _read_rate(path: Path, attribute: str | None, places: Sequence[Any]) -> floa
         f"'{path}' must have the attribute '{attribute}' at a channel, its group or the file, but it has "
         + (nearest(attribute, known) if known else "none")
     )
+
+
+def _read_mat(path: Path, names: Sequence[str], rate: str | None) -> tuple[dict[str, np.ndarray], float | None]:
+    found = read_mat(path, [*names, *([rate] if rate else [])])
+    for name, values in found.items():
+        if values.dtype.kind not in "iuf":
+            raise DataError(f"'{path}' must have numbers in '{name}', but it has {values.dtype.name} values")
+    stated = found.pop(rate) if rate and rate not in names else found[rate] if rate else None
+    if stated is not None and (len(stated) != 1 or not 0 < float(stated[0]) < np.inf):
+        raise DataError(f"'{path}' must have a rate in Hz in the variable '{rate}', but it has {stated[:3]}")
+    return {name: found[name].astype(float) for name in names}, None if stated is None else float(stated[0])
 
 
 def _read_tdms(path: Path, names: Sequence[str]) -> tuple[dict[str, np.ndarray], float | None]:

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.config.measured import CsvConfig
-from pipeline.config.quantities import to_metres
+from pipeline.config.motion import to_motion
 from pipeline.config.recordings import TableRecordingsConfig, TableRunConfig
 from pipeline.data.tables import Columns, TextFormat, read_table
 from pipeline.errors import DataError, nearest
-from pipeline.ingest.conventions import RAD_S, to_vectors
+from pipeline.ingest.conventions import RAD_S, to_displacement, to_vectors
 from pipeline.ingest.tracks import RunTracks, Track, sort_track
 
 _BROAD = 2.0
@@ -31,7 +31,7 @@ def read_table_runs(config: TableRecordingsConfig) -> tuple[RunTracks, ...]:
     for run in config.runs:
         path = Path(run.sources(config.file)[0])
         rows = _read_wide(config, run, path) if config.layout == "wide" else _read_long(config, run, path)
-        tracks = {name: _make_track(config, one) for name, one in rows.items()}
+        tracks = {name: _make_track(config, run, name, one) for name, one in rows.items()}
         phases = np.concatenate([phase for _, _, phase, _ in rows.values()])
         notes = note_cut(path) + _note_unit(phases, config.conventions.phase_unit, path)
         runs.append(RunTracks(run.name, f"'{path}'", tracks, tracks, notes))
@@ -98,12 +98,14 @@ def _take_rows(table: Columns, speed: str, amplitude: str, phase: str, where: st
     return table[speed], table[amplitude], table[phase], where
 
 
-def _make_track(config: TableRecordingsConfig, rows: _Rows) -> Track:
+def _make_track(config: TableRecordingsConfig, run: TableRunConfig, probe: str, rows: _Rows) -> Track:
     said = config.conventions
     speed, amplitude, phase, where = rows
     angle = np.radians(phase) if said.phase_unit == "deg" else phase
-    vectors = to_vectors(amplitude, angle, to_metres(said.length), said.amplitude, said.phase)
-    return sort_track(speed * RAD_S[said.speed], vectors, where)
+    order, size = to_motion(said.unit, config.probes[probe].scale)
+    vectors = to_vectors(amplitude, angle, size, said.amplitude, said.phase)
+    speeds = speed * RAD_S[said.speed]
+    return sort_track(speeds, to_displacement(vectors, order, run.frequencies(speeds)), where)
 
 
 def _note_unit(phases: np.ndarray, unit: str, path: Path) -> tuple[str, ...]:
@@ -132,7 +134,7 @@ def _check_runs(config: TableRecordingsConfig, there: Sequence[str], path: Path)
 
 def note_cut(path: Path) -> tuple[str, ...]:
     """A note on a CSV file whose last row may lack digits: nothing else shows it."""
-    if path.suffix.lower() in (".parquet", ".xlsx", ".xlsm"):
+    if path.suffix.lower() in (".parquet", ".xlsx", ".xlsm", ".mat"):
         return ()
     with path.open("rb") as file:
         file.seek(-1, 2)

@@ -59,7 +59,7 @@ def sort_track(speeds: np.ndarray, vectors: np.ndarray, where: str) -> Track:
     if not (sizes <= LARGEST).all():
         raise DataError(
             f"{where} must have amplitudes below {LARGEST:g} m, but got {np.nanmax(sizes):.3g} m: check the unit "
-            "(machine.recordings.conventions.length, or scale and signal_unit)"
+            "(machine.recordings.conventions, or scale and signal_unit)"
         )
     order = np.argsort(speeds, kind="stable")
     speeds, vectors = speeds[order], vectors[order]

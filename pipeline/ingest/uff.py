@@ -11,16 +11,17 @@ from typing import Any
 import numpy as np
 
 from pipeline.config.measured import VectorConventionsConfig
-from pipeline.config.quantities import to_metres
+from pipeline.config.motion import KINDS, find_motion, to_motion
 from pipeline.config.recordings import UffRecordConfig, UffRecordingsConfig, UffRunConfig
 from pipeline.errors import DataError, nearest
-from pipeline.ingest.conventions import RAD_S, to_lead
+from pipeline.ingest.conventions import RAD_S, to_displacement, to_lead
 from pipeline.ingest.recordings import open_measured
 from pipeline.ingest.tracks import RunTracks, sort_track
 
 _MARK = re.compile(rb"    -1(?=[ \t]*(?:[\r\n]|$))")
 _TIME, _FREQUENCY, _RPM = 17, 18, 19
-_NO_DISPLACEMENT = {11: "velocities", 12: "accelerations", 9: "forces", 13: "forces"}
+_ORDERS = {8: 0, 11: 1, 12: 2}
+_HELD = ("displacements", "velocities", "accelerations")
 _FORCES = (9, 13)
 _ABSCISSA = {_FREQUENCY: ("Hz", "rad/s"), _RPM: ("rpm",)}
 
@@ -129,30 +130,38 @@ def _read_functions(
             raise DataError(
                 f"{where} must have complex values (amplitude and phase), but they are real: export order 1 as complex"
             )
-        _check_displacement(record, where)
+        order, size = to_motion(said.unit, probe.scale)
+        _check_content(record, order, where)
         notes += _note_contradictions(record, file, said, where)
-        vectors = to_lead(record.values, to_metres(said.length), said.amplitude, said.phase)
-        tracks[name] = sort_track(record.abscissa * RAD_S[said.speed], vectors, where)
+        vectors = to_lead(record.values, size, said.amplitude, said.phase)
+        speeds = record.abscissa * RAD_S[said.speed]
+        tracks[name] = sort_track(speeds, to_displacement(vectors, order, speeds), where)
     return RunTracks(run.name, f"'{file.path}'", tracks, tracks, tuple(dict.fromkeys(notes)))
 
 
-def _check_displacement(record: UffRecord, where: str) -> None:
-    if record.ordinate_type in _NO_DISPLACEMENT:
+def _check_content(record: UffRecord, order: int, where: str) -> None:
+    """Raise DataError where the file says that it holds something else than the ``order`` of the configuration."""
+    kind = record.ordinate_type
+    if kind in _FORCES or _ORDERS.get(kind, order) != order:
+        held = "forces" if kind in _FORCES else _HELD[_ORDERS[kind]]
+        key = "length" if kind in _FORCES else KINDS[_ORDERS[kind]]
         raise DataError(
-            f"{where} must hold displacements, but it says that it holds {_NO_DISPLACEMENT[record.ordinate_type]}: "
-            "integrate them to displacements first"
+            f"{where} must hold {_HELD[order]}, but it says that it holds {held}: give its unit as "
+            f"machine.recordings.conventions.{key} (of time signals, signal_unit and scale), or name another record"
         )
 
 
 def _note_contradictions(record: UffRecord, file: UffFile, said: VectorConventionsConfig, where: str) -> list[str]:
     """Sentences on what the file says otherwise than the configuration, which is followed."""
     notes = []
-    stated = _read_unit(record.ordinate_label) or file.metre
-    if stated is not None and not np.isclose(stated, to_metres(said.length), rtol=1e-3):
-        words = f"'{record.ordinate_label}'" if _read_unit(record.ordinate_label) else f"{stated:g} m (dataset 164)"
+    labelled_size, followed = _read_unit(record.ordinate_label), find_motion(said.unit)
+    stated = labelled_size or (file.metre if said.unit != "g" else None)
+    if followed is not None and stated is not None and not np.isclose(stated, followed[1], rtol=1e-3):
+        words = f"'{record.ordinate_label}'" if labelled_size else f"{stated:g} m (dataset 164)"
+        key = KINDS[followed[0]]
         notes.append(
-            f"{where} says that its lengths are in {words}, and machine.recordings.conventions.length is "
-            f"{said.length}, which is followed"
+            f"{where} says that its {'lengths are' if key == 'length' else f'{key} is'} in {words}, and "
+            f"machine.recordings.conventions.{key} is {said.unit}, which is followed"
         )
     units = _ABSCISSA.get(record.abscissa_type, ())
     label = record.abscissa_label.strip().lower()
@@ -168,12 +177,10 @@ def _note_contradictions(record: UffRecord, file: UffFile, said: VectorConventio
 
 
 def _read_unit(label: str) -> float | None:
-    """Size of the unit that a label names; None where it names none."""
+    """Size in SI units of what a label names; None where it names nothing that a probe measures."""
     label = re.sub(r"(?i)\s*(pk-?pk|p-?p|0-?p|pk|rms)$", "", label.strip())
-    try:
-        return to_metres(label) if re.fullmatch(r"[^\W\d_]+", label) else None
-    except ValueError:
-        return None
+    found = find_motion(label) if re.fullmatch(r"[^\W\d_][^\d_]*\^?2?", label) else None
+    return None if found is None else found[1]
 
 
 def _read_sets(path: Path) -> list[dict[str, Any]]:
@@ -229,6 +236,7 @@ def find_signals(config: UffRecordingsConfig, run: UffRunConfig, path: Path) -> 
             )
         if len(record.abscissa) != len(tacho.abscissa) or not np.allclose(record.abscissa, tacho.abscissa):
             raise DataError(f"{where} must have the same times as the tacho {tacho.name}, but it has others")
-    for record in records:
-        _check_displacement(record, f"'{path}', record {record.name},")
+    for record, probe in zip(records, config.probes.values(), strict=True):
+        order, _ = to_motion(config.signal_unit or "", probe.scale)
+        _check_content(record, order, f"'{path}', record {record.name},")
     return records, tacho

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.config.quantities import to_metres, to_volts, to_volts_per_metre
+from pipeline.config.motion import to_motion
 from pipeline.config.recordings import UffRecordingsConfig, UffRunConfig, WaveformRecordingsConfig, WaveformRunConfig
 from pipeline.errors import DataError
+from pipeline.ingest.conventions import to_displacement
 from pipeline.ingest.order_tracking import Signals, find_range, fit_steady, fit_sweep
 from pipeline.ingest.plausibility import note_clipping
 from pipeline.ingest.recordings import Clock, Recording, check_recording, read_recording
@@ -76,7 +77,7 @@ def _fit_records(config: SignalRecordingsConfig, name: str, source: str, records
                 f"samples a revolution: all its phases may be off by {np.degrees(error):.2g} deg together"
             )
     tracks = {
-        probe: sort_track(np.array(speeds), np.array(vectors)[:, p], f"run '{name}'")
+        probe: _make_track(config, probe, np.array(speeds), np.array(vectors)[:, p], f"run '{name}'")
         for p, probe in enumerate(config.probes)
     }
     return RunTracks(name, source, tracks, tracks, tuple(notes))
@@ -104,7 +105,7 @@ def _fit_sweep(config: SignalRecordingsConfig, name: str, source: str, record: _
 def _track(config: SignalRecordingsConfig, record: _Record, speeds: np.ndarray) -> dict[str, Track]:
     vectors = fit_sweep(record.signals, speeds, config.tracking)
     return {
-        probe: sort_track(speeds, vectors[:, p], f"{record.signals.where}, probe '{probe}',")
+        probe: _make_track(config, probe, speeds, vectors[:, p], f"{record.signals.where}, probe '{probe}',")
         for p, probe in enumerate(config.probes)
     }
 
@@ -133,7 +134,7 @@ def _read(config: SignalRecordingsConfig, run: WaveformRunConfig | UffRunConfig,
     pulses = _find_pulses(config, recording, tacho, f"{where}, channel '{tacho}',")
     angle = fit_angle(pulses.times, per_revolution, f"{where}, channel '{tacho}',", marks)
     notes += tuple(note_clipping(where, {name: values[name] for name in config.probes}))
-    return _Record(Signals(recording.time, _to_metres(config, values), angle, where), pulses, notes)
+    return _Record(Signals(recording.time, _to_si(config, values), angle, where), pulses, notes)
 
 
 def _find_pulses(config: SignalRecordingsConfig, recording: Recording, channel: str, where: str) -> Pulses:
@@ -148,12 +149,14 @@ def _read_uff(config: UffRecordingsConfig, run: UffRunConfig, path: Path) -> Rec
     return check_recording(path, channels | {_TACHO: tacho.values, "time": tacho.abscissa}, Clock("time", "s"), None)
 
 
-def _to_metres(config: SignalRecordingsConfig, values: Mapping[str, np.ndarray]) -> np.ndarray:
-    """(n, P) m, of the probes in their order."""
+def _to_si(config: SignalRecordingsConfig, values: Mapping[str, np.ndarray]) -> np.ndarray:
+    """(n, P) m, m/s or m/s^2, of the probes in their order."""
     unit = config.signal_unit or ""
-    volt = to_volts(unit)
-    columns = []
-    for name, probe in config.probes.items():
-        size = to_metres(unit) if volt is None or probe.scale is None else volt / to_volts_per_metre(probe.scale)
-        columns.append(values[name] * size)
-    return np.stack(columns, axis=1)
+    return np.stack([values[name] * to_motion(unit, one.scale)[1] for name, one in config.probes.items()], axis=1)
+
+
+def _make_track(
+    config: SignalRecordingsConfig, probe: str, speeds: np.ndarray, vectors: np.ndarray, where: str
+) -> Track:
+    order, _ = to_motion(config.signal_unit or "", config.probes[probe].scale)
+    return sort_track(speeds, to_displacement(vectors, order, speeds), where)

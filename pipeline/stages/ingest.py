@@ -18,7 +18,7 @@ from pipeline.data.vibration_files import to_rpm, write_excitation, write_vibrat
 from pipeline.errors import ConfigError, DataError
 from pipeline.files import write_json
 from pipeline.ingest.dataset import MeasuredRuns, read_measured_runs
-from pipeline.ingest.plausibility import note_size, note_whirl
+from pipeline.ingest.plausibility import note_casing, note_size, note_whirl
 from pipeline.reporting.console import say, table, warn
 from pipeline.reporting.ingest_figures import draw_bode, draw_measured_orbits
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor
@@ -51,10 +51,11 @@ def run(config: Config) -> StageOutput:
     for measured_run in ingest.runs:
         acting = [*(one.node for one in measured_run.unbalances), *(one.node for one in measured_run.forces)]
         require_nodes(rotor, f"machine.recordings.runs, run '{measured_run.name}',", acting)
+    on_casing = note_casing(ingest.probes, rotor.bearing_nodes)
     measured = read_measured_runs(ingest)
     dataset = measured.dataset
     known = load_known(config, ingest.known, "machine.recordings.known", rotor.bearing_nodes, dataset.speeds)
-    notes = [*measured.notes, *note_whirl(dataset)]
+    notes = [*on_casing, *measured.notes, *note_whirl(dataset)]
     notes += note_size(dataset, rotor, config.model.initial_stiffness, config.model.initial_damping)
     written = [write_excitation(work.excitation, dataset)]
     if known is not None:
@@ -118,13 +119,13 @@ def describe_conventions(ingest: AnyRecordingsConfig) -> str:
     if isinstance(ingest, TableRecordingsConfig):
         said = ingest.conventions
         return (
-            f"{said.length}, {said.amplitude.replace('_', '-')}, phase {said.phase} in {said.phase_unit}, speed in "
+            f"{said.unit}, {said.amplitude.replace('_', '-')}, phase {said.phase} in {said.phase_unit}, speed in "
             f"{said.speed}"
         )
     if isinstance(ingest, UffRecordingsConfig) and ingest.conventions is not None:
         vector = ingest.conventions
         return (
-            f"complex, {vector.length}, {vector.amplitude.replace('_', '-')}, angle a phase {vector.phase}, speed in "
+            f"complex, {vector.unit}, {vector.amplitude.replace('_', '-')}, angle a phase {vector.phase}, speed in "
             f"{vector.speed}"
         )
     assert isinstance(ingest, (UffRecordingsConfig, WaveformRecordingsConfig))

@@ -95,7 +95,7 @@ BAD_CONFIG: dict[str, tuple[dict[str, Any], str]] = {
     "no scale": (waves(probes=probes_config(channel=lambda name: name)), "probe 'A' must have a scale"),
     "a scale without unit": (
         waves(probes=probes_config(channel=lambda name: name, scale=lambda name: 8)),
-        "must carry its unit (such as 7.87 V/mm or 200 mV/mil)",
+        "must carry its unit (such as 7.87 V/mm, 200 mV/mil",
     ),
     "a scale for lengths": (waves(signal_unit="um"), "must have no scale where signals are in um"),
     "teeth without a mark": (

@@ -251,7 +251,8 @@ def test_time_signals_of_a_universal_file(tmp_path: Path) -> None:
     dataset = read(section)
     true = response(0, 0.0, np.array([903.0, 1502.0]))[1]
     assert dataset.displacement[:, 1, 0] == pytest.approx(true, rel=1e-3)
-    wrong = section | {"tacho": {}, "conventions": UFF, "signal_unit": None, "records": None}
+    said = {key: value for key, value in UFF.items() if key != "length"} | {"voltage": "V"}
+    wrong = section | {"tacho": {}, "conventions": said, "signal_unit": None, "records": None}
     wrong["runs"] = [RUNS[0] | {"file": files[0]}]
     with refused("must be a function of the speed, but it is one of the time: give the record of the tacho"):
         read(wrong)
@@ -327,6 +328,6 @@ def test_a_file_that_says_another_rate(tmp_path: Path) -> None:
 
 
 def test_a_file_of_an_unknown_kind(tmp_path: Path) -> None:
-    (tmp_path / "one.mat").write_bytes(b"x")
-    with refused("must end in .csv, .txt, .xlsx, .h5, .hdf5 or .tdms, but it ends in '.mat'"):
-        read(signal_config("", [RUNS[0] | {"file": str(tmp_path / "one.mat")}]))
+    (tmp_path / "one.wav").write_bytes(b"x")
+    with refused("must end in .csv, .txt, .xlsx, .parquet, .h5, .hdf5, .tdms or .mat, but it ends in '.wav'"):
+        read(signal_config("", [RUNS[0] | {"file": str(tmp_path / "one.wav")}]))

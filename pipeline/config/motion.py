@@ -1,0 +1,129 @@
+"""Units of what a probe measures: a displacement, velocity or acceleration, or the voltage that stands for one of them.
+
+Of the order k (0 for displacements, 1 for velocities, 2 for accelerations), a vector U at the frequency w is the
+displacement V = U / (j w)^k.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
+
+from pipeline.config.quantities import is_number, to_si
+from pipeline.config.section import Section
+
+KINDS = ("length", "velocity", "acceleration")
+"""By the order k."""
+_SI = ("m", "m / s", "m / s**2")
+_EXAMPLES = {
+    "length": "um, mil or mm",
+    "velocity": "mm/s or in/s",
+    "acceleration": "g or m/s^2",
+    "voltage": "V or mV",
+    "signal_unit": "V, mV, um, mm/s or g",
+}
+_SCALES = "7.87 V/mm, 200 mV/mil, 4 mV/(mm/s) or 100 mV/g"
+_NAME = re.compile(r"[^\W\d_]+( ?/ ?(s|sec)(2|²|\^2|\*\*2)?)?")
+
+
+def find_motion(unit: str) -> tuple[int, float] | None:
+    """Order and size (m, m/s, m/s^2) of a unit such as um, mm/s or g; None where it is none of these."""
+    for order, of in enumerate(_SI):
+        with contextlib.suppress(ValueError):
+            return order, to_si(f"1 {_spell(unit)}", of, "um")
+    return None
+
+
+def find_volts(unit: str) -> float | None:
+    """Size of a unit such as mV in V; None where it is no voltage."""
+    with contextlib.suppress(ValueError):
+        return to_si(f"1 {unit}", "V", "mV")
+    return None
+
+
+def to_motion(unit: str, scale: str | None) -> tuple[int, float]:
+    """Order k, and size in m/s^k, of one ``unit``; of a voltage by the sensitivity ``scale``."""
+    volts = find_volts(unit)
+    found = find_motion(unit)
+    if volts is not None and scale is not None:
+        order, sensitivity = _find_sensitivity(scale)
+        return order, volts / sensitivity
+    assert found is not None, unit  # the schema has seen to it
+    return found
+
+
+def _find_sensitivity(scale: str) -> tuple[int, float]:
+    """Order, and V s^k/m. Raises ValueError."""
+    for order, of in enumerate(_SI):
+        with contextlib.suppress(ValueError):
+            return order, to_si(_spell(scale), f"V / ({of})", "7.87 V/mm")
+    raise ValueError(f"must be a voltage per length, velocity or acceleration (such as {_SCALES}), but got {scale!r}")
+
+
+def _spell(text: str) -> str:
+    """As pint would have it: g is not the gram here."""
+    text = re.sub(r"\bips\b", "(inch/s)", re.sub(r"\bg\b", "g_0", text.replace("²", "**2")))
+    return re.sub(r"/ ?(s|sec)2\b", r"/s**2", text)
+
+
+def _check_scale(value: Any) -> str:
+    if not isinstance(value, str) or is_number(value):
+        raise ValueError(f"must carry its unit (such as {_SCALES}), but got {value!r}")
+    if _find_sensitivity(value)[1] == 0:
+        raise ValueError(f"must not be zero (such as {_SCALES}), but got {value!r}")
+    return value
+
+
+def _check_name(value: Any, key: str) -> str:
+    """A unit that the ``key`` can take."""
+    examples = _EXAMPLES[key]
+    if not isinstance(value, str) or not _NAME.fullmatch(value):
+        raise ValueError(f"must be a unit (such as {examples}), but got {value!r}")
+    motion, volts = find_motion(value), find_volts(value)
+    is_ = "voltage" if volts is not None else KINDS[motion[0]] if motion is not None else None
+    if is_ == key or (key == "signal_unit" and is_ is not None):
+        return value
+    units = {"voltage": "V", "signal_unit": f"V or {' or '.join(_SI)}"} | dict(zip(KINDS, _SI, strict=True))
+    instead = f": give {is_}: {value} in its place" if is_ is not None else ""
+    raise ValueError(f"must be a unit of {units[key]} (such as {examples}), but got {value!r}{instead}")
+
+
+LengthUnit = Annotated[str, BeforeValidator(lambda value: _check_name(value, "length"))]
+VelocityUnit = Annotated[str, BeforeValidator(lambda value: _check_name(value, "velocity"))]
+AccelerationUnit = Annotated[str, BeforeValidator(lambda value: _check_name(value, "acceleration"))]
+VoltageUnit = Annotated[str, BeforeValidator(lambda value: _check_name(value, "voltage"))]
+SignalUnit = Annotated[str, BeforeValidator(lambda value: _check_name(value, "signal_unit"))]
+Sensitivity = Annotated[str, BeforeValidator(_check_scale)]
+"""A probe of voltages has it; negative where the voltage falls when the shaft comes nearer."""
+
+
+class MotionConfig(Section):
+    """The unit of amplitudes: one of ``length``, ``velocity``, ``acceleration`` and ``voltage``."""
+
+    velocity: VelocityUnit | None = None
+    acceleration: AccelerationUnit | None = None
+    voltage: VoltageUnit | None = None
+    length: LengthUnit | None = Field(default=None, validate_default=True)
+
+    @property
+    def unit(self) -> str:
+        """The one that was given."""
+        return next(unit for name in (*KINDS, "voltage") if (unit := getattr(self, name)) is not None)
+
+    @field_validator("length", mode="after")
+    @classmethod
+    def _one(cls, value: str | None, info: ValidationInfo) -> str | None:
+        others = [name for name in ("velocity", "acceleration", "voltage") if info.data.get(name) is not None]
+        wrong = {"velocity", "acceleration", "voltage"} - info.data.keys()  # and that is told
+        if value is None and not others and not wrong:
+            raise ValueError(
+                "must be given (um, mil ...), or velocity (mm/s ...), acceleration (g ...) or voltage (mV ...) in its "
+                "place, but is missing"
+            )
+        if len([value, *others] if value is not None else others) > 1:
+            words = " and ".join([*(["length"] if value is not None else []), *others])
+            raise ValueError(f"must be the one unit of the amplitudes, but got {words}: leave out all but one")
+        return value

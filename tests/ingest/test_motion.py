@@ -1,0 +1,210 @@
+"""Velocities, accelerations and voltages: the displacement comes back, and what does not fit is named."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import examples, refused
+from hypothesis import given
+from hypothesis import strategies as st
+from measured_files import (
+    CONVENTIONS,
+    TO_PEAK,
+    probes_config,
+    rotating,
+    table_config,
+    tacho_of,
+    uff_set,
+    write_hdf5,
+    write_uff,
+)
+from reading import GRID, RPM, RUNS, TURNS, check_read, parsed, read, response, seen, waves, with_ingest
+
+from pipeline.config.motion import find_motion, to_motion
+from pipeline.errors import ConfigError
+from pipeline.ingest.plausibility import note_casing
+
+PER_SECOND = {"length": 0, "velocity": 1, "acceleration": 2}
+UNITS = {  # of SI; in/s and mil/s by the inch, g by the standard acceleration
+    "velocity": {"mm/s": 1e-3, "m/s": 1.0, "in/s": 0.0254, "ips": 0.0254, "um/s": 1e-6},
+    "acceleration": {"g": 9.80665, "m/s^2": 1.0, "m/s2": 1.0, "mm/s²": 1e-3},
+}
+ON = {"mounted": lambda name: "casing"}
+PAIR = {"columns": lambda name: {"amplitude": f"{name} amp", "phase": f"{name} ph"}}
+
+
+def said(kind: str, unit: str, **changes: Any) -> dict[str, Any]:
+    """Conventions with another unit of the amplitudes."""
+    return {key: value for key, value in CONVENTIONS.items() if key != "length"} | {kind: unit} | changes
+
+
+def moved(order: int, size: float, ratio: float = 1.0, amplitude: str = "zero_to_peak") -> pd.DataFrame:
+    """A long table of what the probes of both runs see, by the derivative of the order, in units of ``size``."""
+    frames = []
+    for run, turn in TURNS.items():
+        for name, vector in seen(turn).of.items():
+            value = vector * (1j * ratio * GRID * RPM) ** order / size / TO_PEAK[amplitude]
+            column = {"amplitude": np.abs(value), "phase": np.degrees(-np.angle(value))}
+            frames.append(pd.DataFrame({"run": run, "probe": name, "speed": GRID} | column))
+    return pd.concat(frames, ignore_index=True)
+
+
+@examples(30)
+@given(
+    st.sampled_from([(kind, unit, size) for kind, sizes in UNITS.items() for unit, size in sizes.items()]),
+    st.sampled_from(sorted(TO_PEAK)),
+    st.sampled_from([None, 0.5, 1.7]),
+)
+def test_the_velocity_of_a_known_displacement_gives_it_back(
+    tmp_path_factory: pytest.TempPathFactory, unit: tuple[str, str, float], amplitude: str, ratio: float | None
+) -> None:
+    """Accelerations, too, in any unit, and of forces with a frequency of their own."""
+    kind, name, size = unit
+    path = tmp_path_factory.mktemp("motion") / "all.csv"
+    moved(PER_SECOND[kind], size, ratio or 1.0, amplitude).to_csv(path, index=False)
+    runs = RUNS
+    if ratio:
+        force = [{"node": 1, "magnitude": "1 N", "phase": "0 deg", "whirl": "forward"}]
+        runs = [{"name": run["name"], "forces": force, "frequency_ratio": ratio} for run in RUNS]
+    section = table_config(
+        runs, "long", file=str(path), conventions=said(kind, name, amplitude=amplitude), probes=probes_config(**ON)
+    )
+    check_read(read(section), 1e-12)
+
+
+@pytest.mark.parametrize(
+    ("scale", "order", "volts"),  # V s^k/m
+    [
+        ("7.87 V/mm", 0, 7870.0),
+        ("200 mV/mil", 0, 0.2 / 25.4e-6),
+        ("4 mV/(mm/s)", 1, 4.0),
+        ("100 mV/g", 2, 0.1 / 9.80665),
+    ],
+)
+def test_a_table_of_voltages(scale: str, order: int, volts: float, tmp_path: Path) -> None:
+    """By the sensitivity of each probe; in mV."""
+    path = tmp_path / "all.csv"
+    moved(order, 1e-3 / volts).to_csv(path, index=False)
+    probes = probes_config(scale=lambda name: scale, **(ON if order else {}))
+    conventions = said("voltage", "mV", amplitude="zero_to_peak")
+    check_read(read(table_config(RUNS, "long", file=str(path), conventions=conventions, probes=probes)))
+
+
+def test_functions_of_universal_files(tmp_path: Path) -> None:
+    """Ordinate types 11 and 12; the other is refused."""
+    for kind, of, order, size in (("velocity", 11, 1, 1e-3), ("acceleration", 12, 2, 9.80665)):
+        unit = "mm/s" if order == 1 else "g"
+        sets = [
+            uff_set(
+                GRID,
+                vector * (1j * GRID * RPM) ** order / size,
+                *(i + 1, 1),
+                texts=[name, f"run {run}"],
+                ordinate_spec_data_type=of,
+                ordinate_axis_units_lab=unit,
+            )
+            for run, turn in TURNS.items()
+            for i, (name, vector) in enumerate(seen(turn).of.items())
+        ]
+        section = {
+            "format": "uff58",
+            "conventions": {kind: unit, "amplitude": "zero_to_peak", "phase": "lead", "speed": "rpm"},
+            "probes": probes_config(record=lambda name: name, **ON),
+            "shaft_angle": "from_x",
+            "file": str(write_uff(tmp_path / f"{kind}.uff", sets)),
+            "runs": [run | {"label": f"run {run['name']}"} for run in RUNS],
+        }
+        check_read(read(section), 1e-9)
+        conventions = dict(section["conventions"]) | {"length": "um"}
+        conventions.pop(kind)
+        wrong = section | {"conventions": conventions, "probes": probes_config(record=lambda name: name)}
+        with refused("must hold displacements, but it says that it holds", f"machine.recordings.conventions.{kind}"):
+            read(wrong)
+
+
+def test_time_signals_of_velocity(tmp_path: Path) -> None:
+    """At constant speed the derivative of Re(V e^{jwt}) is Re(j w V e^{jwt}); in mm/s, and in volts."""
+    files, time = [], np.arange(20000) / 5000
+    for i, rpm in enumerate((903.0, 1502.0)):
+        w = rpm * RPM
+        vectors = seen(0.0, np.array([rpm])).of
+        signals = {name: 1e3 * rotating(1j * w * vector, w * time) for name, vector in vectors.items()}
+        files.append(str(write_hdf5(tmp_path / f"{i}.h5", signals | {"tacho": tacho_of(w * time)})))
+    runs = [{"name": "one", "files": files, "unbalances": RUNS[0]["unbalances"]}]
+    probes = probes_config(channel=lambda name: name, **ON)
+    section = waves(records="constant_speed", signal_unit="mm/s", probes=probes, speeds=None, runs=runs)
+    found = read(section)
+    true = np.stack(response(0, 0.0, np.array([903.0, 1502.0])), axis=1)
+    assert np.abs(found.displacement[:, :2, 0] - true).max() < 1e-3 * np.abs(true).max()
+    volts = probes_config(channel=lambda name: name, scale=lambda name: "1 V/(mm/s)", **ON)
+    again = read(section | {"signal_unit": "V", "probes": volts})
+    assert np.allclose(again.displacement, found.displacement, rtol=1e-12, atol=0)
+
+
+WRONG: dict[str, tuple[dict[str, Any], str]] = {
+    "a velocity for a length": (
+        {"conventions": CONVENTIONS | {"length": "mm/s"}},
+        "conventions.length: must be a unit of m (such as um, mil or mm), but got 'mm/s': give velocity: mm/s in its",
+    ),
+    "a length for a velocity": (
+        {"conventions": said("velocity", "um")},
+        "conventions.velocity: must be a unit of m / s (such as mm/s or in/s), but got 'um': give length: um in its",
+    ),
+    "a mass for an acceleration": (
+        {"conventions": said("acceleration", "kg")},
+        "conventions.acceleration: must be a unit of m / s**2 (such as g or m/s^2), but got 'kg'",
+    ),
+    "two units": (
+        {"conventions": CONVENTIONS | {"velocity": "mm/s"}},
+        "conventions.length: must be the one unit of the amplitudes, but got length and velocity: leave out all but",
+    ),
+    "no sensitivity": ({"conventions": said("voltage", "mV")}, "probe 'A' must have a scale"),
+    "a sensitivity of millimetres": (
+        {"probes": probes_config(scale=lambda name: "8 V/mm", **PAIR)},
+        "probe 'A' must have no scale where signals are in um, but it has 8 V/mm",
+    ),
+    "a sensitivity of something else": (
+        {"conventions": said("voltage", "mV"), "probes": probes_config(scale=lambda name: "8 V/N", **PAIR)},
+        "probes.A.scale: must be a voltage per length, velocity or acceleration",
+    ),
+    "shaft or casing": (
+        {"conventions": said("velocity", "mm/s")},
+        "probe 'A' must say what it moves with where it measures velocities, but it has no 'mounted': give",
+    ),
+    "displacements of a casing": (
+        {"probes": probes_config(**ON, **PAIR)},
+        "probe 'A' must measure velocities or accelerations where it has mounted: casing",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_units_that_do_not_fit_are_named(case: str) -> None:
+    changes, words = WRONG[case]
+    with refused(words, "machine.recordings", kind=ConfigError):
+        with_ingest(table_config([RUNS[0] | {"file": "a.csv"}], **changes))
+
+
+def test_the_motion_of_a_casing_is_warned_of_at_a_bearing_and_refused_elsewhere() -> None:
+    conventions = {key: value for key, value in said("velocity", "mm/s").items() if key != "phase_unit"}
+    probes = parsed(
+        table_config(
+            [RUNS[0] | {"file": "a.csv"}],
+            conventions=conventions | {"phase_unit": "deg"},
+            probes=probes_config(**ON, **PAIR),
+        )
+    ).probes
+    (words,) = note_casing(probes, (0, 2))
+    assert "probes on the casing (A, B, C, D) are taken for the shaft's motion" in words
+    with refused("machine.recordings.probes.C must be at a bearing (0, 5)", "it is at node 2", kind=ConfigError):
+        note_casing(probes, (0, 5))
+
+
+def test_the_gram_is_no_unit_here() -> None:
+    assert find_motion("g") == (2, 9.80665)
+    assert find_motion("kg") is None
+    assert to_motion("mV", "100 mV/g") == (2, pytest.approx(9.80665e-2))
