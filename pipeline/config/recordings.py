@@ -277,5 +277,20 @@ class WaveformRecordingsConfig(SignalConfig):
         return self
 
 
-AnyRecordingsConfig = TableRecordingsConfig | UffRecordingsConfig | WaveformRecordingsConfig
+class RossRecordingsConfig(MeasuredConfig):
+    """Responses that ROSS saved: displacements of every node in m over the rotor speed."""
+
+    format: Literal["ross"]
+    tacho: TachoAngleConfig = TachoAngleConfig()
+    probes: dict[str, ProbeConfig] = Field(min_length=1)
+    runs: tuple[MeasuredRunConfig, ...] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _lawful(self) -> RossRecordingsConfig:
+        self.check_shared(self.runs, self.probes, self.tacho)
+        self.check_units("m", self.probes)
+        return self
+
+
+AnyRecordingsConfig = TableRecordingsConfig | UffRecordingsConfig | WaveformRecordingsConfig | RossRecordingsConfig
 RecordingsConfig = Annotated[NoRecordingsConfig | AnyRecordingsConfig, Field(discriminator="format")]

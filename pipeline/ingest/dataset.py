@@ -13,6 +13,7 @@ import numpy as np
 from pipeline.config.measured import MeasuredRunConfig, SlowRollConfig, convert_phase
 from pipeline.config.recordings import (
     AnyRecordingsConfig,
+    RossRecordingsConfig,
     TableRecordingsConfig,
     TableRunConfig,
     UffRecordingsConfig,
@@ -22,6 +23,7 @@ from pipeline.errors import DataError
 from pipeline.ingest.conventions import to_vectors
 from pipeline.ingest.plausibility import note_dead
 from pipeline.ingest.probes import check_probes, resolve
+from pipeline.ingest.ross_results import read_ross_runs
 from pipeline.ingest.table import read_table_runs
 from pipeline.ingest.tracks import LARGEST, RunTracks, format_rpm, to_common_speeds
 from pipeline.ingest.uff import read_uff_runs
@@ -77,6 +79,8 @@ def _read_runs(config: AnyRecordingsConfig) -> tuple[RunTracks, ...]:
     """The 1X vectors of all runs, from whichever format they are in. Raises DataError."""
     if isinstance(config, TableRecordingsConfig):
         return read_table_runs(config)
+    if isinstance(config, RossRecordingsConfig):
+        return read_ross_runs(config, list_excitations(config))
     if isinstance(config, UffRecordingsConfig) and not config.tacho.recorded:
         return read_uff_runs(config)
     return read_signal_runs(config)

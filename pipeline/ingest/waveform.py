@@ -56,7 +56,15 @@ def read_signal_runs(config: SignalRecordingsConfig) -> tuple[RunTracks, ...]:
 
 
 def read_signals(config: SignalRecordingsConfig, run: WaveformRunConfig | UffRunConfig) -> list[Signals]:
-    """The time signals of a run, a value a file, in m. Raises DataError as :func:`read_signal_runs`."""
+    """The time signals of a run, a value a file, in m. Raises DataError as :func:`read_signal_runs`.
+
+    And where a probe measures something else: only its 1X vectors become displacements.
+    """
+    for name, probe in config.probes.items():
+        if to_motion(config.signal_unit or "", probe.scale)[0]:
+            raise DataError(
+                f"time signals must be displacements to be drawn, but probe '{name}' measures another motion"
+            )
     return [_read(config, run, Path(source)).signals for source in run.sources(config.file)]
 
 

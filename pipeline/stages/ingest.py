@@ -7,6 +7,7 @@ import numpy as np
 from pipeline.config.recordings import (
     AnyRecordingsConfig,
     NoRecordingsConfig,
+    RossRecordingsConfig,
     TableRecordingsConfig,
     UffRecordingsConfig,
     WaveformRecordingsConfig,
@@ -128,6 +129,8 @@ def describe_conventions(ingest: AnyRecordingsConfig) -> str:
             f"complex, {vector.unit}, {vector.amplitude.replace('_', '-')}, angle a phase {vector.phase}, speed in "
             f"{vector.speed}"
         )
+    if isinstance(ingest, RossRecordingsConfig):
+        return "complex, m, zero-to-peak, of ROSS"
     assert isinstance(ingest, (UffRecordingsConfig, WaveformRecordingsConfig))
     records = "records at constant speed" if ingest.records == "constant_speed" else "run-ups"
     return f"time signals in {ingest.signal_unit}, {records}, tacho edge {ingest.tacho.edge}"

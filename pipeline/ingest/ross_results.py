@@ -1,0 +1,100 @@
+"""Responses that ROSS saved: complex displacements of every DOF over the speed, of q(t) = Re(Q e^{jwt}) as here.
+
+ROSS is not needed to read them: a TOML file of :meth:`ross.ForcedResponseResults.save` has them as texts.
+
+Legend: S speeds, n DOF of ROSS (six a node).
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.config.recordings import RossRecordingsConfig
+from pipeline.data.dataset import Excitation, project_direction
+from pipeline.errors import DataError
+from pipeline.ingest.tracks import RunTracks, sort_track
+
+_KIND = "ForcedResponseResults"
+_DOF = 6
+_NEXT = 'save what run_unbalance_response or run_forced_response gave, as response.save("run.toml")'
+
+
+def read_ross_runs(config: RossRecordingsConfig, excitations: Sequence[Excitation]) -> tuple[RunTracks, ...]:
+    """The runs of the configuration, of which ``excitations`` say what acted.
+
+    Raises DataError: no such file, another result of ROSS, JSON (ROSS writes no complex numbers there), a node that the
+    rotor of the file has not, other unbalances than the configuration's.
+    """
+    runs = []
+    for run in config.runs:
+        path = Path(run.sources(config.file)[0])
+        content = _load(path)
+        speeds = np.asarray(content["speed_range"], dtype=float)
+        response = _to_complex(path, content["forced_resp"])
+        if response.ndim != 2 or response.shape[1] != len(speeds):
+            raise DataError(
+                f"'{path}' must have a value a speed and DOF, but its shape is {response.shape} of {len(speeds)} speeds"
+            )
+        _check_unbalances(path, content.get("unbalance"), [one for one in excitations if one.run == run.name])
+        tracks = {}
+        for name, probe in config.probes.items():
+            if _DOF * probe.node + 1 >= len(response):
+                raise DataError(
+                    f"'{path}' must have the node {probe.node} of probe '{name}', but it has {len(response) // _DOF} "
+                    "nodes: is it of another rotor?"
+                )
+            x, y = response[_DOF * probe.node], response[_DOF * probe.node + 1]
+            along = project_direction(float(np.round(np.degrees(probe.angle), 9)))
+            tracks[name] = sort_track(speeds, x * along[0] + y * along[1], f"'{path}', probe '{name}',")
+        runs.append(RunTracks(run.name, f"'{path}'", tracks, tracks))
+    return tuple(runs)
+
+
+def _load(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        raise DataError(f"'{path}' must exist, but there is no such file")
+    if path.suffix.lower() == ".json":
+        raise DataError(f"'{path}' must be TOML, but it is JSON, where ROSS leaves complex numbers out: {_NEXT}")
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise DataError(f"'{path}' must be a response that ROSS saved, but it is no TOML file ({error})") from None
+    if not {"forced_resp", "speed_range"} <= content.get(_KIND, {}).keys():
+        words = ", ".join(content) or "nothing"
+        raise DataError(f"'{path}' must have {_KIND} of ROSS, but it has {words[:100]}: {_NEXT}")
+    found: dict[str, Any] = content[_KIND]
+    return found
+
+
+def _to_complex(path: Path, rows: Any) -> np.ndarray:
+    """Complex values of texts such as ``np.complex128(1+2j)``. Raises DataError."""
+    try:
+        values = np.array([[complex(str(text).removeprefix("np.complex128")) for text in row] for row in rows])
+    except (TypeError, ValueError) as error:
+        raise DataError(f"'{path}' must have complex numbers in forced_resp, but it has others ({error})") from None
+    if not np.isfinite(values).all():
+        raise DataError(f"'{path}' must have finite numbers in forced_resp, but it has others: is the rotor held?")
+    return values
+
+
+def _check_unbalances(path: Path, stated: Any, acting: Sequence[Excitation]) -> None:
+    """Raise DataError where the file says other unbalances than the configuration."""
+    if stated is None:
+        return
+    theirs = sorted(tuple(float(part) for part in one) for one in zip(*stated, strict=True))
+    ours = sorted((float(one.node), one.magnitude, one.phase) for one in acting if one.kind == "unbalance")
+    same = len(theirs) == len(ours) and all(
+        a[0] == b[0] and abs(a[1] * np.exp(1j * a[2]) - b[1] * np.exp(1j * b[2])) <= 1e-6 * abs(a[1])
+        for a, b in zip(theirs, ours, strict=True)
+    )
+    if not same:
+        words = " and ".join(f"{size:g} kg m at node {node:g}, {phase:g} rad" for node, size, phase in theirs)
+        raise DataError(
+            f"'{path}' must have the unbalances of its run in machine.recordings.runs (phases from x, shaft_angle: "
+            f"from_x), but it says {words}: write these"
+        )
