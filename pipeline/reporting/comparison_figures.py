@@ -1,9 +1,8 @@
-"""Figure of a comparison: error against noise for each set of sensors, and against the number of speeds."""
+"""Figure of a comparison: a row a method, and how far each is off, for each set of sensors and number of speeds."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -12,85 +11,64 @@ import numpy as np
 from pipeline.comparison.cases import Case
 from pipeline.methods.catalogue import METHODS
 from pipeline.reporting.comparison_tables import SENSOR_TEXT, Comparison, describe_case
-from pipeline.reporting.figures import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, YELLOW, open_figure
+from pipeline.reporting.figures import BLUE, GREEN, GREY, LOOKS, ORANGE, open_figure
 
 _LEAST = 1e-4
 """Percent; what is smaller is exact for every purpose, and drawn as a hollow marker on the edge."""
-_LOOKS: dict[str, tuple[str, str, str]] = {
-    "least_squares": (GREY, "-", "o"),
-    "least_squares_expanded": (GREY, ":", "<"),
-    "smoothed": (GREEN, "--", "D"),
-    "tikhonov": (GREY, "--", "s"),
-    "total_least_squares": (SKY, "-", "^"),
-    "multi_frequency": (GREEN, "-", "P"),
-    "kalman": (PURPLE, "-", "v"),
-    "kriging": (YELLOW, "-", "D"),
-    "critical_speeds": (YELLOW, "--", "X"),
-    "spline": (BLUE, "--", "s"),
-    "paper": (ORANGE, "-.", "x"),
-    "paper_scaling": (ORANGE, "-.", "1"),
-    "paper_logarithm": (ORANGE, "-.", "2"),
-    "paper_second_order": (ORANGE, "-.", "3"),
-    "residual": (ORANGE, ":", "<"),
-    "preconditioned": (ORANGE, "--", ">"),
-    "response": (BLACK, "-", "o"),
-    "trained": (BLACK, "--", "s"),
-}
-"""Colour, line and marker: methods of one family share the colour."""
+_NOISE_LOOKS = ((GREY, "o"), (BLUE, "s"), (ORANGE, "^"), (GREEN, "D"), *LOOKS[3:])
 
 
 def draw_comparison(path: Path, comparison: Comparison) -> Path:
-    """Median error of the worst coefficient, one line a method; those that give no answer are named below.
+    """Median error of the worst coefficient: a row a method, best above, a marker a noise or a number of speeds.
 
-    The number of speeds has a panel where there are several.
+    The number of speeds has a panel where there are several. A method without an answer has words in its row.
     """
     panels: list[tuple[str, list[Case], str]] = []
     noise = comparison.along("noise")
     for case in comparison.along("sensors"):
         cases = [Case(one.noise, case.sensors, case.speeds) for one in noise]
         panels.append((f"sensors: {SENSOR_TEXT[case.sensors]}, {case.speeds} speeds", cases, "noise"))
-    text = f"sensors: {SENSOR_TEXT[comparison.main.sensors]}, {100 * comparison.main.noise:g} % noise"
+    main = comparison.main
+    text = f"sensors: {SENSOR_TEXT[main.sensors]}, {100 * main.noise:g} % noise"
     if len(by_speeds := comparison.along("speeds")) > 1:
         panels.append((text, by_speeds, "speeds"))
+    methods = _sort_methods(comparison)
     columns = 2 if len(panels) > 1 else 1
     rows = (len(panels) + columns - 1) // columns
-    with open_figure(path, rows, columns, 6.0 * columns, 1.2 + 3.9 * rows, sharey=True) as axes:
+    height = rows * (1.5 + 0.3 * len(methods))
+    options: dict[str, Any] = {"sharey": True, "sharex": True}
+    with open_figure(path, rows, columns, 3.2 + 4.3 * columns, height, **options) as axes:
         for ax, (title, cases, key) in zip(axes.flat, panels, strict=False):
-            _draw_panel(ax, comparison, cases, key)
-            ax.set_title(title)
+            _draw_panel(ax, comparison, methods, cases, key)
+            ax.set_title(title, loc="left")
         for ax in axes.flat[len(panels) :]:
             ax.set_visible(False)
-        for row in axes:
-            row[0].set_ylabel(f"median error, worst coefficient (%)\nhollow: below {_LEAST:g} %")
-        entries: dict[str, Any] = {}
-        for ax in axes.flat:
-            entries |= dict(zip(*ax.get_legend_handles_labels()[::-1], strict=True))
-        axes[0, 0].figure.legend(entries.values(), entries.keys(), loc="outside upper center", ncols=3)
     return path
 
 
-def _draw_panel(ax: Any, comparison: Comparison, cases: Sequence[Case], key: str) -> None:
-    places, silent = np.arange(len(cases)), []
-    joined = np.array([case.noise > 0 for case in cases])  # no noise is no place on a logarithmic axis
-    for method, shift in zip(comparison.methods, cycle((-0.06, -0.03, 0.0, 0.03, 0.06)), strict=False):
+def _sort_methods(comparison: Comparison) -> list[str]:
+    """The methods by their error in the main case; those without an answer there last."""
+    errors = {method: comparison.error(method, comparison.main) for method in comparison.methods}
+    return sorted(errors, key=lambda method: (np.isnan(errors[method]), errors[method]))
+
+
+def _draw_panel(ax: Any, comparison: Comparison, methods: Sequence[str], cases: Sequence[Case], key: str) -> None:
+    for m, method in enumerate(methods):
         errors = np.array([comparison.error(method, case) for case in cases])
         if np.isnan(errors).all():
-            silent.append(METHODS[method].label)
+            ax.annotate("no answer", (0.02, m), xycoords=("axes fraction", "data"), va="center", fontsize=8, color=GREY)
             continue
-        colour, line, marker = _LOOKS[method]
-        width = 2.2 if method == "response" else 1.3
-        look: dict[str, Any] = {"color": colour, "marker": marker, "ms": 6, "lw": width, "zorder": 2 + width}
-        shown = np.where(joined, errors, np.nan)
-        ax.semilogy(places + shift, np.maximum(shown, _LEAST), ls=line, label=METHODS[method].label, **look)
-        for place, error in zip(places[~joined], errors[~joined], strict=True):
+        shown = np.maximum(errors[np.isfinite(errors)], _LEAST)
+        ax.plot([shown.min(), shown.max()], [m, m], color=GREY, lw=0.8, zorder=1)
+        for error, (colour, marker) in zip(errors, _NOISE_LOOKS, strict=False):
             fill = "white" if error < _LEAST else colour
-            ax.semilogy(place + 3 * shift, max(error, _LEAST), ls="", mfc=fill, clip_on=False, **look)
-    ax.set_xticks(places, [describe_case(case, key) for case in cases])
-    ax.set_ylim(bottom=_LEAST)
-    lines = {"noise": "noise of each reading", "speeds": "number of speeds"}[key]
-    if silent:
-        lines += "".join(
-            f"\n{', '.join(silent[i : i + 3])}{',' * (i + 3 < len(silent))}" for i in range(0, len(silent), 3)
-        )
-        lines = lines.replace("\n", "\nno answer: ", 1)
-    ax.set_xlabel(lines, fontsize=8)
+            ax.plot(max(error, _LEAST), m, ls="", marker=marker, ms=7, color=colour, mfc=fill, clip_on=False)
+    for case, (colour, marker) in zip(cases, _NOISE_LOOKS, strict=False):
+        words = describe_case(case, key) + (" noise" if key == "noise" else "")
+        ax.plot([], [], ls="", marker=marker, color=colour, label=words)
+    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=len(cases), fontsize=8, handletextpad=0.1)
+    ax.set(xscale="log", yticks=range(len(methods)), ylim=(len(methods) - 0.5, -0.5))
+    ax.set_yticklabels([METHODS[method].label for method in methods], fontsize=9)
+    ax.set_xlim(left=_LEAST)
+    ax.tick_params(labelbottom=True)
+    ax.set_xlabel(f"median error of the worst coefficient (%); hollow: below {_LEAST:g}", fontsize=8)

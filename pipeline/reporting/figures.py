@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from string import ascii_lowercase
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
     from pipeline.identification.residual_loss import ResidualTraining
     from pipeline.identification.training import Minimum
-    from pipeline.problem.identifiability import Identifiability
 
 # Okabe and Ito's palette.
 BLUE, ORANGE, GREEN, PURPLE, SKY, GREY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#555555"
@@ -31,8 +30,6 @@ LOOKS = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"), (PURPLE, "D"), (SKY, "v"), (G
 """Colours and markers of the curves that share a panel."""
 MICROMETRES = 1e6
 KINDS = {"k": "stiffness", "c": "damping"}
-_LARGEST_CONDITION = 1e16
-"""Where an infinite condition number is drawn."""
 MARKERS = 30
 """About as many identified points a curve as can be told apart."""
 _STYLE: dict[Any, Any] = {
@@ -249,37 +246,4 @@ def draw_refits(path: Path, rows: pd.DataFrame) -> Path:
         above.set_ylabel("median error over speed (%)\none dot a data set")
         below.set(ylim=(80, 100), ylabel="inside the nominal\n95 % interval (%)")
         below.set_xticks(range(len(groups)), [f"{name}\nnode {node}" for (node, name), _ in groups])
-    return path
-
-
-def draw_diagnosis(
-    path: Path, reports: Sequence[Identifiability], relative: Callable[[int], Mapping[str, np.ndarray]], noise: str
-) -> Path:
-    """Condition number over speed, and below it the deviation of each coefficient that the ``noise`` implies.
-
-    ``relative`` gives, for the node of a bearing, the standard deviation (S,) over the coefficient by its name.
-    """
-    with open_figure(path, 2, len(reports), 5.4 * len(reports), 6.6, sharex=True, sharey="row") as axes:
-        for a, report in enumerate(reports):
-            rpm = to_rpm(report.speeds)
-            above, below = axes[0, a], axes[1, a]
-            above.semilogy(rpm, np.minimum(report.condition, _LARGEST_CONDITION), color=BLUE, label="unknowns")
-            above.semilogy(
-                rpm, np.minimum(report.orbit_condition, _LARGEST_CONDITION), color=GREY, ls="--", label="orbits"
-            )
-            above.set_title(f"{report.where}:\n{report.verdict.value}")
-            for name, values in relative(report.nodes[0]).items():
-                colour = LOOKS[COEFFICIENTS.index(name) % 4][0]
-                drawn = np.where(np.isfinite(values), 100 * values, np.nan)
-                if not np.isnan(drawn).all():
-                    below.semilogy(rpm, drawn, color=colour, ls="-" if name[0] == "k" else ":", lw=1.4, label=name)
-            if not below.lines:
-                below.text(0.5, 0.5, "free: no finite deviation", transform=below.transAxes, ha="center", color=GREY)
-            below.axhline(100.0, color=GREY, lw=0.8)
-            below.set_xlabel("rotor speed (rpm)")
-        axes[0, 0].set_ylabel("condition number (-)")
-        axes[0, 0].legend()
-        axes[1, 0].set_ylabel(f"standard deviation at\n{noise} (% of the coefficient)")
-        if axes[1, 0].lines[:-1]:
-            axes[1, 0].legend(ncols=2, fontsize=8)
     return path

@@ -74,10 +74,13 @@ def _draw_curves(path: Path, trials: Sequence[TrialSummary]) -> Path:
 
 def _draw_importance(path: Path, importances: Mapping[str, float]) -> Path:
     names = [name for name, share in importances.items() if share > 0.005][::-1]
-    with open_figure(path, 1, 1, 7.0, 1.2 + 0.35 * len(names)) as axes:
+    with open_figure(path, 1, 1, 7.5, 1.5 + 0.38 * len(names)) as axes:
         ax = axes[0, 0]
-        ax.barh(names, [100 * importances[name] for name in names], color=BLUE)
-        ax.set_xlabel("importance: what sets the best trials apart (%)")
+        bars = ax.barh([name.replace("_", " ") for name in names], [100 * importances[n] for n in names], color=BLUE)
+        ax.bar_label(bars, fmt="%.0f %%", padding=3, fontsize=9)
+        ax.set_title("what sets the best trials of the study apart from the others", fontsize=10, loc="left")
+        ax.set_xlabel("importance (%); parameters below 0.5 % are left out")
+        ax.margins(x=0.1)
         ax.grid(axis="y", visible=False)
     return path
 
@@ -88,28 +91,39 @@ def _list_names(trials: Sequence[TrialSummary], space: Mapping[str, Dimension], 
 
 
 def _draw_slices(path: Path, trials: Sequence[TrialSummary], space: Mapping[str, Dimension]) -> Path:
-    """The loss over each parameter; later trials are darker."""
+    """The loss over each parameter; the default and the best trial stand out."""
     names = _list_names(trials, space, 1)
     columns = min(4, len(names))
     rows = math.ceil(len(names) / columns)
-    last = max(trial.number for trial in trials) or 1
-    with open_figure(path, rows, columns, 3.1 * columns, 2.6 * rows, sharey=True) as axes:
+    best = min((t for t in trials if t.state == "complete"), key=lambda t: t.loss or math.inf, default=None)
+    generator = np.random.default_rng(0)
+    with open_figure(path, rows, columns, 3.1 * columns, 0.5 + 2.6 * rows, sharey=True) as axes:
         for ax in axes.flat[len(names) :]:
             ax.set_axis_off()
         for ax, name in zip(axes.flat, names, strict=False):
             choices = _list_choices(space[name])
-            for state, (_, marker) in _STATES.items():
-                some = [t for t in trials if name in t.parameters and t.state == state]
-                x = [choices.index(str(t.parameters[name])) if choices else t.parameters[name] for t in some]
-                look = {"marker": marker, "s": 22, "cmap": "viridis_r", "vmin": 0, "vmax": last}
-                ax.scatter(x, [t.loss for t in some], c=[t.number for t in some], **look)
+            having = [t for t in trials if name in t.parameters]
+            aside = generator.uniform(-0.22, 0.22, len(having)) if choices else np.zeros(len(having))
+            places = [choices.index(str(t.parameters[name])) if choices else t.parameters[name] for t in having]
+            for trial, place, shift in zip(having, places, aside, strict=True):
+                look = _choose_mark(trial, best)
+                ax.plot(float(place) + shift, trial.loss, ls="", clip_on=False, **look)
             ax.set(xlabel=name.replace("_", " "), yscale="log")
             _set_ticks(ax, choices, getattr(space[name], "log", False))
         for ax in axes[:, 0]:
             ax.set_ylabel("held-out loss")
-        title = "dots: complete, crosses: pruned; darker: later trials"
-        axes.flat[0].figure.suptitle(title, fontsize=9, x=0.01, ha="left")
+        found = {line.get_label(): line for ax in axes.flat for line in ax.lines}
+        axes[0, 0].figure.legend(found.values(), found.keys(), loc="outside upper left", ncols=4)
     return path
+
+
+def _choose_mark(trial: TrialSummary, best: TrialSummary | None) -> dict[str, Any]:
+    if trial.number == 0:
+        return {"marker": "D", "ms": 7, "color": GREEN, "zorder": 4, "label": "the configured default"}
+    if trial is best:
+        return {"marker": "*", "ms": 13, "color": PURPLE, "zorder": 5, "label": "the best trial"}
+    colour, marker = _STATES[trial.state]
+    return {"marker": marker, "ms": 5, "mfc": "none", "color": colour, "label": trial.state}
 
 
 def _list_choices(dimension: Dimension) -> list[str]:
@@ -132,27 +146,31 @@ def _set_ticks(ax: Any, choices: Sequence[str], log: bool) -> None:
 
 
 def _draw_parallel(path: Path, trials: Sequence[TrialSummary], space: Mapping[str, Dimension]) -> Path:
-    """A line a trial through the parameters that half of the trials have, coloured by its loss."""
+    """A line a trial through the parameters that half of the trials have; the best tenth and the default stand out."""
     names = _list_names(trials, space, len(trials) / 2)
     trials = sorted(trials, key=lambda trial: -(trial.loss or math.nan))  # the best lie above the others
-    losses = np.log10([trial.loss or math.nan for trial in trials])
-    with open_figure(path, 1, 1, min(1.25 * len(names) + 2.5, 15.0), 4.6) as axes:
+    few = max(1, len(trials) // 10)
+    with open_figure(path, 1, 1, min(1.35 * len(names) + 2.0, 16.0), 5.0) as axes:
         ax, heights = axes[0, 0], np.empty((len(trials), len(names)))
         for x, name in enumerate(names):
             heights[:, x], captions = _scale_values([t.parameters.get(name) for t in trials], space[name])
-            ax.axvline(x, color=GREY, lw=0.6)
-            look: dict[str, Any] = {"xytext": (4, 0), "textcoords": "offset points", "fontsize": 7, "va": "center"}
+            ax.axvline(x, color=GREY, lw=0.8, zorder=1)
+            look: dict[str, Any] = {"xytext": (4, 0), "textcoords": "offset points", "fontsize": 8, "va": "center"}
             for caption, height in captions.items():
-                box = {"facecolor": "white", "alpha": 0.7, "lw": 0, "pad": 0.5}
-                ax.annotate(caption.replace("_", " "), (x, height), bbox=box, **look)
-        places = np.broadcast_to(np.arange(len(names)), heights.shape)
-        points = ax.scatter(places, heights, c=np.broadcast_to(losses[:, None], heights.shape), s=4, cmap="viridis")
-        for line, colour in zip(heights, points.to_rgba(losses), strict=True):
-            ax.plot(line, color=colour, lw=1.3, alpha=0.8)
-        ax.set_xticks(range(len(names)), [name.replace("_", "\n") for name in names], fontsize=8)
+                box = {"facecolor": "white", "alpha": 0.85, "lw": 0, "pad": 0.8}
+                ax.annotate(caption.replace("_", " "), (x, height), bbox=box, zorder=6, **look)
+        for i, (trial, line) in enumerate(zip(trials, heights, strict=True)):
+            style = {"color": GREY, "lw": 0.6, "alpha": 0.35, "zorder": 2, "label": "the other trials"}
+            if i >= len(trials) - few:
+                style = {"color": BLUE, "lw": 1.8, "alpha": 0.9, "zorder": 4, "label": "the best tenth"}
+            if trial.number == 0:
+                style = {"color": GREEN, "lw": 2.4, "ls": "--", "zorder": 5, "label": "the configured default"}
+            ax.plot(line, marker=".", ms=5, **style)
+        found = {line.get_label(): line for line in ax.lines if not str(line.get_label()).startswith("_")}
+        ax.figure.legend(found.values(), found.keys(), loc="outside upper left", ncols=3)
+        ax.set_xticks(range(len(names)), [name.replace("_", "\n") for name in names], fontsize=9)
         ax.set(yticks=[], ylim=(-0.08, 1.08), xlim=(-0.2, len(names) - 0.3))
         ax.grid(visible=False)
-        ax.figure.colorbar(points, ax=ax, label="log10 of the held-out loss", pad=0.01)
     return path
 
 

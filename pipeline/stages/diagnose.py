@@ -21,7 +21,7 @@ from pipeline.problem.diagnosis import Diagnosis
 from pipeline.problem.identifiability import Verdict
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, table
-from pipeline.reporting.figures import draw_diagnosis
+from pipeline.reporting.diagnosis_figure import draw_diagnosis
 from pipeline.reporting.model_error import Budget, draw_budget, print_budget
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_measurement
