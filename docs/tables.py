@@ -27,7 +27,10 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = (
     "README.md",
-    *(f"docs/{name}.md" for name in ("results", "paper", "method", "noise", "all_coefficients", "model_error")),
+    *(
+        f"docs/{name}.md"
+        for name in ("results", "paper", "method", "noise", "all_coefficients", "model_error", "trust")
+    ),
 )
 MEASURED = ROOT / "docs" / "measured"
 ROUNDING = 1e-10

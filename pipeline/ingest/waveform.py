@@ -56,7 +56,7 @@ def read_signal_runs(config: SignalRecordingsConfig) -> tuple[RunTracks, ...]:
 
 
 def read_signals(config: SignalRecordingsConfig, run: WaveformRunConfig | UffRunConfig) -> list[Signals]:
-    """The time signals of a run, a value a file, in m, m/s or m/s^2. Raises DataError as :func:`read_signal_runs`.
+    """The time signals of a run, a value a file, in m. Raises DataError as :func:`read_signal_runs`.
 
     And where a probe measures something else: only its 1X vectors become displacements.
     """

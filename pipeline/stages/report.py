@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.config.motion import to_motion
 from pipeline.config.recordings import NoRecordingsConfig, UffRecordingsConfig, WaveformRecordingsConfig
 from pipeline.config.schema import Config
 from pipeline.data.tables import read_table
@@ -159,10 +158,7 @@ def _read_reference(path: Path) -> dict[str, np.ndarray]:
 
 
 def _read_waveforms(config: Config) -> list[Waveforms]:
-    """Spectra of the first runs at nodes with displacement probes, where there are time signals at hand.
-
-    A warning where their files are gone.
-    """
+    """Spectra of the first runs, where there are time signals at hand; a warning where their files are gone."""
     recordings = config.machine.recordings
     signals = isinstance(recordings, WaveformRecordingsConfig) or (
         isinstance(recordings, UffRecordingsConfig) and recordings.tacho.recorded
@@ -171,8 +167,7 @@ def _read_waveforms(config: Config) -> list[Waveforms]:
         return []
     assert isinstance(recordings, WaveformRecordingsConfig | UffRecordingsConfig)
     found: list[Waveforms] = []
-    moved = {one.node for one in recordings.probes.values() if to_motion(recordings.signal_unit or "", one.scale)[0]}
-    nodes = sorted({one.node for one in recordings.probes.values()} - moved)[:_MOST_WAVEFORMS]
+    nodes = sorted({probe.node for probe in recordings.probes.values()})[:_MOST_WAVEFORMS]
     for measured in recordings.runs[:_MOST_WAVEFORMS]:
         try:
             records = read_signals(recordings, measured)

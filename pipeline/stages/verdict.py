@@ -26,7 +26,7 @@ from pipeline.trust.evidence import Evidence, gather
 from pipeline.trust.mistakes import WORTH_TRYING, Found, Probe, find_mistakes
 from pipeline.trust.next_run import weigh_candidates
 from pipeline.trust.report import judge, refuse_without_deviations
-from pipeline.trust.verdict import judge_mistakes
+from pipeline.trust.verdict import SIGNIFICANT, judge_mistakes
 
 
 def run(config: Config) -> StageOutput:
@@ -72,7 +72,7 @@ def assess(
     candidates = list_candidates(config.machine.candidates)
     gains = weigh_candidates(updated, identified, uncertainty, linear, candidates, None)
     mistakes: list[Found] = []
-    if evidence.misfit_of_stated_noise > WORTH_TRYING:
+    if evidence.misfit_of_stated_noise > WORTH_TRYING and (evidence.ljung_box or 0.0) < SIGNIFICANT:
         values = measurement.unknowns.leading(evidence.answer.values)
         probes = _list_probes(config) if locate_files(config).own else ()
         mistakes = find_mistakes(updated.as_stated(), values, config.model.kind == "constant", probes)

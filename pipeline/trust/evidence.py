@@ -11,12 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.data.noise import NOMINAL_95
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.quality import variance_inflation
 from pipeline.identification.uncertainty import Uncertainty
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.trust.linearised import LinearisedFit, linearise, name_channels, widen
+from pipeline.trust.linearised import LinearisedFit, linearise, name_channels
 from pipeline.twin.superposition import superpose_with_noise
 
 
@@ -27,7 +28,8 @@ class Evidence:
     answer: BearingTable
     identified: np.ndarray  # (B, 8) mask of the coefficients that were identified
     deviation: np.ndarray  # (B, S, 8) of the fit, wider where its residuals say so, N/m and N s/m
-    tolerances: Mapping[str, np.ndarray]  # kind -> (B, S, 8), one deviation of what was not fitted
+    unfitted: np.ndarray  # (B, S, 8) one deviation of all that has a tolerance and was not fitted
+    tolerances: Mapping[str, np.ndarray]  # kind -> (B, S, 8) the same of each kind by itself
     moves: Mapping[
         str, tuple[np.ndarray, np.ndarray]
     ]  # run or probe left out -> (B, S, 8) move, and what noise explains
@@ -44,7 +46,7 @@ class Evidence:
     @property
     def band(self) -> np.ndarray:
         """(B, S, 8) half the 95 % interval, with the tolerances of what was not fitted."""
-        return widen(self.deviation, dict(self.tolerances), 1.0)
+        return np.asarray(NOMINAL_95 * np.hypot(self.deviation, self.unfitted))
 
     @property
     def misfit(self) -> float:
@@ -85,6 +87,8 @@ def gather(
     answer = identified.table(measurement.updated_known)
     growth, unstable = find_growth(measurement, answer)
     deviation = uncertainty.deviation(identified, answer.speeds)
+    left = float(np.mean(np.abs(linear.residual[fitted]) ** 2))
+    unfitted, tolerances = linear.tolerances(max(1.0, left))
     runs = measurement.dataset.runs
     used = [r for r in range(len(runs)) if fitted[..., r].any()]
     several, pairs = len(used) > 1, fitted.shape[1] > 2 * len(answer.nodes) - 1
@@ -93,7 +97,8 @@ def gather(
         answer=answer,
         identified=measurement.unknowns.identified,
         deviation=deviation * np.sqrt(inflation_of(fit, estimated_noise)),
-        tolerances=linear.tolerances(),
+        unfitted=unfitted,
+        tolerances=tolerances,
         moves={
             name: linear.leave_out(mask)
             for name, mask in (
@@ -127,16 +132,19 @@ def _of_probe(fitted: np.ndarray, probe: int) -> np.ndarray:
 def inflation_of(fit: Mapping[str, Any], estimated_noise: bool) -> float:
     """How much larger the variances are than the fit says: by its residuals' size (Birge 1932) and their correlation.
 
-    A fit that estimates the noise has both in its deviations.
+    Correlated residuals of the stated size are noise that wanders; larger ones are a model that does not fit, and the
+    deviations of the fit know of that already. A fit that estimates the noise has both in its deviations.
     """
     if estimated_noise:
         return 1.0
     square, whiteness = fit["chi_square"], fit["whiteness"]
     ratio = max(1.0, square["value"] / max(square["expected"], 1.0))
     white = whiteness["over_its_deviation"] < _SIGNIFICANT
-    return float(ratio * (1.0 if white else variance_inflation(whiteness["autocorrelation"])))
+    return float(ratio if white or ratio > SMALL_MISFIT else ratio * variance_inflation(whiteness["autocorrelation"]))
 
 
+SMALL_MISFIT = 1.5
+"""Chi-square over what is expected: what is left over is then below the noise, and the bands are wider by it."""
 _SIGNIFICANT = 1.645
 """Deviations of a normal value, on one side, that 5 of 100 exceed."""
 

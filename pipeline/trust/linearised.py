@@ -15,7 +15,6 @@ from functools import cached_property
 import numpy as np
 
 from pipeline.data.dataset import name_direction
-from pipeline.data.noise import NOMINAL_95
 from pipeline.errors import ConfigError
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.uncertainty import Uncertainty
@@ -86,13 +85,28 @@ class LinearisedFit:
         expected = 1.0 + np.einsum("nz,zy,ny->n", chosen.conj(), spread, chosen, optimize=True).real
         return float(np.mean(np.abs(left) ** 2 / expected))
 
-    def tolerances(self) -> dict[str, np.ndarray]:
-        """Kind -> (B, S, 8) how much one tolerance of each of its kind moves the coefficients; squares add."""
-        found = {}
-        for kind, change in self.by_tolerance.items():
-            moved = self.coefficients @ self.solve(_cross(self.seen, change))
-            found[kind] = np.sqrt((moved**2).sum(axis=-1))
-        return found
+    def tolerances(self, misfit: float) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """(B, S, 8) by how much the tolerances move the coefficients, and the same of each kind by itself.
+
+        Readings that a tolerance would change as no coefficient can leave it less room. It is as if all of them were
+        fitted, with the posterior ``(1 + V'PV)^-1`` and its mean, where P takes away what the weights can follow.
+        ``misfit`` is the mean square of the residuals, which the readings' precision is divided by.
+        """
+        if not self.by_tolerance:
+            return np.zeros(self.coefficients.shape[:3]), {}
+        change = np.concatenate(list(self.by_tolerance.values()), axis=-1) * self.fitted[..., None]
+        seen = _cross(self.seen, change)
+        moved = -self.coefficients @ self.solve(seen)  # (B, S, 8, T) of readings that the model lacks
+        room = _cross(change, change) - seen.T @ self.solve(seen)
+        asked = _right(change, self.residual) - seen.T @ self.solve(self.right)
+        spread = np.linalg.inv(np.eye(len(room)) + room / misfit)
+        mean = spread @ asked / misfit
+        second = spread + np.outer(mean, mean)
+        by_kind, start = {}, 0
+        for kind, own in self.by_tolerance.items():
+            part = slice(start, start := start + own.shape[-1])
+            by_kind[kind] = _quadratic(moved[..., part], second[part, part])
+        return _quadratic(moved, second), by_kind
 
     def _without(self, mask: np.ndarray) -> np.ndarray:
         """(Z,) the weights' step of a fit without the readings of ``mask``."""
@@ -104,6 +118,12 @@ class LinearisedFit:
             return self.normal
         own = without[..., None] * self.seen
         return self.normal - _cross(own, own)
+
+
+def _quadratic(moved: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """(B, S, 8) root of ``m' C m``."""
+    found = np.einsum("bsct,tu,bscu->bsc", moved, covariance, moved, optimize=True)
+    return np.asarray(np.sqrt(np.maximum(found, 0.0)))
 
 
 def _cross(rows: np.ndarray, others: np.ndarray) -> np.ndarray:
@@ -208,9 +228,3 @@ def _by_tolerances(
 def name_channels(measurement: Measurement) -> list[str]:
     """What each channel is called."""
     return [f"node {node} {name_direction(angle)}" for node, angle in measurement.dataset.channels]
-
-
-def widen(deviation: np.ndarray, tolerances: dict[str, np.ndarray], inflation: float) -> np.ndarray:
-    """(B, S, 8) half the nominal 95 % interval: of the fit, its variance times ``inflation``, and of the tolerances."""
-    variance = inflation * deviation**2 + sum(moved**2 for moved in tolerances.values())
-    return np.asarray(NOMINAL_95 * np.sqrt(variance))

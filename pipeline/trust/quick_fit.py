@@ -40,10 +40,9 @@ def quick_fit(
         start: (M, S, U) unknowns to begin with as well, N/m and N s/m.
         terms: K; 1 for constants.
     """
+    start, scale = _within_reason(measurement, start)
     begins = [start]
     functions = speed_functions(measurement, terms)
-    scale = np.median(np.abs(start), axis=1)
-    scale = np.where(scale > 0, scale, 1.0)
     members = np.broadcast_to(functions, (len(start), *functions.shape))
     try:
         linear = linear_start(measurement, members, scale)
@@ -53,6 +52,17 @@ def quick_fit(
         begins.append(linear)
     found = [_minimise(measurement, one, scale, functions, extra, rounds) for one in begins]
     return min(found, key=lambda one: one.mean_square)
+
+
+def _within_reason(measurement: Measurement, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The start, and its sizes (M, U); the guess takes the place of what ran away in a fit of wrong readings."""
+    guess = measurement.guess.sizes(measurement.unknowns)
+    size = np.median(np.abs(start), axis=1)
+    fine = (size < _RAN_AWAY * guess) & (size > guess / _RAN_AWAY)
+    return np.where(fine[:, None], start, guess[:, None]), np.where(fine, size, guess)
+
+
+_RAN_AWAY = 1e4
 
 
 def speed_functions(measurement: Measurement, terms: int) -> np.ndarray:

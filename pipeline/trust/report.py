@@ -29,7 +29,9 @@ def judge(evidence: Evidence, gains: Gains | None, mistakes: Sequence[Reason] = 
         own, checks = judge_coefficient(evidence, int(b), int(c))
         own = [_with_next(one, gains, int(b), int(c)) for one in own]
         found.append(
-            CoefficientVerdict(int(b) + 1, nodes[b], COEFFICIENTS[c], (*own, *common), checks | _common(evidence))
+            CoefficientVerdict(
+                int(b) + 1, nodes[b], COEFFICIENTS[c], tuple(_sort([*common, *own])), checks | _common(evidence)
+            )
         )
     bearings = [_judge_bearing(node, [one for one in found if one.node == node]) for node in nodes]
     return {
@@ -55,6 +57,11 @@ def refuse_without_deviations(nodes: Sequence[int], coefficients: Sequence[Seque
         "bearings": bearings,
         "machine": _judge_whole([reason], found),
     }
+
+
+def _sort(reasons: Sequence[Reason]) -> list[Reason]:
+    """The gravest first; what holds for the whole machine before what is one coefficient's."""
+    return sorted(reasons, key=lambda reason: -list(Verdict).index(reason.verdict))
 
 
 def _with_next(reason: Reason, gains: Gains | None, b: int, c: int) -> Reason:

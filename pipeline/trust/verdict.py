@@ -17,7 +17,7 @@ import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.problem.determination import WEAKLY_BELOW, WELL_BELOW
-from pipeline.trust.evidence import Evidence
+from pipeline.trust.evidence import SMALL_MISFIT, Evidence
 from pipeline.trust.mistakes import Found
 
 GOOD_BAND = 0.20
@@ -25,8 +25,6 @@ GOOD_BAND = 0.20
 to 10 % at worst, within the separation margins that API 617 asks for (15 % and more)."""
 USABLE_BAND = 0.60
 """Zero is then more than three deviations away."""
-SMALL_MISFIT = 1.5
-"""Chi-square over what is expected: what is left over is then below the noise, and the bands are wider by it."""
 SIGNIFICANT = 0.05
 CONTRADICTION = 3.0
 """Mean square over the noise of a run that the others predict; of right runs one in a thousand with few readings."""
@@ -129,13 +127,14 @@ def _judge_misfit(evidence: Evidence) -> list[Reason]:
     """Whether model and noise explain the readings."""
     fit = evidence.fit
     if evidence.estimated_noise:
-        factor = evidence.noise_factor
-        if factor < NOISE_FACTOR:
+        factor, white = evidence.noise_factor, evidence.ljung_box
+        if factor < NOISE_FACTOR or white is None or white > SIGNIFICANT:
             return []
         return [
             Reason(
                 Verdict.WITH_CARE,
-                f"The readings lie {factor:.2g} times as far from the fit as the probes' stated noise.",
+                f"The readings lie {factor:.2g} times as far from the fit as the stated noise, and their distance "
+                "wanders over the speed.",
                 "State the noise as it is (stated_noise), or find what else is in the readings: runout, a wrong "
                 "weight, a wrong probe.",
             )

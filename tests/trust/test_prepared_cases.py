@@ -1,0 +1,52 @@
+"""The prepared cases of studies/verdicts: what was measured of all thirty, and two of them anew."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).resolve().parents[2]
+MACHINES = yaml.safe_load((ROOT / "studies" / "verdicts" / "cases.yaml").read_text(encoding="utf-8"))
+CASES = {name: case for group in ("chosen", "judged") for name, case in MACHINES[group].items()}
+
+
+def judge_module() -> ModuleType:
+    """studies/verdicts/judge.py, which is no package."""
+    place = importlib.util.spec_from_file_location("judge_verdicts", ROOT / "studies" / "verdicts" / "judge.py")
+    assert place is not None
+    assert place.loader is not None
+    found = importlib.util.module_from_spec(place)
+    place.loader.exec_module(found)
+    return found
+
+
+def test_there_are_thirty_and_no_choice_was_made_on_eighteen() -> None:
+    assert len(CASES) == 30
+    assert len(MACHINES["judged"]) == 18
+
+
+def test_no_good_coefficient_was_outside_its_band() -> None:
+    kept = json.loads((ROOT / "docs" / "measured" / "verdicts.json").read_text(encoding="utf-8"))["cases"]["figures"]
+    for group in ("chosen", "judged"):
+        assert kept[f"verdicts.{group}.good"] > 40  # a verdict that is never good would be of no use
+        assert kept[f"verdicts.{group}.good_outside"] == 0
+        assert kept[f"verdicts.{group}.good_with_20_percent_error"] == 0
+    assert kept["verdicts.chosen.cases"] + kept["verdicts.judged.cases"] == 30
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "good"), [("good data, rolling", True), ("lag for lead", False)])
+def test_a_case(name: str, good: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    module = judge_module()
+    result = module.judge(*module.prepare(CASES[name], MACHINES))
+    counted = module.count({name: result})
+    assert counted["good_outside"] == 0
+    assert counted["good"] == (8 if good else 0)
+    if not good:
+        assert "lag for lead" in result["machine"]["reason"]
