@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +15,11 @@ from conftest import refused
 from pipeline.config.bearings import RotorFileBearingConfig
 from pipeline.config.rotor import RotorConfig
 from pipeline.data.dataset import Excitation, VibrationDataset
+from pipeline.data.sensors import list_directions, project
 from pipeline.data.simulate import simulate
 from pipeline.data.time_integration import integrate
 from pipeline.errors import ConfigError, DataError
+from pipeline.problem.residual import bearing_equations
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.parameters import ModelParameter, rotor_change
@@ -319,6 +321,15 @@ def test_seals_are_in_modes_and_in_time_and_no_parameter_changes_them(tmp_path: 
     assert change is not None
     assert change.seals.nodes == ()
     assert model.fingerprint != assemble(saved(bearing(first()), tmp_path / "without.toml")[1]).fingerprint
+
+
+@pytest.mark.parametrize("nodes", [range(7), (1, 5), (1, 3, 5)])
+def test_the_true_coefficients_leave_no_residual_beside_seals(nodes: Sequence[int], tmp_path: Path) -> None:
+    """Where the seals' nodes are measured, and where they are not."""
+    model, table, complete = read(saved(SAME["SealElement"](), tmp_path / "rotor.toml")[1])
+    equations = bearing_equations(model, project(complete, list_directions(tuple(nodes))))
+    left = equations.free_residual + np.einsum("bsij,bsjr->bsir", table.impedance(), equations.displacement)
+    assert np.abs(left).max() < 1e-9 * np.abs(equations.free_residual).max()
 
 
 def test_a_support_and_a_force_of_its_own_frequency_are_refused(tmp_path: Path) -> None:
