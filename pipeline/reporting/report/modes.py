@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,8 @@ from pipeline.reporting.report.figure import Axes, Curve, Figure, Panel
 from pipeline.reporting.report.section import Paragraph, Section, Table, write_number
 from pipeline.units import RAD_S_PER_RPM
 
+_POINTS, _HIGHEST_DECREMENT = 60, 1.5
+"""Points of a mode, and what is damped so much that nobody asks."""
 _RPM, _HERTZ = "rotor speed (rpm)", "frequency_std_hz"
 
 
@@ -118,9 +121,15 @@ def _draw_stability(content: ReportContent, fit: FitContent) -> Figure:
     shown = [k for k in range(within.shape[1]) if np.isfinite(within[:, k]).any()]
     for i, k in enumerate(shown):
         band = _read_band(content, k, "logarithmic_decrement_std")
-        curves.append(Curve(rpm, within[:, k], f"mode {i + 1}", LOOKS[i % 8][0], DASHES[i % 4], band=band))
+        few = slice(None, None, max(1, len(rpm) // _POINTS))
+        marks = Curve(rpm[few], within[few, k], f"mode {i + 1}", LOOKS[i % 8][0], "none", LOOKS[i % 8][1])
+        curves.append(marks if band is None else replace(marks, band=band[few]))
     curves.append(Curve(rpm[[0, -1]], np.zeros(2), "limit of stability", GREY, "solid", width=1.0))
-    panel = Panel("Stability map", _RPM, (Axes(tuple(curves), "logarithmic decrement"),), wide=True)
-    caption = "Logarithmic decrement of the modes up to twice the top speed; below zero the machine is unstable. "
-    caption += "API RP 684 asks for 0.1 at least."
+    limits = (min(-0.1, 1.1 * float(np.nanmin(within, initial=0.0))), _HIGHEST_DECREMENT)
+    panel = Panel("Stability map", _RPM, (Axes(tuple(curves), "logarithmic decrement", y_range=limits),), wide=True)
+    caption = "Logarithmic decrement of the modes up to twice the top speed, in the order of their frequencies at each "
+    caption += (
+        f"speed, where it is below {_HIGHEST_DECREMENT:g}. Below zero the machine is unstable; API RP 684 asks for "
+    )
+    caption += "0.1 at least."
     return Figure("stability", caption, (panel,))
