@@ -36,6 +36,10 @@ class LeastSquares(Protocol):
         """(M,) what the rounding of the data may make of a loss of zero: losses below it are equal."""
         ...
 
+    def scatter(self) -> float:
+        """Share of the loss below which a fall is lost in the scatter of the data; 0 where weights know their noise."""
+        ...
+
     def members(self) -> tuple[LeastSquares, ...]:
         """M problems, each of one member by itself."""
         ...

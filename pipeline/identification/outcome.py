@@ -8,7 +8,10 @@ from enum import StrEnum
 class Outcome(StrEnum):
     """The end of a training, and what to try next where it fell short."""
 
-    CONVERGED = "converged: the loss hardly falls any more (by less than training.tolerance in the phase's patience)"
+    CONVERGED = (
+        "converged: the loss hardly falls any more (by less than training.tolerance, or than the scatter of the data "
+        "tells, in the phase's patience)"
+    )
     BUDGET_SPENT = (
         "budget spent: the loss still fell at the last step; give the last phase more steps "
         "(such as optimizer.levenberg_marquardt.steps=1000)"

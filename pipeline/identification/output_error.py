@@ -216,6 +216,10 @@ class OutputError:
         matrix += torch.diag(priors)
         return gradient[:, None], matrix[:, None]
 
+    def scatter(self) -> float:
+        """None: the readings are weighed by their noise."""
+        return 0.0
+
     def members(self) -> tuple[OutputError, ...]:
         """What is minimised by itself: all bearings together, since they speak through the same sensors."""
         return (self,)

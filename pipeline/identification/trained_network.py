@@ -63,6 +63,10 @@ class TrainedNetworks:
         """(1,) the loss that the readings round to."""
         return self.sensors.rounding()
 
+    def scatter(self) -> float:
+        """None: the readings are weighed by their noise."""
+        return 0.0
+
     def members(self) -> tuple[TrainedNetworks, ...]:
         """One: the readings follow from all bearings together."""
         return (self,)

@@ -152,7 +152,10 @@ class _Monitor:
         known = torch.maximum(losses, self.rounding)  # NaN stays
         if self.reference is None:
             self.reference, self.stale = known, torch.zeros_like(losses)
-        improved = known < self.reference * (1 - self.config.tolerance)
+        # A small gain tells of a minimum where the step was a second-order one; a gradient's may cross a plateau.
+        second_order = self.phase == "levenberg_marquardt"
+        tolerance = max(self.config.tolerance, self.problem.scatter() if second_order else 0.0)
+        improved = known < self.reference * (1 - tolerance)
         self.reference = torch.where(improved, known, self.reference)
         self.stale = torch.where(improved, torch.zeros_like(self.stale), self.stale + 1)
         self._record(parameters, losses, score)

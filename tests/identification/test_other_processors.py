@@ -115,7 +115,7 @@ def test_losses_below_rounding_are_no_improvement() -> None:
     from pipeline.identification.training import _Monitor
 
     def steps(losses: list[float]) -> int:
-        problem: Any = SimpleNamespace(rounding=lambda: torch.tensor([1e-13]))
+        problem: Any = SimpleNamespace(rounding=lambda: torch.tensor([1e-13]), scatter=lambda: 0.0)
         monitor = _Monitor(
             problem=problem,
             held_out=None,

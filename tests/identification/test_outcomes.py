@@ -20,7 +20,7 @@ from pipeline.errors import DataError, IdentifiabilityError
 from pipeline.identification.fit import fit
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.outcome import Outcome
-from pipeline.identification.residual_loss import initial_parameters, prepare_residual
+from pipeline.identification.residual_loss import ResidualProblem, initial_parameters, prepare_residual
 from pipeline.identification.storage import ARCHITECTURE, WEIGHTS, load_model, save_model
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -264,3 +264,28 @@ def test_damaged_model_is_refused(damage: str, saved: tuple[Path, IdentifiedMode
     DAMAGES[damage](folder)
     with pytest.raises(DataError, match="must"):
         load_model(folder)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("digits", [6, 7])
+def test_an_end_at_the_precision_of_the_data_is_converged(
+    digits: int, hydrostatic: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Readings of a CSV file with few digits: what the loss falls by is soon lost in them.
+
+    By the tolerance alone the same fit goes on for several times as many steps, and its answer is hardly another.
+    """
+    setup = setup_of(hydrostatic, optimizer(lm=150, patience=3), tolerance=1e-6)
+    clean = asked(hydrostatic)
+    values = clean.dataset.displacement
+    size = 10.0 ** (np.floor(np.log10(np.abs(values))) - digits + 1)
+    rounded = np.round(values.real / size) * size + 1j * np.round(values.imag / size) * size
+    measured = replace(clean, dataset=replace(clean.dataset, displacement=rounded))
+    found = fit(measured, setup)
+    assert found.outcome is Outcome.CONVERGED
+    monkeypatch.setattr(ResidualProblem, "scatter", lambda problem: 0.0)
+    longer = fit(measured, setup)
+    print(digits, found.steps, longer.steps, found.loss, longer.loss)
+    assert longer.outcome is Outcome.BUDGET_SPENT
+    assert found.steps < longer.steps / 1.5
+    assert found.loss < 1.2 * longer.loss
