@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.data.dataset import Excitation
+from pipeline.errors import ConfigError
 from pipeline.identification.basis_error import MeanSquareError, measure_error
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.outcome import Outcome
@@ -123,9 +124,31 @@ def unknown_deviation(problem: OutputError, weights: torch.Tensor) -> np.ndarray
 def fit_output_error(measurement: Measurement, setup: FitSetup, progress: Progress | None = None) -> OutputErrorFit:
     """Fit, weigh the readings anew, and fit again until the precisions stay.
 
-    Ctrl-C ends it with the best state so far. Raises ConfigError as :func:`prepare_output_error`.
+    Ctrl-C ends it with the best state so far. Raises ConfigError as :func:`prepare_output_error`, and where a coefficient
+    ran off to zero.
     """
-    return fit_from(prepare_output_error(measurement, setup), setup, progress)
+    fit = fit_from(prepare_output_error(measurement, setup), setup, progress)
+    _refuse_lost(fit)
+    return fit
+
+
+def _refuse_lost(fit: OutputErrorFit) -> None:
+    """Raise ConfigError where a coefficient ran off so far that no reading feels it, and no deviation is finite."""
+    felt = fit.problem.normal(fit.weights)[1][0, 0].diagonal()[: fit.problem.n_outer]
+    unfelt = (felt.unflatten(-1, (len(fit.problem.active), -1)) < _NOTHING).all(-1)
+    lost = [fit.problem.active[a] for a in unfelt.nonzero().flatten().tolist()]
+    if lost:
+        nodes, names = fit.start.measurement.rotor.bearing_nodes, fit.start.measurement.unknowns.names
+        named = ", ".join(f"{names[u]} at node {nodes[m]}" for m, u in lost)
+        raise ConfigError(
+            f"every coefficient that is identified must leave a trace in the readings, but {named} ran off to zero: the "
+            "readings contradict the rotor or the runs. Check the phase (lag or lead), probes, weights and the rotor, "
+            "or give what can't be told as data.known"
+        )
+
+
+_NOTHING = 1e-60
+"""Information of a weight that no reading feels, such as the logarithm of a coefficient that ran off to zero."""
 
 
 def fit_from(start: OutputErrorStart, setup: FitSetup, progress: Progress | None = None) -> OutputErrorFit:
