@@ -124,8 +124,8 @@ def unknown_deviation(problem: OutputError, weights: torch.Tensor) -> np.ndarray
 def fit_output_error(measurement: Measurement, setup: FitSetup, progress: Progress | None = None) -> OutputErrorFit:
     """Fit, weigh the readings anew, and fit again until the precisions stay.
 
-    Ctrl-C ends it with the best state so far. Raises ConfigError as :func:`prepare_output_error`, and where a coefficient
-    ran off to zero.
+    Ctrl-C ends it with the best state so far. Raises ConfigError as :func:`prepare_output_error`, and where a
+    coefficient ran off to zero.
     """
     fit = fit_from(prepare_output_error(measurement, setup), setup, progress)
     _refuse_lost(fit)
@@ -141,8 +141,8 @@ def _refuse_lost(fit: OutputErrorFit) -> None:
         nodes, names = fit.start.measurement.rotor.bearing_nodes, fit.start.measurement.unknowns.names
         named = ", ".join(f"{names[u]} at node {nodes[m]}" for m, u in lost)
         raise ConfigError(
-            f"every coefficient that is identified must leave a trace in the readings, but {named} ran off to zero: the "
-            "readings contradict the rotor or the runs. Check the phase (lag or lead), probes, weights and the rotor, "
+            f"every coefficient that is identified must leave a trace in the readings, but {named} ran off to zero: "
+            "the readings contradict the rotor or the runs. Check the phase (lag or lead), probes, weights and the rotor, "
             "or give what can't be told as data.known"
         )
 

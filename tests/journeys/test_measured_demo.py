@@ -10,7 +10,9 @@ from types import ModuleType
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import Artifacts, Run
+from conftest import Artifacts, Run, refused
+
+from pipeline.errors import ConfigError
 
 pytestmark = pytest.mark.slow
 
@@ -77,3 +79,10 @@ def test_the_run_that_was_not_fitted_is_predicted(folder: Path) -> None:
     held_out = json.loads((folder / "metrics.json").read_text())["fit"]["held_out_runs"]
     print(held_out)
     assert held_out["error_percent"] < 1
+
+
+def test_coefficients_that_run_off_are_named(run: Run, tmp_path: Path) -> None:
+    """A lag that is called a lead: no bearing makes such readings."""
+    wrong = ["experiment=measured_demo", "machine=measured_demo_table", "machine.recordings.conventions.phase=lead"]
+    with refused("ran off to zero", kind=ConfigError):
+        run("train", wrong, tmp_path)

@@ -27,7 +27,10 @@ def describe_coefficients(content: ReportContent) -> Section | None:
     if fit.deviation is None:
         words += " The loss of this fit states no deviations, so there are no bands: loss=response has them."
     else:
-        words += " Numbers are given with one standard deviation; bands are nominal 95 % intervals."
+        words += (
+            " Numbers are given with one standard deviation, bands are nominal 95 % intervals. They count the noise and"
+            " what is fitted of the model; the verdicts above add usual tolerances of rotor, weights and probes."
+        )
     if fit.modelled is not None:
         words += " The data were modelled, so that the true coefficients are known; the fit did not read them."
     figures = tuple(_draw(content, fit, letter) for letter in "kc")
