@@ -142,7 +142,7 @@ def _refuse_lost(fit: OutputErrorFit) -> None:
         named = ", ".join(f"{names[u]} at node {nodes[m]}" for m, u in lost)
         raise ConfigError(
             f"every coefficient that is identified must leave a trace in the readings, but {named} ran off to zero: "
-            "the readings contradict the rotor or the runs. Check the phase (lag or lead), probes, weights and the rotor, "
+            "the readings contradict the rotor or the runs. Check phase (lag or lead), probes, weights and rotor, "
             "or give what can't be told as data.known"
         )
 
