@@ -28,10 +28,11 @@ def run(name: str, results: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, 
     monkeypatch.chdir(ROOT / "docs" / "notebooks")
     monkeypatch.setenv("NOTEBOOK_RESULTS", str(results))
     monkeypatch.setattr(os, "environ", os.environ | {"MPLBACKEND": "Agg"})
-    matplotlib.use("Agg")
-    for number, cell in enumerate(read(ROOT / "docs" / "notebooks" / f"{name}.ipynb").cells):
-        if cell.cell_type == "code":
-            exec(compile(cell.source, f"{name}, cell {number}", "exec"), names)
+    with matplotlib.rc_context():  # use() changes more than the backend
+        matplotlib.use("Agg")
+        for number, cell in enumerate(read(ROOT / "docs" / "notebooks" / f"{name}.ipynb").cells):
+            if cell.cell_type == "code":
+                exec(compile(cell.source, f"{name}, cell {number}", "exec"), names)
     matplotlib.pyplot.close("all")
     return names
 
