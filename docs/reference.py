@@ -6,6 +6,7 @@ the default experiment composes; `machine` has those of conf/config.yaml alone, 
 
 from __future__ import annotations
 
+import textwrap
 import types
 from collections.abc import Iterator
 from pathlib import Path
@@ -162,7 +163,8 @@ def write() -> str:
         parts.append(f"\n## {paths[0] or 'Top level'}{which}\n")
         if others := paths[1:]:
             shown = ", ".join(f"`{one}`" for one in others[:4])
-            parts.append(f"\nThe same at {shown}{' and others' if len(others) > 4 else ''}.\n")
+            same = f"The same at {shown}{' and others' if len(others) > 4 else ''}."
+            parts.append("\n" + textwrap.fill(same, 100, break_long_words=False, break_on_hyphens=False) + "\n")
         parts.append("\n| key | unit or values | default | meaning |\n|---|---|---|---|\n")
         for name in section.model_fields:
             told = unit_of(section, name), default_of(section, name, paths[0]), meaning_of(section, name)

@@ -1,7 +1,7 @@
 """Units of what a probe measures: a displacement, velocity or acceleration, or the voltage that stands for one of them.
 
-Of the order k (0 for displacements, 1 for velocities, 2 for accelerations), a vector U at the frequency w is the
-displacement V = U / (j w)^k.
+A vector U at the frequency w is the displacement V = U / (j w)^k, with the order k 0 for displacements, 1 for
+velocities and 2 for accelerations.
 """
 
 from __future__ import annotations

@@ -79,6 +79,7 @@ def _open_hdf5(path: Path) -> dict[str, Any]:
     with h5py.File(path, "r") as file:
 
         def read(item: Any) -> Any:
+            """An item of the file, with all that lies in it."""
             if isinstance(item, h5py.Group):
                 return {name: read(inside) for name, inside in item.items() if not name.startswith("#")}
             kind = item.attrs.get("MATLAB_class", b"double")

@@ -21,7 +21,9 @@ POUND_PER_INCH = 4.4482216152605 / 0.0254
 """N/m of 1 lbf/in, and N s/m of 1 lbf s/in: the international pound and inch, exactly."""
 
 SCALE = {"si": 1.0, "us": POUND_PER_INCH}
-NAMES = {"si": ("N/m", "N-s/m"), "us": ("lb/in", "lb-s/in")}
+StiffnessUnit = Literal["N/m", "lb/in"]
+DampingUnit = Literal["N-s/m", "lb-s/in"]
+NAMES: dict[Units, tuple[StiffnessUnit, DampingUnit]] = {"si": ("N/m", "N-s/m"), "us": ("lb/in", "lb-s/in")}
 """Stiffness and damping, as XLTRC2 writes them (lb is a force)."""
 
 CONVENTIONS = (
@@ -112,8 +114,8 @@ class Document(_Part):
 
     schema_version: Literal[1] = 1
     experiment: str
-    stiffness_unit: Literal["N/m", "lb/in"]
-    damping_unit: Literal["N-s/m", "lb-s/in"]
+    stiffness_unit: StiffnessUnit
+    damping_unit: DampingUnit
     conventions: list[str]
     bearings: list[Bearing]
 
@@ -132,8 +134,8 @@ def document(exported: Exported) -> Document:
     stiffness, damping = NAMES[exported.units]
     return Document(
         experiment=exported.name,
-        stiffness_unit=stiffness,  # type: ignore[arg-type]
-        damping_unit=damping,  # type: ignore[arg-type]
+        stiffness_unit=stiffness,
+        damping_unit=damping,
         conventions=list(CONVENTIONS),
         bearings=bearings,
     )

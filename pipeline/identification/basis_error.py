@@ -43,7 +43,7 @@ _SMALLEST = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class MeanSquareError:
-    """Of the weights of features and local functions, (A, K + L), and of all others."""
+    """What the weights of features and local functions, (A, K + L), and all others are off by."""
 
     matrix: np.ndarray  # (Z + A L, Z + A L)
     n_local: int  # L

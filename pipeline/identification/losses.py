@@ -70,8 +70,8 @@ class ResidualLoss:
         return diagnose_residual(measurement, setup.constant)
 
     def expect(self, measurement: Measurement, setup: FitSetup, diagnosis: Diagnosis) -> Deviations:
-        """Of least squares at each speed by itself: the residual weighs no noise, so it promises no more. A constant
-        takes the weighted mean of its speeds.
+        """The deviations of least squares at each speed by itself: the residual weighs no noise, so it promises no
+        more. A constant takes the weighted mean of its speeds.
         """
         if not setup.constant:
             return diagnosis.deviations
@@ -126,7 +126,7 @@ class OutputErrorLoss:
         return diagnose_response(measurement, setup.constant, features)
 
     def expect(self, measurement: Measurement, setup: FitSetup, diagnosis: Diagnosis) -> Deviations:
-        """Of the fit that will be made, at its linear start: the Cramer-Rao bound of all functions of the model, with
+        """The Cramer-Rao bound of the fit that will be made, at its linear start, for all functions of the model, with
         residual unbalance and model parameters. The fit drops superfluous functions, so it may know more.
         """
         from pipeline.identification.output_error_fit import unknown_deviation

@@ -77,7 +77,7 @@ class OutputErrorFit:
 
     @cached_property
     def error(self) -> MeanSquareError:
-        """Of the weights: their covariance, and what the functions of the speed can't follow."""
+        """What the weights are off by: their covariance, and what the functions of the speed can't follow."""
         return measure_error(self.problem, self.weights, self.covariance())
 
     def model_parameters(self) -> tuple[FittedParameter, ...]:

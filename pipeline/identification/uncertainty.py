@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 UNCERTAINTY = "uncertainty.safetensors"
 _WIDEST = 5.0
-"""Of a logarithm: beyond it a coefficient is not known at all."""
+"""Standard deviation of a logarithm, beyond which a coefficient is not known at all."""
 
 
 @dataclass(frozen=True, eq=False)

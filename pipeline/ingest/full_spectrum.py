@@ -14,7 +14,7 @@ from pipeline.config.measured import ProbeConfig
 from pipeline.ingest.order_tracking import Signals
 
 _TURNS = 32
-"""Of a part: orders are told apart by 1/32, and by twice that after the window."""
+"""Turns in a part: orders are told apart by 1/32, and by twice that after the window."""
 _PER_TURN = 32
 _HIGHEST = 4.0
 _MOST_PARTS = 48

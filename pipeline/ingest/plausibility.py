@@ -15,9 +15,9 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 
 DEAD = 0.01
-"""Of what the probes read (median), below which one is not connected."""
+"""Share of what the probes read (median), below which one is not connected."""
 CLIPPED = 0.01
-"""Of the samples, at one of the two ends of the signal; of a sine with a thousand levels one in a hundred is there."""
+"""Share of the samples at one of the two ends of the signal; a sine of a thousand levels has one in a hundred."""
 
 FAR_OFF = 300.0
 """No bearing changes the vibration by as much; a forgotten unit (um for m, mm for um) changes it by a thousand."""

@@ -17,7 +17,7 @@ from pipeline.methods.method import Estimate, MethodOptions, make_estimate
 from pipeline.problem.measurement import Measurement
 
 _STRENGTHS = np.concatenate([[0.0], np.geomspace(1e-12, 1e12, 241)])
-"""Of the penalty, over the median curvature that a smoothest but straight line would have."""
+"""Size of the penalty, over the median curvature that a smoothest but straight line would have."""
 _FEWEST = 4
 """Speeds; through fewer a spline has nothing to smooth."""
 _LEAST_WEIGHT = 1e-12

@@ -97,7 +97,7 @@ def _places(
 
 
 _PARTS = {"real": 1.0, "imaginary": 1j}
-"""Of a runout, which is constant in the shaft: a vector of each probe, the same at all speeds."""
+"""A runout is constant in the shaft: a vector of each probe, the same at all speeds."""
 
 
 def turns_with_rotor(dataset: VibrationDataset) -> np.ndarray:

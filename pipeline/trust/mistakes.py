@@ -129,7 +129,7 @@ class _Trial:
 
 
 _SMALL = 0.3
-"""Of a gain, that a scale or a weight may be off without anything being mistaken for another."""
+"""Share by which a scale or a weight may be off without anything being mistaken for another."""
 
 
 def _is_gross(mistake: Mistake, fit: QuickFit) -> bool:

@@ -30,7 +30,7 @@ def _call_factor(factor: float) -> str:
 
 
 def of_all_readings(part: Measurement) -> Iterator[Mistake]:
-    """Of conventions, which all readings share."""
+    """Mistakes in conventions, which all readings share."""
     data = part.dataset
     yield Mistake(
         "the phases of all readings have the wrong sign (lag for lead, or the shaft turns the other way)",
@@ -68,7 +68,7 @@ def _with_channels(part: Measurement, channels: tuple[tuple[int, float], ...]) -
 
 
 def of_probes(part: Measurement, names: Sequence[str]) -> Iterator[Mistake]:
-    """Of single probes, and of those that are exchanged; ``names`` are the channels'."""
+    """Mistakes in single probes, and exchanged ones; ``names`` are the channels'."""
     data, count = part.dataset, len(part.dataset.channels)
     for p in range(count):
         sign = np.ones((1, count, 1))

@@ -18,7 +18,7 @@ from pipeline.trust.quick_fit import Extra
 
 
 def of_runs(part: Measurement) -> Iterator[Mistake]:
-    """Of single runs, and of two that are exchanged."""
+    """Mistakes in single runs, and two that are exchanged."""
     data = part.dataset
     for i, j in itertools.combinations(range(len(data.runs)), 2):
         order = list(range(len(data.runs)))
@@ -71,7 +71,7 @@ def _run_gain(run: int, count: int) -> Extra:
 
 
 def of_weights(part: Measurement) -> Iterator[Mistake]:
-    """Of the planes and angles of weights."""
+    """Mistakes in the planes and angles of weights."""
     data, rotor = part.dataset, part.rotor
     weights = [i for i, one in enumerate(data.excitations) if one.kind == "unbalance"]
     planes = dict.fromkeys([*rotor.disc_nodes, *(data.excitations[i].node for i in weights)])
@@ -113,7 +113,7 @@ def _with_weights(data: VibrationDataset, part: Measurement, changed: dict[int, 
 
 
 def of_rest(part: Measurement) -> Iterator[Mistake]:
-    """Of rotor, baseline and runout."""
+    """Mistakes in rotor, baseline and runout."""
     data = part.dataset
     shape = data.displacement.shape
     yield from _of_rotor(part)

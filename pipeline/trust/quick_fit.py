@@ -166,4 +166,4 @@ class _Problem:
 
 _DIRECT = ("kxx", "kyy", "cxx", "cyy")
 _LEAST, _WIDEST = 1e-3, 12.0
-"""Of a direct coefficient over its size, and of its logarithm."""
+"""What a direct coefficient is held above, as a share of its size, and its logarithm within."""

@@ -148,14 +148,8 @@ SAME: dict[str, Callable[[], Parts]] = (
             RS.BearingFluidFlow(1, 12, 12, 0.03, [157.1], 0.0, 0.0, 0.0499, 0.05, 0.1, 860.0, load=525)
         ),
     }
-    | {
-        name: lambda name=name: bearing(bare(name, 1))  # type: ignore[misc]
-        for name in ("PlainJournal", "TiltingPad")
-    }
-    | {
-        name: lambda name=name: seal(bare(name, 3))  # type: ignore[misc]
-        for name in ("LabyrinthSeal", "HolePatternSeal", "HybridSeal")
-    }
+    | {name: lambda name=name: bearing(bare(name, 1)) for name in ("PlainJournal", "TiltingPad")}
+    | {name: lambda name=name: seal(bare(name, 3)) for name in ("LabyrinthSeal", "HolePatternSeal", "HybridSeal")}
 )
 SAVED_AS_BASE = {"SqueezeFilmDamper", "BearingFluidFlow", "MagneticBearingElement"}
 UNSAVED = {

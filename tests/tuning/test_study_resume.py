@@ -56,7 +56,7 @@ def stop_again_and_again(start: Forks, problem: StudyProblem, number: int, rng: 
         if before > problem.config.tuning.n_trials - 3:
             assert (runner.end(), runner.said) == (0, "")
             return stops
-        wait_until(lambda: len(told(problem)) > before)  # noqa: B023
+        wait_until(lambda before=before: len(told(problem)) > before)
         time.sleep(rng.uniform(0.0, 0.1))
         runner.signal(number)
         code = runner.end()
