@@ -22,6 +22,7 @@ ROOMS: tuple[tuple[frozenset[str], str], ...] = (
     (frozenset({"identification"}), "models, losses, optimisers: fit(measurement, setup)"),
     (frozenset({"evaluation"}), "errors, thresholds"),
     (frozenset({"twin"}), "predicted vibration, critical speeds, stability"),
+    (frozenset({"balance"}), "weights and vibration: influence, unbalance, records that contradict it"),
     (frozenset({"trust"}), "verdicts: what speaks for an answer"),
     (frozenset({"export"}), "the answer in the formats of other programs"),
     (frozenset({"methods"}), "the conventional methods"),

@@ -47,6 +47,7 @@ class VibrationDataset:
     excitations: tuple[Excitation, ...]
     own_frequencies: np.ndarray | None = None  # (S, R) rad/s; None where every run turns with the rotor
     subtracted: np.ndarray | None = None  # (S, P, R) m, the baseline that was taken off; its noise is still there
+    conditions: tuple[str, ...] | None = None  # (R,) the condition that a run repeats; None where each is its own
 
     @cached_property
     def frequencies(self) -> np.ndarray:
@@ -59,6 +60,8 @@ class VibrationDataset:
     def fingerprint(self) -> str:
         """Identity of the data: equal for equal numbers."""
         digest = hashlib.sha256(repr((self.runs, self.channels, self.excitations)).encode())
+        if self.conditions is not None:
+            digest.update(repr(self.conditions).encode())
         digest.update(np.ascontiguousarray(self.speeds).tobytes())
         digest.update(np.ascontiguousarray(self.displacement).tobytes())
         for more in (self.own_frequencies, self.subtracted):
@@ -74,7 +77,8 @@ class VibrationDataset:
         """The ``runs`` (indices) alone."""
         names = tuple(self.runs[r] for r in runs)
         acting = tuple(excitation for excitation in self.excitations if excitation.run in names)
-        return replace(self._select(slice(None), runs), runs=names, excitations=acting)
+        repeated = None if self.conditions is None else tuple(self.conditions[r] for r in runs)
+        return replace(self._select(slice(None), runs), runs=names, excitations=acting, conditions=repeated)
 
     def _select(self, speeds: np.ndarray | slice, runs: np.ndarray | slice) -> VibrationDataset:
         own, subtracted = self.own_frequencies, self.subtracted

@@ -1,0 +1,121 @@
+"""The conditions of a machine: what several records in a row repeat, with their mean and their scatter.
+
+Legend: C conditions, S speeds, P channels, N planes, R runs (one record each).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.data.dataset import VibrationDataset
+from pipeline.errors import DataError
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Conditions:
+    """One row a condition of the machine, in the order of the data's runs."""
+
+    names: tuple[str, ...]  # C
+    speeds: np.ndarray  # (S,) rad/s, nominal
+    own_speeds: np.ndarray  # (C, S) rad/s, mean over the records
+    displacement: np.ndarray  # (C, S, P) complex, m, mean over the records
+    counts: np.ndarray  # (C,) records
+    channels: tuple[tuple[int, float], ...]  # P of (node, angle in degrees)
+    planes: tuple[int, ...]  # N nodes
+    unbalance: np.ndarray  # (C, N) complex, kg m: magnitude e^{j phase}
+    record_covariance: np.ndarray  # (S, P, P) complex, m^2, of one record about its condition's mean; zero if unknown
+
+    @property
+    def vectors(self) -> np.ndarray:
+        """(C, S P) complex, m: what all channels show at all speeds, the channel fastest."""
+        return self.displacement.reshape(len(self.names), -1)
+
+    def of(self, rows: Sequence[int] | np.ndarray) -> Conditions:
+        """The conditions of these indices alone; the scatter of the records stays that of all."""
+        kept = np.asarray(rows, dtype=int)
+        return replace(
+            self,
+            names=tuple(self.names[c] for c in kept),
+            own_speeds=self.own_speeds[kept],
+            displacement=self.displacement[kept],
+            counts=self.counts[kept],
+            unbalance=self.unbalance[kept],
+        )
+
+    def at(self, speeds: Sequence[int] | np.ndarray) -> Conditions:
+        """The same at the speeds of these indices alone."""
+        kept = np.asarray(speeds, dtype=int)
+        return replace(
+            self,
+            speeds=self.speeds[kept],
+            own_speeds=self.own_speeds[:, kept],
+            displacement=self.displacement[:, kept],
+            record_covariance=self.record_covariance[kept],
+        )
+
+
+def gather_conditions(dataset: VibrationDataset, planes: tuple[int, ...] | None = None) -> Conditions:
+    """The means of the runs that repeat a condition, and their pooled scatter.
+
+    A data set that names no conditions has one a run. ``planes`` are the nodes that carry weights, by default all that
+    an unbalance of the data names. Raises DataError for a run that does not turn with the rotor or has a force, for a
+    weight outside the planes, and for runs of one condition whose weights differ.
+    """
+    of = dataset.conditions or dataset.runs
+    names = tuple(dict.fromkeys(of))
+    planes = tuple(sorted({e.node for e in dataset.excitations})) if planes is None else planes
+    loads = _read_unbalance(dataset, planes)
+    rows = [np.array([r for r, name in enumerate(of) if name == condition]) for condition in names]
+    for condition, runs in zip(names, rows, strict=True):
+        differing = [r for r in runs if not np.array_equal(loads[r], loads[runs[0]])]
+        if differing:
+            raise DataError(
+                f"runs of one condition must have the same weights, but '{dataset.runs[differing[0]]}' and "
+                f"'{dataset.runs[runs[0]]}' of condition '{condition}' differ: give one of them a condition of its own"
+            )
+    mean = np.stack([dataset.displacement[..., runs].mean(-1) for runs in rows])
+    deviation = np.stack([dataset.displacement[..., r] - mean[names.index(of[r])] for r in range(len(of))])  # (R, S, P)
+    freedom = len(of) - len(names)
+    scatter = np.einsum("rsp,rsq->spq", deviation, deviation.conj())
+    return Conditions(
+        names=names,
+        speeds=dataset.speeds,
+        own_speeds=np.stack([dataset.frequencies[:, runs].mean(-1) for runs in rows]),
+        displacement=mean,
+        counts=np.array([len(runs) for runs in rows]),
+        channels=dataset.channels,
+        planes=planes,
+        unbalance=np.stack([loads[runs[0]] for runs in rows]),
+        record_covariance=scatter / freedom if freedom else np.zeros_like(scatter),
+    )
+
+
+TURNING = 0.05
+"""Share of the nominal speed by which a record's own speed may differ and still be a record at that speed."""
+
+
+def _read_unbalance(dataset: VibrationDataset, planes: tuple[int, ...]) -> np.ndarray:
+    """(R, N) complex, kg m."""
+    apart = np.argwhere(abs(dataset.frequencies / dataset.speeds[:, None] - 1) > TURNING)
+    if len(apart):
+        raise DataError(
+            f"influence of weights must come from runs that turn with the rotor, but run '{dataset.runs[apart[0][1]]}' "
+            "has a frequency of its own: leave it out"
+        )
+    loads = np.zeros((len(dataset.runs), len(planes)), dtype=complex)
+    for one in dataset.excitations:
+        if one.kind != "unbalance" or one.whirl != "forward":
+            raise DataError(
+                f"influence of weights must come from unbalances that turn forward, but run '{one.run}' has a "
+                f"{one.kind} ({one.whirl}): leave it out"
+            )
+        if one.node not in planes:
+            raise DataError(
+                f"weights must lie in the balancing planes (nodes {', '.join(map(str, planes))}), but run '{one.run}' "
+                f"has one at node {one.node}: name that plane too"
+            )
+        loads[dataset.runs.index(one.run), planes.index(one.node)] += one.magnitude * np.exp(1j * one.phase)
+    return loads

@@ -1,0 +1,190 @@
+"""Noise in levels: records of one condition scatter about their mean, and conditions drift about what they should show.
+
+A condition's mean of n records, y = design @ coefficients + e, has the covariance of its level plus that of the records
+divided by n. Both are circular complex. The levels are estimated by restricted maximum likelihood (REML): in closed
+form where the numbers of records are equal, by expectation and maximisation (EM) otherwise. A bad condition is weighed
+down by a multivariate Student t likelihood (Lange, Little and Taylor 1989), whose scatter is divided by what Gaussian
+data would give, so that clean data have no bias.
+
+Legend: C conditions, S speeds, P channels, Q columns of the design, D = S P.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from pipeline.data.conditions import Conditions
+from pipeline.errors import IdentifiabilityError
+
+FULL = 3
+"""Degrees of freedom for each entry of a vector from which on the condition level is a full matrix, not shrunk."""
+TAIL = 4.0
+"""Degrees of freedom of the Student t that weighs conditions."""
+_STEPS = 200
+_TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseLevels:
+    """Covariances of one record about its condition, and of a condition about the model."""
+
+    record: np.ndarray  # (S, P, P) complex, m^2
+    condition: np.ndarray  # (D, D) complex, m^2, index s * P + p
+    freedom: float  # complex degrees of freedom behind the condition level; 0: a guess, infinite: known
+
+    def covariance(self, counts: np.ndarray) -> np.ndarray:
+        """(C, D, D) complex, m^2, of means of ``counts`` (C,) records."""
+        return np.asarray(self.condition + spread_blocks(self.record) / np.asarray(counts)[:, None, None])
+
+
+def spread_blocks(record: np.ndarray) -> np.ndarray:
+    """(D, D) with the blocks of the speeds (S, P, P) on its diagonal."""
+    n_speeds, n_channels, _ = record.shape
+    result = np.zeros((n_speeds, n_channels, n_speeds, n_channels), dtype=complex)
+    for s in range(n_speeds):
+        result[s, :, s] = record[s]
+    return result.reshape(n_speeds * n_channels, -1)
+
+
+def estimate_noise_levels(
+    conditions: Conditions, design: np.ndarray, prior: NoiseLevels | None = None, robust: bool = True
+) -> tuple[NoiseLevels, np.ndarray]:
+    """The levels, and the weight of each condition (C,), about 1 and small for one that does not belong to the others.
+
+    ``design`` (C, Q) complex has what each channel's vector is a linear function of (a column of ones, the weights).
+    With fewer than three degrees of freedom for each entry of a vector, the correlations of the condition level are
+    shrunk by the share :func:`shrinkage_share`. Where none is left, the condition level is that of ``prior``. Raises
+    IdentifiabilityError where there is no prior either.
+    """
+    vectors = conditions.vectors
+    left = len(design) - np.linalg.matrix_rank(design)
+    if left <= 0:
+        if prior is None:
+            raise IdentifiabilityError(
+                f"the drift between conditions must be estimated from more conditions than the {design.shape[1]} "
+                f"columns of their model, but there are {len(design)}: measure more conditions, or give a prior level"
+            )
+        return NoiseLevels(conditions.record_covariance, prior.condition, prior.freedom), np.ones(len(design))
+    weights = np.ones(len(design))
+    if robust:
+        weights = robust_weights(vectors, design)
+    residual = vectors - design @ solve_weighted(vectors, design, weights)
+    return levels_of(residual, weights, float(left), conditions), weights
+
+
+def levels_of(residual: np.ndarray, weights: np.ndarray, left: float, conditions: Conditions) -> NoiseLevels:
+    """The levels that explain the residuals (C, D) m, which have ``left`` complex degrees of freedom.
+
+    ``weights`` are those of :func:`robust_weights`, or ones.
+    """
+    record = spread_blocks(conditions.record_covariance)
+    scale = left / len(residual)
+    total = scatter_of(residual, weights, left) / scale
+    freedom = left * weights.sum() ** 2 / (weights**2).sum() / len(weights)
+    total = shrink(total, freedom)
+    counts = conditions.counts
+    level = _positive(total - record * np.mean(1 / counts))
+    if len(set(counts.tolist())) > 1:
+        k = consistency(residual.shape[1], round(left, 6)) if np.ptp(weights) > 0 else 1.0
+        level = _maximise(residual * np.sqrt(weights / (k * scale))[:, None], record, counts, level)
+    return NoiseLevels(conditions.record_covariance, level, freedom)
+
+
+def scatter_of(residual: np.ndarray, weights: np.ndarray, left: float) -> np.ndarray:
+    """(D, D) weighted scatter of residuals (C, D), with the consistency of Gaussian data where weights differ."""
+    total = np.asarray((residual.T * weights) @ residual.conj()) / len(residual)
+    return total if np.ptp(weights) == 0.0 else total / consistency(residual.shape[1], round(left, 6))
+
+
+def robust_weights(vectors: np.ndarray, design: np.ndarray) -> np.ndarray:
+    """(C,) weights of the Student t likelihood with :data:`TAIL` degrees of freedom, for a linear model of the vectors.
+
+    With too few conditions for a scatter of all D entries, the weights follow from the shrunk one.
+    """
+    weights, previous = np.ones(len(vectors)), np.zeros(len(vectors))
+    left = len(design) - np.linalg.matrix_rank(design)
+    for _ in range(_STEPS):
+        residual = vectors - design @ solve_weighted(vectors, design, weights)
+        scatter = shrink((residual.T * weights) @ residual.conj() / left, float(left))
+        weights = student_weights(residual * np.sqrt(len(design) / left), scatter)
+        if abs(weights - previous).max() < _TOLERANCE:
+            break
+        previous = weights
+    return weights
+
+
+def student_weights(residual: np.ndarray, scatter: np.ndarray) -> np.ndarray:
+    """(C,) weights of residuals (C, D) about a scatter matrix of the Student t, (D, D)."""
+    size = residual.shape[1]
+    distance = np.einsum("ci,ic->c", residual.conj(), np.linalg.solve(scatter, residual.T)).real
+    return np.asarray((TAIL + 2 * size) / (TAIL + 2 * distance))
+
+
+def solve_weighted(vectors: np.ndarray, design: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """(Q, D) coefficients; the same for every covariance, since all entries of a vector have one design."""
+    root = np.sqrt(weights)[:, None]
+    return np.asarray(np.linalg.lstsq(design * root, vectors * root, rcond=None)[0])
+
+
+@cache
+def consistency(size: int, left: float) -> float:
+    """Scatter that the Student t likelihood gives of Gaussian data with unit covariance and ``size`` complex entries.
+
+    It solves E[w(d / k) d] = k size, where d is the distance of a residual from a fit that leaves ``left`` degrees of
+    freedom: left times a Beta(size, left - size), which is a Gamma(size) for many conditions.
+    """
+    from scipy import optimize, stats
+
+    share = (np.arange(2000) + 0.5) / 2000
+    distance = left * stats.beta.ppf(share, size, max(left - size, 1.0))
+
+    def excess(k: float) -> float:
+        return float(np.mean((TAIL + 2 * size) / (TAIL + 2 * distance / k) * distance)) - k * float(np.mean(distance))
+
+    return float(optimize.brentq(excess, 0.05, 2.0))
+
+
+def shrink(covariance: np.ndarray, freedom: float) -> np.ndarray:
+    """The covariance (D, D) with its correlations times 1 - share where the freedom is less than 3 D."""
+    if freedom >= FULL * len(covariance):
+        return covariance
+    kept = 1 - shrinkage_share(covariance, freedom)
+    return np.asarray(covariance * (kept + (1 - kept) * np.eye(len(covariance))))
+
+
+def shrinkage_share(covariance: np.ndarray, freedom: float) -> float:
+    """Share of the diagonal in a shrunk covariance: sum of the variances of the entries beside it over their squares.
+
+    The variance of an entry of circular Gaussian data is the product of the two on the diagonal over the freedom
+    (complex Wishart); the law is that of Ledoit and Wolf (2004) as Schaefer and Strimmer (2005) have it.
+    """
+    deviation = np.sqrt(np.diag(covariance).real)
+    beside = ~np.eye(len(covariance), dtype=bool)
+    squares = (abs(covariance / deviation[:, None] / deviation)[beside] ** 2).sum()
+    return float(min(1.0, beside.sum() / freedom / squares)) if squares > 0 else 1.0
+
+
+def _positive(covariance: np.ndarray) -> np.ndarray:
+    """The nearest covariance without negative eigenvalues."""
+    values, vectors = np.linalg.eigh((covariance + covariance.conj().T) / 2)
+    return np.asarray((vectors * np.maximum(values, 1e-9 * max(values[-1], 0.0))) @ vectors.conj().T)
+
+
+def _maximise(scaled: np.ndarray, record: np.ndarray, counts: np.ndarray, level: np.ndarray) -> np.ndarray:
+    """EM of the condition level where the conditions' numbers of records differ, from weighted residuals (C, D)."""
+    for _ in range(_STEPS):
+        expected = np.zeros_like(level)
+        for n in np.unique(counts):
+            rows = scaled[counts == n]
+            gain = level @ np.linalg.inv(level + record / n)
+            drift = rows @ gain.T
+            expected += drift.T @ drift.conj() + len(rows) * (level - gain @ level)
+        step = expected / len(scaled)
+        done = abs(step - level).max() < _TOLERANCE * abs(level).max()
+        level = step
+        if done:
+            break
+    return level
