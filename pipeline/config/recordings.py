@@ -21,6 +21,7 @@ from pipeline.config.measured import (
 )
 from pipeline.config.motion import SignalUnit
 from pipeline.config.quantities import Frequency
+from pipeline.config.records import RecordsConfig
 from pipeline.config.runs import check_frequency
 from pipeline.config.section import Section
 
@@ -292,5 +293,7 @@ class RossRecordingsConfig(MeasuredConfig):
         return self
 
 
-AnyRecordingsConfig = TableRecordingsConfig | UffRecordingsConfig | WaveformRecordingsConfig | RossRecordingsConfig
+AnyRecordingsConfig = (
+    TableRecordingsConfig | RecordsConfig | UffRecordingsConfig | WaveformRecordingsConfig | RossRecordingsConfig
+)
 RecordingsConfig = Annotated[NoRecordingsConfig | AnyRecordingsConfig, Field(discriminator="format")]

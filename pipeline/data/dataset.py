@@ -16,10 +16,14 @@ from typing import Literal
 
 import numpy as np
 
+from pipeline.errors import DataError
 from pipeline.rotor.model import RotorModel, translation_dof
 
 DIRECTIONS = {"x": 0.0, "y": 90.0}
 """Angle of a displacement's direction in degrees, from x towards y."""
+SYNCHRONOUS = 0.01
+"""A run turns with the rotor where its frequency is within this share of the nominal speed: a speed is never held
+exactly, and each record has its own."""
 Kind = Literal["unbalance", "force"]
 Whirl = Literal["forward", "backward"]
 
@@ -142,11 +146,26 @@ def name_direction(angle: float) -> str:
     return next((name for name, of in DIRECTIONS.items() if of == angle), f"{angle:g}")
 
 
+def synchronous(frequencies: np.ndarray, speeds: np.ndarray) -> np.ndarray:
+    """Mask, of their common shape: which ``frequencies`` belong to rotor ``speeds``, both rad/s."""
+    return np.asarray(np.abs(frequencies - speeds) <= SYNCHRONOUS * speeds)
+
+
+def require_synchronous(rotor: RotorModel, dataset: VibrationDataset) -> None:
+    """Raise DataError for runs of their own frequency on a rotor whose bearings stand on supports, or have mass."""
+    if rotor.supported_nodes and not synchronous(dataset.frequencies, dataset.speeds[:, None]).all():
+        raise DataError(
+            "runs must turn with the rotor where a bearing stands on a support (what the shaft feels of both depends "
+            f"on the frequency), but that of node {rotor.supported_nodes[0]} does and a run has a frequency of its "
+            "own: leave the run out, or the support"
+        )
+
+
 def subtract_baseline(dataset: VibrationDataset, baseline: str) -> VibrationDataset:
     """The other runs; those that turn with the rotor less the ``baseline``, and so less any residual unbalance."""
     b = dataset.runs.index(baseline)
     rest = dataset.of_runs(np.delete(np.arange(len(dataset.runs)), b))
-    turning = np.isclose(rest.frequencies, rest.speeds[:, None], rtol=1e-9)  # (S, R)
+    turning = synchronous(rest.frequencies, rest.speeds[:, None])  # (S, R)
     subtracted = dataset.displacement[..., [b]] * turning[:, None]
     return replace(rest, displacement=rest.displacement - subtracted, subtracted=subtracted)
 

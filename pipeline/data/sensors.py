@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.data.dataset import DIRECTIONS, VibrationDataset, project_direction
+from pipeline.data.dataset import DIRECTIONS, VibrationDataset, project_direction, synchronous
 from pipeline.data.noise import NoiseModel
 from pipeline.data.simulate import add_noise
 
@@ -47,7 +47,7 @@ def measure(dataset: VibrationDataset, sensors: Sensors, generator: np.random.Ge
     if sensors.additive or sensors.multiplicative:
         noise = NoiseModel(sensors.additive, sensors.multiplicative)
         seen = add_noise(seen, noise.deviation(seen.displacement), generator)
-    turns = np.isclose(seen.frequencies, seen.speeds[:, None], rtol=1e-9)[:, None]
+    turns = synchronous(seen.frequencies, seen.speeds[:, None])[:, None]
     runout = np.zeros(len(seen.channels), dtype=complex)
     if sensors.runout:
         runout = sensors.runout * np.exp(1j * generator.uniform(0, 2 * np.pi, len(seen.channels)))

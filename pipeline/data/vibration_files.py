@@ -3,8 +3,10 @@
 Vibration: ``run, speed_rpm, node, direction, amplitude_m, phase_deg``, one row a measured displacement; direction x,
 y, or the angle of a probe in degrees from x towards y; amplitude zero-to-peak, phase of Q in q(t) = Re(Q e^{jwt}). A
 column ``frequency_hz`` gives the excitation frequency where it is not the rotor speed's; without it, and where it is
-blank, the response is synchronous. The order of the rows means nothing.
-Excitation: ``run, kind, node, magnitude, phase_deg, whirl``; kind ``unbalance`` (kg m) or ``force`` (N).
+blank, the response is synchronous; a synchronous run may be off the nominal speed by 1 %. A column ``condition`` names
+what was on the machine in each run: runs of one condition repeat each other. The order of the rows means nothing.
+Excitation: ``run, kind, node, magnitude, phase_deg, whirl``; kind ``unbalance`` (kg m) or ``force`` (N); a
+run without any weight has an unbalance of zero.
 """
 
 from __future__ import annotations
@@ -14,7 +16,14 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.data.dataset import DIRECTIONS, Excitation, VibrationDataset, name_direction, subtract_baseline
+from pipeline.data.dataset import (
+    DIRECTIONS,
+    Excitation,
+    VibrationDataset,
+    name_direction,
+    subtract_baseline,
+    synchronous,
+)
 from pipeline.data.tables import Columns, read_marks, read_table, write_table
 from pipeline.errors import DataError, nearest
 from pipeline.rotor.model import RotorModel
@@ -29,6 +38,7 @@ _VIBRATION = {
     "phase_deg": "number",
 }
 _FREQUENCY = "frequency_hz"
+_CONDITION = "condition"
 _EXCITATION = {
     "run": "text",
     "kind": "text",
@@ -63,6 +73,8 @@ def write_vibration(path: Path, dataset: VibrationDataset, marks: Mapping[str, s
     }
     if dataset.own_frequencies is not None:
         columns[_FREQUENCY] = np.repeat(dataset.own_frequencies.T.ravel() / (2 * np.pi), n_channels)
+    if dataset.conditions is not None:
+        columns[_CONDITION] = np.repeat(np.array(dataset.conditions, dtype=object), n_speeds * n_channels)
     return write_table(path, columns, marks)
 
 
@@ -116,7 +128,7 @@ def read_measured(
     vibration: Path, excitation: Path, baseline: str | None = None, n_nodes: int | None = None
 ) -> VibrationDataset:
     """Read both files as :func:`read_dataset` does, where at most the number of the rotor's nodes is known."""
-    table = read_table(vibration, _VIBRATION, {_FREQUENCY: "number or blank"})
+    table = read_table(vibration, _VIBRATION, {_FREQUENCY: "number or blank", _CONDITION: "text"})
     excitations = _read_excitations(read_table(excitation, _EXCITATION), excitation, n_nodes)
     nodes = _read_nodes(table["node"], vibration, n_nodes)
     angles = _read_angles(table["direction"], vibration)
@@ -195,7 +207,20 @@ def _assemble(
     own = None
     if _FREQUENCY in table and not np.isnan(table[_FREQUENCY]).all():
         own = _read_frequencies(table, path, speeds, runs, at_speed, at_run)
-    return VibrationDataset(speeds, runs, tuple(pairs), displacement, excitations, own)
+    conditions = _read_conditions(table, path, runs) if _CONDITION in table else None
+    return VibrationDataset(speeds, runs, tuple(pairs), displacement, excitations, own, conditions=conditions)
+
+
+def _read_conditions(table: Columns, path: Path, runs: tuple[str, ...]) -> tuple[str, ...]:
+    """(R,) the condition of each run."""
+    found: dict[str, str] = {}
+    for run, condition in zip(table["run"].tolist(), table[_CONDITION].tolist(), strict=True):
+        if found.setdefault(run, condition) != condition or not condition:
+            raise DataError(
+                f"'{path}' must have one condition for all rows of a run, but run '{run}' has '{found[run]}' and "
+                f"'{condition}'"
+            )
+    return tuple(found[run] for run in runs)
 
 
 def _read_frequencies(
@@ -222,7 +247,7 @@ def _check_synchronous(dataset: VibrationDataset, path: Path) -> None:
     """An unbalance turns with the rotor."""
     for excitation in dataset.excitations:
         own = dataset.frequencies[:, dataset.runs.index(excitation.run)]
-        if excitation.kind == "unbalance" and not np.allclose(own, dataset.speeds, rtol=1e-9):
+        if excitation.kind == "unbalance" and not synchronous(own, dataset.speeds).all():
             raise DataError(
                 f"'{path}' must have the rotor's frequency in runs with an unbalance, but run '{excitation.run}' has "
                 "another: give its force as kind 'force', or leave the frequency out"
@@ -233,8 +258,12 @@ def _read_excitations(table: Columns, path: Path, n_nodes: int | None) -> tuple[
     _check_words(table["kind"], ("unbalance", "force"), path, "kind")
     _check_words(table["whirl"], ("forward", "backward"), path, "whirl")
     nodes, magnitudes = _read_nodes(table["node"], path, n_nodes), table["magnitude"]
-    if (magnitudes <= 0).any():
-        raise DataError(f"'{path}' must have magnitudes above zero, but got {magnitudes.min():g}")
+    lowest = np.where(table["kind"] == "unbalance", magnitudes, magnitudes - _TINY)
+    if (lowest < 0).any():
+        raise DataError(
+            f"'{path}' must have magnitudes above zero (an unbalance of zero is a run without weight), but got "
+            f"{magnitudes[lowest < 0].min():g}"
+        )
     rows = zip(
         table["run"], table["kind"], nodes, magnitudes, np.radians(table["phase_deg"]), table["whirl"], strict=True
     )
@@ -242,6 +271,9 @@ def _read_excitations(table: Columns, path: Path, n_nodes: int | None) -> tuple[
         Excitation(str(run), kind, int(node), float(magnitude), float(phase), whirl)
         for run, kind, node, magnitude, phase, whirl in rows
     )
+
+
+_TINY = 1e-300
 
 
 def _read_nodes(values: np.ndarray, path: Path, n_nodes: int | None) -> np.ndarray:

@@ -18,6 +18,7 @@ from pipeline.config.recordings import (
     TableRunConfig,
     UffRecordingsConfig,
 )
+from pipeline.config.records import RecordsConfig
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.errors import DataError
 from pipeline.ingest.conventions import to_vectors
@@ -83,6 +84,7 @@ def _read_runs(config: AnyRecordingsConfig) -> tuple[RunTracks, ...]:
         return read_ross_runs(config, list_excitations(config))
     if isinstance(config, UffRecordingsConfig) and not config.tacho.recorded:
         return read_uff_runs(config)
+    assert not isinstance(config, RecordsConfig)  # each of its rows is a reading: nothing is tracked
     return read_signal_runs(config)
 
 

@@ -19,6 +19,7 @@ from pipeline.data.dataset import (
     assemble_forces,
     name_direction,
     project_direction,
+    synchronous,
 )
 from pipeline.errors import ConfigError
 from pipeline.rotor.bearing_table import BearingTable
@@ -102,7 +103,7 @@ _PARTS = {"real": 1.0, "imaginary": 1j}
 
 def turns_with_rotor(dataset: VibrationDataset) -> np.ndarray:
     """(R,) mask of the runs that turn with the rotor."""
-    return np.asarray(np.isclose(dataset.frequencies, dataset.speeds[:, None], rtol=1e-9).all(axis=0))
+    return np.asarray(synchronous(dataset.frequencies, dataset.speeds[:, None]).all(axis=0))
 
 
 def _numbered(excitations: Sequence[Excitation]) -> Iterator[tuple[int, Excitation]]:

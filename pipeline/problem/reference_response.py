@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.data.dataset import VibrationDataset, assemble_forces, group_runs
+from pipeline.data.dataset import VibrationDataset, assemble_forces, group_runs, synchronous
 from pipeline.problem.model_parameters import (
     force_change,
     runout,
@@ -60,13 +60,13 @@ class _Solved:
 def _solved(
     rotor: RotorModel, dataset: VibrationDataset, reference: complex, planes: Sequence[int]
 ) -> Iterator[_Solved]:
-    """Every block of runs on reference bearings."""
+    """Every block of runs on reference bearings. Each run's own response is at its own frequencies."""
     speeds, at_bearings = dataset.speeds, bearing_dof(rotor)
     impedance = _impedance(rotor, len(speeds), reference)
     forces = assemble_forces(rotor, dataset.excitations, dataset.runs, dataset.frequencies)
     system = banded(rotor)
-    for runs, w in group_runs(dataset.frequencies):
-        own_planes = list(planes) if np.allclose(w, speeds, rtol=1e-9) else []
+    for runs, w in _group_alike(dataset):
+        own_planes = list(planes) if synchronous(w, speeds).all() else []
         width = len(runs) + len(own_planes) + at_bearings.size
         right = np.zeros((len(speeds), rotor.n_dof, width), dtype=complex)
         right[..., : len(runs)] = forces[..., runs]
@@ -74,12 +74,30 @@ def _solved(
             right[:, translation_dof(node, 0), len(runs) + n] = w**2
             right[:, translation_dof(node, 1), len(runs) + n] = -1j * w**2
         right[:, at_bearings.ravel(), len(runs) + len(own_planes) + np.arange(at_bearings.size)] = 1.0
-        yield _Solved(
-            runs=runs,
-            frequencies=w,
-            planes=len(own_planes),
-            response=solve(system, w, speeds, right, impedance, at_bearings),
-        )
+        response = solve(system, w, speeds, right, impedance, at_bearings)
+        for i, run in enumerate(runs):
+            own = dataset.frequencies[:, run]
+            if (own != w).any():
+                response[..., [i]] = solve(system, own, speeds, right[..., [i]], impedance, at_bearings)
+        yield _Solved(runs=runs, frequencies=w, planes=len(own_planes), response=response)
+
+
+def _group_alike(dataset: VibrationDataset) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Runs (indices) in blocks, and the frequencies (S,) rad/s at which the receptance of the block is taken.
+
+    Runs that turn with the rotor are one block, though each has a speed of its own: the receptance of the reference
+    bearings changes little within :data:`pipeline.data.dataset.SYNCHRONOUS`.
+    """
+    frequencies = dataset.frequencies
+    turning = np.flatnonzero(turns_with_rotor(dataset))
+    unlike = len(turning) > 0 and (frequencies[:, turning] != frequencies[:, turning[:1]]).any()
+    if not unlike:
+        yield from group_runs(frequencies)
+        return
+    yield turning, frequencies[:, turning].mean(axis=1)
+    rest = np.setdiff1d(np.arange(len(dataset.runs)), turning)
+    if len(rest):
+        yield from ((rest[runs], w) for runs, w in group_runs(frequencies[:, rest]))
 
 
 def _impedance(rotor: RotorModel, n_speeds: int, reference: complex) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -94,7 +94,6 @@ def draw_measured_orbits(path: Path, dataset: VibrationDataset, baseline: str | 
                     ax.plot(x[:1], y[:1], ls="", marker="o", ms=size, color=look["color"])
                     arrow = {"arrowstyle": "-|>", "color": look["color"], "lw": 0, "mutation_scale": 17}
                     ax.annotate("", (x[_ARROW + 2], y[_ARROW + 2]), (x[_ARROW], y[_ARROW]), arrowprops=arrow)
-                ax.set_aspect("equal", adjustable="datalim")
                 ax.locator_params(nbins=5)
                 ax.set_title(f"node {node}, {rpm[at]:.5g} rpm")
                 if n == len(nodes) - 1:
@@ -117,3 +116,21 @@ def pick_speeds(dataset: VibrationDataset) -> list[int]:
         widest = int(gaps.argmax())
         picked = sorted({*picked, picked[widest] + int(gaps[widest]) // 2})
     return picked
+
+
+def draw_records(path: Path, dataset: VibrationDataset, probes: Sequence[str]) -> Path:
+    """The vector of every record in the complex plane, a panel a probe (along) and speed (down); S, P, R as above."""
+    rpm, (n_speeds, n_probes, _) = to_rpm(dataset.speeds), dataset.displacement.shape
+    with open_figure(path, n_speeds, n_probes, 3.0 * n_probes, 0.4 + 3.0 * n_speeds) as axes:
+        for s in range(n_speeds):
+            for p, name in enumerate(probes):
+                vectors, ax = MICROMETRES * dataset.displacement[s, p], axes[s, p]
+                reach = 1.1 * MICROMETRES * np.abs(dataset.displacement[s]).max()
+                ax.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
+                ax.plot(vectors.real, vectors.imag, "o", ms=3, mfc="none", color=BLUE)
+                ax.axhline(0.0, color=GREY, lw=0.6)
+                ax.axvline(0.0, color=GREY, lw=0.6)
+                ax.set_title(f"{name}, {rpm[s]:.0f} rpm", loc="left")
+                ax.set_xlabel("real part (µm)")
+            axes[s, 0].set_ylabel("imaginary part (µm)")
+    return path

@@ -9,7 +9,7 @@ import numpy as np
 from pipeline.config.schema import Config
 from pipeline.data.as_built import build_rotor, misplace_probes, simulate_as_built
 from pipeline.data.coefficient_files import write_coefficients
-from pipeline.data.dataset import Excitation, VibrationDataset
+from pipeline.data.dataset import Excitation, VibrationDataset, require_synchronous
 from pipeline.data.sensors import Channels, Sensors, list_directions, measure
 from pipeline.data.simulate import simulate
 from pipeline.data.tables import read_marks
@@ -26,7 +26,6 @@ from pipeline.stages.workspace import (
     locate_files,
     require_nodes,
     require_own,
-    require_synchronous,
 )
 from pipeline.twin.modes import StabilityMargin, find_modes, measure_stability
 from pipeline.units import RAD_S_PER_RPM

@@ -12,6 +12,7 @@ from pipeline.config.recordings import (
     UffRecordingsConfig,
     WaveformRecordingsConfig,
 )
+from pipeline.config.records import RecordsConfig
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import write_coefficients
 from pipeline.data.tables import read_marks
@@ -24,6 +25,7 @@ from pipeline.reporting.console import say, table, warn
 from pipeline.reporting.ingest_figures import draw_bode, draw_measured_orbits
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor
 from pipeline.stages.execution import StageOutput
+from pipeline.stages.ingest_records import ingest_records
 from pipeline.stages.known import load_known
 from pipeline.stages.workspace import Workspace, list_known, locate_files, require_nodes, require_own
 
@@ -49,6 +51,8 @@ def run(config: Config) -> StageOutput:
         )
     rotor = load_rotor(config.machine.rotor)
     require_nodes(rotor, "machine.recordings.probes", [probe.node for probe in ingest.probes.values()])
+    if isinstance(ingest, RecordsConfig):
+        return ingest_records(config, ingest, work, rotor)
     for measured_run in ingest.runs:
         acting = [*(one.node for one in measured_run.unbalances), *(one.node for one in measured_run.forces)]
         require_nodes(rotor, f"machine.recordings.runs, run '{measured_run.name}',", acting)

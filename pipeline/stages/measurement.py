@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import read_coefficients
-from pipeline.data.dataset import VibrationDataset
+from pipeline.data.dataset import VibrationDataset, require_synchronous
 from pipeline.data.noise import NoiseModel
 from pipeline.data.tables import read_marks
 from pipeline.data.vibration_files import read_measured, require_made_for, require_nodes_of
@@ -32,7 +32,6 @@ from pipeline.stages.workspace import (
     list_known,
     locate_files,
     require_nodes,
-    require_synchronous,
 )
 
 

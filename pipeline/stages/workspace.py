@@ -15,7 +15,6 @@ from pipeline.errors import ConfigError, DataError
 from pipeline.files import hash_file
 
 if TYPE_CHECKING:
-    from pipeline.data.dataset import VibrationDataset
     from pipeline.rotor.model import RotorModel
 
 
@@ -85,16 +84,6 @@ def require_nodes(rotor: RotorModel, key: str, nodes: Sequence[int]) -> None:
     for node in nodes:
         if node >= rotor.n_nodes:
             raise ConfigError(f"{key} must use nodes 0 to {rotor.n_nodes - 1} of the rotor, but got node {node}")
-
-
-def require_synchronous(rotor: RotorModel, dataset: VibrationDataset) -> None:
-    """Raise DataError for runs of their own frequency on a rotor whose bearings stand on supports, or have mass."""
-    if rotor.supported_nodes and (abs(dataset.frequencies / dataset.speeds[:, None] - 1) > 1e-9).any():
-        raise DataError(
-            "runs must turn with the rotor where a bearing stands on a support (what the shaft feels of both depends "
-            f"on the frequency), but that of node {rotor.supported_nodes[0]} does and a run has a frequency of its "
-            "own: leave the run out, or the support"
-        )
 
 
 def list_known(config: Config, nodes: Sequence[int]) -> dict[int, tuple[str, ...]]:

@@ -14,7 +14,7 @@ from conftest import refused
 
 from pipeline.config.bearings import RotorFileBearingConfig
 from pipeline.config.rotor import RotorConfig
-from pipeline.data.dataset import Excitation, VibrationDataset
+from pipeline.data.dataset import Excitation, VibrationDataset, require_synchronous
 from pipeline.data.sensors import list_directions, project
 from pipeline.data.simulate import simulate
 from pipeline.data.time_integration import integrate
@@ -25,7 +25,6 @@ from pipeline.rotor.model import RotorModel
 from pipeline.rotor.parameters import ModelParameter, rotor_change
 from pipeline.rotor.ross_adapter import assemble, bearing_table, ross
 from pipeline.rotor.stored import load_rotor
-from pipeline.stages.workspace import require_synchronous
 from pipeline.twin.modes import find_modes
 
 RS = ross()

@@ -1,0 +1,169 @@
+"""A table of records: its rows as vectors of the probes and weights of the planes, and as a data set.
+
+Legend: n records, S nominal speeds, P probes, N planes, R runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.config.measured import convert_phase
+from pipeline.config.motion import to_motion
+from pipeline.config.records import RecordsConfig
+from pipeline.data.dataset import SYNCHRONOUS, Excitation, VibrationDataset
+from pipeline.data.tables import read_table
+from pipeline.errors import DataError
+from pipeline.ingest.conventions import RAD_S, to_displacement, to_lead
+from pipeline.ingest.table import read_format
+from pipeline.ingest.tracks import LARGEST, format_rpm
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Records:
+    """The rows of a table, in its order."""
+
+    source: str  # the file, for messages
+    conditions: tuple[str, ...]  # n
+    numbers: tuple[str, ...]  # n, which record of its condition and speed it is
+    speeds: np.ndarray  # (n,) rad/s
+    probes: tuple[str, ...]  # P names
+    channels: tuple[tuple[int, float], ...]  # P of (node, angle in degrees)
+    displacement: np.ndarray  # (n, P) complex, m, zero-to-peak, Q of Re(Q e^{jwt}); NaN where it is blank
+    planes: tuple[int, ...]  # N nodes
+    unbalance: np.ndarray  # (n, N) complex, kg m e^{jp} with the angle p from x at the pulse; NaN where it is blank
+
+    def select(self, rows: np.ndarray) -> Records:
+        """The ``rows`` (mask or indices) alone."""
+        keep = np.arange(len(self.conditions))[rows]
+        return replace(
+            self,
+            conditions=tuple(self.conditions[i] for i in keep),
+            numbers=tuple(self.numbers[i] for i in keep),
+            speeds=self.speeds[keep],
+            displacement=self.displacement[keep],
+            unbalance=self.unbalance[keep],
+        )
+
+
+def read_records(config: RecordsConfig, file: str | Path | None = None) -> Records:
+    """The records of the configured file, or of another ``file`` with the same columns.
+
+    Columns of probes or of weights that are missing or blank there are read as NaN. Raises DataError.
+    """
+    path, named = Path(file or config.file or ""), config.columns
+    probes = [probe.columns for probe in config.probes.values()]
+    pairs = [(one.real, one.imaginary) for one in (*probes, *(weight.columns for weight in config.weights))]
+    kinds = {named.speed: "number", named.condition: "text", named.record: "text"}
+    optional = {name: "number or blank" for pair in pairs for name in pair}
+    table = read_table(path, kinds, optional, read_format(config.csv))
+    blank = np.full(len(table[named.speed]), np.nan)
+    values = np.stack([table.get(real, blank) + 1j * table.get(imaginary, blank) for real, imaginary in pairs], axis=1)
+    speeds = table[named.speed] * RAD_S[config.conventions.speed]
+    if (speeds <= 0).any():
+        raise DataError(f"'{path}' must have speeds above zero, but got {format_rpm(speeds.min())} rpm")
+    n_probes, said = len(probes), config.conventions
+    displacement = np.empty((len(speeds), n_probes), dtype=complex)
+    for p, probe in enumerate(config.probes.values()):
+        order, size = to_motion(said.unit, probe.scale)
+        displacement[:, p] = to_displacement(to_lead(values[:, p], size, said.amplitude, said.phase), order, speeds)
+    if np.nanmax(np.abs(displacement), initial=0.0) > LARGEST:
+        raise DataError(
+            f"'{path}' must have amplitudes below {LARGEST:g} m, but got {np.nanmax(np.abs(displacement)):.3g} m: "
+            "check machine.recordings.conventions"
+        )
+    return Records(
+        source=f"'{path}'",
+        conditions=tuple(table[named.condition].tolist()),
+        numbers=tuple(table[named.record].tolist()),
+        speeds=speeds,
+        probes=tuple(config.probes),
+        channels=tuple((one.node, float(np.degrees(one.angle)) % 360.0) for one in config.probes.values()),
+        displacement=displacement,
+        planes=tuple(weight.node for weight in config.weights),
+        unbalance=_read_weights(config, values[:, n_probes:]),
+    )
+
+
+def _read_weights(config: RecordsConfig, values: np.ndarray) -> np.ndarray:
+    """(n, N) kg m, of complex ``values`` in the file's units."""
+    sizes = np.array([weight.size for weight in config.weights])
+    turned = np.vectorize(lambda s: convert_phase(s, config.shaft_angle or "from_x", config.tacho.angle))
+    return np.asarray(np.abs(values) * sizes * np.exp(1j * turned(np.angle(values))))
+
+
+def find_speeds(speeds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The nominal speeds (S,) of records at ``speeds`` (n,) rad/s, ascending, and the nominal one of each record (n,).
+
+    Raises DataError where the records of a nominal speed differ by more than they may.
+    """
+    ordered = np.sort(speeds)
+    starts = np.flatnonzero(np.diff(ordered, prepend=-np.inf) > SYNCHRONOUS * ordered)
+    of = np.searchsorted(ordered[starts], speeds, side="right") - 1
+    nominal = np.array([speeds[of == s].mean() for s in range(len(starts))])
+    off = np.abs(speeds / nominal[of] - 1)
+    if off.max() > SYNCHRONOUS:
+        worst = int(off.argmax())
+        raise DataError(
+            f"the records of a nominal speed must be within {100 * SYNCHRONOUS:g} % of it, but one at "
+            f"{format_rpm(speeds[worst])} rpm is {100 * off[worst]:.2g} % from {format_rpm(nominal[of][worst])} rpm: a "
+            "run-up is no table of records"
+        )
+    return nominal, of
+
+
+def to_dataset(records: Records) -> VibrationDataset:
+    """The data set with a run for every record of a condition, called ``CONDITION.RECORD``.
+
+    Raises DataError for blank cells, for a record that is missing at a speed or there twice, and for a condition with
+    two different weights.
+    """
+    _require_complete(records)
+    nominal, of = find_speeds(records.speeds)
+    names = [f"{c}.{r}" for c, r in zip(records.conditions, records.numbers, strict=True)]
+    runs = tuple(dict.fromkeys(names))
+    place = {run: r for r, run in enumerate(runs)}
+    at_run = np.array([place[name] for name in names])
+    counts = np.zeros((len(nominal), len(runs)), dtype=int)
+    np.add.at(counts, (of, at_run), 1)
+    if (counts != 1).any():
+        s, r = np.argwhere(counts != 1)[0]
+        raise DataError(
+            f"{records.source} must have every record of a condition once at each speed, but '{runs[r]}' is there "
+            f"{counts[s, r]} times near {format_rpm(nominal[s])} rpm"
+        )
+    displacement = np.empty((len(nominal), len(records.channels), len(runs)), dtype=complex)
+    own = np.empty(counts.shape)
+    displacement[of, :, at_run] = records.displacement
+    own[of, at_run] = records.speeds
+    first = {name: i for i, name in reversed(list(enumerate(names)))}
+    conditions = tuple(records.conditions[first[run]] for run in runs)
+    excitations = tuple(
+        Excitation(run, "unbalance", node, float(np.abs(u)), float(np.angle(u)))
+        for run in runs
+        for node, u in zip(records.planes, records.unbalance[first[run]], strict=True)
+    )
+    return VibrationDataset(nominal, runs, records.channels, displacement, excitations, own, conditions=conditions)
+
+
+def _require_complete(records: Records) -> None:
+    _refuse_blank(records, np.isnan(records.displacement).any(axis=1), "the vector of every probe")
+    _refuse_blank(records, np.isnan(records.unbalance).any(axis=1), "the weights of every plane")
+    weights: dict[str, np.ndarray] = {}
+    for condition, unbalance in zip(records.conditions, records.unbalance, strict=True):
+        if not np.allclose(weights.setdefault(condition, unbalance), unbalance, rtol=1e-6):
+            raise DataError(
+                f"{records.source} must have the same weights in all records of a condition, but '{condition}' has two"
+            )
+
+
+def _refuse_blank(records: Records, blank: Sequence[bool] | np.ndarray, what: str) -> None:
+    rows = np.flatnonzero(blank)
+    if len(rows):
+        raise DataError(
+            f"{records.source} must have {what} in every row, but row {rows[0] + 1} has not ({len(rows)} rows in all): "
+            "complete it, or leave the row out"
+        )

@@ -1,0 +1,113 @@
+"""A table of records: conventions against hand-made numbers, and the mistakes that it names."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.config.records import RecordsConfig
+from pipeline.data.dataset import synchronous
+from pipeline.data.vibration_files import read_measured, write_excitation, write_vibration
+from pipeline.errors import DataError
+from pipeline.ingest.records import find_speeds, read_records, to_dataset
+
+HEADER = "condition,acq,rpm,U_re,U_im,a_re,a_im,b_re,b_im\n"
+ROWS = (
+    "base,1,1000,0,0,0.1,0.2,0,0.1\n"
+    "base,1,1204,0,0,0.1,0.2,0,0.1\n"
+    "base,2,1002,0,0,0.1,0.2,0,0.1\n"
+    "base,2,1200,0,0,0.1,0.2,0,0.1\n"
+    "trial,1,1001,0,30,1,2,0,0.5\n"
+    "trial,1,1201,0,30,1,2,0,0.5\n"
+)
+
+
+def configure(path: Path, **changed: object) -> RecordsConfig:
+    probes = {
+        "a": {"node": 1, "angle": "0 deg", "columns": {"real": "a_re", "imaginary": "a_im"}},
+        "b": {"node": 1, "angle": "90 deg", "columns": {"real": "b_re", "imaginary": "b_im"}},
+    }
+    given = {
+        "format": "records",
+        "file": str(path),
+        "conventions": {"length": "mil", "amplitude": "peak_to_peak", "phase": "lag", "speed": "rpm"},
+        "columns": {"speed": "rpm", "condition": "condition", "record": "acq"},
+        "probes": probes,
+        "weights": [{"node": 3, "unit": "g mm", "columns": {"real": "U_re", "imaginary": "U_im"}}],
+        "shaft_angle": "against_rotation",
+        "tacho": {"angle": "30 deg"},
+    }
+    return RecordsConfig.model_validate(given | changed)
+
+
+def write(path: Path, rows: str = ROWS) -> Path:
+    path.write_text(HEADER + rows, encoding="utf-8")
+    return path
+
+
+def test_conventions_units_and_conditions(tmp_path: Path) -> None:
+    dataset = to_dataset(read_records(configure(write(tmp_path / "a table.csv"))))
+    assert dataset.runs == ("base.1", "base.2", "trial.1")
+    assert dataset.conditions == ("base", "base", "trial")
+    # Half of 1 + 2j mil, conjugated: a lag.
+    assert dataset.displacement[0, 0, 2] == pytest.approx(25.4e-6 / 2 * (1 - 2j))
+    trial = dataset.excitation_of(2)[0]
+    assert trial.magnitude == pytest.approx(30e-6)
+    assert np.degrees(trial.phase) % 360 == pytest.approx((30 - 90) % 360)  # p = T - s
+    assert dataset.speeds == pytest.approx(np.array([1001.0, 3605.0 / 3]) * np.pi / 30)
+    assert dataset.frequencies[1, 0] == pytest.approx(1204 * np.pi / 30)
+
+
+def test_files_give_back_the_data_set(tmp_path: Path) -> None:
+    dataset = to_dataset(read_records(configure(write(tmp_path / "a.csv"))))
+    vibration = write_vibration(tmp_path / "v.csv", dataset)
+    again = read_measured(vibration, write_excitation(tmp_path / "e.csv", dataset))
+    assert again.runs == dataset.runs
+    assert again.conditions == dataset.conditions
+    assert again.displacement == pytest.approx(dataset.displacement, rel=1e-12)
+    assert again.frequencies == pytest.approx(dataset.frequencies, rel=1e-12)
+    assert synchronous(again.frequencies, again.speeds[:, None]).all()
+
+
+def test_blank_weights_are_kept_for_who_asks_for_them(tmp_path: Path) -> None:
+    records = read_records(configure(write(tmp_path / "a.csv", "x,1,1000,,,1,2,0,0.5\n")))
+    assert np.isnan(records.unbalance).all()
+    with pytest.raises(DataError, match="must have the weights of every plane in every row, but row 1"):
+        to_dataset(records)
+
+
+@pytest.mark.parametrize(
+    ("rows", "law"),
+    [
+        (ROWS + "trial,1,1001,0,30,1,2,0,0.5\n", "'trial.1' is there 2 times near 100"),
+        (ROWS + "trial,2,1001,0,30,1,2,0,0.5\n", "'trial.2' is there 0 times near 120"),
+        (ROWS + "trial,2,1001,0,31,1,2,0,0.5\ntrial,2,1200,0,31,1,2,0,0.5\n", "same weights in all records"),
+        (ROWS.replace(",1000,", ",-1000,"), "speeds above zero"),
+        (ROWS.replace("0.1,0.2", ",0.2"), "the vector of every probe"),
+    ],
+)
+def test_mistakes_in_the_table(tmp_path: Path, rows: str, law: str) -> None:
+    with pytest.raises(DataError, match=law):
+        to_dataset(read_records(configure(write(tmp_path / "a.csv", rows))))
+
+
+def test_a_run_up_is_no_table_of_records() -> None:
+    with pytest.raises(DataError, match="a run-up is no table of records"):
+        find_speeds(np.linspace(100.0, 200.0, 400))
+
+
+@pytest.mark.parametrize(
+    ("changed", "law"),
+    [
+        ({"shaft_angle": None}, "must say in shaft_angle"),
+        ({"tacho": {}}, "must give tacho.angle"),
+        ({"baseline": "base"}, "must have no baseline"),
+        ({"file": None}, "must name the file"),
+        ({"weights": [{"node": 3, "unit": "kg", "columns": {"real": "a", "imaginary": "b"}}]}, "must convert to kg"),
+    ],
+)
+def test_mistakes_in_the_configuration(tmp_path: Path, changed: dict[str, object], law: str) -> None:
+    with pytest.raises(ValueError, match=law):
+        configure(tmp_path / "a.csv", **changed)
