@@ -17,6 +17,7 @@ ROOMS: tuple[tuple[frozenset[str], str], ...] = (
     (frozenset({"config"}), "what a configuration may say"),
     (frozenset({"rotor"}), "shaft and discs as matrices; bearings over speed"),
     (frozenset({"data"}), "vibration, its files, sensors and noise"),
+    (frozenset({"sweep"}), "passing a critical speed; the fit of a run-up"),
     (frozenset({"ingest"}), "recordings and tables of instruments"),
     (frozenset({"problem"}), "the measurement, its equations, what it determines"),
     (frozenset({"identification"}), "models, losses, optimisers: fit(measurement, setup)"),

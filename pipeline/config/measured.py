@@ -160,11 +160,15 @@ class TachoAngleConfig(Section):
 
 
 class OrderTrackingConfig(Section):
-    """The fit of 1X vectors to time signals; see :mod:`pipeline.ingest.order_tracking`."""
+    """The fit of 1X vectors to time signals; see :mod:`pipeline.ingest.order_tracking`.
+
+    ``most_lag`` is the share of its speed by which a swept peak may lag before there is a warning.
+    """
 
     orders: Annotated[int, Field(ge=1, le=10)] = 3
     degree: Annotated[int, Field(ge=0, le=8)] | None = None
     revolutions: Annotated[float, Field(ge=2)] | None = None
+    most_lag: Annotated[float, Field(gt=0, lt=0.5)] = 0.01
 
 
 class CsvConfig(Section):

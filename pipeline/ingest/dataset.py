@@ -5,8 +5,8 @@ Legend: S speeds, P probes, R runs, N nodes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from pipeline.config.measured import MeasuredRunConfig, SlowRollConfig, convert_
 from pipeline.config.recordings import (
     AnyRecordingsConfig,
     RossRecordingsConfig,
+    SignalConfig,
     TableRecordingsConfig,
     TableRunConfig,
     UffRecordingsConfig,
@@ -25,10 +26,12 @@ from pipeline.ingest.conventions import to_vectors
 from pipeline.ingest.plausibility import note_dead
 from pipeline.ingest.probes import check_probes, resolve
 from pipeline.ingest.ross_results import read_ross_runs
+from pipeline.ingest.sweeps import measure_sweep, note_sweep
 from pipeline.ingest.table import read_table_runs
 from pipeline.ingest.tracks import LARGEST, RunTracks, format_rpm, to_common_speeds
 from pipeline.ingest.uff import read_uff_runs
 from pipeline.ingest.waveform import read_signal_runs
+from pipeline.sweep.bias import SweepBias
 from pipeline.units import RAD_S_PER_RPM
 
 _CONTRADICTION = 0.05
@@ -41,6 +44,8 @@ class MeasuredRuns:
     dataset: VibrationDataset
     runs: tuple[RunTracks, ...]
     notes: tuple[str, ...]
+    sweeps: Mapping[str, SweepBias] = field(default_factory=dict)
+    """By run: of the run-ups that show a peak."""
 
 
 def read_measured_runs(config: AnyRecordingsConfig) -> MeasuredRuns:
@@ -55,6 +60,11 @@ def read_measured_runs(config: AnyRecordingsConfig) -> MeasuredRuns:
     if config.slow_roll is not None:  # runout turns with the shaft
         slow = config.slow_roll
         runs = tuple(run if run.name in asynchronous else remove_runout(run, slow) for run in runs)
+    sweeps: dict[str, SweepBias] = {}
+    for run in runs:
+        bias = measure_sweep(run, config.tracking.most_lag) if isinstance(config, SignalConfig) else None
+        sweeps |= {run.name: bias} if bias is not None else {}
+        notes += note_sweep(run, bias)
     wanted = None if config.speeds is None else np.array(config.speeds.rpm()) * RAD_S_PER_RPM
     speeds, vectors = to_common_speeds(runs, wanted, config.interpolation)
     resolved = resolve(config.probes, vectors)
@@ -73,7 +83,7 @@ def read_measured_runs(config: AnyRecordingsConfig) -> MeasuredRuns:
         for node, misfit in resolved.misfit.items()
         if misfit > _CONTRADICTION
     ]
-    return MeasuredRuns(dataset, runs, tuple(dict.fromkeys(notes)))
+    return MeasuredRuns(dataset, runs, tuple(dict.fromkeys(notes)), sweeps)
 
 
 def _read_runs(config: AnyRecordingsConfig) -> tuple[RunTracks, ...]:

@@ -120,7 +120,7 @@ def fit_sweep(signals: Signals, speeds: np.ndarray, settings: OrderTrackingConfi
     Raises DataError where a window around a speed is not inside the record: nothing is extrapolated.
     """
     signals = signals.between_pulses()
-    centres = _find_passages(signals, speeds, settings)
+    centres = find_passages(signals, speeds, settings)
     _check_sampling(signals, float(speeds.max()), settings)
     turning = np.exp(1j * signals.angle.angle(signals.time))
     degree = 6 if settings.degree is None else settings.degree
@@ -151,8 +151,11 @@ def _fit_windows(signals: Signals, settings: OrderTrackingConfig, count: int) ->
     return time[fits], speed[fits]
 
 
-def _find_passages(signals: Signals, speeds: np.ndarray, settings: OrderTrackingConfig) -> np.ndarray:
-    """(S,) s, when each speed is passed first, at least half a window from both ends of the record."""
+def find_passages(signals: Signals, speeds: np.ndarray, settings: OrderTrackingConfig) -> np.ndarray:
+    """(S,) s, when each of ``speeds`` (S,) rad/s is passed first, at least half a window from both ends of the record.
+
+    Raises DataError where a window around a speed is not inside the record.
+    """
     low, high = find_range(signals, settings)
     if low > high or speeds.min() < low * (1 - 1e-6) or speeds.max() > high * (1 + 1e-6):
         revolutions = settings.revolutions or FEWEST_REVOLUTIONS

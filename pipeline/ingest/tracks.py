@@ -47,6 +47,7 @@ class RunTracks:
     tracks: Mapping[str, Track]  # by probe, in the order of the configuration
     slow: Mapping[str, Track] = field(default_factory=dict)  # by probe, where slow roll was tracked apart
     notes: tuple[str, ...] = ()
+    times: np.ndarray | None = None  # (S,) s, when a run-up passed the speeds of its tracks
 
 
 def sort_track(speeds: np.ndarray, vectors: np.ndarray, where: str) -> Track:

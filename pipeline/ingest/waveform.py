@@ -12,7 +12,7 @@ from pipeline.config.motion import to_motion
 from pipeline.config.recordings import UffRecordingsConfig, UffRunConfig, WaveformRecordingsConfig, WaveformRunConfig
 from pipeline.errors import DataError
 from pipeline.ingest.conventions import to_displacement
-from pipeline.ingest.order_tracking import Signals, find_range, fit_steady, fit_sweep
+from pipeline.ingest.order_tracking import Signals, find_passages, find_range, fit_steady, fit_sweep
 from pipeline.ingest.plausibility import note_clipping
 from pipeline.ingest.recordings import Clock, Recording, check_recording, read_recording
 from pipeline.ingest.table import note_cut, read_format
@@ -107,7 +107,8 @@ def _fit_sweep(config: SignalRecordingsConfig, name: str, source: str, record: _
                 "or slow_roll.vectors"
             )
         slow = _track(config, record, np.linspace(lowest, limit, SLOW_WINDOWS, endpoint=False))
-    return RunTracks(name, source, tracks, slow, record.notes)
+    times = find_passages(record.signals.between_pulses(), np.sort(wanted), config.tracking)
+    return RunTracks(name, source, tracks, slow, record.notes, times)
 
 
 def _track(config: SignalRecordingsConfig, record: _Record, speeds: np.ndarray) -> dict[str, Track]:

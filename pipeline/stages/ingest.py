@@ -28,6 +28,8 @@ from pipeline.stages.execution import StageOutput
 from pipeline.stages.ingest_records import ingest_records
 from pipeline.stages.known import load_known
 from pipeline.stages.workspace import Workspace, list_known, locate_files, require_nodes, require_own
+from pipeline.sweep.bias import SweepBias
+from pipeline.units import RAD_S_PER_RPM
 
 
 def run(config: Config) -> StageOutput:
@@ -103,7 +105,18 @@ def _summarize(measured: MeasuredRuns, ingest: AnyRecordingsConfig, notes: list[
         "nodes": sorted({node for node, _ in dataset.channels}),
         "baseline": ingest.baseline,
         "runs": {run.name: _summarize_run(measured, i) for i, run in enumerate(measured.runs)},
+        "sweeps": {name: _describe_sweep(bias) for name, bias in measured.sweeps.items()},
         "notes": notes,
+    }
+
+
+def _describe_sweep(bias: SweepBias) -> dict[str, float]:
+    return {
+        "rate_rpm_per_s": bias.rate / RAD_S_PER_RPM,
+        "peak_shift_percent": 100 * bias.peak_shift,
+        "damping_factor": bias.damping_factor,
+        "amplitude_factor": bias.amplitude_factor,
+        "rate_limit_rpm_per_s": bias.limit / RAD_S_PER_RPM,
     }
 
 
