@@ -8,7 +8,7 @@ from typing import Annotated, Literal, get_args
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from pipeline.coefficients import CoefficientName
-from pipeline.config.quantities import Damping, Length, Mass, PositiveAngle, RotorSpeed, Stiffness
+from pipeline.config.quantities import Damping, Length, Mass, PositiveAngle, RotorSpeed, Stiffness, WeightLaw
 from pipeline.config.section import NonNegativeInt, Section, Share
 from pipeline.unknowns import BearingUnknowns, Structure, UnknownSet, unknown_set
 
@@ -35,8 +35,12 @@ class ModelParametersConfig(Section):
     disc_inertia: PositiveShare | None = None
     coupling_stiffness: Stiffness | None = None
     coupling_mass: Mass | None = None
+    bearing_position: Length | None = None
+    bow: Length | None = None
     unbalance_magnitude: PositiveShare | None = None
     unbalance_phase: PositiveAngle | None = None
+    weight_angle: PositiveAngle | None = None
+    weight_law: WeightLaw | None = None
     probe_gain: PositiveShare | None = None
     probe_angle: PositiveAngle | None = None
     probe_position: Length | None = None

@@ -9,7 +9,8 @@ import numpy as np
 from pipeline.data.dataset import DIRECTIONS, Excitation, VibrationDataset, assemble_forces, group_runs
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.dynamic_stiffness import banded, solve
-from pipeline.rotor.model import TRANSLATIONS, RotorModel, bearing_dof, translation_dof
+from pipeline.rotor.interpolation import bearing_places
+from pipeline.rotor.model import TRANSLATIONS, RotorModel, translation_dof
 
 
 def solve_response(
@@ -24,13 +25,14 @@ def solve_response(
     Solves ``(D_rotor(w) + H(w)) Q = F`` (paper, eqs. 1 and 4); ``frequencies`` (S, R) rad/s, None for synchronous.
     Raises PipelineError where the system is singular.
     """
-    speeds, system, places = bearings.speeds, banded(rotor), bearing_dof(rotor)
+    speeds, system, places = bearings.speeds, banded(rotor), bearing_places(rotor)
     if frequencies is None:
         frequencies = np.repeat(speeds[:, None], len(runs), axis=1)
     forces = assemble_forces(rotor, excitations, runs, frequencies)
     response = np.empty(forces.shape, dtype=complex)
     for alike, w in group_runs(frequencies):
-        response[..., alike] = solve(system, w, speeds, forces[..., alike], bearings.impedance(w), places)
+        impedance = places.spread(bearings.impedance(w))
+        response[..., alike] = solve(system, w, speeds, forces[..., alike], impedance, places.dof)
     return response
 
 

@@ -16,13 +16,8 @@ import numpy as np
 from pipeline.coefficients import CoefficientName
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.noise import NoiseModel
-from pipeline.problem.model_parameters import (
-    known_change,
-    runout,
-    sensor_matrix,
-    turns_with_rotor,
-    update_excitations,
-)
+from pipeline.problem.force_parameters import bow_force, update_excitations
+from pipeline.problem.model_parameters import known_change, runout, sensor_matrix, turns_with_rotor
 from pipeline.problem.reference_response import response_equations, response_variations
 from pipeline.problem.residual import BearingEquations, LinearResidual, bearing_equations, linear_residual
 from pipeline.problem.response import ResponseBlock, ResponseEquations
@@ -136,11 +131,12 @@ class Measurement:
     @cached_property
     def response(self) -> ResponseEquations:
         """The response at the sensors, at the :attr:`values` of the model parameters."""
-        rotor, data, sensors = self.updated_rotor, self.dataset, None
+        rotor, data, sensors, bow = self.updated_rotor, self.dataset, None, None
         if self.parameters:
             data = update_excitations(data, self.parameters, self.parameter_values)
-            sensors = sensor_matrix(data, rotor.n_dof, self.parameters, self.parameter_values)
-        found = response_equations(rotor, data, self.guess.stiffness, self.unknowns.planes, sensors)
+            sensors = sensor_matrix(data, rotor, self.parameters, self.parameter_values)
+            bow = bow_force(self.parameters, self.parameter_values, self.rotor)
+        found = response_equations(rotor, data, self.guess.stiffness, self.unknowns.planes, sensors, bow)
         shown = runout(self.parameters, self.parameter_values, len(data.channels))
         return found.shifted(shown[:, None] * self.synchronous()) if shown.any() else found
 

@@ -1,6 +1,7 @@
-"""Which uncertain numbers a measurement has, and what those of weights, probes and bearings change.
+"""Which uncertain numbers a measurement has, and what those of probes and bearings change.
 
-See :mod:`pipeline.rotor.parameters` for what a parameter is, and for those of the rotor.
+See :mod:`pipeline.rotor.parameters` for what a parameter is and for those of the rotor, and
+:mod:`pipeline.problem.force_parameters` for those of weights and of the bow.
 
 Legend: T parameters, S speeds, P channels, R runs, B bearings, n lateral DOF. SI units and radians.
 """
@@ -13,18 +14,21 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.data.dataset import (
-    Excitation,
-    VibrationDataset,
-    assemble_forces,
-    name_direction,
-    project_direction,
-    synchronous,
-)
+from pipeline.data.dataset import VibrationDataset, name_direction, project_direction, synchronous
 from pipeline.errors import ConfigError
+from pipeline.problem.force_parameters import PARTS, number_excitations
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.model import RotorModel, translation_dof
-from pipeline.rotor.parameters import OF_COUPLING, OF_DISC, OF_PROBE, OF_SHAFT, OF_WEIGHT, ModelParameter
+from pipeline.rotor.interpolation import shaft_rows
+from pipeline.rotor.model import RotorModel
+from pipeline.rotor.parameters import (
+    OF_ALL_WEIGHTS,
+    OF_COUPLING,
+    OF_DISC,
+    OF_PROBE,
+    OF_SHAFT,
+    OF_WEIGHT,
+    ModelParameter,
+)
 from pipeline.unknowns import UnknownSet
 
 
@@ -55,6 +59,8 @@ def model_parameters(
                     f"the bearing beside it, but got the bearing node {coupling_node}"
                 )
             own = [ModelParameter(kind, deviation, f"node {coupling_node}", coupling_node)]
+        if kind in _ALONG_SHAFT:
+            _require_on_shaft(own, rotor, dataset)
         if not own:
             raise ConfigError(
                 f"identify.model_parameters.{kind} must belong to something that the machine has, but it has "
@@ -66,10 +72,27 @@ def model_parameters(
 
 _MISSING = {
     **dict.fromkeys(OF_DISC, "no disc"),
-    **dict.fromkeys(OF_WEIGHT, "no run with an unbalance"),
+    **dict.fromkeys((*OF_WEIGHT, *OF_ALL_WEIGHTS), "no run with an unbalance"),
     "known_coefficients": "no known coefficient other than zero",
     "runout": "no run that turns with the rotor and that no baseline was subtracted from",
+    "bow": "no run that turns with the rotor and that no baseline was subtracted from, or no disc between or beyond "
+    "two bearings",
 }
+_ALONG_SHAFT = ("bearing_position", "probe_position")
+
+
+def _require_on_shaft(own: Sequence[ModelParameter], rotor: RotorModel, dataset: VibrationDataset) -> None:
+    """Raise ConfigError where one deviation along the shaft leaves it."""
+    first, last = float(rotor.positions[0]), float(rotor.positions[-1])
+    for one in own:
+        node = rotor.bearing_nodes[one.place] if one.kind == "bearing_position" else dataset.channels[one.place][0]
+        place = float(rotor.positions[node])
+        room = max(place - first, last - place) if one.kind == "probe_position" else min(place - first, last - place)
+        if one.deviation > room:
+            raise ConfigError(
+                f"identify.model_parameters.{one.kind} must leave node {node} on the shaft, whose end is "
+                f"{1e3 * room:g} mm from it, but got {1e3 * one.deviation:g} mm: state less, or model the shaft's end"
+            )
 
 
 def _places(
@@ -82,23 +105,33 @@ def _places(
         for node in dict.fromkeys(rotor.disc_nodes):
             yield f"node {node}", node, ""
     if kind in OF_WEIGHT:
-        for i, one in _numbered(dataset.excitations):
+        for i, one in number_excitations(dataset.excitations):
             if one.kind == "unbalance":
                 yield f"{one.run} node {one.node}", i, one.run
+    if kind == "weight_angle" and any(one.kind == "unbalance" for one in dataset.excitations):
+        yield "", 0, ""
+    if kind == "weight_law" and any(one.kind == "unbalance" for one in dataset.excitations):
+        for part in PARTS:
+            yield part, 0, part
+    if kind == "bearing_position":
+        for b, node in enumerate(rotor.bearing_nodes):
+            yield f"node {node}", b, ""
+    shown = dataset.subtracted is None and turns_with_rotor(dataset).any()
+    if kind == "bow" and shown and len(rotor.bearing_nodes) > 1:
+        for node in dict.fromkeys(rotor.disc_nodes):
+            if node not in rotor.bearing_nodes:
+                for part in PARTS:
+                    yield f"node {node} {part}", node, part
     if kind in OF_PROBE:
         for p, (node, angle) in enumerate(dataset.channels):
             yield f"node {node} {name_direction(angle)}", p, ""
-    if kind == "runout" and dataset.subtracted is None and turns_with_rotor(dataset).any():
+    if kind == "runout" and shown:
         for p, (node, angle) in enumerate(dataset.channels):
-            for part in _PARTS:
+            for part in PARTS:
                 yield f"node {node} {name_direction(angle)} {part}", p, part
     if kind == "known_coefficients":
         for b, c in np.argwhere(~unknowns.identified & known.values.any(axis=1)):
             yield f"{COEFFICIENTS[c]} node {known.nodes[b]}", int(b), COEFFICIENTS[c]
-
-
-_PARTS = {"real": 1.0, "imaginary": 1j}
-"""A runout is constant in the shaft: a vector of each probe, the same at all speeds."""
 
 
 def turns_with_rotor(dataset: VibrationDataset) -> np.ndarray:
@@ -106,68 +139,23 @@ def turns_with_rotor(dataset: VibrationDataset) -> np.ndarray:
     return np.asarray(synchronous(dataset.frequencies, dataset.speeds[:, None]).all(axis=0))
 
 
-def _numbered(excitations: Sequence[Excitation]) -> Iterator[tuple[int, Excitation]]:
-    """Each excitation with its position among those of its run, which selecting runs does not change."""
-    seen: dict[str, int] = {}
-    for one in excitations:
-        seen[one.run] = seen.get(one.run, -1) + 1
-        yield seen[one.run], one
-
-
-# --- weights -------------------------------------------------------------------------------------------
-
-
-def update_excitations(
-    dataset: VibrationDataset, parameters: Sequence[ModelParameter], values: np.ndarray
-) -> VibrationDataset:
-    """The data set with the weights at parameters ``values`` (T,)."""
-    shift = {(p.kind, p.detail, p.place): v * p.deviation for p, v in zip(parameters, values, strict=True)}
-    moved = [
-        replace(
-            one,
-            magnitude=one.magnitude * (1 + shift.get(("unbalance_magnitude", one.run, i), 0.0)),
-            phase=one.phase + shift.get(("unbalance_phase", one.run, i), 0.0),
-        )
-        for i, one in _numbered(dataset.excitations)
-    ]
-    return replace(dataset, excitations=tuple(moved))
-
-
-def force_change(
-    parameter: ModelParameter, rotor: RotorModel, dataset: VibrationDataset, value: float
-) -> np.ndarray | None:
-    """(S, n, R) derivative of the forces by the parameter, N; None where it moves none.
-
-    ``dataset`` has the weights at the parameters' values, ``value`` is that of this one.
-    """
-    if parameter.kind not in OF_WEIGHT:
-        return None
-    own = [e for i, e in _numbered(dataset.excitations) if (e.run, i) == (parameter.detail, parameter.place)]
-    if not own:
-        return None
-    force = assemble_forces(rotor, tuple(own), dataset.runs, dataset.frequencies)
-    if parameter.kind == "unbalance_phase":
-        return 1j * parameter.deviation * force
-    return parameter.deviation / (1 + parameter.deviation * value) * force
-
-
 # --- probes --------------------------------------------------------------------------------------------
 
 
 def sensor_matrix(
-    dataset: VibrationDataset, n_dof: int, parameters: Sequence[ModelParameter], values: np.ndarray
+    dataset: VibrationDataset, rotor: RotorModel, parameters: Sequence[ModelParameter], values: np.ndarray
 ) -> np.ndarray:
     """(P, n) what each channel shows of the rotor's lateral DOF at parameters ``values`` (T,)."""
-    matrix = dataset.sensor_matrix(n_dof)
+    matrix = dataset.sensor_matrix(rotor.n_dof)
     for p in {parameter.place for parameter in parameters if parameter.kind in OF_PROBE}:
-        matrix[p] = _channel(dataset, p, n_dof, _probe(parameters, values, p))
+        matrix[p] = _channel(dataset, p, rotor, _probe(parameters, values, p))
     return matrix
 
 
 def sensor_change(
     parameter: ModelParameter,
     dataset: VibrationDataset,
-    n_dof: int,
+    rotor: RotorModel,
     parameters: Sequence[ModelParameter],
     values: np.ndarray,
 ) -> np.ndarray | None:
@@ -175,16 +163,14 @@ def sensor_change(
     if parameter.kind not in OF_PROBE:
         return None
     probe = _probe(parameters, values, parameter.place)
-    row = _channel(dataset, parameter.place, n_dof, probe)
     if parameter.kind == "probe_gain":
-        row = row / (1 + probe["probe_gain"])
+        row = _channel(dataset, parameter.place, rotor, probe) / (1 + probe["probe_gain"])
     elif parameter.kind == "probe_angle":  # the derivative of a direction is the direction a quarter turn on
         turned = probe | {"probe_angle": probe["probe_angle"] + np.pi / 2}
-        row = _channel(dataset, parameter.place, n_dof, turned)
-    else:  # linear in the position
-        moved = probe | {"probe_position": probe["probe_position"] + 1.0}
-        row = _channel(dataset, parameter.place, n_dof, moved) - row
-    change = np.zeros((len(dataset.channels), n_dof))
+        row = _channel(dataset, parameter.place, rotor, turned)
+    else:
+        row = _channel(dataset, parameter.place, rotor, probe, slope=True)
+    change = np.zeros((len(dataset.channels), rotor.n_dof))
     change[parameter.place] = parameter.deviation * row
     return change
 
@@ -194,7 +180,7 @@ def runout(parameters: Sequence[ModelParameter], values: np.ndarray, n_channels:
     shown = np.zeros(n_channels, dtype=complex)
     for parameter, value in zip(parameters, values, strict=True):
         if parameter.kind == "runout":
-            shown[parameter.place] += value * parameter.deviation * _PARTS[parameter.detail]
+            shown[parameter.place] += value * parameter.deviation * PARTS[parameter.detail]
     return shown
 
 
@@ -208,22 +194,21 @@ def _probe(parameters: Sequence[ModelParameter], values: np.ndarray, channel: in
     return dict.fromkeys(OF_PROBE, 0.0) | dict(own)
 
 
-def _channel(dataset: VibrationDataset, channel: int, n_dof: int, probe: Mapping[str, float]) -> np.ndarray:
-    """(n,) a channel's row: near its node the shaft runs straight, x' = beta and y' = -alpha."""
+def _channel(
+    dataset: VibrationDataset, channel: int, rotor: RotorModel, probe: Mapping[str, float], slope: bool = False
+) -> np.ndarray:
+    """(n,) a channel's row, or its ``slope`` along the shaft, 1/m."""
     node, angle = dataset.channels[channel]
     cosine, sine = project_direction(angle)
     turned = (cosine + 1j * sine) * np.exp(1j * probe["probe_angle"])
-    x, y = np.zeros(n_dof), np.zeros(n_dof)
-    first = translation_dof(node, 0)
-    x[[first, first + 3]] = 1.0, probe["probe_position"]
-    y[[first + 1, first + 2]] = 1.0, -probe["probe_position"]
+    x, y = shaft_rows(rotor, node, probe["probe_position"], slope)
     return np.asarray((1 + probe["probe_gain"]) * (turned.real * x + turned.imag * y))
 
 
-def without_probes(parameters: Sequence[ModelParameter]) -> tuple[ModelParameter, ...]:
-    """The same with probes that are exact, for what no probe shows."""
-    shown = (*OF_PROBE, "runout")
-    return tuple(replace(one, deviation=0.0, place=0) if one.kind in shown else one for one in parameters)
+def of_machine_alone(parameters: Sequence[ModelParameter]) -> tuple[ModelParameter, ...]:
+    """The same with exact probes and weights and a straight shaft, for vibration that no probe shows."""
+    kept_out = (*OF_PROBE, *OF_ALL_WEIGHTS, "runout", "bow")
+    return tuple(replace(one, deviation=0.0, place=0) if one.kind in kept_out else one for one in parameters)
 
 
 # --- known coefficients --------------------------------------------------------------------------------

@@ -14,17 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.data.dataset import VibrationDataset, assemble_forces, group_runs, synchronous
-from pipeline.problem.model_parameters import (
-    force_change,
-    runout,
-    sensor_change,
-    sensor_matrix,
-    turns_with_rotor,
-    update_excitations,
-)
+from pipeline.problem.force_parameters import bow_change, bow_force, force_change, update_excitations
+from pipeline.problem.model_parameters import runout, sensor_change, sensor_matrix, turns_with_rotor
 from pipeline.problem.response import ResponseBlock, ResponseEquations
 from pipeline.rotor.dynamic_stiffness import apply, banded, solve
-from pipeline.rotor.model import RotorModel, bearing_dof, translation_dof
+from pipeline.rotor.interpolation import bearing_places, shaft_rows
+from pipeline.rotor.model import TRANSLATIONS, RotorModel, translation_dof
 from pipeline.rotor.parameters import ModelParameter, rotor_change, update_rotor
 
 REFERENCE_LOSS = 1.0
@@ -58,27 +53,29 @@ class _Solved:
 
 
 def _solved(
-    rotor: RotorModel, dataset: VibrationDataset, reference: complex, planes: Sequence[int]
+    rotor: RotorModel, dataset: VibrationDataset, reference: complex, planes: Sequence[int], bow: np.ndarray | None
 ) -> Iterator[_Solved]:
     """Every block of runs on reference bearings. Each run's own response is at its own frequencies."""
-    speeds, at_bearings = dataset.speeds, bearing_dof(rotor)
-    impedance = _impedance(rotor, len(speeds), reference)
+    speeds, places = dataset.speeds, bearing_places(rotor)
+    impedance, loads = _impedance(rotor, len(speeds), reference), places.loads(rotor.n_dof)
     forces = assemble_forces(rotor, dataset.excitations, dataset.runs, dataset.frequencies)
+    if bow is not None:
+        forces = forces + bow[:, None] * turns_with_rotor(dataset)
     system = banded(rotor)
     for runs, w in _group_alike(dataset):
         own_planes = list(planes) if synchronous(w, speeds).all() else []
-        width = len(runs) + len(own_planes) + at_bearings.size
+        width = len(runs) + len(own_planes) + loads.shape[1]
         right = np.zeros((len(speeds), rotor.n_dof, width), dtype=complex)
         right[..., : len(runs)] = forces[..., runs]
         for n, node in enumerate(own_planes):
             right[:, translation_dof(node, 0), len(runs) + n] = w**2
             right[:, translation_dof(node, 1), len(runs) + n] = -1j * w**2
-        right[:, at_bearings.ravel(), len(runs) + len(own_planes) + np.arange(at_bearings.size)] = 1.0
-        response = solve(system, w, speeds, right, impedance, at_bearings)
+        right[..., len(runs) + len(own_planes) :] = loads
+        response = solve(system, w, speeds, right, impedance, places.dof)
         for i, run in enumerate(runs):
             own = dataset.frequencies[:, run]
             if (own != w).any():
-                response[..., [i]] = solve(system, own, speeds, right[..., [i]], impedance, at_bearings)
+                response[..., [i]] = solve(system, own, speeds, right[..., [i]], impedance, places.dof)
         yield _Solved(runs=runs, frequencies=w, planes=len(own_planes), response=response)
 
 
@@ -101,7 +98,9 @@ def _group_alike(dataset: VibrationDataset) -> Iterator[tuple[np.ndarray, np.nda
 
 
 def _impedance(rotor: RotorModel, n_speeds: int, reference: complex) -> np.ndarray:
-    return np.broadcast_to(reference * np.eye(2), (len(rotor.bearing_nodes), n_speeds, 2, 2))
+    """(B, S, k, k) of the reference bearings at their places."""
+    blocks = np.broadcast_to(reference * np.eye(2), (len(rotor.bearing_nodes), n_speeds, 2, 2))
+    return bearing_places(rotor).spread(blocks)
 
 
 def response_equations(
@@ -110,15 +109,17 @@ def response_equations(
     stiffness: float,
     planes: Sequence[int] = (),
     sensors: np.ndarray | None = None,
+    bow: np.ndarray | None = None,
 ) -> ResponseEquations:
     """Solve the rotor on reference bearings of about the ``stiffness`` (N/m), any value of the bearings' order.
 
-    ``sensors`` (P, n) is what the channels show; None for what the data set says of them.
+    ``sensors`` (P, n) is what the channels show; None for what the data set says of them. ``bow`` (n,) N, complex, is a
+    force that turns with the shaft in every run that does.
     """
-    rows, reference = bearing_dof(rotor).ravel(), stiffness * (1 + 1j * REFERENCE_LOSS)
+    places, reference = bearing_places(rotor), stiffness * (1 + 1j * REFERENCE_LOSS)
     seen = dataset.sensor_matrix(rotor.n_dof) if sensors is None else sensors
-    solved = _solved(rotor, dataset, reference, planes)
-    blocks = tuple(one.block(one.response[:, rows], seen @ one.response) for one in solved)
+    solved = _solved(rotor, dataset, reference, planes, bow)
+    blocks = tuple(one.block(places.show(one.response), seen @ one.response) for one in solved)
     return ResponseEquations(rotor.bearing_nodes, dataset.speeds, reference, tuple(planes), blocks)
 
 
@@ -135,28 +136,52 @@ def response_variations(
     ``rotor`` and ``dataset`` are the stated ones. Bearings are not varied here: they follow from their coefficients.
     """
     moved, data = update_rotor(rotor, parameters, values), update_excitations(dataset, parameters, values)
-    sensors = sensor_matrix(dataset, rotor.n_dof, parameters, values)
-    rows, everything, system = bearing_dof(rotor), np.arange(rotor.n_dof), banded(moved)
-    reference, speeds = stiffness * (1 + 1j * REFERENCE_LOSS), dataset.speeds
-    impedance, blocks = _impedance(rotor, len(speeds), reference), []
-    for one in _solved(moved, data, reference, planes):
-        at_bearings, at_sensors = [], []
-        for parameter, value in zip(parameters, values, strict=True):
-            right = np.zeros_like(one.response)
+    sensors, bow = sensor_matrix(dataset, moved, parameters, values), bow_force(parameters, values, rotor)
+    places, everything, system = bearing_places(moved), np.arange(rotor.n_dof), banded(moved)
+    reference, speeds, turns = stiffness * (1 + 1j * REFERENCE_LOSS), dataset.speeds, turns_with_rotor(dataset)
+    impedance, blocks = _impedance(moved, len(speeds), reference), []
+    for one in _solved(moved, data, reference, planes, bow):
+        at_bearings, at_sensors, own = [], [], slice(0, len(one.runs))
+        for t, parameter in enumerate(parameters):
+            right, beside = np.zeros_like(one.response), np.zeros((1, 1))
             if (change := rotor_change(parameter, rotor)) is not None:
                 right -= apply(change, everything, everything, one.frequencies, speeds, one.response)
-            if (force := force_change(parameter, rotor, data, float(value))) is not None:
-                right[..., : len(one.runs)] += force[..., one.runs]
+            if (force := force_change(t, parameters, values, rotor, dataset)) is not None:
+                right[..., own] += force[..., one.runs]
+            if (bent := bow_change(parameter, rotor)) is not None:
+                right[..., own] += bent[:, None] * turns[one.runs]
+            if parameter.kind == "bearing_position":
+                tilted, beside = _tilt(moved, parameter, reference, one.response)
+                right += tilted
             response = right
             if right.any():  # the probes and the known coefficients move nothing on the reference bearings
-                response = solve(system, one.frequencies, speeds, right, impedance, rows)
+                response = solve(system, one.frequencies, speeds, right, impedance, places.dof)
             shown = sensors @ response
-            if (seen := sensor_change(parameter, dataset, rotor.n_dof, parameters, values)) is not None:
+            if (seen := sensor_change(parameter, dataset, moved, parameters, values)) is not None:
                 shown = shown + seen @ one.response
             if parameter.kind == "runout":  # what the sensors show besides is none of the rotor's
                 vector = runout([parameter], np.ones(1), len(dataset.channels))
-                shown[..., : len(one.runs)] += vector[:, None] * turns_with_rotor(dataset)[one.runs]
-            at_bearings.append(response[:, rows.ravel()])
+                shown[..., own] += vector[:, None] * turns[one.runs]
+            at_bearings.append(places.show(response) + beside)
             at_sensors.append(shown)
         blocks.append(one.block(np.stack(at_bearings), np.stack(at_sensors)))
     return tuple(blocks)
+
+
+def _tilt(
+    rotor: RotorModel, parameter: ModelParameter, reference: complex, response: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """What the place of a bearing moves: (S, n, R + N + 2 B) on the right, and (S, 2 B, ..) of its own motion.
+
+    With the bearing's rows c on the matrices, ``D + c' H0 c`` has the derivative ``dc' H0 c + c' H0 dc``.
+    """
+    b, count = parameter.place, TRANSLATIONS * len(rotor.bearing_nodes)
+    node, shift = rotor.bearing_nodes[b], rotor.bearing_shifts[b] if rotor.bearing_shifts else 0.0
+    rows, slopes = (shaft_rows(rotor, node, shift, slope) for slope in (False, True))
+    slopes = parameter.deviation * slopes
+    right = -reference * (slopes.T @ (rows @ response) + rows.T @ (slopes @ response))
+    own = slice(TRANSLATIONS * b, TRANSLATIONS * (b + 1))
+    right[..., response.shape[-1] - count :][..., own] += slopes.T
+    moved = np.zeros((len(response), count, response.shape[-1]), dtype=complex)
+    moved[:, own] = slopes @ response
+    return right, moved

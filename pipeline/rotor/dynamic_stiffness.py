@@ -76,7 +76,7 @@ def solve(
         frequencies: (S,) excitation frequencies w, rad/s.
         speeds: (S,) rotor speeds W, rad/s.
         right: (S, m, R) complex.
-        impedance: (B, S, 2, 2) complex blocks added at ``impedance_dof`` (B, 2), positions within
+        impedance: (B, S, k, k) complex blocks added at ``impedance_dof`` (B, k), positions within
             ``system.dof``.
 
     Returns:

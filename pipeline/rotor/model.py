@@ -35,6 +35,7 @@ class RotorModel:
     total_mass: float  # kg
     seals: Seals = NO_SEALS
     supported_nodes: tuple[int, ...] = ()  # bearing nodes whose supports are part of the bearing
+    bearing_shifts: tuple[float, ...] = ()  # B m, of each bearing beyond its node along the shaft; none for all zero
 
     @property
     def n_nodes(self) -> int:
@@ -57,6 +58,8 @@ class RotorModel:
             digest.update(f"{scale:.9e}".encode())
         if len(self.seals.rows):
             digest.update(self.seals.rows.tobytes())
+        if any(self.bearing_shifts):
+            digest.update(np.array(self.bearing_shifts).tobytes())
         return digest.hexdigest()[:16]
 
 

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.rotor.interpolation import move_bearing
 from pipeline.rotor.model import DOF_PER_NODE, TRANSLATIONS, RotorModel, translation_dof
 from pipeline.rotor.seals import NO_SEALS
 
@@ -29,8 +30,12 @@ UNITS = {
     "disc_inertia": "",
     "coupling_stiffness": "N/m",
     "coupling_mass": "kg",
+    "bearing_position": "m",
+    "bow": "m",
     "unbalance_magnitude": "",
     "unbalance_phase": "rad",
+    "weight_angle": "rad",
+    "weight_law": "1/(kg m)",
     "probe_gain": "",
     "probe_angle": "rad",
     "probe_position": "m",
@@ -42,6 +47,7 @@ OF_SHAFT = ("youngs_modulus", "density")
 OF_DISC = ("disc_mass", "disc_inertia")
 OF_COUPLING = ("coupling_stiffness", "coupling_mass")
 OF_WEIGHT = ("unbalance_magnitude", "unbalance_phase")
+OF_ALL_WEIGHTS = ("weight_angle", "weight_law")
 OF_PROBE = ("probe_gain", "probe_angle", "probe_position")
 
 
@@ -51,13 +57,14 @@ class ModelParameter:
 
     ``youngs_modulus`` scales the shaft's whole stiffness (a shear modulus of constant Poisson's ratio with it),
     ``density`` its mass, ``disc_inertia`` both inertias of a disc. A coupling acts at a node in x and y alike.
+    ``bearing_position`` moves a bearing along the shaft; its matrices stay, and the bearing's places on them change.
     """
 
     kind: str
     deviation: float  # prior standard deviation in the unit of the kind
     label: str  # what it belongs to, such as "node 3"; empty for the whole shaft
     place: int = 0  # node, position among the run's excitations, channel, or bearing
-    detail: str = ""  # run of an excitation, name of a coefficient, or part of a runout
+    detail: str = ""  # run of an excitation, name of a coefficient, or part of a complex number
 
     @property
     def name(self) -> str:
@@ -66,7 +73,7 @@ class ModelParameter:
 
 
 def rotor_change(parameter: ModelParameter, rotor: RotorModel) -> RotorModel | None:
-    """The rotor's matrices dM, dC, dG, dK of theta = 1; None for a parameter that is none of the rotor's."""
+    """The rotor's matrices dM, dC, dG, dK of theta = 1; None for a parameter that moves none of them."""
     nothing = np.zeros_like(rotor.mass)
     change: dict[str, Any] = dict.fromkeys(("mass", "damping", "gyroscopic", "stiffness"), nothing)
     change["seals"] = NO_SEALS  # no parameter changes them
@@ -97,6 +104,8 @@ def update_rotor(rotor: RotorModel, parameters: Sequence[ModelParameter], values
     """The rotor at parameters ``values`` (T,), in prior deviations."""
     sums: dict[str, Any] = {name: getattr(rotor, name) for name in ("mass", "damping", "gyroscopic", "stiffness")}
     for parameter, value in zip(parameters, values, strict=True):
+        if parameter.kind == "bearing_position" and value:
+            rotor = move_bearing(rotor, parameter.place, float(value) * parameter.deviation)
         change = rotor_change(parameter, rotor) if value else None
         if change is not None:
             sums = {name: total + value * getattr(change, name) for name, total in sums.items()}

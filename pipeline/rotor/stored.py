@@ -54,6 +54,7 @@ def load_rotor(config: RotorConfig) -> RotorModel:
             total_mass=float(kept["total_mass"][0]),
             seals=Seals(kept[_SEALS]),
             supported_nodes=tuple(kept["supported_nodes"].astype(int).tolist()),
+            bearing_shifts=(),
         )
     from pipeline.rotor.ross_adapter import assemble
 

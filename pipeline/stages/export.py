@@ -81,9 +81,14 @@ def _write_ross(folder: Path, config: Config, updated: Measurement, exported: Ex
         kept = ("bearing_node", "speed_rpm")
         write_table(folder / "deviations.csv", {k: v for k, v in columns.items() if k in kept or k.endswith("_std")})
     off = _compare(config, updated, exported.table, read_table(elements, exported.table.speeds))
+    every = zip(updated.rotor.bearing_nodes, updated.updated_rotor.bearing_shifts, strict=False)
+    beside = "".join(
+        f"; the fit places the bearing of node {node} {1e3 * shift:+.3g} mm along the shaft, which 'rotor.toml' lacks"
+        for node, shift in every
+    )
     return (
         "'rotor.toml' is for ross.Rotor.load; ROSS smooths tables over the speed, which moves the response to the "
-        f"prediction's unbalance by at most {off:.1g} %"
+        f"prediction's unbalance by at most {off:.1g} %{beside}"
     )
 
 

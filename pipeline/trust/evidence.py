@@ -193,18 +193,17 @@ def compare_superposed(measurement: Measurement, factor: np.ndarray | None) -> d
 
     Weights are those that the fit found. No bearing model is in it: 1 is a linear machine with right weights.
     """
-    from pipeline.problem.model_parameters import update_excitations
+    from pipeline.problem.force_parameters import update_excitations
 
     data = measurement.dataset
     if measurement.parameters:
         data = update_excitations(data, measurement.parameters, measurement.parameter_values)
     noise = measurement.deviation_of(data.displacement, data.subtracted, factor)
+    free = bool(measurement.unknowns.planes) or any(one.kind == "bow" for one in measurement.parameters)
     found = {}
     for r, run in enumerate(data.runs):
         others = [o for o in range(len(data.runs)) if o != r]
-        told = superpose_with_noise(
-            data, others, data.excitation_of(r), data.frequencies[:, r], bool(measurement.unknowns.planes), noise
-        )
+        told = superpose_with_noise(data, others, data.excitation_of(r), data.frequencies[:, r], free, noise)
         if told is not None:
             summed, spread = told
             off = np.abs(summed - data.displacement[..., r]) ** 2 / (spread**2 + noise[..., r] ** 2)

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,8 +23,9 @@ from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.uncertainty import Uncertainty
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.model import RotorModel, bearing_dof
-from pipeline.rotor.parameters import rotor_change
+from pipeline.rotor.interpolation import BearingPlaces, bearing_places, shaft_rows
+from pipeline.rotor.model import RotorModel
+from pipeline.rotor.parameters import ModelParameter, rotor_change
 from pipeline.twin.modes import (
     CriticalSpeed,
     StabilityMargin,
@@ -120,6 +121,7 @@ def deviate_modes(
     by_number = uncertainty.sensitivity(identified, bearings.speeds)  # (B, S, 8, A (K + L))
     count, covariance = by_number.shape[-1], uncertainty.of_machine
     changes = [rotor_change(one, measurement.rotor) for one in measurement.parameters]
+    along = [t for t, one in enumerate(measurement.parameters) if one.kind == "bearing_position"]
     values = np.concatenate([modes.eigenvalues, (modes.growth + 1j * modes.growing)[:, None]], axis=1)
     rotor = measurement.updated_rotor
     stiffness, damping = assemble_systems(rotor, bearings)
@@ -127,8 +129,9 @@ def deviate_modes(
     moved = np.full((*values.shape, len(covariance)), np.nan, dtype=complex)  # (S, K + 1, Z)
     for s, of in enumerate(values):
         there = np.flatnonzero(~np.isnan(of))
-        system = System(mass[s], stiffness[s], damping[s], float(bearings.speeds[s]), bearing_dof(rotor))
-        by_coefficient, by_rotor = system.derive(of[there], changes)
+        system = System(mass[s], stiffness[s], damping[s], float(bearings.speeds[s]), bearing_places(rotor))
+        moves = {t: derive_place(rotor, measurement.parameters[t], bearings.values[:, s]) for t in along}
+        by_coefficient, by_rotor = system.derive(of[there], [moves.get(t, one) for t, one in enumerate(changes)])
         moved[s, there, :count] = np.einsum("kbc,bcz->kz", by_coefficient, by_number[:, s], optimize=True)
         if changes:
             by_known = np.einsum("kbc,bct->kt", by_coefficient, measurement.known_variation[s])
@@ -143,6 +146,17 @@ def deviate_modes(
         growing,
         covariance,
     )
+
+
+def derive_place(rotor: RotorModel, parameter: ModelParameter, values: np.ndarray) -> RotorModel:
+    """What the place of a bearing changes of ``K + K_b`` and ``C + C_b``; coefficients ``values`` (B, 8)."""
+    b, nothing = parameter.place, np.zeros_like(rotor.mass)
+    node, shift = rotor.bearing_nodes[b], rotor.bearing_shifts[b] if rotor.bearing_shifts else 0.0
+    rows, slopes = (shaft_rows(rotor, node, shift, slope) for slope in (False, True))
+    made = []
+    for block in values[b].reshape(2, 2, 2):
+        made.append(parameter.deviation * (slopes.T @ block @ rows + rows.T @ block @ slopes))
+    return replace(rotor, mass=nothing, gyroscopic=nothing, stiffness=made[0], damping=made[1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +182,7 @@ class System:
     stiffness: np.ndarray  # (n, n) K + K_b
     damping: np.ndarray  # (n, n) C + W G + C_b
     speed: float  # W, rad/s
-    places: np.ndarray  # (B, 2) x and y of each bearing
+    places: BearingPlaces
 
     def derive(self, values: np.ndarray, changes: Sequence[RotorModel | None] = ()) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of the eigenvalues ``values`` (K,).
@@ -181,7 +195,8 @@ class System:
         system = shifted**2 * mass + shifted * self.damping + self.stiffness  # (K, n, n)
         right, left = _find_null(system), _find_null(system.swapaxes(1, 2))
         left = left / _multiply(left, 2.0 * of * mass + self.damping, right)[:, None]
-        by_stiffness = -left[:, places, None] * right[:, places][:, :, None]  # (K, B, 2, 2)
+        shown = [places.show(vector[..., None]).reshape(len(values), -1, 2) for vector in (left, right)]  # (K, B, 2)
+        by_stiffness = -shown[0][..., None] * shown[1][:, :, None]  # (K, B, 2, 2)
         by_stiffness = by_stiffness.reshape(*by_stiffness.shape[:2], 4)
         by_coefficient = np.concatenate([by_stiffness, of * by_stiffness], axis=-1)
         by_rotor = np.zeros((len(values), len(changes)), dtype=complex)

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.model import RotorModel, bearing_dof, seal_dof
+from pipeline.rotor.interpolation import bearing_places
+from pipeline.rotor.model import RotorModel, seal_dof
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,10 +37,11 @@ def assemble_systems(rotor: RotorModel, bearings: BearingTable) -> tuple[np.ndar
     stiffness = np.broadcast_to(rotor.stiffness, (len(bearings.speeds), n, n)).copy()
     damping = rotor.damping + bearings.speeds[:, None, None] * rotor.gyroscopic
     blocks = bearings.values.reshape(*bearings.values.shape[:2], 2, 2, 2)
-    for b, pair in enumerate(bearing_dof(rotor)):
-        where = (slice(None), *np.ix_(pair, pair))
-        stiffness[where] += blocks[b, :, 0]
-        damping[where] += blocks[b, :, 1]
+    places = bearing_places(rotor)
+    for block, dof in zip(places.spread(blocks), places.dof, strict=True):
+        where = (slice(None), *np.ix_(dof, dof))
+        stiffness[where] += block[:, 0]
+        damping[where] += block[:, 1]
     for block, pair in zip(rotor.seals.matrices(bearings.speeds), seal_dof(rotor), strict=True):
         where = (slice(None), *np.ix_(pair, pair))
         stiffness[where] += block[:, 0]

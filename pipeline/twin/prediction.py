@@ -11,7 +11,7 @@ from pipeline.data.simulate import solve_response
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.uncertainty import Uncertainty
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.model_parameters import without_probes
+from pipeline.problem.model_parameters import of_machine_alone
 from pipeline.problem.reference_response import response_equations, response_variations
 from pipeline.problem.response import derive_by_parameters, respond
 from pipeline.rotor.bearing_table import BearingTable
@@ -63,7 +63,7 @@ def add_deviation(
     by_number = uncertainty.sensitivity(identified, bearings.speeds)  # (B, S, 8, A (K + L))
     moved = np.einsum("sdbc,bscz->sdz", by_coefficient, by_number)
     if measurement.parameters:
-        rotor, parameters = measurement.rotor, without_probes(measurement.parameters)
+        rotor, parameters = measurement.rotor, of_machine_alone(measurement.parameters)
         values = measurement.parameter_values
         (variation,) = response_variations(rotor, dataset, stiffness, (), parameters, values)
         change = equations.change(bearings, equations.blocks[0])

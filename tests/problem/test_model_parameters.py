@@ -38,6 +38,10 @@ DEVIATIONS = {
     "probe_position": 0.003,
     "runout": 2e-7,
     "known_coefficients": 0.05,
+    "bearing_position": 0.02,
+    "bow": 1e-5,
+    "weight_angle": 0.2,
+    "weight_law": 400.0,
 }
 
 
@@ -73,6 +77,9 @@ def test_every_kind_has_its_parameters(measurement: Measurement) -> None:
     assert count == dict.fromkeys(UNITS, 1) | {
         "disc_mass": 2,
         "disc_inertia": 2,
+        "bearing_position": 2,
+        "bow": 4,
+        "weight_law": 2,
         "unbalance_magnitude": 2,
         "unbalance_phase": 2,
         "probe_gain": 4,
@@ -101,7 +108,7 @@ def test_derivatives_are_those_of_differences(measurement: Measurement) -> None:
     sensitivity = measurement.response.sensitivity(measurement.updated_known)
     moved = respond(block, change, unbalance)
     assert np.allclose(moved.sensors, readings(measurement))
-    step, at = 1e-4, measurement.parameter_values
+    step, at = 1e-3, measurement.parameter_values
     for t, parameter in enumerate(measurement.parameters):
         shift = step * (np.arange(len(at)) == t)
         ahead, behind = readings(measurement.update(at + shift)), readings(measurement.update(at - shift))
@@ -136,6 +143,27 @@ def test_a_parameter_that_the_machine_lacks_is_refused(kind: str, measurement: M
     data = replace(measurement.dataset, excitations=(Excitation("a", "force", 3, 1.0, 0.0),))
     with pytest.raises(ConfigError, match=f"{kind} must belong to something that the machine has"):
         model_parameters({kind: 0.1}, bare, data, measurement.known, unknowns)
+
+
+@pytest.mark.parametrize(
+    ("kind", "deviation", "law"),
+    [
+        ("bearing_position", 0.4, "on the shaft, whose end is 150 mm from it, but got 400 mm"),
+        ("probe_position", 1.3, "on the shaft, whose end is 1050 mm from it, but got 1300 mm"),
+    ],
+)
+def test_what_leaves_the_shaft_is_refused(kind: str, deviation: float, law: str, measurement: Measurement) -> None:
+    """The bearing at node 1 has 150 mm to the end; a probe may go either way."""
+    one = measurement
+    with pytest.raises(ConfigError, match=law):
+        model_parameters({kind: deviation}, one.rotor, one.dataset, one.known, one.unknowns)
+
+
+def test_a_bow_that_a_baseline_took_off_is_refused(measurement: Measurement) -> None:
+    """As a runout is: what is the same in all runs cancels."""
+    less = replace(measurement.dataset, subtracted=np.zeros_like(measurement.dataset.displacement))
+    with pytest.raises(ConfigError, match=r"bow must belong to .* no baseline was subtracted from"):
+        model_parameters({"bow": 1e-5}, measurement.rotor, less, measurement.known, measurement.unknowns)
 
 
 def test_the_budget_is_what_least_squares_makes_of_a_wrong_model(measurement: Measurement) -> None:

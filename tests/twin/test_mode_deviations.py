@@ -10,9 +10,10 @@ import pytest
 from conftest import Machine
 
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.model import RotorModel, bearing_dof
+from pipeline.rotor.interpolation import bearing_places, move_bearing
+from pipeline.rotor.model import RotorModel
 from pipeline.rotor.parameters import ModelParameter, rotor_change, update_rotor
-from pipeline.twin.mode_deviations import ModeDeviations, System, describe_modes, deviate
+from pipeline.twin.mode_deviations import ModeDeviations, System, derive_place, describe_modes, deviate
 from pipeline.twin.modes import (
     WhirlModes,
     amplify,
@@ -30,7 +31,7 @@ def derive(rotor: RotorModel, bearings: BearingTable, s: int, changes: list[Roto
     stiffness, damping = assemble_systems(rotor, bearings)
     values = find_modes(rotor, bearings).eigenvalues[s]
     values = values[~np.isnan(values)]
-    return values, *System(rotor.mass, stiffness[s], damping[s], bearings.speeds[s], bearing_dof(rotor)).derive(
+    return values, *System(rotor.mass, stiffness[s], damping[s], bearings.speeds[s], bearing_places(rotor)).derive(
         values, changes
     )
 
@@ -66,6 +67,17 @@ def test_derivatives_by_model_parameters_equal_differences(kind: str, hydrostati
     differences = (ends[0] - ends[1]) / (2 * step)
     np.testing.assert_allclose(by_rotor[:, 0], differences, atol=1e-4 * np.abs(differences).max())
     assert not by_rotor[:, 1].any()
+
+
+def test_the_derivative_by_a_place_of_a_bearing_equals_differences(hydrostatic: Machine) -> None:
+    """Inside an element, 20 mm beyond the node."""
+    parameter, bearings, s = ModelParameter("bearing_position", 0.005, "", 1), hydrostatic.bearings, 12
+    rotor = move_bearing(hydrostatic.rotor, 1, 0.02)
+    found = derive(rotor, bearings, s, [derive_place(rotor, parameter, bearings.values[:, s])])[2][:, 0]
+    step = 1e-3
+    ends = [eigenvalues(update_rotor(rotor, [parameter], np.array([v])), bearings, s) for v in (step, -step)]
+    differences = (ends[0] - ends[1]) / (2 * step)
+    np.testing.assert_allclose(found, differences, atol=1e-4 * np.abs(differences).max())
 
 
 def toy(machine: Machine) -> tuple[WhirlModes, ModeDeviations, np.ndarray]:

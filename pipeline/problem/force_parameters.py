@@ -1,0 +1,138 @@
+"""What uncertain numbers change of the forces: weights, and a bow of the shaft.
+
+A shaft with the bow ``u`` resists ``q - u``, not q: with the shaft's own stiffness K its force is ``-K (q - u)``, so
+that ``K u`` acts on the straight one and turns with it (Nelson and McVaugh 1976; Childs 1993). The same at all speeds,
+it is no unbalance. The shapes here are those that a force at a disc gives the shaft between its bearings.
+
+Legend: T parameters, S speeds, R runs, n lateral DOF. SI units and radians.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pipeline.data.dataset import Excitation, VibrationDataset, assemble_forces
+from pipeline.rotor.model import RotorModel, bearing_dof, translation_dof
+from pipeline.rotor.parameters import OF_ALL_WEIGHTS, OF_WEIGHT, ModelParameter
+
+PARTS = {"real": 1.0, "imaginary": 1j}
+"""Of a complex number, which is two parameters."""
+
+
+def number_excitations(excitations: Sequence[Excitation]) -> Iterator[tuple[int, Excitation]]:
+    """Each excitation with its position among those of its run, which selecting runs does not change."""
+    seen: dict[str, int] = {}
+    for one in excitations:
+        seen[one.run] = seen.get(one.run, -1) + 1
+        yield seen[one.run], one
+
+
+# --- weights -------------------------------------------------------------------------------------------
+
+
+def update_excitations(
+    dataset: VibrationDataset, parameters: Sequence[ModelParameter], values: np.ndarray
+) -> VibrationDataset:
+    """The data set with the weights at parameters ``values`` (T,)."""
+    shifts = _shifts(parameters, values)
+    moved = [_vector(one, _effective(one, i, shifts)) for i, one in number_excitations(dataset.excitations)]
+    return replace(dataset, excitations=tuple(moved)) if shifts else dataset
+
+
+def force_change(
+    t: int, parameters: Sequence[ModelParameter], values: np.ndarray, rotor: RotorModel, dataset: VibrationDataset
+) -> np.ndarray | None:
+    """(S, n, R) derivative of the forces by parameter t at ``values`` (T,), N; None where it moves none.
+
+    ``dataset`` has the weights as they are stated.
+    """
+    parameter, shifts = parameters[t], _shifts(parameters, values)
+    if parameter.kind not in (*OF_WEIGHT, *OF_ALL_WEIGHTS):
+        return None
+    moved = []
+    for i, one in number_excitations(dataset.excitations):
+        if parameter.kind in OF_WEIGHT:
+            acts = (one.run, i) == (parameter.detail, parameter.place)
+        else:
+            acts = one.kind == "unbalance"
+        if acts:
+            moved.append(_vector(one, parameter.deviation * _derive(one, i, shifts, parameter)))
+    return assemble_forces(rotor, tuple(moved), dataset.runs, dataset.frequencies) if moved else None
+
+
+_Shifts = Mapping[tuple[str, str, int], float]
+
+
+def _shifts(parameters: Sequence[ModelParameter], values: np.ndarray) -> _Shifts:
+    """(kind, detail, place) -> what a weight's number moves by."""
+    kinds = (*OF_WEIGHT, *OF_ALL_WEIGHTS)
+    every = zip(parameters, values, strict=True)
+    return {(p.kind, p.detail, p.place): float(v) * p.deviation for p, v in every if p.kind in kinds}
+
+
+def _parts(one: Excitation, i: int, shifts: _Shifts) -> tuple[float, complex, complex]:
+    """Magnitude and turn of a weight, and the a of ``U (1 + a |U|)``."""
+    law = 0j
+    if one.kind == "unbalance":
+        law = sum((part * shifts.get(("weight_law", name, 0), 0.0) for name, part in PARTS.items()), 0j)
+    common = shifts.get(("weight_angle", "", 0), 0.0) if one.kind == "unbalance" else 0.0
+    turn = one.phase + common + shifts.get(("unbalance_phase", one.run, i), 0.0)
+    size = one.magnitude * (1 + shifts.get(("unbalance_magnitude", one.run, i), 0.0))
+    return size, complex(np.exp(1j * turn)), law
+
+
+def _effective(one: Excitation, i: int, shifts: _Shifts) -> complex:
+    size, turn, law = _parts(one, i, shifts)
+    return turn * size * (1 + law * size)
+
+
+def _derive(one: Excitation, i: int, shifts: _Shifts, parameter: ModelParameter) -> complex:
+    """The derivative of :func:`_effective` by the number itself."""
+    size, turn, law = _parts(one, i, shifts)
+    if parameter.kind == "unbalance_magnitude":
+        return turn * one.magnitude * (1 + 2 * law * size)
+    if parameter.kind == "weight_law":
+        return turn * size**2 * PARTS[parameter.detail]
+    return 1j * _effective(one, i, shifts)
+
+
+def _vector(one: Excitation, value: complex) -> Excitation:
+    return replace(one, magnitude=abs(value), phase=float(np.angle(value)))
+
+
+# --- the bow -------------------------------------------------------------------------------------------
+
+
+def bow_change(parameter: ModelParameter, rotor: RotorModel) -> np.ndarray | None:
+    """(n,) N, complex, derivative of the bow's force by the parameter; None where it is of no bow.
+
+    ``rotor`` is the stated one: a bow is what its stiffness makes of the force.
+    """
+    if parameter.kind != "bow":
+        return None
+    x, y = (_bend(rotor, parameter.place, direction) for direction in range(2))
+    return np.asarray(parameter.deviation * PARTS[parameter.detail] * (x - 1j * y))
+
+
+def bow_force(parameters: Sequence[ModelParameter], values: np.ndarray, rotor: RotorModel) -> np.ndarray:
+    """(n,) N, complex, that turns with the shaft at parameters ``values`` (T,)."""
+    total = np.zeros(rotor.n_dof, dtype=complex)
+    for parameter, value in zip(parameters, values, strict=True):
+        if parameter.kind == "bow":
+            total += value * bow_change(parameter, rotor)
+    return total
+
+
+def _bend(rotor: RotorModel, node: int, direction: int) -> np.ndarray:
+    """(n,) N: the force that bends the shaft by 1 m at the node, held at its bearings, with what holds it there."""
+    held = bearing_dof(rotor).ravel()
+    free = np.setdiff1d(np.arange(rotor.n_dof), held)
+    at, unit = translation_dof(node, direction), np.zeros(rotor.n_dof)
+    unit[at] = 1.0
+    shape = np.zeros(rotor.n_dof)
+    shape[free] = np.linalg.solve(rotor.stiffness[np.ix_(free, free)], unit[free])
+    unit[held] = rotor.stiffness[held] @ shape
+    return np.asarray(unit / shape[at])

@@ -1,0 +1,92 @@
+"""Uncertain weights and a bow: against closed forms, against ROSS, and against hand calculation."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import MachineFactory
+
+from pipeline.config.rotor import RotorConfig
+from pipeline.data.dataset import Excitation, VibrationDataset
+from pipeline.problem.force_parameters import bow_force, update_excitations
+from pipeline.rotor.dynamic_stiffness import banded, solve
+from pipeline.rotor.interpolation import bearing_places
+from pipeline.rotor.parameters import ModelParameter
+from pipeline.rotor.ross_adapter import ross_rotor
+from pipeline.rotor.stored import load_rotor
+
+STEEL = {"density": 7810.0, "youngs_modulus": 211e9, "shear_modulus": 81.2e9}
+
+
+def test_weights_follow_the_angle_and_the_law() -> None:
+    """By hand: 2 g m more at 3 % and 0.1 rad, all turned by 0.2 rad, U (1 + a |U|); a force is no weight."""
+    acting = (Excitation("a", "unbalance", 3, 2e-3, 0.3), Excitation("a", "force", 1, 5.0, 0.7))
+    data = VibrationDataset(np.array([100.0]), ("a",), ((0, 0.0),), np.zeros((1, 1, 1), complex), acting)
+    parameters = [
+        ModelParameter("unbalance_magnitude", 0.03, "", 0, "a"),
+        ModelParameter("unbalance_phase", 0.1, "", 0, "a"),
+        ModelParameter("weight_angle", 0.2, ""),
+        ModelParameter("weight_law", 40.0, "", 0, "real"),
+        ModelParameter("weight_law", 30.0, "", 0, "imaginary"),
+    ]
+    weight, force = update_excitations(data, parameters, np.array([1.0, -1.0, 1.0, 2.0, -1.0])).excitations
+    size = 2e-3 * 1.03
+    expected = size * np.exp(0.4j) * (1 + (80.0 - 30.0j) * size)
+    assert weight.magnitude * np.exp(1j * weight.phase) == pytest.approx(expected, rel=1e-12)
+    assert force.magnitude * np.exp(1j * force.phase) == pytest.approx(5.0 * np.exp(0.7j), rel=1e-12)
+
+
+def test_a_bowed_shaft_rolls_in_its_shape() -> None:
+    """At slow roll a beam on rigid supports shows its bow: 3 z / L - 4 (z / L)^3 of a load at midspan, turning."""
+    shaft = [{"length": 1.0, "outer_diameter": 0.05, "inner_diameter": 0.0, "elements": 8}]
+    disc = {"node": 4, "mass": 10.0, "diametral_inertia": 0.05, "polar_inertia": 0.09}
+    config = {"material": STEEL, "shaft": shaft, "discs": [disc], "bearing_nodes": [0, 8], "shear_effects": False}
+    rotor, speeds = load_rotor(RotorConfig.model_validate(config)), np.array([0.1])
+    parts = [ModelParameter("bow", 1e-5, "", 4, part) for part in ("real", "imaginary")]
+    force = bow_force(parts, np.array([2.0, 1.0]), rotor)[None, :, None]
+    places = bearing_places(rotor)
+    rigid = np.broadcast_to(1e13 * np.eye(2), (2, 1, 2, 2))
+    motion = solve(banded(rotor), speeds, speeds, force, places.spread(rigid), places.dof)[0, :, 0].reshape(9, 4)
+    share = np.minimum(rotor.positions, 1.0 - rotor.positions)
+    shape = 3 * share - 4 * share**3
+    assert motion[:, 0] == pytest.approx((2e-5 + 1e-5j) * shape, rel=1e-5, abs=1e-10)
+    assert motion[:, 1] == pytest.approx(-1j * motion[:, 0], rel=1e-6, abs=1e-10)
+
+
+@pytest.mark.slow
+def test_a_bow_moves_ross_own_rotor_as_this_one(machine: MachineFactory) -> None:
+    """ROSS ``run_forced_response`` of ROSS's own stiffness times the bow, held at its bearings by ROSS's matrices."""
+    made = machine("experiment=ball_bearing", "machine.speeds.step_rpm=700")
+    rotor, speeds = made.rotor, made.speeds
+    theirs = ross_rotor(made.config.machine.rotor, made.config.machine.bearings, speeds)
+    stiffness = sum_shaft_stiffness(theirs)
+    disc = rotor.disc_nodes[0]
+    bow = np.zeros(theirs.ndof, dtype=complex)
+    for direction, turn in ((0, 1.0), (1, -1j)):
+        lateral = [6 * node + dof for node in range(rotor.n_nodes) for dof in (0, 1, 3, 4)]
+        held = [6 * node + dof for node in rotor.bearing_nodes for dof in (0, 1)]
+        free = [dof for dof in lateral if dof not in held]
+        shape = np.zeros(theirs.ndof)
+        pushed = np.array(free) == 6 * disc + direction
+        shape[free] = np.linalg.solve(stiffness[np.ix_(free, free)], pushed.astype(float))
+        bow += turn * 2e-5 * np.exp(0.5j) * shape / shape[6 * disc + direction]
+    force = np.repeat((stiffness @ bow)[:, None], len(speeds), axis=1)
+    answer = np.asarray(theirs.run_forced_response(force=force, speed_range=speeds).forced_resp)[lateral].T
+
+    parts = [ModelParameter("bow", 2e-5, "", disc, part) for part in ("real", "imaginary")]
+    own = bow_force(parts, np.array([np.cos(0.5), np.sin(0.5)]), rotor)[None, :, None]
+    places = bearing_places(rotor)
+    right = np.repeat(own, len(speeds), axis=0)
+    found = solve(banded(rotor), speeds, speeds, right, places.spread(made.bearings.impedance(speeds)), places.dof)
+    assert np.abs(found[..., 0] - answer)[:, 0::4].max() <= 1e-7 * np.abs(answer[:, 0::4]).max()
+
+
+def sum_shaft_stiffness(rotor: Any) -> np.ndarray:
+    """(ndof, ndof) N/m of ROSS's shaft elements alone."""
+    total = np.zeros((rotor.ndof, rotor.ndof))
+    for element in rotor.shaft_elements:
+        where = np.ix_(*[list(element.dof_global_index.values())] * 2)
+        total[where] += element.K()
+    return total
