@@ -1,0 +1,219 @@
+"""Correction weights at given holes: the choice of holes and masses that leaves least.
+
+What a choice leaves is ``A c + b``: c (N,) complex kg m are the unbalances that the weights make in the planes, b is
+what is there without them, and A how the weights act on it. With A the identity and b the unbalance, the choice leaves
+least unbalance; with influence coefficients for A and vibration for b, least vibration. The search is exact: with the
+QR factorisation of A the cost is a sum over planes, each with the choices of the planes before it fixed, so that a
+choice whose sum already exceeds the best known is left out with all that follow (the sphere decoder of Fincke and
+Pohst, 1985).
+
+Legend: N planes, M rows, H holes of a plane, K choices of a plane.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations, product
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.errors import ConfigError
+
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree
+
+MOST_CHOICES = 3_000_000
+"""Of one plane: more would not fit into memory at once."""
+MOST_HOLES = 30_000
+"""Sets of holes that are tried one by one, which takes a second."""
+_SAME = 1e-9
+"""Share of the largest choice by which two choices are called the same."""
+
+
+@dataclass(frozen=True, eq=False)
+class Holes:
+    """The holes of one plane, and what can be put into them."""
+
+    angles: np.ndarray  # (H,) rad, from x at the pulse
+    radius: float  # m
+    masses: tuple[float, ...] | None  # kg, each as often as it is wanted; None for any mass
+    most: int  # weights at once, each in a hole of its own
+
+    @property
+    def unit(self) -> np.ndarray:
+        """(H,) complex m: the unbalance of 1 kg in each hole."""
+        return self.radius * np.exp(1j * self.angles)
+
+
+@dataclass(frozen=True)
+class Weight:
+    """A mass (kg) in a hole, counted from 1."""
+
+    hole: int
+    mass: float
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """The chosen weights of each plane, and what they leave."""
+
+    weights: tuple[tuple[Weight, ...], ...]  # N
+    unbalance: np.ndarray  # (N,) complex kg m, that the weights make
+    remaining: np.ndarray  # (M,) complex, A c + b
+
+
+def choose_weights(acting: np.ndarray, there: np.ndarray, planes: Sequence[Holes]) -> Correction:
+    """The weights whose ``acting @ c + there`` has the least norm.
+
+    ``acting`` (M, N) complex with M >= N, ``there`` (M,) complex; all planes have masses of a list, or all have any.
+    Raises ConfigError where there are too many choices, or two planes act alike.
+    """
+    wanted, triangle = _reduce(acting, there)
+    if planes[0].masses is not None:
+        choices = [_list_choices(one) for one in planes]
+        chosen = [of.weights(k) for of, k in zip(choices, _search(triangle, wanted, choices), strict=True)]
+    elif min(one.most for one in planes) > 1:
+        chosen = [split_vector(complex(c), one) for c, one in zip(wanted, planes, strict=True)]
+    else:
+        chosen = _choose_holes(triangle, wanted, planes)
+    made = [sum(w.mass * one.unit[w.hole - 1] for w in of) for of, one in zip(chosen, planes, strict=True)]
+    unbalance = np.array(made, dtype=complex)
+    return Correction(tuple(chosen), unbalance, acting @ unbalance + there)
+
+
+def split_vector(unbalance: complex, holes: Holes) -> tuple[Weight, ...]:
+    """Any masses in the two neighbouring holes that make ``unbalance`` (kg m) together; one where it points at a hole.
+
+    The holes stand all round: at least three, evenly spaced.
+    """
+    if unbalance == 0:
+        return ()
+    turns = np.mod(holes.angles - np.angle(unbalance), 2 * math.pi)
+    pair = [int(turns.argmax()), int(turns.argmin())]  # the last one before it, the first one from it on
+    matrix = np.array([holes.unit[pair].real, holes.unit[pair].imag])
+    masses = np.linalg.solve(matrix, [unbalance.real, unbalance.imag])
+    found = (Weight(hole + 1, float(mass)) for hole, mass in zip(pair, masses, strict=True))
+    return tuple(weight for weight in found if weight.mass > _SAME * masses.max())
+
+
+def _reduce(acting: np.ndarray, there: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) the unbalance that would leave least, and (N, N) a triangle: the cost is ``|triangle (c - wanted)|^2`` and a
+    constant."""
+    q, triangle = np.linalg.qr(acting)
+    size = np.abs(np.diag(triangle))
+    if size.min() <= 1e-9 * size.max():
+        raise ConfigError(
+            "machine.balance.planes must act differently on the vibration, but two of them act alike at these probes "
+            "and speeds: leave one of them out, or balance at more speeds (balance.speeds_rpm)"
+        )
+    return np.linalg.solve(triangle, -q.conj().T @ there), triangle
+
+
+# --- masses of a list --------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Choices:
+    """Every set of weights of a plane; of sets that make the same unbalance the one of fewest and lightest weights."""
+
+    unbalance: np.ndarray  # (K,) complex kg m
+    holes: np.ndarray  # (K, most), -1 for none
+    masses: np.ndarray  # (K, most) kg
+
+    @cached_property
+    def tree(self) -> KDTree:
+        """For the choices nearest to a vector."""
+        from scipy.spatial import KDTree
+
+        return KDTree(_as_points(self.unbalance))
+
+    def weights(self, index: int) -> tuple[Weight, ...]:
+        """The weights of one choice, by hole."""
+        pairs = zip(self.holes[index].tolist(), self.masses[index].tolist(), strict=True)
+        return tuple(Weight(hole + 1, mass) for hole, mass in pairs if hole >= 0)
+
+
+def _as_points(values: np.ndarray) -> np.ndarray:
+    return np.stack([values.real, values.imag], axis=-1)
+
+
+def _list_choices(holes: Holes) -> _Choices:
+    count, most = len(holes.angles), min(holes.most, len(holes.angles))
+    listed = np.unique(np.array(holes.masses, dtype=float))
+    total = sum(math.comb(count, k) * len(listed) ** k for k in range(most + 1))
+    if total > MOST_CHOICES:
+        raise ConfigError(
+            f"a plane must have at most {MOST_CHOICES} choices of weights, but {count} holes, {len(listed)} masses and "
+            f"up to {most} weights make {total}: give fewer masses, or a smaller machine.balance.most"
+        )
+    at, of = np.full((1, most), -1), np.zeros((1, most))
+    for k in range(1, most + 1):
+        places = np.array(list(combinations(range(count), k)))
+        sizes = np.array(list(product(listed, repeat=k)))
+        blank = ((0, 0), (0, most - k))
+        at = np.concatenate([at, np.pad(np.repeat(places, len(sizes), axis=0), blank, constant_values=-1)])
+        of = np.concatenate([of, np.pad(np.tile(sizes, (len(places), 1)), blank)])
+    made = (holes.unit[at] * of).sum(axis=1)
+    order = np.lexsort((of.sum(axis=1), (at >= 0).sum(axis=1)))
+    grid = np.round(_as_points(made[order]) / (_SAME * np.abs(made).max()))
+    _, first = np.unique(grid, axis=0, return_index=True)
+    kept = order[np.sort(first)]
+    return _Choices(made[kept], at[kept], of[kept])
+
+
+def _search(triangle: np.ndarray, wanted: np.ndarray, choices: Sequence[_Choices]) -> list[int]:
+    """The choice of each plane with the least cost: from the last plane to the first, nearest choices first."""
+    best: list[int] = []
+    least = math.inf
+
+    def descend(i: int, fixed: list[int], spent: float) -> None:
+        nonlocal best, least
+        rest = sum(triangle[i, j] * (choices[j].unbalance[k] - wanted[j]) for j, k in enumerate(fixed, i + 1))
+        target, size = wanted[i] - rest / triangle[i, i], abs(triangle[i, i])
+        if i == 0:
+            far, k = choices[0].tree.query([target.real, target.imag])
+            if spent + (size * far) ** 2 < least:
+                best, least = [int(k), *fixed], spent + (size * far) ** 2
+            return
+        for k in _list_nearest(choices[i], target, lambda: math.sqrt(max(least - spent, 0.0)) / size):
+            descend(i - 1, [k, *fixed], spent + (size * abs(choices[i].unbalance[k] - target)) ** 2)
+
+    descend(len(choices) - 1, [], 0.0)
+    return best
+
+
+def _list_nearest(choices: _Choices, target: complex, within: Callable[[], float]) -> Iterator[int]:
+    """The choices in the order of their distance from ``target``, as far as ``within()`` says meanwhile."""
+    far = np.abs(choices.unbalance - target)
+    for k in np.argsort(far, kind="stable"):
+        if far[k] >= within():
+            return
+        yield int(k)
+
+
+# --- any mass ----------------------------------------------------------------------------------------
+
+
+def _choose_holes(triangle: np.ndarray, wanted: np.ndarray, planes: Sequence[Holes]) -> list[tuple[Weight, ...]]:
+    """One weight of any mass a plane: every set of holes, each with its masses by non-negative least squares."""
+    from scipy.optimize import nnls
+
+    count = math.prod(len(one.angles) for one in planes)
+    if count > MOST_HOLES:
+        raise ConfigError(
+            f"weights of any mass, one a plane, must have at most {MOST_HOLES} sets of holes, but there are {count}: "
+            "allow two weights a plane (machine.balance.most=2), which can make any vector"
+        )
+    right = _as_points(triangle @ wanted).ravel()
+    best, least = [], math.inf
+    for holes in product(*(range(len(one.angles)) for one in planes)):
+        units = np.array([one.unit[h] for h, one in zip(holes, planes, strict=True)])
+        matrix = _as_points((triangle * units).T).transpose(1, 2, 0).reshape(len(right), -1)
+        masses, left = nnls(matrix, right)
+        if left < least:
+            best, least = list(zip(holes, masses.tolist(), strict=True)), left
+    return [(Weight(hole + 1, mass),) if mass > 0 else () for hole, mass in best]

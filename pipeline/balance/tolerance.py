@@ -1,0 +1,62 @@
+"""What may remain of a rotor's unbalance by ISO 21940-11, at its two bearings.
+
+The permissible residual unbalance of the whole rotor is shared by its bearings as the centre of mass lies between them,
+at least 30 and at most 70 % each. What remains in the planes acts on the bearings by the lever. The standard is for
+rotors that stay stiff up to the service speed. The formulas are written from knowledge of it, no edition was at hand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.errors import ConfigError
+from pipeline.rotor.model import DOF_PER_NODE, RotorModel
+
+LEAST_SHARE, MOST_SHARE = 0.3, 0.7
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Tolerance:
+    """At each of the two bearings: what may remain, and by how much each plane acts there."""
+
+    nodes: tuple[int, int]
+    permissible: np.ndarray  # (2,) kg m
+    levers: np.ndarray  # (2, N)
+
+    def remaining(self, unbalance: np.ndarray) -> np.ndarray:
+        """(2,) complex kg m at the bearings, of (N,) in the planes."""
+        return self.levers @ unbalance
+
+    def deviation(self, covariance: np.ndarray) -> np.ndarray:
+        """(2,) kg m, root mean square of what remains at the bearings, from the planes' covariance (N, N)."""
+        return np.sqrt(np.einsum("bn,nm,bm->b", self.levers, covariance, self.levers).real)
+
+
+def share_tolerance(rotor: RotorModel, planes: Sequence[int], permissible: float) -> Tolerance:
+    """``permissible`` (kg m) of the whole rotor at its bearings. Raises ConfigError where there are not two of them."""
+    if len(rotor.bearing_nodes) != 2:
+        raise ConfigError(
+            "machine.balance.tolerance must be that of a rotor on two bearings (ISO 21940-11 shares it between them), "
+            f"but this one has {len(rotor.bearing_nodes)}: leave tolerance out"
+        )
+    first, second = sorted(rotor.bearing_nodes, key=lambda node: rotor.positions[node])
+    begin, span = rotor.positions[first], rotor.positions[second] - rotor.positions[first]
+    beyond = (rotor.positions[list(planes)] - begin) / span  # 0 at the first bearing, 1 at the second
+    share = float(np.clip((find_centre(rotor) - begin) / span, LEAST_SHARE, MOST_SHARE))
+    return Tolerance(
+        nodes=(first, second),
+        permissible=permissible * np.array([1 - share, share]),
+        levers=np.array([1 - beyond, beyond]),
+    )
+
+
+def find_centre(rotor: RotorModel) -> float:
+    """m along the shaft, the centre of mass: the first moment that the mass matrix has of a rigid tilt."""
+    moved, tilted = np.zeros(rotor.n_dof), np.zeros(rotor.n_dof)
+    moved[::DOF_PER_NODE] = 1.0
+    tilted[::DOF_PER_NODE] = rotor.positions
+    tilted[3::DOF_PER_NODE] = 1.0  # beta = dx/dz
+    return float(moved @ rotor.mass @ tilted / (moved @ rotor.mass @ moved))
