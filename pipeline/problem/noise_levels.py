@@ -24,7 +24,7 @@ FULL = 3
 TAIL = 4.0
 """Degrees of freedom of the Student t that weighs conditions."""
 _STEPS = 200
-_TOLERANCE = 1e-9
+_TOLERANCE = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,10 +34,45 @@ class NoiseLevels:
     record: np.ndarray  # (S, P, P) complex, m^2
     condition: np.ndarray  # (D, D) complex, m^2, index s * P + p
     freedom: float  # complex degrees of freedom behind the condition level; 0: a guess, infinite: known
+    tail: float | None = None  # complex degrees of freedom of a condition's Student t; None: the freedom alone
+    stretch: float = 1.0  # of the covariance, with that tail
+
+    def half_width(self, variance: np.ndarray, level: float = 0.95) -> np.ndarray:
+        """Half of the interval of the real and of the imaginary part, for complex variances; infinite for a guess."""
+        return np.asarray(student_factor(self.tail or self.freedom, level) * np.sqrt(self.stretch * variance / 2))
 
     def covariance(self, counts: np.ndarray) -> np.ndarray:
         """(C, D, D) complex, m^2, of means of ``counts`` (C,) records."""
         return np.asarray(self.condition + spread_blocks(self.record) / np.asarray(counts)[:, None, None])
+
+
+def student_factor(freedom: float, level: float = 0.95) -> float:
+    """Half of an interval in standard deviations, for ``freedom`` complex degrees of freedom; infinite for none."""
+    from scipy import stats
+
+    if freedom <= 0:
+        return float("inf")
+    return float(stats.t.ppf(0.5 + level / 2, 2 * freedom) if np.isfinite(freedom) else stats.norm.ppf(0.5 + level / 2))
+
+
+def fit_tail(distance: np.ndarray, size: int, freedom: float) -> tuple[float, float]:
+    """How heavy the tails of conditions are: complex degrees of freedom, and the stretch of their covariance.
+
+    ``distance`` (C,) are the squared distances T^2 of conditions from models that know nothing of them, each with
+    ``freedom`` degrees of freedom, for vectors of ``size`` entries. A multivariate Student t makes them
+    stretch size F(2 size, 2 tail); Gaussian conditions have tail = freedom - size + 1 (Hotelling), which is the most.
+    """
+    from scipy import optimize, stats
+
+    most = freedom - size + 1
+
+    def loss(at: np.ndarray) -> float:
+        tail, stretch = np.exp(at)
+        return -float((stats.f.logpdf(distance / (stretch * size), 2 * size, 2 * tail) - at[1]).sum())
+
+    start = [np.log(min(most, 8.0)), 0.0]
+    found = optimize.minimize(loss, start, method="L-BFGS-B", bounds=[(np.log(0.5), np.log(most)), (-3.0, 3.0)])
+    return float(np.exp(found.x[0])), float(np.exp(found.x[1]))
 
 
 def spread_blocks(record: np.ndarray) -> np.ndarray:
@@ -145,6 +180,19 @@ def consistency(size: int, left: float) -> float:
         return float(np.mean((TAIL + 2 * size) / (TAIL + 2 * distance / k) * distance)) - k * float(np.mean(distance))
 
     return float(optimize.brentq(excess, 0.05, 2.0))
+
+
+def leave_one_out(residual: np.ndarray, leverage: np.ndarray, weights: np.ndarray, left: float) -> np.ndarray:
+    """(C,) squared distances T^2 of each condition from the model of the others, with left - 1 degrees of freedom.
+
+    ``residual`` (C, D) and ``leverage`` (C,) are those of the fit of all, with these ``weights``.
+    """
+    ratio = weights / (1.0 if np.ptp(weights) == 0 else consistency(residual.shape[1], round(left, 6)))
+    scatter = (residual.T * ratio) @ residual.conj()
+    size = np.einsum("ci,ic->c", residual.conj(), np.linalg.solve(scatter, residual.T)).real
+    kept = 1 - weights * leverage
+    size = size / np.maximum(1 - ratio * size / kept, np.finfo(float).eps)
+    return np.asarray((left - 1) * size / kept**2 / (1 + leverage / kept))
 
 
 def shrink(covariance: np.ndarray, freedom: float) -> np.ndarray:

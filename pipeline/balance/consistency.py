@@ -1,0 +1,132 @@
+"""Conditions that contradict their labels, found from the vibration alone at a stated rate of false alarms.
+
+The squared distance T^2 of each condition from the model of the others is held against a scaled F distribution whose tail
+the others show (Hotelling's for Gaussian conditions). The farthest is left out and the rest is fitted again, so
+that one gross case does not mask others: what was left out up to the last significant step is named (Rosner 1983). A
+chance is that of the farthest of all conditions (Bonferroni).
+
+Legend: C conditions, N planes, D = S P (speeds times channels).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.balance.influence import Influence, distances, fit_influence
+from pipeline.balance.inverse import Unbalance, estimate_unbalance
+from pipeline.data.conditions import Conditions
+from pipeline.errors import IdentifiabilityError
+from pipeline.problem.noise_levels import fit_tail
+
+MOST = 0.2
+"""Share of the conditions that may be named: a model can't say which half is right."""
+_EXPLAINED = 0.01
+"""Chance above which an explanation leaves nothing that calls for another."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Contradiction:
+    """A condition that contradicts its label, and what would explain it."""
+
+    name: str
+    chance: float  # that consistent conditions have one as far off, in all of them together
+    label: np.ndarray  # (N,) complex, kg m
+    reading: Unbalance  # what the vibration would mean
+    missing: tuple[int, ...]  # planes (nodes) whose weight seems to be missing
+    shifted: tuple[int, float] | None  # a channel whose baseline seems to have shifted
+    explained: bool  # whether the shift, or other weights, leave nothing that is out of the ordinary
+    seen: np.ndarray  # (S, P) bool: where it lies outside its interval
+
+
+def find_contradictions(
+    conditions: Conditions, rate: float = 0.01, law: bool | None = None
+) -> tuple[list[Contradiction], Influence]:
+    """The conditions that contradict their labels, gross ones first, and the model of the others.
+
+    ``rate`` is the chance to name any where none contradicts. Raises IdentifiabilityError where the conditions are too
+    few to judge one by the others.
+    """
+    from scipy import stats
+
+    size, n = conditions.vectors.shape[1], len(conditions.names)
+    columns = 1 + len(conditions.planes)
+    steps = int(MOST * n)
+    if n - columns - 1 < size + 2:
+        raise IdentifiabilityError(
+            f"a condition can be judged by more than {size + columns + 2} others (the entries of a vector, and the "
+            f"columns of the model), but there are {n}: measure more conditions, or use fewer probes or speeds"
+        )
+    left, removed, named = list(range(n)), [], 0
+    chances: list[float] = []
+    for step in range(steps + 1):
+        if len(left) - columns - 1 < size + 2 or step == steps:
+            break
+        some = conditions.of(left)
+        squared = distances(some, fit_influence(some, law=law, robust=False))
+        far = int(np.argmax(squared))
+        tail, stretch = fit_tail(np.delete(squared, far), size, float(len(left) - columns - 1))
+        chances.append(float(min(1.0, len(left) * stats.f.sf(squared[far] / (stretch * size), 2 * size, 2 * tail))))
+        removed.append(left.pop(far))
+        if chances[-1] < rate:
+            named = step + 1
+    kept = [c for c in range(n) if c not in removed[:named]]
+    model = fit_influence(conditions.of(kept), law=law)
+    found = [_explain(conditions.of([c]), model, min(chances[k:named])) for k, c in enumerate(removed[:named])]
+    return found, model
+
+
+def _explain(one: Conditions, model: Influence, chance: float) -> Contradiction:
+    """What the model of the others makes of a condition."""
+    label, vector, count = one.unbalance[0], one.vectors[0], int(one.counts[0])
+    mean, own = model.predict(label[None])
+    total = own[0] + model.noise.covariance(np.array([count]))[0]
+    residual = vector - mean[0]
+    reading = estimate_unbalance(model, vector, count)
+    n_speeds, n_channels = one.displacement.shape[1:]
+    free = {}
+    for p in range(n_channels):
+        rest = np.setdiff1d(np.arange(len(vector)), np.arange(n_speeds) * n_channels + p)
+        free[p] = _squared(residual[rest], total[np.ix_(rest, rest)])
+    best = min(free, key=lambda p: free[p])
+    # A shift of one channel takes S complex numbers, other weights N: what each leaves is judged by its entries.
+    shift = free[best] / (len(vector) - n_speeds) < reading.unexplained / (len(vector) - len(label))
+    without = [np.where(np.arange(len(label)) == n, 0, label) for n in np.flatnonzero(label)]
+    missing = [one.planes[n] for n, u in zip(np.flatnonzero(label), without, strict=True) if _fits(one, model, u)]
+    chances = (
+        _chance(free[best], len(vector) - n_speeds, model),
+        _chance(reading.unexplained, len(vector) - len(label), model),
+    )
+    width = model.noise.half_width(np.diag(total).real)
+    outside = (abs(residual.real) > width) | (abs(residual.imag) > width)
+    return Contradiction(
+        name=one.names[0],
+        chance=chance,
+        label=label,
+        reading=reading,
+        missing=tuple(missing),
+        shifted=one.channels[best] if shift else None,
+        explained=bool(chances[0] > _EXPLAINED if shift else chances[1] > _EXPLAINED),
+        seen=outside.reshape(n_speeds, n_channels),
+    )
+
+
+def _fits(one: Conditions, model: Influence, unbalance: np.ndarray) -> bool:
+    """Whether a condition reads like these weights."""
+    mean, own = model.predict(unbalance[None])
+    total = own[0] + model.noise.covariance(one.counts)[0]
+    return _chance(_squared(one.vectors[0] - mean[0], total), len(total), model) > _EXPLAINED
+
+
+def _squared(residual: np.ndarray, covariance: np.ndarray) -> float:
+    return float((residual.conj() @ np.linalg.solve(covariance, residual)).real)
+
+
+def _chance(squared: float, size: int, model: Influence) -> float:
+    """That a consistent condition leaves as much in ``size`` entries."""
+    from scipy import stats
+
+    noise = model.noise
+    tail = noise.tail or max(noise.freedom - size + 1, 1.0)
+    return float(stats.f.sf(squared / (noise.stretch * size), 2 * size, 2 * tail))

@@ -1,0 +1,220 @@
+"""Influence coefficients with a baseline of their own, and with a law of the weights where the data ask for it.
+
+A condition shows y = b + B z with z = U + a U |U|: one complex ``a`` says by how much a heavy weight does more (or less)
+than in proportion, and by which angle. The fit is generalised least squares with the levels of
+:mod:`pipeline.problem.noise_levels`, robust against single bad conditions. For a given ``a`` all entries of y have one
+design, so that b and B need no covariance (Zellner 1962); ``a`` follows by Gauss-Newton from what the design leaves.
+
+Legend: C conditions, N planes, Q = 1 + N, D = S P (speeds times channels).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.data.conditions import Conditions
+from pipeline.errors import IdentifiabilityError
+from pipeline.problem.noise_levels import (
+    FULL,
+    NoiseLevels,
+    estimate_noise_levels,
+    fit_tail,
+    leave_one_out,
+    solve_weighted,
+)
+
+EVIDENCE = 0.01
+"""Chance with which proportional weights are taken for curved ones."""
+_STEPS = 50
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Influence:
+    """A fitted model y = b + B (U + a U |U|); a :class:`pipeline.balance.linear_vibration.LinearVibration`."""
+
+    speeds: np.ndarray  # (S,) rad/s
+    channels: tuple[tuple[int, float], ...]  # P
+    planes: tuple[int, ...]  # N
+    noise: NoiseLevels
+    coefficients: np.ndarray  # (Q, D) complex: the baseline, m, and the influence of each plane, m/(kg m)
+    law: complex  # a, 1/(kg m); 0 for proportional weights
+    spread: np.ndarray  # (Q, Q) complex: covariance of the coefficients, in units of the noise's
+    shift: np.ndarray  # (Q, D) by which the coefficients move with the law, for each unit of a
+    law_variance: float  # of a, 1/(kg m)^2
+    law_chance: float | None  # that proportional weights would look as curved; None where it was not asked
+    weights: np.ndarray  # (C,) of the conditions in the fit
+
+    def predict(self, unbalance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Mean (C, D) m and its covariance (C, D, D) m^2 for weights (C, N) kg m."""
+        unbalance = np.atleast_2d(unbalance)
+        design = design_of(unbalance, self.law)
+        leverage = np.einsum("cq,qr,cr->c", design, self.spread, design.conj()).real
+        covariance = leverage[:, None, None] * self.noise.covariance(np.ones(1)) + np.zeros((len(design), 1, 1))
+        if self.law_variance:
+            along = bend(unbalance) @ self.coefficients[1:] - design @ self.shift
+            covariance = covariance + self.law_variance * along[:, :, None] * along[:, None].conj()
+        return design @ self.coefficients, covariance
+
+    def influence_at(self, unbalance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Derivative (D, N) m/(kg m) by the weights at ``unbalance`` (N,), and the baseline (D,) m.
+
+        A curved law is no analytic function: this is the part that turns with the weights; the other is smaller by
+        the factor a |U| / 2.
+        """
+        slope = 1 + 1.5 * self.law * abs(np.asarray(unbalance))
+        return self.coefficients[1:].T * slope, self.coefficients[0]
+
+
+def bend(unbalance: np.ndarray) -> np.ndarray:
+    """U |U|, (kg m)^2."""
+    return np.asarray(unbalance * abs(unbalance))
+
+
+def design_of(unbalance: np.ndarray, law: complex = 0.0) -> np.ndarray:
+    """(C, Q) complex: ones, and the weights as they act."""
+    return np.column_stack([np.ones(len(unbalance)), unbalance + law * bend(unbalance)])
+
+
+def fit_influence(
+    conditions: Conditions,
+    law: bool | None = None,
+    robust: bool = True,
+    prior: NoiseLevels | None = None,
+    independent: bool = False,
+) -> Influence:
+    """Fit b, B and, where ``law`` is true, a; None takes the law where these conditions give evidence for it.
+
+    ``independent`` takes the noise of all entries as equal and independent, as ordinary least squares does. ``prior``
+    is the noise where there are as many coefficients as conditions. Raises IdentifiabilityError where there are fewer,
+    or where the weights can't be told apart.
+    """
+    design = design_of(conditions.unbalance)
+    scale = abs(design).max(0)
+    if np.linalg.matrix_rank(design / np.where(scale > 0, scale, 1)) < design.shape[1]:
+        raise IdentifiabilityError(
+            f"influence coefficients of {len(conditions.planes)} planes must come from conditions with weights that "
+            f"differ in every plane, but {len(conditions.names)} conditions ({', '.join(conditions.names[:4])}) do not "
+            "tell them apart: add a trial weight in each plane alone"
+        )
+    fitted = _fit(conditions, 0.0, robust, prior, independent)
+    if independent or not _free(fitted):
+        return fitted
+    chosen = fitted if law is False else _choose(conditions, fitted, robust, bool(law))
+    return replace(chosen, noise=_with_tail(conditions, chosen))
+
+
+def distances(conditions: Conditions, model: Influence) -> np.ndarray:
+    """(C,) squared distances T^2 of the conditions of a fit from the model of the others."""
+    design = design_of(conditions.unbalance, model.law)
+    leverage = np.einsum("cq,qr,cr->c", design, model.spread, design.conj()).real
+    left = float(len(design) - design.shape[1])
+    return leave_one_out(conditions.vectors - design @ model.coefficients, leverage, model.weights, left)
+
+
+def _with_tail(conditions: Conditions, model: Influence) -> NoiseLevels:
+    """The levels with the tail that the left-out conditions show, where there are enough of them."""
+    size = len(model.noise.condition)
+    if model.noise.freedom < FULL * size:
+        return model.noise
+    tail, stretch = fit_tail(distances(conditions, model), size, model.noise.freedom)
+    return replace(model.noise, tail=tail, stretch=stretch)
+
+
+def _choose(conditions: Conditions, fitted: Influence, robust: bool, law: bool) -> Influence:
+    """The fit with a law of the weights where it is asked for or these conditions give evidence of it."""
+    curved = _bend(conditions, fitted, robust)
+    if law or (curved.law_chance or 0.0) < EVIDENCE:
+        return curved
+    return replace(fitted, law_chance=curved.law_chance)
+
+
+def _free(model: Influence) -> bool:
+    """Whether the noise has degrees of freedom enough to judge by."""
+    return model.noise.freedom > model.noise.condition.shape[0]
+
+
+def _bend(conditions: Conditions, start: Influence, robust: bool) -> Influence:
+    """The fit with a law of the weights, from the one without."""
+    model = start
+    for _ in range(_STEPS):
+        step, variance = _step(conditions, model)
+        model = _fit(conditions, model.law + step, robust, None, False)
+        if abs(step) ** 2 < 1e-6 * variance:
+            break
+    variance = _step(conditions, model)[1]
+    size, free = len(model.noise.condition), model.noise.freedom
+    from scipy import stats
+
+    left = free - size + 1
+    chance = float(stats.f.sf(abs(model.law) ** 2 / variance * left / free, 2, 2 * left))
+    bent = bend(conditions.unbalance) @ model.coefficients[1:]
+    shift = solve_weighted(bent, design_of(conditions.unbalance, model.law), model.weights)
+    return replace(model, law_variance=variance, law_chance=chance, shift=shift)
+
+
+def _step(conditions: Conditions, model: Influence) -> tuple[complex, float]:
+    """The Gauss-Newton step of a, and its variance."""
+    design = design_of(conditions.unbalance, model.law)
+    bent = bend(conditions.unbalance) @ model.coefficients[1:]
+    along = bent - design @ solve_weighted(bent, design, model.weights)
+    residual = conditions.vectors - design @ model.coefficients
+    whitened = np.linalg.solve(model.noise.covariance(conditions.counts), along[..., None])[..., 0]  # (C, D)
+    power = float((model.weights * (along.conj() * whitened).sum(1).real).sum())
+    return complex((model.weights * (whitened.conj() * residual).sum(1)).sum() / power), 1 / power
+
+
+def _fit(
+    conditions: Conditions, law: complex, robust: bool, prior: NoiseLevels | None, independent: bool
+) -> Influence:
+    """The fit with a given law of the weights."""
+    design = design_of(conditions.unbalance, law)
+    weights = np.ones(len(design))
+    left = len(design) - design.shape[1]
+    size = conditions.vectors.shape[1]
+    if left <= 0 and prior is None:
+        levels = NoiseLevels(conditions.record_covariance, np.eye(size) * np.finfo(float).tiny, 0.0)
+    elif independent:
+        residual = conditions.vectors - design @ solve_weighted(conditions.vectors, design, weights)
+        power = (abs(residual) ** 2).sum() / (left * size)
+        levels = NoiseLevels(np.zeros_like(conditions.record_covariance), np.eye(size) * power + 0j, float(left))
+    else:
+        levels, weights = estimate_noise_levels(conditions, design, prior, robust)
+    gram = (design.conj().T * weights) @ design
+    return Influence(
+        speeds=conditions.speeds,
+        channels=conditions.channels,
+        planes=conditions.planes,
+        noise=levels,
+        coefficients=solve_weighted(conditions.vectors, design, weights),
+        law=law,
+        spread=np.linalg.inv(gram),
+        shift=np.zeros((design.shape[1], size), dtype=complex),
+        law_variance=0.0,
+        law_chance=None,
+        weights=weights,
+    )
+
+
+def judge_drift(conditions: Conditions, model: Influence) -> float | None:
+    """Chance that conditions without a steady drift in their order would show the slope that these show.
+
+    Hotelling's T^2 of a slope of the baseline over the order, for circular complex data (Giri 1965). None where the
+    noise has too few degrees of freedom to judge by.
+    """
+    from scipy import stats
+
+    if not _free(model):
+        return None
+    design = design_of(conditions.unbalance, model.law)
+    order = np.linspace(-0.5, 0.5, len(design))[:, None] + 0j
+    order = order - design @ solve_weighted(order, design, model.weights)
+    power = float((model.weights * abs(order[:, 0]) ** 2).sum())
+    residual = conditions.vectors - design @ model.coefficients
+    slope = (order[:, 0].conj() * model.weights) @ residual / power
+    level = model.noise.covariance(np.array([np.mean(conditions.counts)]))[0]
+    squared = power * float((slope.conj() @ np.linalg.solve(level, slope)).real)
+    size = len(level)
+    left = model.noise.freedom - size + 1
+    return float(stats.f.sf(squared * left / (model.noise.freedom * size), 2 * size, 2 * left))
