@@ -1,7 +1,7 @@
 """Conditions that contradict their labels, found from the vibration alone at a stated rate of false alarms.
 
-The squared distance T^2 of each condition from the model of the others is held against a scaled F distribution whose tail
-the others show (Hotelling's for Gaussian conditions). The farthest is left out and the rest is fitted again, so
+The squared distance T^2 of each condition from the model of the others is held against a scaled F distribution whose
+tail the others show (Hotelling's for Gaussian conditions). The farthest is left out and the rest is fitted again, so
 that one gross case does not mask others: what was left out up to the last significant step is named (Rosner 1983). A
 chance is that of the farthest of all conditions (Bonferroni).
 

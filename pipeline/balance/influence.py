@@ -1,6 +1,6 @@
 """Influence coefficients with a baseline of their own, and with a law of the weights where the data ask for it.
 
-A condition shows y = b + B z with z = U + a U |U|: one complex ``a`` says by how much a heavy weight does more (or less)
+A condition shows y = b + B z with z = U + a U |U|: one complex ``a`` says by how much a heavy weight does more or less
 than in proportion, and by which angle. The fit is generalised least squares with the levels of
 :mod:`pipeline.problem.noise_levels`, robust against single bad conditions. For a given ``a`` all entries of y have one
 design, so that b and B need no covariance (Zellner 1962); ``a`` follows by Gauss-Newton from what the design leaves.
@@ -165,9 +165,7 @@ def _step(conditions: Conditions, model: Influence) -> tuple[complex, float]:
     return complex((model.weights * (whitened.conj() * residual).sum(1)).sum() / power), 1 / power
 
 
-def _fit(
-    conditions: Conditions, law: complex, robust: bool, prior: NoiseLevels | None, independent: bool
-) -> Influence:
+def _fit(conditions: Conditions, law: complex, robust: bool, prior: NoiseLevels | None, independent: bool) -> Influence:
     """The fit with a given law of the weights."""
     design = design_of(conditions.unbalance, law)
     weights = np.ones(len(design))

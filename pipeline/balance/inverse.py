@@ -2,9 +2,9 @@
 
 Generalised least squares of y = baseline + B U with the covariance of the noise and of the model's prediction. The
 D - N entries that the weights do not explain are covariates: a condition that leaves a large T^2 there has wider
-intervals. Where the tail of the conditions is known (a Student t of ``tail`` complex degrees of freedom, stretch c), the
-conditional law has the covariance times (c tail + T^2) / (tail + D - N), with tail + D - N degrees of freedom; where only
-the freedom n of the covariance is, that is n / (n - D + N) (1 + T^2 / n) with n - D + N (growth curves, Rao 1967).
+intervals. Where the tail of the conditions is known (a Student t of ``tail`` complex degrees of freedom, stretch c),
+the conditional law has the covariance times (c tail + T^2) / (tail + D - N), with tail + D - N degrees of freedom;
+where only the freedom n of the covariance is, (n + T^2) / (n - D + N) with n - D + N (growth curves, Rao 1967).
 
 Legend: N planes, D = S P (speeds times channels).
 """
