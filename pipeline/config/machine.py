@@ -13,6 +13,7 @@ from pipeline.config.bearings import BearingConfig, PerNodeBearingConfig, RotorF
 from pipeline.config.measured import MeasuredRunConfig, convert_phase
 from pipeline.config.recordings import AnyRecordingsConfig, NoRecordingsConfig, RecordingsConfig
 from pipeline.config.rotor import RotorConfig
+from pipeline.config.run_up import RunUpConfig
 from pipeline.config.runs import CandidateConfig, ForceConfig, ProbesConfig, RunConfig, SpeedsConfig, UnbalanceConfig
 from pipeline.config.section import NonNegativeInt, Section
 
@@ -46,6 +47,7 @@ class MachineConfig(Section):
     residual_unbalance: tuple[UnbalanceConfig, ...] = ()
     as_built: AsBuiltConfig | None = None
     probes: ProbesConfig
+    run_up: RunUpConfig | None = None
     prediction: PredictionConfig = Field(default=None, validate_default=True)
     candidates: CandidateConfig = Field(default=None, validate_default=True)
 

@@ -21,7 +21,7 @@ from pipeline.config.renames import refuse_renamed_in
 from pipeline.errors import ConfigError, nearest
 
 _PATHS = (
-    *("rotor.file", "runs_file", "recordings.file", "recordings.known"),
+    *("rotor.file", "runs_file", "recordings.file", "recordings.known", "run_up.file"),
     *("recordings.runs.*.file", "recordings.runs.*.files.*"),
 )
 """Keys of a machine that hold a path."""

@@ -8,6 +8,7 @@ STAGES: dict[str, str] = {
     "identify": "from a machine's data to its results: all of the stages that belong to it, in one command",
     "generate": "model the machine with ROSS and write its vibration",
     "ingest": "turn measured data into the two files that training reads, and draw them",
+    "runup": "fit natural frequencies and damping ratios to a run-up, its ramp modelled",
     "diagnose": "tell which coefficients the data determine: rank, condition number, predicted deviation",
     "design": "choose the runs that would identify best, from what an experimenter can do",
     "tune": "search hyperparameters on held-out speeds and promote the best into training",

@@ -41,6 +41,17 @@ def respond_steadily(frequency: float, damping: float, speeds: np.ndarray) -> np
     return found
 
 
+def decay_freely(frequency: float, damping: float, speeds: np.ndarray, rate: float) -> np.ndarray:
+    """e^{s t - j theta} (S,) complex: a mode that dies away as a tracker sees it, 1 at the first of ``speeds`` (S,).
+
+    Speeds are in rad/s; ``rate`` is in rad/s^2, and not zero.
+    """
+    pole = frequency * complex(-damping, np.sqrt(1 - damping**2))
+    time = (speeds - speeds[0]) / rate
+    angle = (speeds**2 - speeds[0] ** 2) / (2 * rate)
+    return np.asarray(np.exp(pole * time - 1j * angle))
+
+
 def _integrate(pole: complex, speeds: np.ndarray, rate: float) -> np.ndarray:
     """J (S,) of the ``pole``."""
     from scipy.special import wofz

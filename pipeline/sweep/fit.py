@@ -1,0 +1,292 @@
+"""Natural frequencies and damping ratios from amplitude and phase over the speed of one run-up.
+
+The vectors are modelled as a sum of modes that respond to the ramp, and a slow background,
+
+    V(Omega) = sum_k A_k Q(w_k, z_k; Omega, alpha) + sum_i B_i (Omega / Omega_m)^i
+
+with Q of :mod:`pipeline.sweep.ramp`. B_0 is the runout, which turns with the shaft; the other powers stand for what
+further modes do below or above their own resonance. A_k and B_i (complex) are linear: they are solved for at each step
+of the search for w_k and z_k (variable projection, Golub and Pereyra 1973).
+
+The deviations are those of a delete-a-block jackknife (Kuensch 1989): the rows are cut into blocks, each is left out
+once, and the scatter of the answers is theirs. Neighbouring rows may therefore go wrong together, as they do where the
+model lacks something: the scatter then holds that, too.
+
+The number of modes is chosen by Schwarz's criterion, with the number of independent numbers n / tau in place of n; tau
+is the correlation time of the residual in rows.
+
+Legend: S rows, K modes, B powers of the background. SI, rad/s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from pipeline.errors import DataError
+from pipeline.sweep.bias import SteadyReading, find_mode, read_peak
+from pipeline.sweep.ramp import decay_freely, respond_steadily, respond_to_ramp
+from pipeline.units import RAD_S_PER_RPM
+
+_BLOCKS = 16
+_LEAST_ROWS = 40
+_LEAST_DAMPING, _MOST_DAMPING = 1e-3, 0.4
+_APART = (0.95, 0.98, 1.02, 1.05, 1.1)
+"""Where a second mode is looked for, over the frequency of the first."""
+_SMALL = 0.2
+_SEEN = 0.8
+Respond = Callable[[float, float, np.ndarray, float], np.ndarray]
+"""Frequency, damping, speeds (S,) and rate -> (S,) complex."""
+
+
+@dataclass(frozen=True, eq=False)
+class RunUp:
+    """One probe in one run-up or run-down at a constant rate."""
+
+    speeds: np.ndarray  # (S,) rad/s, ascending
+    vectors: np.ndarray  # (S,) complex, angle as a lead of e^{j theta}
+    rate: float  # rad/s^2
+
+
+@dataclass(frozen=True)
+class MeasuredRate:
+    """The rate of a ramp from rows of one revolution each."""
+
+    rate: float  # rad/s^2
+    deviation: float  # rad/s^2
+    departure: float  # rad/s, the largest difference of a row from a straight ramp
+
+
+@dataclass(frozen=True, eq=False)
+class ModalFit:
+    """Modes of a run-up, by ascending natural frequency."""
+
+    frequencies: np.ndarray  # (K,) rad/s
+    dampings: np.ndarray  # (K,)
+    covariance: np.ndarray  # (2K, 2K) of the logarithms of frequencies and dampings, in turn
+    amplitudes: np.ndarray  # (K,) complex, of A
+    background: np.ndarray  # (B,) complex
+    fitted: np.ndarray  # (S,) complex
+    misfit: float  # root mean square of the residual over that of the vectors
+    correlation: float  # tau, rows
+    criterion: float  # Schwarz's, less is better
+
+    @property
+    def deviations(self) -> np.ndarray:
+        """(K, 2) standard deviations of frequencies (rad/s) and damping ratios."""
+        logs = np.sqrt(np.diag(self.covariance)).reshape(-1, 2)
+        return logs * np.stack([self.frequencies, self.dampings], axis=1)
+
+
+def measure_rate(speeds: np.ndarray, where: str) -> MeasuredRate:
+    """The rate of ``speeds`` (S,) rad/s, one a revolution: Omega^2 grows by 4 pi alpha a revolution.
+
+    Raises DataError, which begins with ``where``, for fewer than 40 rows.
+    """
+    if len(speeds) < _LEAST_ROWS:
+        raise DataError(
+            f"{where} must have at least {_LEAST_ROWS} rows (revolutions) on its ramp, but it has {len(speeds)}: give "
+            "the range of the ramp (from_rpm, to_rpm)"
+        )
+    turns = np.arange(len(speeds))
+    line, covariance = np.polyfit(turns, speeds**2, 1, cov=True)
+    departure = np.abs(np.sqrt(np.maximum(np.polyval(line, turns), 0)) - speeds).max()
+    scale = 1 / (4 * np.pi)
+    return MeasuredRate(float(line[0] * scale), float(np.sqrt(covariance[0, 0]) * scale), float(departure))
+
+
+def fit_modes(run_up: RunUp, count: int, degree: int = 2) -> ModalFit:
+    """The best of ``count`` modes (1 or 2) with a background of this degree.
+
+    Raises DataError for fewer than 40 rows, and where no peak has half its power on both sides.
+    """
+    return _fit(_Problem(run_up, count, degree), _list_starts(run_up, degree, count))
+
+
+def fit_decay(run_up: RunUp, near: float, degree: int = 2) -> ModalFit | None:
+    """The one mode, near the frequency ``near`` (rad/s), that dies away behind the peak; A is what it begins with.
+
+    Behind the peak are the rows after the last one with 0.2 of the largest amplitude, in the order of the ramp; the
+    amplitudes are small there, and how the mode was excited does not matter. None for fewer than 40 rows, and for a
+    decay that leaves more than 0.8 of what a background alone leaves.
+    """
+    order = slice(None, None, 1 if run_up.rate > 0 else -1)
+    speeds, vectors = run_up.speeds[order], run_up.vectors[order]
+    sizes = np.abs(vectors)
+    behind = slice(int(np.flatnonzero(sizes > _SMALL * sizes.max())[-1]) + 1, None)
+    tail = RunUp(speeds[behind], vectors[behind], run_up.rate)
+    if len(tail.speeds) < _LEAST_ROWS:
+        return None
+    starts = [np.log([near * factor, 0.01]) for factor in (0.98, 1.0, 1.02)]
+    found = _fit(_Problem(tail, 1, degree, decay_freely), starts)
+    alone = np.vander(tail.speeds / tail.speeds.mean(), degree + 1).astype(complex)
+    left = tail.vectors - alone @ np.linalg.lstsq(alone, tail.vectors, rcond=None)[0]
+    return found if np.linalg.norm(tail.vectors - found.fitted) < _SEEN * np.linalg.norm(left) else None
+
+
+def respond_as_steady(run_up: RunUp, fit: ModalFit) -> np.ndarray:
+    """(S,) complex, the modes and the background of a fit at constant speeds."""
+    x = np.log(np.stack([fit.frequencies, fit.dampings], axis=1)).reshape(-1)
+    problem = _Problem(run_up, len(fit.frequencies), len(fit.background) - 1, respond_in_steps)
+    found: np.ndarray = problem.columns(x) @ np.concatenate([fit.amplitudes, fit.background])
+    return found
+
+
+def respond_in_steps(frequency: float, damping: float, speeds: np.ndarray, rate: float) -> np.ndarray:
+    """The steady response, whatever the ``rate``."""
+    del rate
+    return respond_steadily(frequency, damping, speeds)
+
+
+def _fit(problem: _Problem, starts: list[np.ndarray]) -> ModalFit:
+    found = min((problem.solve(start) for start in starts), key=lambda one: float(one.cost))
+    order = np.argsort(found.x[::2])
+    best = found.x.reshape(-1, 2)[order].reshape(-1)
+    columns, linear = problem.project(best)
+    vectors = problem.run_up.vectors
+    residual = vectors - columns @ linear
+    tau = _measure_correlation(residual)
+    return ModalFit(
+        frequencies=np.exp(best[::2]),
+        dampings=np.exp(best[1::2]),
+        covariance=_jackknife(problem, best),
+        amplitudes=linear[: problem.count],
+        background=linear[problem.count :],
+        fitted=columns @ linear,
+        misfit=float(np.linalg.norm(residual) / np.linalg.norm(vectors)),
+        correlation=tau,
+        criterion=_weigh(residual, 4 * problem.count + 2 * (problem.degree + 1), tau),
+    )
+
+
+def choose_modes(run_up: RunUp, degree: int = 2) -> tuple[ModalFit, ModalFit, int]:
+    """The fits with one and with two modes, and the number that Schwarz's criterion prefers.
+
+    Both are weighed with the correlation of the better residual: what one mode leaves over is no noise.
+    """
+    one, two = fit_modes(run_up, 1, degree), fit_modes(run_up, 2, degree)
+    residual = run_up.vectors - one.fitted
+    one = replace(one, criterion=_weigh(residual, 4 + 2 * (degree + 1), two.correlation))
+    return one, two, 2 if two.criterion < one.criterion else 1
+
+
+def choose_sense(run_up: RunUp) -> tuple[RunUp, str, float]:
+    """The run-up with its phases as leads, what they were (lead or lag), and how many times less is left over.
+
+    Phases that are taken with the wrong sign go the wrong way through the resonance.
+    """
+    other = replace(run_up, vectors=run_up.vectors.conj())
+    left = [fit_modes(one, 1).misfit for one in (run_up, other)]
+    if left[0] <= left[1]:
+        return run_up, "lead", left[1] / left[0]
+    return other, "lag", left[0] / left[1]
+
+
+class _Problem:
+    """Variable projection of ``count`` modes; x has the logarithms of frequency and damping of each in turn."""
+
+    def __init__(self, run_up: RunUp, count: int, degree: int, respond: Respond = respond_to_ramp) -> None:
+        if len(run_up.speeds) < _LEAST_ROWS:
+            raise DataError(
+                f"a run-up must have at least {_LEAST_ROWS} rows on its ramp, but it has {len(run_up.speeds)}: give "
+                "the range of the ramp (from_rpm, to_rpm)"
+            )
+        self.run_up = run_up
+        self.count = count
+        self.degree = degree
+        self.respond = respond
+        self.keep = np.ones(len(run_up.speeds), dtype=bool)
+
+    def columns(self, x: np.ndarray) -> np.ndarray:
+        """(S, K + B) complex."""
+        speeds = self.run_up.speeds
+        modes = [self.respond(w, z, speeds, self.run_up.rate) for w, z in np.exp(x).reshape(-1, 2).tolist()]
+        ratio = speeds / speeds.mean()
+        return np.stack([*modes, *(ratio**i + 0j for i in range(self.degree + 1))], axis=1)
+
+    def project(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Columns of all rows, and the linear numbers (K + B,) that fit the kept rows best."""
+        columns = self.columns(x)
+        linear = np.linalg.lstsq(columns[self.keep], self.run_up.vectors[self.keep], rcond=None)[0]
+        return columns, linear
+
+    def residual(self, x: np.ndarray) -> np.ndarray:
+        """(2 S,) real, over the root mean square of the vectors."""
+        columns, linear = self.project(x)
+        left = (columns @ linear - self.run_up.vectors)[self.keep]
+        size = np.sqrt((np.abs(self.run_up.vectors) ** 2).mean())
+        return np.concatenate([left.real, left.imag]) / size
+
+    def solve(self, start: np.ndarray) -> Any:
+        """The least squares from ``start`` (2K,)."""
+        from scipy.optimize import least_squares
+
+        speeds = self.run_up.speeds
+        bounds = np.log([[0.5 * speeds.min(), _LEAST_DAMPING], [1.5 * speeds.max(), _MOST_DAMPING]])
+        least, most = (np.tile(row, self.count) for row in bounds)
+        scale = np.tile([0.01, 0.2], self.count)
+        start = np.clip(start, least + 1e-6, most - 1e-6)
+        return least_squares(self.residual, start, bounds=(least, most), x_scale=scale)
+
+
+def _list_starts(run_up: RunUp, degree: int, count: int) -> list[np.ndarray]:
+    reading = read_peak(run_up.speeds, _average(np.abs(run_up.vectors), 3))
+    if reading is None:
+        raise DataError(
+            "a run-up must have a peak with half its power on both sides, but the largest amplitude of "
+            f"{run_up.speeds[0] / RAD_S_PER_RPM:.4g} to {run_up.speeds[-1] / RAD_S_PER_RPM:.4g} rpm has not: give a "
+            "wider range (from_rpm, to_rpm)"
+        )
+    frequency, damping = find_mode(reading, run_up.rate)
+    first = [np.log([frequency * factor, max(damping, 0.01)]) for factor in (0.98, 1.0)]
+    if count == 1:
+        return first
+    problem = _Problem(run_up, 1, degree)
+    single = min((problem.solve(start) for start in first), key=lambda one: one.cost).x
+    return [np.concatenate([single, [single[0] + np.log(factor), single[1]]]) for factor in _APART]
+
+
+def _jackknife(problem: _Problem, best: np.ndarray) -> np.ndarray:
+    """(2K, 2K) covariance of x from leaving each block of rows out."""
+    answers = []
+    for block in np.array_split(np.arange(len(problem.keep)), _BLOCKS):
+        problem.keep[:] = True
+        problem.keep[block] = False
+        answers.append(problem.solve(best).x)
+    problem.keep[:] = True
+    apart = np.array(answers) - np.mean(answers, axis=0)
+    found: np.ndarray = (_BLOCKS - 1) / _BLOCKS * apart.T @ apart
+    return found
+
+
+def _measure_correlation(residual: np.ndarray) -> float:
+    """1 + 2 sum of the autocorrelations up to the first that is not positive, rows."""
+    power = (np.abs(residual) ** 2).sum()
+    tau = 1.0
+    for lag in range(1, len(residual) // 4):
+        share = float((residual[lag:] * residual[:-lag].conj()).real.sum() / power)
+        if share <= 0:
+            break
+        tau += 2 * share
+    return tau
+
+
+def _weigh(residual: np.ndarray, parameters: int, tau: float) -> float:
+    independent = 2 * len(residual) / tau
+    mean = float((np.abs(residual) ** 2).mean())
+    return independent * np.log(mean) + parameters * np.log(independent)
+
+
+def _average(values: np.ndarray, rows: int) -> np.ndarray:
+    """(S,) the mean of ``rows`` rows around each; at the ends of those that there are."""
+    counts = np.convolve(np.ones(len(values)), np.ones(rows), "same")
+    found: np.ndarray = np.convolve(values, np.ones(rows), "same") / counts
+    return found
+
+
+def read_smoothed_peak(run_up: RunUp, rows: int) -> SteadyReading | None:
+    """The steady reading of the amplitude's mean over ``rows`` rows; None without a peak."""
+    return read_peak(run_up.speeds, _average(np.abs(run_up.vectors), rows))

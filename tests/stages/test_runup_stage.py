@@ -1,0 +1,139 @@
+"""stage=runup on the measured rig: its files, what its authors read, and a user's mistakes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import refused
+
+from pipeline.config.compose import compose_config
+from pipeline.config.run_up import RunUpConfig
+from pipeline.errors import ConfigError
+from pipeline.ingest.run_up import read_run_up
+from pipeline.stages import run_stage
+
+TABLE = "examples/rk4/run_up.csv"
+SETTINGS: dict[str, Any] = {
+    "file": TABLE,
+    "columns": {"speed": "rpm", "amplitude": "amp_1x", "phase": "phase_1x_deg"},
+    "voltage": "V",
+    "scale": "7.874 mV/um",
+    "amplitude": "zero_to_peak",
+    "phase_unit": "deg",
+    "speed": "rpm",
+    "from_rpm": 1030,
+    "to_rpm": 2616,
+}
+
+
+def made_rows(found: dict[str, Any]) -> list[tuple[dict[str, Any], int]]:
+    """Fit and mode of the rows of the page's table that have a band."""
+    whole = {
+        "rpm": [found["natural_frequency"]["rpm"]],
+        "deviation_rpm": [found["natural_frequency"]["deviation_rpm"]],
+        "damping_ratio": [found["damping_ratio"]["value"]],
+        "deviation_damping_ratio": [found["damping_ratio"]["deviation"]],
+    }
+    two = found["two_modes"]
+    return [(found["one_mode"], 0), (two, 0), (two, 1), (found["decay"], 0), (whole, 0)]
+
+
+def printed(row: tuple[dict[str, Any], int]) -> list[str]:
+    fit, mode = row
+    rpm, damping = fit["rpm"][mode], fit["damping_ratio"][mode]
+    bands = 1.96 * fit["deviation_rpm"][mode], 1.96 * fit["deviation_damping_ratio"][mode]
+    return [f"{rpm:.0f} +- {bands[0]:.0f}", f"{damping:.3f} +- {bands[1]:.3f}"]
+
+
+def printed_rows() -> list[list[str]]:
+    """Frequency and damping of the rows with a band in docs/run_up.md."""
+    page = (Path(__file__).resolve().parents[2] / "docs" / "run_up.md").read_text(encoding="utf-8")
+    rows = [line.split("|") for line in page.splitlines() if line.startswith("|") and "+-" in line]
+    return [[cell.strip() for cell in row[2:4]] for row in rows]
+
+
+@pytest.mark.slow
+def test_the_run_up_of_the_measured_rig(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The authors' steady reading comes out as they state it; the modes behind it lie lower and are less damped."""
+    run_stage(compose_config(["experiment=rk4", "stage=runup", f"output={tmp_path}", "tracking=none"]))
+    found = json.loads((tmp_path / "run_up.json").read_text())
+    steady = found["steady_reading"]
+    assert steady["rpm"] == pytest.approx(1648, abs=1)  # stated: 1648 rpm, 0.04, 12.4
+    assert steady["damping_ratio"] == pytest.approx(0.04, rel=0.02)
+    assert steady["amplification"] == pytest.approx(12.4, rel=0.02)
+    assert found["rate_rpm_per_s"] == pytest.approx(229, abs=1)
+    assert found["phase"] == "lead"
+    assert found["modes"] == 2
+    assert found["two_modes"]["misfit_percent"] < 13
+    first = found["natural_frequency"]
+    assert first["rpm"] + 1.96 * first["deviation_rpm"] < steady["rpm"]
+    assert 2 * 1.96 * first["deviation_rpm"] < 0.04 * first["rpm"]
+    assert found["damping_ratio"]["value"] < 0.5 * steady["damping_ratio"]
+    rows = pd.read_csv(tmp_path / "run_up.csv")
+    left = rows.measured_um * np.exp(1j * np.radians(rows.measured_lead_deg))
+    left -= rows.ramp_um * np.exp(1j * np.radians(rows.ramp_lead_deg))
+    share = np.sqrt((np.abs(left) ** 2).sum() / (rows.measured_um**2).sum())
+    assert 100 * share == pytest.approx(found["two_modes"]["misfit_percent"], rel=1e-6)
+    assert printed_rows() == [*map(printed, made_rows(found))]
+    assert (tmp_path / "figures" / "run_up.png").stat().st_size > 20000
+    said = capsys.readouterr()
+    assert "free decay behind the peak" in said.out
+    assert "the peak is no steady one" in said.err
+
+
+def test_the_column_in_volts_is_the_one_in_micrometres_five_times_too_small() -> None:
+    """What the file calls um took volts for mil."""
+    right, _ = read_run_up(RunUpConfig(**SETTINGS))
+    other = {key: value for key, value in SETTINGS.items() if key not in ("voltage", "scale")} | {"length": "um"}
+    other["columns"] = SETTINGS["columns"] | {"amplitude": "amp_1x_um"}
+    wrong, measured = read_run_up(RunUpConfig(**other))
+    assert np.abs(right.vectors).max() == pytest.approx(103e-6, rel=0.01)
+    assert np.abs(right.vectors / wrong.vectors) == pytest.approx(np.full(211, 5.0), rel=1e-3)
+    assert measured is not None
+
+
+def test_a_given_rate_is_taken() -> None:
+    run_up, measured = read_run_up(RunUpConfig(**SETTINGS | {"rate_rpm_per_s": -100.0}))
+    assert measured is None
+    assert run_up.rate == pytest.approx(-100 * np.pi / 30)
+
+
+MISTAKES: dict[str, tuple[dict[str, Any], str]] = {
+    "no such file": ({"file": "nowhere.csv"}, "must exist, but there is no such file"),
+    "no such column": ({"columns": {"speed": "rmp"}}, "must have the column 'rmp'"),
+    "few rows": ({"to_rpm": 1100}, "must have at least 40 rows (revolutions) on its ramp, but it has 5"),
+    "no rows": ({"to_rpm": 1031, "rate_rpm_per_s": 229}, "must have rows, but it has none"),
+    "thinned rows": ({"to_rpm": 4900}, "must be a ramp of one rate with a row a revolution"),
+}
+
+
+@pytest.mark.parametrize("what", MISTAKES)
+def test_a_mistake_is_one_sentence(what: str) -> None:
+    change, words = MISTAKES[what]
+    with refused(words):
+        read_run_up(RunUpConfig(**SETTINGS | change))
+
+
+LAWS: dict[str, tuple[dict[str, Any], str]] = {
+    "a range the wrong way": ({"from_rpm": 3000}, "must have from_rpm below to_rpm"),
+    "volts without a scale": ({"scale": None}, "must have a scale (such as 7.87 V/mm) for voltages"),
+    "a velocity": ({"scale": "4 mV/(mm/s)"}, "must be displacements"),
+    "no rate": ({"rate_rpm_per_s": 0}, "must have a rate_rpm_per_s that is not 0"),
+}
+
+
+@pytest.mark.parametrize("what", LAWS)
+def test_what_the_schema_refuses(what: str) -> None:
+    change, words = LAWS[what]
+    with pytest.raises(ValueError, match=r"(?s)" + words.replace("(", r"\(").replace(")", r"\)")):
+        RunUpConfig(**SETTINGS | change)
+
+
+def test_a_machine_without_a_run_up_is_told(tmp_path: Path) -> None:
+    with refused("machine.run_up is missing", kind=ConfigError):
+        run_stage(compose_config(["experiment=ball_bearing", "stage=runup", f"output={tmp_path}", "tracking=none"]))
