@@ -83,8 +83,8 @@ def run(config: Config) -> StageOutput:
 
 def _analyse(settings: RunUpConfig) -> _Found:
     run_up, measured = read_run_up(settings)
-    sense = settings.phase
-    if sense is None:
+    sense = str(settings.phase or "")
+    if not sense:
         run_up, sense, _ = choose_sense(run_up)
     one, two, count = choose_modes(run_up, settings.background_degree)
     chosen = (one, two)[count - 1]
