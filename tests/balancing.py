@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.data.conditions import Conditions
+from pipeline.problem.noise_levels import NoiseLevels
 
 SPEEDS, CHANNELS, PLANES = 2, 3, (4, 9)
 SIZE = SPEEDS * CHANNELS
@@ -60,3 +61,30 @@ def truth(rng: np.random.Generator, law: complex = 0.0) -> Truth:
     """Influence of the order of 0.3 m/(kg m), noise of 0.2 um that is strongly correlated."""
     root = 2e-7 * (circular(rng, SIZE, 2) @ circular(rng, 2, SIZE) + 0.3 * circular(rng, SIZE, SIZE))
     return Truth(5e-6 * circular(rng, SIZE), 0.3 * circular(rng, SIZE, 2), root, law)
+
+
+@dataclass(frozen=True, eq=False)
+class KnownVibration:
+    """A :class:`pipeline.balance.linear_vibration.LinearVibration` that knows the truth."""
+
+    truth: Truth
+    speeds: np.ndarray
+    channels: tuple[tuple[int, float], ...]
+    planes: tuple[int, ...]
+    noise: NoiseLevels
+
+    def predict(self, unbalance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Exact."""
+        mean = self.truth.mean(unbalance)
+        return mean, np.zeros((len(mean), SIZE, SIZE), dtype=complex)
+
+    def influence_at(self, unbalance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The same everywhere."""
+        return self.truth.influence, self.truth.baseline
+
+
+def know(truth: Truth) -> KnownVibration:
+    """The model that is the truth, with its noise."""
+    some = truth.gather(np.zeros((1, 2), dtype=complex), np.zeros((1, SIZE), dtype=complex))
+    noise = NoiseLevels(some.record_covariance, truth.root @ truth.root.conj().T, np.inf)
+    return KnownVibration(truth, some.speeds, some.channels, some.planes, noise)

@@ -30,9 +30,10 @@ class Tolerance:
         """(2,) complex kg m at the bearings, of (N,) in the planes."""
         return self.levers @ unbalance
 
-    def deviation(self, covariance: np.ndarray) -> np.ndarray:
-        """(2,) kg m, root mean square of what remains at the bearings, from the planes' covariance (N, N)."""
-        return np.sqrt(np.einsum("bn,nm,bm->b", self.levers, covariance, self.levers).real)
+    def circle(self, covariance: np.ndarray, circle: np.ndarray) -> np.ndarray:
+        """(2,) kg m, 95 % circles at the bearings, of ``covariance`` (N, N) and ``circle`` (N,) kg m in the planes."""
+        variance = np.einsum("bn,nm,bm->b", self.levers, covariance, self.levers).real
+        return np.sqrt(variance * circle[0] ** 2 / covariance[0, 0].real)
 
 
 def share_tolerance(rotor: RotorModel, planes: Sequence[int], permissible: float) -> Tolerance:

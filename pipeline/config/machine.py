@@ -9,6 +9,7 @@ from typing import Any
 from pydantic import Field, PositiveFloat, ValidationInfo, field_validator, model_validator
 
 from pipeline.config.as_built import AsBuiltConfig
+from pipeline.config.balance import WeightsConfig
 from pipeline.config.bearings import BearingConfig, PerNodeBearingConfig, RotorFileBearingConfig
 from pipeline.config.measured import MeasuredRunConfig, convert_phase
 from pipeline.config.recordings import AnyRecordingsConfig, NoRecordingsConfig, RecordingsConfig
@@ -50,6 +51,7 @@ class MachineConfig(Section):
     run_up: RunUpConfig | None = None
     prediction: PredictionConfig = Field(default=None, validate_default=True)
     candidates: CandidateConfig = Field(default=None, validate_default=True)
+    balance: WeightsConfig | None = None
 
     @field_validator("bearings", mode="before")
     @classmethod
@@ -152,6 +154,7 @@ class MachineConfig(Section):
         ]
         used += [("residual_unbalance", u.node) for u in self.residual_unbalance]
         used += [("prediction.unbalances", u.node) for u in self.prediction.unbalances]
+        used += [("balance.planes", plane.node) for plane in (self.balance.planes if self.balance else ())]
         if not isinstance(self.probes.at, str):
             used += [("probes.at", probe.node) for probe in self.probes.at]
         for what, node in [*used, ("prediction.node", self.prediction.node)]:

@@ -10,6 +10,7 @@ from typing import Literal, get_args
 
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
+from pipeline.config.balance import BalanceConfig, PredictConfig
 from pipeline.config.comparison import ComparisonConfig
 from pipeline.config.identification import (
     IdentifyConfig,
@@ -112,6 +113,8 @@ class Config(Section):
     tracking: TrackingConfig
     check: CheckConfig
     report: ReportConfig = Field(default=ReportConfig())
+    balance: BalanceConfig = BalanceConfig()
+    predict: PredictConfig = PredictConfig()
     export: ExportConfig = Field(default=ExportConfig(units="si", formats=get_args(ExportFormat)), exclude=True)
     new: NewConfig = Field(default=NewConfig(bearings="fluid_film", data="simulated"), exclude=True)
     chosen_by: str = Field(default="", exclude=True)

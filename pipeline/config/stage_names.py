@@ -18,6 +18,7 @@ STAGES: dict[str, str] = {
     "robustness": "train from many initial guesses or seeds at once",
     "compare": "identify the modelled machine by every method, over noise, sensors and number of speeds",
     "predict": "predict vibration never seen, critical speeds and stability with the digital twin",
+    "balance": "tell the unbalance behind a vibration, and the correction weights: hole, mass, what remains",
     "verdict": "say whether each coefficient can be trusted, why, and what to do next",
     "export": "write the identified bearings for ROSS, ANSYS, DyRoBeS, XLTRC2, Excel, CSV and JSON",
     "summary": "put the results on one screen and in one picture",

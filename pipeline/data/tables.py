@@ -52,16 +52,7 @@ def read_table(
     Raises DataError: no such file, unreadable or truncated, an older schema, no rows, a column that is missing, there
     twice or of another kind, NaN or infinite values.
     """
-    if not path.is_file():
-        raise DataError(f"'{path}' must exist, but there is no such file")
-    if path.suffix == ".parquet":
-        names, table = _read_parquet(path)
-    elif path.suffix.lower() in (".xlsx", ".xlsm"):
-        names, table = _read_excel(path, text)
-    elif path.suffix.lower() == ".mat":
-        names, table = _read_mat(path, columns)
-    else:
-        names, table = _read_csv(path, text)
+    names, table = _read_any(path, columns, text)
     counts = Counter(names)
     for name in columns:
         if name not in counts:
@@ -81,6 +72,25 @@ def read_table(
             else:
                 found[name] = _to_numbers(path, name, column, kind, text.decimal)
     return found
+
+
+def list_columns(path: Path, text: TextFormat = PLAIN) -> list[str]:
+    """The names of the columns, in their order. Raises DataError as :func:`read_table`."""
+    return _read_any(path, {}, text)[0]
+
+
+def _read_any(
+    path: Path, columns: Mapping[str, str], text: TextFormat
+) -> tuple[list[str], Sequence[Sequence[Any] | np.ndarray]]:
+    if not path.is_file():
+        raise DataError(f"'{path}' must exist, but there is no such file")
+    if path.suffix == ".parquet":
+        return _read_parquet(path)
+    if path.suffix.lower() in (".xlsx", ".xlsm"):
+        return _read_excel(path, text)
+    if path.suffix.lower() == ".mat":
+        return _read_mat(path, columns)
+    return _read_csv(path, text)
 
 
 def _to_numbers(path: Path, name: str, column: Sequence[Any] | np.ndarray, kind: str, decimal: str) -> np.ndarray:

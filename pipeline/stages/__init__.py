@@ -15,10 +15,15 @@ if TYPE_CHECKING:
 
 
 def run_stage(config: Config) -> None:
-    """Run ``config.stage``. Raises PipelineError for a user's mistake, SystemExit for an exit code."""
+    """Run ``config.stage``; of ``predict`` with records of the user's own, those alone.
+
+    Raises PipelineError for a user's mistake, SystemExit for an exit code.
+    """
     from pipeline.stages.execution import execute
 
-    execute(config, importlib.import_module(f"pipeline.stages.{config.stage}").run)
+    own = config.stage == "predict" and config.predict.records is not None
+    name = "given_records" if own else config.stage
+    execute(config, importlib.import_module(f"pipeline.stages.{name}").run)
 
 
 __all__ = ["STAGES", "run_stage"]

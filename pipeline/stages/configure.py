@@ -12,7 +12,7 @@ from pipeline.stages.execution import StageOutput
 from pipeline.stages.workspace import locate_files
 
 _HOW: Any = {
-    **dict.fromkeys(("stage", "tracking", "check", "threads", "output", "promoted"), True),
+    **dict.fromkeys(("stage", "tracking", "check", "threads", "output", "promoted", "balance", "predict"), True),
     "comparison": {"workers"},
     "tuning": {"storage", "workers", "changed", "timeout_seconds", "heartbeat_seconds", "comparison"},
 }

@@ -51,7 +51,7 @@ def execute(config: Config, run: Callable[[Config], StageOutput]) -> None:
     # The comparison's many settings are of its own stage alone.
     parameters = config.model_dump(mode="json", exclude=None if config.stage == "compare" else {"comparison"})
     # Stages of one experiment with the same configuration share this tag.
-    apart = ("stage", "tracking", "check", "comparison", "report")
+    apart = ("stage", "tracking", "check", "comparison", "report", "balance", "predict")
     shared = {key: parameters[key] for key in parameters if key not in apart}
     group = hashlib.sha256(json.dumps(shared, sort_keys=True).encode()).hexdigest()[:12]
     record = StageRecord(

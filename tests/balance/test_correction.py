@@ -35,6 +35,7 @@ def _random(seed: int, rows: int, planes: int) -> tuple[np.ndarray, np.ndarray]:
     return values[:, :planes], 1e-4 * values[:, planes]
 
 
+@pytest.mark.slow
 @given(st.integers(0, 10_000), st.sampled_from([(6, 2, 2), (5, 3, 1), (4, 2, 2)]))
 @examples(20)
 def test_the_search_finds_what_trying_every_choice_finds(seed: int, size: tuple[int, int, int]) -> None:
@@ -94,6 +95,7 @@ def test_a_vector_towards_a_hole_takes_one_weight() -> None:
     assert split_vector(0j, one) == ()
 
 
+@pytest.mark.slow
 @given(st.integers(0, 10_000))
 @examples(5)
 def test_one_weight_of_any_mass_a_plane(seed: int) -> None:

@@ -29,7 +29,7 @@ def test_what_remains_is_shared_by_the_lever(hydrostatic: Machine) -> None:
     begin, end = rotor.positions[[first, second]]
     share = (rotor.positions[first + 1] - begin) / (end - begin)
     np.testing.assert_allclose(middle.remaining(np.array([1.0])), [1 - share, share])
-    np.testing.assert_allclose(middle.deviation(np.array([[4.0]])), [2 * (1 - share), 2 * share])
+    np.testing.assert_allclose(middle.circle(np.array([[4.0]]), np.array([3.0])), [3 * (1 - share), 3 * share])
     assert shared.permissible.sum() == pytest.approx(1.0)
 
 

@@ -1,0 +1,124 @@
+"""The balance sheet: which weights go into which holes, and what unbalance and vibration are expected afterwards.
+
+A machine shows y and has the weights w on it. The weights c change that by ``predict(w + c) - predict(w)``, whatever
+the machine's own unbalance, bow and runout are. The unbalance that a vibration v means is ``G v``, with the generalised
+inverse ``G = (J^H S^-1 J)^-1 J^H S^-1`` of the influence coefficients J, S the covariance of what one record shows.
+
+Legend: N planes, D = S P (speed slowest), M entries of D that were read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from pipeline.balance.bands import bound_size, circle_of
+from pipeline.balance.correction import Holes, Weight, choose_weights
+from pipeline.balance.linear_vibration import LinearVibration
+from pipeline.errors import ConfigError
+
+_MOST_ALIKE = 1e14
+_PASSES = 5
+"""Of the search, each with the influence coefficients at the weights found before; they hardly change."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class State:
+    """What is to be corrected: the vibration that the machine shows, the part to be removed, the weights on it."""
+
+    shown: np.ndarray  # (D,) complex m; NaN where nothing was read
+    remove: np.ndarray  # (D,) complex m, NaN likewise
+    weights: np.ndarray  # (N,) complex kg m, known weights on the machine; zero for the machine as it is
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class BalanceSheet:
+    """The chosen weights and what they leave."""
+
+    weights: tuple[tuple[Weight, ...], ...]  # N
+    correction: np.ndarray  # (N,) complex kg m, of these weights
+    unbalance: np.ndarray  # (N,) complex kg m, that was to be removed
+    remaining: np.ndarray  # (N,) complex kg m
+    covariance: np.ndarray  # (N, N) complex kg^2 m^2, of both
+    circle: np.ndarray  # (N,) kg m, radius about each vector that holds 95 %
+    before: np.ndarray  # (D,) complex m
+    after: np.ndarray  # (D,) complex m
+    half_width: np.ndarray  # (D,) m, half of the 95 % band of the real and of the imaginary part of one record after
+
+    def at_most(self) -> np.ndarray:
+        """(N,) kg m, what the size of each remaining vector exceeds with 5 % chance."""
+        return bound_size(self.remaining, self.circle)
+
+
+def propose_weights(
+    vibration: LinearVibration,
+    state: State,
+    holes: Sequence[Holes],
+    minimise: Literal["unbalance", "vibration"] = "unbalance",
+    speeds: Sequence[int] = (),
+) -> BalanceSheet:
+    """The weights that leave least of what is to be removed.
+
+    Least unbalance is that in root mean square over the planes, least vibration that over the probes at the ``speeds``
+    (indices; none stands for all).
+
+    Raises ConfigError where there are too many choices, or the vibration does not tell the planes apart.
+    """
+    of_speed = np.repeat(np.arange(len(vibration.speeds)), len(vibration.channels))
+    read = ~np.isnan(state.shown) & (np.isin(of_speed, speeds) if len(speeds) else True)
+    covariance = _cover_record(vibration, state.weights)
+    inside = covariance[np.ix_(read, read)]
+    start = predict_one(vibration, state.weights)
+    correction = np.zeros(len(vibration.planes), dtype=complex)
+    chosen = None
+    for _ in range(_PASSES):
+        influence = vibration.influence_at(state.weights + correction)[0][read]
+        change = (predict_one(vibration, state.weights + correction) - start)[read]
+        there = state.remove[read] + change - influence @ correction
+        inverse, spread = _invert(influence, inside)
+        if minimise == "unbalance":
+            found = choose_weights(np.eye(len(holes)), inverse @ there, holes)
+        else:
+            found = choose_weights(influence, there, holes)
+        if chosen is not None and found.weights == chosen.weights:
+            break
+        chosen, correction = found, found.unbalance
+    assert chosen is not None
+    after = predict_one(vibration, state.weights + correction) - start
+    return BalanceSheet(
+        weights=chosen.weights,
+        correction=correction,
+        unbalance=inverse @ state.remove[read],
+        remaining=inverse @ (state.remove + after)[read],
+        covariance=spread,
+        circle=circle_of(vibration.noise, np.diag(spread).real),
+        before=state.shown,
+        after=state.shown + after,
+        half_width=vibration.noise.half_width(np.diag(_cover_record(vibration, state.weights + correction)).real),
+    )
+
+
+def predict_one(vibration: LinearVibration, weights: np.ndarray) -> np.ndarray:
+    """(D,) complex m, the mean vector with the ``weights`` (N,) kg m."""
+    return vibration.predict(weights[None])[0][0]
+
+
+def _cover_record(vibration: LinearVibration, weights: np.ndarray) -> np.ndarray:
+    """(D, D) of one record with these weights about its prediction."""
+    return vibration.predict(weights[None])[1][0] + vibration.noise.covariance(np.ones(1))[0]
+
+
+def _invert(influence: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The generalised inverse (N, M) of ``influence`` (M, N), and the covariance (N, N) of what it gives."""
+    weighed = np.linalg.solve(covariance, influence)
+    information = influence.conj().T @ weighed
+    if len(influence) < influence.shape[1] or np.linalg.cond(information) > _MOST_ALIKE:
+        raise ConfigError(
+            "the vibration that was read must tell the planes apart, but two of them act alike at these probes and "
+            "speeds: use more of either, or leave a plane out"
+        )
+    spread = np.linalg.inv(information)
+    return spread @ weighed.conj().T, spread

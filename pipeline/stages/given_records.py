@@ -1,0 +1,53 @@
+"""``stage=predict predict.records=FILE``: the vibration of its records, in the columns and the unit of their source."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.balance.records_prediction import predict_records
+from pipeline.config.records import RecordsConfig
+from pipeline.config.schema import Config
+from pipeline.data.tables import list_columns, read_table, write_table
+from pipeline.ingest.source_units import SourceUnits
+from pipeline.ingest.table import read_format
+from pipeline.reporting.balance_tables import tabulate_predicted
+from pipeline.reporting.console import say
+from pipeline.stages.execution import StageOutput
+from pipeline.stages.measurement import load_measurement
+from pipeline.stages.vibration_models import list_missing, load_models, load_records, pick_method
+from pipeline.stages.workspace import locate_files
+
+
+def run(config: Config) -> StageOutput:
+    """``predicted_records.csv``: a row for each record, in its order. No fit of bearings is needed."""
+    dataset = load_measurement(config).dataset
+    file = config.predict.records or ""
+    records = load_records(config, file, "predict.records")
+    models = load_models(config, dataset).models
+    method = pick_method(models, config.predict.method, "predict.method")
+    predicted = predict_records(records, models[method])
+    recordings = config.machine.recordings
+    assert isinstance(recordings, RecordsConfig)  # load_records has seen to it
+    pairs = [(probe.columns.real, probe.columns.imaginary) for probe in recordings.probes.values()]
+    vectors = {name for pair in pairs for name in pair}
+    text = read_format(recordings.csv)
+    kept = {name: "text" for name in list_columns(Path(file), text) if name not in vectors}
+    source = SourceUnits(recordings)
+    table = tabulate_predicted(read_table(Path(file), kept, text=text), records, predicted, source, pairs, method)
+    path = write_table(locate_files(config).folder / "predicted_records.csv", table)
+    there, metrics = predicted.measured, {}
+    words = f"{config.name}: {len(records.speeds)} records of '{file}' predicted by {method} in '{path}'"
+    if there.any():
+        off, size = predicted.off[there], (predicted.mean + predicted.off)[there]
+        metrics = {
+            "error_percent": float(100 * np.linalg.norm(off) / np.linalg.norm(size)),
+            "within_95_percent": float(100 * predicted.within[there].mean()),
+        }
+        words += f"; measured vectors depart by {metrics['error_percent']:.2g} % (root mean square), "
+        words += f"{metrics['within_95_percent']:.0f} % of them lie in their 95 % circles"
+        if missing := list_missing(records):
+            words += f"; not measured: {', '.join(missing)}"
+    say(words)
+    return StageOutput(metrics, {"data_fingerprint": dataset.fingerprint}, [path])

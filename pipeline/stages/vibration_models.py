@@ -1,0 +1,86 @@
+"""What predicts vibration from weights, by the name of the method, and the records that it is asked about."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.balance.consistency import find_contradictions
+from pipeline.balance.influence import fit_influence
+from pipeline.balance.linear_vibration import LinearVibration
+from pipeline.config.records import RecordsConfig
+from pipeline.config.schema import Config
+from pipeline.data.conditions import Conditions, gather_conditions
+from pipeline.data.dataset import VibrationDataset
+from pipeline.errors import ConfigError, IdentifiabilityError, nearest
+from pipeline.ingest.records import Records, read_records
+from pipeline.reporting.console import say
+
+
+def list_planes(config: Config) -> tuple[int, ...] | None:
+    """The nodes of the planes that the recordings have weights in; None where they do not say."""
+    recordings = config.machine.recordings
+    return tuple(one.node for one in recordings.weights) if isinstance(recordings, RecordsConfig) else None
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """The experiment's conditions, those among them that do not contradict their labels, and what was fitted to these,
+    by method; the preferred one is the first."""
+
+    conditions: Conditions
+    sound: Conditions
+    models: Mapping[str, LinearVibration]
+
+
+def load_models(config: Config, dataset: VibrationDataset) -> Fitted:
+    """Fit each method that there is; conditions that contradict their labels are named and left out."""
+    conditions = gather_conditions(dataset, list_planes(config))
+    try:
+        bad, influence = find_contradictions(conditions)
+    except IdentifiabilityError:  # too few conditions to judge one by the others
+        return Fitted(conditions, conditions, {"influence": fit_influence(conditions)})
+    if bad:
+        names = ", ".join(one.name for one in bad)
+        say(f"{config.name}: influence coefficients without {names}, which contradict their labels")
+    sound = [c for c, name in enumerate(conditions.names) if name not in {one.name for one in bad}]
+    return Fitted(conditions, conditions.of(sound), {"influence": influence})
+
+
+def leave_each_out(fitted: Fitted, method: str) -> list[LinearVibration]:
+    """The model of a method for each of the experiment's conditions: influence coefficients that it is no part of.
+
+    With too few conditions to leave one out, and for other methods, it is the one that there is.
+    """
+    sound, model = fitted.sound, fitted.models[method]
+    if method != "influence" or len(sound.names) <= len(sound.planes) + 3:
+        return [model] * len(fitted.conditions.names)
+    without = {name: [i for i in range(len(sound.names)) if i != c] for c, name in enumerate(sound.names)}
+    return [fit_influence(sound.of(without[name])) if name in without else model for name in fitted.conditions.names]
+
+
+def pick_method(models: Mapping[str, LinearVibration], wanted: str | None, key: str) -> str:
+    """The method that is asked for at ``key``, or the first. Raises ConfigError for one that there is not."""
+    if wanted is None:
+        return next(iter(models))
+    if wanted not in models:
+        raise ConfigError(f"{key} must be a method with a fit, but got '{wanted}': {nearest(wanted, models)}")
+    return wanted
+
+
+def load_records(config: Config, file: str, key: str) -> Records:
+    """The records of ``file``, read as those of the machine. Raises ConfigError where the machine has no such table."""
+    recordings = config.machine.recordings
+    if not isinstance(recordings, RecordsConfig):
+        raise ConfigError(
+            f"{key} must be a table like that of machine.recordings with format records, but this machine's format is "
+            f"{recordings.format}: leave it out"
+        )
+    return read_records(recordings, file)
+
+
+def list_missing(records: Records) -> Sequence[str]:
+    """The probes that no record has a vector of."""
+    return [name for p, name in enumerate(records.probes) if np.isnan(records.displacement[:, p]).all()]
