@@ -35,8 +35,8 @@ class Contradiction:
     label: np.ndarray  # (N,) complex, kg m
     reading: Unbalance  # what the vibration would mean
     missing: tuple[int, ...]  # planes (nodes) whose weight seems to be missing
-    shifted: tuple[int, float] | None  # a channel whose baseline seems to have shifted
-    explained: bool  # whether the shift, or other weights, leave nothing that is out of the ordinary
+    shifted: tuple[int, float] | None  # the channel whose baseline has shifted (most), where no weights explain it
+    explained: bool  # whether that shift alone, or the weights, leave nothing that is out of the ordinary
     seen: np.ndarray  # (S, P) bool: where it lies outside its interval
 
 
@@ -90,14 +90,14 @@ def _explain(one: Conditions, model: Influence, chance: float) -> Contradiction:
         rest = np.setdiff1d(np.arange(len(vector)), np.arange(n_speeds) * n_channels + p)
         free[p] = _squared(residual[rest], total[np.ix_(rest, rest)])
     best = min(free, key=lambda p: free[p])
-    # A shift of one channel takes S complex numbers, other weights N: what each leaves is judged by its entries.
-    shift = free[best] / (len(vector) - n_speeds) < reading.unexplained / (len(vector) - len(label))
+    by_shift = _chance(free[best], len(vector) - n_speeds, model)
+    by_weights = _chance(reading.unexplained, len(vector) - len(label), model)
+    explained = max(by_shift, by_weights) > _EXPLAINED
+    if not explained:
+        best = int(np.argmax((abs(residual.reshape(n_speeds, n_channels)) ** 2).sum(0)))
+    shift = not explained or by_shift > by_weights
     without = [np.where(np.arange(len(label)) == n, 0, label) for n in np.flatnonzero(label)]
     missing = [one.planes[n] for n, u in zip(np.flatnonzero(label), without, strict=True) if _fits(one, model, u)]
-    chances = (
-        _chance(free[best], len(vector) - n_speeds, model),
-        _chance(reading.unexplained, len(vector) - len(label), model),
-    )
     width = model.noise.half_width(np.diag(total).real)
     outside = (abs(residual.real) > width) | (abs(residual.imag) > width)
     return Contradiction(
@@ -107,7 +107,7 @@ def _explain(one: Conditions, model: Influence, chance: float) -> Contradiction:
         reading=reading,
         missing=tuple(missing),
         shifted=one.channels[best] if shift else None,
-        explained=bool(chances[0] > _EXPLAINED if shift else chances[1] > _EXPLAINED),
+        explained=explained,
         seen=outside.reshape(n_speeds, n_channels),
     )
 

@@ -172,7 +172,9 @@ def _fit(conditions: Conditions, law: complex, robust: bool, prior: NoiseLevels 
     left = len(design) - design.shape[1]
     size = conditions.vectors.shape[1]
     if left <= 0 and prior is None:
-        levels = NoiseLevels(conditions.record_covariance, np.eye(size) * np.finfo(float).tiny, 0.0)
+        # Nothing tells the drift: all entries count alike, and no interval is finite.
+        power = (abs(conditions.vectors) ** 2).mean()
+        levels = NoiseLevels(np.zeros_like(conditions.record_covariance), np.eye(size) * power + 0j, 0.0)
     elif independent:
         residual = conditions.vectors - design @ solve_weighted(conditions.vectors, design, weights)
         power = (abs(residual) ** 2).sum() / (left * size)

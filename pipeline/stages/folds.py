@@ -1,0 +1,189 @@
+"""Methods that predict vibration from weights, on conditions that they have not seen; what contradicts its label."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from pipeline.balance.consistency import find_contradictions
+from pipeline.balance.folds import Judged, judge, score
+from pipeline.balance.influence import Influence, judge_drift
+from pipeline.balance.peers import Peer, influence_peers
+from pipeline.balance.scores import floor_of_drift
+from pipeline.balance.splits import list_splits
+from pipeline.config.schema import Config
+from pipeline.data.conditions import Conditions, gather_conditions
+from pipeline.data.dataset import VibrationDataset
+from pipeline.data.tables import write_table
+from pipeline.data.vibration_files import read_measured
+from pipeline.errors import ConfigError, nearest
+from pipeline.files import write_json
+from pipeline.reporting.console import say, table
+from pipeline.reporting.folds_figure import draw_folds
+from pipeline.stages.contradictions import describe_contradiction, tell_contradiction
+from pipeline.stages.execution import StageOutput, make_missing
+from pipeline.stages.workspace import locate_files
+
+_GRAM_MM = 1e-6
+"""kg m."""
+
+
+def run(config: Config) -> StageOutput:
+    """``folds.json``, ``folds.csv`` (a row a task, method and choice of conditions) and a figure."""
+    work, dataset = locate_files(config), load_records(config)
+    planes = tuple(config.identify.unbalance_planes) or None
+    conditions = gather_conditions(dataset, planes)
+    _require_names(config, conditions)
+    found, model = find_contradictions(conditions, config.folds.false_alarm_rate)
+    named = [one.name for one in found]
+    kept = conditions.of([c for c, name in enumerate(conditions.names) if name not in named])
+    for one in found:
+        say(f"{config.name}: {describe_contradiction(config, conditions, one)}")
+    calibration = config.folds.calibration
+    splits = list_splits(conditions, calibration, config.folds.count, config.folds.heavy, config.seed)
+    baseline = conditions.displacement[conditions.names.index(calibration[0])]
+    peers = list_peers(config)
+    judged = []
+    for one_task in judge(dataset, conditions.planes, splits, peers, baseline):
+        judged.append(one_task)
+        say(f"{config.name}: {one_task.task}, {one_task.method}: {one_task.refusal or 'done'}")
+    summary: dict[str, Any] = {
+        "contradictions": [tell_contradiction(config, conditions, one) for one in found],
+        "noise": _tell_noise(kept, model),
+        "floor": _floors(config, kept, model, baseline),
+        "tasks": _scores(judged, named),
+    }
+    rows = list_rows(summary["tasks"])
+    _print(config, rows)
+    columns = list(dict.fromkeys(key for row in rows for key in row))
+    written = [
+        write_json(work.folder / "folds.json", summary),
+        write_table(
+            work.folder / "folds.csv", {key: np.array([row.get(key, np.nan) for row in rows]) for key in columns}
+        ),
+        draw_folds(work.figure("folds"), rows, summary["floor"]["folds"]["median_relative_error"]),
+    ]
+    return StageOutput(summary, {"data_fingerprint": dataset.fingerprint}, written)
+
+
+def list_peers(config: Config) -> dict[str, Peer]:
+    """The methods that are tried."""
+    return influence_peers(config.folds.calibration, config.folds.false_alarm_rate)
+
+
+def load_records(config: Config) -> VibrationDataset:
+    """The experiment's records, read first where they are missing. Raises DataError for files that break their laws."""
+    files = locate_files(config)
+    if files.own:
+        source = "generate" if config.machine.recordings.format == "none" else "ingest"
+        make_missing(config, source, files.vibration, files.excitation)
+    n_nodes = config.machine.rotor.n_nodes if config.machine.rotor.file is None else None
+    return read_measured(files.vibration, files.excitation, config.data.baseline, n_nodes)
+
+
+def _require_names(config: Config, conditions: Conditions) -> None:
+    """Raise ConfigError where the calibration is not of these conditions, or not led by one without weights."""
+    calibration = config.folds.calibration
+    if not calibration:
+        raise ConfigError(
+            "folds.calibration must name the condition without weights, from which the response counts, and those that "
+            f"calibrate alone, but names none: give it, such as folds.calibration=[{conditions.names[0]}]"
+        )
+    for name in calibration:
+        if name not in conditions.names:
+            raise ConfigError(
+                f"folds.calibration must name conditions of the data, but '{name}' is none: "
+                f"{nearest(name, conditions.names)}"
+            )
+    if conditions.unbalance[conditions.names.index(calibration[0])].any():
+        raise ConfigError(
+            f"folds.calibration must begin with a condition without weights, but '{calibration[0]}' has one: name the "
+            "machine as it was found first"
+        )
+
+
+# --- noise, floors and scores ----------------------------------------------------------------------
+
+
+def _tell_noise(kept: Conditions, model: Influence) -> dict[str, Any]:
+    """Deviations of both levels in um (a row a speed, a column a channel), the law of the weights, and the evidence."""
+    noise, shape = model.noise, kept.displacement.shape[1:]
+    return {
+        "condition_um": (1e6 * np.sqrt(np.diag(noise.condition).real.reshape(shape) / 2)).tolist(),
+        "record_um": (1e6 * np.sqrt(np.einsum("spp->sp", noise.record).real / 2)).tolist(),
+        "tail": noise.tail,
+        "law_per_g_mm": [model.law.real * _GRAM_MM, model.law.imag * _GRAM_MM],
+        "law_chance": model.law_chance,
+        "drift_chance": judge_drift(kept, model),
+    }
+
+
+def _floors(config: Config, kept: Conditions, model: Influence, baseline: np.ndarray) -> dict[str, Any]:
+    """What drift alone leaves: of a model that is exactly right, and of influence coefficients of the calibration."""
+    rng, of = (
+        np.random.default_rng(config.seed),
+        [c for c, name in enumerate(kept.names) if name in config.folds.calibration],
+    )
+    columns = len(model.coefficients)
+    residual = kept.vectors - model.predict(kept.unbalance)[0]
+    residual = residual * np.sqrt(len(residual) / (len(residual) - columns))
+    tested = kept.of([c for c in range(len(kept.names)) if c not in of])
+    floors = {"folds": floor_of_drift(kept, residual, tested, baseline, rng)}
+    if len(of) == columns:
+        floors["calibration_alone"] = floor_of_drift(kept, residual, tested, baseline, rng, kept.of(of))
+    return floors
+
+
+def _scores(judged: Sequence[Judged], named: Sequence[str]) -> dict[str, Any]:
+    """By task, method, and whether all conditions are scored or those that contradict nothing; or a refusal."""
+    scores: dict[str, Any] = {}
+    for one in judged:
+        own = (
+            {"refusal": one.refusal}
+            if one.refusal
+            else {"all": _in_gram(score(one)), "consistent": _in_gram(score(one, named))}
+        )
+        scores.setdefault(one.task, {})[one.method] = own
+    return scores
+
+
+def _in_gram(scores: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
+    inverse = dict(scores["inverse"])
+    return {**scores, "inverse": {"magnitude_error_g_mm": inverse.pop("magnitude_error") / _GRAM_MM, **inverse}}
+
+
+def list_rows(tasks: dict[str, Any]) -> list[dict[str, Any]]:
+    """A row a task, method and choice of conditions that has scores."""
+    return [
+        {"task": task, "method": method, "conditions": chosen}
+        | {f"{way}_{key}": value for way in ("forward", "inverse") for key, value in of[chosen][way].items()}
+        for task, methods in tasks.items()
+        for method, of in methods.items()
+        if "refusal" not in of
+        for chosen in ("all", "consistent")
+    ]
+
+
+_SHOWN = {
+    "forward_median_relative_error": "relative error",
+    "forward_r2": "R2",
+    "forward_coverage": "in 95 %",
+    "inverse_magnitude_error_g_mm": "weights, g mm",
+    "inverse_angle_error_deg": "deg",
+    "inverse_r2": "R2",
+    "inverse_coverage": "in 95 %",
+}
+
+
+def _print(config: Config, rows: Sequence[dict[str, Any]]) -> None:
+    """A table a choice of conditions."""
+    for chosen in ("all", "consistent"):
+        title = f"{config.name}: predicted vibration and read weights, {chosen} conditions"
+        lines = [
+            [row["task"], row["method"], *(f"{row[key]:.3g}" if key in row else "-" for key in _SHOWN)]
+            for row in rows
+            if row["conditions"] == chosen
+        ]
+        table(title, ["task", "method", *_SHOWN.values()], lines)
