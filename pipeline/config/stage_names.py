@@ -10,6 +10,7 @@ STAGES: dict[str, str] = {
     "ingest": "turn measured data into the two files that training reads, and draw them",
     "runup": "fit natural frequencies and damping ratios to a run-up, its ramp modelled",
     "diagnose": "tell which coefficients the data determine: rank, condition number, predicted deviation",
+    "senses": "fit the data in every sense of phases and angles, and say which one they choose",
     "design": "choose the runs that would identify best, from what an experimenter can do",
     "tune": "search hyperparameters on held-out speeds and promote the best into training",
     "samplers": "compare TPE with other samplers: several studies of each at equal budget",

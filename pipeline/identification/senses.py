@@ -1,0 +1,191 @@
+"""In which sense phases and angles count: all eight readings of a data set are fitted, and the data choose.
+
+Three things are easily taken the wrong way round. Instruments give phase as lead or as lag; holes are numbered with
+the rotation or against it; and the shaft turns from x to y, or from y to x, which mirrors the probes. Two of the eight
+at a time are one machine. With the reflection ``S = diag(1, -1)`` of x and y, ``D* = -w^2 M + K - j w (C + W G)`` has
+
+    S D* S = -w^2 M + S K S + j w (-S C S + W G),
+
+since the gyroscopic matrix turns round under S. So a machine that is read wrongly in all three looks like itself,
+mirrored, with damping and cross-coupled stiffness of the opposite sign (time reversed). Where damping must be positive
+the phase that it makes decides between the two, if the readings are good enough; nothing else does.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.data.dataset import VibrationDataset
+from pipeline.errors import ConfigError
+from pipeline.identification.output_error_fit import HUBER, OutputErrorFit, fit_output_error
+from pipeline.identification.training import FitSetup
+from pipeline.problem.measurement import Measurement
+
+DECISIVE = 2.0 * math.log(20.0)
+"""Chi-square by which one sense must be better: odds of twenty to one."""
+_MIRRORED = np.array([-1.0 if name[1] != name[2] else 1.0 for name in COEFFICIENTS])
+_REVERSED = _MIRRORED * np.array([1.0 if name[0] == "k" else -1.0 for name in COEFFICIENTS])
+
+
+@dataclass(frozen=True)
+class Sense:
+    """How a data set is read, against how it is written."""
+
+    lag: bool = False  # phases of the readings count as lag: they are conjugated
+    against: bool = False  # angles of the weights count against the rotation: they change sign
+    mirrored: bool = False  # the shaft turns from y to x: angles of the probes change sign
+
+    @property
+    def twin(self) -> Sense:
+        """The one that is the same machine mirrored, but for the sign of damping and cross-coupled stiffness."""
+        return Sense(not self.lag, not self.against, not self.mirrored)
+
+    @property
+    def words(self) -> str:
+        """In words."""
+        parts = [
+            f"phase as {'lag' if self.lag else 'lead'}",
+            f"weights {'against' if self.against else 'with'} the rotation",
+            f"rotation from {'y to x' if self.mirrored else 'x to y'}",
+        ]
+        return ", ".join(parts)
+
+    def read(self, measurement: Measurement) -> Measurement:
+        """The measurement as this sense has it; the frame always turns from x to y."""
+        data, known = measurement.dataset, measurement.known
+        if self.mirrored:
+            known = replace(known, values=known.values * _MIRRORED)
+        return replace(measurement, dataset=self._turn(data), known=known)
+
+    def _turn(self, data: VibrationDataset) -> VibrationDataset:
+        taken = data.subtracted
+        if self.lag:
+            data = replace(data, displacement=data.displacement.conj())
+            data = replace(data, subtracted=None if taken is None else taken.conj())
+        if self.against:
+            data = replace(data, excitations=tuple(replace(one, phase=-one.phase) for one in data.excitations))
+        if self.mirrored:
+            data = replace(data, channels=tuple((node, -angle % 360.0) for node, angle in data.channels))
+        return data
+
+
+SENSES = tuple(Sense(*flags) for flags in itertools.product((False, True), repeat=3))
+"""All eight; the first is the data set as it is written."""
+
+
+def reverse(coefficients: np.ndarray) -> np.ndarray:
+    """(.., 8) coefficients with which a machine looks, mirrored and time reversed, as it does with the given ones."""
+    return np.asarray(coefficients * _REVERSED)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One sense, fitted."""
+
+    sense: Sense
+    chi_square: float  # with the priors, beyond the least; infinite where there is no fit
+    why_not: str = ""  # there is no fit
+
+
+@dataclass(frozen=True)
+class Senses:
+    """All of them, the best first."""
+
+    trials: tuple[Trial, ...]
+    expected: float  # of the readings, if the best sense and the noise are right
+    least: float  # chi-square of the best, with its priors
+
+    @property
+    def open(self) -> tuple[Trial, ...]:
+        """Those that the data do not tell from the best, which is the first."""
+        return tuple(one for one in self.trials if one.chi_square < DECISIVE)
+
+    @property
+    def sentence(self) -> str:
+        """What the data choose, and by how much."""
+        best, rest = self.trials[0], [one for one in self.trials if one not in self.open]
+        others = [one for one in self.open[1:] if one.sense != best.sense.twin]
+        if others:
+            text = f"the data do not tell {best.sense.words} from {'; '.join(one.sense.words for one in others)}"
+            text += ": a run with a weight at another angle would"
+        else:
+            text = f"the data choose {best.sense.words}"
+            text += ", as they are written" if best.sense == Sense() else " (not as they are written)"
+        if rest and not others:
+            other = next((one for one in rest if one.sense != best.sense.twin), rest[0])
+            text += f"; chi-square of the next machine ({other.sense.words}) is {other.chi_square:.3g} larger"
+            text += f" (odds of {_describe_odds(other.chi_square)} to one)"
+        if any(one.sense == best.sense.twin for one in self.open):
+            text += (
+                f". The same machine mirrored ({best.sense.twin.words}) fits as well: only the sign of damping differs,"
+                " and these readings do not tell it. Stiffness is the same in both"
+            )
+        else:
+            twin = next(one for one in self.trials if one.sense == best.sense.twin)
+            text += f". The same machine mirrored ({twin.sense.words}) would need damping of the other sign"
+            text += f": chi-square {twin.chi_square:.3g} larger" if math.isfinite(twin.chi_square) else ": no fit"
+        return text + "."
+
+
+def _describe_odds(chi_square: float) -> str:
+    if chi_square > _MOST:
+        return "more than a million"
+    return f"{math.exp(chi_square / 2):.2g}"
+
+
+_MOST = 2 * math.log(1e6)
+
+
+def try_senses(measurement: Measurement, setup: FitSetup, tell: Callable[[Sense], None] | None = None) -> Senses:
+    """Fit the data in every sense, and compare chi-square with the priors under one noise.
+
+    The noise is that of the readings as stated; where it is estimated it is what the best sense leaves. What even the
+    best leaves beyond its noise widens the noise for all, so that a model that is a little off decides nothing.
+
+    Raises ConfigError where no sense has a fit, or the loss weighs no noise.
+    """
+    if setup.loss.kind != "response":
+        raise ConfigError(
+            f"stage=senses must have loss=response, which weighs the readings by their noise, but got {setup.loss.kind}"
+        )
+    fits: dict[Sense, OutputErrorFit] = {}
+    refused: dict[Sense, str] = {}
+    for sense in SENSES:
+        if tell is not None:
+            tell(sense)
+        try:
+            fits[sense] = fit_output_error(sense.read(measurement), setup)
+        except ConfigError as error:
+            refused[sense] = str(error)
+    finite = {sense: one for sense, one in fits.items() if np.isfinite(one.weights.numpy()).all()}
+    if not finite:
+        why = next(iter(refused.values()), "every fit ran away")
+        raise ConfigError(f"the data must have a fit in one sense at least, but {why}")
+    factor = min((one.factor for one in finite.values()), key=lambda of: float(np.median(of)))
+    squares = {sense: _square(one, factor) for sense, one in finite.items()}
+    least, count = min(squares.values()), 2 * measurement.dataset.displacement.size
+    wider = max(1.0, least / count)
+    beyond = {sense: (square - least) / wider for sense, square in squares.items()}
+    trials = [Trial(one, beyond.get(one, math.inf), refused.get(one, "")) for one in SENSES]
+    return Senses(tuple(sorted(trials, key=lambda one: one.chi_square)), float(count), float(least))
+
+
+def _square(fit: OutputErrorFit, factor: np.ndarray) -> float:
+    """Chi-square with the priors, of the noise of the measured readings times ``factor`` (P,); far ones by Huber."""
+    import torch
+
+    first = fit.start.problem.sensors
+    scale = torch.as_tensor(factor)[:, None]
+    sensors = replace(fit.problem.sensors, precision=tuple(one / scale for one in first.precision), common=first.common)
+    problem, total = fit.problem.with_sensors(sensors), 0.0
+    for deviations in problem.deviations(fit.weights):
+        off = (deviations.abs() / math.sqrt(2.0)).numpy()
+        total += float(np.where(off < HUBER, off**2, HUBER * (2 * off - HUBER)).sum())
+    priors = float((problem.prior_precision() * fit.weights[0, 0] ** 2).sum())
+    return 2.0 * total + priors

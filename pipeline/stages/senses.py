@@ -1,0 +1,47 @@
+"""Fit the data in every sense of phases and angles, and say which one they choose."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.config.schema import Config
+from pipeline.files import write_json
+from pipeline.identification.quality import finite
+from pipeline.identification.senses import try_senses
+from pipeline.identification.training import setup_of
+from pipeline.reporting.console import say, table
+from pipeline.stages.execution import StageOutput, use_threads
+from pipeline.stages.measurement import load_measurement
+from pipeline.stages.workspace import locate_files
+
+
+def run(config: Config) -> StageOutput:
+    """``senses.json``: every sense with its chi-square beyond the least, and the sentence.
+
+    Raises ConfigError as :func:`pipeline.identification.senses.try_senses`.
+    """
+    use_threads(config)
+    measurement, work = load_measurement(config), locate_files(config)
+    found = try_senses(measurement, setup_of(config), lambda sense: say(f"{config.name}: {sense.words}"))
+    header = ["phase of readings", "angle of weights", "rotation", "chi-square beyond the least", "the same mirrored"]
+    rows, listed = [], []
+    for one in found.trials:
+        twin = next(j for j, other in enumerate(found.trials) if other.sense == one.sense.twin)
+        size = f"{one.chi_square:.4g}" if np.isfinite(one.chi_square) else "no fit"
+        rows.append([*one.sense.words.split(", "), size, f"row {twin + 1}"])
+        listed.append(
+            {
+                "phase_as_lag": one.sense.lag,
+                "weights_against_rotation": one.sense.against,
+                "rotation_from_y_to_x": one.sense.mirrored,
+                "chi_square_beyond_the_least": finite(one.chi_square),
+                "told_from_the_best": one not in found.open,
+                "same_machine_mirrored": twin,
+                "why_no_fit": one.why_not,
+            }
+        )
+    table(f"{config.name}: senses of phases and angles", header, rows)
+    say(f"{config.name}: {found.sentence}")
+    summary = {"sentence": found.sentence, "least": found.least, "expected": found.expected, "senses": listed}
+    written = [write_json(work.folder / "senses.json", summary)]
+    return StageOutput({"least": found.least}, {"data_fingerprint": measurement.dataset.fingerprint}, written)
