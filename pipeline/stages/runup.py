@@ -34,6 +34,8 @@ from pipeline.sweep.readings import NORMAL, Reading, combine
 from pipeline.units import RAD_S_PER_RPM
 
 _MICROMETRES = 1e6
+_POOR = 0.3
+"""Of the vectors, left over: modes explain so little only where something is read wrongly."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -213,6 +215,11 @@ def _say(name: str, settings: RunUpConfig, found: _Found) -> None:
         f"{name}: rate {found.run_up.rate / RAD_S_PER_RPM:.4g} rpm/s, phase a {found.sense}; "
         f"{'two modes' if found.count == 2 else 'one mode'} (Schwarz's criterion {abs(gain):.3g} better)"
     )
+    if found.chosen.misfit > _POOR:
+        warn(
+            f"the modes leave {100 * found.chosen.misfit:.2g} % of '{settings.file}' over: check its columns, the sense "
+            "and unit of the phase, and the range of the ramp (from_rpm, to_rpm)"
+        )
     if abs(found.bias.peak_shift) > settings.most_lag:
         warn(f"the peak is no steady one: {describe_bias(found.bias)}")
 

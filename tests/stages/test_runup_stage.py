@@ -84,6 +84,7 @@ def test_the_run_up_of_the_measured_rig(tmp_path: Path, capsys: pytest.CaptureFi
     said = capsys.readouterr()
     assert "free decay behind the peak" in said.out
     assert "the peak is no steady one" in said.err
+    assert "check its columns" not in said.err
 
 
 def test_the_column_in_volts_is_the_one_in_micrometres_five_times_too_small() -> None:
@@ -134,6 +135,15 @@ def test_what_the_schema_refuses(what: str) -> None:
         RunUpConfig(**SETTINGS | change)
 
 
+@pytest.mark.slow
+def test_numbers_that_are_no_run_up_are_warned_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The column of the amplitude in place of the phase."""
+    overrides = ["experiment=rk4", "stage=runup", f"output={tmp_path}", "tracking=none"]
+    run_stage(compose_config([*overrides, "machine.run_up.columns.phase=amp_1x"]))
+    assert "check its columns, the sense and unit of the phase" in capsys.readouterr().err
+
+
+@pytest.mark.slow
 def test_a_machine_without_a_run_up_is_told(tmp_path: Path) -> None:
     with refused("machine.run_up is missing", kind=ConfigError):
         run_stage(compose_config(["experiment=ball_bearing", "stage=runup", f"output={tmp_path}", "tracking=none"]))
