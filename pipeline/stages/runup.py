@@ -217,8 +217,8 @@ def _say(name: str, settings: RunUpConfig, found: _Found) -> None:
     )
     if found.chosen.misfit > _POOR:
         warn(
-            f"the modes leave {100 * found.chosen.misfit:.2g} % of '{settings.file}' over: check its columns, the sense "
-            "and unit of the phase, and the range of the ramp (from_rpm, to_rpm)"
+            f"the modes leave {100 * found.chosen.misfit:.2g} % of '{settings.file}' over: check its columns, the "
+            "sense and unit of the phase, and the range of the ramp (from_rpm, to_rpm)"
         )
     if abs(found.bias.peak_shift) > settings.most_lag:
         warn(f"the peak is no steady one: {describe_bias(found.bias)}")
