@@ -19,6 +19,8 @@ from pipeline.reporting.console import say, table
 from pipeline.reporting.summary_text import format_deviation
 
 _LEAST = 1e-3  # g mm
+_SPEEDS = 6
+"""Most speeds on screen."""
 _SHOWN = 40
 """Most conditions on screen; all are in the file."""
 
@@ -89,7 +91,8 @@ def _show_condition(of: Estimates, c: int, source: SourceUnits) -> list[str]:
     values, known = source.weights(one.value), source.weights(of.readings.unbalance[c])
     half, angle = one.half_width() / GRAM_MILLIMETRE, np.degrees(one.angle_half_width())
     for n, value in enumerate(values):
-        cells.append(format_deviation(float(abs(value)), float(half[n])))
+        known_to = _blank(half[n])
+        cells.append(_show_size(abs(value)) if known_to is None else format_deviation(float(abs(value)), known_to))
         cells.append("any" if angle[n] >= 180 else f"{_show_angle(value)} +- {angle[n]:.1f}")
         cells.append("-" if np.isnan(known[n]) else _show_known(known[n]))
     return cells
@@ -119,8 +122,8 @@ def describe_sheet(
             "weights": [{"hole": w.hole, "mass_g": 1e3 * w.mass} for w in sheet.weights[n]],
             **_show_complex("unbalance", before[n]),
             **_show_complex("remaining", left[n]),
-            "circle_g_mm": float(sheet.circle[n] / GRAM_MILLIMETRE),
-            "remaining_at_most_g_mm": float(at_most[n] / GRAM_MILLIMETRE),
+            "circle_g_mm": _blank(sheet.circle[n] / GRAM_MILLIMETRE),
+            "remaining_at_most_g_mm": _blank(at_most[n] / GRAM_MILLIMETRE),
         }
         for n, node in enumerate(planes)
     ]
@@ -138,7 +141,7 @@ def print_sheet(
     for of in describe_sheet(sheet, planes, source, tolerance)["planes"]:
         weights = ", ".join(f"{w['mass_g']:.4g} g in hole {w['hole']}" for w in of["weights"]) or "no weight"
         vectors = [f"{_show_size(of[f'{one}_g_mm'])} at {of[f'{one}_angle_deg'] % 360:.0f} deg" for one in _VECTORS]
-        bounds = [f"{of[key]:.3g}" for key in ("circle_g_mm", "remaining_at_most_g_mm")]
+        bounds = [_show_bound(of[key]) for key in ("circle_g_mm", "remaining_at_most_g_mm")]
         rows.append([f"node {of['node']}", weights, *vectors, *bounds])
     header = ["plane", "put in", "unbalance, g mm", "remains, g mm", "+- (95 % circle)", "at most (95 %)"]
     table(title, header, rows)
@@ -146,7 +149,7 @@ def print_sheet(
         words = {"met": "is met", "not met": "is not met", "open": "may or may not be met"}[of["verdict"]]
         say(
             f"bearing at node {of['node']}: {_show_size(of['remaining_g_mm'])} g mm remain "
-            f"(at most {of['at_most_g_mm']:.3g}, 95 %), permissible are {of['permissible_g_mm']:.3g}: "
+            f"(at most {_show_bound(of['at_most_g_mm'])}, 95 %), permissible are {of['permissible_g_mm']:.3g}: "
             f"the tolerance {words}"
         )
 
@@ -169,7 +172,7 @@ def judge_tolerance(sheet: BalanceSheet, tolerance: Tolerance | None) -> list[di
             {
                 "node": node,
                 "remaining_g_mm": float(left / GRAM_MILLIMETRE),
-                "at_most_g_mm": float(bound / GRAM_MILLIMETRE),
+                "at_most_g_mm": _blank(bound / GRAM_MILLIMETRE),
                 "permissible_g_mm": float(permissible / GRAM_MILLIMETRE),
                 "verdict": verdict,
             }
@@ -192,7 +195,7 @@ def tabulate_vibration_change(
             "unit": source.unit,
             "before": None if np.isnan(before[s, p]) else float(before[s, p]),
             "after": None if np.isnan(after[s, p]) else float(after[s, p]),
-            "band_95": float(half[s, p]),
+            "band_95": _blank(half[s, p]),
         }
         for s in range(shape[0])
         for p in range(shape[1])
@@ -200,7 +203,11 @@ def tabulate_vibration_change(
 
 
 def print_vibration_change(rows: Sequence[Mapping[str, Any]], unit: str) -> None:
-    """Amplitudes before and after."""
+    """Amplitudes before and after, of many speeds a few that are evenly spread."""
+    read = [one for one in rows if one["before"] is not None]
+    speeds = sorted({one["speed_rpm"] for one in read})
+    every = max(1, -(-len(speeds) // _SPEEDS))
+    shown = speeds[::-every]
     header = ["probe", "rpm", f"before, {unit}", f"after, {unit}"]
     lines = [
         [
@@ -209,10 +216,16 @@ def print_vibration_change(rows: Sequence[Mapping[str, Any]], unit: str) -> None
             f"{one['before']:.3g}",
             format_deviation(one["after"], one["band_95"]),
         ]
-        for one in rows
-        if one["before"] is not None
+        for one in read
+        if one["speed_rpm"] in shown
     ]
     table("vibration, zero-to-peak as the recordings have it (+- 95 % of one record)", header, lines)
+    if len(shown) < len(speeds):
+        say(f"{len(speeds) - len(shown)} more speeds are in balance.json")
+
+
+def _show_bound(size: float | None) -> str:
+    return "unknown" if size is None else f"{size:.3g}"
 
 
 def _show_size(size: float) -> str:

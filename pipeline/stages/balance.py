@@ -134,6 +134,11 @@ def _find_state(config: Config, model: LinearVibration, readings: Readings) -> S
     """What the machine shows, and which part of it is to be taken away."""
     nothing = np.zeros(len(model.planes), dtype=complex)
     own, asked = predict_one(model, nothing), config.balance
+    if asked.remove != "condition" and config.data.baseline is not None:
+        raise ConfigError(
+            f"the machine's own unbalance must be in the data, but its vibration (data.baseline={config.data.baseline})"
+            " was subtracted: name a condition to correct (balance.condition, balance.remove=condition)"
+        )
     if asked.remove == "residual":
         return State(shown=own, remove=own, weights=nothing)
     if asked.condition not in readings.names:

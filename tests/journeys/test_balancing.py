@@ -121,3 +121,24 @@ def test_mistakes_in_a_table_are_named(folder: Path, tmp_path: Path) -> None:
         composed("experiment=rk4", "balance.remove=both")
     with pytest.raises(ConfigError, match=r"grade of ISO 21940-11 such as G2\.5"):
         composed("experiment=rk4", "machine.balance.tolerance.grade=2.5")
+
+
+def test_three_runs_over_many_speeds_have_no_bands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Recordings of another kind: their weights come back, what can't be known is blank, and the baseline is gone."""
+    holes = ",".join(
+        f"{{node: {node}, holes: 12, first_angle: 0 deg, numbering: with_rotation, radius: 80 mm}}" for node in (2, 4)
+    )
+    tolerance = "{grade: G2.5, service_speed_rpm: 3000}"
+    given = ["experiment=measured_demo", "tracking=none", f"output={tmp_path}", "stage=balance"]
+    given.append(f"+machine.balance={{planes: [{holes}], masses: any, tolerance: {tolerance}}}")
+    with pytest.raises(ConfigError, match=r"data\.baseline=as_found"):
+        run_stage(composed(*given))
+    run_stage(composed(*given, "balance.condition=both_discs", "balance.remove=condition"))
+    sheet = strict_json(tmp_path / "balance.json")["sheet"]
+    for plane, hole in zip(sheet["planes"], (11, 5), strict=True):
+        (weight,) = plane["weights"]
+        assert weight["hole"] == hole  # 150 g mm at 120 and 300 degrees, opposite
+        assert weight["mass_g"] == pytest.approx(150 / 80, rel=1e-6)
+        assert plane["remaining_at_most_g_mm"] is None
+    assert {of["verdict"] for of in sheet["tolerance"]} == {"open"}
+    assert "may or may not be met" in capsys.readouterr().out
