@@ -10,6 +10,7 @@ from pipeline.balance.consistency import find_contradictions
 from pipeline.errors import IdentifiabilityError
 
 
+@pytest.mark.slow
 def test_missing_weight_and_shifted_probe_are_told_apart_and_hide_nothing() -> None:
     """Two conditions of one kind and a gross one of another: none masks the others, no fourth is named."""
     rng = np.random.default_rng(0)

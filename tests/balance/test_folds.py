@@ -100,6 +100,7 @@ def test_the_floor_of_drift_is_what_noise_of_that_size_leaves() -> None:
     assert more["median_relative_error"][0] > median
 
 
+@pytest.mark.slow
 def test_methods_are_scored_or_say_why_not() -> None:
     """A perfect machine is predicted; influence coefficients refuse a speed that they have not seen."""
     rng = np.random.default_rng(2)
