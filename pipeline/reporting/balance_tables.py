@@ -154,6 +154,20 @@ def print_sheet(
         )
 
 
+def print_fewer(sheets: Sequence[BalanceSheet], planes: Sequence[int], source: SourceUnits) -> None:
+    """What at most one, two ... weights a plane leave: whether another screw is worth it."""
+    rows = []
+    for k, sheet in enumerate(sheets, 1):
+        put = [", ".join(f"{1e3 * w.mass:.4g} g in {w.hole}" for w in of) or "none" for of in sheet.weights]
+        left = ", ".join(_show_size(float(size)) for size in np.abs(source.weights(sheet.remaining)))
+        grams = 1e3 * sum(w.mass for of in sheet.weights for w in of)
+        vibration = 1e6 * float(np.sqrt(np.nanmean(np.abs(sheet.after) ** 2)))
+        rows.append([str(k), *put, left, f"{vibration:.3g}", f"{grams:.4g}"])
+    holes = [f"node {node}: in hole" for node in planes]
+    header = ["weights a plane at most", *holes, "remain, g mm", "vibration after, um (root mean square)", "g in all"]
+    table("would fewer do?", header, rows)
+
+
 _VECTORS = ("unbalance", "remaining")
 
 

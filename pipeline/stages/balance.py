@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from pipeline.reporting.balance_figure import draw_balance
 from pipeline.reporting.balance_tables import (
     describe_sheet,
     print_estimates,
+    print_fewer,
     print_sheet,
     print_vibration_change,
     tabulate_estimates,
@@ -100,12 +102,18 @@ def _correct(
     holes = [_place_holes(given, node, source) for node in model.planes]
     speeds = match_speeds(np.array(asked.speeds_rpm) * RAD_S_PER_RPM, model.speeds, "balance.speeds_rpm")
     state = _find_state(config, model, readings)
-    sheet = propose_weights(model, state, holes, asked.minimise, speeds.tolist())
+    every = [
+        propose_weights(model, state, [replace(one, most=k) for one in holes], asked.minimise, speeds.tolist())
+        for k in range(given.most if given.masses == ANY else 1, given.most + 1)
+    ]
+    sheet = every[-1]
     whose = {"residual": "the machine's own unbalance", "condition": f"condition {asked.condition}"}
     whose["both"] = f"{whose['condition']} and the machine's own unbalance"
     tolerance = _find_tolerance(given, rotor, model.planes)
     title = f"balance sheet for {whose[asked.remove]}, by {method}: least {asked.minimise}"
     print_sheet(title, sheet, model.planes, source, tolerance)
+    if len(every) > 1:
+        print_fewer(every, model.planes, source)
     rows = tabulate_vibration_change(sheet, model.speeds, model.channels, source)
     print_vibration_change(rows, source.unit)
     return describe_sheet(sheet, model.planes, source, tolerance) | {

@@ -67,10 +67,11 @@ def test_screws_are_told_from_records_without_labels(folder: Path, tmp_path: Pat
     assert (folder / "figures" / "balance.png").stat().st_size > 10_000
 
 
-def test_the_machines_own_unbalance_goes_away(folder: Path, tmp_path: Path) -> None:
+def test_the_machines_own_unbalance_goes_away(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The sheet's weights, by the same coefficients, leave a tenth of the vibration."""
     file = _write(tmp_path / "base.csv", _some("BASE"))
     _run(folder, "balance", f"balance.records={file}")
+    assert "would fewer do?" in capsys.readouterr().out
     sheet = strict_json(folder / "balance.json")["sheet"]
     before, after = (np.array([one[k] for one in sheet["vibration"]]) for k in ("before", "after"))
     assert np.linalg.norm(after) < 0.1 * np.linalg.norm(before)
