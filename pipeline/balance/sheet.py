@@ -56,14 +56,14 @@ class BalanceSheet:
 def propose_weights(
     vibration: LinearVibration,
     state: State,
-    holes: Sequence[Holes],
+    holes: Sequence[Holes | None],
     minimise: Literal["unbalance", "vibration"] = "unbalance",
     speeds: Sequence[int] = (),
 ) -> BalanceSheet:
     """The weights that leave least of what is to be removed.
 
     Least unbalance is that in root mean square over the planes, least vibration that over the probes at the ``speeds``
-    (indices; none stands for all).
+    (indices; none stands for all). ``holes`` (N) are None in a plane that can take no weights.
 
     Raises ConfigError where there are too many choices, or the vibration does not tell the planes apart.
     """
@@ -73,23 +73,25 @@ def propose_weights(
     inside = covariance[np.ix_(read, read)]
     start = predict_one(vibration, state.weights)
     correction = np.zeros(len(vibration.planes), dtype=complex)
+    active, given = [n for n, one in enumerate(holes) if one], [one for one in holes if one]
     chosen = None
     for _ in range(_PASSES):
         influence = vibration.influence_at(state.weights + correction)[0][read]
         change = (predict_one(vibration, state.weights + correction) - start)[read]
         there = state.remove[read] + change - influence @ correction
         inverse, spread = _invert(influence, inside)
-        if minimise == "unbalance":
-            found = choose_weights(np.eye(len(holes)), inverse @ there, holes)
-        else:
-            found = choose_weights(influence, there, holes)
+        acting, left = (np.eye(len(holes)), inverse @ there) if minimise == "unbalance" else (influence, there)
+        found = choose_weights(acting[:, active], left, given)
         if chosen is not None and found.weights == chosen.weights:
             break
-        chosen, correction = found, found.unbalance
+        chosen = found
+        correction = np.zeros(len(holes), dtype=complex)
+        correction[active] = found.unbalance
     assert chosen is not None
+    weights = dict(zip(active, chosen.weights, strict=True))
     after = predict_one(vibration, state.weights + correction) - start
     return BalanceSheet(
-        weights=chosen.weights,
+        weights=tuple(weights.get(n, ()) for n in range(len(holes))),
         correction=correction,
         unbalance=inverse @ state.remove[read],
         remaining=inverse @ (state.remove + after)[read],

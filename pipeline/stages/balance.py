@@ -100,10 +100,16 @@ def _correct(
     """Choose, print and summarise the correction weights."""
     source, asked = SourceUnits(config.machine.recordings), config.balance
     holes = [_place_holes(given, node, source) for node in model.planes]
+    for plane in given.planes:
+        if plane.node not in model.planes:
+            raise ConfigError(
+                "machine.balance.planes must be planes that had weights in some condition, since the influence of "
+                f"others is not known, but node {plane.node} had none ({', '.join(map(str, model.planes))} had)"
+            )
     speeds = match_speeds(np.array(asked.speeds_rpm) * RAD_S_PER_RPM, model.speeds, "balance.speeds_rpm")
     state = _find_state(config, model, readings)
     every = [
-        propose_weights(model, state, [replace(one, most=k) for one in holes], asked.minimise, speeds.tolist())
+        propose_weights(model, state, [one and replace(one, most=k) for one in holes], asked.minimise, speeds.tolist())
         for k in range(given.most if given.masses == ANY else 1, given.most + 1)
     ]
     sheet = every[-1]
@@ -125,17 +131,15 @@ def _correct(
     }
 
 
-def _place_holes(given: WeightsConfig, node: int, source: SourceUnits) -> Holes:
-    for plane in given.planes:
-        if plane.node == node:
-            sense = 1 if plane.numbering == "with_rotation" else -1
-            turn = 2 * np.pi * np.arange(plane.holes) / plane.holes
-            masses = None if given.masses == ANY else tuple(given.masses)
-            return Holes(source.angle_from_x(plane.first_angle) + sense * turn, plane.radius, masses, given.most)
-    raise ConfigError(
-        f"machine.balance.planes must have the holes of every plane with weights, but node {node} has none "
-        f"(it has {', '.join(str(plane.node) for plane in given.planes)}): add its holes"
-    )
+def _place_holes(given: WeightsConfig, node: int, source: SourceUnits) -> Holes | None:
+    """The holes of the plane at a node; None where it has none."""
+    plane = next((one for one in given.planes if one.node == node), None)
+    if plane is None:
+        return None
+    sense = 1 if plane.numbering == "with_rotation" else -1
+    turn = 2 * np.pi * np.arange(plane.holes) / plane.holes
+    masses = None if given.masses == ANY else tuple(given.masses)
+    return Holes(source.angle_from_x(plane.first_angle) + sense * turn, plane.radius, masses, given.most)
 
 
 def _find_state(config: Config, model: LinearVibration, readings: Readings) -> State:

@@ -71,6 +71,18 @@ def test_a_turned_baseline_turns_the_weights(seed: int, holes: int) -> None:
         np.testing.assert_allclose(np.abs(two.after), np.abs(one.after), atol=1e-12)
 
 
+def test_one_plane_alone_does_what_it_can() -> None:
+    """Least squares in its own column of the influence, and its own share of the unbalance."""
+    rig, own = _unbalanced(np.random.default_rng(8))
+    state, holes = _as_it_is(rig), [None, _holes()[1]]
+    sheet = propose_weights(rig, state, holes, "vibration")
+    column = rig.truth.influence[:, 1]
+    best = -np.vdot(column, state.shown) / np.vdot(column, column)
+    np.testing.assert_allclose(sheet.correction, [0, best], rtol=1e-9)
+    assert sheet.weights[0] == ()
+    np.testing.assert_allclose(propose_weights(rig, state, holes).correction, [0, -own[1]], rtol=1e-9)
+
+
 def test_least_vibration_at_one_speed_is_no_worse_there() -> None:
     rig, _ = _unbalanced(np.random.default_rng(2))
     rig = know(replace(rig.truth, baseline=rig.truth.baseline + 3e-6 * circular(np.random.default_rng(3), SIZE)))
