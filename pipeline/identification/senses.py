@@ -23,7 +23,8 @@ import numpy as np
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.data.dataset import VibrationDataset
 from pipeline.errors import ConfigError
-from pipeline.identification.output_error_fit import HUBER, OutputErrorFit, fit_output_error
+from pipeline.identification.output_error_fit import HUBER, OutputErrorFit, fit_from
+from pipeline.identification.output_error_start import prepare_output_error
 from pipeline.identification.training import FitSetup
 from pipeline.problem.measurement import Measurement
 
@@ -160,7 +161,8 @@ def try_senses(measurement: Measurement, setup: FitSetup, tell: Callable[[Sense]
         if tell is not None:
             tell(sense)
         try:
-            fits[sense] = fit_output_error(sense.read(measurement), setup)
+            # A damping that runs off to zero is no mistake here: it is what the wrong sign of its phase leaves of it.
+            fits[sense] = fit_from(prepare_output_error(sense.read(measurement), setup), setup)
         except ConfigError as error:
             refused[sense] = str(error)
     finite = {sense: one for sense, one in fits.items() if np.isfinite(one.weights.numpy()).all()}

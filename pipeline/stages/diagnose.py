@@ -12,6 +12,7 @@ from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
 from pipeline.data.vibration_files import to_rpm
 from pipeline.files import write_json
+from pipeline.identification.combinations import combine
 from pipeline.identification.losses import loss_of
 from pipeline.identification.quality import finite
 from pipeline.identification.training import setup_of
@@ -38,11 +39,17 @@ def run(config: Config) -> StageOutput:
     expected = judge(config, measurement, diagnosis)
     judged = expected.judge()
     _print_verdicts(config, expected, judged)
-    summary = {
+    summary: dict[str, object] = {
         "stated_noise": config.stated_noise.model_dump(),
         "bearings": _summarize(diagnosis),
         "determined": {"by": expected.of, "coefficients": summarize_determined(judged)},
     }
+    solvable = all(report.verdict is not Verdict.NOT_IDENTIFIABLE for report in diagnosis.reports)
+    if solvable and diagnosis.by_least_squares and loss_of(config.loss).weighs_noise:
+        combined = combine(measurement, setup_of(config))
+        if combined is not None:
+            say(f"{config.name}: {combined.sentence}")
+            summary["combinations"] = combined.summary()
     written = [
         write_json(work.folder / "diagnosis.json", summary),
         write_table(work.folder / "diagnosis.csv", _tabulate(diagnosis, judged)),

@@ -1,0 +1,184 @@
+"""Which combinations of constant coefficients, and which model parameters, the data tell.
+
+Two coefficients may each be unknown while their sum is known well. The covariance of the coefficients, in shares of
+their sizes, has directions of smallest and largest deviation: what is known best, and what least. It is that of the
+fit that will be made, at its linear start, with residual unbalance and model parameters.
+
+Legend: A active unknowns, T model parameters, Z weights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.data.dataset import VibrationDataset
+from pipeline.identification.output_error import OutputError, output_error
+from pipeline.identification.output_error_fit import invert
+from pipeline.identification.output_error_start import prepare_output_error
+from pipeline.identification.training import FitSetup
+from pipeline.problem.measurement import Measurement
+from pipeline.units import RAD_S_PER_RPM
+
+if TYPE_CHECKING:
+    import torch
+
+_SPEEDS = (0.25, 0.5, 0.75, 1.25, 1.5, 1.75, 2.0, 2.5)
+"""Speeds that one more run is tried at, in shares of the highest one that was run."""
+_LEADING = 0.35
+"""Members of a combination with a share below this one are not named."""
+_WORTH = 0.8
+"""One more run is worth naming where it leaves less than this of the deviation."""
+
+
+@dataclass(frozen=True)
+class Combination:
+    """A direction among the coefficients."""
+
+    shares: Mapping[str, float]  # coefficient -> its part of a unit vector, in shares of the coefficient's size
+    deviation: float  # standard deviation along it, a share
+
+    @property
+    def words(self) -> str:
+        """Its leading coefficients, joined by their signs."""
+        order = sorted(self.shares.items(), key=lambda one: -abs(one[1]))
+        leading = [one for one in order if abs(one[1]) >= _LEADING] or order[:1]
+        first = np.sign(leading[0][1])
+        parts = [f"{'with' if share * first > 0 else 'against'} {name}" for name, share in leading[1:]]
+        return " ".join([leading[0][0], *parts])
+
+
+@dataclass(frozen=True)
+class NextRun:
+    """One more run of the heaviest weights."""
+
+    run: str
+    speed: float  # rad/s
+    deviation: float  # of the weakest combination, with it
+
+
+@dataclass(frozen=True)
+class Combinations:
+    """What is known best and least of constant coefficients, and what the data tell of model parameters."""
+
+    strongest: Combination
+    weakest: Combination
+    parameters: Mapping[str, tuple[float, float]]  # kind -> least and most of the tolerances that the data leave
+    next_run: NextRun | None  # none that was tried helps
+
+    @property
+    def sentence(self) -> str:
+        """In words."""
+        text = f"known best is {self.strongest.words} (+- {100 * self.strongest.deviation:.2g} %), "
+        text += f"known least is {self.weakest.words} (+- {100 * self.weakest.deviation:.2g} %)"
+        if self.next_run is not None:
+            to, rpm = 100 * self.next_run.deviation, self.next_run.speed / RAD_S_PER_RPM
+            text += f"; '{self.next_run.run}' at {rpm:.4g} rpm besides would tell that to +- {to:.2g} %"
+        told = {kind: span for kind, span in self.parameters.items() if span[0] < _WORTH}
+        untold = [kind for kind in self.parameters if kind not in told]
+        if told:
+            listed = ", ".join(f"{kind} {_describe_span(*span)}" for kind, span in told.items())
+            text += f". The data narrow the tolerances (what is left, as a share): {listed}"
+        if untold:
+            text += f". They tell next to nothing of {', '.join(untold)}"
+        return text + "."
+
+    def summary(self) -> dict[str, Any]:
+        """For JSON."""
+        run = self.next_run
+        return {
+            "sentence": self.sentence,
+            **{
+                name: {"deviation_percent": 100 * one.deviation, "shares": dict(one.shares)}
+                for name, one in (("strongest", self.strongest), ("weakest", self.weakest))
+            },
+            "posterior_over_prior": {kind: list(span) for kind, span in self.parameters.items()},
+            "next_run": run
+            and {"run": run.run, "speed_rpm": run.speed / RAD_S_PER_RPM, "percent": 100 * run.deviation},
+        }
+
+
+def _describe_span(least: float, most: float) -> str:
+    return f"{least:.2g}" if most - least < 0.05 else f"{least:.2g} to {most:.2g}"
+
+
+def combine(measurement: Measurement, setup: FitSetup) -> Combinations | None:
+    """The combinations at the linear start of the fit; None where coefficients are functions of the speed."""
+    if not setup.constant:
+        return None
+    start = prepare_output_error(measurement, setup)
+    return combine_at(start.problem, start.weights[:1])
+
+
+def combine_at(problem: OutputError, weights: torch.Tensor) -> Combinations:
+    """The combinations of constant coefficients at the ``weights`` (1, 1, Z) of any fit."""
+    information, relative = problem.normal(weights)[1][0, 0], _share(problem, weights)
+    covariance, measurement = invert(information), problem.measurement
+    spread, directions = _directions(relative, covariance)
+    nodes, unknowns = measurement.rotor.bearing_nodes, measurement.unknowns
+    labels = [
+        unknowns.names[u] if unknowns.shared else f"{unknowns.names[u]} at node {nodes[m]}" for m, u in problem.active
+    ]
+    ends = [Combination(dict(zip(labels, directions[:, i].tolist(), strict=True)), float(spread[i])) for i in (0, -1)]
+    left, spans = np.sqrt(np.diag(covariance)[problem.size - problem.n_parameters :]), {}
+    kinds = [one.kind for one in measurement.parameters]
+    for kind in dict.fromkeys(kinds):
+        own = [float(value) for value, of in zip(left, kinds, strict=True) if of == kind]
+        spans[kind] = (min(own), max(own))
+    along = directions[:, -1] @ relative
+    return Combinations(ends[0], ends[1], spans, _try_runs(problem, weights, information, along))
+
+
+def _share(problem: OutputError, weights: torch.Tensor) -> np.ndarray:
+    """(A, Z) change of each constant, as a share of itself, by the weights."""
+    values, slope = (of[0, 0].numpy() for of in problem.unknowns(weights))
+    result = np.zeros((len(problem.active), problem.size))
+    for a, (m, _) in enumerate(problem.active):
+        features = problem.features[m, 0].numpy()
+        result[a, a * len(features) : (a + 1) * len(features)] = slope[a] / abs(values[a]) * features
+    return result
+
+
+def _directions(relative: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(A,) deviations, ascending, and (A, A) their directions in columns."""
+    values, vectors = np.linalg.eigh(relative @ covariance @ relative.T)
+    return np.sqrt(np.maximum(values, 0.0)), vectors
+
+
+def _try_runs(
+    problem: OutputError, weights: torch.Tensor, information: torch.Tensor, along: np.ndarray
+) -> NextRun | None:
+    """The speed at which the run of the heaviest weights tells most of the direction ``along`` (Z,)."""
+    measurement = problem.measurement
+    data = measurement.dataset
+    heaviest = [sum(one.magnitude for one in data.excitation_of(r)) for r in range(len(data.runs))]
+    if not max(heaviest):
+        return None
+    run, top = int(np.argmax(heaviest)), float(data.speeds[-1])
+    before, tried = _deviation(information, along), []
+    for share in _SPEEDS:
+        speeds = np.array([share * top])
+        acting = tuple(one for one in data.excitations if one.run == data.runs[run])
+        read = np.zeros((1, len(data.channels), 1), dtype=complex)
+        known = replace(measurement.known.at(np.array([-1])), speeds=speeds)
+        other = replace(
+            measurement, dataset=VibrationDataset(speeds, (data.runs[run],), data.channels, read, acting), known=known
+        )
+        shown = output_error(other, problem.basis, problem.sensors.plane_scale).predicted(weights)[0][0].numpy()
+        more = output_error(
+            replace(other, dataset=replace(other.dataset, displacement=shown)),
+            problem.basis,
+            problem.sensors.plane_scale,
+        )
+        # Its own problem has the priors of the model parameters again.
+        gained = more.normal(weights)[1][0, 0] - more.prior_precision().diag()
+        tried.append(NextRun(data.runs[run], float(speeds[0]), _deviation(information + gained, along)))
+    best = min(tried, key=lambda one: one.deviation)
+    return best if best.deviation < _WORTH * before else None
+
+
+def _deviation(information: torch.Tensor, along: np.ndarray) -> float:
+    return float(np.sqrt(along @ invert(information) @ along))

@@ -1,0 +1,69 @@
+"""What is known best and least of constant coefficients: against deviations of each, and a run that was added."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from running import composed
+from small_rotor import FITTED, small_machine
+
+from pipeline.config.compose import compose_config
+from pipeline.identification.combinations import _deviation, _directions, _share, combine
+from pipeline.identification.output_error_fit import invert, unknown_deviation
+from pipeline.identification.output_error_start import prepare_output_error
+from pipeline.identification.training import setup_of
+from pipeline.problem.measurement import Measurement
+from pipeline.rotor.parameters import ModelParameter
+
+DIRECT = (2e6, 0.0, 0.0, 1.2e6, 900.0, 0.0, 0.0, 600.0)
+TWO = np.array([100.0, 120.0])
+SETUP = setup_of(composed(*FITTED))
+
+
+def with_tolerances(measurement: Measurement) -> Measurement:
+    """The places of both bearings, and of the density a tolerance that no data reach."""
+    places = [ModelParameter("bearing_position", 0.05, f"node {node}", b) for b, node in enumerate((0, 5))]
+    return replace(measurement, parameters=(*places, ModelParameter("density", 1e-9, "")))
+
+
+def test_the_directions_hold_the_deviations_of_each_coefficient() -> None:
+    """Of two speeds: squares add up to those of the coefficients; the best is none larger, the least none smaller."""
+    measurement = with_tolerances(small_machine(DIRECT, speeds=TWO)[0])
+    found, start = combine(measurement, SETUP), prepare_output_error(measurement, SETUP)
+    assert found is not None
+    sizes = np.abs(start.problem.unknowns(start.weights)[0][0, 0].numpy())
+    each = unknown_deviation(start.problem, start.weights)[0, 0] / sizes
+    covariance = invert(start.problem.normal(start.weights)[1][0, 0])
+    spread, _ = _directions(_share(start.problem, start.weights), covariance)
+    assert (spread**2).sum() == pytest.approx((each**2).sum(), rel=1e-6)
+    assert found.strongest.deviation <= each.min() <= each.max() <= found.weakest.deviation
+    assert sum(share**2 for share in found.weakest.shares.values()) == pytest.approx(1.0)
+    assert found.parameters["density"][0] == pytest.approx(1.0, abs=1e-6)
+    assert found.parameters["bearing_position"][0] < 0.8
+    assert "They tell next to nothing of density." in found.sentence
+    assert f"known least is {found.weakest.words}" in found.sentence
+
+
+def test_the_next_run_leaves_what_it_promises() -> None:
+    """The same run at the speed that was named besides, without noise in the readings: the same information."""
+    measurement, _ = small_machine(DIRECT, (0.3, 0.3), TWO, noise=0.0)
+    one = replace(measurement, dataset=measurement.dataset.of_runs(np.array([0])))
+    found = combine(one, SETUP)
+    assert found is not None
+    assert found.next_run is not None
+    assert found.next_run.deviation < 0.8 * found.weakest.deviation
+    more, _ = small_machine(DIRECT, (0.3, 0.3), np.sort([*TWO, found.next_run.speed]), noise=0.0)
+    start = prepare_output_error(replace(more, dataset=more.dataset.of_runs(np.array([0]))), SETUP)
+    direction = np.array(list(found.weakest.shares.values()))
+    along = direction @ _share(start.problem, start.weights)
+    left = _deviation(start.problem.normal(start.weights)[1][0, 0], along)
+    assert left == pytest.approx(found.next_run.deviation, rel=1e-3)
+    assert f"at {found.next_run.speed * 30 / np.pi:.4g} rpm besides" in found.sentence
+
+
+def test_functions_of_the_speed_have_no_such_directions() -> None:
+    """A network has other combinations at each speed."""
+    config = compose_config([*FITTED, "model=b_spline"])
+    assert combine(small_machine(DIRECT)[0], setup_of(config)) is None

@@ -1,0 +1,52 @@
+"""A rotor with one disc on two bearings with constant coefficients, and four probes: what a fit takes a second for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pipeline.config.rotor import RotorConfig
+from pipeline.data.dataset import Excitation, VibrationDataset
+from pipeline.data.noise import NoiseModel
+from pipeline.data.simulate import add_noise
+from pipeline.problem.measurement import Guess, Measurement
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.stored import load_rotor
+from pipeline.unknowns import BearingUnknowns, unknown_set
+
+NOISE = 2e-7
+SPEEDS = np.linspace(60.0, 260.0, 6)
+FITTED = (
+    "experiment=ball_bearing",
+    "loss=response",
+    "optimizer=levenberg_marquardt",
+    "optimizer.levenberg_marquardt.steps=60",
+    "optimizer.levenberg_marquardt.patience=3",
+    "training=to_the_minimum",
+    "tracking=none",
+)
+"""Overrides: constants, by Levenberg-Marquardt alone."""
+
+
+def small_machine(
+    eight: tuple[float, ...],
+    angles: tuple[float, float] = (0.3, 2.0),
+    speeds: np.ndarray = SPEEDS,
+    noise: float = NOISE,
+) -> tuple[Measurement, BearingTable]:
+    """Readings of probes at 20 and 110 degrees of a rotor with one disc, and its bearings; direct ones are unknown."""
+    shaft = [{"length": 1.0, "outer_diameter": 0.03, "inner_diameter": 0.0, "elements": 5}]
+    disc = {"node": 2, "mass": 10.0, "diametral_inertia": 0.05, "polar_inertia": 0.09}
+    material = {"density": 7810.0, "youngs_modulus": 211e9, "shear_modulus": 81.2e9}
+    config = {"material": material, "shaft": shaft, "discs": [disc], "bearing_nodes": [0, 5], "shear_effects": True}
+    model = load_rotor(RotorConfig.model_validate(config))
+    bearings = BearingTable((0, 5), speeds, np.tile(eight, (2, len(speeds), 1)))
+    channels = tuple((node, angle) for node in (0, 5) for angle in (20.0, 110.0))
+    weights = tuple(Excitation(run, "unbalance", 2, 5e-4, angle) for run, angle in zip("ab", angles, strict=True))
+    data = VibrationDataset(speeds, ("a", "b"), channels, np.ones((len(speeds), 4, 2), complex), weights)
+    unknowns = unknown_set(dict.fromkeys((0, 5), BearingUnknowns(("kxx", "kyy", "cxx", "cyy"))))
+    made = Measurement(model, data, bearings, NoiseModel(NOISE, 0.0), unknowns, Guess(1e6, 1e3))
+    exact = replace(data, displacement=made.response.predict(bearings))
+    deviation = np.full(exact.displacement.shape, noise)
+    return replace(made, dataset=add_noise(exact, deviation, np.random.default_rng(5))), bearings
