@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,7 +21,6 @@ from pipeline.identification.output_error_fit import invert
 from pipeline.identification.output_error_start import prepare_output_error
 from pipeline.identification.training import FitSetup
 from pipeline.problem.measurement import Measurement
-from pipeline.units import RAD_S_PER_RPM
 
 if TYPE_CHECKING:
     import torch
@@ -30,7 +29,7 @@ _SPEEDS = (0.25, 0.5, 0.75, 1.25, 1.5, 1.75, 2.0, 2.5)
 """Speeds that one more run is tried at, in shares of the highest one that was run."""
 _LEADING = 0.35
 """Members of a combination with a share below this one are not named."""
-_WORTH = 0.8
+WORTH = 0.8
 """One more run is worth naming where it leaves less than this of the deviation."""
 
 
@@ -68,41 +67,6 @@ class Combinations:
     weakest: Combination
     parameters: Mapping[str, tuple[float, float]]  # kind -> least and most of the tolerances that the data leave
     next_run: NextRun | None  # none that was tried helps
-
-    @property
-    def sentence(self) -> str:
-        """In words."""
-        text = f"known best is {self.strongest.words} (+- {100 * self.strongest.deviation:.2g} %), "
-        text += f"known least is {self.weakest.words} (+- {100 * self.weakest.deviation:.2g} %)"
-        if self.next_run is not None:
-            to, rpm = 100 * self.next_run.deviation, self.next_run.speed / RAD_S_PER_RPM
-            text += f"; '{self.next_run.run}' at {rpm:.4g} rpm besides would tell that to +- {to:.2g} %"
-        told = {kind: span for kind, span in self.parameters.items() if span[0] < _WORTH}
-        untold = [kind for kind in self.parameters if kind not in told]
-        if told:
-            listed = ", ".join(f"{kind} {_describe_span(*span)}" for kind, span in told.items())
-            text += f". The data narrow the tolerances (what is left, as a share): {listed}"
-        if untold:
-            text += f". They tell next to nothing of {', '.join(untold)}"
-        return text + "."
-
-    def summary(self) -> dict[str, Any]:
-        """For JSON."""
-        run = self.next_run
-        return {
-            "sentence": self.sentence,
-            **{
-                name: {"deviation_percent": 100 * one.deviation, "shares": dict(one.shares)}
-                for name, one in (("strongest", self.strongest), ("weakest", self.weakest))
-            },
-            "posterior_over_prior": {kind: list(span) for kind, span in self.parameters.items()},
-            "next_run": run
-            and {"run": run.run, "speed_rpm": run.speed / RAD_S_PER_RPM, "percent": 100 * run.deviation},
-        }
-
-
-def _describe_span(least: float, most: float) -> str:
-    return f"{least:.2g}" if most - least < 0.05 else f"{least:.2g} to {most:.2g}"
 
 
 def combine(measurement: Measurement, setup: FitSetup) -> Combinations | None:
@@ -177,7 +141,7 @@ def _try_runs(
         gained = more.normal(weights)[1][0, 0] - more.prior_precision().diag()
         tried.append(NextRun(data.runs[run], float(speeds[0]), _deviation(information + gained, along)))
     best = min(tried, key=lambda one: one.deviation)
-    return best if best.deviation < _WORTH * before else None
+    return best if best.deviation < WORTH * before else None
 
 
 def _deviation(information: torch.Tensor, along: np.ndarray) -> float:

@@ -21,6 +21,7 @@ from pipeline.problem.determination import Determined, Deviations, describe_dete
 from pipeline.problem.diagnosis import Diagnosis
 from pipeline.problem.identifiability import Verdict
 from pipeline.problem.measurement import Measurement
+from pipeline.reporting.combinations import describe_combinations, summarize_combinations
 from pipeline.reporting.console import say, table
 from pipeline.reporting.diagnosis_figure import draw_diagnosis
 from pipeline.reporting.model_error import Budget, draw_budget, print_budget
@@ -48,8 +49,8 @@ def run(config: Config) -> StageOutput:
     if solvable and diagnosis.by_least_squares and loss_of(config.loss).weighs_noise:
         combined = combine(measurement, setup_of(config))
         if combined is not None:
-            say(f"{config.name}: {combined.sentence}")
-            summary["combinations"] = combined.summary()
+            say(f"{config.name}: {describe_combinations(combined)}")
+            summary["combinations"] = summarize_combinations(combined)
     written = [
         write_json(work.folder / "diagnosis.json", summary),
         write_table(work.folder / "diagnosis.csv", _tabulate(diagnosis, judged)),

@@ -15,6 +15,7 @@ from pipeline.identification.output_error_fit import invert, unknown_deviation
 from pipeline.identification.output_error_start import prepare_output_error
 from pipeline.identification.training import setup_of
 from pipeline.problem.measurement import Measurement
+from pipeline.reporting.combinations import describe_combinations, summarize_combinations
 from pipeline.rotor.parameters import ModelParameter
 
 DIRECT = (2e6, 0.0, 0.0, 1.2e6, 900.0, 0.0, 0.0, 600.0)
@@ -42,8 +43,9 @@ def test_the_directions_hold_the_deviations_of_each_coefficient() -> None:
     assert sum(share**2 for share in found.weakest.shares.values()) == pytest.approx(1.0)
     assert found.parameters["density"][0] == pytest.approx(1.0, abs=1e-6)
     assert found.parameters["bearing_position"][0] < 0.8
-    assert "They tell next to nothing of density." in found.sentence
-    assert f"known least is {found.weakest.words}" in found.sentence
+    assert "They tell next to nothing of density." in describe_combinations(found)
+    assert summarize_combinations(found)["weakest"]["deviation_percent"] == 100 * found.weakest.deviation
+    assert f"known least is {found.weakest.words}" in describe_combinations(found)
 
 
 def test_the_next_run_leaves_what_it_promises() -> None:
@@ -60,7 +62,7 @@ def test_the_next_run_leaves_what_it_promises() -> None:
     along = direction @ _share(start.problem, start.weights)
     left = _deviation(start.problem.normal(start.weights)[1][0, 0], along)
     assert left == pytest.approx(found.next_run.deviation, rel=1e-3)
-    assert f"at {found.next_run.speed * 30 / np.pi:.4g} rpm besides" in found.sentence
+    assert f"at {found.next_run.speed * 30 / np.pi:.4g} rpm besides" in describe_combinations(found)
 
 
 def test_functions_of_the_speed_have_no_such_directions() -> None:
