@@ -60,17 +60,17 @@ def find_contradictions(
         )
     left, removed, named = list(range(n)), [], 0
     chances: list[float] = []
-    for step in range(steps + 1):
-        if len(left) - columns - 1 < size + 2 or step == steps:
-            break
-        some = conditions.of(left)
-        squared = distances(some, fit_influence(some, law=law, robust=False))
-        far = int(np.argmax(squared))
-        tail, stretch = fit_tail(np.delete(squared, far), size, float(len(left) - columns - 1))
-        chances.append(float(min(1.0, len(left) * stats.f.sf(squared[far] / (stretch * size), 2 * size, 2 * tail))))
+    squared = distances(conditions, fit_influence(conditions, law=law, robust=False))
+    while len(removed) < steps and len(left) - columns - 2 >= size + 2:
+        far, among = int(np.argmax(squared)), len(left)
+        gross = float(squared[far])
         removed.append(left.pop(far))
+        others = conditions.of(left)
+        squared = distances(others, fit_influence(others, law=law, robust=False))
+        tail, stretch = fit_tail(squared, size, float(len(left) - columns - 1), max(gross, float(squared.max())))
+        chances.append(float(min(1.0, among * stats.f.sf(gross / (stretch * size), 2 * size, 2 * tail))))
         if chances[-1] < rate:
-            named = step + 1
+            named = len(removed)
     kept = [c for c in range(n) if c not in removed[:named]]
     model = fit_influence(conditions.of(kept), law=law)
     found = [_explain(conditions.of([c]), model, min(chances[k:named])) for k, c in enumerate(removed[:named])]

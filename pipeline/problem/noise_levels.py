@@ -55,20 +55,24 @@ def student_factor(freedom: float, level: float = 0.95) -> float:
     return float(stats.t.ppf(0.5 + level / 2, 2 * freedom) if np.isfinite(freedom) else stats.norm.ppf(0.5 + level / 2))
 
 
-def fit_tail(distance: np.ndarray, size: int, freedom: float) -> tuple[float, float]:
+def fit_tail(distance: np.ndarray, size: int, freedom: float, below: float = np.inf) -> tuple[float, float]:
     """How heavy the tails of conditions are: complex degrees of freedom, and the stretch of their covariance.
 
     ``distance`` (C,) are the squared distances T^2 of conditions from models that know nothing of them, each with
     ``freedom`` degrees of freedom, for vectors of ``size`` entries. A multivariate Student t makes them
     stretch size F(2 size, 2 tail); Gaussian conditions have tail = freedom - size + 1 (Hotelling), which is the most.
+    Distances that were chosen because they lie ``below`` another are fitted as such.
     """
-    from scipy import optimize, stats
+    from scipy import optimize, special
 
     most = freedom - size + 1
 
     def loss(at: np.ndarray) -> float:
         tail, stretch = np.exp(at)
-        return -float((stats.f.logpdf(distance / (stretch * size), 2 * size, 2 * tail) - at[1]).sum())
+        ratio = distance / (stretch * tail)
+        density = size * np.log(ratio) - np.log(distance) - (size + tail) * np.log1p(ratio)
+        chosen = np.log(special.fdtr(2 * size, 2 * tail, below / (stretch * size)) + np.finfo(float).tiny)
+        return -float((density - special.betaln(size, tail) - chosen).sum())
 
     start = [np.log(min(most, 8.0)), 0.0]
     found = optimize.minimize(loss, start, method="L-BFGS-B", bounds=[(np.log(0.5), np.log(most)), (-3.0, 3.0)])
