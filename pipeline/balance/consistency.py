@@ -58,7 +58,8 @@ def find_contradictions(
             f"a condition can be judged by more than {size + columns + 2} others (the entries of a vector, and the "
             f"columns of the model), but there are {n}: measure more conditions, or use fewer probes or speeds"
         )
-    left, removed, named = list(range(n)), [], 0
+    left, named = list(range(n)), 0
+    removed: list[int] = []
     chances: list[float] = []
     squared = distances(conditions, fit_influence(conditions, law=law, robust=False))
     while len(removed) < steps and len(left) - columns - 2 >= size + 2:
