@@ -13,7 +13,7 @@ from small_rotor import FITTED, small_machine
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.errors import ConfigError
-from pipeline.identification.senses import SENSES, Sense, reverse, try_senses
+from pipeline.identification.senses import SENSES, Sense, Senses, Trial, reverse, try_senses
 from pipeline.identification.training import FitSetup, setup_of
 
 ORTHOTROPIC = (2e6, 3e5, -4e5, 1e6, 900.0, 100.0, 150.0, 600.0)
@@ -102,3 +102,11 @@ def test_the_stage_writes_every_sense_and_the_sentence(run: Run, tmp_path: Path)
     (written,) = [one for one in found["senses"] if not any(one[flag] for flag in flags)]
     assert not written["told_from_the_best"]
     assert "the data" in found["sentence"]
+
+
+def test_a_fit_far_from_its_noise_is_doubted() -> None:
+    """Chi-square three times what is expected, or more: no odds are to be believed."""
+    trials = tuple(Trial(sense, 100.0 * i) for i, sense in enumerate(SENSES))
+    assert "Doubt this" not in Senses(trials, expected=10.0, least=29.0).sentence
+    doubted = Senses(trials, expected=10.0, least=40.0).sentence
+    assert "Doubt this: even the best leaves 4 times what the noise explains" in doubted
