@@ -58,7 +58,8 @@ class IdentifyConfig(Section):
 
     ``bearings`` has exceptions by node; ``shared`` makes all bearings alike. With ``unbalance_planes`` a residual
     unbalance at these nodes is identified too, with ``model_parameters`` uncertain numbers of rotor, weights and probes
-    (loss ``response``); a coupling that they name acts at ``coupling_node``.
+    (loss ``response``); a coupling that they name acts at ``coupling_node``. ``known_within`` is a factor: so near to
+    their initial guess coefficients are expected, one standard deviation of the logarithm (loss ``response``).
     """
 
     unknowns: tuple[CoefficientName, ...] = Field(min_length=1)
@@ -67,6 +68,7 @@ class IdentifyConfig(Section):
     unbalance_planes: tuple[NonNegativeInt, ...] = ()
     model_parameters: ModelParametersConfig = ModelParametersConfig()
     coupling_node: NonNegativeInt = 0
+    known_within: Annotated[float, Field(gt=1)] | None = None
     bearings: dict[NonNegativeInt, OneBearingConfig] = Field(default_factory=dict)
 
     @model_validator(mode="after")

@@ -24,6 +24,7 @@ from pipeline.identification.output_error_start import OutputErrorStart, prepare
 from pipeline.identification.selection import add_features, drop_features
 from pipeline.identification.sensor_deviations import split_noise
 from pipeline.identification.training import FitSetup, Minimum, Progress, minimise
+from pipeline.problem.condition_noise import follow_residuals
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.parameters import ModelParameter
 
@@ -211,6 +212,8 @@ def reweigh(
     """Precisions from the predicted amplitudes and, if ``robust``, Huber's for readings far off."""
     import torch
 
+    if problem.measurement.drift is not None:
+        return _weigh_conditions(problem, weights)
     precisions, commons, shares = [], [], []
     for b, predicted in enumerate(problem.predicted(weights)):
         deviation = torch.as_tensor(_deviation(problem, b, predicted.numpy(), factor))
@@ -222,6 +225,24 @@ def reweigh(
         shares.append(share[0].numpy())
     sensors = replace(problem.sensors, precision=tuple(precisions), common=tuple(commons))
     return problem.with_sensors(sensors), tuple(shares)
+
+
+def _weigh_conditions(problem: OutputError, weights: torch.Tensor) -> tuple[OutputError, tuple[np.ndarray, ...]]:
+    """Levels of the noise as the residuals show them, and a share for each run, as its condition belongs to the others.
+
+    Runs that are means of records turn with the rotor, and so are one block.
+    """
+    import torch
+
+    drift, (predicted,), (measured,) = problem.measurement.drift, problem.predicted(weights), problem.sensors.measured
+    assert drift is not None
+    residual = (predicted - measured)[0].flatten(0, 1).T.numpy()  # (R, S P)
+    found = follow_residuals(drift, residual, problem.n_fitted)
+    own = found.deviation()
+    share = np.minimum(found.weights, 1.0) * np.ones(own.shape)
+    precision = torch.as_tensor(np.sqrt(2.0 * share) / own)[None]
+    sensors = replace(problem.sensors, measurement=replace(problem.measurement, drift=found), precision=(precision,))
+    return problem.with_sensors(sensors), (share,)
 
 
 def _deviation(problem: OutputError, b: int, predicted: np.ndarray, factor: np.ndarray | None) -> np.ndarray:

@@ -60,10 +60,12 @@ def prepare_output_error(measurement: Measurement, setup: FitSetup) -> OutputErr
     keep = ~held_out_speeds(len(speeds), setup.training.holdout_every) & ~held_out_range(speeds, setup.training)
     runs = np.setdiff1d(np.arange(len(measurement.dataset.runs)), held_out)
     plane_scale = _plane_scale(measurement)  # solves the response, of which all problems are parts
-    training = measurement.select(keep, runs)
+    training = align_weights(measurement.select(keep, runs))
     sizes = Guess(setup.model.initial_stiffness, setup.model.initial_damping).sizes(unknowns)
     basis = drawn_basis(setup, training, speeds, sizes)
-    values = linear_start(training, basis.at(training.dataset.speeds).numpy(), np.array(basis.model.scale))
+    values = None
+    if training.guess.within is None:
+        values = linear_start(training, basis.at(training.dataset.speeds).numpy(), np.array(basis.model.scale))
     starts, filtered = [values], None
     if values is None:
         shape = (unknowns.n_members, len(training.dataset.speeds), len(unknowns.names))
@@ -83,6 +85,27 @@ def prepare_output_error(measurement: Measurement, setup: FitSetup) -> OutputErr
         from_guess=values is None,
         filtered=filtered,
     )
+
+
+def align_weights(measurement: Measurement) -> Measurement:
+    """The measurement at the common angle of all weights (``weight_angle``, where it is uncertain) that fits best.
+
+    Far from it, Gauss-Newton steps end in another valley. For any bearings the response turns with the weights, so the
+    angle is that between what the runs' differences show and what the guessed bearings make of them.
+    """
+    at = [t for t, one in enumerate(measurement.parameters) if one.kind == "weight_angle"]
+    if not at:
+        return measurement
+    n_speeds, unknowns = len(measurement.dataset.speeds), measurement.unknowns
+    guess = np.repeat(measurement.guess.sizes(unknowns)[:, None], n_speeds, axis=1)
+    guess = guess * [name in ("kxx", "kyy", "cxx", "cyy") for name in unknowns.names]
+    expected = measurement.response.predict(measurement.table(guess)) / measurement.deviation
+    shown = measurement.dataset.displacement / measurement.deviation
+    turned = [one - one.mean(axis=2, keepdims=True) for one in (expected, shown)]
+    angle = np.angle(np.vdot(turned[0], turned[1]))
+    values = measurement.parameter_values
+    values[at[0]] += angle / measurement.parameters[at[0]].deviation
+    return measurement.update(values)
 
 
 def drawn_basis(setup: FitSetup, training: Measurement, speeds: np.ndarray, sizes: np.ndarray) -> Basis:
@@ -171,6 +194,7 @@ def start_at(problem: OutputError, values: np.ndarray) -> torch.Tensor:
     raw = _raw(problem, values)
     own = torch.stack([problem.features[m].T @ raw[m, :, u] for m, u in problem.active]) * problem.kept  # (A, K)
     rest = torch.zeros(problem.n_rest, dtype=own.dtype)
+    rest[len(rest) - problem.n_parameters :] = problem.sensors.values
     return torch.cat([own.flatten(), rest])[None, None]
 
 
@@ -201,7 +225,7 @@ def _raw(problem: OutputError, values: np.ndarray) -> torch.Tensor:
     """(M, S, U) outputs of the model that give unknowns (M, S, U)."""
     import torch
 
-    return problem.basis.model.raw_from(torch.as_tensor(np.ascontiguousarray(values)), problem.sensors.scale)
+    return problem.basis.model.raw_from(torch.tensor(values), problem.sensors.scale)
 
 
 # --- the linear start ----------------------------------------------------------------------------------

@@ -18,6 +18,7 @@ from pipeline.data.dataset import name_direction
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.output_error import OutputError
 from pipeline.identification.output_error_fit import FittedParameter, OutputErrorFit
+from pipeline.problem.condition_noise import NAMED
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.residual import per_speed_least_squares
 
@@ -79,19 +80,21 @@ def finite(value: float) -> float | None:
 
 def output_error_quality(fit: OutputErrorFit) -> Quality:
     """Chi-square, whiteness, held-out speeds and runs, and the readings far off."""
-    plain = _plain_deviations(fit)
+    plain, inconsistent = _plain_deviations(fit), _list_inconsistent(fit)
     value, readings = chi_square(plain)
     posterior = fit.model_parameters()
     # What the data do not tell of a weight its prior does: it takes no reading away.
-    by_prior = np.diag(fit.covariance()) * fit.problem.prior_precision().numpy()
+    by_prior = np.einsum("zy,yz->z", fit.covariance(), fit.problem.prior_matrix().numpy())
     used = fit.problem.n_fitted - float(by_prior.sum())
     correlation, significance = autocorrelation(plain)
-    bad = _bad_points(fit, plain)
+    bad = () if fit.problem.measurement.drift is not None else _bad_points(fit, plain)
     summary: dict[str, object] = {
         "chi_square": {"value": value, "expected": readings - used / 2, "readings": readings, "numbers": used},
         "whiteness": {"autocorrelation": correlation, "over_its_deviation": significance},
         "bad_points": len(bad),
     }
+    if fit.problem.measurement.drift is not None:
+        summary["inconsistent_runs"] = inconsistent
     stated = np.allclose(fit.factor, 1.0)
     square = 2 * value + sum(one.value**2 for one in posterior)
     freedom = 2 * readings + len(posterior) - fit.problem.n_fitted + by_prior[: fit.problem.n_outer].sum()
@@ -141,8 +144,19 @@ def mismatch(square: float | None, freedom: float, whiteness: float) -> dict[str
     return {"chi_square": by_size, "whiteness": by_order, "probability": probability}
 
 
+def _list_inconsistent(fit: OutputErrorFit) -> list[str]:
+    """Runs that are conditions of their own, and do not belong to the others."""
+    data, drift = fit.problem.measurement.dataset, fit.problem.measurement.drift
+    return [] if drift is None else [run for run, w in zip(data.runs, drift.weights, strict=True) if w < NAMED]
+
+
 def _plain_deviations(fit: OutputErrorFit) -> list[np.ndarray]:
-    """(S, P, R) of each block, in units of the readings' noise, complex, without Huber's shares."""
+    """(S, P, R) of each block, in units of the readings' noise, complex, without Huber's shares.
+
+    Noise in levels is estimated from the runs that belong to each other: the others are not among them.
+    """
+    drift = fit.problem.measurement.drift
+    kept = slice(None) if drift is None else np.flatnonzero(drift.weights >= NAMED)
     import torch
 
     sensors = fit.problem.sensors
@@ -150,7 +164,7 @@ def _plain_deviations(fit: OutputErrorFit) -> list[np.ndarray]:
     whole = replace(sensors, precision=tuple(one / torch.as_tensor(share).sqrt() for one, share in pairs))
     with np.errstate(all="ignore"):  # of a fit that ran away
         every = fit.problem.with_sensors(whole).deviations(fit.weights)
-        return [np.asarray(deviation[0].numpy()) / np.sqrt(2.0) for deviation in every]
+        return [np.asarray(deviation[0].numpy())[..., kept] / np.sqrt(2.0) for deviation in every]
 
 
 def _held_out(fit: OutputErrorFit, other: OutputError) -> dict[str, float]:

@@ -16,6 +16,7 @@ import numpy as np
 from pipeline.coefficients import CoefficientName
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.noise import NoiseModel
+from pipeline.problem.condition_noise import ConditionNoise
 from pipeline.problem.force_parameters import bow_force, update_excitations
 from pipeline.problem.model_parameters import known_change, runout, sensor_matrix, turns_with_rotor
 from pipeline.problem.reference_response import response_equations, response_variations
@@ -36,6 +37,7 @@ class Guess:
 
     stiffness: float  # N/m
     damping: float  # N s/m
+    within: float | None = None  # factor that is one standard deviation of a coefficient about it; None: no prior
 
     def sizes(self, unknowns: UnknownSet) -> np.ndarray:
         """(M, U) N/m and N s/m, cross-coupled coefficients included."""
@@ -56,6 +58,7 @@ class Measurement:
     _: KW_ONLY
     parameters: tuple[ModelParameter, ...] = ()  # T, uncertain numbers of the model
     values: tuple[float, ...] = ()  # of them, in prior deviations, where the response is evaluated; none for all zero
+    drift: ConditionNoise | None = None  # noise in levels, of runs that are means of records; None for ``noise``
 
     @classmethod
     def read(
@@ -108,13 +111,17 @@ class Measurement:
 
     @cached_property
     def deviation(self) -> np.ndarray:
-        """(S, P, R) m, root mean square of each reading's noise, by the sizes of the readings."""
+        """(S, P, R) m, root mean square of each reading's noise, by the sizes of the readings or by its levels."""
+        if self.drift is not None:
+            return self.drift.deviation()
         return self.deviation_of(self.dataset.displacement, self.dataset.subtracted)
 
     def deviation_of(
         self, displacement: np.ndarray, subtracted: np.ndarray | None = None, factor: np.ndarray | None = None
     ) -> np.ndarray:
         """(.., S, P, R) m of readings of another size; ``factor`` (P,) is a channel's deviation over the stated one."""
+        if self.drift is not None:
+            return np.asarray(np.broadcast_to(self.drift.deviation(), np.shape(displacement)))
         size = self.noise.deviation(displacement, subtracted)
         return np.asarray(np.maximum(size if factor is None else size * factor[:, None], _LEAST))
 
@@ -188,7 +195,12 @@ class Measurement:
         """The same at the ``speeds`` (mask or index) and for the ``runs`` (ascending indices); None for all."""
         keep = np.arange(len(self.dataset.speeds)) if speeds is None else speeds
         dataset = self.dataset.at(keep)
-        part = replace(self, dataset=dataset if runs is None else dataset.of_runs(runs), known=self.known.at(keep))
+        part = replace(
+            self,
+            dataset=dataset if runs is None else dataset.of_runs(runs),
+            known=self.known.at(keep),
+            drift=None if self.drift is None else self.drift.select(keep, runs),
+        )
         if "response" in vars(self):  # what is solved once is not solved again for a part of it
             vars(part)["response"] = self.response.at(keep, runs)
         return part
@@ -223,6 +235,7 @@ class Measurement:
         part = replace(
             self,
             dataset=replace(less, displacement=less.displacement - taken, subtracted=read),
+            drift=None if self.drift is None else self.drift.select(np.arange(len(data.speeds)), rest),
             unknowns=unknowns,
             parameters=(),
             values=(),

@@ -111,25 +111,27 @@ def estimate_noise_levels(
     if robust:
         weights = robust_weights(vectors, design)
     residual = vectors - design @ solve_weighted(vectors, design, weights)
-    return levels_of(residual, weights, float(left), conditions), weights
+    return levels_of(residual, weights, float(left), conditions.record_covariance, conditions.counts), weights
 
 
-def levels_of(residual: np.ndarray, weights: np.ndarray, left: float, conditions: Conditions) -> NoiseLevels:
+def levels_of(
+    residual: np.ndarray, weights: np.ndarray, left: float, record_covariance: np.ndarray, counts: np.ndarray
+) -> NoiseLevels:
     """The levels that explain the residuals (C, D) m, which have ``left`` complex degrees of freedom.
 
-    ``weights`` are those of :func:`robust_weights`, or ones.
+    ``weights`` are those of :func:`robust_weights`, or ones; ``record_covariance`` (S, P, P) is that of one record,
+    ``counts`` (C,) are the records behind each residual.
     """
-    record = spread_blocks(conditions.record_covariance)
+    record = spread_blocks(record_covariance)
     scale = left / len(residual)
     total = scatter_of(residual, weights, left) / scale
     freedom = left * weights.sum() ** 2 / (weights**2).sum() / len(weights)
     total = shrink(total, freedom)
-    counts = conditions.counts
     level = _positive(total - record * np.mean(1 / counts))
     if len(set(counts.tolist())) > 1:
         k = consistency(residual.shape[1], round(left, 6)) if np.ptp(weights) > 0 else 1.0
         level = _maximise(residual * np.sqrt(weights / (k * scale))[:, None], record, counts, level)
-    return NoiseLevels(conditions.record_covariance, level, freedom)
+    return NoiseLevels(record_covariance, level, freedom)
 
 
 def scatter_of(residual: np.ndarray, weights: np.ndarray, left: float) -> np.ndarray:

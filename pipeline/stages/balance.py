@@ -43,7 +43,7 @@ def run(config: Config) -> StageOutput:
     """``balance.csv``, ``balance.json`` and ``figures/balance.png``; on screen the unbalance of each condition, and the
     balance sheet where ``machine.balance`` says where weights can be put."""
     measurement, work = load_measurement(config), locate_files(config)
-    fitted = load_models(config, measurement.dataset)
+    fitted = load_models(config)
     models = fitted.models
     source = SourceUnits(config.machine.recordings)
     method = pick_method(models, config.balance.method, "balance.method")

@@ -11,19 +11,21 @@ from pipeline.balance.consistency import find_contradictions
 from pipeline.balance.folds import Judged, judge, score
 from pipeline.balance.influence import Influence, judge_drift
 from pipeline.balance.peers import Peer, influence_peers
+from pipeline.balance.physical_peers import physical_peers
 from pipeline.balance.scores import floor_of_drift
 from pipeline.balance.splits import list_splits
 from pipeline.config.schema import Config
 from pipeline.data.conditions import Conditions, gather_conditions
-from pipeline.data.dataset import VibrationDataset
 from pipeline.data.tables import write_table
-from pipeline.data.vibration_files import read_measured
 from pipeline.errors import ConfigError, nearest
 from pipeline.files import write_json
+from pipeline.identification.training import setup_of
+from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, table
 from pipeline.reporting.folds_figure import draw_folds
 from pipeline.stages.contradictions import describe_contradiction, tell_contradiction
-from pipeline.stages.execution import StageOutput, make_missing
+from pipeline.stages.execution import StageOutput
+from pipeline.stages.measurement import load_dataset, load_measurement
 from pipeline.stages.workspace import locate_files
 
 _GRAM_MM = 1e-6
@@ -32,7 +34,7 @@ _GRAM_MM = 1e-6
 
 def run(config: Config) -> StageOutput:
     """``folds.json``, ``folds.csv`` (a row a task, method and choice of conditions) and a figure."""
-    work, dataset = locate_files(config), load_records(config)
+    work, dataset = locate_files(config), load_dataset(config)
     planes = tuple(config.identify.unbalance_planes) or None
     conditions = gather_conditions(dataset, planes)
     _require_names(config, conditions)
@@ -44,7 +46,7 @@ def run(config: Config) -> StageOutput:
     calibration = config.folds.calibration
     splits = list_splits(conditions, calibration, config.folds.count, config.folds.heavy, config.seed)
     baseline = conditions.displacement[conditions.names.index(calibration[0])]
-    peers = list_peers(config)
+    peers = list_peers(config, load_measurement(config))
     judged = []
     for one_task in judge(dataset, conditions.planes, splits, peers, baseline):
         judged.append(one_task)
@@ -68,19 +70,11 @@ def run(config: Config) -> StageOutput:
     return StageOutput(summary, {"data_fingerprint": dataset.fingerprint}, written)
 
 
-def list_peers(config: Config) -> dict[str, Peer]:
+def list_peers(config: Config, measurement: Measurement) -> dict[str, Peer]:
     """The methods that are tried."""
-    return influence_peers(config.folds.calibration, config.folds.false_alarm_rate)
-
-
-def load_records(config: Config) -> VibrationDataset:
-    """The experiment's records, read first where they are missing. Raises DataError for files that break their laws."""
-    files = locate_files(config)
-    if files.own:
-        source = "generate" if config.machine.recordings.format == "none" else "ingest"
-        make_missing(config, source, files.vibration, files.excitation)
-    n_nodes = config.machine.rotor.n_nodes if config.machine.rotor.file is None else None
-    return read_measured(files.vibration, files.excitation, config.data.baseline, n_nodes)
+    rate = config.folds.false_alarm_rate
+    own = influence_peers(config.folds.calibration, rate)
+    return own | physical_peers(measurement, setup_of(config), rate)
 
 
 def _require_names(config: Config, conditions: Conditions) -> None:

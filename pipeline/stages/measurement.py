@@ -9,6 +9,7 @@ import numpy as np
 
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import read_coefficients
+from pipeline.data.conditions import gather_conditions
 from pipeline.data.dataset import VibrationDataset, require_synchronous
 from pipeline.data.noise import NoiseModel
 from pipeline.data.tables import read_marks
@@ -18,6 +19,7 @@ from pipeline.files import hash_file, read_json
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.storage import ARCHITECTURE, WEIGHTS, load_model
 from pipeline.identification.uncertainty import UNCERTAINTY, Uncertainty
+from pipeline.problem.condition_noise import condition_noise, to_dataset
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.problem.model_parameters import model_parameters
 from pipeline.rotor.bearing_table import BearingTable
@@ -63,10 +65,27 @@ def load_measurement(config: Config) -> Measurement:
     return build_measurement(config, rotor, dataset, known)
 
 
+def load_dataset(config: Config) -> VibrationDataset:
+    """Read the readings alone, as they are in the file: every record of a condition is a run of its own.
+
+    Raises DataError for files that break their laws.
+    """
+    files = locate_files(config)
+    if files.own:
+        source = "generate" if config.machine.recordings.format == "none" else "ingest"
+        make_missing(config, source, files.vibration, files.excitation)
+    n_nodes = config.machine.rotor.n_nodes if config.machine.rotor.file is None else None
+    return read_measured(files.vibration, files.excitation, config.data.baseline, n_nodes)
+
+
 def build_measurement(config: Config, rotor: RotorModel, dataset: VibrationDataset, known: BearingTable) -> Measurement:
     """The measurement that a configuration asks about, from data that are at hand."""
     require_synchronous(rotor, dataset)
     noise, model, identify = config.stated_noise, config.model, config.identify
+    drift = None
+    if dataset.conditions is not None:
+        conditions = gather_conditions(dataset)
+        drift, dataset = condition_noise(conditions), to_dataset(conditions)
     unknowns = identify.unknowns_of(rotor.bearing_nodes)
     return Measurement(
         rotor,
@@ -74,7 +93,8 @@ def build_measurement(config: Config, rotor: RotorModel, dataset: VibrationDatas
         known,
         NoiseModel(noise.additive, noise.multiplicative),
         unknowns,
-        Guess(model.initial_stiffness, model.initial_damping),
+        Guess(model.initial_stiffness, model.initial_damping, identify.known_within),
+        drift=drift,
         parameters=model_parameters(
             identify.model_parameters.deviations, rotor, dataset, known, unknowns, identify.coupling_node
         ),

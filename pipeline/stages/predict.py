@@ -141,12 +141,16 @@ def _say_superposed(config: Config, summed: np.ndarray | None, summary: Mapping[
 def _find_speed(config: Config, speeds: np.ndarray) -> int:
     rpm, wanted = to_rpm(speeds), config.machine.prediction.speed_rpm
     nearest = int(np.abs(rpm - wanted).argmin())
-    if abs(rpm[nearest] - wanted) > 1e-6 * wanted:
+    if abs(rpm[nearest] - wanted) > _SAME_SPEED * wanted:
         raise ConfigError(
             "machine.prediction.speed_rpm must be one of the data's speeds (known coefficients are given there), but "
             f"got {wanted:g}: the nearest is {rpm[nearest]:g}"
         )
     return nearest
+
+
+_SAME_SPEED = 1e-3
+"""A share: nominal speeds of records are means with many digits."""
 
 
 def list_unseen(config: Config) -> tuple[Excitation, ...]:

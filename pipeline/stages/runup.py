@@ -18,6 +18,7 @@ from pipeline.ingest.run_up import read_run_up
 from pipeline.reporting.console import say, table, warn
 from pipeline.reporting.run_up_figure import draw_run_up
 from pipeline.stages.execution import StageOutput
+from pipeline.stages.identified_criticals import compare_identified
 from pipeline.stages.workspace import locate_files
 from pipeline.sweep.bias import SteadyReading, SweepBias, describe_bias, measure_bias
 from pipeline.sweep.fit import (
@@ -72,6 +73,8 @@ def run(config: Config) -> StageOutput:
     found = _analyse(settings)
     summary = _summarize(settings, found)
     work = locate_files(config)
+    if work.training.exists():
+        summary["identified"] = compare_identified(config, summary)
     steady = respond_as_steady(found.run_up, found.chosen)
     written = [
         write_json(work.folder / "run_up.json", summary),
@@ -79,6 +82,8 @@ def run(config: Config) -> StageOutput:
         draw_run_up(work.figure("run_up"), found.run_up, found.chosen, steady, settings.probe),
     ]
     _say(config.name, settings, found)
+    for one in summary.get("identified", {}).values():
+        say(f"{config.name}: {one['sentence']}")
     shown = {"natural_frequency_rpm": summary["natural_frequency"]["rpm"], "misfit": found.chosen.misfit}
     return StageOutput(metrics={"runup": shown}, files=written)
 

@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pipeline.balance.consistency import find_contradictions
 from pipeline.balance.influence import fit_influence
 from pipeline.balance.linear_vibration import LinearVibration
+from pipeline.balance.physical import Physical, restore_physical
+from pipeline.balance.physical_peers import blend_with_influence
 from pipeline.config.records import RecordsConfig
 from pipeline.config.schema import Config
 from pipeline.data.conditions import Conditions, gather_conditions
 from pipeline.data.dataset import VibrationDataset
 from pipeline.errors import ConfigError, IdentifiabilityError, nearest
+from pipeline.identification.training import setup_of
+from pipeline.identification.uncertainty import load_uncertainty
 from pipeline.ingest.records import Records, read_records
 from pipeline.reporting.console import say
+from pipeline.stages.measurement import load_dataset, load_identified, load_measurement
+from pipeline.stages.workspace import locate_files
 
 
 def list_planes(config: Config) -> tuple[int, ...] | None:
@@ -35,8 +41,34 @@ class Fitted:
     models: Mapping[str, LinearVibration]
 
 
-def load_models(config: Config, dataset: VibrationDataset) -> Fitted:
-    """Fit each method that there is; conditions that contradict their labels are named and left out."""
+def load_models(config: Config) -> Fitted:
+    """Influence coefficients, and where constant coefficients have been identified, that model and the blend of both.
+
+    Conditions that contradict their labels are named and left out.
+    """
+    dataset = load_dataset(config)
+    fitted = _fit_influence(config, dataset)
+    physical = _load_physical(config, fitted)
+    if physical is None:
+        return fitted
+    corrected = blend_with_influence(physical, fitted.sound)
+    return replace(fitted, models={**fitted.models, "physical": physical, "blend": corrected})
+
+
+def _load_physical(config: Config, fitted: Fitted) -> Physical | None:
+    """The model that was trained on these conditions; None without one, or where its coefficients are no constants."""
+    work = locate_files(config)
+    if config.model.kind != "constant" or not work.training.exists():
+        return None
+    measurement = load_measurement(config)
+    identified = load_identified(config, measurement)
+    uncertainty = load_uncertainty(work.folder, identified)
+    if uncertainty is None or measurement.drift is None:
+        return None
+    return restore_physical(measurement, setup_of(config), identified, uncertainty, fitted.conditions)
+
+
+def _fit_influence(config: Config, dataset: VibrationDataset) -> Fitted:
     conditions = gather_conditions(dataset, list_planes(config))
     try:
         bad, influence = find_contradictions(conditions)

@@ -1,0 +1,102 @@
+"""Physical model and influence coefficients together: what the first can't follow is a correction with a prior.
+
+The rest of the physical prediction is R = A d + E over the design A = [1, U], with each column of unit size. The
+correction d has the covariance lambda times that of the noise E, one lambda for the baseline and one for the weights,
+which have the greatest marginal likelihood of the training conditions (empirical Bayes; MacKay 1992). Where they tell
+nothing against the physical model, lambda is zero and the blend is that model; with many conditions and large lambda it
+goes over into influence coefficients.
+
+Legend: C conditions, N planes, Q = 1 + N, D = S P.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.balance.influence import design_of
+from pipeline.balance.linear_vibration import LinearVibration
+from pipeline.data.conditions import Conditions
+from pipeline.problem.noise_levels import NoiseLevels
+
+_SIZES = np.concatenate([[0.0], np.logspace(-4, 4, 25)])
+"""Values of lambda that are tried."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Blend:
+    """A :class:`pipeline.balance.linear_vibration.LinearVibration`."""
+
+    physical: LinearVibration
+    noise: NoiseLevels
+    scale: np.ndarray  # (Q,) size of each column of the design
+    correction: np.ndarray  # (Q, D) complex, of the scaled design
+    spread: np.ndarray  # (Q, Q) complex: covariance of the correction, in units of the noise's
+    sizes: tuple[float, float]  # lambda of the baseline and of the weights
+
+    @property
+    def speeds(self) -> np.ndarray:
+        """(S,) rad/s."""
+        return self.physical.speeds
+
+    @property
+    def channels(self) -> tuple[tuple[int, float], ...]:
+        """P."""
+        return self.physical.channels
+
+    @property
+    def planes(self) -> tuple[int, ...]:
+        """N."""
+        return self.physical.planes
+
+    def predict(self, unbalance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Mean (C, D) m, and its covariance (C, D, D) m^2, for weights (C, N) kg m."""
+        design = design_of(np.atleast_2d(unbalance)) / self.scale
+        mean, _ = self.physical.predict(unbalance)
+        leverage = np.einsum("cq,qr,cr->c", design, self.spread, design.conj()).real
+        return mean + design @ self.correction, leverage[:, None, None] * self.noise.covariance(np.ones(1))
+
+    def influence_at(self, unbalance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Derivative (D, N) m/(kg m) by the weights at ``unbalance`` (N,), and the baseline (D,) m."""
+        slope, baseline = self.physical.influence_at(unbalance)
+        own = self.correction / self.scale[:, None]
+        return slope + own[1:].T, baseline + own[0]
+
+
+def blend(physical: LinearVibration, conditions: Conditions, noise: NoiseLevels, weights: np.ndarray) -> Blend:
+    """Correct the ``physical`` model by the conditions that it was fitted to, of this ``noise``.
+
+    ``weights`` (C,) are about 1, and small for a condition that does not belong to the others.
+    """
+    design = design_of(conditions.unbalance)
+    scale = np.sqrt((np.abs(design) ** 2).mean(axis=0))
+    scaled = design / np.where(scale > 0, scale, 1.0) * np.sqrt(weights)[:, None]
+    rest = (conditions.vectors - physical.predict(conditions.unbalance)[0]) * np.sqrt(weights)[:, None]
+    root = np.linalg.cholesky(noise.covariance(np.array([np.mean(conditions.counts)]))[0])
+    white = np.linalg.solve(root, rest.T).T  # (C, D)
+    sizes = max(((b, u) for b in _SIZES for u in _SIZES), key=lambda pair: _evidence(scaled, white, pair))
+    prior = _columns(sizes, design.shape[1])
+    inner = np.eye(len(prior)) + np.diag(prior) @ scaled.conj().T @ scaled
+    spread = np.linalg.solve(inner, np.diag(prior).astype(complex))
+    return Blend(
+        physical=physical,
+        noise=noise,
+        scale=np.where(scale > 0, scale, 1.0),
+        correction=spread @ scaled.conj().T @ rest,
+        spread=spread,
+        sizes=sizes,
+    )
+
+
+def _columns(sizes: tuple[float, float], count: int) -> np.ndarray:
+    """(Q,) lambda of each column."""
+    return np.array([sizes[0], *[sizes[1]] * (count - 1)])
+
+
+def _evidence(scaled: np.ndarray, white: np.ndarray, sizes: tuple[float, float]) -> float:
+    """Logarithm of the marginal likelihood of whitened rests (C, D), without what does not depend on the sizes."""
+    covariance = np.eye(len(scaled)) + (scaled * _columns(sizes, scaled.shape[1])) @ scaled.conj().T
+    _, logarithm = np.linalg.slogdet(covariance)
+    square = float((white.conj() * np.linalg.solve(covariance, white)).sum().real)
+    return -square - white.shape[1] * float(logarithm)

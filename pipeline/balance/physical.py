@@ -1,0 +1,226 @@
+"""The physical model as a predictor of vibration from weights: a rotor on identified bearings.
+
+The vector of a condition follows from its weights U and from the numbers z that were fitted (coefficients, residual
+unbalance, model parameters): y = y(U, z). The covariance of z is carried along by the derivatives.
+
+Legend: C conditions, S speeds, P channels, N planes, D = S P (index s * P + p), Z fitted numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.data.conditions import Conditions
+from pipeline.errors import DataError
+from pipeline.identification.identified import IdentifiedModel
+from pipeline.identification.output_error import OutputError, output_error
+from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
+from pipeline.identification.output_error_start import drawn_basis, start_at
+from pipeline.identification.training import FitSetup
+from pipeline.identification.uncertainty import Uncertainty
+from pipeline.problem.condition_noise import condition_noise, follow_residuals, spread_conditions, to_dataset
+from pipeline.problem.force_parameters import PARTS
+from pipeline.problem.measurement import Measurement
+from pipeline.problem.noise_levels import NoiseLevels, spread_blocks
+from pipeline.rotor.bearing_table import BearingTable
+
+if TYPE_CHECKING:
+    import torch
+
+_TRIAL = 1e-5
+"""kg m of a weight by which the response to weights is worked out; it is linear but for their law."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Physical:
+    """A fitted physical model; a :class:`pipeline.balance.linear_vibration.LinearVibration`."""
+
+    measurement: Measurement  # at the fitted model parameters
+    problem: OutputError  # of the fit
+    weights: torch.Tensor  # (1, 1, Z)
+    covariance: np.ndarray  # (Z, Z)
+    speeds: np.ndarray  # (S,) rad/s
+    channels: tuple[tuple[int, float], ...]  # P
+    planes: tuple[int, ...]  # N
+    noise: NoiseLevels
+
+    def predict(self, unbalance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Mean (C, D) m and its covariance (C, D, D) m^2 for weights (C, N) kg m."""
+        weights = np.atleast_2d(unbalance)
+        rows, slopes = self._parts
+        acting = np.concatenate([np.ones((len(weights), 1)), self._act(weights)], axis=1)  # (C, 1 + N)
+        along = np.tensordot(acting, slopes, 1)  # (C, D, Z)
+        for z, change in self._law_changes(weights):
+            along[..., z] += change @ rows[1:]
+        covariance = along @ self.covariance @ along.conj().swapaxes(1, 2)
+        return acting @ rows, covariance
+
+    def influence_at(self, unbalance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Derivative (D, N) m/(kg m) by the weights at ``unbalance`` (N,), and the baseline (D,) m.
+
+        The part that turns with the weights, as :meth:`pipeline.balance.influence.Influence.influence_at` has it.
+        """
+        rows, _ = self._parts
+        return rows[1:].T * (1 + 1.5 * self._law * np.abs(np.asarray(unbalance))), rows[0]
+
+    @property
+    def _law(self) -> complex:
+        """a of the weights' law U (1 + a |U|), 1/(kg m)."""
+        values = self.measurement.parameter_values
+        every = zip(self.measurement.parameters, values, strict=True)
+        return sum((v * p.deviation * PARTS[p.detail] for p, v in every if p.kind == "weight_law"), 0j)
+
+    def _act(self, weights: np.ndarray) -> np.ndarray:
+        return np.asarray(weights * (1 + self._law * np.abs(weights)))
+
+    def _law_changes(self, weights: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+        """The numbers z that are parts of the law, and what they change of the acting weights (C, N)."""
+        first = self.covariance.shape[0] - len(self.measurement.parameters)
+        for t, parameter in enumerate(self.measurement.parameters):
+            if parameter.kind == "weight_law":
+                yield first + t, parameter.deviation * PARTS[parameter.detail] * weights * np.abs(weights)
+
+    @cached_property
+    def _parts(self) -> tuple[np.ndarray, np.ndarray]:
+        """(1 + N, D) what shows without weights, and of 1 kg m on each plane; their derivatives (1 + N, D, Z)."""
+        trial = np.concatenate([np.zeros((1, len(self.planes))), _TRIAL * np.eye(len(self.planes))])
+        problem = self._problem(trial)
+        (mean,) = problem.predicted(self.weights)
+        n_speeds, n_channels, n_runs = mean.shape[1:]
+        slope = problem.jacobian(self.weights)[0, 0, : 2 * mean.numel()].numpy()
+        pairs = slope.reshape(n_speeds, n_channels, n_runs, 2, -1)
+        slopes = (pairs[..., 0, :] + 1j * pairs[..., 1, :]).transpose(2, 0, 1, 3).reshape(n_runs, -1, slope.shape[-1])
+        rows = mean[0].numpy().reshape(-1, n_runs).T.copy()
+        acting = np.diag(self._act(trial[1:]))
+        rows[1:] = (rows[1:] - rows[0]) / acting[:, None]
+        slopes[1:] -= slopes[0]
+        for z, change in self._law_changes(trial[1:]):
+            slopes[1:, :, z] -= change @ rows[1:]
+        slopes[1:] /= acting[:, None, None]
+        return rows, slopes
+
+    def at(self, speeds: np.ndarray) -> Physical:
+        """The same at other ``speeds`` (S,) rad/s.
+
+        The noise there is that of the nearest fitted speed, as much larger as the machine is more lively. Raises
+        DataError for known coefficients that depend on the speed.
+        """
+        values = self.measurement.known.values
+        if np.ptp(values, axis=1).any():
+            raise DataError(
+                "the physical model must have known coefficients that do not depend on the speed to predict at other "
+                "speeds, but they do: give them as values"
+            )
+        table = BearingTable(self.measurement.known.nodes, speeds, np.repeat(values[:, :1], len(speeds), axis=1))
+        moved = replace(self, speeds=speeds, measurement=replace(self.measurement, known=table))
+        here, there = (np.abs(one.influence_at(np.zeros(len(self.planes)))[0]) for one in (self, moved))
+        return replace(moved, noise=_carry(self.noise, self.speeds, speeds, here, there))
+
+    def _problem(self, unbalance: np.ndarray) -> OutputError:
+        """The problem of conditions with these weights (C, N), with rows in m."""
+        import torch
+
+        dataset = to_dataset(spread_conditions(unbalance, self.planes, self.speeds, self.channels))
+        measurement = replace(self.measurement, dataset=dataset, drift=None)
+        made = output_error(measurement, self.problem.basis, self.problem.sensors.plane_scale)
+        sensors = replace(
+            made.sensors,
+            scale=self.problem.sensors.scale,
+            precision=tuple(torch.ones_like(one) for one in made.sensors.precision),
+            common=(),
+        )
+        return replace(made, sensors=sensors, kept=self.problem.kept, prior=self.problem.prior)
+
+
+def _carry(
+    noise: NoiseLevels, fitted: np.ndarray, speeds: np.ndarray, here: np.ndarray, there: np.ndarray
+) -> NoiseLevels:
+    """The noise at ``speeds``, of that at the ``fitted`` ones; ``here`` and ``there`` (D, N) are the influences."""
+    nearest = np.abs(speeds[:, None] - fitted).argmin(axis=1)
+    n_channels = noise.record.shape[1]
+    power = [(one.reshape(len(s), -1) ** 2).sum(1) for one, s in ((here, fitted), (there, speeds))]
+    blocks = [noise.condition[s * n_channels :, s * n_channels :][:n_channels, :n_channels] for s in nearest]
+    ratio = power[1] / power[0][nearest]
+    condition = spread_blocks(np.stack([r * block for r, block in zip(ratio, blocks, strict=True)]))
+    return replace(noise, record=noise.record[nearest] * ratio[:, None, None], condition=condition)
+
+
+def fit_physical(template: Measurement, setup: FitSetup, conditions: Conditions) -> Physical:
+    """Fit the rotor of the ``template`` to conditions, at their speeds.
+
+    With too few conditions to estimate the levels of their noise, the noise is as it was stated. Raises as
+    :func:`pipeline.identification.output_error_fit.fit_output_error`.
+    """
+    known = template.known.at(np.abs(template.known.speeds[:, None] - conditions.speeds).argmin(axis=0))
+    enough = len(conditions.names) > _ENOUGH * conditions.vectors.shape[1]
+    measurement = replace(
+        template,
+        dataset=to_dataset(conditions),
+        known=replace(known, speeds=conditions.speeds),
+        drift=condition_noise(conditions) if enough else None,
+    )
+    return physical_of(fit_output_error(measurement, setup), conditions)
+
+
+_ENOUGH = 2
+"""Conditions for each entry of a vector, from which on the levels of the noise are estimated."""
+
+
+def restore_physical(
+    measurement: Measurement, setup: FitSetup, identified: IdentifiedModel, uncertainty: Uncertainty, planes: Conditions
+) -> Physical:
+    """The predictor of a fit that was stored, with constant coefficients; ``planes`` are the conditions it was of.
+
+    The noise is what its residuals show.
+    """
+    import torch
+
+    moved = measurement.update(uncertainty.parameters)
+    speeds, sizes = measurement.dataset.speeds, measurement.guess.sizes(measurement.unknowns)
+    basis = replace(drawn_basis(setup, moved, speeds, sizes), model=identified.model)
+    problem = output_error(moved, basis, uncertainty.plane_scale)
+    values = identified.values(speeds)[: measurement.unknowns.n_members]
+    weights = start_at(problem, values)
+    residual = uncertainty.residual_unbalance / uncertainty.plane_scale
+    pairs = torch.as_tensor(np.stack([residual.real, residual.imag], axis=-1).ravel())
+    weights[0, 0, problem.n_outer : problem.n_outer + len(pairs)] = pairs
+    (predicted,), (measured,) = problem.predicted(weights), problem.sensors.measured
+    rest = (predicted - measured)[0].flatten(0, 1).T.numpy()
+    noise = None if moved.drift is None else follow_residuals(moved.drift, rest, problem.n_fitted).levels
+    return _physical(problem, weights, uncertainty.covariance, planes, noise)
+
+
+def physical_of(fit: OutputErrorFit, conditions: Conditions) -> Physical:
+    """The predictor of a fit to these conditions."""
+    drift = fit.problem.measurement.drift
+    return _physical(fit.problem, fit.weights, fit.covariance(), conditions, None if drift is None else drift.levels)
+
+
+def _physical(
+    problem: OutputError,
+    weights: torch.Tensor,
+    covariance: np.ndarray,
+    conditions: Conditions,
+    noise: NoiseLevels | None,
+) -> Physical:
+    """With the stated noise of the readings where there are no levels."""
+    measurement = problem.measurement
+    if noise is None:
+        variance = (measurement.deviation**2).mean(axis=2)  # (S, P)
+        level = spread_blocks(np.stack([np.diag(own).astype(complex) for own in variance]))
+        noise = NoiseLevels(conditions.record_covariance, level, np.inf)
+    return Physical(
+        measurement=measurement,
+        problem=problem,
+        weights=weights,
+        covariance=covariance,
+        speeds=conditions.speeds,
+        channels=conditions.channels,
+        planes=conditions.planes,
+        noise=noise,
+    )

@@ -1,0 +1,114 @@
+"""The noise of a data set whose runs are the means of a condition's records: correlated over probes and speeds.
+
+Legend: S speeds, P channels, R runs (one a condition), D = S P (index s * P + p).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.data.conditions import Conditions
+from pipeline.data.dataset import Excitation, VibrationDataset
+from pipeline.problem.noise_levels import NoiseLevels, estimate_noise_levels, levels_of, shrink, student_weights
+
+NAMED = 0.3
+"""A condition whose weight is below this is named: of conditions that belong together, one in a thousand."""
+
+
+@dataclass(frozen=True, eq=False)
+class ConditionNoise:
+    """Levels of noise, and what they mean for each run."""
+
+    levels: NoiseLevels
+    counts: np.ndarray  # (R,) records behind each run
+    weights: np.ndarray  # (R,) about 1; small for a run that does not belong to the others
+
+    def covariance(self) -> np.ndarray:
+        """(R, D, D) complex, m^2."""
+        return self.levels.covariance(self.counts)
+
+    def deviation(self) -> np.ndarray:
+        """(S, P, R) m, root mean square of each reading's noise."""
+        variance = np.diagonal(self.covariance(), axis1=1, axis2=2).real  # (R, D)
+        n_speeds, n_channels, _ = self.levels.record.shape
+        return np.asarray(np.sqrt(variance).reshape(-1, n_speeds, n_channels).transpose(1, 2, 0))
+
+    def mixing(self) -> np.ndarray:
+        """(R, D, D): it makes readings over their own deviations independent."""
+        covariance = self.covariance()
+        own = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).real)
+        correlation = covariance / own[:, :, None] / own[:, None, :]
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(correlation)))
+
+    def select(self, speeds: np.ndarray, runs: np.ndarray | None) -> ConditionNoise:
+        """The same at the ``speeds`` (mask or index) and for the ``runs`` (indices; None for all)."""
+        n_speeds, n_channels, _ = self.levels.record.shape
+        kept = np.arange(n_speeds * n_channels).reshape(n_speeds, n_channels)[speeds].ravel()
+        levels = replace(
+            self.levels, record=self.levels.record[speeds], condition=self.levels.condition[np.ix_(kept, kept)]
+        )
+        chosen = np.arange(len(self.counts)) if runs is None else runs
+        return ConditionNoise(levels, self.counts[chosen], self.weights[chosen])
+
+
+def follow_residuals(noise: ConditionNoise, residual: np.ndarray, numbers: float) -> ConditionNoise:
+    """The noise that residuals (R, D) complex, m, of a fit of so many real ``numbers`` show.
+
+    Where the fitted model can't follow the data, its misfit is part of the condition level: as large and in such
+    directions as the data show it.
+    """
+    left = len(residual) - numbers / (2 * residual.shape[1])
+    weights = noise.weights
+    for _ in range(_ROUNDS):
+        scatter = shrink((residual.T * weights) @ residual.conj() / left, left)
+        weights = student_weights(residual * np.sqrt(len(residual) / left), scatter)
+    levels = levels_of(residual, weights, left, noise.levels.record, noise.counts)
+    return ConditionNoise(levels, noise.counts, weights)
+
+
+_ROUNDS = 50
+
+
+def condition_noise(conditions: Conditions) -> ConditionNoise:
+    """The levels that the data themselves show, whatever the rotor is.
+
+    Each probe's vector is taken for a free baseline and a free linear function of the weights U and of U |U|: what is
+    left over is no matter of the bearings. Raises IdentifiabilityError for too few conditions.
+    """
+    loads = conditions.unbalance[:, np.abs(conditions.unbalance).any(axis=0)]
+    design = np.concatenate([np.ones((len(loads), 1)), loads, loads * np.abs(loads)], axis=1)
+    size = np.linalg.norm(design, axis=0)
+    levels, weights = estimate_noise_levels(conditions, design / np.where(size > 0, size, 1.0))
+    return ConditionNoise(levels, conditions.counts, weights)
+
+
+def spread_conditions(
+    unbalance: np.ndarray, planes: tuple[int, ...], speeds: np.ndarray, channels: tuple[tuple[int, float], ...]
+) -> Conditions:
+    """Conditions with weights (C, N) kg m at the ``speeds`` (S,) rad/s, of which nothing was read."""
+    count, shape = len(unbalance), (len(unbalance), len(speeds), len(channels))
+    return Conditions(
+        names=tuple(map(str, range(count))),
+        speeds=speeds,
+        own_speeds=np.tile(speeds, (count, 1)),
+        displacement=np.zeros(shape, dtype=complex),
+        counts=np.ones(count),
+        channels=channels,
+        planes=planes,
+        unbalance=unbalance,
+        record_covariance=np.zeros((len(speeds), len(channels), len(channels)), dtype=complex),
+    )
+
+
+def to_dataset(conditions: Conditions) -> VibrationDataset:
+    """The data set with one run a condition: the mean of its records, at their mean speed."""
+    acting = tuple(
+        Excitation(name, "unbalance", node, float(np.abs(u)), float(np.angle(u)))
+        for name, loads in zip(conditions.names, conditions.unbalance, strict=True)
+        for node, u in zip(conditions.planes, loads, strict=True)
+    )
+    displacement = conditions.displacement.transpose(1, 2, 0)
+    own = conditions.own_speeds.T
+    return VibrationDataset(conditions.speeds, conditions.names, conditions.channels, displacement, acting, own)

@@ -1,0 +1,48 @@
+"""Critical speeds of the identified machine, held against a run-up that the fit did not see."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from pipeline.config.schema import Config
+from pipeline.identification.uncertainty import load_uncertainty
+from pipeline.stages.measurement import load_identified, load_measurement, update_measurement
+from pipeline.stages.workspace import locate_files
+from pipeline.sweep.readings import compare_natural_frequency
+from pipeline.twin.beyond import expect_criticals
+from pipeline.units import RAD_S_PER_RPM
+
+_AROUND = np.linspace(0.5, 2.0, 61)
+"""Where critical speeds are looked for, as shares of the run-up's first natural frequency."""
+
+
+def compare_identified(config: Config, run_up: Mapping[str, Any]) -> dict[str, Any]:
+    """The first identified critical speed against the first natural frequency of ``run_up.json``.
+
+    Empty where a fit states no deviations, or finds no critical speed there. Raises ConfigError as
+    :func:`pipeline.twin.beyond.expect_criticals`.
+    """
+    measurement = load_measurement(config)
+    identified = load_identified(config, measurement)
+    uncertainty = load_uncertainty(locate_files(config).folder, identified)
+    if uncertainty is None:
+        return {}
+    speeds = run_up["natural_frequency"]["rpm"] * _AROUND * RAD_S_PER_RPM
+    found = expect_criticals(update_measurement(measurement, uncertainty), identified, uncertainty, speeds)
+    if not found:
+        return {}
+    first = found[0]
+    compared = compare_natural_frequency(run_up, first.speed / RAD_S_PER_RPM, first.deviation / RAD_S_PER_RPM)
+    every = [
+        {
+            "rpm": one.speed / RAD_S_PER_RPM,
+            "deviation_rpm": one.deviation / RAD_S_PER_RPM,
+            "logarithmic_decrement": one.logarithmic_decrement,
+            "deviation_logarithmic_decrement": one.decrement_deviation,
+        }
+        for one in found
+    ]
+    return {"first": compared | {"critical_speeds": every}}
