@@ -129,7 +129,10 @@ def _try_runs(
         read = np.zeros((1, len(data.channels), 1), dtype=complex)
         known = replace(measurement.known.at(np.array([-1])), speeds=speeds)
         other = replace(
-            measurement, dataset=VibrationDataset(speeds, (data.runs[run],), data.channels, read, acting), known=known
+            measurement,
+            dataset=VibrationDataset(speeds, (data.runs[run],), data.channels, read, acting),
+            known=known,
+            drift=None,
         )
         shown = output_error(other, problem.basis, problem.sensors.plane_scale).predicted(weights)[0][0].numpy()
         more = output_error(
@@ -137,8 +140,8 @@ def _try_runs(
             problem.basis,
             problem.sensors.plane_scale,
         )
-        # Its own problem has the priors of the model parameters again.
-        gained = more.normal(weights)[1][0, 0] - more.prior_precision().diag()
+        # Its own problem has the priors again.
+        gained = more.normal(weights)[1][0, 0] - more.prior_matrix()
         tried.append(NextRun(data.runs[run], float(speeds[0]), _deviation(information + gained, along)))
     best = min(tried, key=lambda one: one.deviation)
     return best if best.deviation < WORTH * before else None

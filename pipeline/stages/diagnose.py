@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.records import RecordsConfig
 from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
 from pipeline.data.vibration_files import to_rpm
@@ -108,7 +109,9 @@ def judge(config: Config, measurement: Measurement, diagnosis: Diagnosis) -> Dev
 
 
 def describe_noise(config: Config) -> str:
-    """The stated noise, such as ``0.1 % noise``."""
+    """The stated noise, such as ``0.1 % noise``, or what takes its place in records of conditions."""
+    if isinstance(config.machine.recordings, RecordsConfig):
+        return "the noise of the conditions"
     noise = config.stated_noise
     parts = [f"{100 * noise.multiplicative:g} %"] if noise.multiplicative else []
     parts += [f"{1e6 * noise.additive:g} um"] if noise.additive else []

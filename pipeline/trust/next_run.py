@@ -62,7 +62,7 @@ def weigh_candidates(
         own_frequencies=None,
         subtracted=None,
     )
-    planned = replace(measurement, dataset=plan)
+    planned = replace(measurement, dataset=plan, drift=None)  # its runs are conditions of their own
     seen = linearise(planned, identified, uncertainty, np.ones(shape, dtype=bool), factor, tolerances=False).by_weight
     found = []
     for i in range(len(able)):
