@@ -14,7 +14,9 @@ from pipeline.identification.combinations import _deviation, _directions, _share
 from pipeline.identification.output_error_fit import invert, unknown_deviation
 from pipeline.identification.output_error_start import prepare_output_error
 from pipeline.identification.training import setup_of
+from pipeline.problem.condition_noise import ConditionNoise
 from pipeline.problem.measurement import Measurement
+from pipeline.problem.noise_levels import NoiseLevels
 from pipeline.reporting.combinations import describe_combinations, summarize_combinations
 from pipeline.rotor.parameters import ModelParameter
 
@@ -63,6 +65,21 @@ def test_the_next_run_leaves_what_it_promises() -> None:
     left = _deviation(start.problem.normal(start.weights)[1][0, 0], along)
     assert left == pytest.approx(found.next_run.deviation, rel=1e-3)
     assert f"at {found.next_run.speed * 30 / np.pi:.4g} rpm besides" in describe_combinations(found)
+
+
+def test_a_run_is_tried_whatever_the_noise_of_the_others() -> None:
+    """Noise in levels belongs to the runs that there are; the run that is tried has the stated noise."""
+    one, _ = small_machine(DIRECT, (0.3, 0.3), TWO, noise=0.0)
+    plain = combine(one, SETUP)
+    data = one.dataset
+    own = np.sqrt((one.deviation**2).mean(axis=2))  # (S, P)
+    levels = NoiseLevels(np.zeros((len(TWO), *[own.shape[1]] * 2)), np.diag(own.ravel() ** 2).astype(complex), np.inf)
+    found = combine(replace(one, drift=ConditionNoise(levels, np.ones(len(data.runs)), np.ones(len(data.runs)))), SETUP)
+    assert plain is not None
+    assert found is not None
+    assert plain.next_run is not None
+    assert found.next_run is not None
+    assert (found.next_run.run, found.next_run.speed) == (plain.next_run.run, plain.next_run.speed)
 
 
 def test_functions_of_the_speed_have_no_such_directions() -> None:
