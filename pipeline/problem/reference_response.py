@@ -82,8 +82,9 @@ def _solved(
 def _group_alike(dataset: VibrationDataset) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Runs (indices) in blocks, and the frequencies (S,) rad/s at which the receptance of the block is taken.
 
-    Runs that turn with the rotor are one block, though each has a speed of its own: the receptance of the reference
-    bearings changes little within :data:`pipeline.data.dataset.SYNCHRONOUS`.
+    Runs that turn with the rotor are one block, though each has a speed of its own. What the weights do on the
+    reference bearings is that of the run's own speed; what other bearings change of it is that of the mean. The error
+    is of first order in the departure, times the amplification: under 3 % of the response for records within 0.5 %.
     """
     frequencies = dataset.frequencies
     turning = np.flatnonzero(turns_with_rotor(dataset))

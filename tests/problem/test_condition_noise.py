@@ -1,0 +1,90 @@
+"""Noise that probes and speeds share: whitening, parts, what residuals show, and one bad condition."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from balancing import SIZE, circular, truth
+
+from pipeline.data.conditions import gather_conditions
+from pipeline.errors import IdentifiabilityError
+from pipeline.problem.condition_noise import NAMED, ConditionNoise, condition_noise, follow_residuals, to_dataset
+from pipeline.problem.noise_levels import NoiseLevels, spread_blocks
+
+
+def some_noise(rng: np.random.Generator, counts: np.ndarray) -> ConditionNoise:
+    """Levels of two speeds and three channels, all correlated."""
+    root, own = circular(rng, SIZE, SIZE), 0.7 * circular(rng, 2, 3, 3)
+    record = own @ own.conj().swapaxes(1, 2)
+    return ConditionNoise(NoiseLevels(record, root @ root.conj().T, 50.0), counts, np.ones(len(counts)))
+
+
+def test_mixing_whitens_what_the_levels_draw(rng: np.random.Generator) -> None:
+    """Drift and the mean of one or three records, 4000 times each: unit and independent, to three deviations."""
+    counts = np.array([1, 3])
+    noise, draws = some_noise(rng, counts), 4000
+    drift = np.linalg.cholesky(noise.levels.condition)
+    own = np.linalg.cholesky(spread_blocks(noise.levels.record))
+    for r, count in enumerate(counts):
+        drawn = circular(rng, draws, SIZE) @ drift.T + circular(rng, draws, SIZE) @ own.T / np.sqrt(count)
+        white = (drawn / noise.deviation()[..., r].ravel()) @ noise.mixing()[r].T
+        covariance = white.T @ white.conj() / draws
+        assert abs(covariance - np.eye(SIZE)).max() < 4 / np.sqrt(draws)
+
+
+def test_a_part_of_the_noise_is_that_of_the_part(rng: np.random.Generator) -> None:
+    """Its covariance has the rows and columns of the second speed alone, for the chosen run."""
+    noise = some_noise(rng, np.array([1, 3, 2]))
+    part = noise.select(np.array([False, True]), np.array([1]))
+    np.testing.assert_array_equal(part.covariance()[0], noise.covariance()[1][3:, 3:])
+    np.testing.assert_array_equal(part.deviation()[0, :, 0], noise.deviation()[1, :, 1])
+    np.testing.assert_array_equal(noise.select(np.arange(2), None).covariance(), noise.covariance())
+
+
+def test_residuals_show_their_covariance_without_bias(rng: np.random.Generator) -> None:
+    """On average over 40 sets of 60 residuals of Gaussian noise, whose fit took 12 real numbers."""
+    before = some_noise(rng, np.full(60, 3))
+    truth_of = before.covariance()[0]
+    root, found = np.linalg.cholesky(truth_of), []
+    share = np.sqrt(1 - 12 / (2 * SIZE) / 60)  # what a fit leaves of the noise
+    for _ in range(40):
+        found.append(follow_residuals(before, share * circular(rng, 60, SIZE) @ root.T, 12).covariance()[0])
+    ratio = np.linalg.solve(truth_of, np.mean(found, axis=0))
+    assert np.trace(ratio).real / SIZE == pytest.approx(1.0, abs=0.03)
+    assert abs(ratio - np.eye(SIZE)).max() < 0.15
+
+
+def test_one_bad_condition_does_not_fool_the_levels(rng: np.random.Generator) -> None:
+    """A weight that lies elsewhere than its label says: named, and the levels are those without it."""
+    machine = truth(rng)
+    good = machine.draw(rng, 40)
+    vectors = good.vectors.copy()
+    vectors[7] += machine.influence @ np.array([4e-5, 0.0])
+    bad = machine.gather(good.unbalance, vectors)
+    clean, found = condition_noise(good), condition_noise(bad)
+    assert found.weights[7] < NAMED < np.delete(found.weights, 7).min()
+    sizes = [np.trace(one.levels.condition).real for one in (clean, found)]
+    assert sizes[1] == pytest.approx(sizes[0], rel=0.2)
+
+
+def test_a_law_of_the_weights_is_no_noise(rng: np.random.Generator) -> None:
+    """Heavy screws act more than in proportion: the levels stay those of the same noise without that law."""
+    straight = truth(rng)
+    bent = type(straight)(straight.baseline, straight.influence, straight.root, 3e3)
+    of_both = [condition_noise(one.draw(np.random.default_rng(3), 40)).levels.condition for one in (straight, bent)]
+    np.testing.assert_allclose(of_both[1], of_both[0], atol=1e-9 * abs(of_both[0]).max())
+
+
+def test_too_few_conditions_are_refused(rng: np.random.Generator) -> None:
+    with pytest.raises(IdentifiabilityError, match="more conditions"):
+        condition_noise(truth(rng).draw(rng, 5))
+
+
+def test_conditions_as_a_data_set_and_back(rng: np.random.Generator) -> None:
+    """Each condition is one run; weights, speeds and vectors survive."""
+    given = truth(rng).draw(rng, 6)
+    back = gather_conditions(to_dataset(given), given.planes)
+    assert back.names == given.names
+    np.testing.assert_allclose(back.unbalance, given.unbalance, atol=1e-20)
+    np.testing.assert_array_equal(back.displacement, given.displacement)
+    np.testing.assert_array_equal(back.own_speeds, given.own_speeds)
