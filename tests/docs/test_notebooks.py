@@ -37,8 +37,8 @@ def run(name: str, results: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, 
     return names
 
 
-def test_there_are_three() -> None:
-    assert [path.stem for path in NOTEBOOKS] == ["paper", "recordings", "study"]
+def test_there_are_four() -> None:
+    assert [path.stem for path in NOTEBOOKS] == ["a_real_rig", "paper", "recordings", "study"]
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
@@ -71,3 +71,15 @@ def test_a_study_is_made_and_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     names = run("study", tmp_path, monkeypatch)
     assert len(list((tmp_path / "study").glob("trials.csv"))) == 1
     assert len(names["finalists"]) >= 5
+
+
+@pytest.mark.slow
+def test_a_real_rig_says_what_it_concludes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    names = run("a_real_rig", tmp_path, monkeypatch)
+    assert sorted(names["named"]) == ["B007", "B031", "B038", "B047"]
+    assert names["of_condition"].min() > names["of_record"].max()
+    assert names["median"] < 0.1
+    assert 520 < names["span"] < 560
+    assert min(share for (_, name), share in names["shares"].items() if name.startswith("c")) > 0.3
+    assert names["first"]["rpm"] == pytest.approx(1586, abs=23)
+    assert names["steady"]["rpm"] == pytest.approx(1648, abs=2)
