@@ -81,9 +81,11 @@ def _require_names(config: Config, conditions: Conditions) -> None:
     """Raise ConfigError where the calibration is not of these conditions, or not led by one without weights."""
     calibration = config.folds.calibration
     if not calibration:
+        bare = [name for name, own in zip(conditions.names, conditions.unbalance, strict=True) if not own.any()]
+        step = f"give it, such as folds.calibration=[{bare[0]}]" if bare else "measure the machine without weights, too"
         raise ConfigError(
             "folds.calibration must name the condition without weights, from which the response counts, and those that "
-            f"calibrate alone, but names none: give it, such as folds.calibration=[{conditions.names[0]}]"
+            f"calibrate alone, but names none: {step}"
         )
     for name in calibration:
         if name not in conditions.names:

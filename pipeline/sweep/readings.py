@@ -39,12 +39,14 @@ def compare_natural_frequency(run_up: Mapping[str, Any], rpm: float, deviation: 
     """An identified first natural frequency (rpm, standard deviation in rpm) against that of ``run_up.json``.
 
     ``within`` says whether the run-up's lies in the identified 95 % interval, widened by the run-up's own deviation;
+    ``share_of_interval`` is the difference over its half-width;
     ``band_percent`` is how wide the identified interval is, of the run-up's value; ``sentence`` says all of it.
     """
     measured = run_up["natural_frequency"]
     apart = rpm - measured["rpm"]
     band = 100 * 2 * NORMAL * deviation / measured["rpm"]
-    within = bool(abs(apart) <= NORMAL * np.hypot(deviation, measured["deviation_rpm"]))
+    share = float(abs(apart) / (NORMAL * np.hypot(deviation, measured["deviation_rpm"])))
+    within = share <= 1
     return {
         "identified_rpm": rpm,
         "identified_deviation_rpm": deviation,
@@ -53,6 +55,7 @@ def compare_natural_frequency(run_up: Mapping[str, Any], rpm: float, deviation: 
         "difference_percent": 100 * apart / measured["rpm"],
         "band_percent": band,
         "within": within,
+        "share_of_interval": share,
         "sentence": (
             f"first natural frequency: {rpm:.4g} +- {NORMAL * deviation:.2g} rpm identified (95 %, {band:.2g} % wide), "
             f"{measured['rpm']:.4g} +- {NORMAL * measured['deviation_rpm']:.2g} rpm in the run-up: they "

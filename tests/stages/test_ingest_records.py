@@ -1,0 +1,72 @@
+"""stage=ingest of the measured rig's records: its files, its summary and its words; critical speeds after a fit."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from conftest import Artifacts
+from running import composed, names_in, strict_json
+
+from pipeline.config.schema import Config
+from pipeline.data.coefficient_files import read_coefficients
+from pipeline.errors import PipelineError
+from pipeline.stages import run_stage
+from pipeline.stages.identified_criticals import compare_identified
+from pipeline.stages.measurement import load_dataset
+
+pytestmark = pytest.mark.slow
+
+
+def config_of(folder: Path, *overrides: str) -> Config:
+    return composed("experiment=rk4", "tracking=none", f"output={folder}", *overrides)
+
+
+def test_the_files_and_the_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run_stage(config_of(tmp_path, "stage=ingest"))
+    said = capsys.readouterr().out
+    assert "204 records of 68 conditions at 2 speeds, 4 probes" in said
+    assert "angle a phase lag" in said
+    summary = strict_json(tmp_path / "ingest.json")
+    assert (summary["records"], summary["conditions"], summary["nodes"]) == (204, 68, [6, 22])
+    assert "modelled_coefficients.csv" not in names_in(tmp_path)
+    assert (tmp_path / "figures" / "ingest_records.png").stat().st_size > 10_000
+    dataset = load_dataset(config_of(tmp_path))
+    assert len(set(dataset.conditions or ())) == 68
+    assert abs(dataset.frequencies / dataset.speeds[:, None] - 1).max() < 0.01
+    cross = {node: ("kxy", "kyx", "cxy", "cyx") for node in (2, 26)}
+    known = read_coefficients(tmp_path / "known_coefficients.csv", (2, 26), dataset.speeds, cross)
+    assert not known.values.any()
+
+
+def test_weights_on_a_node_that_the_rotor_lacks(tmp_path: Path) -> None:
+    config = config_of(tmp_path, "stage=ingest", "machine.recordings.weights.0.node=99")
+    with pytest.raises(PipelineError, match=r"machine\.recordings\.weights"):
+        run_stage(config)
+
+
+NEEDED = (
+    *("vibration.parquet", "excitation.csv", "known_coefficients.csv", "training.json"),
+    *("model.json", "model.safetensors", "uncertainty.safetensors"),
+)
+
+
+def test_a_run_up_after_a_fit_is_held_against_it(
+    artifacts: Artifacts, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The fit did not see the run-up: its first critical speed agrees, in a band that could have refuted it."""
+    folder = artifacts.copied("rk4", NEEDED, tmp_path)
+    run_stage(config_of(folder, "stage=runup"))
+    found = json.loads((folder / "run_up.json").read_text(encoding="utf-8"))
+    first = found["identified"]["first"]
+    assert first["sentence"] in capsys.readouterr().out
+    assert first["within"]
+    assert first["share_of_interval"] < 1
+    assert first["band_percent"] < 4
+    every = first["critical_speeds"]
+    assert every[0]["rpm"] == first["identified_rpm"]
+    assert [one["rpm"] for one in every] == sorted(one["rpm"] for one in every)
+    assert all(0 < one["deviation_rpm"] < 0.02 * one["rpm"] for one in every)
+    # Where none is, there is nothing to compare.
+    assert compare_identified(config_of(folder), {"natural_frequency": {"rpm": 300.0, "deviation_rpm": 1.0}}) == {}
