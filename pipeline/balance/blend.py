@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.balance.growth import inflation
 from pipeline.balance.influence import design_of
 from pipeline.balance.linear_vibration import LinearVibration
 from pipeline.data.conditions import Conditions
@@ -34,6 +35,7 @@ class Blend:
     correction: np.ndarray  # (Q, D) complex, of the scaled design
     spread: np.ndarray  # (Q, Q) complex: covariance of the correction, in units of the noise's
     sizes: tuple[float, float]  # lambda of the baseline and of the weights
+    growth: float  # of the drift with the weights, 1/(kg m)^2
 
     @property
     def speeds(self) -> np.ndarray:
@@ -55,7 +57,9 @@ class Blend:
         design = design_of(np.atleast_2d(unbalance)) / self.scale
         mean, _ = self.physical.predict(unbalance)
         leverage = np.einsum("cq,qr,cr->c", design, self.spread, design.conj()).real
-        return mean + design @ self.correction, leverage[:, None, None] * self.noise.covariance(np.ones(1))
+        covariance = leverage[:, None, None] * self.noise.covariance(np.ones(1))
+        grown = inflation(np.atleast_2d(unbalance), self.growth) - 1
+        return mean + design @ self.correction, covariance + grown[:, None, None] * self.noise.condition
 
     def influence_at(self, unbalance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Derivative (D, N) m/(kg m) by the weights at ``unbalance`` (N,), and the baseline (D,) m."""
@@ -64,10 +68,13 @@ class Blend:
         return slope + own[1:].T, baseline + own[0]
 
 
-def blend(physical: LinearVibration, conditions: Conditions, noise: NoiseLevels, weights: np.ndarray) -> Blend:
+def blend(
+    physical: LinearVibration, conditions: Conditions, noise: NoiseLevels, weights: np.ndarray, growth: float = 0.0
+) -> Blend:
     """Correct the ``physical`` model by the conditions that it was fitted to, of this ``noise``.
 
-    ``weights`` (C,) are about 1, and small for a condition that does not belong to the others.
+    ``weights`` (C,) are about 1, and small for a condition that does not belong to the others, or that drifts more:
+    ``growth`` is that of :mod:`pipeline.balance.growth`, 1/(kg m)^2.
     """
     design = design_of(conditions.unbalance)
     scale = np.sqrt((np.abs(design) ** 2).mean(axis=0))
@@ -86,6 +93,7 @@ def blend(physical: LinearVibration, conditions: Conditions, noise: NoiseLevels,
         correction=spread @ scaled.conj().T @ rest,
         spread=spread,
         sizes=sizes,
+        growth=growth,
     )
 
 

@@ -61,13 +61,14 @@ def find_contradictions(
     left, named = list(range(n)), 0
     removed: list[int] = []
     chances: list[float] = []
-    squared = distances(conditions, fit_influence(conditions, law=law, robust=False))
+    growth = fit_influence(conditions, law=law).growth  # robust: gross conditions are not taken for growth
+    squared = distances(conditions, fit_influence(conditions, law=law, robust=False, growth=growth))
     while len(removed) < steps and len(left) - columns - 2 >= size + 2:
         far, among = int(np.argmax(squared)), len(left)
         gross = float(squared[far])
         removed.append(left.pop(far))
         others = conditions.of(left)
-        squared = distances(others, fit_influence(others, law=law, robust=False))
+        squared = distances(others, fit_influence(others, law=law, robust=False, growth=growth))
         tail, stretch = fit_tail(squared, size, float(len(left) - columns - 1), max(gross, float(squared.max())))
         chances.append(float(min(1.0, among * stats.f.sf(gross / (stretch * size), 2 * size, 2 * tail))))
         if chances[-1] < rate:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pipeline.balance.growth import fit_growth, inflation
 from pipeline.data.conditions import Conditions
 from pipeline.errors import IdentifiabilityError
 from pipeline.problem.noise_levels import (
@@ -26,7 +27,7 @@ from pipeline.problem.noise_levels import (
 )
 
 EVIDENCE = 0.01
-"""Chance with which proportional weights are taken for curved ones."""
+"""Chance with which proportional weights are taken for curved ones, and steady drift for one that grows with them."""
 _STEPS = 50
 
 
@@ -44,14 +45,21 @@ class Influence:
     shift: np.ndarray  # (Q, D) by which the coefficients move with the law, for each unit of a
     law_variance: float  # of a, 1/(kg m)^2
     law_chance: float | None  # that proportional weights would look as curved; None where it was not asked
-    weights: np.ndarray  # (C,) of the conditions in the fit
+    weights: np.ndarray  # (C,) of the conditions in the fit: small for a bad one, and where the drift is large
+    growth: float  # of the covariance of conditions, 1/(kg m)^2; 0 where it is the same for all weights
+    growth_chance: float | None  # that drift without growth would show as much; None where it was not asked
 
     def predict(self, unbalance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Mean (C, D) m and its covariance (C, D, D) m^2 for weights (C, N) kg m."""
+        """Mean (C, D) m and its covariance (C, D, D) m^2 for weights (C, N) kg m.
+
+        By how much more conditions with these weights drift than one without any is part of the covariance.
+        """
         unbalance = np.atleast_2d(unbalance)
         design = design_of(unbalance, self.law)
         leverage = np.einsum("cq,qr,cr->c", design, self.spread, design.conj()).real
-        covariance = leverage[:, None, None] * self.noise.covariance(np.ones(1)) + np.zeros((len(design), 1, 1))
+        grown = inflation(unbalance, self.growth) - 1
+        covariance = leverage[:, None, None] * self.noise.covariance(np.ones(1))
+        covariance = covariance + grown[:, None, None] * self.noise.condition
         if self.law_variance:
             along = bend(unbalance) @ self.coefficients[1:] - design @ self.shift
             covariance = covariance + self.law_variance * along[:, :, None] * along[:, None].conj()
@@ -83,8 +91,11 @@ def fit_influence(
     robust: bool = True,
     prior: NoiseLevels | None = None,
     independent: bool = False,
+    growth: float | None = None,
 ) -> Influence:
     """Fit b, B and, where ``law`` is true, a; None takes the law where these conditions give evidence for it.
+
+    ``growth`` is that of the drift with the weights, 1/(kg m)^2; None takes it where these give evidence for it.
 
     ``independent`` takes the noise of all entries as equal and independent, as ordinary least squares does. ``prior``
     is the noise where there are as many coefficients as conditions. Raises IdentifiabilityError where there are fewer,
@@ -102,15 +113,25 @@ def fit_influence(
     if independent or not _free(fitted):
         return fitted
     chosen = fitted if law is False else _choose(conditions, fitted, robust, bool(law))
+    if growth is None and chosen.noise.freedom >= FULL * len(chosen.noise.condition):
+        design = design_of(conditions.unbalance, chosen.law)
+        growth, chance = fit_growth(conditions.vectors, design, conditions.unbalance)
+        growth = growth if chance < EVIDENCE else 0.0
+        chosen = replace(chosen, growth_chance=chance)
+    if growth:
+        fitted = replace(_fit(conditions, 0.0, robust, prior, False, growth), growth_chance=chosen.growth_chance)
+        chosen = fitted if law is False else _choose(conditions, fitted, robust, bool(law))
     return replace(chosen, noise=_with_tail(conditions, chosen))
 
 
 def distances(conditions: Conditions, model: Influence) -> np.ndarray:
     """(C,) squared distances T^2 of the conditions of a fit from the model of the others."""
     design = design_of(conditions.unbalance, model.law)
-    leverage = np.einsum("cq,qr,cr->c", design, model.spread, design.conj()).real
+    inflated = inflation(conditions.unbalance, model.growth)
+    leverage = np.einsum("cq,qr,cr->c", design, model.spread, design.conj()).real / inflated
     left = float(len(design) - design.shape[1])
-    return leave_one_out(conditions.vectors - design @ model.coefficients, leverage, model.weights, left)
+    residual = (conditions.vectors - design @ model.coefficients) / np.sqrt(inflated)[:, None]
+    return leave_one_out(residual, leverage, model.weights * inflated, left)
 
 
 def _with_tail(conditions: Conditions, model: Influence) -> NoiseLevels:
@@ -140,7 +161,7 @@ def _bend(conditions: Conditions, start: Influence, robust: bool) -> Influence:
     model = start
     for _ in range(_STEPS):
         step, variance = _step(conditions, model)
-        model = _fit(conditions, model.law + step, robust, None, False)
+        model = _fit(conditions, model.law + step, robust, None, False, model.growth)
         if abs(step) ** 2 < 1e-6 * variance:
             break
     variance = _step(conditions, model)[1]
@@ -151,7 +172,7 @@ def _bend(conditions: Conditions, start: Influence, robust: bool) -> Influence:
     chance = float(stats.f.sf(abs(model.law) ** 2 / variance * left / free, 2, 2 * left))
     bent = bend(conditions.unbalance) @ model.coefficients[1:]
     shift = solve_weighted(bent, design_of(conditions.unbalance, model.law), model.weights)
-    return replace(model, law_variance=variance, law_chance=chance, shift=shift)
+    return replace(model, law_variance=variance, law_chance=chance, shift=shift, growth_chance=start.growth_chance)
 
 
 def _step(conditions: Conditions, model: Influence) -> tuple[complex, float]:
@@ -165,10 +186,18 @@ def _step(conditions: Conditions, model: Influence) -> tuple[complex, float]:
     return complex((model.weights * (whitened.conj() * residual).sum(1)).sum() / power), 1 / power
 
 
-def _fit(conditions: Conditions, law: complex, robust: bool, prior: NoiseLevels | None, independent: bool) -> Influence:
-    """The fit with a given law of the weights."""
+def _fit(
+    conditions: Conditions,
+    law: complex,
+    robust: bool,
+    prior: NoiseLevels | None,
+    independent: bool,
+    growth: float = 0.0,
+) -> Influence:
+    """The fit with a given law of the weights and growth of the drift."""
     design = design_of(conditions.unbalance, law)
     weights = np.ones(len(design))
+    inflated = inflation(conditions.unbalance, growth)
     left = len(design) - design.shape[1]
     size = conditions.vectors.shape[1]
     if left <= 0 and prior is None:
@@ -180,7 +209,11 @@ def _fit(conditions: Conditions, law: complex, robust: bool, prior: NoiseLevels 
         power = (abs(residual) ** 2).sum() / (left * size)
         levels = NoiseLevels(np.zeros_like(conditions.record_covariance), np.eye(size) * power + 0j, float(left))
     else:
-        levels, weights = estimate_noise_levels(conditions, design, prior, robust)
+        # The scatter of records is divided with the drift: it is far smaller.
+        root = 1 / np.sqrt(inflated)
+        alike = replace(conditions, displacement=conditions.displacement * root[:, None, None])
+        levels, weights = estimate_noise_levels(alike, design * root[:, None], prior, robust)
+        weights = weights / inflated
     gram = (design.conj().T * weights) @ design
     return Influence(
         speeds=conditions.speeds,
@@ -194,6 +227,8 @@ def _fit(conditions: Conditions, law: complex, robust: bool, prior: NoiseLevels 
         law_variance=0.0,
         law_chance=None,
         weights=weights,
+        growth=growth,
+        growth_chance=None,
     )
 
 

@@ -48,7 +48,7 @@ def blend_with_influence(physical: Physical, sound: Conditions) -> Blend:
     """The blend, with the noise of the influence coefficients where the conditions suffice to estimate it."""
     try:
         _, influence = find_contradictions(sound)
-        return blend(physical, sound, influence.noise, influence.weights)
+        return blend(physical, sound, influence.noise, influence.weights, influence.growth)
     except IdentifiabilityError:  # too few to judge one by the others
         return blend(physical, sound, physical.noise, np.ones(len(sound.names)))
 

@@ -104,7 +104,10 @@ def _require_names(config: Config, conditions: Conditions) -> None:
 
 
 def _tell_noise(kept: Conditions, model: Influence) -> dict[str, Any]:
-    """Deviations of both levels in um (a row a speed, a column a channel), the law of the weights, and the evidence."""
+    """Deviations of both levels in um (a row a speed, a column a channel), laws of the weights, and the evidence.
+
+    That of conditions is without weights; with them its square grows.
+    """
     noise, shape = model.noise, kept.displacement.shape[1:]
     return {
         "condition_um": (1e6 * np.sqrt(np.diag(noise.condition).real.reshape(shape) / 2)).tolist(),
@@ -112,6 +115,8 @@ def _tell_noise(kept: Conditions, model: Influence) -> dict[str, Any]:
         "tail": noise.tail,
         "law_per_g_mm": [model.law.real * _GRAM_MM, model.law.imag * _GRAM_MM],
         "law_chance": model.law_chance,
+        "growth_per_g_mm_squared": model.growth * _GRAM_MM**2,
+        "growth_chance": model.growth_chance,
         "drift_chance": judge_drift(kept, model),
     }
 
