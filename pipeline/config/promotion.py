@@ -42,7 +42,8 @@ def apply_values(config: Config, values: Mapping[str, Value], source: str) -> Co
 
     from pipeline.config.schema import Config
 
-    mapping = config.model_dump() | {"chosen_by": config.chosen_by}
+    excluded = {name: getattr(config, name) for name, field in Config.model_fields.items() if field.exclude}
+    mapping = config.model_dump() | excluded
     if (kind := values.get("model.kind", config.model.kind)) != config.model.kind:
         fields = model_fields(str(kind)) or mapping["model"]
         mapping["model"] = {name: mapping["model"].get(name) for name in fields}

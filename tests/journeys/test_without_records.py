@@ -14,6 +14,8 @@ from pipeline.stages import run_stage
 pytestmark = pytest.mark.slow
 MISTAKES: dict[str, tuple[str, tuple[str, ...], type[PipelineError], str]] = {
     "folds of one run": ("folds", (), ConfigError, "measure the machine without weights, too"),
+    "folds by a run with a weight": ("folds", ("folds.calibration=[disc]",), ConfigError, "must begin with"),
+    "folds by a misspelt run": ("folds", ("folds.calibration=[dics]",), ConfigError, "did you mean 'disc'?"),
     "balance of one run": ("balance", (), IdentifiabilityError, "add a trial weight in each plane alone"),
     "balance of records": (
         "balance",
