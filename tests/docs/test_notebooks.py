@@ -77,7 +77,7 @@ def test_a_study_is_made_and_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 def test_a_real_rig_says_what_it_concludes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     names = run("a_real_rig", tmp_path, monkeypatch)
     assert sorted(names["named"]) == ["B007", "B031", "B038", "B047"]
-    assert names["of_condition"].min() > names["of_record"].max()
+    assert (names["of_condition"] > 2 * names["of_record"]).all()
     assert names["median"] < 0.1
     assert 520 < names["span"] < 560
     assert min(share for (_, name), share in names["shares"].items() if name.startswith("c")) > 0.3
