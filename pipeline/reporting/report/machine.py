@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.data.dataset import Excitation
+from pipeline.data.dataset import Excitation, synchronous
 from pipeline.reporting.figures import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE
 from pipeline.reporting.report.content import ReportContent, count
 from pipeline.reporting.report.figure import Axes, Curve, Figure, Panel
@@ -123,12 +123,12 @@ def _list_probes(content: ReportContent) -> Table:
 def _list_runs(content: ReportContent) -> Table:
     data, rows = content.dataset, []
     for r, run in enumerate(data.runs):
-        acting = [one for one in data.excitations if one.run == run]
+        acting = [one for one in data.excitations if one.run == run and one.magnitude]
         use = "predicted, not fitted" if content.held_out(r) else "fitted"
-        turning = np.allclose(data.frequencies[:, r], data.speeds, rtol=1e-9)
+        turning = synchronous(data.frequencies[:, r], data.speeds).all()
         hertz = data.frequencies[:, r] / (2 * np.pi)
         at = "rotor speed" if turning else f"{hertz[0]:.4g} Hz" if np.ptp(hertz) < 1e-9 * hertz[0] else "own ratio"
-        rows.append([run, "; ".join(map(describe_excitation, acting)), at, use])
+        rows.append([run, "; ".join(map(describe_excitation, acting)) or "nothing", at, use])
     if len(rows) > 30:
         rows = [*rows[:29], [f"and {len(rows) - 29} more", "", "", ""]]
     return Table("Runs", ["run", "excited by", "frequency", "use"], rows)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pipeline.data.dataset import synchronous
 from pipeline.data.noise import NOMINAL_95
 from pipeline.reporting.figures import BLUE, ORANGE
 from pipeline.reporting.report.content import ReportContent
@@ -45,7 +46,7 @@ def _verify(content: ReportContent) -> list[Paragraph | Table]:
     """The response peaks of the runs that unbalances excite."""
     fit, data, rows = content.fit, content.dataset, []
     assert fit is not None
-    turning = [r for r in content.shown_runs if np.allclose(data.frequencies[:, r], data.speeds, rtol=1e-9)]
+    turning = [r for r in content.shown_runs if synchronous(data.frequencies[:, r], data.speeds).all()]
     for r in turning:
         if any(one.kind != "unbalance" for one in data.excitation_of(r)):
             continue
