@@ -162,7 +162,7 @@ def fit_physical(template: Measurement, setup: FitSetup, conditions: Conditions)
         template,
         dataset=to_dataset(conditions),
         known=replace(known, speeds=conditions.speeds),
-        drift=condition_noise(conditions) if enough else None,
+        drift=condition_noise(conditions, template.noise) if enough else None,
     )
     return physical_of(fit_output_error(measurement, setup), conditions)
 
@@ -176,7 +176,7 @@ def restore_physical(
 ) -> Physical:
     """The predictor of a fit that was stored, with constant coefficients; ``planes`` are the conditions it was of.
 
-    The noise is what its residuals show.
+    Raises as :func:`fit_physical`.
     """
     import torch
 
@@ -189,16 +189,12 @@ def restore_physical(
     residual = uncertainty.residual_unbalance / uncertainty.plane_scale
     pairs = torch.as_tensor(np.stack([residual.real, residual.imag], axis=-1).ravel())
     weights[0, 0, problem.n_outer : problem.n_outer + len(pairs)] = pairs
-    (predicted,), (measured,) = problem.predicted(weights), problem.sensors.measured
-    rest = (predicted - measured)[0].flatten(0, 1).T.numpy()
-    noise = None if moved.drift is None else follow_residuals(moved.drift, rest, problem.n_fitted).levels
-    return _physical(problem, weights, uncertainty.covariance, planes, noise)
+    return _physical(problem, weights, uncertainty.covariance, planes)
 
 
 def physical_of(fit: OutputErrorFit, conditions: Conditions) -> Physical:
     """The predictor of a fit to these conditions."""
-    drift = fit.problem.measurement.drift
-    return _physical(fit.problem, fit.weights, fit.covariance(), conditions, None if drift is None else drift.levels)
+    return _physical(fit.problem, fit.weights, fit.covariance(), conditions)
 
 
 def _physical(
@@ -206,11 +202,14 @@ def _physical(
     weights: torch.Tensor,
     covariance: np.ndarray,
     conditions: Conditions,
-    noise: NoiseLevels | None,
 ) -> Physical:
-    """With the stated noise of the readings where there are no levels."""
+    """With the noise that the residuals show, or with the stated one where there are no levels."""
     measurement = problem.measurement
-    if noise is None:
+    if measurement.drift is not None:
+        (predicted,), (measured,) = problem.predicted(weights), problem.sensors.measured
+        rest = (predicted - measured)[0].flatten(0, 1).T.numpy()
+        noise = follow_residuals(measurement.drift, rest, problem.n_fitted).levels
+    else:
         variance = (measurement.deviation**2).mean(axis=2)  # (S, P)
         level = spread_blocks(np.stack([np.diag(own).astype(complex) for own in variance]))
         noise = NoiseLevels(conditions.record_covariance, level, np.inf)

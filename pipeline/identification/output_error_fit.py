@@ -24,7 +24,6 @@ from pipeline.identification.output_error_start import OutputErrorStart, prepare
 from pipeline.identification.selection import add_features, drop_features
 from pipeline.identification.sensor_deviations import split_noise
 from pipeline.identification.training import FitSetup, Minimum, Progress, minimise
-from pipeline.problem.condition_noise import follow_residuals
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.parameters import ModelParameter
 
@@ -213,7 +212,7 @@ def reweigh(
     import torch
 
     if problem.measurement.drift is not None:
-        return _weigh_conditions(problem, weights)
+        return _weigh_conditions(problem)
     precisions, commons, shares = [], [], []
     for b, predicted in enumerate(problem.predicted(weights)):
         deviation = torch.as_tensor(_deviation(problem, b, predicted.numpy(), factor))
@@ -227,22 +226,20 @@ def reweigh(
     return problem.with_sensors(sensors), tuple(shares)
 
 
-def _weigh_conditions(problem: OutputError, weights: torch.Tensor) -> tuple[OutputError, tuple[np.ndarray, ...]]:
-    """Levels of the noise as the residuals show them, and a share for each run, as its condition belongs to the others.
+def _weigh_conditions(problem: OutputError) -> tuple[OutputError, tuple[np.ndarray, ...]]:
+    """Precisions by the levels of the noise, and a share for each run, as its condition belongs to the others.
 
+    The levels stay as they are: would they follow the residuals, a fit could leave a bias that the noise then explains.
     Runs that are means of records turn with the rotor, and so are one block.
     """
     import torch
 
-    drift, (predicted,), (measured,) = problem.measurement.drift, problem.predicted(weights), problem.sensors.measured
+    drift = problem.measurement.drift
     assert drift is not None
-    residual = (predicted - measured)[0].flatten(0, 1).T.numpy()  # (R, S P)
-    found = follow_residuals(drift, residual, problem.n_fitted)
-    own = found.deviation()
-    share = np.minimum(found.weights, 1.0) * np.ones(own.shape)
+    own = drift.deviation()
+    share = np.minimum(drift.weights, 1.0) * np.ones(own.shape)
     precision = torch.as_tensor(np.sqrt(2.0 * share) / own)[None]
-    sensors = replace(problem.sensors, measurement=replace(problem.measurement, drift=found), precision=(precision,))
-    return problem.with_sensors(sensors), (share,)
+    return problem.with_sensors(replace(problem.sensors, precision=(precision,))), (share,)
 
 
 def _deviation(problem: OutputError, b: int, predicted: np.ndarray, factor: np.ndarray | None) -> np.ndarray:

@@ -11,6 +11,7 @@ import numpy as np
 
 from pipeline.data.conditions import Conditions
 from pipeline.data.dataset import Excitation, VibrationDataset
+from pipeline.data.noise import NoiseModel
 from pipeline.problem.noise_levels import NoiseLevels, estimate_noise_levels, levels_of, shrink, student_weights
 
 NAMED = 0.3
@@ -71,16 +72,21 @@ def follow_residuals(noise: ConditionNoise, residual: np.ndarray, numbers: float
 _ROUNDS = 50
 
 
-def condition_noise(conditions: Conditions) -> ConditionNoise:
+def condition_noise(conditions: Conditions, beside: NoiseModel | None = None) -> ConditionNoise:
     """The levels that the data themselves show, whatever the rotor is.
 
     Each probe's vector is taken for a free baseline and a free linear function of the weights U and of U |U|: what is
-    left over is no matter of the bearings. Raises IdentifiabilityError for too few conditions.
+    left over is no matter of the bearings. ``beside`` is what a model may be off by beyond that in each probe
+    and speed, in all conditions alike. Raises IdentifiabilityError for too few conditions.
     """
     loads = conditions.unbalance[:, np.abs(conditions.unbalance).any(axis=0)]
     design = np.concatenate([np.ones((len(loads), 1)), loads, loads * np.abs(loads)], axis=1)
     size = np.linalg.norm(design, axis=0)
     levels, weights = estimate_noise_levels(conditions, design / np.where(size > 0, size, 1.0))
+    if beside is not None:
+        # An error of the model is the same in all conditions: many of them do not average it.
+        variance = len(loads) * (beside.deviation(conditions.vectors) ** 2).mean(axis=0)
+        levels = replace(levels, condition=levels.condition + np.diag(variance))
     return ConditionNoise(levels, conditions.counts, weights)
 
 

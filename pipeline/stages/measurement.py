@@ -85,7 +85,8 @@ def build_measurement(config: Config, rotor: RotorModel, dataset: VibrationDatas
     drift = None
     if dataset.conditions is not None:
         conditions = gather_conditions(dataset)
-        drift, dataset = condition_noise(conditions), to_dataset(conditions)
+        drift = condition_noise(conditions, NoiseModel(noise.additive, noise.multiplicative))
+        dataset = to_dataset(conditions)
     unknowns = identify.unknowns_of(rotor.bearing_nodes)
     return Measurement(
         rotor,
