@@ -23,7 +23,7 @@ from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_
 from pipeline.identification.output_error_start import drawn_basis, start_at
 from pipeline.identification.training import FitSetup
 from pipeline.identification.uncertainty import Uncertainty
-from pipeline.problem.condition_noise import condition_noise, follow_residuals, spread_conditions, to_dataset
+from pipeline.problem.condition_noise import condition_noise, follow_residuals, spread_conditions, suffices, to_dataset
 from pipeline.problem.force_parameters import PARTS
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise_levels import NoiseLevels, spread_blocks
@@ -157,18 +157,15 @@ def fit_physical(template: Measurement, setup: FitSetup, conditions: Conditions)
     :func:`pipeline.identification.output_error_fit.fit_output_error`.
     """
     known = template.known.at(np.abs(template.known.speeds[:, None] - conditions.speeds).argmin(axis=0))
-    enough = len(conditions.names) > _ENOUGH * conditions.vectors.shape[1]
+    enough = suffices(conditions)
     measurement = replace(
         template,
+        noise=template.noise if enough else template.noise.with_drift(),
         dataset=to_dataset(conditions),
         known=replace(known, speeds=conditions.speeds),
         drift=condition_noise(conditions, template.noise) if enough else None,
     )
     return physical_of(fit_output_error(measurement, setup), conditions)
-
-
-_ENOUGH = 2
-"""Conditions for each entry of a vector, from which on the levels of the noise are estimated."""
 
 
 def restore_physical(

@@ -82,10 +82,14 @@ def check_frequency(name: str, hz: float | None, ratio: float | None, unbalanced
 
 
 class NoiseConfig(Section):
-    """Root mean square of the noise of each measured complex displacement: ``additive``, and a share of its size."""
+    """Root mean square of the noise of each measured complex displacement: ``additive``, and a share of its size.
+
+    ``drift`` is that of a condition's records together, where the conditions are too few to estimate it.
+    """
 
     additive: Deviation
     multiplicative: Share
+    drift: Deviation = 0.0
 
     @model_validator(mode="after")
     def _some(self) -> NoiseConfig:

@@ -16,6 +16,11 @@ class NoiseModel:
 
     additive: float  # m, root mean square
     multiplicative: float  # share of the reading, root mean square
+    drift: float = 0.0  # m, root mean square, of the records of a condition together where nothing estimates it
+
+    def with_drift(self) -> NoiseModel:
+        """The noise of conditions that are too few to tell their drift: it counts as noise of each reading."""
+        return NoiseModel(float(np.hypot(self.additive, self.drift)), self.multiplicative)
 
     def deviation(self, displacement: np.ndarray, subtracted: np.ndarray | None = None) -> np.ndarray:
         """(.., S, P, R) m, root mean square of the noise of each reading.

@@ -95,14 +95,16 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
     }
     if fit.problem.measurement.drift is not None:
         summary["inconsistent_runs"] = inconsistent
-    stated = np.allclose(fit.factor, 1.0)
+    # With levels, the model's own error is common to all conditions: its size and order are no draws of a noise.
+    levels = fit.problem.measurement.drift is not None
+    stated = np.allclose(fit.factor, 1.0) and not levels
     square = 2 * value + sum(one.value**2 for one in posterior)
     freedom = 2 * readings + len(posterior) - fit.problem.n_fitted + by_prior[: fit.problem.n_outer].sum()
-    summary["mismatch"] = mismatch(square if stated else None, freedom, significance)
+    summary["mismatch"] = mismatch(square if stated else None, freedom, np.nan if levels else significance)
     for name, other in (("held_out_speeds", fit.start.held_out_speeds), ("held_out_runs", fit.start.held_out_runs)):
         if other is not None:
             summary[name] = _held_out(fit, other)
-    if not stated:
+    if not np.allclose(fit.factor, 1.0):
         channels = fit.start.measurement.dataset.channels
         summary["noise_factor"] = {
             f"node {node} {name_direction(angle)}": float(f)

@@ -90,6 +90,15 @@ def condition_noise(conditions: Conditions, beside: NoiseModel | None = None) ->
     return ConditionNoise(levels, conditions.counts, weights)
 
 
+_ENOUGH = 2
+"""Conditions for each entry of a vector, from which on the levels of the noise are estimated."""
+
+
+def suffices(conditions: Conditions) -> bool:
+    """Whether there are conditions enough to estimate their drift."""
+    return len(conditions.names) > _ENOUGH * conditions.vectors.shape[1]
+
+
 def spread_conditions(
     unbalance: np.ndarray, planes: tuple[int, ...], speeds: np.ndarray, channels: tuple[tuple[int, float], ...]
 ) -> Conditions:

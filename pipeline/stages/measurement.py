@@ -19,7 +19,7 @@ from pipeline.files import hash_file, read_json
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.storage import ARCHITECTURE, WEIGHTS, load_model
 from pipeline.identification.uncertainty import UNCERTAINTY, Uncertainty
-from pipeline.problem.condition_noise import condition_noise, to_dataset
+from pipeline.problem.condition_noise import condition_noise, suffices, to_dataset
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.problem.model_parameters import model_parameters
 from pipeline.rotor.bearing_table import BearingTable
@@ -82,17 +82,20 @@ def build_measurement(config: Config, rotor: RotorModel, dataset: VibrationDatas
     """The measurement that a configuration asks about, from data that are at hand."""
     require_synchronous(rotor, dataset)
     noise, model, identify = config.stated_noise, config.model, config.identify
-    drift = None
+    stated, drift = NoiseModel(noise.additive, noise.multiplicative, noise.drift), None
     if dataset.conditions is not None:
         conditions = gather_conditions(dataset)
-        drift = condition_noise(conditions, NoiseModel(noise.additive, noise.multiplicative))
+        if suffices(conditions):
+            drift = condition_noise(conditions, stated)
+        else:
+            stated = stated.with_drift()
         dataset = to_dataset(conditions)
     unknowns = identify.unknowns_of(rotor.bearing_nodes)
     return Measurement(
         rotor,
         dataset,
         known,
-        NoiseModel(noise.additive, noise.multiplicative),
+        stated,
         unknowns,
         Guess(model.initial_stiffness, model.initial_damping, identify.known_within),
         drift=drift,
