@@ -96,7 +96,7 @@ _ENOUGH = 2
 
 def suffices(conditions: Conditions) -> bool:
     """Whether there are conditions enough to estimate their drift."""
-    return len(conditions.names) > _ENOUGH * conditions.vectors.shape[1]
+    return len(conditions.names) > _ENOUGH * int(conditions.vectors.shape[1])
 
 
 def spread_conditions(
