@@ -117,7 +117,7 @@ class Config(Section):
     balance: BalanceConfig = BalanceConfig()
     predict: PredictConfig = PredictConfig()
     export: ExportConfig = Field(default=ExportConfig(units="si", formats=get_args(ExportFormat)), exclude=True)
-    folds: FoldsConfig = Field(default=FoldsConfig(), exclude=True)
+    folds: FoldsConfig = Field(default=FoldsConfig())
     new: NewConfig = Field(default=NewConfig(bearings="fluid_film", data="simulated"), exclude=True)
     chosen_by: str = Field(default="", exclude=True)
 

@@ -52,7 +52,7 @@ EXCITATION: list[Law] = [
     ("'unbalance' or 'force' in the column 'kind'", put("kind", "hammer", [0]), "'hammer'"),
     ("'forward' or 'backward' in the column 'whirl'", put("whirl", "around", [1]), "'around'"),
     (NODES, put("node", 3, [0]), "node 3"),
-    *(("must have magnitudes above zero", put("magnitude", size, [0]), f"got {size:g}") for size in (0.0, -1.0)),
+    *(("must have magnitudes above zero", put("magnitude", size, [0]), f"got {size:g}") for size in (-1e-300, -1.0)),
     ("finite numbers in the column 'magnitude'", put("magnitude", np.inf, [0]), "row 1"),
     ("finite numbers in the column 'phase_deg'", put("phase_deg", np.nan, [1]), "row 2"),
     ("finite numbers in the column 'magnitude'", put("magnitude", "100 g mm", [0]), "'100 g mm'"),

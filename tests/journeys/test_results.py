@@ -30,8 +30,8 @@ def test_a_stage_makes_what_it_needs_and_says_so(run: Run, tmp_path: Path, capsy
     assert (tmp_path / "new folder" / "prediction.json").exists()
 
 
-USUAL = [name for name in EXPERIMENTS if name != "realistic"]
-"""With probes along x and y, and robustness of one data set; the other is in stages/test_machines_as_built.py."""
+USUAL = [name for name in EXPERIMENTS if name not in ("realistic", "rk4")]
+"""With probes along x and y, and robustness of one data set; the others have tests of their own."""
 
 EVERY_EXPERIMENT = pytest.mark.parametrize(
     "experiment", [DEFAULT, *(pytest.param(n, marks=pytest.mark.slow) for n in USUAL if n != DEFAULT)]
