@@ -3,14 +3,17 @@
 Coefficients and gyroscopic terms belong to the rotor speed, the dynamics to the excitation frequency w; the two are
 the same for unbalance (synchronous), and may differ for a shaker.
 
-Legend: S speeds, R runs, P measured channels (a node and a direction each). SI and radians.
+A point is what is set when a reading is taken: a speed, and operating conditions beside it (an oil temperature, a load)
+where the data have some. So one speed may come more than once, each time at other conditions.
+
+Legend: S operating points, R runs, P measured channels (a node and a direction each). SI and radians.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -42,9 +45,9 @@ class Excitation:
 
 @dataclass(frozen=True, eq=False)
 class VibrationDataset:
-    """Complex amplitudes Q of q(t) = Re(Q e^{jwt}), zero-to-peak, of every run, speed and channel."""
+    """Complex amplitudes Q of q(t) = Re(Q e^{jwt}), zero-to-peak, of every run, operating point and channel."""
 
-    speeds: np.ndarray  # (S,) rad/s, ascending
+    speeds: np.ndarray  # (S,) rad/s, ascending; of points with operating conditions, ascending at each of them
     runs: tuple[str, ...]  # R
     channels: tuple[tuple[int, float], ...]  # P of (node, angle of the direction in degrees, from x towards y)
     displacement: np.ndarray  # (S, P, R) complex, m
@@ -52,6 +55,8 @@ class VibrationDataset:
     own_frequencies: np.ndarray | None = None  # (S, R) rad/s; None where every run turns with the rotor
     subtracted: np.ndarray | None = None  # (S, P, R) m, the baseline that was taken off; its noise is still there
     conditions: tuple[str, ...] | None = None  # (R,) the condition that a run repeats; None where each is its own
+    operating: Mapping[str, np.ndarray] = field(default_factory=dict)  # name -> (S,) SI, temperatures in K
+    present: np.ndarray | None = None  # (S, R) bool: which runs were measured where; None for all, everywhere
 
     @cached_property
     def frequencies(self) -> np.ndarray:
@@ -68,13 +73,15 @@ class VibrationDataset:
             digest.update(repr(self.conditions).encode())
         digest.update(np.ascontiguousarray(self.speeds).tobytes())
         digest.update(np.ascontiguousarray(self.displacement).tobytes())
-        for more in (self.own_frequencies, self.subtracted):
+        for more in (self.own_frequencies, self.subtracted, self.present):
             if more is not None:
                 digest.update(np.ascontiguousarray(more).tobytes())
+        for name, values in self.operating.items():
+            digest.update(name.encode() + np.ascontiguousarray(values).tobytes())
         return digest.hexdigest()[:16]
 
     def at(self, speeds: np.ndarray) -> VibrationDataset:
-        """The same at the ``speeds`` (indices)."""
+        """The same at the points ``speeds`` (indices)."""
         return self._select(speeds, slice(None))
 
     def of_runs(self, runs: np.ndarray) -> VibrationDataset:
@@ -85,14 +92,21 @@ class VibrationDataset:
         return replace(self._select(slice(None), runs), runs=names, excitations=acting, conditions=repeated)
 
     def _select(self, speeds: np.ndarray | slice, runs: np.ndarray | slice) -> VibrationDataset:
-        own, subtracted = self.own_frequencies, self.subtracted
+        own, subtracted, present = self.own_frequencies, self.subtracted, self.present
         return replace(
             self,
             speeds=self.speeds[speeds],
             displacement=self.displacement[speeds][..., runs],
             own_frequencies=None if own is None else own[speeds][:, runs],
             subtracted=None if subtracted is None else subtracted[speeds][..., runs],
+            operating={name: values[speeds] for name, values in self.operating.items()},
+            present=None if present is None else present[speeds][:, runs],
         )
+
+    @property
+    def n_readings(self) -> int:
+        """How many complex numbers were measured."""
+        return self.displacement.size if self.present is None else int(self.present.sum()) * len(self.channels)
 
     def excitation_of(self, run: int) -> tuple[Excitation, ...]:
         """What acts in the run of this index, without its name: equal for runs that repeat each other."""

@@ -50,7 +50,10 @@ def simulate(
     response = solve_response(rotor, bearings, excitations, runs, own_frequencies)
     channels = tuple((node, angle) for node in range(rotor.n_nodes) for angle in DIRECTIONS.values())
     measured = [translation_dof(node, direction) for node in range(rotor.n_nodes) for direction in range(TRANSLATIONS)]
-    return VibrationDataset(bearings.speeds, runs, channels, response[:, measured], excitations, own_frequencies)
+    shown = response[:, measured]
+    return VibrationDataset(
+        bearings.speeds, runs, channels, shown, excitations, own_frequencies, operating=bearings.operating
+    )
 
 
 def add_noise(dataset: VibrationDataset, deviation: np.ndarray, generator: np.random.Generator) -> VibrationDataset:

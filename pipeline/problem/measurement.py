@@ -111,10 +111,14 @@ class Measurement:
 
     @cached_property
     def deviation(self) -> np.ndarray:
-        """(S, P, R) m, root mean square of each reading's noise, by the sizes of the readings or by its levels."""
+        """(S, P, R) m, root mean square of each reading's noise, by the sizes of the readings or by its levels; infinite
+        where a run was not measured.
+        """
         if self.drift is not None:
             return self.drift.deviation()
-        return self.deviation_of(self.dataset.displacement, self.dataset.subtracted)
+        own = self.deviation_of(self.dataset.displacement, self.dataset.subtracted)
+        present = self.dataset.present
+        return own if present is None else np.where(present[:, None], own, np.inf)
 
     def deviation_of(
         self, displacement: np.ndarray, subtracted: np.ndarray | None = None, factor: np.ndarray | None = None

@@ -1,11 +1,12 @@
-"""Bearing coefficients over speed, and the impedance that they make.
+"""Bearing coefficients over operating points (speed and conditions), and the impedance that they make.
 
-Legend: B bearings, S speeds, 8 coefficients in the order of :data:`pipeline.coefficients.COEFFICIENTS`.
+Legend: B bearings, S operating points, 8 coefficients in the order of :data:`pipeline.coefficients.COEFFICIENTS`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -15,11 +16,12 @@ from pipeline.unknowns import UnknownSet
 
 @dataclass(frozen=True, eq=False)
 class BearingTable:
-    """The eight coefficients of every bearing at every speed."""
+    """The eight coefficients of every bearing at every operating point."""
 
     nodes: tuple[int, ...]  # B
     speeds: np.ndarray  # (S,) rad/s
     values: np.ndarray  # (B, S, 8) N/m and N s/m
+    operating: Mapping[str, np.ndarray] = field(default_factory=dict)  # name -> (S,) SI, temperatures in K
 
     def coefficient(self, name: str) -> np.ndarray:
         """(B, S) values of one coefficient."""
@@ -42,5 +44,6 @@ class BearingTable:
         return stiffness[:, :, None] + 1j * w[:, :, None, None] * damping[:, :, None]
 
     def at(self, keep: np.ndarray) -> BearingTable:
-        """The same at the speeds that the mask or index ``keep`` selects."""
-        return BearingTable(self.nodes, self.speeds[keep], self.values[:, keep])
+        """The same at the points that the mask or index ``keep`` selects."""
+        operating = {name: values[keep] for name, values in self.operating.items()}
+        return replace(self, speeds=self.speeds[keep], values=self.values[:, keep], operating=operating)
