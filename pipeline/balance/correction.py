@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from scipy.spatial import KDTree
 
 MOST_CHOICES = 3_000_000
-"""Of one plane: more would not fit into memory at once."""
+"""Choices of one plane: more would not fit into memory at once."""
 MOST_HOLES = 30_000
 """Sets of holes that are tried one by one, which takes a second."""
 _SAME = 1e-9
@@ -171,6 +171,7 @@ def _search(triangle: np.ndarray, wanted: np.ndarray, choices: Sequence[_Choices
     least = math.inf
 
     def descend(i: int, fixed: list[int], spent: float) -> None:
+        """Choose plane i and those before it, where the planes after it are ``fixed`` and have cost ``spent``."""
         nonlocal best, least
         rest = sum(triangle[i, j] * (choices[j].unbalance[k] - wanted[j]) for j, k in enumerate(fixed, i + 1))
         target, size = wanted[i] - rest / triangle[i, i], abs(triangle[i, i])

@@ -23,6 +23,7 @@ def influence_peers(calibration: tuple[str, ...], rate: float) -> dict[str, Peer
     """
 
     def plain(train: Conditions, speeds: np.ndarray) -> LinearVibration:
+        """The calibration alone, as equal and independent readings."""
         _require_same(train, speeds)
         kept = [c for c, name in enumerate(train.names) if name in calibration]
         if len(kept) < 1 + len(train.planes):

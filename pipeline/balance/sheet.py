@@ -22,7 +22,7 @@ from pipeline.errors import ConfigError
 
 _MOST_ALIKE = 1e14
 _PASSES = 5
-"""Of the search, each with the influence coefficients at the weights found before; they hardly change."""
+"""Rounds of the search, each with the influence coefficients at the weights found before; they hardly change."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

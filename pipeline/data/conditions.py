@@ -5,7 +5,7 @@ Legend: C conditions, S speeds, P channels, N planes, R runs (one record each).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -44,6 +44,10 @@ class Conditions:
             counts=self.counts[kept],
             unbalance=self.unbalance[kept],
         )
+
+    def without(self, names: Collection[str]) -> Conditions:
+        """The conditions that are not among these names."""
+        return self.of([c for c, name in enumerate(self.names) if name not in names])
 
     def at(self, speeds: Sequence[int] | np.ndarray) -> Conditions:
         """The same at the speeds of these indices alone."""

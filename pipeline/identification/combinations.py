@@ -141,7 +141,7 @@ def _try_runs(
             problem.sensors.plane_scale,
         )
         # Its own problem has the priors again.
-        gained = more.normal(weights)[1][0, 0] - more.prior_matrix()
+        gained = more.normal(weights)[1][0, 0] - more.weight_prior.matrix()
         tried.append(NextRun(data.runs[run], float(speeds[0]), _deviation(information + gained, along)))
     best = min(tried, key=lambda one: one.deviation)
     return best if best.deviation < WORTH * before else None

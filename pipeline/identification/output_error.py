@@ -25,10 +25,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from pipeline.identification.basis import Basis
 from pipeline.identification.sensor_deviations import SensorDeviations, SensorState, sensor_deviations
+from pipeline.identification.weight_prior import WeightPrior, size_prior
+from pipeline.identification.whitened_readings import WhitenedReadings
 from pipeline.problem.measurement import Measurement
 
 if TYPE_CHECKING:
@@ -99,51 +99,21 @@ class OutputError:
 
         return torch.cat([self.kept.flatten(), torch.ones(self.n_rest, dtype=torch.bool)])
 
-    def prior_precision(self) -> torch.Tensor:
-        """(Z,) of the weights: those of the features, none of the planes, 1 of the model parameters."""
+    @cached_property
+    def weight_prior(self) -> WeightPrior:
+        """Of the features, none of the planes, of unit variance of the model parameters; of the coefficients' sizes."""
         import torch
 
         own = (self.prior * self.kept).flatten()
-        return torch.cat([own, torch.zeros(2 * self.n_planes), torch.ones(self.n_parameters)]).to(self.prior.dtype)
-
-    def prior_matrix(self) -> torch.Tensor:
-        """(Z, Z) information of all priors together."""
-        import torch
-
-        matrix = torch.diag(self.prior_precision())
-        if self._sizes is not None:
-            rows = torch.block_diag(*self._sizes[0])
-            matrix[: self.n_outer, : self.n_outer] += rows.T @ rows
-        return matrix
+        rest = [torch.zeros(2 * self.n_planes), torch.ones(self.n_parameters)]
+        sizes = size_prior(self.measurement, self.basis.model, self.sensors.scale, self.readings.features)
+        return WeightPrior(torch.cat([own, *rest]).to(self.prior.dtype), sizes)
 
     @cached_property
-    def _sizes(self) -> tuple[torch.Tensor, torch.Tensor] | None:
-        """(A, K) and (A,): a row a coefficient, whose mean over the speeds has a prior about its guess; None without.
-
-        The row times the weights is the mean output over its prior deviation, which is the logarithm of
-        ``guess.within`` for what must be positive, and that many guesses otherwise.
-        """
-        import torch
-
-        guess, scale, rows, aims = self.measurement.guess, self.sensors.scale, [], []
-        if guess.within is None:
-            return None
-        sizes = guess.sizes(self.measurement.unknowns)
-        for a, (m, u) in enumerate(self.active):
-            positive = self.basis.model.positive[u]
-            share = float(sizes[m, u] / scale[m, 0, u])
-            deviation = np.log(guess.within) if positive else guess.within * share
-            rows.append(self.features[m].mean(0) * self.kept[a] / deviation)
-            aims.append(np.log(share) / deviation if positive else 0.0)
-        return torch.stack(rows), torch.tensor(aims, dtype=rows[0].dtype)
-
-    def _size_rows(self, weights: torch.Tensor) -> torch.Tensor:
-        """(G, A or 0) whitened deviations of the coefficients' sizes from their guesses."""
-        if self._sizes is None:
-            return weights[:, 0, :0]
-        rows, aims = self._sizes
-        own: torch.Tensor = (weights[:, 0, : self.n_outer].unflatten(-1, rows.shape) * rows).sum(-1)
-        return own - aims
+    def readings(self) -> WhitenedReadings:
+        """The readings' rows, as functions of the weights."""
+        members = [m for m, _ in self.active]
+        return WhitenedReadings(self.sensors, self.features[members] * self.kept[:, None])
 
     # --- from weights to coefficients ---------------------------------------------------------------
 
@@ -193,33 +163,14 @@ class OutputError:
 
     def deviations(self, weights: torch.Tensor) -> list[torch.Tensor]:
         """(G, S, P, R) complex, whitened: predicted minus measured, of unit variance in each part."""
-        every = self.sensors.deviations(self.state(weights))
-        return [self._mix(b, one[..., None])[..., 0] for b, one in enumerate(every)]
-
-    @cached_property
-    def _mixing(self) -> torch.Tensor | None:
-        """(R, S P, S P) see :meth:`pipeline.problem.condition_noise.ConditionNoise.mixing`; None without levels."""
-        import torch
-
-        return None if self.measurement.drift is None else torch.as_tensor(self.measurement.drift.mixing())
-
-    def _mix(self, b: int, rows: torch.Tensor) -> torch.Tensor:
-        """Rows (G, S, P, R, n) of block b over their own deviations, without what probes and speeds share."""
-        import torch
-
-        if self._mixing is None:
-            return rows
-        own = self._mixing[torch.as_tensor(self.sensors.blocks[b].runs)]
-        mixed: torch.Tensor = torch.einsum("rij,gjrn->girn", own, rows.flatten(1, 2)).unflatten(1, rows.shape[1:3])
-        return mixed
+        return self.readings.deviations(self.state(weights))
 
     def rows(self, weights: torch.Tensor) -> torch.Tensor:
         """(G, 1, rows + Z + A), whitened; the priors come last, those of the coefficients' sizes at the very end."""
         import torch
 
-        parts = [torch.view_as_real(d).reshape(len(weights), -1) for d in self.deviations(weights)]
-        priors = [self.prior_precision().sqrt() * weights[:, 0], self._size_rows(weights)]
-        return torch.cat([*parts, *priors], dim=-1)[:, None]
+        both = [self.readings.rows(self.state(weights)), self.weight_prior.rows(weights[:, 0])]
+        return torch.cat(both, dim=-1)[:, None]
 
     def loss(self, weights: torch.Tensor) -> torch.Tensor:
         """(G, 1) root mean square of the whitened deviations: 1 where nothing but the stated noise is left."""
@@ -235,64 +186,25 @@ class OutputError:
         """
         import torch
 
-        own, state, parts = self._own_features(), self.state(weights), []
-        for b in range(len(self.sensors.blocks)):
-            _, by_output, by_rest = self.sensors.derivatives(state, b)
-            full = torch.cat([torch.einsum("gsda,ask->gsdak", by_output, own).flatten(-2), by_rest], dim=-1)
-            real, imaginary = full.unflatten(2, (2, -1)).unbind(2)  # (G, S, P R, Z)
-            rows = torch.complex(real, imaginary).unflatten(2, (self.sensors.measured[b].shape[-2], -1))
-            both = torch.view_as_real(self._mix(b, rows)).movedim(-1, -2)  # (G, S, P, R, 2, Z), as the rows are
-            parts.append(both.flatten(1, 4))
-        priors = torch.diag(self.prior_precision().sqrt())
-        if self._sizes is not None:
-            own_sizes = torch.nn.functional.pad(torch.block_diag(*self._sizes[0]), (0, self.n_rest))
-            priors = torch.cat([priors, own_sizes])
-        return torch.cat([*parts, priors.expand(len(weights), -1, -1)], dim=1)[:, None]
-
-    def _own_features(self) -> torch.Tensor:
-        """(A, S, K), zero where not kept."""
-        return self.features[[m for m, _ in self.active]] * self.kept[:, None]
+        priors = self.weight_prior.slopes().expand(len(weights), -1, -1)
+        return torch.cat([self.readings.jacobian(self.state(weights)), priors], dim=1)[:, None]
 
     def normal(self, weights: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Gradient J'r (G, 1, Z) and J'J (G, 1, Z, Z), summed speed by speed: the features are the same in all rows.
+        """Gradient J'r (G, 1, Z) and J'J (G, 1, Z, Z).
 
         Weights that are not fitted have a gradient of 0 and 1 on the diagonal, so that a step leaves them.
         """
         import torch
 
-        if self._mixing is not None:
-            return self._normal_of_jacobian(weights)
-        own, outer, state = self._own_features(), self.n_outer, self.state(weights)
-        gradient = torch.zeros(len(weights), self.size, dtype=weights.dtype)
-        matrix = torch.diag((~self.fitted()).to(weights.dtype)).repeat(len(weights), 1, 1)
-        for b in range(len(self.sensors.blocks)):
-            right, by_output, by_rest = self.sensors.derivatives(state, b)
-            local = by_output.mT @ by_output  # (G, S, A, A)
-            gradient[:, :outer] += torch.einsum("gsa,ask->gak", (by_output.mT @ right)[..., 0], own).flatten(1)
-            for a in range(len(self.active)):
-                weighted = own[a][None, :, :, None] * local[:, :, a, None, :]  # (G, S, K, A)
-                rows = slice(a * own.shape[-1], (a + 1) * own.shape[-1])
-                matrix[:, rows, :outer] += torch.einsum("gskc,csl->gkcl", weighted, own).flatten(2)
-            if self.n_rest:
-                mixed = torch.einsum("gsan,ask->gakn", by_output.mT @ by_rest, own).flatten(1, 2)
-                matrix[:, :outer, outer:] += mixed
-                matrix[:, outer:, :outer] += mixed.mT
-                matrix[:, outer:, outer:] += (by_rest.mT @ by_rest).sum(1)
-                gradient[:, outer:] += (by_rest.mT @ right).sum(1)[..., 0]
-        gradient += self.prior_precision() * weights[:, 0]
-        if self._sizes is not None:
-            gradient[:, :outer] += (self._size_rows(weights)[..., None] * self._sizes[0]).flatten(1)
-        matrix += self.prior_matrix()
-        return gradient[:, None], matrix[:, None]
-
-    def _normal_of_jacobian(self, weights: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """:meth:`normal` where noise ties the speeds together."""
-        import torch
-
-        slope, fitted = self.jacobian(weights), self.fitted()
-        gradient = (slope.mT @ self.rows(weights)[..., None])[..., 0]
-        matrix = slope.mT @ slope
-        return gradient * fitted, matrix * (fitted[:, None] & fitted) + torch.diag((~fitted).to(slope.dtype))
+        fitted = self.fitted()
+        left = torch.diag((~fitted).to(weights.dtype))
+        if self.readings.tied:
+            slope = self.jacobian(weights)
+            gradient = (slope.mT @ self.rows(weights)[..., None])[..., 0] * fitted
+            return gradient, slope.mT @ slope * (fitted[:, None] & fitted) + left
+        gradient, matrix = self.readings.normal(self.state(weights))
+        gradient = gradient + self.weight_prior.gradient(weights[:, 0])
+        return gradient[:, None], (matrix + self.weight_prior.matrix() + left)[:, None]
 
     def scatter(self) -> float:
         """None: the readings are weighed by their noise."""

@@ -84,7 +84,7 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
     value, readings = chi_square(plain)
     posterior = fit.model_parameters()
     # What the data do not tell of a weight its prior does: it takes no reading away.
-    by_prior = np.einsum("zy,yz->z", fit.covariance(), fit.problem.prior_matrix().numpy())
+    by_prior = np.einsum("zy,yz->z", fit.covariance(), fit.problem.weight_prior.matrix().numpy())
     used = fit.problem.n_fitted - float(by_prior.sum())
     correlation, significance = autocorrelation(plain)
     bad = () if fit.problem.measurement.drift is not None else _bad_points(fit, plain)

@@ -39,8 +39,8 @@ _REVERSED = _MIRRORED * np.array([1.0 if name[0] == "k" else -1.0 for name in CO
 class Sense:
     """How a data set is read, against how it is written."""
 
-    lag: bool = False  # phases of the readings count as lag: they are conjugated
-    against: bool = False  # angles of the weights count against the rotation: they change sign
+    lag: bool = False  # phases of the readings count the other way: they are conjugated
+    against: bool = False  # angles of the weights count the other way: they change sign
     mirrored: bool = False  # the shaft turns from y to x: angles of the probes change sign
 
     @property
@@ -52,18 +52,20 @@ class Sense:
     def words(self) -> str:
         """In words."""
         parts = [
-            f"phase as {'lag' if self.lag else 'lead'}",
-            f"weights {'against' if self.against else 'with'} the rotation",
-            f"rotation from {'y to x' if self.mirrored else 'x to y'}",
+            f"phases {'conjugated' if self.lag else 'as written'}",
+            f"angles of weights {'negated' if self.against else 'as written'}",
+            f"rotation {'from y to x' if self.mirrored else 'as written'}",
         ]
         return ", ".join(parts)
 
     def read(self, measurement: Measurement) -> Measurement:
         """The measurement as this sense has it; the frame always turns from x to y."""
-        data, known = measurement.dataset, measurement.known
+        known, drift = measurement.known, measurement.drift
         if self.mirrored:
             known = replace(known, values=known.values * _MIRRORED)
-        return replace(measurement, dataset=self._turn(data), known=known)
+        if self.lag and drift is not None:
+            drift = drift.conjugated()
+        return replace(measurement, dataset=self._turn(measurement.dataset), known=known, drift=drift)
 
     def _turn(self, data: VibrationDataset) -> VibrationDataset:
         taken = data.subtracted
@@ -118,7 +120,7 @@ class Senses:
             text += ": a run with a weight at another angle would"
         else:
             text = f"the data choose {best.sense.words}"
-            text += ", as they are written" if best.sense == Sense() else " (not as they are written)"
+            text += "" if best.sense == Sense() else " (not all as they are written)"
         if rest and not others:
             other = next((one for one in rest if one.sense != best.sense.twin), rest[0])
             text += f"; chi-square of the next machine ({other.sense.words}) is {other.chi_square:.3g} larger"
@@ -221,5 +223,4 @@ def _square(fit: OutputErrorFit, factor: np.ndarray) -> float:
     for deviations in problem.deviations(fit.weights):
         off = (deviations.abs() / math.sqrt(2.0)).numpy()
         total += float(np.where(off < HUBER, off**2, HUBER * (2 * off - HUBER)).sum())
-    priors = float((problem.prior_precision() * fit.weights[0, 0] ** 2).sum())
-    return 2.0 * total + priors
+    return 2.0 * total + float(problem.weight_prior.rows(fit.weights[:, 0]).square().sum())

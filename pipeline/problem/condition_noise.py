@@ -43,6 +43,12 @@ class ConditionNoise:
         correlation = covariance / own[:, :, None] / own[:, None, :]
         return np.asarray(np.linalg.inv(np.linalg.cholesky(correlation)))
 
+    def conjugated(self) -> ConditionNoise:
+        """That of conjugated readings."""
+        levels = self.levels
+        turned = replace(levels, record=levels.record.conj(), condition=levels.condition.conj())
+        return replace(self, levels=turned)
+
     def select(self, speeds: np.ndarray, runs: np.ndarray | None) -> ConditionNoise:
         """The same at the ``speeds`` (mask or index) and for the ``runs`` (indices; None for all)."""
         n_speeds, n_channels, _ = self.levels.record.shape

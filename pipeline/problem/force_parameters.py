@@ -19,7 +19,7 @@ from pipeline.rotor.model import RotorModel, bearing_dof, translation_dof
 from pipeline.rotor.parameters import OF_ALL_WEIGHTS, OF_WEIGHT, ModelParameter
 
 PARTS = {"real": 1.0, "imaginary": 1j}
-"""Of a complex number, which is two parameters."""
+"""A complex number is two parameters: its parts, and the unit of each."""
 
 
 def number_excitations(excitations: Sequence[Excitation]) -> Iterator[tuple[int, Excitation]]:

@@ -1,7 +1,7 @@
 """What stands between the shaft and the ground in a rotor of ROSS: bearings on supports, seals, thrust bearings.
 
 A bearing on a support is identified as the shaft feels it, film and support in series: no vibration of the shaft tells
-one from the other. Of a support's node i and a shaft's node s,
+one from the other. With a support's node i and a shaft's node s it is
 
     Z = Z_ss - Z_si Z_ii^-1 Z_is,     K = Re Z,     C = Im Z / w,     each part K + j w C - w^2 M
 

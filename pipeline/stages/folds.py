@@ -40,7 +40,7 @@ def run(config: Config) -> StageOutput:
     _require_names(config, conditions)
     found, model = find_contradictions(conditions, config.folds.false_alarm_rate)
     named = [one.name for one in found]
-    kept = conditions.of([c for c, name in enumerate(conditions.names) if name not in named])
+    kept = conditions.without(named)
     for one in found:
         say(f"{config.name}: {describe_contradiction(config, conditions, one)}")
     calibration = config.folds.calibration

@@ -36,7 +36,7 @@ from pipeline.units import RAD_S_PER_RPM
 
 _MICROMETRES = 1e6
 _POOR = 0.3
-"""Of the vectors, left over: modes explain so little only where something is read wrongly."""
+"""Share of the vectors that is left over: modes explain so little only where something is read wrongly."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

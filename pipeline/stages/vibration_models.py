@@ -77,8 +77,8 @@ def _fit_influence(config: Config, dataset: VibrationDataset) -> Fitted:
     if bad:
         names = ", ".join(one.name for one in bad)
         say(f"{config.name}: influence coefficients without {names}, which contradict their labels")
-    sound = [c for c, name in enumerate(conditions.names) if name not in {one.name for one in bad}]
-    return Fitted(conditions, conditions.of(sound), {"influence": influence})
+    sound = conditions.without([one.name for one in bad])
+    return Fitted(conditions, sound, {"influence": influence})
 
 
 def leave_each_out(fitted: Fitted, method: str) -> list[LinearVibration]:

@@ -65,7 +65,7 @@ def test_data_written_in_the_wrong_sense_are_found(written: Sense, setup: FitSet
     assert found.open == found.trials[:1]
     assert found.least < 1.5 * found.expected
     assert f"the data choose {written.words}" in found.sentence
-    assert ("(not as they are written)" in found.sentence) == (written != Sense())
+    assert ("(not all as they are written)" in found.sentence) == (written != Sense())
     assert "would need damping of the other sign" in found.sentence
 
 

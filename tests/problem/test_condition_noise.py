@@ -41,6 +41,15 @@ def test_a_part_of_the_noise_is_that_of_the_part(rng: np.random.Generator) -> No
     np.testing.assert_array_equal(noise.select(np.arange(2), None).covariance(), noise.covariance())
 
 
+def test_noise_of_conjugated_readings_is_whitened_by_the_conjugate(rng: np.random.Generator) -> None:
+    """And a reading's own deviation is the same."""
+    noise = some_noise(rng, np.array([1, 3]))
+    turned = noise.conjugated()
+    np.testing.assert_allclose(turned.mixing(), noise.mixing().conj(), rtol=1e-9, atol=1e-12)
+    np.testing.assert_array_equal(turned.deviation(), noise.deviation())
+    assert abs(turned.mixing() - noise.mixing()).max() > 0.1
+
+
 def test_residuals_show_their_covariance_without_bias(rng: np.random.Generator) -> None:
     """On average over 40 sets of 60 residuals of Gaussian noise, whose fit took 12 real numbers."""
     before = some_noise(rng, np.full(60, 3))
