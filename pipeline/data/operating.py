@@ -1,0 +1,64 @@
+"""Operating conditions beside the speed: which points share them, and how an engineer writes them.
+
+Legend: S operating points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+_ZERO_CELSIUS = 273.15
+_UNITS = {"temperature": ("degC", 1.0, -_ZERO_CELSIUS), "pressure": ("bar", 1e-5, 0.0), "load": ("N", 1.0, 0.0)}
+"""By the last part of a condition's name: the unit that is shown, what SI is multiplied by, and what is added."""
+
+
+def split_states(speeds: np.ndarray, operating: Mapping[str, np.ndarray]) -> list[tuple[str, np.ndarray]]:
+    """Lines over the speed: a label such as ``45 degC``, and the indices of its points, by ascending speed.
+
+    Points of equal conditions belong together; without conditions all do, and the label is empty. Conditions that
+    change from point to point, as in a run-up whose oil warms, make a line too (``45 to 52 degC``): where a speed comes
+    more than once, each time on a line of its own, the lowest condition on the first. No line has a speed twice.
+
+    Args:
+        speeds: (S,) rad/s.
+        operating: name -> (S,) SI, temperatures in K.
+    """
+    if not operating:
+        return [("", np.arange(len(speeds)))]
+    values = np.stack([np.asarray(of, dtype=float) for of in operating.values()], axis=1)  # (S, conditions)
+    unique, of = np.unique(values, axis=0, return_inverse=True)
+    of = of.ravel()
+    repeated = any(len(np.unique(speeds[of == i])) < (of == i).sum() for i in range(len(unique)))
+    if repeated or np.bincount(of).min() < 2:
+        of = _rank_conditions(speeds, values)
+    found = []
+    for i in range(of.max() + 1):
+        points = np.flatnonzero(of == i)
+        points = points[np.argsort(speeds[points], kind="stable")]
+        found.append((name_state({name: of_all[points] for name, of_all in operating.items()}), points))
+    return found
+
+
+def _rank_conditions(speeds: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """(S,) how many points of the same speed have lower conditions than this one."""
+    order = np.lexsort((*values.T[::-1], speeds))
+    starts = np.r_[True, np.diff(speeds[order]) > 0]
+    first = np.maximum.accumulate(np.where(starts, np.arange(len(order)), 0))
+    rank = np.empty(len(order), dtype=int)
+    rank[order] = np.arange(len(order)) - first
+    return rank
+
+
+def name_state(operating: Mapping[str, np.ndarray | float]) -> str:
+    """Such as ``45 degC, 500 N``, or ``45 to 52 degC`` of values that differ (SI)."""
+    return ", ".join(write_condition(name, values) for name, values in operating.items())
+
+
+def write_condition(name: str, values: np.ndarray | float) -> str:
+    """One condition in the unit that an engineer uses, such as ``45 degC``; without one, with its name."""
+    unit, factor, shift = _UNITS.get(name.rsplit("_", 1)[-1], ("", 1.0, 0.0))
+    shown = [f"{end:.4g}" for end in (factor * np.min(values) + shift, factor * np.max(values) + shift)]
+    numbers = " to ".join(dict.fromkeys(shown))
+    return f"{numbers} {unit}" if unit else f"{name.replace('_', ' ')} {numbers}"
