@@ -179,7 +179,7 @@ def restore_physical(
 
     moved = measurement.update(uncertainty.parameters)
     speeds, sizes = measurement.dataset.speeds, measurement.guess.sizes(measurement.unknowns)
-    basis = replace(drawn_basis(setup, moved, speeds, sizes), model=identified.model)
+    basis = replace(drawn_basis(setup, moved, moved.dataset.points, sizes), model=identified.model)
     problem = output_error(moved, basis, uncertainty.plane_scale)
     values = identified.values(speeds)[: measurement.unknowns.n_members]
     weights = start_at(problem, values)

@@ -104,6 +104,11 @@ class VibrationDataset:
         )
 
     @property
+    def points(self) -> dict[str, np.ndarray]:
+        """Name -> (S,) what the coefficients may depend on: ``speed`` in rad/s, and the operating conditions."""
+        return {"speed": self.speeds, **self.operating}
+
+    @property
     def n_readings(self) -> int:
         """How many complex numbers were measured."""
         return self.displacement.size if self.present is None else int(self.present.sum()) * len(self.channels)

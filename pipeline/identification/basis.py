@@ -6,6 +6,7 @@ unknowns, Q parameters.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -34,9 +35,9 @@ class Basis:
         """K."""
         return self.weights.shape[-1]
 
-    def at(self, speeds: np.ndarray) -> torch.Tensor:
-        """(M, S, K) the basis at ``speeds`` (S,) rad/s."""
-        return self.model.features(self.parameters, self.model.scaled_inputs(speed=speeds)) @ self.weights
+    def at(self, points: Mapping[str, np.ndarray]) -> torch.Tensor:
+        """(M, S, K) the basis at ``points``: name -> (S,), the speed in rad/s."""
+        return self.model.features(self.parameters, self.model.scaled_inputs(points)) @ self.weights
 
     def prior_precision(self, n_speeds: int, beyond_trend: float) -> torch.Tensor:
         """(K,) of the weights: a coefficient deviates from its trend by ``beyond_trend``, as normal with mean zero.
@@ -60,15 +61,15 @@ class Basis:
         return torch.cat([hidden.expand(len(output), *hidden.shape), output], dim=-1)
 
 
-def orthonormal_basis(model: CoefficientModel, parameters: torch.Tensor, speeds: np.ndarray) -> Basis:
-    """The basis for training at ``speeds`` (S,) rad/s.
+def orthonormal_basis(model: CoefficientModel, parameters: torch.Tensor, points: Mapping[str, np.ndarray]) -> Basis:
+    """The basis for training at ``points``: name -> (S,), the speed in rad/s.
 
     First the constant and the trend, then the combinations of hidden units that vary most beside them: broad units
     overlap, so these are the smooth ones. Combinations that hardly vary are left out.
     """
     import torch
 
-    features = model.features(parameters, model.scaled_inputs(speed=speeds))
+    features = model.features(parameters, model.scaled_inputs(points))
     count = 1 + model.n_trend
     hidden, trend = features[..., :-count], features[..., -count:]
     first, from_trend = _orthonormal(trend)

@@ -17,12 +17,14 @@ Legend: S speeds, A active unknowns, K features, L local functions, Z weights of
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pipeline.identification.functions import evaluate_functions
+from pipeline.identification.inputs import SPEED
 from pipeline.identification.model import CoefficientModel
 from pipeline.identification.output_error import OutputError
 
@@ -51,27 +53,36 @@ class MeanSquareError:
 
 
 def count_local(model: CoefficientModel, n_speeds: int) -> int:
-    """L; constants have none, as they are constants by assumption."""
+    """L, for so many different speeds; constants have none, as they are constants by assumption."""
     count = min(N_LOCAL, n_speeds // _SPEEDS_EACH)
-    return 0 if model.hidden is None or count < _LEAST else count
+    return 0 if model.hidden is None or count < _LEAST else count * len(model.inputs)
 
 
-def evaluate_local(model: CoefficientModel, speeds: np.ndarray, count: int) -> np.ndarray:
-    """(S, L) local functions at ``speeds`` (S,) rad/s, evenly spaced over the trained range."""
+def evaluate_local(model: CoefficientModel, points: Mapping[str, np.ndarray], count: int) -> np.ndarray:
+    """(S, L) local functions at ``points`` (name -> (S,)), evenly spaced over the trained range of the speed.
+
+    Beside each function of the speed there is one that grows with each operating condition: what is not followed at
+    one temperature may be another at the next, and more so beyond them.
+    """
+    speeds = points[SPEED]
     if not count:
         return np.zeros((len(speeds), 0))
-    low, high = model.ranges[model.inputs.index("speed")]
-    return evaluate_functions("b_spline", count, 2 * (speeds - low) / (high - low) - 1)
+    low, high = model.ranges[model.inputs.index(SPEED)]
+    others = [i for i, name in enumerate(model.inputs) if name != SPEED]
+    each = count // (1 + len(others))
+    by_speed = evaluate_functions("b_spline", each, 2 * (speeds - low) / (high - low) - 1)
+    scaled = model.scaled_inputs(points).numpy()
+    return np.concatenate([by_speed, *(by_speed * scaled[:, [i]] for i in others)], axis=1)
 
 
 def measure_error(problem: OutputError, weights: torch.Tensor, covariance: np.ndarray) -> MeanSquareError:
     """The mean square error at the minimum ``weights`` (1, 1, Z); ``covariance`` (Z, Z) is that of the noise alone."""
-    speeds = problem.measurement.dataset.speeds
-    count = count_local(problem.basis.model, len(speeds))
+    points = problem.measurement.dataset.points
+    count = count_local(problem.basis.model, len(np.unique(points[SPEED])))
     n_active = len(problem.kept)
     if not count:
         return MeanSquareError(covariance, 0, np.zeros(n_active))
-    gradient, matrix, local = _expand(problem, weights, evaluate_local(problem.basis.model, speeds, count))
+    gradient, matrix, local = _expand(problem, weights, evaluate_local(problem.basis.model, points, count))
     by_fit = covariance @ matrix[np.ix_(~local, local)]  # (Z, A L): how the fitted weights follow the local ones
     information = matrix[np.ix_(local, local)] - matrix[np.ix_(local, ~local)] @ by_fit
     score = -(gradient[local] - by_fit.T @ gradient[~local])

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
+from pipeline.identification.inputs import points_of
 from pipeline.identification.model import CoefficientModel
 from pipeline.identification.outcome import Outcome
 from pipeline.rotor.bearing_table import BearingTable
@@ -30,18 +31,20 @@ class IdentifiedModel:
     bearing_nodes: tuple[int, ...]
     parameters: torch.Tensor  # (M, Q)
 
-    def values(self, speeds: np.ndarray) -> np.ndarray:
-        """(B, S, U) unknowns at ``speeds`` (S,) rad/s, N/m and N s/m."""
+    def values(self, speeds: np.ndarray, operating: Mapping[str, np.ndarray] | None = None) -> np.ndarray:
+        """(B, S, U) unknowns at ``speeds`` (S,) rad/s and ``operating`` conditions (name -> (S,) SI), N/m and N s/m."""
         import torch
 
         with torch.no_grad():
-            raw = self.model.raw(self.parameters, self.model.scaled_inputs(speed=np.atleast_1d(speeds)))
+            raw = self.model.raw(self.parameters, self.model.scaled_inputs(points_of(speeds, operating)))
             values = self.model.physical(raw, self.model.scale_tensor()).numpy()
         return np.broadcast_to(values, (len(self.bearing_nodes), *values.shape[1:])).copy()
 
-    def coefficients(self, speeds: np.ndarray) -> dict[int, dict[str, np.ndarray]]:
-        """Bearing node -> coefficient name -> values (S,) at ``speeds`` (S,) rad/s."""
-        values = self.values(speeds)
+    def coefficients(
+        self, speeds: np.ndarray, operating: Mapping[str, np.ndarray] | None = None
+    ) -> dict[int, dict[str, np.ndarray]]:
+        """Bearing node -> coefficient name -> values (S,), where :meth:`values` are."""
+        values = self.values(speeds, operating)
         eight = self.unknowns.expand(values, np.zeros((*values.shape[:2], len(COEFFICIENTS))))
         return {
             node: {name: eight[b, :, COEFFICIENTS.index(name)] for name in self.unknowns.coefficients(b)}
@@ -50,7 +53,7 @@ class IdentifiedModel:
 
     def table(self, known: BearingTable) -> BearingTable:
         """All eight coefficients: the identified ones, and the known ones from ``known``."""
-        return known.with_unknowns(self.unknowns, self.values(known.speeds))
+        return known.with_unknowns(self.unknowns, self.values(known.speeds, known.operating))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -71,6 +74,6 @@ class Fit:
         """All eight coefficients at the speeds of ``known``, N/m and N s/m."""
         return self.model.table(known)
 
-    def deviation(self, speeds: np.ndarray) -> np.ndarray | None:
+    def deviation(self, speeds: np.ndarray, operating: Mapping[str, np.ndarray] | None = None) -> np.ndarray | None:
         """(B, S, 8) standard deviations, see :meth:`pipeline.identification.uncertainty.Uncertainty.deviation`."""
-        return None if self.uncertainty is None else self.uncertainty.deviation(self.model, speeds)
+        return None if self.uncertainty is None else self.uncertainty.deviation(self.model, speeds, operating)

@@ -120,8 +120,9 @@ class OutputErrorLoss:
         def features(data: Measurement) -> np.ndarray:
             from pipeline.identification.output_error_start import drawn_basis
 
+            points = data.dataset.points
             sizes = Guess(setup.model.initial_stiffness, setup.model.initial_damping).sizes(data.unknowns)
-            return np.asarray(drawn_basis(setup, data, data.dataset.speeds, sizes).at(data.dataset.speeds).numpy())
+            return np.asarray(drawn_basis(setup, data, points, sizes).at(points).numpy())
 
         return diagnose_response(measurement, setup.constant, features)
 

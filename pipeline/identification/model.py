@@ -1,4 +1,4 @@
-"""Unknown coefficients as functions of named inputs (the rotor speed today), with a flat parameter vector.
+"""Unknown coefficients as functions of named inputs (speed, operating conditions), with a flat parameter vector.
 
 A network, a constant, or a linear combination of fixed functions of the speed (B-splines, Chebyshev polynomials), which
 is a network whose only layer is fed by these functions in place of the speed.
@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
@@ -19,7 +19,9 @@ import numpy as np
 
 from pipeline.coefficients import CoefficientName, is_direct
 from pipeline.config.identification import ConstantModelConfig, ModelConfig, NetworkModelConfig
+from pipeline.errors import ConfigError
 from pipeline.identification.functions import activate, evaluate_functions
+from pipeline.identification.inputs import SPEED, scale_inputs, trend_terms, varying
 
 if TYPE_CHECKING:
     import torch
@@ -46,8 +48,8 @@ class CoefficientModel:
     hidden: tuple[int, ...] | None  # widths; None for constants, empty for fixed functions
     activation: Literal["tanh", "silu", "sine"] = "tanh"
     input_scaling: Literal["rpm", "log_rpm"] = "rpm"
-    ranges: tuple[tuple[float, float], ...] = ((0.0, 1.0),)  # of each input (the speed in rad/s), mapped to [-1, 1]
-    trend: bool = False  # the output layer also sees the speed and its logarithm
+    ranges: tuple[tuple[float, float], ...] = ((0.0, 1.0),)  # of each input (SI, the speed in rad/s), mapped to [-1, 1]
+    trend: bool = False  # the output layer also sees the inputs and the logarithm of the speed
     functions: Literal["b_spline", "chebyshev"] | None = None  # what the only layer is fed by
     n_functions: int = 0  # F
 
@@ -68,7 +70,7 @@ class CoefficientModel:
     @property
     def n_trend(self) -> int:
         """Inputs of the output layer beside the hidden units."""
-        return 2 if self.trend else 0
+        return len(self.inputs) + 1 if self.trend else 0
 
     def _with_trend(self, hidden: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:
         """(..., S, n_in) what the output layer is fed: power laws and straight lines need no hidden units."""
@@ -76,37 +78,21 @@ class CoefficientModel:
 
         if not self.trend:
             return hidden
-        low, high = self.ranges[self.inputs.index("speed")]
-        ratio = high / low
-        if self.input_scaling == "log_rpm":
-            other = 2 * (ratio ** ((inputs + 1) / 2) - 1) / max(ratio - 1, _SMALLEST) - 1
-        else:
-            other = 2 * (1 + (ratio - 1) * (inputs + 1) / 2).log() / max(math.log(ratio), _SMALLEST) - 1
-        terms = torch.cat([inputs, other], dim=-1)
-        return torch.cat([hidden, terms.expand(*hidden.shape[:-1], 2)], dim=-1)
+        at = self.inputs.index(SPEED)
+        terms = trend_terms(inputs, at, self.ranges[at], self.input_scaling == "log_rpm")
+        return torch.cat([hidden, terms.expand(*hidden.shape[:-1], self.n_trend)], dim=-1)
 
     @property
     def n_parameters(self) -> int:
         """Q."""
         return sum((i + 1) * o for i, o in self.sizes) or len(self.unknowns)
 
-    def scaled_inputs(self, **inputs: np.ndarray) -> torch.Tensor:
-        """(S, inputs) in [-1, 1] over the trained range, from inputs (S,) by their names: ``speed`` in rad/s.
+    def scaled_inputs(self, points: Mapping[str, np.ndarray]) -> torch.Tensor:
+        """(S, inputs) in [-1, 1] over the trained range, from ``points``: ``speed`` in rad/s, conditions in SI, (S,).
 
-        Raises TypeError for a name that the model lacks, or that is not given.
+        Raises DataError for an input that is not given; what the model does not depend on is ignored.
         """
-        import torch
-
-        if set(inputs) != set(self.inputs):
-            raise TypeError(f"the model must be given {', '.join(self.inputs)}, but got {', '.join(inputs)}")
-        columns = []
-        for name, span in zip(self.inputs, self.ranges, strict=True):
-            logarithmic = name == "speed" and self.input_scaling == "log_rpm"
-            transform = np.log if logarithmic else np.asarray
-            low, high = (float(transform(edge)) for edge in span)
-            half = (high - low) / 2 or 1.0
-            columns.append((transform(np.asarray(inputs[name], dtype=float)) - low) / half - 1.0)
-        return torch.as_tensor(np.stack(columns, axis=1), dtype=torch.float64)
+        return scale_inputs(self.inputs, self.ranges, self.input_scaling == "log_rpm", points)
 
     def _first_fed(self, inputs: torch.Tensor) -> torch.Tensor:
         """(S, n_in) what the first layer is fed by: the inputs, or functions of the first one."""
@@ -229,13 +215,19 @@ class CoefficientModel:
         import torch
 
         parameters = self.initial_parameters(guess, generator)
-        if not self.hidden or len(self.inputs) > 1:
+        if not self.hidden:
             return parameters
-        members, width = len(parameters), self.hidden[0]
+        members, width, n_in = len(parameters), self.hidden[0], len(self.inputs)
         jitter = torch.rand(members, width, generator=generator, dtype=torch.float64)
         places = _REACH * (2 * (torch.arange(width, dtype=torch.float64) + jitter) / width - 1)
         slopes = _SPREAD_GAIN * (0.5 + torch.rand(members, width, generator=generator, dtype=torch.float64))
-        parameters[:, :width], parameters[:, width : 2 * width] = slopes, -slopes * places
+        directions = torch.ones(members, n_in, width, dtype=torch.float64)
+        if n_in > 1:  # the bends lie across random directions, and reach from corner to corner along them
+            directions = torch.randn(members, n_in, width, generator=generator, dtype=torch.float64)
+            directions = directions / directions.norm(dim=1, keepdim=True)
+            places = places * directions.abs().sum(1)
+        parameters[:, : n_in * width] = (slopes[:, None] * directions).flatten(1)
+        parameters[:, n_in * width : (n_in + 1) * width] = -slopes * places
         return parameters
 
     def features(self, parameters: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:
@@ -268,24 +260,33 @@ class CoefficientModel:
 
 
 def coefficient_model(
-    config: ModelConfig, unknowns: tuple[CoefficientName, ...], speeds: np.ndarray, scale: np.ndarray
+    config: ModelConfig, unknowns: tuple[CoefficientName, ...], points: Mapping[str, np.ndarray], scale: np.ndarray
 ) -> CoefficientModel:
-    """The model that a configuration describes, for data at ``speeds`` (S,) rad/s; ``scale`` (M, U) is the size of each
-    unknown, N/m and N s/m.
+    """The model that a configuration describes, for data at ``points``: name -> (S,), the speed in rad/s.
+
+    ``scale`` (M, U) is the size of each unknown, N/m and N s/m. Operating conditions that vary are inputs beside the
+    speed. Raises ConfigError for such conditions where the model is made of functions of the speed alone.
     """
     rows = tuple(tuple(float(v) for v in row) for row in scale)
     constant = CoefficientModel(
-        unknowns=unknowns, inputs=("speed",), parametrisation=config.parametrisation, scale=rows, hidden=None
+        unknowns=unknowns, inputs=(SPEED,), parametrisation=config.parametrisation, scale=rows, hidden=None
     )
     if isinstance(config, ConstantModelConfig):
         return constant
-    varying = replace(
+    inputs = varying(points)
+    made = replace(
         constant,
+        inputs=inputs,
         hidden=(),
         input_scaling=config.input_scaling,
-        ranges=((float(speeds.min()), float(speeds.max())),),
+        ranges=tuple((float(points[name].min()), float(points[name].max())) for name in inputs),
         trend=config.trend,
     )
     if isinstance(config, NetworkModelConfig):
-        return replace(varying, hidden=(config.width,) * config.depth, activation=config.activation)
-    return replace(varying, functions=config.kind, n_functions=config.count)
+        return replace(made, hidden=(config.width,) * config.depth, activation=config.activation)
+    if len(inputs) > 1:
+        raise ConfigError(
+            f"model.kind={config.kind} is made of functions of the speed alone, but the data have {inputs[1]}, too: "
+            "choose model=network_fluid_film"
+        )
+    return replace(made, functions=config.kind, n_functions=config.count)

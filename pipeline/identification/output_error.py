@@ -274,4 +274,4 @@ def output_error(measurement: Measurement, basis: Basis, plane_scale: float) -> 
     sensors = sensor_deviations(measurement, basis.model, plane_scale)
     kept = torch.ones(len(sensors.active), basis.n_features, dtype=torch.bool)
     none = torch.zeros(basis.n_features, dtype=torch.float64)
-    return OutputError(sensors, basis, basis.at(measurement.dataset.speeds), kept, none)
+    return OutputError(sensors, basis, basis.at(measurement.dataset.points), kept, none)

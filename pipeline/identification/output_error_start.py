@@ -10,6 +10,7 @@ weights.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -62,10 +63,10 @@ def prepare_output_error(measurement: Measurement, setup: FitSetup) -> OutputErr
     plane_scale = _plane_scale(measurement)  # solves the response, of which all problems are parts
     training = align_weights(measurement.select(keep, runs))
     sizes = Guess(setup.model.initial_stiffness, setup.model.initial_damping).sizes(unknowns)
-    basis = drawn_basis(setup, training, speeds, sizes)
+    basis = drawn_basis(setup, training, measurement.dataset.points, sizes)
     values = None
     if training.guess.within is None:
-        values = linear_start(training, basis.at(training.dataset.speeds).numpy(), np.array(basis.model.scale))
+        values = linear_start(training, basis.at(training.dataset.points).numpy(), np.array(basis.model.scale))
     starts, filtered = [values], None
     if values is None:
         shape = (unknowns.n_members, len(training.dataset.speeds), len(unknowns.names))
@@ -108,17 +109,17 @@ def align_weights(measurement: Measurement) -> Measurement:
     return measurement.update(values)
 
 
-def drawn_basis(setup: FitSetup, training: Measurement, speeds: np.ndarray, sizes: np.ndarray) -> Basis:
-    """The features of the configured model over ``speeds`` (S,) rad/s, orthonormal at those of ``training``.
+def drawn_basis(setup: FitSetup, training: Measurement, points: Mapping[str, np.ndarray], sizes: np.ndarray) -> Basis:
+    """The features of the configured model over the ``points`` (name -> (S,)), orthonormal at those of ``training``.
 
     ``sizes`` (M, U), N/m and N s/m, are what an output of 1 stands for.
     """
     import torch
 
-    model = coefficient_model(setup.model, training.unknowns.names, speeds, sizes)
+    model = coefficient_model(setup.model, training.unknowns.names, points, sizes)
     generator = torch.Generator().manual_seed(setup.seed)
     drawn = model.spread_parameters(initial_guess(setup, training.unknowns), generator)
-    return orthonormal_basis(model, drawn, training.dataset.speeds)
+    return orthonormal_basis(model, drawn, training.dataset.points)
 
 
 def held_out_range(speeds: np.ndarray, training: TrainingConfig) -> np.ndarray:

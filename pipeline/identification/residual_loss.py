@@ -15,6 +15,7 @@ bearings, S speeds, U unknowns, Q parameters.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -125,9 +126,9 @@ _TINY = np.finfo(float).tiny
 
 
 def residual_problem(
-    model: CoefficientModel, speeds: np.ndarray, residual: LinearResidual, scaling: np.ndarray
+    model: CoefficientModel, points: Mapping[str, np.ndarray], residual: LinearResidual, scaling: np.ndarray
 ) -> ResidualProblem:
-    """The problem at ``speeds`` (S,) rad/s, those of the residual; each speed's rows are multiplied by (B, S)."""
+    """The problem at the residual's ``points`` (name -> (S,)); each speed's rows are multiplied by (B, S)."""
     import torch
 
     weight = scaling[..., None]
@@ -138,13 +139,13 @@ def residual_problem(
     matrix, offset = weighted.matrix / np.sqrt(n_rows), weighted.offset / np.sqrt(n_rows)
     if model.hidden is None:
         matrix, offset = matrix.reshape(len(matrix), 1, -1, matrix.shape[-1]), offset.reshape(len(offset), 1, -1)
-        speeds = speeds[:1]
+        points = {name: values[:1] for name, values in points.items()}
     orthogonal, triangular = np.linalg.qr(matrix)
     reduced = np.einsum("bsru,bsr->bsu", orthogonal, offset)
     unreachable = offset - np.einsum("bsru,bsu->bsr", orthogonal, reduced)
     return ResidualProblem(
         model,
-        model.scaled_inputs(speed=speeds),
+        model.scaled_inputs(points),
         torch.as_tensor(triangular),
         torch.as_tensor(reduced),
         torch.as_tensor((unreachable**2).sum(axis=(1, 2))),
@@ -209,16 +210,17 @@ def prepare_residual(measurement: Measurement, setup: FitSetup) -> ResidualTrain
             "training.holdout_range must go with loss=response, but the loss is "
             f"{setup.loss.kind}, whose held-out speeds choose the best state: leave it out"
         )
-    equations, residual = measurement.equations, measurement.residual
+    equations, residual, points = measurement.equations, measurement.residual, measurement.dataset.points
     if not setup.force:
         require_identifiable(judge_identifiability(equations, residual, setup.constant))
-    model = coefficient_model(setup.model, residual.unknowns.names, equations.speeds, data_scale(residual))
+    model = coefficient_model(setup.model, residual.unknowns.names, points, data_scale(residual))
     held_out = held_out_speeds(len(equations.speeds), setup.training.holdout_every)
     factor = speed_scaling(setup.loss.scaling, equations)
     per_speed = speed_scaling("per_speed", equations)
 
     def problem(keep: np.ndarray, scaling: np.ndarray) -> ResidualProblem:
-        return residual_problem(model, equations.speeds[keep], residual.at(keep), scaling[:, keep])
+        here = {name: values[keep] for name, values in points.items()}
+        return residual_problem(model, here, residual.at(keep), scaling[:, keep])
 
     def trained(keep: np.ndarray) -> ResidualProblem:
         made = problem(keep, factor)

@@ -27,6 +27,7 @@ from pipeline.config.identification import NetworkModelConfig
 from pipeline.errors import ConfigError
 from pipeline.identification.basis import Basis
 from pipeline.identification.basis_error import MeanSquareError
+from pipeline.identification.inputs import SPEED
 from pipeline.identification.model import CoefficientModel
 from pipeline.identification.optimizers import levenberg_marquardt, until_still
 from pipeline.identification.outcome import Outcome
@@ -100,7 +101,7 @@ def train_hidden(found: OutputErrorFit, setup: FitSetup, progress: Progress | No
     prior = torch.stack([signs, -signs], dim=1).flatten(0, 1)
     every = found.weights.repeat(count, 1, 1)
     linear = levenberg_marquardt(problem.with_sensors(own), every, section, until_still())
-    inputs = problem.basis.model.scaled_inputs(speed=speeds)
+    inputs = problem.basis.model.scaled_inputs(problem.measurement.dataset.points)
     start = _start(problem, linear, inputs, setup, generator)
     training, judging = (TrainedNetworks(one, inputs, prior) for one in (own, other))
     watch = _Judge(judging=judging, total=section.steps, progress=progress, best=start, score=judging.loss(start))
@@ -194,7 +195,9 @@ def _mean(
 
     numbers, before, start = watch.best, found.problem, found.start
     speeds = before.measurement.dataset.speeds
-    basis, along = _span(before.basis.model, training.networks(numbers))
+    alone = before.basis.model.inputs == (SPEED,)
+    over = torch.linspace(-1, 1, _POINTS, dtype=numbers.dtype)[:, None] if alone else training.inputs
+    basis, along = _span(before.basis.model, training.networks(numbers), over)
     own = torch.stack([along[:, m, :, u] for m, u in before.active], dim=1).flatten(1)
     each = torch.cat([own, numbers[:, 0, training.n_outer :]], dim=-1)  # (G, Z)
     # A half is fitted too well by as much as the other, which lacks the two ends, is predicted too badly.
@@ -202,7 +205,7 @@ def _mean(
     spent = min(max(float((predicted - own_square).mean()) * before.n_rows / 4, 0.0), float(numbers.shape[-1]))
 
     def of(other: OutputError) -> _Mean:
-        at = basis.at(other.measurement.dataset.speeds)
+        at = basis.at(other.measurement.dataset.points)
         kept = torch.ones(len(before.active), basis.n_features, dtype=torch.bool)
         none = torch.zeros(basis.n_features, dtype=torch.float64)
         return _Mean(other.sensors, basis, at, kept, none, round(spent) + before.n_parameters)
@@ -240,19 +243,15 @@ def _student(freedom: int) -> float:
     return float(t.ppf(tail, freedom) / norm.ppf(tail))
 
 
-def _span(model: CoefficientModel, networks: torch.Tensor) -> tuple[Basis, torch.Tensor]:
+def _span(model: CoefficientModel, networks: torch.Tensor, inputs: torch.Tensor) -> tuple[Basis, torch.Tensor]:
     """The outputs of ``networks`` (G, M, Q) as combinations of K functions of all their hidden units.
 
-    The functions are orthonormal over the range of the speeds; the coordinates of the outputs are (G, M, K, U).
+    The functions are orthonormal over the scaled ``inputs`` (S, n); the coordinates of the outputs are (G, M, K, U).
     """
     import torch
 
     whole, hidden = _join(model, networks)
-    count, (n_in, n_out), inputs = (
-        len(networks),
-        model.sizes[-1],
-        torch.linspace(-1, 1, _POINTS, dtype=networks.dtype)[:, None],
-    )
+    count, (n_in, n_out) = len(networks), model.sizes[-1]
     width = n_in - model.n_trend
     own = networks[..., -(n_in + 1) * n_out :].unflatten(-1, (n_in + 1, n_out))  # (G, M, n_in + 1, U)
     output = torch.zeros(networks.shape[1], count * width + n_in + 1 - width, count, n_out, dtype=networks.dtype)

@@ -8,6 +8,7 @@ basis, L local functions, A active unknowns, N balance planes, T model parameter
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,6 +21,7 @@ from pipeline.errors import DataError
 from pipeline.files import write_beside
 from pipeline.identification.basis_error import evaluate_local
 from pipeline.identification.identified import IdentifiedModel
+from pipeline.identification.inputs import points_of
 
 if TYPE_CHECKING:
     from pipeline.identification.output_error_fit import OutputErrorFit
@@ -42,16 +44,18 @@ class Uncertainty:
     parameters: np.ndarray  # (T,) model parameters, in prior deviations
     n_local: int  # L
 
-    def sensitivity(self, identified: IdentifiedModel, speeds: np.ndarray) -> np.ndarray:
+    def sensitivity(
+        self, identified: IdentifiedModel, speeds: np.ndarray, operating: Mapping[str, np.ndarray] | None = None
+    ) -> np.ndarray:
         """(B, S, 8, A (K + L)) derivative of the coefficients by the weights of features and local functions."""
         import torch
 
-        model, parameters = identified.model, identified.parameters
+        model, parameters, points = identified.model, identified.parameters, points_of(speeds, operating)
         with torch.no_grad():
-            inputs = model.scaled_inputs(speed=np.atleast_1d(speeds))
+            inputs = model.scaled_inputs(points)
             basis = (model.features(parameters, inputs) @ torch.as_tensor(self.weights)).numpy()  # (M, S, K)
             slope = model.physical_slope(model.raw(parameters, inputs), model.scale_tensor()).numpy()  # (M, S, U)
-        local = evaluate_local(model, np.atleast_1d(speeds), self.n_local)  # (S, L)
+        local = evaluate_local(model, points, self.n_local)  # (S, L)
         basis = np.concatenate([basis, np.broadcast_to(local, (len(basis), *local.shape))], axis=-1)
         n_bearings, count = len(identified.bearing_nodes), basis.shape[-1]
         result = np.zeros((n_bearings, basis.shape[1], len(COEFFICIENTS), len(self.active) * count))
@@ -63,18 +67,20 @@ class Uncertainty:
                     result[b, :, :, a * count : (a + 1) * count] = signs[None, :, None] * moved[:, None]
         return result
 
-    def deviation(self, identified: IdentifiedModel, speeds: np.ndarray) -> np.ndarray:
+    def deviation(
+        self, identified: IdentifiedModel, speeds: np.ndarray, operating: Mapping[str, np.ndarray] | None = None
+    ) -> np.ndarray:
         """(B, S, 8) standard deviations, N/m and N s/m; NaN for coefficients that were not identified.
 
         A coefficient that is an exponential has a log-normal error: its deviation is that whose nominal 95 % interval
         has the upper end of the log-normal one. The two differ where the coefficient is known to a few tens of percent.
         """
         with np.errstate(over="ignore", invalid="ignore"):  # of coefficients that ran away
-            moved = self.sensitivity(identified, speeds)
+            moved = self.sensitivity(identified, speeds, operating)
             outer = moved.shape[-1]
             variance = np.einsum("bscz,zy,bscy->bsc", moved, self.covariance[:outer, :outer], moved, optimize=True)
             deviation = np.sqrt(np.maximum(variance, 0.0))
-            unknowns, own = identified.unknowns, identified.values(speeds)
+            unknowns, own = identified.unknowns, identified.values(speeds, operating)
             values = np.abs(unknowns.expand(own[: unknowns.n_members], np.zeros_like(deviation)))
             share = np.minimum(deviation / np.where(values > 0, values, np.inf), _WIDEST)
             of_positive = np.abs(unknowns.expansion[..., list(identified.model.positive)]).sum(axis=-1)  # (B, 8)

@@ -111,7 +111,7 @@ class Measurement:
 
     @cached_property
     def deviation(self) -> np.ndarray:
-        """(S, P, R) m, root mean square of each reading's noise, by the sizes of the readings or by its levels; infinite
+        """(S, P, R) m, root mean square of each reading's noise, by the readings' sizes or by its levels; infinite
         where a run was not measured.
         """
         if self.drift is not None:

@@ -32,7 +32,7 @@ def held(fit: OutputErrorFit, truth: np.ndarray, matrix: np.ndarray, n_local: in
     """Share of coefficients and speeds inside their 95 % intervals."""
     problem = fit.problem
     values, slope = (part[0].numpy() for part in problem.unknowns(fit.weights))
-    local = evaluate_local(problem.basis.model, problem.measurement.dataset.speeds, n_local)
+    local = evaluate_local(problem.basis.model, problem.measurement.dataset.points, n_local)
     count = problem.features.shape[-1] + n_local
     inside = []
     for a, (m, _) in enumerate(problem.active):
@@ -86,6 +86,6 @@ def test_constants_and_few_speeds_have_no_local_functions() -> None:
     assert count_local(model, 30) == 15
     assert count_local(model, 7) == 0
     assert count_local(replace(model, hidden=None), 91) == 0
-    functions = evaluate_local(model, np.array([10.0, 200.0, 500.0]), 10)
+    functions = evaluate_local(model, {"speed": np.array([10.0, 200.0, 500.0])}, 10)
     np.testing.assert_allclose(functions.sum(axis=1), 1.0)  # they add up to a constant
-    assert evaluate_local(model, np.array([10.0]), 0).shape == (1, 0)
+    assert evaluate_local(model, {"speed": np.array([10.0])}, 0).shape == (1, 0)

@@ -31,7 +31,7 @@ SHAPES = [(None, "tanh")] + [(depth, act) for depth in (1, 2, 3) for act in ("ta
 def test_network_jacobian_equals_autograd(depth: int | None, activation: str, generator: torch.Generator) -> None:
     """The hand-written back-propagation against torch's reverse mode, for every depth and activation."""
     model = a_model(depth, activation)
-    inputs = model.scaled_inputs(speed=np.array([10.0, 90.0, 333.0, 600.0]))
+    inputs = model.scaled_inputs({"speed": np.array([10.0, 90.0, 333.0, 600.0])})
     parameters = torch.randn(2, 2, model.n_parameters, generator=generator, dtype=torch.float64)
     found = model.raw_jacobian(parameters, inputs)
     assert found.shape == (2, 2, 1 if depth is None else 4, 3, model.n_parameters) or depth is None
@@ -114,14 +114,14 @@ def test_configured_guess_and_seed(hydrostatic: Machine) -> None:
 def test_inputs_are_scaled_to_one(scaling: str, hydrostatic: Machine) -> None:
     """The trained range of speeds becomes -1 to 1, evenly in rpm or its logarithm; a single speed -1."""
     config = hydrostatic.config.model.model_copy(update={"input_scaling": scaling})
-    model = coefficient_model(config, ("kxx",), hydrostatic.speeds, np.ones((1, 1)))
+    model = coefficient_model(config, ("kxx",), {"speed": hydrostatic.speeds}, np.ones((1, 1)))
     speeds = hydrostatic.speeds[[0, -1]]
     middle = np.sqrt(speeds.prod()) if scaling == "log_rpm" else speeds.mean()
-    found = model.scaled_inputs(speed=np.array([speeds[0], middle, speeds[1]]))
+    found = model.scaled_inputs({"speed": np.array([speeds[0], middle, speeds[1]])})
     assert found.dtype == torch.float64
     np.testing.assert_allclose(found.numpy(), [[-1.0], [0.0], [1.0]], atol=1e-12)
-    alone = coefficient_model(config, ("kxx",), speeds[:1], np.ones((1, 1)))
-    np.testing.assert_allclose(alone.scaled_inputs(speed=speeds[:1]).numpy(), [[-1.0]])
+    alone = coefficient_model(config, ("kxx",), {"speed": speeds[:1]}, np.ones((1, 1)))
+    np.testing.assert_allclose(alone.scaled_inputs({"speed": speeds[:1]}).numpy(), [[-1.0]])
 
 
 @pytest.mark.parametrize("chain", CHAINS)
@@ -256,6 +256,6 @@ def test_held_out_speeds_are_not_trained_on(hydrostatic: Machine) -> None:
 
 def test_network_model_of_conf_is_the_one_that_is_built(hydrostatic: Machine) -> None:
     config = NetworkModelConfig.model_validate(hydrostatic.config.model.model_dump() | {"width": 4, "depth": 3})
-    model = coefficient_model(config, ("kxx", "kyy"), hydrostatic.speeds, np.ones((2, 2)))
+    model = coefficient_model(config, ("kxx", "kyy"), {"speed": hydrostatic.speeds}, np.ones((2, 2)))
     assert model.sizes == [(1, 4), (4, 4), (4, 4), (4, 2)]
     assert model.n_parameters == 8 + 20 + 20 + 10

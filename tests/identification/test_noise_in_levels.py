@@ -34,7 +34,7 @@ def problem_of(measurement: Measurement) -> tuple[OutputError, torch.Tensor]:
     """The problem and weights that are not its minimum."""
     setup, speeds = setup_of(composed(*FITTED)), measurement.dataset.speeds
     sizes = measurement.guess.sizes(measurement.unknowns)
-    problem = output_error(measurement, drawn_basis(setup, measurement, speeds, sizes), 1e-4)
+    problem = output_error(measurement, drawn_basis(setup, measurement, measurement.dataset.points, sizes), 1e-4)
     weights = start_at(problem, np.repeat(sizes[:, None], len(speeds), axis=1))
     moved = torch.linspace(-0.3, 0.4, weights.shape[-1], dtype=torch.float64).expand(weights.shape)
     return problem, weights + moved

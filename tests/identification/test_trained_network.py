@@ -58,7 +58,7 @@ def test_the_normal_equations_are_those_of_automatic_differentiation(drawn: Outp
     generator = torch.Generator().manual_seed(0)
     share = torch.rand(2, len(drawn.problem.measurement.dataset.speeds), 1, 1, generator=generator)
     own = replace(sensors, model=model, precision=tuple(one * share for one in sensors.precision))
-    inputs = model.scaled_inputs(speed=drawn.problem.measurement.dataset.speeds)
+    inputs = model.scaled_inputs(drawn.problem.measurement.dataset.points)
     problem = TrainedNetworks(own, inputs, torch.tensor([[0.3], [-0.3]], dtype=torch.float64))
     size = 2 * model.n_parameters + 2 * sensors.n_planes + 1
     numbers = 0.1 * torch.randn(2, 1, size, generator=generator, dtype=torch.float64)

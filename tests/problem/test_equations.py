@@ -241,9 +241,9 @@ def problem_of(
 ) -> tuple[ResidualProblem, CoefficientModel]:
     """What training minimises, at the speeds ``keep``; the known coefficients are the modelled ones."""
     residual = residual_in(machine.equations, unknowns, machine.bearings if known is None else known, members == 1)
-    model = coefficient_model(config, unknowns, machine.speeds, data_scale(residual))
+    model = coefficient_model(config, unknowns, {"speed": machine.speeds}, data_scale(residual))
     keep = np.ones(len(machine.speeds), dtype=bool) if keep is None else keep
-    return residual_problem(model, machine.speeds[keep], residual.at(keep), factors[:, keep]), model
+    return residual_problem(model, {"speed": machine.speeds[keep]}, residual.at(keep), factors[:, keep]), model
 
 
 @pytest.mark.parametrize("members", [1, 2], ids=["tied", "separate"])
@@ -261,7 +261,7 @@ def test_reduced_loss_equals_the_unreduced_one(
     parameters = torch.randn(3, members, model.n_parameters, generator=generator, dtype=torch.float64)
     found = problem.loss(parameters)
     assert found.shape == (3, members)
-    raw = model.raw(parameters, model.scaled_inputs(speed=hydrostatic.speeds))
+    raw = model.raw(parameters, model.scaled_inputs({"speed": hydrostatic.speeds}))
     values = model.physical(raw, model.scale_tensor()).numpy()  # (3, members, S, U)
     for g in range(3):
         table = hydrostatic.bearings.values.copy()

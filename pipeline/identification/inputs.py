@@ -1,0 +1,73 @@
+"""The named inputs of coefficient models: the speed, and operating conditions (an oil temperature, a load) beside it.
+
+Each is mapped to [-1, 1] over the data that the model was made for; beyond them the map goes on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.errors import DataError
+
+if TYPE_CHECKING:
+    import torch
+
+SPEED = "speed"
+_WIDE = 1.5
+"""An operating condition that varies by this factor or more counts by its logarithm, where the speed does: a load acts
+as a power, while an oil temperature in kelvin varies by a few percent.
+"""
+_SMALLEST = 1e-3
+
+
+def scale_inputs(
+    names: Sequence[str], ranges: Sequence[tuple[float, float]], logarithmic: bool, points: Mapping[str, np.ndarray]
+) -> torch.Tensor:
+    """(S, inputs) in [-1, 1] over the ``ranges``, from ``points``: name -> (S,), SI. Raises DataError for a lack."""
+    import torch
+
+    lacking = [name for name in names if name not in points]
+    if lacking:
+        raise DataError(
+            f"the coefficients are functions of {' and '.join(names)}, but {lacking[0]} is not given: say at which "
+            f"{lacking[0]} they are wanted"
+        )
+    columns = []
+    for name, span in zip(names, ranges, strict=True):
+        transform = np.log if logarithmic and _counts_by_logarithm(name, span) else np.asarray
+        low, high = (float(transform(edge)) for edge in span)
+        half = (high - low) / 2 or 1.0
+        columns.append((transform(np.asarray(points[name], dtype=float)) - low) / half - 1.0)
+    return torch.as_tensor(np.stack(columns, axis=1), dtype=torch.float64)
+
+
+def _counts_by_logarithm(name: str, span: tuple[float, float]) -> bool:
+    return name == SPEED or (span[0] > 0 and span[1] / span[0] >= _WIDE)
+
+
+def trend_terms(inputs: torch.Tensor, speed: int, span: tuple[float, float], logarithmic: bool) -> torch.Tensor:
+    """(S, inputs + 1) every input, and the speed's logarithm (or the speed, where the input is its logarithm)."""
+    import torch
+
+    low, high = span
+    ratio, own = high / low, inputs[..., speed : speed + 1]
+    if logarithmic:
+        other = 2 * (ratio ** ((own + 1) / 2) - 1) / max(ratio - 1, _SMALLEST) - 1
+    else:
+        other = 2 * (1 + (ratio - 1) * (own + 1) / 2).log() / max(math.log(ratio), _SMALLEST) - 1
+    return torch.cat([inputs, other], dim=-1)
+
+
+def points_of(speeds: np.ndarray, operating: Mapping[str, np.ndarray] | None) -> dict[str, np.ndarray]:
+    """Name -> (S,): ``speeds`` (S,) rad/s, and ``operating`` conditions (S,) or single numbers, SI."""
+    speeds = np.atleast_1d(speeds)
+    return {SPEED: speeds} | {name: np.broadcast_to(of, speeds.shape) for name, of in (operating or {}).items()}
+
+
+def varying(points: Mapping[str, np.ndarray]) -> tuple[str, ...]:
+    """The speed, and the operating conditions that take more than one value at the ``points``."""
+    return tuple(name for name, values in points.items() if name == SPEED or np.ptp(values) > 0)
