@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from pipeline.config.comparison import ComparisonConfig, SensorSet
 from pipeline.config.identification import IdentifyConfig
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.noise import NoiseModel
+from pipeline.data.operating import split_states
 from pipeline.data.sensors import Channels, Sensors, list_directions, measure
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.rotor.bearing_table import BearingTable
@@ -71,10 +73,23 @@ class Machine:
         """The modelled coefficients at the speeds of a case."""
         return self.modelled.at(self.speeds(case))
 
+    @property
+    def n_speeds(self) -> int:
+        """How many speeds there are, at the operating condition that has most."""
+        return max(len(points) for points in self._states)
+
+    @cached_property
+    def _states(self) -> list[np.ndarray]:
+        """Indices of the points of each operating condition; of all points where there is none."""
+        return [points for _, points in split_states(self.vibration.speeds, self.vibration.operating)]
+
     def speeds(self, case: Case) -> np.ndarray:
-        """Indices of the speeds of a case, evenly spread from the first to the last."""
-        count = len(self.vibration.speeds)
-        return np.unique(np.linspace(0, count - 1, min(case.speeds, count)).round().astype(int))
+        """Indices of the speeds of a case, evenly spread from the first to the last at each operating condition."""
+        chosen = [
+            points[np.unique(np.linspace(0, len(points) - 1, min(case.speeds, len(points))).round().astype(int))]
+            for points in self._states
+        ]
+        return np.sort(np.concatenate(chosen))
 
     def _channels(self, sensors: SensorSet, location: int | None) -> Channels | None:
         if sensors == "all":

@@ -87,6 +87,7 @@ METHODS: dict[str, Method] = {
             "the paper, eq. 6, unscaled, tuned Adam",
             "a guess",
             fit_by(lambda options: options.settings.paper),
+            takes_conditions=True,
         ),
         Method(
             "paper_scaling",
@@ -94,6 +95,7 @@ METHODS: dict[str, Method] = {
             "docs/method.md",
             "a guess",
             fit_by(lambda options: improve_paper(options, scaling=True)),
+            takes_conditions=True,
         ),
         Method(
             "paper_logarithm",
@@ -101,6 +103,7 @@ METHODS: dict[str, Method] = {
             "docs/method.md",
             "a guess",
             fit_by(lambda options: improve_paper(options, logarithm=True)),
+            takes_conditions=True,
         ),
         Method(
             "paper_second_order",
@@ -108,6 +111,7 @@ METHODS: dict[str, Method] = {
             "docs/method.md",
             "a guess",
             fit_by(lambda options: improve_paper(options, second_order=True)),
+            takes_conditions=True,
         ),
         Method(
             "residual",
@@ -115,6 +119,7 @@ METHODS: dict[str, Method] = {
             "docs/method.md",
             "a guess",
             fit_by(lambda options: options.settings.residual),
+            takes_conditions=True,
         ),
         Method(
             "preconditioned",
@@ -122,6 +127,7 @@ METHODS: dict[str, Method] = {
             "docs/all_coefficients.md",
             "a guess",
             fit_by(lambda options: options.settings.preconditioned),
+            takes_conditions=True,
         ),
         Method(
             "response",
@@ -130,6 +136,7 @@ METHODS: dict[str, Method] = {
             "the noise, a guess",
             fit_by(lambda options: options.settings.response),
             takes_planes=True,
+            takes_conditions=True,
         ),
         Method(
             "trained",
@@ -138,6 +145,7 @@ METHODS: dict[str, Method] = {
             "the noise, a guess",
             fit_trained,
             takes_planes=True,
+            takes_conditions=True,
         ),
     )
 }

@@ -15,6 +15,7 @@ import numpy as np
 from pipeline.config.comparison import ComparisonConfig
 from pipeline.errors import DataError, PipelineError
 from pipeline.identification.quality import FAR_FROM_EXPECTED
+from pipeline.methods.by_condition import solve_each
 from pipeline.problem.diagnosis import determines, sensor_rows
 from pipeline.problem.identifiability import Identifiability, Verdict, judge_identifiability
 from pipeline.problem.measurement import Measurement
@@ -85,10 +86,17 @@ class Method:
     beforehand: str  # data and priors that it needs beside the measurement
     solve: Callable[[Measurement, MethodOptions], Estimate]
     takes_planes: bool = False  # it identifies a residual unbalance, too
+    takes_conditions: bool = False  # its coefficients are functions of operating conditions, too
 
     def identify(self, measurement: Measurement, options: MethodOptions) -> Estimate:
-        """Answer from the measurement, less the runs that the method can't use. Raises Refusal."""
-        return self.solve(measurement if self.takes_planes else drop_unbalance(measurement), options)
+        """Answer from the measurement, less the runs that the method can't use. Raises Refusal.
+
+        A method of the speed alone answers at each operating condition by itself.
+        """
+        used = measurement if self.takes_planes else drop_unbalance(measurement)
+        if used.dataset.operating and not self.takes_conditions:
+            return solve_each(lambda part: self.solve(part, options), used)
+        return self.solve(used, options)
 
 
 def make_estimate(

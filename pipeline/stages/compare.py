@@ -37,7 +37,7 @@ def run(config: Config) -> StageOutput:
     machine = build_machine(config)
     require_nodes(machine.rotor, "comparison.location", [config.comparison.location or 0])
     setup = ComparisonSetup(machine, config.identify, config.comparison, config.seed)
-    n_speeds = len(machine.vibration.speeds)
+    n_speeds = machine.n_speeds
     cases = list_cases(config.comparison, n_speeds)
     runs = [
         MethodRun(m, case) for case in cases for m in config.comparison.methods if _asks(config.comparison, m, case)

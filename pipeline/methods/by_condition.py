@@ -1,0 +1,44 @@
+"""Methods that know no operating conditions, used at each of them by itself: what one does without such a model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.data.operating import split_states
+from pipeline.problem.measurement import Measurement
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pipeline.methods.method import Estimate
+
+
+def solve_each(solve: Callable[[Measurement], Estimate], measurement: Measurement) -> Estimate:
+    """The answers of ``solve`` at each operating condition, put together. Raises the first Refusal."""
+    data, values = measurement.dataset, np.array(measurement.known.values)
+    states = split_states(data.speeds, data.operating)
+    found = [(points, solve(_alone(measurement, points))) for _, points in states]
+    deviations = [answer.deviation for _, answer in found]
+    together = None if any(one is None for one in deviations) else np.full(values.shape, np.nan)
+    for points, answer in found:
+        values[:, points] = answer.coefficients.values
+        if together is not None and answer.deviation is not None:
+            together[:, points] = answer.deviation
+    looked_at = [len(points) if of.n_speeds is None else of.n_speeds for points, of in found]
+    return replace(
+        found[0][1],
+        coefficients=replace(measurement.known, values=values),
+        deviation=together,
+        words=f"each of {len(states)} conditions by itself; the first: {found[0][1].words}",
+        doubt=next((answer.doubt for _, answer in found if answer.doubt), ""),
+        n_speeds=None if all(of.n_speeds is None for _, of in found) else sum(looked_at),
+    )
+
+
+def _alone(measurement: Measurement, points: np.ndarray) -> Measurement:
+    """The measurement at the ``points`` (indices), as if it had no operating conditions."""
+    part = measurement.select(points)
+    return replace(part, dataset=replace(part.dataset, operating={}), known=replace(part.known, operating={}))
