@@ -5,8 +5,7 @@ y, or the angle of a probe in degrees from x towards y; amplitude zero-to-peak, 
 column ``frequency_hz`` gives the excitation frequency where it is not the rotor speed's; without it, and where it is
 blank, the response is synchronous; a synchronous run may be off the nominal speed by 1 %. A column ``condition`` names
 what was on the machine in each run: runs of one condition repeat each other. The order of the rows means nothing.
-Excitation: ``run, kind, node, magnitude, phase_deg, whirl``; kind ``unbalance`` (kg m) or ``force`` (N); a
-run without any weight has an unbalance of zero.
+Excitation: see :mod:`pipeline.data.excitation_files`.
 """
 
 from __future__ import annotations
@@ -24,6 +23,7 @@ from pipeline.data.dataset import (
     subtract_baseline,
     synchronous,
 )
+from pipeline.data.excitation_files import read_excitations, read_nodes
 from pipeline.data.tables import Columns, read_marks, read_table, write_table
 from pipeline.errors import DataError, nearest
 from pipeline.rotor.model import RotorModel
@@ -39,14 +39,6 @@ _VIBRATION = {
 }
 _FREQUENCY = "frequency_hz"
 _CONDITION = "condition"
-_EXCITATION = {
-    "run": "text",
-    "kind": "text",
-    "node": "number",
-    "magnitude": "number",
-    "phase_deg": "number",
-    "whirl": "text",
-}
 
 
 def to_rpm(speeds: np.ndarray) -> np.ndarray:
@@ -76,19 +68,6 @@ def write_vibration(path: Path, dataset: VibrationDataset, marks: Mapping[str, s
     if dataset.conditions is not None:
         columns[_CONDITION] = np.repeat(np.array(dataset.conditions, dtype=object), n_speeds * n_channels)
     return write_table(path, columns, marks)
-
-
-def write_excitation(path: Path, dataset: VibrationDataset) -> Path:
-    """Write what excited the runs; a run that nothing excites (the baseline) has no row. Raises StorageError."""
-    forces = {
-        "run": [e.run for e in dataset.excitations],
-        "kind": [e.kind for e in dataset.excitations],
-        "node": [e.node for e in dataset.excitations],
-        "magnitude": [e.magnitude for e in dataset.excitations],
-        "phase_deg": [float(np.degrees(e.phase)) for e in dataset.excitations],
-        "whirl": [e.whirl for e in dataset.excitations],
-    }
-    return write_table(path, forces)
 
 
 def read_dataset(vibration: Path, excitation: Path, rotor: RotorModel, baseline: str | None = None) -> VibrationDataset:
@@ -129,8 +108,8 @@ def read_measured(
 ) -> VibrationDataset:
     """Read both files as :func:`read_dataset` does, where at most the number of the rotor's nodes is known."""
     table = read_table(vibration, _VIBRATION, {_FREQUENCY: "number or blank", _CONDITION: "text"})
-    excitations = _read_excitations(read_table(excitation, _EXCITATION), excitation, n_nodes)
-    nodes = _read_nodes(table["node"], vibration, n_nodes)
+    excitations = read_excitations(excitation, n_nodes)
+    nodes = read_nodes(table["node"], vibration, n_nodes)
     angles = _read_angles(table["direction"], vibration)
     rpm, amplitude = table["speed_rpm"], table["amplitude_m"]
     if (rpm <= 0).any():
@@ -254,37 +233,6 @@ def _check_synchronous(dataset: VibrationDataset, path: Path) -> None:
             )
 
 
-def _read_excitations(table: Columns, path: Path, n_nodes: int | None) -> tuple[Excitation, ...]:
-    _check_words(table["kind"], ("unbalance", "force"), path, "kind")
-    _check_words(table["whirl"], ("forward", "backward"), path, "whirl")
-    nodes, magnitudes = _read_nodes(table["node"], path, n_nodes), table["magnitude"]
-    lowest = np.where(table["kind"] == "unbalance", magnitudes, magnitudes - _TINY)
-    if (lowest < 0).any():
-        raise DataError(
-            f"'{path}' must have magnitudes above zero (an unbalance of zero is a run without weight), but got "
-            f"{magnitudes[lowest < 0].min():g}"
-        )
-    rows = zip(
-        table["run"], table["kind"], nodes, magnitudes, np.radians(table["phase_deg"]), table["whirl"], strict=True
-    )
-    return tuple(
-        Excitation(str(run), kind, int(node), float(magnitude), float(phase), whirl)
-        for run, kind, node, magnitude, phase, whirl in rows
-    )
-
-
-_TINY = 1e-300
-
-
-def _read_nodes(values: np.ndarray, path: Path, n_nodes: int | None) -> np.ndarray:
-    last = np.inf if n_nodes is None else n_nodes - 1
-    bad = values[(values != np.round(values)) | (values < 0) | (values > last)]
-    if len(bad):
-        nodes = "nodes 0, 1, 2 and so on" if n_nodes is None else f"nodes 0 to {n_nodes - 1}"
-        raise DataError(f"'{path}' must use the rotor's {nodes}, but got node {bad[0]:g}")
-    return values.astype(int)
-
-
 def _read_angles(directions: np.ndarray, path: Path) -> np.ndarray:
     """Degrees from x towards y, 0 to 360."""
     found = {direction: _read_angle(direction) for direction in set(directions.tolist())}
@@ -304,11 +252,3 @@ def _read_angle(direction: str) -> float:
         return float(direction) % 360.0
     except ValueError:
         return float("nan")
-
-
-def _check_words(values: np.ndarray, allowed: tuple[str, ...], path: Path, column: str) -> None:
-    for value in dict.fromkeys(values.tolist()):
-        if value not in allowed:
-            raise DataError(
-                f"'{path}' must have {' or '.join(map(repr, allowed))} in the column '{column}', but got {value!r}"
-            )

@@ -22,11 +22,11 @@ from pipeline.identification.basis import Basis, orthonormal_basis
 from pipeline.identification.model import CoefficientModel, coefficient_model
 from pipeline.identification.output_error import OutputError, output_error
 from pipeline.identification.training import FitSetup, held_out_speeds, initial_guess
+from pipeline.problem.expansion import expand
 from pipeline.problem.kalman_filter import filter_bearings
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.problem.noise import whiten
 from pipeline.problem.residual import LinearResidual, linear_residual
-from pipeline.problem.response import expand
 
 if TYPE_CHECKING:
     import torch

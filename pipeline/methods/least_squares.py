@@ -17,6 +17,7 @@ from pipeline.methods.method import (
     refuse_undetermined,
     require_residual,
 )
+from pipeline.problem.expansion import expand
 from pipeline.problem.identifiability import judge_identifiability
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise import (
@@ -29,7 +30,6 @@ from pipeline.problem.noise import (
     whiten,
 )
 from pipeline.problem.residual import LinearResidual, linear_residual, per_speed_least_squares
-from pipeline.problem.response import expand
 
 _ROUNDS = 4
 """The weights of total least squares depend on its answer: so often they are made again."""
@@ -67,7 +67,8 @@ def solve_expanded(data: Measurement, options: MethodOptions) -> Estimate:
     """Least squares of each speed on the motion of the bearings that all sensors together tell of, at any nodes.
 
     Forces and motion at the bearings are the weighted least squares answer to the readings
-    (:func:`pipeline.problem.response.expand`); the rows of the residual are weighted by the noise that is left in them.
+    (:func:`pipeline.problem.expansion.expand`); the rows of the residual are weighted by the noise that is left in
+    them.
     """
     found = expand(data.response, data.dataset.displacement, data.deviation)
     if found is None:

@@ -17,6 +17,7 @@ import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.problem.determination import Deviations
+from pipeline.problem.expansion import expand
 from pipeline.problem.identifiability import (
     Identifiability,
     Verdict,
@@ -28,7 +29,6 @@ from pipeline.problem.identifiability import (
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise import DEPENDENT, least_squares_deviation, residual_covariance, whiten
 from pipeline.problem.residual import LinearResidual, linear_residual, per_speed_least_squares
-from pipeline.problem.response import expand
 from pipeline.rotor.bearing_table import BearingTable
 
 UNEQUAL = np.array([1.0, 0.2, -0.3, 0.7])

@@ -17,9 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.coefficients import is_direct
+from pipeline.problem.expansion import bearing_equations_of
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.residual import linear_residual, per_speed_least_squares
-from pipeline.problem.response import bearing_equations_of, respond
+from pipeline.problem.response import respond
 
 _ROUNDS, _ROUNDS_AT_ONCE = 300, 25
 _SETTLED = 1e-10

@@ -10,10 +10,11 @@ from pipeline.config.schema import Config
 from pipeline.data.as_built import build_rotor, misplace_probes, simulate_as_built
 from pipeline.data.coefficient_files import write_coefficients
 from pipeline.data.dataset import Excitation, VibrationDataset, require_synchronous
+from pipeline.data.excitation_files import write_excitation
 from pipeline.data.sensors import Channels, Sensors, list_directions, measure
 from pipeline.data.simulate import simulate
 from pipeline.data.tables import read_marks
-from pipeline.data.vibration_files import write_excitation, write_vibration
+from pipeline.data.vibration_files import write_vibration
 from pipeline.errors import DataError
 from pipeline.reporting.console import say, warn
 from pipeline.rotor.bearing_table import BearingTable

@@ -15,8 +15,9 @@ from pipeline.config.recordings import (
 from pipeline.config.records import RecordsConfig
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import write_coefficients
+from pipeline.data.excitation_files import write_excitation
 from pipeline.data.tables import read_marks
-from pipeline.data.vibration_files import to_rpm, write_excitation, write_vibration
+from pipeline.data.vibration_files import to_rpm, write_vibration
 from pipeline.errors import ConfigError, DataError
 from pipeline.files import write_json
 from pipeline.ingest.dataset import MeasuredRuns, read_measured_runs

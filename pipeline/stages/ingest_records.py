@@ -8,7 +8,8 @@ from pipeline.config.records import RecordsConfig
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import write_coefficients
 from pipeline.data.dataset import VibrationDataset
-from pipeline.data.vibration_files import to_rpm, write_excitation, write_vibration
+from pipeline.data.excitation_files import write_excitation
+from pipeline.data.vibration_files import to_rpm, write_vibration
 from pipeline.files import write_json
 from pipeline.ingest.records import read_records, to_dataset
 from pipeline.reporting.console import say, table

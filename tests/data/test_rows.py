@@ -12,7 +12,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from pipeline.data.dataset import Excitation, VibrationDataset
-from pipeline.data.vibration_files import read_measured, write_excitation, write_vibration
+from pipeline.data.excitation_files import write_excitation
+from pipeline.data.vibration_files import read_measured, write_vibration
 
 CHANNELS = ((0, 0.0), (0, 90.0), (2, 45.0))
 FREQUENCIES = np.array([[30.0, 30.0, 55.0], [60.0, 60.0, 55.0], [90.0, 90.0, 55.0]])

@@ -18,8 +18,8 @@ from pipeline.identification.fit import fit
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
 from pipeline.identification.output_error_start import start_at
 from pipeline.identification.training import setup_of
+from pipeline.problem.expansion import expand
 from pipeline.problem.reference_response import response_equations
-from pipeline.problem.response import expand
 
 STIFFNESS = 2e7
 PROBES = ((0, 45.0), (1, 45.0), (1, 135.0), (3, 0.0), (5, 30.0), (5, 120.0))

@@ -9,7 +9,8 @@ import pytest
 
 from pipeline.config.records import RecordsConfig
 from pipeline.data.dataset import synchronous
-from pipeline.data.vibration_files import read_measured, write_excitation, write_vibration
+from pipeline.data.excitation_files import write_excitation
+from pipeline.data.vibration_files import read_measured, write_vibration
 from pipeline.errors import DataError
 from pipeline.ingest.records import find_speeds, read_records, to_dataset
 

@@ -15,8 +15,9 @@ from reading import DISC, GRID, ONE, RPM, RUNOUT, RUNS, TURNS, check_read, notes
 
 from pipeline.config.measured import convert_phase
 from pipeline.data.coefficient_files import read_known
+from pipeline.data.excitation_files import write_excitation
 from pipeline.data.tables import TextFormat, read_table
-from pipeline.data.vibration_files import write_excitation, write_vibration
+from pipeline.data.vibration_files import write_vibration
 from pipeline.errors import ConfigError
 
 

@@ -350,7 +350,8 @@ def test_asynchronous_data_are_identified(machine: MachineFactory) -> None:
 
 def test_frequencies_go_through_the_files(machine: MachineFactory, tmp_path: Path) -> None:
     """A column of the vibration file; blank and absent mean synchronous."""
-    from pipeline.data.vibration_files import read_dataset, write_excitation, write_vibration
+    from pipeline.data.excitation_files import write_excitation
+    from pipeline.data.vibration_files import read_dataset, write_vibration
 
     runs = (
         "[{name: a, unbalances: [{node: 2, magnitude: 1e-4}]}, "

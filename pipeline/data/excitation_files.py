@@ -1,0 +1,79 @@
+"""The loads of the runs, ``excitation.csv``: ``run, kind, node, magnitude, phase_deg, whirl``.
+
+Kind ``unbalance`` (kg m) or ``force`` (N); a run without any weight has an unbalance of zero. The order of the rows
+means nothing.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.data.dataset import Excitation, VibrationDataset
+from pipeline.data.tables import read_table, write_table
+from pipeline.errors import DataError
+
+_EXCITATION = {
+    "run": "text",
+    "kind": "text",
+    "node": "number",
+    "magnitude": "number",
+    "phase_deg": "number",
+    "whirl": "text",
+}
+
+
+def write_excitation(path: Path, dataset: VibrationDataset) -> Path:
+    """Write what excited the runs; a run that nothing excites (the baseline) has no row. Raises StorageError."""
+    forces = {
+        "run": [e.run for e in dataset.excitations],
+        "kind": [e.kind for e in dataset.excitations],
+        "node": [e.node for e in dataset.excitations],
+        "magnitude": [e.magnitude for e in dataset.excitations],
+        "phase_deg": [float(np.degrees(e.phase)) for e in dataset.excitations],
+        "whirl": [e.whirl for e in dataset.excitations],
+    }
+    return write_table(path, forces)
+
+
+def read_excitations(path: Path, n_nodes: int | None = None) -> tuple[Excitation, ...]:
+    """What acts in the runs, in the order of the rows. Raises DataError."""
+    table = read_table(path, _EXCITATION)
+    _check_words(table["kind"], ("unbalance", "force"), path, "kind")
+    _check_words(table["whirl"], ("forward", "backward"), path, "whirl")
+    nodes, magnitudes = read_nodes(table["node"], path, n_nodes), table["magnitude"]
+    lowest = np.where(table["kind"] == "unbalance", magnitudes, magnitudes - _TINY)
+    if (lowest < 0).any():
+        raise DataError(
+            f"'{path}' must have magnitudes above zero (an unbalance of zero is a run without weight), but got "
+            f"{magnitudes[lowest < 0].min():g}"
+        )
+    rows = zip(
+        table["run"], table["kind"], nodes, magnitudes, np.radians(table["phase_deg"]), table["whirl"], strict=True
+    )
+    return tuple(
+        Excitation(str(run), kind, int(node), float(magnitude), float(phase), whirl)
+        for run, kind, node, magnitude, phase, whirl in rows
+    )
+
+
+_TINY = 1e-300
+
+
+def read_nodes(values: np.ndarray, path: Path, n_nodes: int | None) -> np.ndarray:
+    """Nodes as integers. Raises DataError for one that a rotor of ``n_nodes`` lacks; None: it is not known how many."""
+    last = np.inf if n_nodes is None else n_nodes - 1
+    bad = values[(values != np.round(values)) | (values < 0) | (values > last)]
+    if len(bad):
+        nodes = "nodes 0, 1, 2 and so on" if n_nodes is None else f"nodes 0 to {n_nodes - 1}"
+        raise DataError(f"'{path}' must use the rotor's {nodes}, but got node {bad[0]:g}")
+    return values.astype(int)
+
+
+def _check_words(values: np.ndarray, allowed: tuple[str, ...], path: Path, column: str) -> None:
+    for value in dict.fromkeys(values.tolist()):
+        if value not in allowed:
+            raise DataError(
+                f"'{path}' must have {' or '.join(map(repr, allowed))} in the column '{column}', but got {value!r}"
+            )
