@@ -15,6 +15,7 @@ ROOMS: tuple[tuple[frozenset[str], str], ...] = (
         "words, files, and what is unknown",
     ),
     (frozenset({"config"}), "what a configuration may say"),
+    (frozenset({"laws"}), "bearings from few physical numbers"),
     (frozenset({"rotor"}), "shaft and discs as matrices; bearings over speed"),
     (frozenset({"data"}), "vibration, its files, sensors and noise"),
     (frozenset({"sweep"}), "passing a critical speed; the fit of a run-up"),

@@ -11,6 +11,7 @@ from pydantic import Field, PositiveFloat, ValidationInfo, field_validator, mode
 from pipeline.config.as_built import AsBuiltConfig
 from pipeline.config.balance import WeightsConfig
 from pipeline.config.bearings import BearingConfig, PerNodeBearingConfig, RotorFileBearingConfig
+from pipeline.config.laws import LawsConfig
 from pipeline.config.measured import MeasuredRunConfig, convert_phase
 from pipeline.config.recordings import AnyRecordingsConfig, NoRecordingsConfig, RecordingsConfig
 from pipeline.config.rotor import RotorConfig
@@ -52,6 +53,7 @@ class MachineConfig(Section):
     prediction: PredictionConfig = Field(default=None, validate_default=True)
     candidates: CandidateConfig = Field(default=None, validate_default=True)
     balance: WeightsConfig | None = None
+    laws: LawsConfig | None = None
 
     @field_validator("bearings", mode="before")
     @classmethod
@@ -146,6 +148,10 @@ class MachineConfig(Section):
                     f"bearings.nodes must have a bearing for every bearing node of the rotor, but node {without[0]} "
                     f"has none (it has {', '.join(map(str, self.bearings.nodes))})"
                 )
+        for node in self.laws.bearings if self.laws else ():
+            if node not in self.rotor.bearing_nodes:
+                where = ", ".join(map(str, self.rotor.bearing_nodes))
+                raise ValueError(f"laws.bearings must have bearing nodes of the rotor ({where}), but has node {node}")
         last = self.rotor.n_nodes - 1
         used = [
             (f"run '{run.name}'", node)

@@ -22,7 +22,8 @@ from pipeline.errors import ConfigError, nearest
 
 _PATHS = (
     *("rotor.file", "runs_file", "recordings.file", "recordings.known", "run_up.file"),
-    *("recordings.runs.*.file", "recordings.runs.*.files.*"),
+    *("recordings.runs.*.file", "recordings.runs.*.files.*", "laws.bearings.*.table"),
+    *("bearings.table", "bearings.nodes.*.table"),
 )
 """Keys of a machine that hold a path."""
 _DATA_PATHS = ("data.vibration", "data.excitation", "data.known")
@@ -188,11 +189,13 @@ def _resolve_paths(content: dict[str, Any], keys: Sequence[str], folder: Path) -
 def _resolve_path(node: Any, key: Sequence[str], folder: Path) -> None:
     first, *rest = key
     places: list[Any] = [first] if isinstance(node, dict) and first in node else []
-    if first == "*" and isinstance(node, list):
-        places = list(range(len(node)))
+    if first == "*" and isinstance(node, (dict, list)):
+        places = list(node) if isinstance(node, dict) else list(range(len(node)))
     for place in places:
         inside = node[place]
         if rest:
             _resolve_path(inside, rest, folder)
+        elif first == "table" and isinstance(inside, str) and not Path(inside).suffix:
+            continue  # the name of a table that comes with the package
         elif isinstance(inside, str) and inside and inside != AS_MODELLED and "${" not in inside:
             node[place] = str(make_absolute(inside, folder))

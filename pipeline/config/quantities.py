@@ -14,6 +14,9 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field
 
+_TEMPERATURE = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(deg[CF]|°[CF])\s*")
+_DEGREE = re.compile(r"(?:\bdeg|°)([CF])\b")
+
 
 @cache
 def _load_units() -> Any:
@@ -41,9 +44,13 @@ def _parse(text: str, unit: str, example: str) -> float:
 
     if is_number(text):
         return float(text)
+    units, temperature = _load_units(), _TEMPERATURE.fullmatch(text)
     try:
-        # pint's mil is an angle; a probe's is a length.
-        quantity = _load_units().Quantity(re.sub(r"\bmils?\b", "thou", text))
+        if temperature:  # pint takes no product with a unit whose zero is elsewhere
+            quantity = units.Quantity(float(temperature[1]), temperature[2])
+        else:
+            # pint's mil is an angle; a probe's is a length. A degree in a product is a difference.
+            quantity = units.Quantity(re.sub(r"\bmils?\b", "thou", _DEGREE.sub(r"delta_deg\1", text)))
     except pint.UndefinedUnitError as error:
         raise ValueError(f"must have a known unit (such as {example}), but got {text!r}: {error}") from None
     except Exception:  # pint's parser raises many kinds (tokenize, syntax, assertion errors) for other text
@@ -87,6 +94,7 @@ Density = _define_quantity("kg / m**3", "7810 kg/m^3", gt=0)
 Pressure = _define_quantity("Pa", "211 GPa", gt=0)
 Force = _define_quantity("N", "500 N", gt=0)
 Viscosity = _define_quantity("Pa * s", "0.05 Pa s", gt=0)
+Temperature = _define_quantity("K", "45 degC", gt=0)
 Stiffness = _define_quantity("N / m", "1e7 N/m", gt=0)
 Damping = _define_quantity("N * s / m", "1e4 N s/m", gt=0)
 AnyStiffness = _define_quantity("N / m", "0 N/m")

@@ -1,0 +1,1 @@
+"""Bearing laws: coefficients of few physical numbers, over speed and operating conditions."""

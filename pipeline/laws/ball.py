@@ -1,0 +1,72 @@
+"""The law of a ball bearing: Hertzian contacts (Friswell et al. 2010, pages 182-185), as ROSS's BallBearingElement.
+
+Legend: G members, S operating points, Th unknown numbers, 8 coefficients. SI units.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.laws.numbers import Number, add_slope
+from pipeline.laws.points import Points, turn_axes
+
+if TYPE_CHECKING:
+    import torch
+
+_STIFFNESS = 13.0e6
+"""N^(2/3) m^(-4/3), of steel balls."""
+_DAMPING = 1.25e-5
+"""s: damping over stiffness."""
+_BALLS, _ACROSS = (8, 12, 16), (0.46, 0.64, 0.73)
+_FLATTEST = 1e-6
+"""The cosine that a contact angle meets which a fit puts beyond a right angle."""
+_NUMBERS = ("ball_diameter", "contact_angle", "load")
+
+
+@dataclass(frozen=True, kw_only=True)
+class BallLaw:
+    """Number of balls, their diameter, contact angle, and the load (preload and static load) that presses them."""
+
+    n_balls: int
+    ball_diameter: Number  # m
+    contact_angle: Number  # rad
+    load: Number  # N
+    load_angle: float  # rad
+
+    needs_oil = False
+    inputs = ()
+
+    def evaluate(self, theta: torch.Tensor, points: Points) -> tuple[torch.Tensor, torch.Tensor]:
+        """(G, S, 8) coefficients in N/m and N s/m, and (G, S, 8, Th) their slopes."""
+        import torch
+
+        angle = self.contact_angle.of(theta)
+        cosine = torch.cos(angle).clamp(min=_FLATTEST)
+        third = (self.ball_diameter.log(theta) + self.load.log(theta)) / 3
+        along = _STIFFNESS * self.n_balls ** (2 / 3) * torch.exp(third + 5 / 3 * cosine.log())
+        ratio = np.polyval(np.polyfit(_BALLS, _ACROSS, 2), self.n_balls)
+        shape = turn_axes(self.load_angle) @ [1, 0, 0, ratio, _DAMPING, 0, 0, _DAMPING * ratio]
+        values = (along * torch.from_numpy(shape))[:, None].expand(-1, len(points.speeds), -1)
+        slopes = values.new_zeros(*values.shape, theta.shape[1])
+        add_slope(slopes, self.ball_diameter, values / 3)
+        add_slope(slopes, self.load, values / 3)
+        bent = -5 / 3 * angle * torch.sin(angle) / cosine * (cosine > _FLATTEST)
+        add_slope(slopes, self.contact_angle, values * bent[:, None])
+        return values, slopes
+
+    def outside(self, theta: torch.Tensor, points: Points) -> np.ndarray:
+        """(G, S) False: it has no table."""
+        return np.zeros((len(theta), len(points.speeds)), dtype=bool)
+
+    def to_record(self) -> dict[str, Any]:
+        """A JSON-able twin."""
+        return {"kind": "ball", **asdict(self)}
+
+    @classmethod
+    def from_record(cls, record: dict[str, Any]) -> BallLaw:
+        """The law of :meth:`to_record`."""
+        numbers = {name: Number(**record[name]) for name in _NUMBERS}
+        return cls(n_balls=record["n_balls"], load_angle=record["load_angle"], **numbers)

@@ -1,0 +1,200 @@
+"""Laws of bearings against ROSS, the modelled table, similarity, turned axes, and finite differences."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.bearings import JournalTableConfig
+from pipeline.config.laws import LawsConfig
+from pipeline.errors import ConfigError, DataError
+from pipeline.laws.build import make_laws
+from pipeline.laws.files import FOLDER, read_film_table
+from pipeline.laws.law_set import LawSet
+from pipeline.rotor.journal_table import journal_coefficients
+from pipeline.rotor.ross_adapter import ross
+
+SPEEDS = np.linspace(30.0, 450.0, 7)
+WARM = {"oil_temperature": np.linspace(310.0, 345.0, 7)}
+OIL = {"law": "exponential", "reference": "55 degC", "viscosity": "16.6 mPa s", "slope": "0.034 1/K"}
+SIZES = {
+    "journal_diameter": "99.8 mm",
+    "length": "49.9 mm",
+    "radial_clearance": "0.1 mm",
+    "static_load": "892.7 N",
+}
+LUND = {"kind": "journal_table", "table": "lund_thomsen_two_axial_groove", **SIZES}
+SHORT = {"kind": "short_journal", **SIZES}
+BALL = {"kind": "ball", "n_balls": 9, "ball_diameter": "12 mm", "contact_angle": "20 deg", "load": "300 N"}
+VOGEL = {"law": "vogel", "reference": "40 degC", "viscosity": "30 mPa s", "b": "900 K", "c": "-95 degC"}
+
+
+def constant(viscosity: float) -> dict[str, Any]:
+    return {"law": "constant", "viscosity": viscosity}
+
+
+def laws(*bearings: Mapping[str, Any], oil: Mapping[str, Any] = OIL) -> LawSet:
+    """Laws of bearings at nodes 0, 1, ..."""
+    section = LawsConfig.model_validate({"oil": oil, "bearings": dict(enumerate(bearings))})
+    return make_laws(section, range(len(bearings)))
+
+
+def unknown(bearing: Mapping[str, Any], *names: str) -> dict[str, Any]:
+    """The bearing with these numbers unknown."""
+    return {**bearing, **{name: {"guess": bearing[name], "within": 2} for name in names}}
+
+
+def known(given: LawSet, speeds: np.ndarray = SPEEDS, operating: Mapping[str, np.ndarray] = WARM) -> np.ndarray:
+    """(B, S, 8) at theta zero."""
+    theta = torch.zeros(1, len(given.parameters), dtype=torch.float64)
+    return np.asarray(given.coefficients(theta, speeds, operating)[0][0])
+
+
+EVERYTHING = laws(
+    unknown(LUND, "journal_diameter", "length", "radial_clearance", "static_load"),
+    unknown({**SHORT, "load_angle": "40 deg"}, "journal_diameter", "length", "radial_clearance", "static_load"),
+    unknown({**SHORT, "static_load": "condition", "load_share": 0.4}, "load_share"),
+    unknown(BALL, "ball_diameter", "contact_angle", "load"),
+    oil=unknown(OIL, "viscosity", "slope"),
+)
+
+
+@pytest.mark.parametrize(
+    "given", [EVERYTHING, laws(SHORT, oil=unknown(VOGEL, "viscosity", "b", "c"))], ids=["all", "vogel"]
+)
+@pytest.mark.parametrize("size", [0.05, 1.0], ids=["within the tables", "far outside"])
+def test_slopes_are_those_of_differences(given: LawSet, size: float) -> None:
+    theta = size * torch.from_numpy(np.random.default_rng(1).normal(size=(2, len(given.parameters))))
+    operating = {**WARM, "load": np.linspace(800.0, 3000.0, 7)}
+    values, slopes = given.coefficients(theta, SPEEDS, operating)
+    assert slopes.shape == (2, len(given.nodes), 7, 8, len(given.parameters))
+    for i in range(len(given.parameters)):
+        step = torch.zeros_like(theta)
+        step[:, i] = 1e-5
+        ends = [given.coefficients(theta + sign * step, SPEEDS, operating)[0] for sign in (1, -1)]
+        scale = values.abs().amax(dim=(2, 3), keepdim=True)
+        torch.testing.assert_close((ends[0] - ends[1]) / 2e-5 / scale, slopes[..., i] / scale, rtol=1e-5, atol=1e-6)
+
+
+def test_a_short_bearing_is_that_of_ross() -> None:
+    """All eight, x and y as ROSS has them, from light to heavy loads."""
+    for load in (20.0, 900.0, 3e4):
+        sizes = {"bearing_length": 0.0499, "journal_diameter": 0.0998, "radial_clearance": 1e-4}
+        theirs = ross().CylindricalBearing(n=0, speed=SPEEDS, weight=load, oil_viscosity=0.0166, **sizes)
+        ours = known(laws({**SHORT, "static_load": load}, oil=constant(0.0166)))
+        table = np.stack([getattr(theirs, name) for name in COEFFICIENTS], axis=-1)  # its K(w) is a spline of these
+        np.testing.assert_allclose(ours[0], table, rtol=1e-6, atol=1e-9 * np.abs(table[:, :4]).max())
+
+
+@pytest.mark.parametrize("n_balls", [8, 9, 20])
+def test_a_ball_bearing_is_that_of_ross(n_balls: int) -> None:
+    theirs = ross().BallBearingElement(n=0, n_balls=n_balls, d_balls=0.012, fs=300.0, alpha=np.radians(20))
+    ours = known(laws({**BALL, "n_balls": n_balls}))[0]
+    table = [float(np.ravel(getattr(theirs, name))[0]) for name in COEFFICIENTS]
+    np.testing.assert_allclose(ours, np.tile(table, (7, 1)), rtol=1e-12, atol=1e-6)
+
+
+def test_a_table_is_the_modelled_bearing() -> None:
+    rows = np.loadtxt(FOLDER / f"{LUND['table']}.csv", delimiter=",", skiprows=5)
+    given = {**LUND, "rows": rows.tolist(), "oil_viscosity": 0.0166}
+    modelled = JournalTableConfig.model_validate({k: v for k, v in given.items() if k != "table"})
+    ours = known(laws(LUND, oil=constant(0.0166)))
+    np.testing.assert_allclose(ours[0], journal_coefficients(modelled, SPEEDS), rtol=1e-9)
+
+
+@pytest.mark.parametrize("bearing", [LUND, SHORT], ids=["table", "short"])
+def test_sommerfeld_similarity(bearing: dict[str, Any]) -> None:
+    """Twice the viscosity is twice the speed, but for the speed in the damping; and so for clearance and load."""
+    thin, thick = (known(laws(bearing, oil=constant(eta)))[0] for eta in (0.01, 0.02))
+    fast = known(laws(bearing, oil=constant(0.01)), 2 * SPEEDS)[0]
+    np.testing.assert_allclose(fast, thick / np.repeat([1.0, 2.0], 4), rtol=1e-10)
+    wide = laws({**bearing, "radial_clearance": "0.2 mm"}, oil=constant(0.04))
+    np.testing.assert_allclose(known(wide)[0], thin / 2, rtol=1e-10)
+    heavy = laws({**bearing, "static_load": "1785.4 N"}, oil=constant(0.02))
+    np.testing.assert_allclose(known(heavy)[0], 2 * thin, rtol=1e-10)
+
+
+def test_a_turned_bearing_is_the_same_in_turned_axes() -> None:
+    straight, turned = known(laws(LUND))[0], known(laws({**LUND, "load_angle": "30 deg"}))[0]
+    cos, sin = np.cos(np.pi / 6), np.sin(np.pi / 6)
+    turn = np.array([[cos, -sin], [sin, cos]])
+    blocks = turn @ straight.reshape(7, 2, 2, 2) @ turn.T
+    np.testing.assert_allclose(turned, blocks.reshape(7, 8), rtol=1e-9)
+    quarter = known(laws({**LUND, "load_angle": "90 deg"}))[0]
+    np.testing.assert_allclose(quarter[:, [3, 2, 1, 0]], straight[:, :4] * [1, -1, -1, 1], rtol=1e-9, atol=1e-3)
+
+
+def test_beyond_its_rows_a_table_goes_on_smoothly_and_says_so() -> None:
+    given = laws(unknown(LUND, "radial_clearance"))
+    curve = read_film_table(LUND["table"]).curves[0]
+    for end, side in ((curve.nodes[0], -1), (curve.nodes[-1], 1)):
+        before, after = (curve.evaluate(torch.tensor([end + step], dtype=torch.float64)) for step in (-1e-7, 1e-7))
+        torch.testing.assert_close(before[0], after[0], rtol=1e-6, atol=1e-6)
+        torch.testing.assert_close(before[1], after[1], rtol=1e-4, atol=1e-4)
+        assert torch.isfinite(curve.evaluate(torch.tensor([end + 20.0 * side], dtype=torch.float64))[0]).all()
+    shares = given.outside(torch.tensor([[0.0], [np.log(10.0)]], dtype=torch.float64), SPEEDS, WARM)
+    assert shares.shape == (2, 1)
+    assert shares[0, 0] == 0
+    assert shares[1, 0] > 0.5
+
+
+def test_a_record_of_laws_makes_the_same_laws_without_files() -> None:
+    copy = LawSet.from_record(json.loads(json.dumps(EVERYTHING.to_record())))
+    operating = {**WARM, "load": np.full(7, 900.0)}
+    np.testing.assert_array_equal(known(copy, operating=operating), known(EVERYTHING, operating=operating))
+    assert copy.parameters == EVERYTHING.parameters
+    assert copy.inputs == EVERYTHING.inputs == ("load", "oil_temperature")
+
+
+def test_unknown_numbers_have_names_units_and_guesses() -> None:
+    assert [f"{one.name} {one.unit}" for one in EVERYTHING.parameters][:6] == [
+        *("oil.viscosity Pa * s", "oil.slope 1 / K"),
+        *("0.journal_diameter m", "0.length m", "0.radial_clearance m", "0.static_load N"),
+    ]
+    assert [one.member for one in EVERYTHING.parameters[:3]] == [None, None, 0]
+    theta = np.zeros(len(EVERYTHING.parameters))
+    theta[0] = np.log(2)
+    np.testing.assert_allclose(EVERYTHING.numbers(theta)[:2], [0.0332, 0.034])
+
+
+def test_what_a_law_needs_and_does_not_get_is_named() -> None:
+    with pytest.raises(DataError, match=r"oil_temperature, but the data have load.*column oil_temperature_degC"):
+        known(laws(LUND), operating={"load": np.ones(7)})
+    with pytest.raises(DataError, match="load above zero"):
+        known(laws({**LUND, "static_load": "condition"}), operating={**WARM, "load": np.zeros(7)})
+    with pytest.raises(ConfigError, match="must have a law for node 5, but it has 0"):
+        make_laws(LawsConfig.model_validate({"oil": OIL, "bearings": {0: LUND}}), (0, 5))
+
+
+HEADER = "S,Kxx,Kxy,Kyx,Kyy,Bxx,Bxy,Byx,Byy\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (HEADER.replace("Bxx", "Cxx") + "1,1,1,1,1,1,1,1,1\n", "has no Bxx"),
+        (HEADER + "1,1,1,1,1,1,1,1,x\n", "a number in every cell"),
+        (HEADER + "1,1,1,1,1,1,1,1,1\n" * 5, "ascending Sommerfeld"),
+        (HEADER + "1,1,1,1,1,1,1,1,1\n", "must have 4 rows"),
+        (HEADER + "1,1,1,1,1,1,1,1,nan\n", "must be finite"),
+        (HEADER, "must have 4 rows"),
+        ("", "has no S"),
+    ],
+)
+def test_a_file_that_is_no_table_is_refused(text: str, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigError, match=said):
+        read_film_table(str(path))
+
+
+def test_a_name_that_is_no_table_is_refused() -> None:
+    with pytest.raises(ConfigError, match="did you mean 'lund_thomsen_two_axial_groove'"):
+        read_film_table("lund_thomsen")
