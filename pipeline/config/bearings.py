@@ -7,7 +7,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field, PositiveInt, model_validator
 
-from pipeline.config.quantities import Angle, AnyDamping, AnyStiffness, Force, Length, Viscosity
+from pipeline.config.guesses import ModelledLoad
+from pipeline.config.oil import ModelledViscosity
+from pipeline.config.quantities import Angle, AnyDamping, AnyStiffness, Length, ShaftAngle
 from pipeline.config.section import NonNegativeInt, Section
 
 
@@ -17,7 +19,7 @@ class BallBearingConfig(Section):
     kind: Literal["ball"]
     n_balls: PositiveInt
     ball_diameter: Length
-    static_load: Force
+    static_load: ModelledLoad
     contact_angle: Angle
 
 
@@ -31,30 +33,35 @@ class CylindricalBearingConfig(Section):
     journal_diameter: Length
     length: Length
     radial_clearance: Length
-    oil_viscosity: Viscosity
-    static_load: Force | None = None
+    oil_viscosity: ModelledViscosity
+    static_load: ModelledLoad | None = None
 
 
 class JournalTableConfig(Section):
-    """A journal bearing from a published table of dimensionless coefficients over the Sommerfeld number.
+    """A journal bearing from a table of dimensionless coefficients over the Sommerfeld number.
 
     ``rows`` are (S, Kxx, Kxy, Kyx, Kyy, Bxx, Bxy, Byx, Byy), with x the direction of the load,
     S = viscosity N L D / W (R / C)^2, N in 1/s; k = K W / C and c = B W / (w C). Between the rows: cubic splines of the
-    logarithm of S.
+    logarithm of S. ``table`` in their place is the name of a table of the package, or a CSV file.
     """
 
     kind: Literal["journal_table"]
-    rows: tuple[Annotated[tuple[float, ...], Field(min_length=9, max_length=9)], ...] = Field(min_length=4)
+    rows: tuple[Annotated[tuple[float, ...], Field(min_length=9, max_length=9)], ...] | None = Field(None, min_length=4)
+    table: str | None = None
     journal_diameter: Length
     length: Length
     radial_clearance: Length
-    oil_viscosity: Viscosity
-    static_load: Force
+    oil_viscosity: ModelledViscosity
+    static_load: ModelledLoad
+    preload: float | None = Field(None, ge=0, lt=1)
+    load_angle: ShaftAngle = 0.0
 
     @model_validator(mode="after")
     def _ascending(self) -> JournalTableConfig:
-        numbers = [row[0] for row in self.rows]
-        if numbers[0] <= 0 or any(b <= a for a, b in itertools.pairwise(numbers)):
+        if (self.rows is None) == (self.table is None):
+            raise ValueError(f"must have either rows or table, but has {'neither' if self.rows is None else 'both'}")
+        numbers = [row[0] for row in self.rows or ()]
+        if numbers and (numbers[0] <= 0 or any(b <= a for a, b in itertools.pairwise(numbers))):
             raise ValueError(f"must have rows with ascending Sommerfeld numbers above zero, but got {numbers}")
         return self
 

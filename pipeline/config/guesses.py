@@ -26,17 +26,18 @@ def _convert(value: Any, unit: str, example: str, or_condition: bool) -> Any:
     if isinstance(value, GuessConfig) or (or_condition and value == CONDITION):
         return value
     if not isinstance(value, Mapping):
-        return _convert_positive(value, unit, example)
+        return convert_positive(value, unit, example)
     if "guess" not in value or (strangers := value.keys() - GuessConfig.model_fields.keys()):
         what = "no guess" if "guess" not in value else f"'{min(strangers)}'"
         raise ValueError(f"must be a quantity, or have a guess (such as {example}) and within, but has {what}")
     within = to_si(value.get("within", GuessConfig.model_fields["within"].default), "", "3")
     if within <= 1:
         raise ValueError(f"must have within above 1 (the factor that is one standard deviation), but got {within:g}")
-    return GuessConfig(guess=_convert_positive(value["guess"], unit, example), within=within)
+    return GuessConfig(guess=convert_positive(value["guess"], unit, example), within=within)
 
 
-def _convert_positive(value: Any, unit: str, example: str) -> float:
+def convert_positive(value: Any, unit: str, example: str) -> float:
+    """A known quantity in ``unit``. Raises ValueError where it is not above zero."""
     number = to_si(value, unit, example)
     if number <= 0:
         raise ValueError(f"must be above zero (such as {example}), but got {value!r}")
@@ -61,6 +62,14 @@ AngleNumber = define_number("rad", "30 deg")
 PureNumber = define_number("", "0.5")
 LoadNumber = define_number("N", "500 N", or_condition=True)
 """A load may also be that of the operating condition ``load``."""
+
+
+ModelledLoad = Annotated[
+    float | Literal["condition"],
+    BeforeValidator(lambda value: value if value == CONDITION else convert_positive(value, "N", "500 N")),
+    Field(json_schema_extra={"unit": "N"}),
+]
+"""The static load of a modelled bearing: a number, or that of the operating condition ``load``."""
 
 
 def middle(value: Any) -> float:

@@ -22,6 +22,11 @@ def packaged_tables() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in FOLDER.glob("*.csv")))
 
 
+def packaged_file(table: str) -> Path | None:
+    """The file of a table that comes with the package; None for another."""
+    return FOLDER / f"{table}.csv" if table in packaged_tables() else None
+
+
 def read_film_table(table: str) -> FilmTable:
     """A table of the package by its name, or of a CSV file by its path.
 
@@ -29,7 +34,7 @@ def read_film_table(table: str) -> FilmTable:
     ``preload``; others are left alone. Raises ConfigError: no such table, a column that is missing, a value that is no
     number, Sommerfeld numbers that do not ascend (at each preload), too few rows.
     """
-    path = FOLDER / f"{table}.csv" if table in packaged_tables() else Path(table)
+    path = packaged_file(table) or Path(table)
     try:
         lines = [line for line in path.read_text(encoding="utf-8").splitlines() if line.strip() and line[0] != "#"]
     except (OSError, UnicodeDecodeError):

@@ -8,6 +8,11 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
+from pipeline.config.guesses import middle
+from pipeline.config.oil import ConstantOilConfig, ExponentialOilConfig, VogelOilConfig
+from pipeline.errors import ConfigError
 from pipeline.laws.numbers import Number, add_slope
 
 if TYPE_CHECKING:
@@ -15,6 +20,22 @@ if TYPE_CHECKING:
 
 _NEAREST = 1.0
 """K: a fit that puts Vogel's pole nearer to an oil's temperature meets this distance."""
+
+
+def viscosity_at(oil: ConstantOilConfig | ExponentialOilConfig | VogelOilConfig, temperature: np.ndarray) -> np.ndarray:
+    """(S,) Pa s of an oil with known numbers at ``temperature`` (S,) K."""
+    change = np.zeros_like(temperature)
+    if isinstance(oil, ExponentialOilConfig):
+        change = -middle(oil.slope) * (temperature - oil.reference)
+    elif isinstance(oil, VogelOilConfig):
+        b, c = middle(oil.b), middle(oil.c)
+        if (temperature <= c).any():
+            raise ConfigError(
+                f"an oil must be above Vogel's c of {c:g} K, but it is at {temperature.min():g} K: correct c, or the "
+                "temperature"
+            )
+        change = b / (temperature - c) - b / (oil.reference - c)
+    return np.asarray(middle(oil.viscosity) * np.exp(change))
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cache
 
 import numpy as np
@@ -35,6 +36,23 @@ def short_coefficients(eccentricity: np.ndarray) -> np.ndarray:
     cuv = -8 * damping
     cuu, cvv = 2 * np.pi * root * damping / e, 2 * np.pi * (pi2 * (1 - e**2) ** 2 + 48 * e**2) / (e * root)
     return np.asarray(np.stack([uu, uv, vu, vv, cuu, cuv, cuv, cvv], axis=-1) * h[..., None] @ turn_axes(np.pi / 2).T)
+
+
+def _odds(log_odds: float) -> np.ndarray:
+    return np.asarray(1 / (1 + np.exp(-log_odds)))
+
+
+def short_eccentricity(sommerfeld: np.ndarray) -> np.ndarray:
+    """The eccentricities (S,) of static positions at ``S (L / D)^2`` (S,)."""
+    from scipy.optimize import brentq
+
+    def find(s: float) -> float:
+        def miss(log_odds: float) -> float:
+            return math.log(float(short_sommerfeld(_odds(log_odds)) / s))
+
+        return float(_odds(brentq(miss, -30.0, 30.0, xtol=1e-14, rtol=1e-14)))
+
+    return np.array([find(s) for s in sommerfeld])
 
 
 @cache

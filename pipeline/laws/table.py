@@ -81,6 +81,11 @@ class FilmTable:
         """True for a table over the preload, too."""
         return len(self.curves) > 1
 
+    @property
+    def span(self) -> tuple[float, float]:
+        """The logarithms of S between which every curve has rows."""
+        return max(float(one.nodes[0]) for one in self.curves), min(float(one.nodes[-1]) for one in self.curves)
+
     def evaluate(self, log_s: torch.Tensor, preload: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """(G, S, 8) at ``log_s`` (G, S) and ``preload`` (G, 1); their slopes by ``log_s`` and by the preload."""
         import torch
@@ -102,10 +107,18 @@ class FilmTable:
         """What each curve counts at a preload: a spline is linear in its values."""
         return Curve(self.preloads, np.eye(len(self.preloads)), powers=False)
 
+    def tabulate(self, log_s: np.ndarray, preload: float) -> np.ndarray:
+        """(S, 8) at ``log_s`` (S,) within the rows, without torch."""
+        from scipy.interpolate import CubicSpline
+
+        found = np.stack([CubicSpline(curve.nodes, curve.columns)(log_s) for curve in self.curves])
+        if not self.has_preload:
+            return np.asarray(found[0])
+        return np.asarray(np.tensordot(CubicSpline(self.preloads, np.eye(len(self.preloads)))(preload), found, axes=1))
+
     def outside(self, log_s: np.ndarray, preload: np.ndarray) -> np.ndarray:
         """(G, S) True where ``log_s`` (G, S) or ``preload`` (G, 1) lies beyond the rows."""
-        low = max(curve.nodes[0] for curve in self.curves)
-        high = min(curve.nodes[-1] for curve in self.curves)
+        low, high = self.span
         found = (log_s < low - _ROOM) | (log_s > high + _ROOM)
         if self.has_preload:
             found |= (preload < self.preloads[0] - _ROOM) | (preload > self.preloads[-1] + _ROOM)

@@ -22,16 +22,20 @@ from pipeline.config.bearings import (
     BallBearingConfig,
     BearingConfig,
     CylindricalBearingConfig,
-    JournalTableConfig,
-    LinearBearingConfig,
     PerNodeBearingConfig,
     RotorFileBearingConfig,
-    SpeedTableConfig,
 )
+from pipeline.config.guesses import CONDITION
 from pipeline.config.rotor import RotorConfig, ShaftSegmentConfig
 from pipeline.errors import ConfigError
+from pipeline.laws.points import LOAD, OIL_TEMPERATURE
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.journal_table import interpolate_coefficients, journal_coefficients
+from pipeline.rotor.journal_table import (
+    Operating,
+    follows_conditions,
+    pick_condition,
+    tabulate,
+)
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.ross_file import read_rotor_file
 from pipeline.rotor.supports import Stand, find_seals, find_stands
@@ -128,8 +132,13 @@ def ross_rotor(config: RotorConfig, bearing: BearingConfig, speeds: np.ndarray) 
     return ross().Rotor(rotor.shaft_elements, rotor.disk_elements, [*bearings, *seals])
 
 
-def bearing_table(config: RotorConfig, bearing: BearingConfig, speeds: np.ndarray) -> BearingTable:
-    """The modelled coefficients at ``speeds`` (S,) rad/s."""
+def bearing_table(
+    config: RotorConfig, bearing: BearingConfig, speeds: np.ndarray, operating: Operating | None = None
+) -> BearingTable:
+    """The modelled coefficients at ``speeds`` (S,) rad/s and ``operating`` conditions (S,).
+
+    Raises ConfigError where a bearing needs a condition that is not there, or gives no finite coefficients.
+    """
     rotor = _make_rotor(config)
     speeds = np.asarray(speeds, dtype=float)
     if isinstance(bearing, RotorFileBearingConfig):
@@ -138,22 +147,28 @@ def bearing_table(config: RotorConfig, bearing: BearingConfig, speeds: np.ndarra
         values = np.array([[_flatten(*stand.blocks(speed)) for speed in speeds] for stand in stands])
     else:
         nodes = _find_bearings(config, rotor)
-        values = np.array(
-            [
-                [_flatten(element.K(speed), element.C(speed)) for speed in speeds] if table is None else table
-                for element, table in zip(
-                    _make_elements(config, bearing, rotor, speeds),
-                    [_tabulate(_select(bearing, node), speeds) for node in nodes],
-                    strict=True,
-                )
-            ]
-        )
+        share = rotor.m * GRAVITY / len(nodes)
+        values = np.stack([_tabulate_at(_select(bearing, one), speeds, operating or {}, share) for one in nodes])
     if not np.isfinite(values).all():
         raise ConfigError(
             "Modelled bearing coefficients must be finite, but ROSS gave some that are not: check the bearing's "
             "load and geometry"
         )
-    return BearingTable(nodes, speeds, values)
+    return BearingTable(nodes, speeds, values, operating or {})
+
+
+def _tabulate_at(bearing: BearingConfig, speeds: np.ndarray, operating: Operating, share: float) -> np.ndarray:
+    """(S, 8) of one bearing; ``share`` is its part of the rotor's weight, N."""
+    table = tabulate(bearing, speeds, operating, share)
+    if table is not None:
+        return table
+    if isinstance(bearing, BallBearingConfig) and bearing.static_load == CONDITION:
+        loads, of = np.unique(pick_condition(operating, LOAD, len(speeds)), return_inverse=True)
+        given = [bearing.model_copy(update={"static_load": float(load)}) for load in loads]
+        return np.stack([_tabulate_at(one, speeds[:1], {}, share)[0] for one in given])[of]
+    ascending, of = np.unique(speeds, return_inverse=True)  # ROSS's splines over the speed ask for that
+    element = _make_element(bearing, 0, ascending, share)
+    return np.array([_flatten(element.K(speed), element.C(speed)) for speed in ascending])[of]
 
 
 def _select(bearing: BearingConfig, node: int) -> BearingConfig:
@@ -166,17 +181,6 @@ def _select(bearing: BearingConfig, node: int) -> BearingConfig:
             f"{', '.join(map(str, bearing.nodes))})"
         )
     return bearing.nodes[node]
-
-
-def _tabulate(bearing: BearingConfig, speeds: np.ndarray) -> np.ndarray | None:
-    """(S, 8) of a bearing that is a table itself; None for those that ROSS models."""
-    if isinstance(bearing, JournalTableConfig):
-        return journal_coefficients(bearing, speeds)
-    if isinstance(bearing, SpeedTableConfig):
-        return interpolate_coefficients(bearing, speeds)
-    if isinstance(bearing, LinearBearingConfig):
-        return np.tile([getattr(bearing, name) for name in COEFFICIENTS], (len(speeds), 1))
-    return None
 
 
 def _flatten(stiffness: np.ndarray, damping: np.ndarray) -> list[float]:
@@ -195,6 +199,8 @@ def _make_elements(config: RotorConfig, bearing: BearingConfig, rotor: Any, spee
 def _make_element(bearing: BearingConfig, node: int, speeds: np.ndarray, share: float) -> Any:
     """ROSS's element; ``share`` is the bearing's part of the rotor's weight, N."""
     rs = ross()
+    if follows_conditions(bearing):
+        pick_condition({}, LOAD if getattr(bearing, "static_load", None) == CONDITION else OIL_TEMPERATURE, 0)
     if isinstance(bearing, BallBearingConfig):
         return rs.BallBearingElement(
             n=node,
@@ -213,7 +219,7 @@ def _make_element(bearing: BearingConfig, node: int, speeds: np.ndarray, share: 
             radial_clearance=bearing.radial_clearance,
             oil_viscosity=bearing.oil_viscosity,
         )
-    table = _tabulate(bearing, speeds)
+    table = tabulate(bearing, speeds, {}, share)
     assert table is not None, bearing.kind
     columns = {name: [float(v) for v in column] for name, column in zip(COEFFICIENTS, table.T, strict=True)}
     if len(speeds) < _SPLINE_POINTS:  # too few for ROSS's spline over the speed

@@ -14,13 +14,18 @@ from pipeline.cache import hash_parts, keep, look_up
 from pipeline.config.bearings import BearingConfig
 from pipeline.config.rotor import RotorConfig
 from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.journal_table import table_bytes
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.seals import Seals
 
 KIND = "rotors"
 _BEARINGS = "bearings"
 _CODE = ("ross_adapter", "ross_file", "supports", "journal_table")
-_MADE_BY = [Path(__file__).with_name(f"{name}.py") for name in _CODE]
+_LAWS = ("files", "oil", "points", "short_bearing", "table")
+_MADE_BY = [
+    *(Path(__file__).with_name(f"{name}.py") for name in _CODE),
+    *(Path(__file__).parents[1] / "laws" / f"{name}.py" for name in _LAWS),
+]
 _ARRAYS = ("mass", "damping", "gyroscopic", "stiffness", "shaft_mass", "shaft_gyroscopic", "positions")
 _REST = ("bearing_nodes", "disc_nodes", "total_mass", "supported_nodes")
 _SEALS = "seals"
@@ -63,19 +68,24 @@ def load_rotor(config: RotorConfig) -> RotorModel:
     return rotor
 
 
-def load_modelled_bearings(config: RotorConfig, bearing: BearingConfig, speeds: np.ndarray) -> BearingTable:
-    """The modelled coefficients at ``speeds`` (S,) rad/s: from the cache, or by ROSS.
+def load_modelled_bearings(
+    config: RotorConfig, bearing: BearingConfig, speeds: np.ndarray, operating: Mapping[str, np.ndarray] | None = None
+) -> BearingTable:
+    """The modelled coefficients at ``speeds`` (S,) rad/s and ``operating`` conditions (S,): from the cache, or by ROSS.
 
-    Raises ConfigError where the rotor file can't be read, or the bearings give no finite coefficients.
+    Raises ConfigError where the rotor file can't be read, where a bearing needs a condition that is not there, or the
+    bearings give no finite coefficients.
     """
-    speeds = np.ascontiguousarray(speeds, dtype=float)
-    key = hash_parts(hash_rotor(config), bearing.model_dump_json(), speeds.tobytes())
+    speeds, operating = np.ascontiguousarray(speeds, dtype=float), operating or {}
+    states = [part for name, values in operating.items() for part in (name, np.array(values, dtype=float).tobytes())]
+    made_of = (bearing.model_dump_json(), table_bytes(bearing))
+    key = hash_parts(hash_rotor(config), *made_of, speeds.tobytes(), *states)
     kept = _look_up(_BEARINGS, key, {"nodes", "values"})
     if kept is not None:
-        return BearingTable(tuple(kept["nodes"].astype(int).tolist()), speeds, kept["values"])
+        return BearingTable(tuple(kept["nodes"].astype(int).tolist()), speeds, kept["values"], operating)
     from pipeline.rotor.ross_adapter import bearing_table
 
-    table = bearing_table(config, bearing, speeds)
+    table = bearing_table(config, bearing, speeds, operating)
     _keep(_BEARINGS, key, {"nodes": table.nodes, "values": table.values})
     return table
 

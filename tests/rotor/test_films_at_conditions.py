@@ -1,0 +1,130 @@
+"""Modelled bearings whose oil warms and whose load changes: the laws' coefficients, ROSS's, and what is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import refused
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.bearings import PerNodeBearingConfig
+from pipeline.config.laws import LawsConfig
+from pipeline.config.rotor import RotorConfig
+from pipeline.errors import ConfigError
+from pipeline.laws.build import make_laws
+from pipeline.rotor.ross_adapter import bearing_table, ross, ross_rotor
+from pipeline.rotor.stored import load_modelled_bearings
+
+ROTOR = RotorConfig.model_validate(
+    {
+        "shaft": [{"length": "1 m", "outer_diameter": "50 mm", "elements": 4}],
+        "material": {"density": 7810.0, "youngs_modulus": "211 GPa", "shear_modulus": "81.2 GPa"},
+        "bearing_nodes": [0, 4],
+    }
+)
+OIL = {"law": "vogel", "reference": "40 degC", "viscosity": "30 mPa s", "b": "900 K", "c": "-95 degC"}
+SIZES = {"journal_diameter": "99.8 mm", "length": "49.9 mm", "radial_clearance": "0.1 mm"}
+TABLE = {"kind": "journal_table", "table": "lund_thomsen_two_axial_groove", **SIZES, "load_angle": "-90 deg"}
+SHORT = {"kind": "cylindrical", **SIZES}
+BALL = {"kind": "ball", "n_balls": 9, "ball_diameter": "12 mm", "contact_angle": "20 deg"}
+SPEEDS = np.tile(np.linspace(60.0, 300.0, 5), 3)
+STATES = {
+    "oil_temperature": np.repeat([313.0, 323.0, 333.0], 5),
+    "load": np.repeat([700.0, 700.0, 2000.0], 5),
+}
+
+
+def bearings(first: Mapping[str, Any], second: Mapping[str, Any] | None = None) -> PerNodeBearingConfig:
+    return PerNodeBearingConfig.model_validate({"kind": "per_node", "nodes": {0: first, 4: second or first}})
+
+
+def test_films_follow_temperature_and_load_as_the_laws_do() -> None:
+    """Three ways to one answer: the law's splines in torch, the modelled table, and ROSS at each state."""
+    own = {"static_load": "condition", "oil_viscosity": OIL}
+    table = bearing_table(ROTOR, bearings({**TABLE, **own}, {**SHORT, **own}), SPEEDS, STATES)
+    assert table.operating == STATES
+    law = {"static_load": "condition"}
+    section = {"oil": OIL, "bearings": {0: {**TABLE, **law}, 4: {**SHORT, "kind": "short_journal", **law}}}
+    import torch
+
+    laws = make_laws(LawsConfig.model_validate(section), (0, 4))
+    values = laws.coefficients(torch.zeros(1, 0, dtype=torch.float64), SPEEDS, STATES)[0][0].numpy()
+    size = np.abs(table.values[..., :4]).max()
+    np.testing.assert_allclose(values, table.values, rtol=1e-8, atol=1e-9 * size)
+    for warm, load in ((313.0, 700.0), (333.0, 2000.0)):
+        at = (STATES["oil_temperature"] == warm) & (STATES["load"] == load)
+        viscosity = 0.03 * np.exp(900 / (warm - 178.15) - 900 / 135.0)
+        theirs = ross().CylindricalBearing(
+            n=0,
+            speed=SPEEDS[at],
+            weight=load,
+            bearing_length=0.0499,
+            journal_diameter=0.0998,
+            radial_clearance=1e-4,
+            oil_viscosity=viscosity,
+        )
+        listed = np.stack([getattr(theirs, name) for name in COEFFICIENTS], axis=-1)
+        np.testing.assert_allclose(table.values[1, at], listed, rtol=1e-7, atol=1e-9 * size)
+
+
+def test_what_follows_no_condition_is_the_same_at_all_of_them() -> None:
+    """Speeds in the order of the points, each several times."""
+    fixed = bearings({**SHORT, "static_load": "500 N", "oil_viscosity": "20 mPa s"}, {**BALL, "static_load": "500 N"})
+    table, once = bearing_table(ROTOR, fixed, SPEEDS, STATES), bearing_table(ROTOR, fixed, SPEEDS[:5])
+    np.testing.assert_array_equal(table.values, np.tile(once.values, (1, 3, 1)))
+
+
+def test_a_ball_bearing_follows_its_load() -> None:
+    table = bearing_table(ROTOR, bearings({**BALL, "static_load": "condition"}), SPEEDS, STATES)
+    light, heavy = table.values[0, 0], table.values[0, -1]
+    np.testing.assert_allclose(heavy, light * (2000 / 700) ** (1 / 3), rtol=1e-12)
+
+
+def test_a_named_table_is_that_of_its_rows() -> None:
+    from pipeline.config.compose import compose_config
+
+    machine = compose_config(["machine=compressor_two_journals"]).machine
+    assert machine.bearings.kind == "per_node"
+    by_rows = machine.bearings.nodes[8]
+    by_name = by_rows.model_copy(update={"rows": None, "table": "lund_thomsen_two_axial_groove"})
+    both = PerNodeBearingConfig(kind="per_node", nodes={8: by_rows, 21: by_name})
+    found = bearing_table(machine.rotor, both, np.linspace(50.0, 400.0, 6)).values
+    np.testing.assert_array_equal(found[0], found[1])
+
+
+def test_a_condition_that_is_missing_is_named() -> None:
+    film = bearings({**SHORT, "static_load": "500 N", "oil_viscosity": OIL})
+    words = ("need the operating condition oil_temperature, but there is load", "give machine.operating.oil_temperature")
+    with refused(*words, kind=ConfigError):
+        bearing_table(ROTOR, film, SPEEDS, {"load": STATES["load"]})
+    with refused("need the operating condition oil_temperature", kind=ConfigError):
+        ross_rotor(ROTOR, film, SPEEDS[:5])
+    with refused("need the operating condition load", kind=ConfigError):
+        bearing_table(ROTOR, bearings({**BALL, "static_load": "condition"}), SPEEDS)
+    with refused("above Vogel's c", kind=ConfigError):
+        bearing_table(ROTOR, film, SPEEDS, {"oil_temperature": np.full(15, 150.0)})
+    with refused("span the Sommerfeld numbers", "choose speeds from", kind=ConfigError):
+        given = bearings({**TABLE, "static_load": "condition", "oil_viscosity": 0.02})
+        bearing_table(ROTOR, given, SPEEDS, {"load": np.full(15, 1.0)})
+
+
+def test_kept_coefficients_are_those_of_their_conditions_and_file(tmp_path: Path) -> None:
+    """The cache asks for the conditions and for what the table's file holds."""
+    film = bearings({**SHORT, "static_load": "500 N", "oil_viscosity": OIL})
+    cold, warm = (load_modelled_bearings(ROTOR, film, SPEEDS, {"oil_temperature": np.full(15, t)}) for t in (310, 330))
+    assert not np.allclose(cold.values, warm.values, rtol=0.01)
+    again = load_modelled_bearings(ROTOR, film, SPEEDS, {"oil_temperature": np.full(15, 330)})
+    np.testing.assert_array_equal(again.values, warm.values)
+    assert again.operating["oil_temperature"][0] == 330
+    path = tmp_path / "own.csv"
+    found = []
+    for stiffness in (1, 2):
+        rows = [f"{s},{stiffness},1,-1,1,1,0,0,1" for s in (0.001, 0.1, 10, 1000)]
+        path.write_text("\n".join(["S,Kxx,Kxy,Kyx,Kyy,Bxx,Bxy,Byx,Byy", *rows]), encoding="utf-8")
+        given = bearings({**TABLE, "table": str(path), "static_load": "500 N", "oil_viscosity": 0.02})
+        found.append(load_modelled_bearings(ROTOR, given, SPEEDS).coefficient("kyy"))
+    np.testing.assert_allclose(found[1], 2 * found[0])
