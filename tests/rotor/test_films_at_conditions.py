@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 from conftest import refused
 
 from pipeline.coefficients import COEFFICIENTS
@@ -98,8 +97,8 @@ def test_a_named_table_is_that_of_its_rows() -> None:
 
 def test_a_condition_that_is_missing_is_named() -> None:
     film = bearings({**SHORT, "static_load": "500 N", "oil_viscosity": OIL})
-    words = ("need the operating condition oil_temperature, but there is load", "give machine.operating.oil_temperature")
-    with refused(*words, kind=ConfigError):
+    named = "need the operating condition oil_temperature, but there is load: give machine.operating.oil_temperature"
+    with refused(named, kind=ConfigError):
         bearing_table(ROTOR, film, SPEEDS, {"load": STATES["load"]})
     with refused("need the operating condition oil_temperature", kind=ConfigError):
         ross_rotor(ROTOR, film, SPEEDS[:5])
