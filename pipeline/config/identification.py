@@ -139,6 +139,21 @@ class NetworkModelConfig(_CoefficientModelConfig):
     trend: bool
 
 
+class LawModelConfig(_CoefficientModelConfig):
+    """The bearing laws of ``machine.laws``, whose few numbers are fitted (loss ``response``)."""
+
+    kind: Literal["law"]
+
+
+class HybridModelConfig(NetworkModelConfig):
+    """The bearing laws of ``machine.laws`` times a network's correction, which is one where the data say nothing.
+
+    How large it may be the data tell, for each coefficient by itself (loss ``response``).
+    """
+
+    kind: Literal["hybrid"]  # type: ignore[assignment]
+
+
 class FunctionsModelConfig(_CoefficientModelConfig):
     """A linear combination of ``count`` fixed functions of the rotor speed: cubic B-splines, or Chebyshev polynomials.
 
@@ -157,7 +172,10 @@ class FunctionsModelConfig(_CoefficientModelConfig):
         return self
 
 
-ModelConfig = Annotated[ConstantModelConfig | NetworkModelConfig | FunctionsModelConfig, Field(discriminator="kind")]
+ModelConfig = Annotated[
+    ConstantModelConfig | NetworkModelConfig | FunctionsModelConfig | LawModelConfig | HybridModelConfig,
+    Field(discriminator="kind"),
+]
 
 
 def model_fields(kind: str) -> tuple[str, ...]:

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.data.dataset import VibrationDataset
+from pipeline.identification.information import invert
 from pipeline.identification.output_error import OutputError, output_error
-from pipeline.identification.output_error_fit import invert
 from pipeline.identification.output_error_start import prepare_output_error
 from pipeline.identification.training import FitSetup
 from pipeline.problem.measurement import Measurement

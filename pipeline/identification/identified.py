@@ -10,6 +10,7 @@ import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.identification.inputs import points_of
+from pipeline.identification.law_term import Corrected, law_term
 from pipeline.identification.model import CoefficientModel
 from pipeline.identification.outcome import Outcome
 from pipeline.rotor.bearing_table import BearingTable
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
     from pipeline.identification.quality import Quality
     from pipeline.identification.uncertainty import Uncertainty
+    from pipeline.laws.law_set import LawSet
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,15 +32,28 @@ class IdentifiedModel:
     unknowns: UnknownSet
     bearing_nodes: tuple[int, ...]
     parameters: torch.Tensor  # (M, Q)
+    laws: LawSet | None = None  # of the bearings, which the model corrects
+    theta: torch.Tensor | None = None  # (Th,) their numbers, as logarithms over the guesses
 
     def values(self, speeds: np.ndarray, operating: Mapping[str, np.ndarray] | None = None) -> np.ndarray:
         """(B, S, U) unknowns at ``speeds`` (S,) rad/s and ``operating`` conditions (name -> (S,) SI), N/m and N s/m."""
         import torch
 
         with torch.no_grad():
-            raw = self.model.raw(self.parameters, self.model.scaled_inputs(points_of(speeds, operating)))
-            values = self.model.physical(raw, self.model.scale_tensor()).numpy()
+            values = self.corrected(points_of(speeds, operating)).values.numpy()
         return np.broadcast_to(values, (len(self.bearing_nodes), *values.shape[1:])).copy()
+
+    def corrected(self, points: Mapping[str, np.ndarray]) -> Corrected:
+        """(M, S, U) unknowns at ``points`` (name -> (S,)), with their derivatives by outputs and by theta."""
+        import torch
+
+        raw = self.model.raw(self.parameters, self.model.scaled_inputs(points))  # (M, S, U)
+        scale = self.model.scale_tensor()
+        if self.laws is None or self.theta is None:
+            slope = self.model.physical_slope(raw, scale)
+            return Corrected(self.model.physical(raw, scale), slope, torch.zeros(*raw.shape, 0, dtype=raw.dtype))
+        term = law_term(self.laws, self.unknowns, points)
+        return Corrected(*(one[0] for one in term.correct(self.model, self.theta[None], raw[None], scale)))
 
     def coefficients(
         self, speeds: np.ndarray, operating: Mapping[str, np.ndarray] | None = None
@@ -56,6 +71,28 @@ class IdentifiedModel:
         return known.with_unknowns(self.unknowns, self.values(known.speeds, known.operating))
 
 
+@dataclass(frozen=True)
+class PhysicalNumber:
+    """A number that bearing laws are made of, after the fit."""
+
+    name: str  # such as oil.viscosity, 8.radial_clearance
+    value: float
+    deviation: float  # standard, of the value
+    unit: str  # SI
+    guess: float
+    within: float  # the factor that was one standard deviation before the fit
+
+    @property
+    def share(self) -> float:
+        """Standard deviation of the logarithm."""
+        return self.deviation / self.value
+
+    @property
+    def determined(self) -> bool:
+        """Whether the data tell it: half of what was known before, or less, is left open."""
+        return self.share < 0.5 * float(np.log(self.within))
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Fit:
     """The answer of a fit, of whatever loss."""
@@ -69,6 +106,7 @@ class Fit:
     history: tuple[Mapping[str, float | str], ...]
     uncertainty: Uncertainty | None  # None for a loss that states no deviations
     quality: Quality
+    numbers: tuple[PhysicalNumber, ...] = ()  # of the bearing laws
 
     def table(self, known: BearingTable) -> BearingTable:
         """All eight coefficients at the speeds of ``known``, N/m and N s/m."""

@@ -62,6 +62,16 @@ def trend_terms(inputs: torch.Tensor, speed: int, span: tuple[float, float], log
     return torch.cat([inputs, other], dim=-1)
 
 
+def fade(inputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """(S, 1) each: one where scaled ``inputs`` (S, n) lie in the data's range, falling to zero beyond it within about
+    the range's size; and the root of what is missing to one, squares taken.
+    """
+    import torch
+
+    beyond = (inputs.abs() - 1).clamp(min=0.0).square().sum(-1, keepdim=True)
+    return torch.exp(-beyond / 2), torch.sqrt(-torch.expm1(-beyond))
+
+
 def points_of(speeds: np.ndarray, operating: Mapping[str, np.ndarray] | None) -> dict[str, np.ndarray]:
     """Name -> (S,): ``speeds`` (S,) rad/s, and ``operating`` conditions (S,) or single numbers, SI."""
     speeds = np.atleast_1d(speeds)

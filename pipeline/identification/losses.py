@@ -130,7 +130,7 @@ class OutputErrorLoss:
         """The Cramer-Rao bound of the fit that will be made, at its linear start, for all functions of the model, with
         residual unbalance and model parameters. The fit drops superfluous functions, so it may know more.
         """
-        from pipeline.identification.output_error_fit import unknown_deviation
+        from pipeline.identification.information import unknown_deviation
         from pipeline.identification.output_error_start import prepare_output_error
 
         solvable = all(report.verdict is not Verdict.NOT_IDENTIFIABLE for report in diagnosis.reports)
@@ -154,7 +154,7 @@ class OutputErrorLoss:
         from pipeline.identification.quality import output_error_quality
         from pipeline.identification.uncertainty import uncertainty_of
 
-        if not setup.force:
+        if not setup.force and measurement.laws is None:
             require_identifiable((diagnosis or self.diagnose(measurement, setup)).reports)
         found = fit_sensors(measurement, setup, progress)
         quality = output_error_quality(found)
@@ -168,6 +168,7 @@ class OutputErrorLoss:
             history=found.minimum.history,
             uncertainty=uncertainty_of(found, quality.inflation if setup.loss.noise == "estimated" else 1.0),
             quality=quality,
+            numbers=found.numbers(),
         )
 
 

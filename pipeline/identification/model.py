@@ -12,16 +12,14 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from pipeline.coefficients import CoefficientName, is_direct
-from pipeline.config.identification import ConstantModelConfig, ModelConfig, NetworkModelConfig
-from pipeline.errors import ConfigError
 from pipeline.identification.functions import activate, evaluate_functions
-from pipeline.identification.inputs import SPEED, scale_inputs, trend_terms, varying
+from pipeline.identification.inputs import SPEED, fade, scale_inputs, trend_terms
 
 if TYPE_CHECKING:
     import torch
@@ -50,6 +48,7 @@ class CoefficientModel:
     input_scaling: Literal["rpm", "log_rpm"] = "rpm"
     ranges: tuple[tuple[float, float], ...] = ((0.0, 1.0),)  # of each input (SI, the speed in rad/s), mapped to [-1, 1]
     trend: bool = False  # the output layer also sees the inputs and the logarithm of the speed
+    fades: bool = False  # the output goes to zero beyond the data: it corrects a law
     functions: Literal["b_spline", "chebyshev"] | None = None  # what the only layer is fed by
     n_functions: int = 0  # F
 
@@ -70,12 +69,20 @@ class CoefficientModel:
     @property
     def n_trend(self) -> int:
         """Inputs of the output layer beside the hidden units."""
+        if self.fades:
+            return 1
         return len(self.inputs) + 1 if self.trend else 0
 
     def _with_trend(self, hidden: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:
-        """(..., S, n_in) what the output layer is fed: power laws and straight lines need no hidden units."""
+        """(..., S, n_in) what the output layer is fed: power laws and straight lines need no hidden units.
+
+        Where the output fades, the hidden units do, and one more input is what nobody measured, beyond the data.
+        """
         import torch
 
+        if self.fades:
+            inside, beyond = fade(inputs)
+            return torch.cat([hidden * inside, beyond.expand(*hidden.shape[:-1], 1)], dim=-1)
         if not self.trend:
             return hidden
         at = self.inputs.index(SPEED)
@@ -110,7 +117,11 @@ class CoefficientModel:
         for weight, bias in layers[:-1]:
             value = activate(self.activation, value @ weight + bias)[0]
         weight, bias = layers[-1]
-        return self._with_trend(value, inputs) @ weight + bias
+        return self._with_trend(value, inputs) @ weight + self._one(inputs) * bias
+
+    def _one(self, inputs: torch.Tensor) -> torch.Tensor:
+        """(S, 1) what the bias of the output layer is multiplied by."""
+        return fade(inputs)[0] if self.fades else torch.ones_like(inputs[:, :1])
 
     def raw_jacobian(self, parameters: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:
         """(..., S, U, Q) derivative of :meth:`raw` by the parameters, back-propagated layer by layer.
@@ -238,7 +249,7 @@ class CoefficientModel:
         fed = first.expand(len(parameters), *first.shape)
         for weight, bias in self._layers(parameters)[:-1]:
             fed = activate(self.activation, fed @ weight + bias)[0]
-        one = torch.ones_like(inputs[:, :1]).expand(len(parameters), len(inputs), 1)
+        one = self._one(inputs).expand(len(parameters), len(inputs), 1)
         return one if self.hidden is None else torch.cat([self._with_trend(fed, inputs), one], dim=-1)
 
     def with_output_at(self, parameters: torch.Tensor, inputs: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
@@ -257,36 +268,3 @@ class CoefficientModel:
         output = torch.cholesky_solve(fed.mT @ targets, factor)  # (M, h + 1, U)
         n_in, n_out = self.sizes[-1]
         return torch.cat([parameters[:, : -(n_in + 1) * n_out], output.flatten(1)], dim=1)
-
-
-def coefficient_model(
-    config: ModelConfig, unknowns: tuple[CoefficientName, ...], points: Mapping[str, np.ndarray], scale: np.ndarray
-) -> CoefficientModel:
-    """The model that a configuration describes, for data at ``points``: name -> (S,), the speed in rad/s.
-
-    ``scale`` (M, U) is the size of each unknown, N/m and N s/m. Operating conditions that vary are inputs beside the
-    speed. Raises ConfigError for such conditions where the model is made of functions of the speed alone.
-    """
-    rows = tuple(tuple(float(v) for v in row) for row in scale)
-    constant = CoefficientModel(
-        unknowns=unknowns, inputs=(SPEED,), parametrisation=config.parametrisation, scale=rows, hidden=None
-    )
-    if isinstance(config, ConstantModelConfig):
-        return constant
-    inputs = varying(points)
-    made = replace(
-        constant,
-        inputs=inputs,
-        hidden=(),
-        input_scaling=config.input_scaling,
-        ranges=tuple((float(points[name].min()), float(points[name].max())) for name in inputs),
-        trend=config.trend,
-    )
-    if isinstance(config, NetworkModelConfig):
-        return replace(made, hidden=(config.width,) * config.depth, activation=config.activation)
-    if len(inputs) > 1:
-        raise ConfigError(
-            f"model.kind={config.kind} is made of functions of the speed alone, but the data have {inputs[1]}, too: "
-            "choose model=network_fluid_film"
-        )
-    return replace(made, functions=config.kind, n_functions=config.count)

@@ -26,6 +26,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from pipeline.identification.basis import Basis
+from pipeline.identification.law_term import law_term
 from pipeline.identification.sensor_deviations import SensorDeviations, SensorState, sensor_deviations
 from pipeline.identification.weight_prior import WeightPrior, size_prior
 from pipeline.identification.whitened_readings import WhitenedReadings
@@ -46,7 +47,7 @@ class OutputError:
     basis: Basis
     features: torch.Tensor  # (M, S, K) at the speeds of the measurement
     kept: torch.Tensor  # (A, K) bool: the features that an unknown has
-    prior: torch.Tensor  # (K,) precision of a feature's weight before the data; 0 for none
+    prior: torch.Tensor  # (K,) or (A, K) precision of a feature's weight before the data; 0 for none
 
     @property
     def measurement(self) -> Measurement:
@@ -70,8 +71,13 @@ class OutputError:
 
     @property
     def n_rest(self) -> int:
-        """2 N + T: how many weights follow those of the coefficients."""
-        return 2 * self.n_planes + self.n_parameters
+        """Th + 2 N + T: how many weights follow those of the coefficients."""
+        return self.sensors.n_rest
+
+    @property
+    def n_numbers(self) -> int:
+        """Th."""
+        return self.sensors.n_numbers
 
     @property
     def n_rows(self) -> int:
@@ -101,11 +107,13 @@ class OutputError:
 
     @cached_property
     def weight_prior(self) -> WeightPrior:
-        """Of the features, none of the planes, of unit variance of the model parameters; of the coefficients' sizes."""
+        """Of the features, of theta about its guess, of unit variance of the model parameters; of coefficients' sizes."""
         import torch
 
         own = (self.prior * self.kept).flatten()
-        rest = [torch.zeros(2 * self.n_planes), torch.ones(self.n_parameters)]
+        law = self.sensors.law
+        numbers = torch.zeros(0) if law is None else law.prior_precision()
+        rest = [numbers, torch.zeros(2 * self.n_planes), torch.ones(self.n_parameters)]
         sizes = size_prior(self.measurement, self.basis.model, self.sensors.scale, self.readings.features)
         return WeightPrior(torch.cat([own, *rest]).to(self.prior.dtype), sizes)
 
@@ -121,7 +129,8 @@ class OutputError:
         """(G, N) complex residual unbalance, kg m."""
         import torch
 
-        pairs = weights[:, 0, self.n_outer : self.n_outer + 2 * self.n_planes].unflatten(-1, (self.n_planes, 2))
+        first = self.n_outer + self.n_numbers
+        pairs = weights[:, 0, first : first + 2 * self.n_planes].unflatten(-1, (self.n_planes, 2))
         return self.sensors.plane_scale * torch.complex(pairs[..., 0], pairs[..., 1])
 
     def model_parameters(self, weights: torch.Tensor) -> torch.Tensor:
@@ -130,7 +139,12 @@ class OutputError:
 
     def state(self, weights: torch.Tensor) -> SensorState:
         """What the readings follow from."""
-        return SensorState(self.outputs(weights), self.unbalance(weights), self.model_parameters(weights))
+        parameters, numbers = self.model_parameters(weights), self.numbers(weights) if self.n_numbers else None
+        return SensorState(self.outputs(weights), self.unbalance(weights), parameters, numbers)
+
+    def numbers(self, weights: torch.Tensor) -> torch.Tensor:
+        """(G, Th) theta of the bearing laws."""
+        return weights[:, 0, self.n_outer : self.n_outer + self.n_numbers]
 
     def outputs(self, weights: torch.Tensor) -> torch.Tensor:
         """(G, M, S, U) outputs of the model."""
@@ -138,7 +152,8 @@ class OutputError:
 
     def unknowns(self, weights: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """(G, S, A) active unknowns in N/m and N s/m, and their derivative by the model's outputs."""
-        return self.sensors.unknowns(self.outputs(weights))
+        values, slope, _ = self.sensors.unknowns(self.state(weights))
+        return values, slope
 
     def coordinates(self, weights: torch.Tensor) -> torch.Tensor:
         """(G, M, U, K) outputs of every member; zero where a member does not have an unknown."""
@@ -218,7 +233,8 @@ class OutputError:
 
     def truncated(self, order: int) -> OutputError:
         """The same with the first ``order`` features alone, and weights that are as many fewer."""
-        return replace(self, features=self.features[..., :order], kept=self.kept[:, :order], prior=self.prior[:order])
+        features, kept, prior = (one[..., :order] for one in (self.features, self.kept, self.prior))
+        return replace(self, features=features, kept=kept, prior=prior)
 
     def with_features(self, weights: torch.Tensor, order: int) -> torch.Tensor:
         """The weights (G, 1, ..) of this problem as those of ``order`` features: cut, or filled up with zeros."""
@@ -260,7 +276,7 @@ class OutputError:
         if not self.n_parameters:
             return self
         measurement = self.measurement.update(self.model_parameters(weights)[0].numpy())
-        made = sensor_deviations(measurement, self.basis.model, self.sensors.plane_scale)
+        made = sensor_deviations(measurement, self.basis.model, self.sensors.plane_scale, self.sensors.law)
         now = self.sensors
         return self.with_sensors(
             replace(made, scale=now.scale, precision=now.precision, common=now.common, measured=now.measured)
@@ -271,7 +287,10 @@ def output_error(measurement: Measurement, basis: Basis, plane_scale: float) -> 
     """The problem at the speeds and runs of the measurement; ``plane_scale`` kg m is a weight of 1."""
     import torch
 
-    sensors = sensor_deviations(measurement, basis.model, plane_scale)
+    laws, points, law = measurement.laws, measurement.dataset.points, None
+    if laws is not None:
+        law = law_term(laws, measurement.unknowns, points)
+    sensors = sensor_deviations(measurement, basis.model, plane_scale, law)
     kept = torch.ones(len(sensors.active), basis.n_features, dtype=torch.bool)
     none = torch.zeros(basis.n_features, dtype=torch.float64)
     return OutputError(sensors, basis, basis.at(measurement.dataset.points), kept, none)

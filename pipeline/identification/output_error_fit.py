@@ -17,7 +17,9 @@ import numpy as np
 from pipeline.data.dataset import Excitation
 from pipeline.errors import ConfigError
 from pipeline.identification.basis_error import MeanSquareError, measure_error
-from pipeline.identification.identified import IdentifiedModel
+from pipeline.identification.identified import IdentifiedModel, PhysicalNumber
+from pipeline.identification.information import invert_information
+from pipeline.identification.law_correction import likely_sigma, with_sigma
 from pipeline.identification.outcome import Outcome
 from pipeline.identification.output_error import OutputError
 from pipeline.identification.output_error_start import OutputErrorStart, prepare_output_error
@@ -69,7 +71,10 @@ class OutputErrorFit:
         """The coefficients."""
         unknowns = self.start.measurement.unknowns
         nodes, parameters = self.start.measurement.rotor.bearing_nodes, self.problem.parameters(self.weights)[0]
-        return IdentifiedModel(self.problem.basis.model, unknowns, nodes, parameters)
+        laws, theta = self.problem.measurement.laws, self.problem.numbers(self.weights)[0]
+        return IdentifiedModel(
+            self.problem.basis.model, unknowns, nodes, parameters, laws, None if laws is None else theta
+        )
 
     def covariance(self) -> np.ndarray:
         """(Z, Z) of the weights: the inverse of the information, the Cramer-Rao bound of the parametrisation."""
@@ -79,6 +84,19 @@ class OutputErrorFit:
     def error(self) -> MeanSquareError:
         """What the weights are off by: their covariance, and what the functions of the speed can't follow."""
         return measure_error(self.problem, self.weights, self.covariance())
+
+    def numbers(self) -> tuple[PhysicalNumber, ...]:
+        """The numbers of the bearing laws; none without laws."""
+        laws = self.problem.measurement.laws
+        if laws is None:
+            return ()
+        first = len(self.problem.active) * (self.problem.features.shape[-1] + self.error.n_local)
+        spread = np.sqrt(np.diag(self.error.matrix)[first : first + self.problem.n_numbers])
+        values = laws.numbers(self.problem.numbers(self.weights)[0].numpy())
+        return tuple(
+            PhysicalNumber(one.name, float(value), float(value * share), one.unit, one.guess, one.within)
+            for one, value, share in zip(laws.parameters, values, spread, strict=True)
+        )
 
     def model_parameters(self) -> tuple[FittedParameter, ...]:
         """T, each with its posterior."""
@@ -90,35 +108,6 @@ class OutputErrorFit:
     def residual_unbalance(self) -> np.ndarray:
         """(N,) complex, kg m."""
         return np.asarray(self.problem.unbalance(self.weights)[0].numpy())
-
-
-def invert_information(problem: OutputError, weights: torch.Tensor) -> np.ndarray:
-    """(G, Z, Z) inverse of the information at the weights (G, 1, Z); zero for those that are not fitted."""
-    fitted = problem.fitted().numpy()
-    return np.asarray(invert(problem.normal(weights)[1][:, 0]) * (fitted[:, None] & fitted))
-
-
-def invert(information: torch.Tensor) -> np.ndarray:
-    """(.., Z, Z) inverse of (.., Z, Z), whatever the sizes of the weights; large where nothing is known."""
-    import torch
-
-    size = information.diagonal(dim1=-2, dim2=-1).clamp(min=1e-300).sqrt()
-    scaled = information / size[..., :, None] / size[..., None, :]
-    values, vectors = torch.linalg.eigh(scaled)
-    values = values.clamp(min=float(np.finfo(float).eps) * 10)
-    inverse = (vectors / values[..., None, :]) @ vectors.mT
-    return np.asarray((inverse / size[..., :, None] / size[..., None, :]).numpy())
-
-
-def unknown_deviation(problem: OutputError, weights: torch.Tensor) -> np.ndarray:
-    """(G, S, A) standard deviation of the active unknowns, N/m and N s/m, see :func:`invert_information`."""
-    spread, count = invert_information(problem, weights), problem.features.shape[-1]
-    _, slope = problem.unknowns(weights)
-    parts = []
-    for a, (m, _) in enumerate(problem.active):
-        own, part = problem.features[m].numpy(), slice(a * count, (a + 1) * count)
-        parts.append(np.sqrt(np.einsum("sk,gkl,sl->gs", own, spread[:, part, part], own, optimize=True)))
-    return np.asarray(np.stack(parts, axis=-1) * np.abs(slope.numpy()))
 
 
 def fit_output_error(measurement: Measurement, setup: FitSetup, progress: Progress | None = None) -> OutputErrorFit:
@@ -160,6 +149,7 @@ def fit_from(start: OutputErrorStart, setup: FitSetup, progress: Progress | None
     history: list[dict[str, float | str]] = []
     steps, seconds = 0, 0.0
     approach = -len(_LESS_EXACT) if problem.n_parameters else 0
+    corrected = problem.measurement.laws is not None and bool(problem.kept.any())
     for turn in range(approach, _ROUNDS):
         found = minimise(_less_exact(problem, turn) if turn < 0 else problem, weights, setup, progress=progress)
         weights = found.parameters
@@ -177,12 +167,14 @@ def fit_from(start: OutputErrorStart, setup: FitSetup, progress: Progress | None
         problem = problem.update(weights)
         before = problem
         problem, shares = reweigh(problem, weights, factor, setup.loss.robust)
-        if turn == _CHOICE and not start.from_guess:
+        if turn >= _CHOICE and corrected:
+            problem = with_sigma(problem, likely_sigma(problem, weights))
+        if turn == _CHOICE and not start.from_guess and problem.measurement.laws is None:
             chosen, from_there = drop_features(problem, weights, invert_information(problem, weights)[0])
             # The choice takes the minimum for quadratic: where there is none yet, it may lead anywhere, or to NaN.
             if float(chosen.loss(from_there)) <= _NO_WORSE * float(problem.loss(weights)):
                 problem, weights = chosen, from_there
-        if turn == _CHOICE:
+        if turn == _CHOICE and problem.measurement.laws is None:
             problem = problem.with_prior(setup.loss.beyond_trend)
         pairs = zip(problem.sensors.precision, before.sensors.precision, strict=True)
         if turn > _CHOICE and max(float((new / old).log().abs().max()) for new, old in pairs) < _SETTLED:

@@ -12,21 +12,30 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from pipeline.config.identification import TrainingConfig
 from pipeline.errors import ConfigError
 from pipeline.identification.basis import Basis, orthonormal_basis
-from pipeline.identification.model import CoefficientModel, coefficient_model
+from pipeline.identification.configured_model import coefficient_model
+from pipeline.identification.law_correction import add_beyond, with_sigma
+from pipeline.identification.law_start import (
+    LawStart,
+    corrects,
+    first_weights,
+    require_response,
+    scale_by_laws,
+    start_laws,
+    without_correction,
+)
+from pipeline.identification.linear_start import linear_start
+from pipeline.identification.model import CoefficientModel
 from pipeline.identification.output_error import OutputError, output_error
 from pipeline.identification.training import FitSetup, held_out_speeds, initial_guess
-from pipeline.problem.expansion import expand
 from pipeline.problem.kalman_filter import filter_bearings
 from pipeline.problem.measurement import Guess, Measurement
-from pipeline.problem.noise import whiten
-from pipeline.problem.residual import LinearResidual, linear_residual
 
 if TYPE_CHECKING:
     import torch
@@ -47,6 +56,7 @@ class OutputErrorStart:
     held_out_runs: OutputError | None
     from_guess: bool  # the sensors were too few for a linear start
     filtered: np.ndarray | None  # (M, S, U) at the training speeds: what a filter made of few sensors
+    law: LawStart | None = None  # of bearing laws: the numbers, and how many guesses led there
 
 
 def prepare_output_error(measurement: Measurement, setup: FitSetup) -> OutputErrorStart:
@@ -54,8 +64,6 @@ def prepare_output_error(measurement: Measurement, setup: FitSetup) -> OutputErr
 
     Raises ConfigError for held-out runs that the data lack, or that leave no other.
     """
-    import torch
-
     unknowns, speeds = measurement.unknowns, measurement.dataset.speeds
     held_out = held_out_runs(measurement, setup.training)
     keep = ~held_out_speeds(len(speeds), setup.training.holdout_every) & ~held_out_range(speeds, setup.training)
@@ -64,7 +72,44 @@ def prepare_output_error(measurement: Measurement, setup: FitSetup) -> OutputErr
     training = align_weights(measurement.select(keep, runs))
     sizes = Guess(setup.model.initial_stiffness, setup.model.initial_damping).sizes(unknowns)
     basis = drawn_basis(setup, training, measurement.dataset.points, sizes)
-    values = None
+    if training.laws is not None:
+        first = _start_by_laws(training, setup, basis, plane_scale)
+    else:
+        first = _start_by_coefficients(training, setup, basis, plane_scale)
+
+    def held_out_part(keep: np.ndarray | None, runs: np.ndarray) -> OutputError:
+        return output_error(measurement.select(keep, runs), first.basis, plane_scale)
+
+    return OutputErrorStart(
+        measurement=measurement,
+        keep=keep,
+        problem=first.problem,
+        weights=first.weights,
+        held_out_speeds=None if keep.all() else held_out_part(~keep, runs),
+        held_out_runs=held_out_part(None, held_out) if len(held_out) else None,
+        from_guess=first.from_guess,
+        filtered=first.filtered,
+        law=first.law,
+    )
+
+
+class _First(NamedTuple):
+    problem: OutputError
+    weights: torch.Tensor  # (G, 1, Z)
+    from_guess: bool
+    filtered: np.ndarray | None
+    law: LawStart | None
+
+    @property
+    def basis(self) -> Basis:
+        return self.problem.basis
+
+
+def _start_by_coefficients(training: Measurement, setup: FitSetup, basis: Basis, plane_scale: float) -> _First:
+    """Near the least squares of the residual; near guesses where the sensors are too few for that."""
+    import torch
+
+    unknowns, values = training.unknowns, None
     if training.guess.within is None:
         values = linear_start(training, basis.at(training.dataset.points).numpy(), np.array(basis.model.scale))
     starts, filtered = [values], None
@@ -76,16 +121,21 @@ def prepare_output_error(measurement: Measurement, setup: FitSetup) -> OutputErr
     else:
         basis = replace(basis, model=_scaled_by(basis.model, values))
     problem = output_error(training, basis, plane_scale)
-    return OutputErrorStart(
-        measurement=measurement,
-        keep=keep,
-        problem=problem,
-        weights=torch.cat([start_at(problem, start) for start in starts if start is not None]),
-        held_out_speeds=None if keep.all() else output_error(measurement.select(~keep, runs), basis, plane_scale),
-        held_out_runs=output_error(measurement.select(None, held_out), basis, plane_scale) if len(held_out) else None,
-        from_guess=values is None,
-        filtered=filtered,
-    )
+    weights = torch.cat([start_at(problem, start) for start in starts if start is not None])
+    return _First(problem, weights, values is None, filtered, None)
+
+
+def _start_by_laws(training: Measurement, setup: FitSetup, basis: Basis, plane_scale: float) -> _First:
+    """At the best numbers of bearing laws, without a correction."""
+    require_response(setup)
+    law = start_laws(training, basis, plane_scale)
+    rows = scale_by_laws(output_error(training, basis, plane_scale), law.theta)
+    basis = replace(basis, model=replace(basis.model, scale=rows))
+    if corrects(setup):
+        problem = with_sigma(output_error(training, add_beyond(basis), plane_scale))
+    else:
+        problem = without_correction(output_error(training, basis, plane_scale))
+    return _First(problem, first_weights(problem, law.theta), False, None, law)
 
 
 def align_weights(measurement: Measurement) -> Measurement:
@@ -227,53 +277,3 @@ def _raw(problem: OutputError, values: np.ndarray) -> torch.Tensor:
     import torch
 
     return problem.basis.model.raw_from(torch.tensor(values), problem.sensors.scale)
-
-
-# --- the linear start ----------------------------------------------------------------------------------
-
-_ROUNDS = 3
-"""The noise of the residual depends on the coefficients: so often the weights are made again."""
-_OUTLIER = 3.0
-"""Rows beyond so many standard deviations count less."""
-
-
-def linear_start(training: Measurement, features: np.ndarray, scale: np.ndarray) -> np.ndarray | None:
-    """Unknowns (M, S, U) as combinations of the ``features`` (M, S, K); None for too few sensors.
-
-    ``scale`` (M, U) are sizes of the unknowns, N/m and N s/m.
-    """
-    less = training.subtract_unbalance()
-    expansion = expand(less.response, less.dataset.displacement, less.deviation)
-    if expansion is None:
-        return None
-    residual = linear_residual(expansion.equations, less.unknowns, less.known)
-    covariance, values = expansion.force_covariance, None
-    for _ in range(_ROUNDS):
-        values = _combine(whiten(residual, covariance), features, scale)
-        covariance = expansion.residual_covariance(less.response, less.table(values))
-    return values
-
-
-def _combine(white: LinearResidual, features: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """(M, S, U) least squares of ``A (Phi a) + y``, robust against single bad rows."""
-    members, n_speeds, _, n_unknowns = white.matrix.shape
-    values = np.zeros((members, n_speeds, n_unknowns))
-    for m in range(members):
-        present = white.unknowns.present[m]
-        matrix = white.matrix[m][..., present] * scale[m, present]
-        weight = np.ones(matrix.shape[:2])
-        for _ in range(_ROUNDS):
-            rows = np.einsum("sru,sk->sruk", matrix * weight[..., None], features[m])
-            flat = rows.reshape(-1, rows.shape[2] * rows.shape[3])
-            found = np.linalg.lstsq(flat, -(white.offset[m] * weight).ravel(), rcond=_NEGLIGIBLE)[0]
-            outputs = features[m] @ found.reshape(rows.shape[2], rows.shape[3]).T
-            rest = np.einsum("sru,su->sr", matrix, outputs) + white.offset[m]
-            size = _OUTLIER * max(np.median(np.abs(rest)) / _MEDIAN_OF_NORMAL, _TINY)
-            weight = np.sqrt(np.minimum(1.0, size / np.maximum(np.abs(rest), _TINY)))
-        values[m][:, present] = outputs * scale[m, present]
-    return values
-
-
-_NEGLIGIBLE = 1e-10
-_TINY = 1e-300
-_MEDIAN_OF_NORMAL = 0.6745

@@ -22,8 +22,9 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from pipeline.errors import ConfigError
+from pipeline.identification.configured_model import coefficient_model
 from pipeline.identification.identified import IdentifiedModel
-from pipeline.identification.model import CoefficientModel, coefficient_model
+from pipeline.identification.model import CoefficientModel
 from pipeline.identification.training import FitSetup, held_out_speeds, initial_guess, root_mean_square
 from pipeline.problem.identifiability import judge_identifiability, require_identifiable
 from pipeline.problem.measurement import Measurement

@@ -4,7 +4,8 @@ Under noise of the sensors the minimum of its squares is the maximum-likelihood 
 speed the coefficients are (:mod:`pipeline.identification.output_error`), or each speed by itself.
 
 Legend: G data sets or starts, M members (bearings, or 1 where they share their coefficients), S speeds, P channels, R
-runs, B bearings, U unknowns, A those of them that members have, N balance planes, T model parameters.
+runs, B bearings, U unknowns, A those of them that members have, Th numbers of bearing laws, N balance planes, T model
+parameters.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from pipeline.identification.law_term import LawTerm
 from pipeline.identification.model import CoefficientModel
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.response import (
@@ -38,6 +40,7 @@ class SensorState(NamedTuple):
     outputs: torch.Tensor  # (G, M, S, U) of the coefficient model
     unbalance: torch.Tensor  # (G, N) complex residual unbalance, kg m
     parameters: torch.Tensor  # (G, T) model parameters, in prior deviations
+    numbers: torch.Tensor | None = None  # (G, Th) theta of the bearing laws; None without them
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -60,6 +63,7 @@ class SensorDeviations:
     measured: tuple[torch.Tensor, ...]  # (G or 1, S, P, R of the block) m
     precision: tuple[torch.Tensor, ...]  # likewise, 1/m: root of 2 over the reading's own deviation: both parts count
     common: tuple[torch.Tensor, ...]  # likewise, a subtracted baseline's deviation over the own one; none without
+    law: LawTerm | None  # what the model's outputs correct; None for the scale
 
     @property
     def active(self) -> tuple[tuple[int, int], ...]:
@@ -74,26 +78,45 @@ class SensorDeviations:
     @property
     def n_rows(self) -> int:
         """Real numbers that were measured."""
-        return 2 * sum(precision[0].numel() for precision in self.precision)
+        return 2 * self.measurement.dataset.n_readings
 
-    def unknowns(self, outputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """(G, S, A) active unknowns in N/m and N s/m, and their derivative by the model's outputs (G, M, S, U)."""
+    @property
+    def n_numbers(self) -> int:
+        """Th."""
+        return 0 if self.law is None else self.law.n_numbers
+
+    def unknowns(self, state: SensorState) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """(G, S, A) active unknowns in N/m and N s/m, their derivative by the model's outputs, and (G, S, A, Th) that
+        by theta.
+        """
+        import torch
+
         member, unknown = [m for m, _ in self.active], [u for _, u in self.active]
-        both = (self.model.physical(outputs, self.scale), self.model.physical_slope(outputs, self.scale))
-        values, slope = (of[:, member, :, unknown].movedim(0, -1) for of in both)
-        return values, slope
+        outputs, scale = state.outputs, self.scale
+        if self.law is not None and state.numbers is not None:
+            values, slope, by_numbers = self.law.correct(self.model, state.numbers, outputs, scale)
+        else:
+            values, slope = self.model.physical(outputs, scale), self.model.physical_slope(outputs, scale)
+            by_numbers = torch.zeros(*outputs.shape, 0, dtype=outputs.dtype)
+        values, slope = (of[:, member, :, unknown].movedim(0, -1) for of in (values, slope))
+        return values, slope, by_numbers[:, member, :, unknown].movedim(0, -2)
 
     @property
     def n_parameters(self) -> int:
         """T."""
         return len(self.values)
 
+    @property
+    def n_rest(self) -> int:
+        """Th + 2 N + T: how many weights follow those of the coefficients."""
+        return self.n_numbers + 2 * self.n_planes + self.n_parameters
+
     def _bearings(self, state: SensorState, block: ResponseBlock) -> torch.Tensor:
         """dH, (G, S, 2 B, 2 B) N/m."""
         known = self.known
         if self.n_parameters:
             known = known + (self.known_variation @ (state.parameters - self.values)[:, None, :, None])[..., 0]
-        unknowns, _ = self.unknowns(state.outputs)
+        unknowns, _, _ = self.unknowns(state)
         eight = (unknowns @ self.influence.T + known).unflatten(-1, (-1, 8))  # (G, S, B, 8)
         change: torch.Tensor = impedance_change(eight, block.frequencies, self.measurement.response.reference)
         return change
@@ -128,7 +151,7 @@ class SensorDeviations:
 
     def derivatives(self, state: SensorState, b: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Real rows of block b, (G, S, 2 P R, 1), and their derivatives by outputs (.., A) and by the rest (..,
-        2 N + T): parts of the residual unbalance, and model parameters.
+        Th + 2 N + T): theta, parts of the residual unbalance, and model parameters.
         """
         import torch
 
@@ -136,9 +159,11 @@ class SensorDeviations:
         change = self._bearings(state, block)
         found = respond(block, change, state.unbalance)
         by_coefficient = derive(block, found).flatten(-2)  # (G, S, P, R, 8 B)
-        _, slope = self.unknowns(state.outputs)
-        by_outputs = (by_coefficient @ self.influence.to(by_coefficient.dtype)) * slope[:, :, None, None]
-        rest = [self._by_planes(found, precision)]
+        _, slope, by_numbers = self.unknowns(state)
+        by_unknowns = by_coefficient @ self.influence.to(by_coefficient.dtype)  # (G, S, P, R, A)
+        by_outputs = by_unknowns * slope[:, :, None, None]
+        by_theta = by_unknowns @ by_numbers.to(by_unknowns.dtype)[:, :, None]
+        rest = [by_theta * precision[..., None], self._by_planes(found, precision)]
         if self.n_parameters:
             known = self.known_variation.to(by_coefficient.dtype)[:, None]
             by_model = derive_by_parameters(self.variations[b], found, change, state.unbalance)
@@ -171,8 +196,10 @@ class SensorDeviations:
         return _ROUNDING * (torch.stack(squared).sum() / self.n_rows).sqrt()[None]
 
 
-def sensor_deviations(measurement: Measurement, model: CoefficientModel, plane_scale: float) -> SensorDeviations:
-    """The deviations at the speeds and runs of the measurement."""
+def sensor_deviations(
+    measurement: Measurement, model: CoefficientModel, plane_scale: float, law: LawTerm | None = None
+) -> SensorDeviations:
+    """The deviations at the points and runs of the measurement."""
     import torch
 
     unknowns, n_speeds = measurement.unknowns, len(measurement.dataset.speeds)
@@ -195,9 +222,23 @@ def sensor_deviations(measurement: Measurement, model: CoefficientModel, plane_s
         ),
         values=torch.as_tensor(measurement.parameter_values),
         measured=tuple(torch.as_tensor(displacement[None][..., block.runs]) for block in blocks),
-        precision=tuple(torch.as_tensor(np.sqrt(2.0) / own) for own, _ in noise),
+        precision=tuple(
+            torch.as_tensor(np.sqrt(2.0) / own) * weigh_present(measurement, block.runs)
+            for (own, _), block in zip(noise, blocks, strict=True)
+        ),
         common=tuple(torch.as_tensor(shared) for _, shared in noise if shared is not None),
+        law=law,
     )
+
+
+def weigh_present(measurement: Measurement, runs: np.ndarray) -> torch.Tensor:
+    """(S or 1, 1, R) one where a run was measured, zero elsewhere."""
+    import torch
+
+    present = measurement.dataset.present
+    if present is None:
+        return torch.ones(1, 1, 1, dtype=torch.float64)
+    return torch.as_tensor(present[:, np.asarray(runs)], dtype=torch.float64)[:, None]
 
 
 def split_noise(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,7 +16,12 @@ from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.model import CoefficientModel
 from pipeline.unknowns import UnknownSet
 
-SCHEMA = 3
+if TYPE_CHECKING:
+    import torch
+
+    from pipeline.laws.law_set import LawSet
+
+SCHEMA = 4
 WEIGHTS, ARCHITECTURE = "model.safetensors", "model.json"
 
 
@@ -23,10 +30,13 @@ def save_model(folder: Path, identified: IdentifiedModel) -> list[Path]:
     from safetensors.torch import save
 
     weights = {"parameters": identified.parameters.contiguous()}
+    if identified.theta is not None:
+        weights["theta"] = identified.theta.contiguous()
     description = {
         "schema": SCHEMA,
         "bearing_nodes": list(identified.bearing_nodes),
         "model": asdict(identified.model),
+        "laws": None if identified.laws is None else identified.laws.to_record(),
         "expansion": identified.unknowns.expansion.astype(int).tolist(),
     }
     return [
@@ -62,7 +72,9 @@ def load_model(folder: Path) -> IdentifiedModel:
         model = TypeAdapter(CoefficientModel).validate_python(description["model"])
         nodes = TypeAdapter(tuple[int, ...]).validate_python(description["bearing_nodes"])
         expansion = np.array(description["expansion"], dtype=float)
-        parameters = load_file(folder / WEIGHTS)["parameters"]
+        numbers = load_file(folder / WEIGHTS)
+        parameters, theta = numbers["parameters"], numbers.get("theta")
+        laws = _read_laws(description.get("laws"), theta)
         if parameters.shape != (len(model.scale), model.n_parameters):
             raise ValueError(f"{tuple(parameters.shape)} numbers do not fit the architecture")
         if parameters.dtype != torch.float64 or not parameters.isfinite().all():
@@ -76,4 +88,16 @@ def load_model(folder: Path) -> IdentifiedModel:
             f"'{folder}' must hold a complete trained model, but it does not ({error}): train again with stage=train"
         ) from None
     shared = len(model.scale) < len(nodes)
-    return IdentifiedModel(model, UnknownSet(model.unknowns, expansion, shared), nodes, parameters)
+    return IdentifiedModel(model, UnknownSet(model.unknowns, expansion, shared), nodes, parameters, laws, theta)
+
+
+def _read_laws(record: Mapping[str, Any] | None, theta: torch.Tensor | None) -> LawSet | None:
+    """The bearing laws of a description; None without them. Raises ValueError for numbers that do not fit them."""
+    from pipeline.laws.law_set import LawSet
+
+    if record is None:
+        return None
+    laws = LawSet.from_record(record)
+    if theta is None or theta.shape != (len(laws.parameters),) or not theta.isfinite().all():
+        raise ValueError("the numbers do not fit the bearing laws")
+    return laws

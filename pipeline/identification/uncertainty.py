@@ -3,7 +3,8 @@
 The covariance is the mean square error of the weights: of the noise (the inverse of the information, the Cramer-Rao
 bound of the network's output layer) and of what the functions of the speed can't follow
 (:mod:`pipeline.identification.basis_error`). Legend: M members, S speeds, B bearings, F features, K members of their
-basis, L local functions, A active unknowns, N balance planes, T model parameters, Z = A (K + L) + 2 N + T weights.
+basis, L local functions, A active unknowns, Th numbers of bearing laws, N balance planes, T model parameters, Z = A (K
++ L) + Th + 2 N + T weights.
 """
 
 from __future__ import annotations
@@ -47,24 +48,29 @@ class Uncertainty:
     def sensitivity(
         self, identified: IdentifiedModel, speeds: np.ndarray, operating: Mapping[str, np.ndarray] | None = None
     ) -> np.ndarray:
-        """(B, S, 8, A (K + L)) derivative of the coefficients by the weights of features and local functions."""
+        """(B, S, 8, A (K + L) + Th) derivative of the coefficients by the weights of features and local functions, and
+        by the numbers of bearing laws.
+        """
         import torch
 
         model, parameters, points = identified.model, identified.parameters, points_of(speeds, operating)
         with torch.no_grad():
             inputs = model.scaled_inputs(points)
             basis = (model.features(parameters, inputs) @ torch.as_tensor(self.weights)).numpy()  # (M, S, K)
-            slope = model.physical_slope(model.raw(parameters, inputs), model.scale_tensor()).numpy()  # (M, S, U)
+            _, by_output, by_numbers = identified.corrected(points)
+            slope, by_theta = by_output.numpy(), by_numbers.numpy()  # (M, S, U) and (M, S, U, Th)
         local = evaluate_local(model, points, self.n_local)  # (S, L)
         basis = np.concatenate([basis, np.broadcast_to(local, (len(basis), *local.shape))], axis=-1)
         n_bearings, count = len(identified.bearing_nodes), basis.shape[-1]
-        result = np.zeros((n_bearings, basis.shape[1], len(COEFFICIENTS), len(self.active) * count))
+        outer = len(self.active) * count
+        result = np.zeros((n_bearings, basis.shape[1], len(COEFFICIENTS), outer + by_theta.shape[-1]))
         for a, (m, u) in enumerate(self.active):
             moved = slope[m, :, u, None] * basis[m]  # (S, K)
             for b in range(n_bearings):
                 if len(basis) == 1 or b == m:
                     signs = identified.unknowns.expansion[b, :, u]
                     result[b, :, :, a * count : (a + 1) * count] = signs[None, :, None] * moved[:, None]
+                    result[b, :, :, outer:] += signs[None, :, None] * by_theta[m, :, u][:, None]
         return result
 
     def deviation(
@@ -91,10 +97,17 @@ class Uncertainty:
 
     @property
     def of_machine(self) -> np.ndarray:
-        """(A (K + L) + T, A (K + L) + T) covariance of coefficients and model parameters, without balance planes."""
+        """Covariance of what coefficients follow from (A (K + L) + Th) and of model parameters (T), without planes."""
         last = len(self.covariance) - len(self.parameters)
         own = np.r_[: last - 2 * len(self.planes), last : len(self.covariance)]
         return np.asarray(self.covariance[np.ix_(own, own)])
+
+    @property
+    def of_numbers(self) -> np.ndarray:
+        """(Th, Th) covariance of theta, the logarithms of the bearing laws' numbers."""
+        first = len(self.active) * (self.weights.shape[-1] + self.n_local)
+        own = slice(first, len(self.covariance) - len(self.parameters) - 2 * len(self.planes))
+        return self.covariance[own, own]
 
     def unbalance_deviation(self) -> np.ndarray:
         """(N,) standard deviation of the residual unbalance's magnitude, kg m: the mean one of its two parts."""
@@ -171,6 +184,7 @@ def load_uncertainty(folder: Path, identified: IdentifiedModel) -> Uncertainty |
         )
         size = (
             len(found.active) * (found.weights.shape[-1] + found.n_local)
+            + (0 if identified.theta is None else len(identified.theta))
             + 2 * len(found.planes)
             + len(found.parameters)
         )

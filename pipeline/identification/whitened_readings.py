@@ -1,7 +1,7 @@
 """The readings' whitened rows, and what they say of the weights that coefficients are linear in.
 
 Legend: G data sets or starts, S speeds, P channels, R runs, A active unknowns, K features, N balance planes, T model
-parameters, Z = A K + 2 N + T weights.
+parameters, Th numbers of bearing laws, Z = A K + Th + 2 N + T weights.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class WhitenedReadings:
         import torch
 
         own, outer, count = self.features, self.n_outer, self.features.shape[-1]
-        size = outer + 2 * self.sensors.n_planes + self.sensors.n_parameters
+        size = outer + self.sensors.n_rest
         gradient = torch.zeros(len(state.outputs), size, dtype=state.outputs.dtype)
         matrix = torch.zeros(len(state.outputs), size, size, dtype=state.outputs.dtype)
         for b in range(len(self.sensors.blocks)):

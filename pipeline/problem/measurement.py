@@ -16,6 +16,7 @@ import numpy as np
 from pipeline.coefficients import CoefficientName
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.noise import NoiseModel
+from pipeline.laws.law_set import LawSet
 from pipeline.problem.condition_noise import ConditionNoise
 from pipeline.problem.force_parameters import bow_force, update_excitations
 from pipeline.problem.model_parameters import known_change, runout, sensor_matrix, turns_with_rotor
@@ -59,6 +60,7 @@ class Measurement:
     parameters: tuple[ModelParameter, ...] = ()  # T, uncertain numbers of the model
     values: tuple[float, ...] = ()  # of them, in prior deviations, where the response is evaluated; none for all zero
     drift: ConditionNoise | None = None  # noise in levels, of runs that are means of records; None for ``noise``
+    laws: LawSet | None = None  # of the bearings, where their few numbers are fitted in place of functions
 
     @classmethod
     def read(

@@ -22,8 +22,8 @@ from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError
 from pipeline.evaluation.errors import measure_coverage
 from pipeline.files import write_json
+from pipeline.identification.information import unknown_deviation
 from pipeline.identification.losses import fit_sensors, loss_of
-from pipeline.identification.output_error_fit import unknown_deviation
 from pipeline.identification.output_error_start import start_at
 from pipeline.identification.quality import output_error_quality
 from pipeline.identification.training import setup_of

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.errors import IdentifiabilityError
-from pipeline.identification.output_error_start import linear_start
+from pipeline.identification.linear_start import linear_start
 from pipeline.problem.measurement import Measurement
 
 Extra = Callable[[np.ndarray], np.ndarray]

@@ -11,7 +11,7 @@ from small_rotor import FITTED, small_machine
 
 from pipeline.config.compose import compose_config
 from pipeline.identification.combinations import _deviation, _directions, _share, combine
-from pipeline.identification.output_error_fit import invert, unknown_deviation
+from pipeline.identification.information import invert, unknown_deviation
 from pipeline.identification.output_error_start import prepare_output_error
 from pipeline.identification.training import setup_of
 from pipeline.problem.condition_noise import ConditionNoise

@@ -19,7 +19,8 @@ from pipeline.coefficients import COEFFICIENTS, column, is_stiffness, row
 from pipeline.config.identification import ConstantModelConfig, ModelConfig, NetworkModelConfig
 from pipeline.data.dataset import VibrationDataset, assemble_forces
 from pipeline.errors import DataError, IdentifiabilityError
-from pipeline.identification.model import CoefficientModel, coefficient_model
+from pipeline.identification.configured_model import coefficient_model
+from pipeline.identification.model import CoefficientModel
 from pipeline.identification.residual_loss import ResidualProblem, data_scale, residual_problem, speed_scaling
 from pipeline.problem.identifiability import judge_identifiability, require_identifiable
 from pipeline.problem.residual import (

@@ -1,0 +1,53 @@
+"""From a configuration to the coefficient model that it describes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from pipeline.coefficients import CoefficientName
+from pipeline.config.identification import (
+    ConstantModelConfig,
+    HybridModelConfig,
+    LawModelConfig,
+    ModelConfig,
+    NetworkModelConfig,
+)
+from pipeline.errors import ConfigError
+from pipeline.identification.inputs import SPEED, varying
+from pipeline.identification.model import CoefficientModel
+
+
+def coefficient_model(
+    config: ModelConfig, unknowns: tuple[CoefficientName, ...], points: Mapping[str, np.ndarray], scale: np.ndarray
+) -> CoefficientModel:
+    """The model that a configuration describes, for data at ``points``: name -> (S,), the speed in rad/s.
+
+    ``scale`` (M, U) is the size of each unknown, N/m and N s/m. Operating conditions that vary are inputs beside the
+    speed. Raises ConfigError for such conditions where the model is made of functions of the speed alone.
+    """
+    rows = tuple(tuple(float(v) for v in row) for row in scale)
+    constant = CoefficientModel(
+        unknowns=unknowns, inputs=(SPEED,), parametrisation=config.parametrisation, scale=rows, hidden=None
+    )
+    if isinstance(config, ConstantModelConfig):
+        return constant
+    inputs = varying(points)
+    ranges = tuple((float(points[name].min()), float(points[name].max())) for name in inputs)
+    made = replace(constant, inputs=inputs, hidden=(), input_scaling="log_rpm", ranges=ranges)
+    if isinstance(config, LawModelConfig):
+        return made
+    made = replace(made, input_scaling=config.input_scaling, trend=config.trend)
+    if isinstance(config, NetworkModelConfig):
+        hybrid = isinstance(config, HybridModelConfig)
+        hidden = (config.width,) * config.depth
+        made = replace(made, hidden=hidden, activation=config.activation, fades=hybrid)
+        return replace(made, trend=False) if hybrid else made
+    if len(inputs) > 1:
+        raise ConfigError(
+            f"model.kind={config.kind} is made of functions of the speed alone, but the data have {inputs[1]}, too: "
+            "choose model=network_fluid_film"
+        )
+    return replace(made, functions=config.kind, n_functions=config.count)

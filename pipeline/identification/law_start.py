@@ -1,0 +1,125 @@
+"""Where a fit of bearing laws starts: the best of many guesses of their numbers.
+
+Laws have few numbers, and the readings depend on them far from linearly: a clearance that is wrong by three times makes
+other critical speeds. So their numbers are fitted from many guesses, spread evenly over what was thought possible, at a
+few operating points; the whole fit goes on from the best.
+
+Legend: G starts, M members, S operating points, U unknowns, Th numbers, Z weights.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.coefficients import is_direct
+from pipeline.config.identification import HybridModelConfig, LevenbergMarquardtConfig
+from pipeline.errors import ConfigError
+from pipeline.identification.basis import Basis
+from pipeline.identification.optimizers import levenberg_marquardt, until_still
+from pipeline.identification.output_error import OutputError, output_error
+from pipeline.identification.training import FitSetup
+from pipeline.problem.measurement import Measurement
+
+if TYPE_CHECKING:
+    import torch
+
+_STARTS = 31
+"""Beside the guess itself; chosen so that starts 3 times off in every clearance and 5 times in viscosity agree."""
+_SPREAD = 2.0
+"""Prior deviations to either side that the starts cover."""
+_POINTS = 24
+_STEPS, _STILL = 60, 1e-4
+_SAME = 1e-3
+"""Starts whose losses differ by less than this share of the lowest ended at the same answer."""
+
+
+@dataclass(frozen=True)
+class LawStart:
+    """Where the numbers start, and how many of the guesses led there."""
+
+    theta: np.ndarray  # (Th,)
+    n_starts: int
+    n_same: int  # starts that ended at the lowest loss
+
+
+def require_response(setup: FitSetup) -> None:
+    """Raise ConfigError for a loss that bearing laws don't go with."""
+    kind, hidden = setup.loss.kind, setup.loss.hidden
+    if kind != "response" or hidden != "drawn":
+        came = f"loss.kind={kind}" if kind != "response" else f"loss.hidden={hidden}"
+        raise ConfigError(
+            f"model.kind={setup.model.kind} must go with loss.kind=response and loss.hidden=drawn, but got {came}: "
+            "choose loss=response"
+        )
+
+
+def start_laws(training: Measurement, basis: Basis, plane_scale: float) -> LawStart:
+    """The numbers (Th,) from which the readings are explained best; the correction stays zero."""
+    count = len(training.dataset.speeds)
+    few = np.unique(np.linspace(0, count - 1, min(count, _POINTS)).round().astype(int))
+    problem = without_correction(output_error(training.select(few), basis, plane_scale))
+    section = LevenbergMarquardtConfig(steps=_STEPS, patience=1, initial_damping=1e-2)
+    found = levenberg_marquardt(problem, _spread(problem), section, until_still(_STILL), by_diagonal=True)
+    losses = problem.loss(found)[:, 0].nan_to_num(float("inf"))
+    best = int(losses.argmin())
+    same = int((losses < losses[best] * (1 + _SAME)).sum())
+    return LawStart(problem.numbers(found)[best].numpy(), len(found), same)
+
+
+def _spread(problem: OutputError) -> torch.Tensor:
+    """(G, 1, Z) the guess, and starts that fill the space of the numbers evenly (Sobol 1967)."""
+    import torch
+    from scipy.stats import qmc
+
+    deviation = problem.weight_prior.precision[problem.n_outer :][: problem.n_numbers].rsqrt()
+    weights = torch.zeros(1 + _STARTS, 1, problem.size, dtype=deviation.dtype)
+    drawn = qmc.Sobol(problem.n_numbers, scramble=False).random(_STARTS + 1)[1:]
+    places = torch.as_tensor(_SPREAD * (2 * drawn - 1)) * deviation
+    weights[1:, 0, problem.n_outer : problem.n_outer + problem.n_numbers] = places
+    if problem.n_parameters:
+        weights[..., problem.size - problem.n_parameters :] = problem.sensors.values
+    return weights
+
+
+def without_correction(problem: OutputError) -> OutputError:
+    """The same with the laws alone: no feature is kept."""
+    import torch
+
+    return replace(problem, kept=torch.zeros_like(problem.kept))
+
+
+def scale_by_laws(problem: OutputError, theta: np.ndarray) -> tuple[tuple[float, ...], ...]:
+    """(M, U) sizes of the unknowns by the laws: of a cross-coupled one, that of the direct ones of its kind."""
+    import torch
+
+    law = problem.sensors.law
+    assert law is not None
+    values, _ = law.evaluate(torch.as_tensor(theta)[None])
+    median = values[0].abs().median(dim=1).values.numpy()  # (M, U)
+    names = problem.measurement.unknowns.names
+    rows = []
+    for own in median:
+        direct = {kind: [v for v, n in zip(own, names, strict=True) if n[0] == kind and is_direct(n)] for kind in "kc"}
+        mean = {kind: float(np.exp(np.mean(np.log(of)))) for kind, of in direct.items() if of and min(of) > 0}
+        sizes = [float(v) if is_direct(n) else mean.get(n[0], float(v)) for v, n in zip(own, names, strict=True)]
+        rows.append(tuple(v if v > 0 else 1.0 for v in sizes))
+    return tuple(rows)
+
+
+def first_weights(problem: OutputError, theta: np.ndarray) -> torch.Tensor:
+    """(1, 1, Z) the numbers, without a correction."""
+    import torch
+
+    weights = torch.zeros(1, 1, problem.size, dtype=torch.float64)
+    weights[0, 0, problem.n_outer : problem.n_outer + problem.n_numbers] = torch.as_tensor(theta)
+    if problem.n_parameters:
+        weights[..., problem.size - problem.n_parameters :] = problem.sensors.values
+    return weights
+
+
+def corrects(setup: FitSetup) -> bool:
+    """Whether a network corrects the laws."""
+    return isinstance(setup.model, HybridModelConfig)
