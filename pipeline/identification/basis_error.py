@@ -107,7 +107,7 @@ def _expand(
         problem,
         features=torch.cat([problem.features, added], dim=-1),
         kept=torch.cat([problem.kept, torch.ones(n_active, count, dtype=torch.bool)], dim=1),
-        prior=torch.cat([problem.prior, torch.zeros(count, dtype=problem.prior.dtype)]),
+        prior=torch.nn.functional.pad(problem.prior, (0, count)),
     )
     gradient, matrix = wider.normal(problem.with_features(weights, n_features + count))
     own = np.arange(n_features + count) >= n_features

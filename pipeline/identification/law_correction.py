@@ -2,7 +2,7 @@
 
 The correction is a sum of features whose weights are normal about zero: a Gaussian process of variance sigma^2 over the
 data (each feature has its share of it: the wavy ones little). sigma is that of the greatest likelihood (empirical
-Bayes; by MacKay's fixed point, 1992). Where the law is right it goes to zero and nothing is corrected; what it is, is the
+Bayes; by MacKay's fixed point, 1992). Where the law is right it goes to zero and nothing is corrected; its size is the
 evidence against the law. Where nobody measured, the correction is zero, and uncertain by sigma.
 
 Legend: M members, S operating points, A active unknowns, K features, Z weights.

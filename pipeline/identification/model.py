@@ -121,6 +121,8 @@ class CoefficientModel:
 
     def _one(self, inputs: torch.Tensor) -> torch.Tensor:
         """(S, 1) what the bias of the output layer is multiplied by."""
+        import torch
+
         return fade(inputs)[0] if self.fades else torch.ones_like(inputs[:, :1])
 
     def raw_jacobian(self, parameters: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:

@@ -107,7 +107,7 @@ class OutputError:
 
     @cached_property
     def weight_prior(self) -> WeightPrior:
-        """Of the features, of theta about its guess, of unit variance of the model parameters; of coefficients' sizes."""
+        """Of features, of theta about its guess, of unit variance of the model parameters; of coefficients' sizes."""
         import torch
 
         own = (self.prior * self.kept).flatten()
