@@ -36,9 +36,11 @@ def invert(information: torch.Tensor) -> np.ndarray:
 def unknown_deviation(problem: OutputError, weights: torch.Tensor) -> np.ndarray:
     """(G, S, A) standard deviation of the active unknowns, N/m and N s/m, see :func:`invert_information`."""
     spread, count = invert_information(problem, weights), problem.features.shape[-1]
-    _, slope = problem.unknowns(weights)
-    parts = []
+    _, slope, by_numbers = (one.numpy() for one in problem.sensors.unknowns(problem.state(weights)))
+    numbers, parts = problem.n_outer + np.arange(problem.n_numbers), []
     for a, (m, _) in enumerate(problem.active):
-        own, part = problem.features[m].numpy(), slice(a * count, (a + 1) * count)
-        parts.append(np.sqrt(np.einsum("sk,gkl,sl->gs", own, spread[:, part, part], own, optimize=True)))
-    return np.asarray(np.stack(parts, axis=-1) * np.abs(slope.numpy()))
+        by_features = problem.features[m].numpy() * slope[..., a, None]  # (G, S, K)
+        own = np.concatenate([by_features, by_numbers[:, :, a]], axis=-1)
+        part = np.concatenate([np.arange(a * count, (a + 1) * count), numbers])
+        parts.append(np.einsum("gsk,gkl,gsl->gs", own, spread[:, part[:, None], part], own, optimize=True))
+    return np.asarray(np.sqrt(np.stack(parts, axis=-1)))

@@ -66,7 +66,7 @@ def start_laws(training: Measurement, basis: Basis, plane_scale: float) -> LawSt
     losses = problem.loss(found)[:, 0].nan_to_num(float("inf"))
     best = int(losses.argmin())
     same = int((losses < losses[best] * (1 + _SAME)).sum())
-    return LawStart(problem.numbers(found)[best].numpy(), len(found), same)
+    return LawStart(problem.theta(found)[best].numpy(), len(found), same)
 
 
 def _spread(problem: OutputError) -> torch.Tensor:

@@ -134,13 +134,14 @@ class OutputErrorLoss:
         from pipeline.identification.output_error_start import prepare_output_error
 
         solvable = all(report.verdict is not Verdict.NOT_IDENTIFIABLE for report in diagnosis.reports)
-        if not (solvable and diagnosis.by_least_squares):
+        if measurement.laws is None and not (solvable and diagnosis.by_least_squares):
             return diagnosis.deviations
         start = prepare_output_error(measurement, setup)
         problem, unknowns = start.problem, measurement.unknowns
         values = unknowns.from_active(problem.unknowns(start.weights)[0][0].numpy())
         spread = unknowns.expand_deviation(unknowns.from_active(unknown_deviation(problem, start.weights)[0]))
         kind = "constants over all speeds" if setup.constant else "smooth functions over all speeds"
+        kind = kind if measurement.laws is None else "bearing laws of few numbers"
         return Deviations(problem.measurement.table(values), spread, kind)
 
     def fit(

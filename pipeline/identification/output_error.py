@@ -139,10 +139,10 @@ class OutputError:
 
     def state(self, weights: torch.Tensor) -> SensorState:
         """What the readings follow from."""
-        parameters, numbers = self.model_parameters(weights), self.numbers(weights) if self.n_numbers else None
+        parameters, numbers = self.model_parameters(weights), self.theta(weights) if self.n_numbers else None
         return SensorState(self.outputs(weights), self.unbalance(weights), parameters, numbers)
 
-    def numbers(self, weights: torch.Tensor) -> torch.Tensor:
+    def theta(self, weights: torch.Tensor) -> torch.Tensor:
         """(G, Th) theta of the bearing laws."""
         return weights[:, 0, self.n_outer : self.n_outer + self.n_numbers]
 

@@ -71,7 +71,7 @@ class OutputErrorFit:
         """The coefficients."""
         unknowns = self.start.measurement.unknowns
         nodes, parameters = self.start.measurement.rotor.bearing_nodes, self.problem.parameters(self.weights)[0]
-        laws, theta = self.problem.measurement.laws, self.problem.numbers(self.weights)[0]
+        laws, theta = self.problem.measurement.laws, self.problem.theta(self.weights)[0]
         return IdentifiedModel(
             self.problem.basis.model, unknowns, nodes, parameters, laws, None if laws is None else theta
         )
@@ -92,7 +92,7 @@ class OutputErrorFit:
             return ()
         first = len(self.problem.active) * (self.problem.features.shape[-1] + self.error.n_local)
         spread = np.sqrt(np.diag(self.error.matrix)[first : first + self.problem.n_numbers])
-        values = laws.numbers(self.problem.numbers(self.weights)[0].numpy())
+        values = laws.numbers(self.problem.theta(self.weights)[0].numpy())
         return tuple(
             PhysicalNumber(one.name, float(value), float(value * share), one.unit, one.guess, one.within)
             for one, value, share in zip(laws.parameters, values, spread, strict=True)

@@ -16,8 +16,10 @@ import numpy as np
 
 from pipeline.data.dataset import name_direction
 from pipeline.identification.identified import IdentifiedModel
+from pipeline.identification.law_evidence import describe_laws
 from pipeline.identification.output_error import OutputError
 from pipeline.identification.output_error_fit import FittedParameter, OutputErrorFit
+from pipeline.identification.sensor_deviations import weigh_present
 from pipeline.problem.condition_noise import NAMED
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.residual import per_speed_least_squares
@@ -81,7 +83,9 @@ def finite(value: float) -> float | None:
 def output_error_quality(fit: OutputErrorFit) -> Quality:
     """Chi-square, whiteness, held-out speeds and runs, and the readings far off."""
     plain, inconsistent = _plain_deviations(fit), _list_inconsistent(fit)
-    value, readings = chi_square(plain)
+    value, readings = chi_square(plain), sum(one.size for one in plain)
+    if fit.problem.measurement.dataset.present is not None:
+        readings = fit.problem.measurement.dataset.n_readings
     posterior = fit.model_parameters()
     # What the data do not tell of a weight its prior does: it takes no reading away.
     by_prior = np.einsum("zy,yz->z", fit.covariance(), fit.problem.weight_prior.matrix().numpy())
@@ -99,7 +103,9 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
     levels = fit.problem.measurement.drift is not None
     stated = np.allclose(fit.factor, 1.0) and not levels
     square = 2 * value + sum(one.value**2 for one in posterior)
-    freedom = 2 * readings + len(posterior) - fit.problem.n_fitted + by_prior[: fit.problem.n_outer].sum()
+    # A guess of a law's number is no reading: that it was off speaks against nothing.
+    told_before = by_prior[: fit.problem.n_outer + fit.problem.n_numbers].sum()
+    freedom = 2 * readings + len(posterior) - fit.problem.n_fitted + told_before
     summary["mismatch"] = mismatch(square if stated else None, freedom, np.nan if levels else significance)
     for name, other in (("held_out_speeds", fit.start.held_out_speeds), ("held_out_runs", fit.start.held_out_runs)):
         if other is not None:
@@ -111,6 +117,8 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
             for (node, angle), f in zip(channels, fit.factor, strict=True)
         }
     whole: dict[str, object] = {"fit": summary}
+    if fit.problem.measurement.laws is not None:
+        whole |= describe_laws(fit)
     if posterior:
         whole["model_parameters"] = {
             one.parameter.name: {
@@ -171,17 +179,18 @@ def _plain_deviations(fit: OutputErrorFit) -> list[np.ndarray]:
 
 def _held_out(fit: OutputErrorFit, other: OutputError) -> dict[str, float]:
     """Readings that were not fitted: their mean square over the noise (1 where all is well), the error in percent."""
-    squares, count, errors, size = 0.0, 0, 0.0, 0.0
+    squares, errors, size = 0.0, 0.0, 0.0
     other = other.update(fit.weights)
     subtracted = other.measurement.dataset.subtracted
     for b, predicted in enumerate(other.predicted(fit.weights)):
         measured, reached = other.sensors.measured[b][0].numpy(), predicted[0].numpy()
         taken = None if subtracted is None else subtracted[..., other.sensors.blocks[b].runs]
         noise = other.measurement.deviation_of(reached, taken, fit.factor)
-        squares += float((np.abs(reached - measured) ** 2 / noise**2).sum())
-        count += measured.size
-        errors += float((np.abs(reached - measured) ** 2).sum())
+        off = np.abs(reached - measured) ** 2 * weigh_present(other.measurement, other.sensors.blocks[b].runs).numpy()
+        squares += float((off / noise**2).sum())
+        errors += float(off.sum())
         size += float((np.abs(measured) ** 2).sum())
+    count = other.measurement.dataset.n_readings
     return {"mean_square_over_noise": squares / count, "error_percent": 100.0 * float(np.sqrt(errors / size))}
 
 
@@ -195,9 +204,9 @@ def _bad_points(fit: OutputErrorFit, plain: list[np.ndarray]) -> tuple[BadPoint,
     return tuple(found)
 
 
-def chi_square(deviations: Sequence[np.ndarray]) -> tuple[float, int]:
-    """Sum of the squared deviations over their root mean square, complex, and how many there are."""
-    return float(sum((np.abs(d) ** 2).sum() for d in deviations)), int(sum(d.size for d in deviations))
+def chi_square(deviations: Sequence[np.ndarray]) -> float:
+    """Sum of the squared deviations over their root mean square, complex."""
+    return float(sum((np.abs(d) ** 2).sum() for d in deviations))
 
 
 def autocorrelation(deviations: Sequence[np.ndarray]) -> tuple[float, float]:
@@ -207,7 +216,7 @@ def autocorrelation(deviations: Sequence[np.ndarray]) -> tuple[float, float]:
     """
     products = sum(float((d[:-1] * d[1:].conj()).real.sum()) for d in deviations)
     power = sum(float((np.abs(d) ** 2).sum()) for d in deviations)
-    neighbours = sum(d[:-1].size for d in deviations)
+    neighbours = sum(int(((d[:-1] != 0) & (d[1:] != 0)).sum()) for d in deviations)  # zero where nothing was measured
     if power == 0 or neighbours == 0:
         return 0.0, 0.0
     value = products / power

@@ -41,7 +41,8 @@ def expand(equations: ResponseEquations, displacement: np.ndarray, deviation: np
 
     Args:
         displacement: (S, P, R) complex, m.
-        deviation: (S, P, R) root mean square of its noise, m.
+        deviation: (S, P, R) root mean square of its noise, m; infinite where a run was not measured, which then says
+            nothing: no force, and a covariance beyond all others.
     """
     n_speeds, n_channels, n_runs = displacement.shape
     count = 2 * len(equations.bearing_nodes)
@@ -52,7 +53,8 @@ def expand(equations: ResponseEquations, displacement: np.ndarray, deviation: np
     covariance = np.empty_like(receptance)
     for block in equations.blocks:
         for i, run in enumerate(block.runs):
-            weight = 1.0 / deviation[:, :, run]
+            here = np.isfinite(deviation[:, :, run]).all(axis=1)
+            weight = 1.0 / np.where(here[:, None], deviation[:, :, run], 1.0)
             matrix = block.receptance_sensors * weight[..., None]
             length = np.linalg.norm(matrix, axis=1, keepdims=True)
             if (np.linalg.svd(matrix / length, compute_uv=False)[:, -1] < _DEPENDENT).any():
@@ -63,6 +65,8 @@ def expand(equations: ResponseEquations, displacement: np.ndarray, deviation: np
             moved[..., run] = block.forced_bearings[..., i] + (block.receptance_bearings @ found)[..., 0]
             covariance[:, run] = inverse @ inverse.conj().swapaxes(1, 2)
             receptance[:, run] = block.receptance_bearings
+            force[~here, :, run], moved[~here, :, run] = 0.0, 0.0
+            covariance[~here, run] = _UNKNOWN * np.eye(count)
     return Expansion(
         bearing_equations_of(equations, force - equations.reference * moved, moved), receptance, covariance
     )
@@ -80,5 +84,7 @@ def bearing_equations_of(equations: ResponseEquations, force: np.ndarray, moved:
     )
 
 
+_UNKNOWN = 1e40
+"""N^2; whitened by it, a row of any force vanishes."""
 _DEPENDENT = 1e-6
 """Sensors whose smallest singular value is below this share say nothing of some bearing force."""

@@ -14,11 +14,13 @@ from pipeline.data.dataset import VibrationDataset, require_synchronous
 from pipeline.data.noise import NoiseModel
 from pipeline.data.tables import read_marks
 from pipeline.data.vibration_files import read_measured, require_made_for, require_nodes_of
-from pipeline.errors import DataError
+from pipeline.errors import ConfigError, DataError
 from pipeline.files import hash_file, read_json
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.storage import ARCHITECTURE, WEIGHTS, load_model
 from pipeline.identification.uncertainty import UNCERTAINTY, Uncertainty
+from pipeline.laws.build import make_laws
+from pipeline.laws.law_set import LawSet
 from pipeline.problem.condition_noise import condition_noise, suffices, to_dataset
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.problem.model_parameters import model_parameters
@@ -99,10 +101,23 @@ def build_measurement(config: Config, rotor: RotorModel, dataset: VibrationDatas
         unknowns,
         Guess(model.initial_stiffness, model.initial_damping, identify.known_within),
         drift=drift,
+        laws=_laws_of(config, rotor),
         parameters=model_parameters(
             identify.model_parameters.deviations, rotor, dataset, known, unknowns, identify.coupling_node
         ),
     )
+
+
+def _laws_of(config: Config, rotor: RotorModel) -> LawSet | None:
+    """The bearing laws, of a model that is made of them. Raises ConfigError where the machine has none."""
+    if config.model.kind not in ("law", "hybrid"):
+        return None
+    if config.machine.laws is None:
+        raise ConfigError(
+            f"model={config.model.kind} must have machine.laws (what is known of bearings and oil, and guesses of the "
+            "rest), but the machine has none: write the section, or choose model=network_fluid_film"
+        )
+    return make_laws(config.machine.laws, rotor.bearing_nodes)
 
 
 def _read_known(config: Config, files: Workspace, nodes: tuple[int, ...], dataset: VibrationDataset) -> BearingTable:

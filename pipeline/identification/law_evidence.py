@@ -1,0 +1,58 @@
+"""What a fit says of its bearing laws: their numbers, where tables end, and how much a network corrects them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from pipeline.identification.output_error_fit import OutputErrorFit
+
+
+def describe_laws(fit: OutputErrorFit) -> dict[str, Any]:
+    """Parts of ``metrics.json`` and ``training.json``; SI.
+
+    ``physical_numbers`` by name; ``law`` says how many guesses were tried and how many ended at this answer, and the
+    share of points beyond the table of each bearing; ``correction`` the root mean square of the network's correction
+    over the data, and that of its standard deviation, in percent of each coefficient (of a cross-coupled one, of the
+    size of the direct ones).
+    """
+    problem, start, laws = fit.problem, fit.start, fit.problem.measurement.laws
+    assert laws is not None
+    data, theta = problem.measurement.dataset, problem.theta(fit.weights)
+    outside = laws.outside(theta, data.speeds, data.operating)[0]
+    found: dict[str, Any] = {
+        "physical_numbers": {
+            one.name: {
+                "value": one.value,
+                "deviation": one.deviation,
+                "unit": one.unit,
+                "guess": one.guess,
+                "determined": one.determined,
+            }
+            for one in fit.numbers()
+        },
+        "law": {"outside_table": {str(node): float(share) for node, share in zip(laws.nodes, outside, strict=True)}},
+    }
+    if start.law is not None:
+        found["law"] |= {"starts": start.law.n_starts, "starts_at_this_answer": start.law.n_same}
+    if bool(problem.kept.any()):
+        found["correction"] = _correction(fit)
+    return found
+
+
+def _correction(fit: OutputErrorFit) -> dict[str, dict[str, dict[str, float]]]:
+    """Node -> coefficient -> percent and its deviation."""
+    problem, unknowns = fit.problem, fit.problem.measurement.unknowns
+    outputs, spread = problem.outputs(fit.weights)[0].numpy(), fit.covariance()
+    count = problem.features.shape[-1]
+    result: dict[str, dict[str, dict[str, float]]] = {}
+    for a, (m, u) in enumerate(problem.active):
+        own, part = problem.features[m].numpy(), slice(a * count, (a + 1) * count)
+        variance = np.einsum("sk,kl,sl->s", own, spread[part, part], own)
+        size = {"percent": outputs[m, :, u] ** 2, "deviation_percent": variance}
+        result.setdefault(str(problem.measurement.rotor.bearing_nodes[m]), {})[unknowns.names[u]] = {
+            name: float(100 * np.sqrt(of.mean())) for name, of in size.items()
+        }
+    return result
