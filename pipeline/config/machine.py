@@ -13,6 +13,7 @@ from pipeline.config.balance import WeightsConfig
 from pipeline.config.bearings import BearingConfig, PerNodeBearingConfig, RotorFileBearingConfig
 from pipeline.config.laws import LawsConfig
 from pipeline.config.measured import MeasuredRunConfig, convert_phase
+from pipeline.config.operating import States
 from pipeline.config.recordings import AnyRecordingsConfig, NoRecordingsConfig, RecordingsConfig
 from pipeline.config.rotor import RotorConfig
 from pipeline.config.run_up import RunUpConfig
@@ -33,7 +34,8 @@ class MachineConfig(Section):
 
     ``file`` is the machine file of the user's own that the section was read from. A rotor of a file has the bearings
     that are saved with it, where none are given. ``speeds`` and ``runs`` are those of simulated data and of designs; of
-    a machine with ``recordings`` that gives none, those that were recorded. ``prediction`` is by default the weights of
+    a machine with ``recordings`` that gives none, those that were recorded. Simulated data have all speeds and runs at
+    every combination of the ``operating`` conditions. ``prediction`` is by default the weights of
     the first run a quarter turn further at the middle speed, and ``candidates`` are weights at the nodes of the runs. A
     ``residual_unbalance`` acts in every run and is not written down: the machine has it and nobody knows. So it is with
     what ``as_built`` says: ``stage=generate`` alone knows of it, and what the truth is judged by.
@@ -45,6 +47,7 @@ class MachineConfig(Section):
     recordings: RecordingsConfig
     speeds: SpeedsConfig = Field(default=None, validate_default=True)
     runs: tuple[RunConfig, ...] = Field(default=None, validate_default=True, min_length=1)
+    operating: States = Field(default_factory=dict)
     runs_file: str | None = None
     residual_unbalance: tuple[UnbalanceConfig, ...] = ()
     as_built: AsBuiltConfig | None = None

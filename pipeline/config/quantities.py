@@ -69,6 +69,29 @@ def is_number(text: str) -> bool:
     return False
 
 
+def to_base(values: Any, unit: str) -> Any:
+    """``values`` (a number or an array) of ``unit`` in SI, temperatures in K. Raises ValueError for an unknown unit."""
+    return _load_units().Quantity(values, _find_unit(unit)).to_base_units().magnitude
+
+
+def from_base(values: Any, unit: str) -> Any:
+    """SI ``values`` (a number or an array) in ``unit``. Raises ValueError for an unknown unit."""
+    base = _load_units().Quantity(1.0, _find_unit(unit)).to_base_units().units
+    return _load_units().Quantity(values, base).to(unit).magnitude
+
+
+def same_dimension(unit: str, other: str) -> bool:
+    """Whether two units are of one kind of quantity. Raises ValueError for an unknown unit."""
+    return bool(_find_unit(unit).dimensionality == _find_unit(other).dimensionality)
+
+
+def _find_unit(unit: str) -> Any:
+    try:
+        return _load_units().parse_units(unit)
+    except Exception:  # pint's parser raises many kinds for other text
+        raise ValueError(f"'{unit}' is no known unit") from None
+
+
 def _convert_angle(value: Any) -> float:
     angle = to_si(value, "rad", "45 deg")
     if isinstance(value, str) and not is_number(value):

@@ -23,6 +23,7 @@ from pipeline.config.identification import (
 )
 from pipeline.config.machine import MachineConfig
 from pipeline.config.measured import Known
+from pipeline.config.operating import Differences
 from pipeline.config.runs import DesignConfig, NoiseConfig
 from pipeline.config.section import NonNegativeInt, Section
 from pipeline.config.tuning import TuningConfig
@@ -32,13 +33,15 @@ class DataConfig(Section):
     """The files that training reads; null stands for the experiment's own. ``known`` may be values in place of a file,
     or ``bearings``: those of the machine's bearings.
 
-    ``baseline`` is the run of the machine as it was found, which is subtracted from the others.
+    ``baseline`` is the run of the machine as it was found, which is subtracted from the others. Operating conditions in
+    files of the user's own that differ by no more than ``same_conditions`` are one.
     """
 
     vibration: str | None = None
     excitation: str | None = None
     known: Known = None
     baseline: str | None = None
+    same_conditions: Differences = Field(default_factory=dict)
 
 
 class TrackingConfig(Section):

@@ -1,5 +1,6 @@
 """Tables of bearing coefficients: ``bearing_node, speed_rpm, kxx, kxy, kyx, kyy, cxx, cxy, cyx, cyy``.
 
+Where there are operating conditions, their columns follow the speed (:mod:`pipeline.config.operating`).
 ``modelled_coefficients.csv`` is the truth of modelled data, which training never reads;
 ``known_coefficients.csv`` has just what the experiment takes as known: a coefficient that is unknown at one bearing
 is blank there.
@@ -13,7 +14,15 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.data.tables import read_table, write_table
+from pipeline.data.operating_points import (
+    Operating,
+    describe_point,
+    list_columns,
+    read_with_conditions,
+    require_complete,
+    round_digits,
+)
+from pipeline.data.tables import Columns, write_table
 from pipeline.data.vibration_files import to_rpm
 from pipeline.errors import DataError
 from pipeline.rotor.bearing_table import BearingTable
@@ -33,6 +42,7 @@ def write_coefficients(
     columns = {
         "bearing_node": np.repeat(table.nodes, n_speeds),
         "speed_rpm": np.tile(to_rpm(table.speeds), n_bearings),
+        **{name: np.tile(values, n_bearings) for name, values in list_columns(table.operating).items()},
     }
     for name in COEFFICIENTS:
         written = np.array([of is None or name in of[node] for node in table.nodes])
@@ -44,23 +54,30 @@ def write_coefficients(
 
 
 def read_coefficients(
-    path: Path, nodes: Sequence[int], speeds: np.ndarray, of: Mapping[int, Sequence[str]] | None = None
+    path: Path,
+    nodes: Sequence[int],
+    speeds: np.ndarray,
+    of: Mapping[int, Sequence[str]] | None = None,
+    operating: Operating | None = None,
 ) -> BearingTable:
-    """Coefficients of the bearings at ``nodes`` and ``speeds`` (S,) rad/s: those that ``of`` names for each node, or
-    all; the others are zero.
+    """Coefficients of the bearings at ``nodes``, ``speeds`` (S,) rad/s and ``operating`` conditions (S,) each: those
+    that ``of`` names for each node, or all; the others are zero.
 
-    Raises DataError where a bearing or a speed has no row.
+    Raises DataError where a bearing or a point has no row.
     """
+    operating = operating or {}
     every = [name for name in COEFFICIENTS if of is None or any(name in of[node] for node in nodes)]
     kinds = {"bearing_node": "number", "speed_rpm": "number"}
     for name in every:
         kinds[name] = "number" if of is None or all(name in of[node] for node in nodes) else "number or blank"
-    table = read_table(path, kinds)
-    # Speeds of two files are the same where they agree to a millionth of an rpm.
-    rpm, at_node = np.round(table["speed_rpm"], 6), table["bearing_node"]
-    wanted = np.round(to_rpm(speeds), 6)
-    if len(set(zip(at_node.tolist(), rpm.tolist(), strict=True))) < len(rpm):
-        raise DataError(f"'{path}' must have one row a bearing and speed, but some are there twice")
+    table, states = _read_states(path, kinds, {}, operating)
+    at_node = table["bearing_node"]
+    used = {name: operating[name] for name in states}
+    wanted = _make_keys(to_rpm(speeds), used)
+    given = _make_keys(table["speed_rpm"], states)
+    if len(np.unique(np.column_stack([at_node, given]), axis=0)) < len(given):
+        law = f"one row a bearing and speed{' at each condition' if states else ''}"
+        raise DataError(f"'{path}' must have {law}, but some are there twice")
     values = np.zeros((len(nodes), len(speeds), len(COEFFICIENTS)))
     for b, node in enumerate(nodes):
         rows = np.flatnonzero(at_node == node)
@@ -68,65 +85,119 @@ def read_coefficients(
             has = sorted({int(n) for n in at_node})
             raise DataError(f"'{path}' must have rows for the bearing at node {node}, but it has bearings at {has}")
         names = list(COEFFICIENTS if of is None else of[node])
-        given = rpm[rows]
-        order = np.argsort(given)
-        nearest = order[np.searchsorted(given, wanted, sorter=order).clip(max=len(given) - 1)]
-        columns = np.stack([at_node, *(table[name] for name in names)])[:, rows[nearest]]
-        found = np.where(given[nearest] == wanted, columns, np.nan)
-        missing = np.flatnonzero(np.isnan(found).any(axis=0))
+        place = {key: row for key, row in zip(map(tuple, given[rows].tolist()), rows.tolist(), strict=True)}
+        found = [place.get(key, -1) for key in map(tuple, wanted.tolist())]
+        columns = np.stack([at_node, *(table[name] for name in names)])[:, found]
+        missing = np.flatnonzero((np.array(found) < 0) | np.isnan(columns).any(axis=0))
         if len(missing):
             raise DataError(
                 f"'{path}' must have every speed of the data, but {len(missing)} are missing for the bearing at node "
-                f"{node} "
-                f"(the first: {wanted[missing[0]]:g} rpm)"
+                f"{node} (the first: {wanted[missing[0], 0]:g} rpm{describe_point(used, missing[0], ', ')})"
             )
-        for name, of_name in zip(names, found[1:], strict=True):
+        for name, of_name in zip(names, columns[1:], strict=True):
             values[b, :, COEFFICIENTS.index(name)] = of_name
-    return BearingTable(tuple(nodes), speeds, values)
+    return BearingTable(tuple(nodes), speeds, values, operating)
+
+
+def _read_states(
+    path: Path, kinds: Mapping[str, str], optional: Mapping[str, str], operating: Operating
+) -> tuple[Columns, dict[str, np.ndarray]]:
+    """The table, and its conditions (n,); a table without any holds at all of them.
+
+    Raises DataError for conditions that the data lack, for some that the table alone lacks, and for blanks.
+    """
+    table, states = read_with_conditions(path, kinds, optional)
+    require_complete(states, path, table)
+    strange = [name for name in states if name not in operating]
+    if strange:
+        raise DataError(
+            f"'{path}' must have the operating conditions of the vibration, but it has {strange[0]}, which that lacks: "
+            "leave the column out, and the rows of all but one value"
+        )
+    lacking = [name for name in operating if states and name not in states]
+    if lacking:
+        raise DataError(
+            f"'{path}' must have every operating condition of the vibration or none, but it has {', '.join(states)} "
+            f"and not {lacking[0]}: add it"
+        )
+    return table, states
+
+
+def _make_keys(rpm: np.ndarray, states: Operating) -> np.ndarray:
+    """(n, 1 + conditions) what tells points apart: speeds of two files are the same where they agree to a millionth of
+    an rpm, conditions where nine digits do.
+    """
+    return np.stack([np.round(rpm, 6), *(round_digits(values) for values in states.values())], axis=1)
 
 
 _ROUNDING = 1e-9
 
 
-def read_known(path: Path, nodes: Sequence[int], speeds: np.ndarray, of: Mapping[int, Sequence[str]]) -> BearingTable:
-    """The coefficients that ``of`` names for each node, at ``speeds`` (S,) rad/s; the others are zero.
+def read_known(
+    path: Path,
+    nodes: Sequence[int],
+    speeds: np.ndarray,
+    of: Mapping[int, Sequence[str]],
+    operating: Operating | None = None,
+) -> BearingTable:
+    """The coefficients that ``of`` names for each node, at ``speeds`` (S,) rad/s and ``operating`` conditions (S,)
+    each; the others are zero.
 
     Between the table's speeds: a cubic spline (linear for less than four). A bearing of one row without a speed has the
-    same coefficients at every speed. Raises DataError for a bearing or a coefficient that the table lacks, a speed that
-    is there twice, and speeds that it does not cover.
+    same coefficients at every speed, a table without operating conditions the same at all of them. Raises DataError for
+    a bearing or a coefficient that the table lacks, a speed that is there twice, and speeds and conditions that it does
+    not cover.
     """
+    operating = operating or {}
     every = [name for name in COEFFICIENTS if any(name in of[node] for node in nodes)]
     by_all = {name: all(name in of[node] for node in nodes) for name in every}
     kinds = {name: "number" if by_all[name] else "number or blank" for name in every}
-    table = read_table(path, {"bearing_node": "number"} | kinds, {"speed_rpm": "number or blank"})
+    table, states = _read_states(path, {"bearing_node": "number"} | kinds, {"speed_rpm": "number or blank"}, operating)
     table.setdefault("speed_rpm", np.full(len(table["bearing_node"]), np.nan))
     values = np.zeros((len(nodes), len(speeds), len(COEFFICIENTS)))
-    rpm = to_rpm(speeds)
+    given = _make_keys(np.zeros(len(table["bearing_node"])), states)
+    used = {name: operating[name] for name in states}
+    wanted = _make_keys(np.zeros(len(speeds)), used)
     for b, node in enumerate(nodes):
         if not of[node]:
             continue
-        rows = np.flatnonzero(table["bearing_node"] == node)
-        rows = rows[np.argsort(table["speed_rpm"][rows], kind="stable")]
-        where = f"'{path}', bearing at node {node},"
-        if not len(rows):
+        own = np.flatnonzero(table["bearing_node"] == node)
+        if not len(own):
             has = sorted({f"{number:g}" for number in table["bearing_node"]})
             raise DataError(f"'{path}' must have rows of the bearing at node {node}, but it has {', '.join(has)}")
-        given = table["speed_rpm"][rows]
-        if np.isnan(given).any() and len(rows) > 1:
-            raise DataError(f"{where} must have speed_rpm in every row, or one row that holds at all speeds")
-        if (np.diff(given) == 0).any():
-            raise DataError(f"{where} must have one row a bearing and speed, but some are there twice")
-        if rpm[0] < given[0] * (1 - _ROUNDING) or rpm[-1] > given[-1] * (1 + _ROUNDING):
-            raise DataError(
-                f"{where} must cover the speeds of the data ({rpm[0]:.6g} to {rpm[-1]:.6g} rpm), but it has "
-                f"{given[0]:.6g} to {given[-1]:.6g} rpm: nothing is extrapolated"
-            )
-        for name in of[node]:
-            column = table[name][rows]
-            if np.isnan(column).any():
-                raise DataError(f"{where} must have {name} at every speed, but some are blank")
-            values[b, :, COEFFICIENTS.index(name)] = _interpolate(given, column, np.clip(rpm, given[0], given[-1]))
-    return BearingTable(tuple(nodes), speeds, values)
+        for state in np.unique(wanted, axis=0):
+            at = np.flatnonzero((wanted == state).all(axis=1))
+            rows = own[(given[own] == state).all(axis=1)]
+            where = f"'{path}', bearing at node {node}{describe_point(used, at[0], ', ')},"
+            if not len(rows):
+                raise DataError(f"{where} must have rows at the conditions of the data, but it has none: add them")
+            columns = {name: table[name][rows] for name in ("speed_rpm", *of[node])}
+            found = _interpolate_known(columns, to_rpm(speeds[at]), where)
+            for name, column in found.items():
+                values[b, at, COEFFICIENTS.index(name)] = column
+    return BearingTable(tuple(nodes), speeds, values, operating)
+
+
+def _interpolate_known(table: Columns, rpm: np.ndarray, where: str) -> Columns:
+    """The coefficients of one bearing at one state, at speeds in rpm."""
+    order = np.argsort(table["speed_rpm"], kind="stable")
+    given = table["speed_rpm"][order]
+    if np.isnan(given).any() and len(given) > 1:
+        raise DataError(f"{where} must have speed_rpm in every row, or one row that holds at all speeds")
+    if (np.diff(given) == 0).any():
+        raise DataError(f"{where} must have one row a bearing and speed, but some are there twice")
+    if rpm.min() < given[0] * (1 - _ROUNDING) or rpm.max() > given[-1] * (1 + _ROUNDING):
+        raise DataError(
+            f"{where} must cover the speeds of the data ({rpm.min():.6g} to {rpm.max():.6g} rpm), but it has "
+            f"{given[0]:.6g} to {given[-1]:.6g} rpm: nothing is extrapolated"
+        )
+    found: Columns = {}
+    for name in table.keys() - {"speed_rpm"}:
+        column = table[name][order]
+        if np.isnan(column).any():
+            raise DataError(f"{where} must have {name} at every speed, but some are blank")
+        found[name] = _interpolate(given, column, np.clip(rpm, given[0], given[-1]))
+    return found
 
 
 def _interpolate(given: np.ndarray, column: np.ndarray, wanted: np.ndarray) -> np.ndarray:

@@ -68,6 +68,11 @@ def gather_conditions(dataset: VibrationDataset, planes: tuple[int, ...] | None 
     an unbalance of the data names. Raises DataError for a run that does not turn with the rotor or has a force, for a
     weight outside the planes, and for runs of one condition whose weights differ.
     """
+    if dataset.operating:
+        raise DataError(
+            "records of conditions, and what is balanced by them, must be of one operating state, but the data have "
+            f"{', '.join(dataset.operating)}: give the rows of one state, without these columns"
+        )
     of = dataset.conditions or dataset.runs
     names = tuple(dict.fromkeys(of))
     planes = tuple(sorted({e.node for e in dataset.excitations})) if planes is None else planes

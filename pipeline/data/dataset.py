@@ -21,6 +21,7 @@ import numpy as np
 
 from pipeline.errors import DataError
 from pipeline.rotor.model import RotorModel, translation_dof
+from pipeline.units import RAD_S_PER_RPM
 
 DIRECTIONS = {"x": 0.0, "y": 90.0}
 """Angle of a displacement's direction in degrees, from x towards y."""
@@ -181,8 +182,25 @@ def require_synchronous(rotor: RotorModel, dataset: VibrationDataset) -> None:
 
 
 def subtract_baseline(dataset: VibrationDataset, baseline: str) -> VibrationDataset:
-    """The other runs; those that turn with the rotor less the ``baseline``, and so less any residual unbalance."""
+    """The other runs; those that turn with the rotor less the ``baseline``, and so less any residual unbalance.
+
+    Raises DataError where another run was measured at a point and the baseline was not.
+    """
     b = dataset.runs.index(baseline)
+    if dataset.present is not None:
+        alone = np.argwhere(dataset.present & ~dataset.present[:, [b]])
+        if len(alone):
+            rpm = dataset.speeds[alone[0][0]] / RAD_S_PER_RPM
+            raise DataError(
+                f"the baseline '{baseline}' must be measured at the operating conditions of the other runs, but at "
+                f"{len(alone)} points it was not (the first: run '{dataset.runs[alone[0][1]]}', {rpm:g} rpm): say in "
+                "same_conditions by how much conditions may differ, or leave the baseline out and identify the "
+                "residual unbalance (identify.unbalance_planes)"
+            )
+        present = np.delete(dataset.present, b, axis=1)
+        dataset = dataset.at(np.flatnonzero(present.any(axis=1)))
+        if dataset.present is not None and dataset.present.all():
+            dataset = replace(dataset, present=None)
     rest = dataset.of_runs(np.delete(np.arange(len(dataset.runs)), b))
     turning = synchronous(rest.frequencies, rest.speeds[:, None])  # (S, R)
     subtracted = dataset.displacement[..., [b]] * turning[:, None]

@@ -9,7 +9,7 @@ import csv
 import math
 import warnings
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice, zip_longest
 from pathlib import Path
@@ -43,11 +43,14 @@ PLAIN = TextFormat()
 
 
 def read_table(
-    path: Path, columns: Mapping[str, str], optional: Mapping[str, str] | None = None, text: TextFormat = PLAIN
+    path: Path,
+    columns: Mapping[str, str],
+    optional: Mapping[str, str] | Callable[[list[str]], Mapping[str, str]] | None = None,
+    text: TextFormat = PLAIN,
 ) -> Columns:
     """The ``columns`` of a CSV, Excel (.xlsx, first sheet), Parquet or MAT file, and those ``optional`` ones it has.
 
-    Both: name -> "number", "number or blank" (NaN), or "text".
+    Both: name -> "number", "number or blank" (NaN), or "text"; what is optional may depend on the names that are there.
 
     Raises DataError: no such file, unreadable or truncated, an older schema, no rows, a column that is missing, there
     twice or of another kind, NaN or infinite values.
@@ -60,7 +63,8 @@ def read_table(
     if not table or not len(table[0]):
         raise DataError(f"'{path}' must have at least one row, but it has none")
     found: Columns = {}
-    for name, kind in (dict(columns) | dict(optional or {})).items():
+    further = optional(names) if callable(optional) else optional
+    for name, kind in (dict(columns) | dict(further or {})).items():
         if counts[name] > 1:
             raise DataError(
                 f"'{path}' must have the column '{name}' once, but it has it twice: give each a name of its own"

@@ -37,7 +37,8 @@ def integrate(rotor: RotorModel, bearings: BearingTable, excitations: tuple[Exci
     response = np.stack([_settle(rotor, bearings, s, forces[s]) for s in range(len(bearings.speeds))])
     channels = tuple((node, angle) for node in range(rotor.n_nodes) for angle in DIRECTIONS.values())
     measured = [translation_dof(node, direction) for node in range(rotor.n_nodes) for direction in range(TRANSLATIONS)]
-    return VibrationDataset(bearings.speeds, runs, channels, response[:, measured], excitations)
+    shown = response[:, measured]
+    return VibrationDataset(bearings.speeds, runs, channels, shown, excitations, operating=bearings.operating)
 
 
 def _settle(rotor: RotorModel, bearings: BearingTable, s: int, force: np.ndarray) -> np.ndarray:

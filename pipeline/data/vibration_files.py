@@ -5,7 +5,9 @@ y, or the angle of a probe in degrees from x towards y; amplitude zero-to-peak, 
 column ``frequency_hz`` gives the excitation frequency where it is not the rotor speed's; without it, and where it is
 blank, the response is synchronous; a synchronous run may be off the nominal speed by 1 %. A column ``condition`` names
 what was on the machine in each run: runs of one condition repeat each other. The order of the rows means nothing.
-Excitation: see :mod:`pipeline.data.excitation_files`.
+Further columns are operating conditions (:mod:`pipeline.config.operating`), such as ``oil_temperature_degC``: a run may
+have a speed once at each of them, and need not have what others have. Excitation: see
+:mod:`pipeline.data.excitation_files`.
 """
 
 from __future__ import annotations
@@ -24,7 +26,14 @@ from pipeline.data.dataset import (
     synchronous,
 )
 from pipeline.data.excitation_files import read_excitations, read_nodes
-from pipeline.data.tables import Columns, read_marks, read_table, write_table
+from pipeline.data.operating_points import (
+    describe_point,
+    find_points,
+    list_columns,
+    read_with_conditions,
+    require_complete,
+)
+from pipeline.data.tables import Columns, read_marks, write_table
 from pipeline.errors import DataError, nearest
 from pipeline.rotor.model import RotorModel
 from pipeline.units import RAD_S_PER_RPM
@@ -55,9 +64,11 @@ def write_vibration(path: Path, dataset: VibrationDataset, marks: Mapping[str, s
     flat = dataset.displacement.transpose(2, 0, 1).ravel()  # run slowest, then speed, then channel
     nodes = np.array([node for node, _ in dataset.channels])
     directions = np.array([name_direction(angle) for _, angle in dataset.channels])
+    conditions = list_columns(dataset.operating)
     columns = {
         "run": np.repeat(np.array(dataset.runs, dtype=object), n_speeds * n_channels),
         "speed_rpm": np.tile(np.repeat(to_rpm(dataset.speeds), n_channels), n_runs),
+        **{name: np.tile(np.repeat(values, n_channels), n_runs) for name, values in conditions.items()},
         "node": np.tile(nodes, n_speeds * n_runs),
         "direction": np.tile(directions, n_speeds * n_runs),
         "amplitude_m": np.abs(flat),
@@ -67,6 +78,9 @@ def write_vibration(path: Path, dataset: VibrationDataset, marks: Mapping[str, s
         columns[_FREQUENCY] = np.repeat(dataset.own_frequencies.T.ravel() / (2 * np.pi), n_channels)
     if dataset.conditions is not None:
         columns[_CONDITION] = np.repeat(np.array(dataset.conditions, dtype=object), n_speeds * n_channels)
+    if dataset.present is not None:
+        rows = np.repeat(dataset.present.T.ravel(), n_channels)
+        columns = {name: values[rows] for name, values in columns.items()}
     return write_table(path, columns, marks)
 
 
@@ -104,10 +118,19 @@ def require_nodes_of(dataset: VibrationDataset, n_nodes: int, vibration: Path, e
 
 
 def read_measured(
-    vibration: Path, excitation: Path, baseline: str | None = None, n_nodes: int | None = None
+    vibration: Path,
+    excitation: Path,
+    baseline: str | None = None,
+    n_nodes: int | None = None,
+    same: Mapping[str, float] | None = None,
 ) -> VibrationDataset:
-    """Read both files as :func:`read_dataset` does, where at most the number of the rotor's nodes is known."""
-    table = read_table(vibration, _VIBRATION, {_FREQUENCY: "number or blank", _CONDITION: "text"})
+    """Read both files as :func:`read_dataset` does, where at most the number of the rotor's nodes is known.
+
+    Operating conditions that differ by no more than ``same`` says (SI, by name) are taken for one, their mean.
+    """
+    optional = {_FREQUENCY: "number or blank", _CONDITION: "text"}
+    table, operating = read_with_conditions(vibration, _VIBRATION, optional)
+    require_complete(operating, vibration, table)
     excitations = read_excitations(excitation, n_nodes)
     nodes = read_nodes(table["node"], vibration, n_nodes)
     angles = _read_angles(table["direction"], vibration)
@@ -131,7 +154,8 @@ def read_measured(
             )
     for run in sorted(acting.keys() - measured.keys()):
         raise DataError(f"'{vibration}' must have data of every run, but run '{run}' of '{excitation}' has none")
-    dataset = _assemble(table, nodes, angles, vibration, runs, excitations)
+    points = find_points(table["speed_rpm"], operating, same)
+    dataset = _assemble(table, points, (nodes, angles), vibration, runs, excitations)
     if dataset.own_frequencies is not None:
         _check_synchronous(dataset, vibration)
     return dataset if baseline is None else subtract_baseline(dataset, baseline)
@@ -152,42 +176,58 @@ def _check_baseline(
 
 def _assemble(
     table: Columns,
-    nodes: np.ndarray,
-    angles: np.ndarray,
+    points: tuple[np.ndarray, dict[str, np.ndarray], np.ndarray],
+    places: tuple[np.ndarray, np.ndarray],
     path: Path,
     runs: tuple[str, ...],
     excitations: tuple[Excitation, ...],
 ) -> VibrationDataset:
-    rpm, at_speed = np.unique(table["speed_rpm"], return_inverse=True)
-    places, at_channel = np.unique(np.stack([nodes.astype(float), angles], axis=1), axis=0, return_inverse=True)
-    pairs = [(int(node), float(angle)) for node, angle in places]
+    """The data set of rows at ``points`` (see :func:`find_points`, in rpm) and ``places`` (nodes and angles)."""
+    rpm, operating, at_point = points
+    found, at_channel = np.unique(np.stack(places, axis=1), axis=0, return_inverse=True)
+    pairs = [(int(node), float(angle)) for node, angle in found]
     order = {run: r for r, run in enumerate(runs)}
     at_run = np.array([order[run] for run in table["run"].tolist()])
     shape = (len(rpm), len(pairs), len(runs))
-    counts = np.bincount(np.ravel_multi_index((at_speed, at_channel.ravel(), at_run), shape), minlength=np.prod(shape))
+    rows = np.ravel_multi_index((at_point, at_channel.ravel(), at_run), shape)
+    counts = np.bincount(rows, minlength=np.prod(shape)).reshape(shape)
+
+    def describe_first(index: np.ndarray) -> str:
+        s, p, r = index
+        channel = f"node {pairs[p][0]} {name_direction(pairs[p][1])}"
+        return f"the first: run '{runs[r]}', {rpm[s]:g} rpm{describe_point(operating, s, ', ')}, {channel}"
+
     if counts.max() > 1:
-        s, p, r = np.unravel_index(int(counts.argmax()), shape)
+        law = f"a run, speed, {'operating conditions, ' if operating else ''}node and direction"
         raise DataError(
-            f"'{path}' must have one row a run, speed, node and direction, but some are there twice (the first: run "
-            f"'{runs[r]}', {rpm[s]:g} rpm, node {pairs[p][0]} {name_direction(pairs[p][1])})"
+            f"'{path}' must have one row {law}, but some are there twice ({describe_first(np.argwhere(counts > 1)[0])})"
         )
-    missing = np.argwhere(counts.reshape(shape) == 0)
+    present = np.asarray(counts.any(axis=1))  # (S, R)
+    varies = any(np.ptp(values) > 0 for values in operating.values())
+    missing = np.argwhere((counts == 0) & (present[:, None] | (not varies)))
     if len(missing):
-        s, p, r = missing[0]
         raise DataError(
             f"'{path}' must have every channel at every speed of every run, but {len(missing)} of {counts.size} are "
-            "missing "
-            f"(the first: run '{runs[r]}', {rpm[s]:g} rpm, node {pairs[p][0]} {name_direction(pairs[p][1])})"
+            f"missing ({describe_first(missing[0])})"
         )
-    displacement = np.empty(shape, dtype=complex)
+    displacement = np.zeros(shape, dtype=complex)
     values = table["amplitude_m"] * np.exp(1j * np.radians(table["phase_deg"]))
-    displacement[at_speed, at_channel.ravel(), at_run] = values
+    displacement[at_point, at_channel.ravel(), at_run] = values
     speeds = rpm * RAD_S_PER_RPM
     own = None
     if _FREQUENCY in table and not np.isnan(table[_FREQUENCY]).all():
-        own = _read_frequencies(table, path, speeds, runs, at_speed, at_run)
-    conditions = _read_conditions(table, path, runs) if _CONDITION in table else None
-    return VibrationDataset(speeds, runs, tuple(pairs), displacement, excitations, own, conditions=conditions)
+        own = _read_frequencies(table, path, speeds, runs, at_point, at_run)
+    return VibrationDataset(
+        speeds,
+        runs,
+        tuple(pairs),
+        displacement,
+        excitations,
+        own,
+        conditions=_read_conditions(table, path, runs) if _CONDITION in table else None,
+        operating=operating,
+        present=None if present.all() else present,
+    )
 
 
 def _read_conditions(table: Columns, path: Path, runs: tuple[str, ...]) -> tuple[str, ...]:
@@ -210,7 +250,7 @@ def _read_frequencies(
     if (given <= 0).any():
         raise DataError(f"'{path}' must have frequencies above zero, but got {np.nanmin(table[_FREQUENCY]):g} Hz")
     given = np.where(np.isnan(given), speeds[at_speed], given)
-    frequencies = np.zeros((len(speeds), len(runs)))
+    frequencies = np.repeat(speeds[:, None], len(runs), axis=1)
     frequencies[at_speed, at_run] = given
     unequal = np.flatnonzero(frequencies[at_speed, at_run] != given)
     if len(unequal):

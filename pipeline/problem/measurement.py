@@ -104,10 +104,11 @@ class Measurement:
         nodes, asked = model.bearing_nodes, BearingUnknowns(tuple(unknowns), structure)
         others = tuple(name for name in COEFFICIENTS if name not in asked.coefficients)
         if known is None and not others:
-            table = BearingTable(nodes, dataset.speeds, np.zeros((len(nodes), len(dataset.speeds), len(COEFFICIENTS))))
+            nothing = np.zeros((len(nodes), len(dataset.speeds), len(COEFFICIENTS)))
+            table = BearingTable(nodes, dataset.speeds, nothing, dataset.operating)
         else:
             path = Path(known or "known_coefficients.csv")
-            table = read_coefficients(path, nodes, dataset.speeds, dict.fromkeys(nodes, others))
+            table = read_coefficients(path, nodes, dataset.speeds, dict.fromkeys(nodes, others), dataset.operating)
         found = unknown_set(dict.fromkeys(nodes, asked), shared, tuple(unbalance_planes))
         return cls(model, dataset, table, noise, found, guess)
 

@@ -11,6 +11,7 @@ from pipeline.data.as_built import build_rotor, misplace_probes, simulate_as_bui
 from pipeline.data.coefficient_files import write_coefficients
 from pipeline.data.dataset import Excitation, VibrationDataset, require_synchronous
 from pipeline.data.excitation_files import write_excitation
+from pipeline.data.operating_points import describe_points, spread_states
 from pipeline.data.sensors import Channels, Sensors, list_directions, measure
 from pipeline.data.simulate import simulate
 from pipeline.data.tables import read_marks
@@ -52,7 +53,7 @@ def run(config: Config) -> StageOutput:
     # A tenth of the speeds shows the trend; the eigenvalues of all would take longer than the vibration.
     margin = measure_stability(find_modes(rotor, bearings.at(np.arange(0, len(dataset.speeds), 10))))
     say(
-        f"{config.name}: {len(dataset.runs)} runs, {len(dataset.speeds)} speeds, {len(dataset.channels)} channels in "
+        f"{config.name}: {len(dataset.runs)} runs, {describe_points(dataset)}, {len(dataset.channels)} channels in "
         f"'{work.vibration}'\n" + _describe_margin(margin)
     )
     if not margin.stable:
@@ -76,10 +77,11 @@ def model_machine(config: Config, seed: int | None = None) -> tuple[RotorModel, 
 
     ``seed`` draws what weights are off by; None for that of the probes.
     """
-    speeds = np.array(config.machine.speeds.rpm()) * RAD_S_PER_RPM
+    rpm = np.array(config.machine.speeds.rpm())
+    speeds, operating = spread_states(rpm * RAD_S_PER_RPM, config.machine.operating)
     rotor, built = load_rotor(config.machine.rotor), config.machine.as_built
     list_known(config, rotor.bearing_nodes)  # refuses exceptions without a bearing
-    bearings = load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
+    bearings = load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds, operating)
     runs, residual = configure_excitations(config), _configure_residual(config)
     require_nodes(rotor, "machine.runs", [excitation.node for excitation in (*runs, *residual)])
     acting, frequencies = (*runs, *residual), configure_frequencies(config, speeds)

@@ -62,7 +62,8 @@ def run(config: Config) -> StageOutput:
     on_casing = note_casing(ingest.probes, rotor.bearing_nodes)
     measured = read_measured_runs(ingest)
     dataset = measured.dataset
-    known = load_known(config, ingest.known, "machine.recordings.known", rotor.bearing_nodes, dataset.speeds)
+    nodes, speeds, operating = rotor.bearing_nodes, dataset.speeds, dataset.operating
+    known = load_known(config, ingest.known, "machine.recordings.known", nodes, speeds, operating)
     notes = [*on_casing, *measured.notes, *note_whirl(dataset)]
     notes += note_size(dataset, rotor, config.model.initial_stiffness, config.model.initial_damping)
     written = [write_excitation(work.excitation, dataset)]
@@ -71,7 +72,7 @@ def run(config: Config) -> StageOutput:
     else:
         work.known.unlink(missing_ok=True)
     if ingest.synthetic:
-        modelled = load_modelled_bearings(config.machine.rotor, config.machine.bearings, dataset.speeds)
+        modelled = load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds, operating)
         written.append(write_coefficients(work.modelled, modelled))
     else:
         work.modelled.unlink(missing_ok=True)

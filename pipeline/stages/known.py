@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.measured import AS_MODELLED, KnownConfig
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import read_known
+from pipeline.data.operating_points import Operating
 from pipeline.errors import ConfigError
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.stored import load_modelled_bearings
@@ -18,25 +20,33 @@ from pipeline.stages.workspace import list_known
 
 
 def load_known(
-    config: Config, given: str | KnownConfig | None, key: str, nodes: Sequence[int], speeds: np.ndarray
+    config: Config,
+    given: str | KnownConfig | None,
+    key: str,
+    nodes: Sequence[int],
+    speeds: np.ndarray,
+    operating: Operating | None = None,
 ) -> BearingTable | None:
-    """The known coefficients of the bearings at ``nodes`` and ``speeds`` (S,) rad/s; the others are zero.
+    """The known coefficients of the bearings at ``nodes``, ``speeds`` (S,) rad/s and ``operating`` conditions (S,)
+    each; the others are zero.
 
     ``given`` is what the configuration has at ``key``. None where some are needed and nothing gives them. Raises
     ConfigError for values that lack one, DataError as :func:`pipeline.data.coefficient_files.read_known`.
     """
     needed = list_known(config, nodes)
+    operating = operating or {}
+    blank = BearingTable(tuple(nodes), speeds, np.zeros((len(nodes), len(speeds), len(COEFFICIENTS))), operating)
     if not any(needed.values()):
-        return BearingTable(tuple(nodes), speeds, np.zeros((len(nodes), len(speeds), len(COEFFICIENTS))))
+        return blank
     if given is None:
         return None
     if given == AS_MODELLED:
-        bearings = load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
+        bearings = load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds, operating)
         stays = np.array([[name in needed[node] for name in COEFFICIENTS] for node in bearings.nodes])
-        return BearingTable(bearings.nodes, speeds, np.where(stays[:, None], bearings.values, 0.0))
+        return replace(bearings, values=np.where(stays[:, None], bearings.values, 0.0))
     if isinstance(given, KnownConfig):
-        return _fill(given, key, needed, speeds)
-    return read_known(Path(given), nodes, speeds, needed)
+        return _fill(given, key, needed, blank)
+    return read_known(Path(given), nodes, speeds, needed, operating)
 
 
 def require_known(known: BearingTable | None, config: Config, nodes: Sequence[int]) -> BearingTable:
@@ -52,8 +62,8 @@ def require_known(known: BearingTable | None, config: Config, nodes: Sequence[in
     )
 
 
-def _fill(given: KnownConfig, key: str, needed: dict[int, tuple[str, ...]], speeds: np.ndarray) -> BearingTable:
-    values = np.zeros((len(needed), len(speeds), len(COEFFICIENTS)))
+def _fill(given: KnownConfig, key: str, needed: dict[int, tuple[str, ...]], blank: BearingTable) -> BearingTable:
+    values = blank.values.copy()
     for b, names in enumerate(needed.values()):
         for name in names:
             value = getattr(given, name)
@@ -62,4 +72,4 @@ def _fill(given: KnownConfig, key: str, needed: dict[int, tuple[str, ...]], spee
                     f"{key} must have a value of every coefficient that is not identified, but {name} is missing"
                 )
             values[b, :, COEFFICIENTS.index(name)] = value
-    return BearingTable(tuple(needed), speeds, values)
+    return replace(blank, values=values)

@@ -54,7 +54,7 @@ def load_measurement(config: Config) -> Measurement:
         _require_generated_from(config, files)
     # A rotor file says itself how many nodes there are, and where the bearings stand.
     n_nodes = config.machine.rotor.n_nodes if config.machine.rotor.file is None else None
-    dataset = read_measured(files.vibration, files.excitation, config.data.baseline, n_nodes)
+    dataset = _read_measured(config, files, n_nodes)
     if n_nodes is not None:
         known = _read_known(config, files, config.machine.rotor.bearing_nodes, dataset)
         rotor = load_rotor(config.machine.rotor)
@@ -77,7 +77,13 @@ def load_dataset(config: Config) -> VibrationDataset:
         source = "generate" if config.machine.recordings.format == "none" else "ingest"
         make_missing(config, source, files.vibration, files.excitation)
     n_nodes = config.machine.rotor.n_nodes if config.machine.rotor.file is None else None
-    return read_measured(files.vibration, files.excitation, config.data.baseline, n_nodes)
+    return _read_measured(config, files, n_nodes)
+
+
+def _read_measured(config: Config, files: Workspace, n_nodes: int | None) -> VibrationDataset:
+    # Conditions of the experiment's own files were joined when they were written.
+    same = None if files.own else config.data.same_conditions
+    return read_measured(files.vibration, files.excitation, config.data.baseline, n_nodes, same)
 
 
 def build_measurement(config: Config, rotor: RotorModel, dataset: VibrationDataset, known: BearingTable) -> Measurement:
@@ -124,8 +130,9 @@ def _read_known(config: Config, files: Workspace, nodes: tuple[int, ...], datase
     """From ``data.known``, or as the experiment's own data were made. Raises ConfigError where nothing gives them."""
     given = config.data.known
     if given is None and files.own and files.known.exists():
-        return read_coefficients(files.known, nodes, dataset.speeds, list_known(config, nodes))
-    return require_known(load_known(config, given, "data.known", nodes, dataset.speeds), config, nodes)
+        return read_coefficients(files.known, nodes, dataset.speeds, list_known(config, nodes), dataset.operating)
+    known = load_known(config, given, "data.known", nodes, dataset.speeds, dataset.operating)
+    return require_known(known, config, nodes)
 
 
 def _require_generated_from(config: Config, files: Workspace) -> None:
@@ -204,4 +211,5 @@ def load_modelled(config: Config, measurement: Measurement) -> BearingTable | No
     work = locate_files(config)
     if not work.own or not work.modelled.exists():
         return None
-    return read_coefficients(work.modelled, measurement.rotor.bearing_nodes, measurement.dataset.speeds)
+    nodes, dataset = measurement.rotor.bearing_nodes, measurement.dataset
+    return read_coefficients(work.modelled, nodes, dataset.speeds, operating=dataset.operating)

@@ -1,0 +1,186 @@
+"""Operating conditions by name: what a column ``oil_temperature_degC`` or a key ``oil_temperature`` stands for.
+
+A condition is a number beside the speed. The last word of its name says what it is a quantity of, and so its unit: SI
+inside (temperatures in K), that of :data:`WRITTEN` in files. A condition of another name is called as its column, with
+the unit: ``preheat_degC``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import BeforeValidator
+
+from pipeline.config.quantities import from_base, is_number, same_dimension, to_base
+
+WRITTEN = {
+    "temperature": "degC",
+    "pressure": "Pa",
+    "load": "N",
+    "preload": "N",
+    "thrust": "N",
+    "torque": "N*m",
+    "power": "W",
+    "viscosity": "Pa*s",
+    "clearance": "m",
+    "flow": "m**3/s",
+    "current": "A",
+    "voltage": "V",
+    "opening": "percent",
+    "humidity": "percent",
+}
+"""The unit in which conditions are written, by the last word of their name."""
+UNITS = (
+    *("degC", "degF", "Pa", "kPa", "MPa", "mbar", "bar", "psi", "N", "kN", "lbf", "N*m", "W", "kW", "MW"),
+    *("l/min", "l/h", "m**3/h", "kg/s", "kg/h", "percent"),
+)
+"""A column of any other name is a condition where it ends in one of these."""
+_NO_DEGREES = ("C", "F")
+"""pint has other units of these names."""
+_DIGITS = 12
+_COLDEST = 150.0
+"""K; a temperature below it, as a number alone, was meant in another unit."""
+_QUANTITY = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(\D.*?)\s*")
+
+
+@dataclass(frozen=True)
+class ConditionColumn:
+    """A column of a table that has an operating condition."""
+
+    column: str
+    name: str
+    unit: str
+
+    def to_si(self, values: np.ndarray) -> np.ndarray:
+        """Values of the column in SI, temperatures in K."""
+        return np.asarray(to_base(np.asarray(values, dtype=float), self.unit))
+
+    def from_si(self, values: np.ndarray) -> np.ndarray:
+        """Values in SI in the unit of the column, of so many digits that 45 degC is written as 45."""
+        written = from_base(np.asarray(values, dtype=float), self.unit)
+        return np.array([float(f"{value:.{_DIGITS}g}") for value in written])
+
+
+def find_column(column: str) -> ConditionColumn | None:
+    """The condition that a column has; None for a column of something else.
+
+    Raises ValueError for a condition without a unit, or with one of another dimension.
+    """
+    name, _, unit = column.rpartition("_")
+    word = name.split("_")[-1]
+    if column.split("_")[-1] in WRITTEN:
+        raise ValueError(f"must have its unit in the name of the column '{column}', but it has none: {_advise(column)}")
+    if word not in WRITTEN:
+        return ConditionColumn(column, column, unit) if name and unit in UNITS else None
+    try:
+        right = unit not in _NO_DEGREES and same_dimension(unit, WRITTEN[word])
+    except ValueError:
+        right = False
+    if not right:
+        raise ValueError(f"must have a unit of {word} at the end of '{column}', but got '{unit}': {_advise(name)}")
+    return ConditionColumn(column, name, unit)
+
+
+def _advise(name: str) -> str:
+    return f"call it {name}_{WRITTEN[name.split('_')[-1]]} (its unit may be another), or leave it out"
+
+
+def find_columns(columns: Iterable[str], others: Sequence[str] = ()) -> dict[str, ConditionColumn]:
+    """The conditions of a table by name, in the order of its ``columns`` and without those of the ``others``.
+
+    Raises ValueError as :func:`find_column`, and for a condition that is there twice.
+    """
+    found: dict[str, ConditionColumn] = {}
+    for column in columns:
+        one = None if column in others else find_column(column)
+        if one is not None and one.name in found:
+            raise ValueError(
+                f"must have each condition once, but {one.name} is in '{found[one.name].column}' and '{column}': leave "
+                "one out"
+            )
+        found |= {} if one is None else {one.name: one}
+    return found
+
+
+def column_of(name: str) -> ConditionColumn:
+    """The column that the condition ``name`` is written to. Raises ValueError for a name that is no condition's."""
+    word = name.split("_")[-1]
+    if word in WRITTEN:
+        return ConditionColumn(f"{name}_{WRITTEN[word]}", name, WRITTEN[word])
+    found = find_column(name)
+    if found is None or found.name != name:
+        raise ValueError(
+            f"must name a condition by a last word that says what it is ({', '.join(WRITTEN)}) or by its unit "
+            f"(preheat_degC), but got '{name}'"
+        )
+    return found
+
+
+def to_quantity(name: str, value: Any, difference: bool = False) -> float:
+    """A value of the condition ``name``, such as ``45 degC``, in SI; a number is in SI already.
+
+    A ``difference`` of temperatures in degC is one in K. Raises ValueError for what is no such quantity.
+    """
+    unit = column_of(name).unit
+    warm = unit in ("degC", "degF")
+    example = f"such as {'0.5 K' if difference and warm else f'45 {unit}'}"
+    if isinstance(value, bool) or not isinstance(value, (int, float, str)):
+        raise ValueError(f"{name} must be a quantity ({example}), but got {value!r}")
+    if isinstance(value, str) and not is_number(value):
+        parts = _QUANTITY.fullmatch(value)
+        given = (
+            "" if parts is None else f"delta_{parts[2]}" if difference and parts[2] in ("degC", "degF") else parts[2]
+        )
+        try:
+            right = parts is not None and same_dimension(given, unit)
+        except ValueError:
+            right = False
+        if parts is None or not right:
+            raise ValueError(f"{name} must be a quantity with a unit of its kind ({example}), but got {value!r}")
+        found = float(to_base(float(parts[1]), given))
+    else:
+        found = float(value)
+        if warm and not difference and 0 < found < _COLDEST:
+            raise ValueError(f"{name} must carry its unit ({example}): a number alone is in K, but got {value}")
+    if not np.isfinite(found) or (difference and found < 0) or (warm and not difference and found <= 0):
+        law = "zero or more" if difference else "above absolute zero" if warm else "finite"
+        raise ValueError(f"{name} must be {law} ({example}), but got {value!r}")
+    return found
+
+
+def _read_mapping(value: Any) -> dict[str, Any]:
+    if value is None:
+        return {}
+    if not isinstance(value, Mapping):
+        raise ValueError(f"must be conditions by name, such as {{oil_temperature: 45 degC}}, but got {value!r}")
+    return {str(name): of for name, of in value.items()}
+
+
+def _read_states(value: Any) -> dict[str, tuple[float, ...]]:
+    found = {}
+    for name, given in _read_mapping(value).items():
+        several = given if isinstance(given, (list, tuple)) else [given]
+        found[name] = tuple(to_quantity(name, one) for one in several)
+        if not several or len(set(found[name])) < len(several):
+            raise ValueError(f"{name} must have values that differ from each other, but got {list(several)}")
+    return found
+
+
+def _read_one(value: Any) -> dict[str, float]:
+    return {name: to_quantity(name, given) for name, given in _read_mapping(value).items()}
+
+
+def _read_differences(value: Any) -> dict[str, float]:
+    return {name: to_quantity(name, given, difference=True) for name, given in _read_mapping(value).items()}
+
+
+States = Annotated[dict[str, tuple[float, ...]], BeforeValidator(_read_states)]
+"""Values of each condition by its name, SI: every combination is a state of the machine."""
+Conditions = Annotated[dict[str, float], BeforeValidator(_read_one)]
+"""One value of each condition by its name, SI."""
+Differences = Annotated[dict[str, float], BeforeValidator(_read_differences)]
+"""By how much values of a condition may differ and still be the same, by its name, SI."""

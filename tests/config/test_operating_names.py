@@ -1,0 +1,59 @@
+"""Operating conditions of a configuration: names, quantities, units."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydantic import TypeAdapter, ValidationError
+
+from pipeline.config.operating import UNITS, WRITTEN, Differences, States, column_of, find_column, to_quantity
+
+NAMES = [f"oil_{word}" for word in WRITTEN] + [f"drain_{unit}" for unit in UNITS]
+
+
+@settings(max_examples=40)
+@given(name=st.sampled_from(NAMES), values=st.lists(st.floats(100.0, 1e6), min_size=1, max_size=3))
+def test_the_column_of_a_name_gives_name_and_values_back(name: str, values: list[float]) -> None:
+    column = column_of(name)
+    assert find_column(column.column) == column
+    assert column.to_si(column.from_si(np.array(values))) == pytest.approx(values, rel=1e-10)
+
+
+def test_quantities_are_in_si_and_degrees_exact() -> None:
+    assert to_quantity("oil_temperature", "45 degC") == 318.15
+    assert to_quantity("oil_temperature", "113 degF") == pytest.approx(318.15)
+    assert to_quantity("oil_temperature", 318.15) == 318.15
+    assert to_quantity("oil_supply_pressure", "1.5 bar") == pytest.approx(1.5e5)
+    assert to_quantity("drain_degC", "45 degC") == 318.15
+    assert to_quantity("oil_temperature", "0.5 degC", difference=True) == pytest.approx(0.5)
+    assert to_quantity("oil_temperature", "0.5 K", difference=True) == 0.5
+    assert TypeAdapter(States).validate_python(None) == {}
+    assert TypeAdapter(States).validate_python({"load": "2 kN"}) == {"load": (2000.0,)}
+    assert TypeAdapter(Differences).validate_python({"oil_temperature": "0.5 degC"}) == {
+        "oil_temperature": pytest.approx(0.5)
+    }
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        ({"oil_temperature": ["45 N"]}, "with a unit of its kind (such as 45 degC), but got '45 N'"),
+        ({"oil_temperature": [45]}, "must carry its unit (such as 45 degC): a number alone is in K, but got 45"),
+        ({"oil_temperature": ["-300 degC"]}, "must be above absolute zero"),
+        ({"oil_temperature": ["warm"]}, "must be a quantity with a unit of its kind"),
+        ({"oil_temperature": ["45 degC", "318.15 K"]}, "must have values that differ"),
+        ({"oil_temperature": []}, "must have values that differ"),
+        ({"colour": [1]}, "a last word that says what it is (temperature, pressure"),
+        ({"load": [True]}, "must be a quantity"),
+        ({"load": ["inf N"]}, "must be"),
+        ([1], "must be conditions by name"),
+    ],
+)
+def test_what_is_no_condition_is_refused_by_name(value: Any, words: str) -> None:
+    with pytest.raises(ValidationError) as error:
+        TypeAdapter(States).validate_python(value)
+    assert words in str(error.value)
