@@ -140,15 +140,17 @@ _NOTHING = 1e-60
 """Information of a weight that no reading feels, such as the logarithm of a coefficient that ran off to zero."""
 
 
-def fit_from(start: OutputErrorStart, setup: FitSetup, progress: Progress | None = None) -> OutputErrorFit:
-    """:func:`fit_output_error` from a start that is prepared."""
+def fit_from(
+    start: OutputErrorStart, setup: FitSetup, progress: Progress | None = None, *, near: bool = False
+) -> OutputErrorFit:
+    """:func:`fit_output_error` from a start that is prepared; from one ``near`` the answer at the full precision."""
     problem, weights = start.problem, start.weights
     if start.from_guess:
         problem, weights = add_features(start, setup.optimizer.levenberg_marquardt)
     factor = np.ones(len(start.measurement.dataset.channels))
     history: list[dict[str, float | str]] = []
     steps, seconds = 0, 0.0
-    approach = -len(_LESS_EXACT) if problem.n_parameters else 0
+    approach = -len(_LESS_EXACT) if problem.n_parameters and not near else 0
     corrected = problem.measurement.laws is not None and bool(problem.kept.any())
     for turn in range(approach, _ROUNDS):
         found = minimise(_less_exact(problem, turn) if turn < 0 else problem, weights, setup, progress=progress)

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -163,31 +163,66 @@ def try_senses(measurement: Measurement, setup: FitSetup, tell: Callable[[Sense]
         raise ConfigError(
             f"stage=senses must have loss=response, which weighs the readings by their noise, but got {setup.loss.kind}"
         )
-    fits: dict[Sense, OutputErrorFit] = {}
+    found: dict[Sense, list[OutputErrorFit]] = {}
     refused: dict[Sense, str] = {}
     for sense in SENSES:
         if tell is not None:
             tell(sense)
         try:
-            # A damping that runs off to zero is no mistake here: it is what the wrong sign of its phase leaves of it.
-            fits[sense] = fit_from(prepare_output_error(sense.read(measurement), setup), setup)
+            found[sense] = _fit(sense.read(measurement), setup)
         except ConfigError as error:
             refused[sense] = str(error)
-    fits = {sense: one for sense, one in fits.items() if np.isfinite(one.weights.numpy()).all()}
-    if not fits:
+    if not any(found.values()):
         why = next(iter(refused.values()), "every fit ran away")
         raise ConfigError(f"the data must have a fit in one sense at least, but {why}")
-    factor = min((one.factor for one in fits.values()), key=lambda of: float(np.median(of)))
-    squares = {sense: _square(one, factor) for sense, one in fits.items()}
-    for sense in SENSES:  # of a pair that is one machine, the worse may have stuck on its way
-        if sense in fits and squares[sense] > squares.get(sense.twin, math.inf):
-            again = _start_at(fits[sense], fits[sense.twin], setup)
-            squares[sense] = min(squares[sense], math.inf if again is None else _square(again, factor))
+    factors = [one.factor for several in found.values() for one in several]
+    factor = min(factors, key=lambda of: float(np.median(of)))
+    squares: dict[Sense, float] = {}
+    for sense in SENSES[: len(SENSES) // 2]:
+        squares |= _compare(sense, found, factor, setup)
     least, count = min(squares.values()), 2 * measurement.dataset.displacement.size
     wider = max(1.0, least / count)
     beyond = {sense: (square - least) / wider for sense, square in squares.items()}
     trials = [Trial(one, beyond.get(one, math.inf), refused.get(one, "")) for one in SENSES]
     return Senses(tuple(sorted(trials, key=lambda one: one.chi_square)), float(count), float(least))
+
+
+def _fit(measurement: Measurement, setup: FitSetup) -> list[OutputErrorFit]:
+    """The fits that did not run away: with uncertain parameters of the model from two starts, since one may stick."""
+    start = prepare_output_error(measurement, setup)
+    # A damping that runs off to zero is no mistake here: it is what the wrong sign of its phase leaves of it.
+    fits = [fit_from(start, setup, near=near) for near in ((False, True) if measurement.parameters else (False,))]
+    return [one for one in fits if np.isfinite(one.weights.numpy()).all()]
+
+
+def _compare(
+    one: Sense, found: Mapping[Sense, Sequence[OutputErrorFit]], factor: np.ndarray, setup: FitSetup
+) -> dict[Sense, float]:
+    """Chi-square of two senses that are one machine.
+
+    The worse one starts anew at the better one, since fits may stick on their way. With uncertain parameters of the
+    model they often do: then each starts at every fit of the other, and again where that gained anything.
+    """
+    squares = {sense: [_square(fit, factor) for fit in found.get(sense, ())] for sense in (one, one.twin)}
+    best = {sense: min(several) for sense, several in squares.items() if several}
+    if len(best) < 2:
+        return best
+    fits = [(square, sense, fit) for sense in best for square, fit in zip(squares[sense], found[sense], strict=True)]
+    waiting = sorted(fits, key=lambda each: each[0])[: None if fits[0][2].problem.n_parameters else 1]
+    for _ in range(_RESTARTS):
+        if not waiting:
+            break
+        _, of, fit = waiting.pop(0)
+        again = _start_at(found[of.twin][0], fit, setup)
+        if again is not None and (square := _square(again, factor)) < best[of.twin] - _SAME:
+            best[of.twin] = square
+            waiting.append((square, of.twin, again))
+    return best
+
+
+_RESTARTS = 8
+_SAME = 0.1
+"""Chi-square that is no gain: the evidence is weighed by whole units."""
 
 
 def _start_at(fit: OutputErrorFit, twin: OutputErrorFit, setup: FitSetup) -> OutputErrorFit | None:
@@ -204,7 +239,9 @@ def _start_at(fit: OutputErrorFit, twin: OutputErrorFit, setup: FitSetup) -> Out
         if one.kind in _ANGLES or one.detail == "imaginary":
             rest[..., planes + t] *= -1.0
     weights[..., own.problem.n_outer :] = rest
-    found = fit_from(replace(own, problem=own.problem.update(weights), weights=weights, from_guess=False), setup)
+    found = fit_from(
+        replace(own, problem=own.problem.update(weights), weights=weights, from_guess=False), setup, near=True
+    )
     return found if np.isfinite(found.weights.numpy()).all() else None
 
 

@@ -34,7 +34,14 @@ from pipeline.reporting.console import say
 from pipeline.rotor.model import RotorModel
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_measurement
-from pipeline.stages.vibration_models import leave_each_out, list_missing, load_models, load_records, pick_method
+from pipeline.stages.vibration_models import (
+    can_leave_out,
+    leave_each_out,
+    list_missing,
+    load_models,
+    load_records,
+    pick_method,
+)
 from pipeline.stages.workspace import locate_files
 from pipeline.units import RAD_S_PER_RPM
 
@@ -55,6 +62,8 @@ def run(config: Config) -> StageOutput:
             readings = _read(config, config.balance.records, model)
             found[name] = estimate_all(readings, [model] * len(readings.names))
         print_estimates(config.name, name, found[name], model.planes, source)
+        if config.balance.records is None and not can_leave_out(fitted, name):
+            say(f"{config.name}: {name} was fitted to these conditions themselves; stage=folds tries it on unseen ones")
     planes = models[method].planes
     summary: dict[str, Any] = {"methods": {name: _summarize(of) for name, of in found.items()}, "sheet": None}
     if config.machine.balance is None:
@@ -67,7 +76,7 @@ def run(config: Config) -> StageOutput:
         write_json(work.folder / "balance.json", summary),
         draw_balance(work.figure("balance"), method, found[method], planes, source),
     ]
-    return StageOutput(summary, {"data_fingerprint": measurement.dataset.fingerprint}, written)
+    return StageOutput(summary, {"data_fingerprint": fitted.fingerprint}, written)
 
 
 def _read(config: Config, file: str, model: LinearVibration) -> Readings:

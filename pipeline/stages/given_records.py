@@ -15,7 +15,6 @@ from pipeline.ingest.table import read_format
 from pipeline.reporting.balance_tables import tabulate_predicted
 from pipeline.reporting.console import say
 from pipeline.stages.execution import StageOutput
-from pipeline.stages.measurement import load_dataset
 from pipeline.stages.vibration_models import list_missing, load_models, load_records, pick_method
 from pipeline.stages.workspace import locate_files
 
@@ -24,9 +23,9 @@ def run(config: Config) -> StageOutput:
     """``predicted_records.csv``: a row for each record, in its order. No fit of bearings is needed."""
     file = config.predict.records or ""
     records = load_records(config, file, "predict.records")
-    models = load_models(config).models
-    method = pick_method(models, config.predict.method, "predict.method")
-    predicted = predict_records(records, models[method])
+    fitted = load_models(config)
+    method = pick_method(fitted.models, config.predict.method, "predict.method")
+    predicted = predict_records(records, fitted.models[method])
     recordings = config.machine.recordings
     assert isinstance(recordings, RecordsConfig)  # load_records has seen to it
     pairs = [(probe.columns.real, probe.columns.imaginary) for probe in recordings.probes.values()]
@@ -49,4 +48,4 @@ def run(config: Config) -> StageOutput:
         if missing := list_missing(records):
             words += f"; not measured: {', '.join(missing)}"
     say(words)
-    return StageOutput(metrics, {"data_fingerprint": load_dataset(config).fingerprint}, [path])
+    return StageOutput(metrics, {"data_fingerprint": fitted.fingerprint}, [path])

@@ -39,6 +39,7 @@ class Fitted:
     conditions: Conditions
     sound: Conditions
     models: Mapping[str, LinearVibration]
+    fingerprint: str  # of the records' data set
 
 
 def load_models(config: Config) -> Fitted:
@@ -73,12 +74,17 @@ def _fit_influence(config: Config, dataset: VibrationDataset) -> Fitted:
     try:
         bad, influence = find_contradictions(conditions)
     except IdentifiabilityError:  # too few conditions to judge one by the others
-        return Fitted(conditions, conditions, {"influence": fit_influence(conditions)})
+        return Fitted(conditions, conditions, {"influence": fit_influence(conditions)}, dataset.fingerprint)
     if bad:
         names = ", ".join(one.name for one in bad)
         say(f"{config.name}: influence coefficients without {names}, which contradict their labels")
     sound = conditions.without([one.name for one in bad])
-    return Fitted(conditions, sound, {"influence": influence})
+    return Fitted(conditions, sound, {"influence": influence}, dataset.fingerprint)
+
+
+def can_leave_out(fitted: Fitted, method: str) -> bool:
+    """Whether the method is fitted anew without each condition: quickly done, and of enough conditions."""
+    return method == "influence" and len(fitted.sound.names) > len(fitted.sound.planes) + 3
 
 
 def leave_each_out(fitted: Fitted, method: str) -> list[LinearVibration]:
@@ -87,7 +93,7 @@ def leave_each_out(fitted: Fitted, method: str) -> list[LinearVibration]:
     With too few conditions to leave one out, and for other methods, it is the one that there is.
     """
     sound, model = fitted.sound, fitted.models[method]
-    if method != "influence" or len(sound.names) <= len(sound.planes) + 3:
+    if not can_leave_out(fitted, method):
         return [model] * len(fitted.conditions.names)
     without = {name: [i for i in range(len(sound.names)) if i != c] for c, name in enumerate(sound.names)}
     return [fit_influence(sound.of(without[name])) if name in without else model for name in fitted.conditions.names]
