@@ -104,11 +104,12 @@ class Senses:
     trials: tuple[Trial, ...]
     expected: float  # of the readings, if the best sense and the noise are right
     least: float  # chi-square of the best, with its priors
+    gained: float = 0.0  # what the best fit gained when it started anew; a smaller difference tells nothing
 
     @property
     def open(self) -> tuple[Trial, ...]:
         """Those that the data do not tell from the best, which is the first."""
-        return tuple(one for one in self.trials if one.chi_square < DECISIVE)
+        return tuple(one for one in self.trials if one.chi_square < max(DECISIVE, self.gained))
 
     @property
     def sentence(self) -> str:
@@ -117,7 +118,7 @@ class Senses:
         others = [one for one in self.open[1:] if one.sense != best.sense.twin]
         if others:
             text = f"the data do not tell {best.sense.words} from {'; '.join(one.sense.words for one in others)}"
-            text += ": a run with a weight at another angle would"
+            text += ": a run with a weight at another angle would" if self.gained < DECISIVE else ""
         else:
             text = f"the data choose {best.sense.words}"
             text += "" if best.sense == Sense() else " (not all as they are written)"
@@ -134,6 +135,8 @@ class Senses:
             twin = next(one for one in self.trials if one.sense == best.sense.twin)
             text += f". The same machine mirrored ({twin.sense.words}) would need damping of the other sign"
             text += f": chi-square {twin.chi_square:.3g} larger" if math.isfinite(twin.chi_square) else ": no fit"
+        if self.gained >= DECISIVE:
+            text += f". Fits stick on their way: one that started anew gained {self.gained:.3g}, so less tells nothing"
         if self.least > FAR_FROM_EXPECTED * self.expected:
             text += (
                 f". Doubt this: even the best leaves {self.least / self.expected:.2g} times what the noise explains, "
@@ -177,6 +180,7 @@ def try_senses(measurement: Measurement, setup: FitSetup, tell: Callable[[Sense]
         raise ConfigError(f"the data must have a fit in one sense at least, but {why}")
     factors = [one.factor for several in found.values() for one in several]
     factor = min(factors, key=lambda of: float(np.median(of)))
+    first = {sense: min((_square(one, factor) for one in of), default=math.inf) for sense, of in found.items()}
     squares: dict[Sense, float] = {}
     for sense in SENSES[: len(SENSES) // 2]:
         squares |= _compare(sense, found, factor, setup)
@@ -184,7 +188,9 @@ def try_senses(measurement: Measurement, setup: FitSetup, tell: Callable[[Sense]
     wider = max(1.0, least / count)
     beyond = {sense: (square - least) / wider for sense, square in squares.items()}
     trials = [Trial(one, beyond.get(one, math.inf), refused.get(one, "")) for one in SENSES]
-    return Senses(tuple(sorted(trials, key=lambda one: one.chi_square)), float(count), float(least))
+    best = min(squares, key=lambda sense: squares[sense])
+    ranked = tuple(sorted(trials, key=lambda one: one.chi_square))
+    return Senses(ranked, float(count), float(least), (first[best] - least) / wider)
 
 
 def _fit(measurement: Measurement, setup: FitSetup) -> list[OutputErrorFit]:

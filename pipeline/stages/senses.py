@@ -42,6 +42,7 @@ def run(config: Config) -> StageOutput:
         )
     table(f"{config.name}: senses of phases and angles", header, rows)
     say(f"{config.name}: {found.sentence}")
-    summary = {"sentence": found.sentence, "least": found.least, "expected": found.expected, "senses": listed}
+    summary = {"sentence": found.sentence, "least": found.least, "expected": found.expected, "gained": found.gained}
+    summary |= {"senses": listed}
     written = [write_json(work.folder / "senses.json", summary)]
     return StageOutput({"least": found.least}, {"data_fingerprint": measurement.dataset.fingerprint}, written)

@@ -104,6 +104,15 @@ def test_the_stage_writes_every_sense_and_the_sentence(run: Run, tmp_path: Path)
     assert "the data" in found["sentence"]
 
 
+def test_what_a_new_start_gained_is_no_evidence() -> None:
+    """A fit that stuck 50 above its minimum: a machine that is 40 worse may have stuck, too."""
+    trials = tuple(Trial(sense, 40.0 * i) for i, sense in enumerate(SENSES))
+    assert len(Senses(trials, expected=10.0, least=9.0).open) == 1
+    stuck = Senses(trials, expected=10.0, least=9.0, gained=50.0)
+    assert stuck.open == trials[:2]
+    assert "one that started anew gained 50, so less tells nothing" in stuck.sentence
+
+
 def test_a_fit_far_from_its_noise_is_doubted() -> None:
     """Chi-square three times what is expected, or more: no odds are to be believed."""
     trials = tuple(Trial(sense, 100.0 * i) for i, sense in enumerate(SENSES))
