@@ -23,7 +23,7 @@ from pipeline.config.identification import (
 )
 from pipeline.config.machine import MachineConfig
 from pipeline.config.measured import Known
-from pipeline.config.operating import Differences
+from pipeline.config.operating import Differences, States
 from pipeline.config.runs import DesignConfig, NoiseConfig
 from pipeline.config.section import NonNegativeInt, Section
 from pipeline.config.tuning import TuningConfig
@@ -56,6 +56,14 @@ class CheckConfig(Section):
     """Experiments that ``stage=check`` looks at; empty stands for all in ``conf/thresholds``."""
 
     experiments: tuple[str, ...] = ()
+
+
+class EvaluateConfig(Section):
+    """``stage=evaluate`` and refits hold the coefficients against the modelled ones at every combination of the
+    ``operating`` conditions, too, at which nothing was measured.
+    """
+
+    operating: States = Field(default_factory=dict)
 
 
 class ReportConfig(Section):
@@ -116,6 +124,7 @@ class Config(Section):
     comparison: ComparisonConfig
     tracking: TrackingConfig
     check: CheckConfig
+    evaluate: EvaluateConfig = Field(default=EvaluateConfig())
     report: ReportConfig = Field(default=ReportConfig())
     balance: BalanceConfig = BalanceConfig()
     predict: PredictConfig = PredictConfig()

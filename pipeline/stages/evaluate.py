@@ -31,6 +31,7 @@ from pipeline.stages.measurement import (
     load_quality,
     update_measurement,
 )
+from pipeline.stages.unmeasured import judge_beyond, judge_numbers
 from pipeline.stages.workspace import locate_files
 from pipeline.twin.superposition import compare_held_out
 
@@ -71,6 +72,9 @@ def run(config: Config) -> StageOutput:
     loss = loss_of(config.loss)
     if modelled is None or loss.weighs_noise:
         say(f"{config.name}: {describe_quality(quality)}")
+    if "physical_numbers" in quality:
+        metrics["physical_numbers"] = judge_numbers(config, quality["physical_numbers"])
+    metrics |= judge_beyond(config, identified, measurement.dataset.speeds)
     if loss.weighs_noise:
         metrics["held_out"] = _judge_held_out(config, update_measurement(measurement, uncertainty), answer, uncertainty)
     written += [

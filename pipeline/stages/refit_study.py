@@ -11,7 +11,7 @@ Legend: S training speeds, A active unknowns.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +20,8 @@ import numpy as np
 from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError
-from pipeline.evaluation.errors import measure_coverage
+from pipeline.evaluation.errors import CoefficientErrors, measure_coverage
+from pipeline.evaluation.physical_numbers import NumberError, measure_numbers
 from pipeline.files import write_json
 from pipeline.identification.information import unknown_deviation
 from pipeline.identification.losses import fit_sensors, loss_of
@@ -35,6 +36,7 @@ from pipeline.reporting.figures import draw_refits
 from pipeline.stages.execution import StageOutput, use_threads
 from pipeline.stages.generate import model_machine, read_probes
 from pipeline.stages.measurement import build_measurement, update_measurement
+from pipeline.stages.unmeasured import measure_unmeasured, model_unmeasured
 from pipeline.stages.workspace import locate_files
 
 if TYPE_CHECKING:
@@ -52,6 +54,9 @@ class Refit:
     bound: np.ndarray  # (A,) median over speed, percent
     probability: float | None  # of such deviations, or larger ones, if the model is right
     misfit: float  # chi-square over what is expected
+    _: KW_ONLY
+    unmeasured: Mapping[str, CoefficientErrors]  # at conditions that no run has, by their words
+    numbers: Mapping[str, NumberError]  # of the bearing laws
 
 
 def refit(config: Config, seed: int) -> Refit:
@@ -65,7 +70,8 @@ def refit(config: Config, seed: int) -> Refit:
     quality, identified, unknowns = output_error_quality(found), found.identified, measurement.unknowns
     uncertainty = uncertainty_of(found, quality.inflation if config.loss.noise == "estimated" else 1.0)
     answer = identified.table(update_measurement(measurement, uncertainty).updated_known)
-    deviation = np.nan_to_num(uncertainty.deviation(identified, truth.speeds))
+    deviation = np.nan_to_num(uncertainty.deviation(identified, truth.speeds, truth.operating))
+    elsewhere = model_unmeasured(config, truth.speeds)
 
     def list_active(values: np.ndarray) -> np.ndarray:
         """(.., A) of values (B, .., 8)."""
@@ -75,7 +81,9 @@ def refit(config: Config, seed: int) -> Refit:
     real, spread = list_active(truth.values), list_active(deviation)
     error = list_active(answer.values) - real
     keep = found.start.keep
-    at_truth = start_at(found.problem, unknowns.leading(truth.values[:, keep]))
+    # Laws have no weights that give any coefficients: their bound is that of the answer.
+    by_laws = measurement.laws is not None
+    at_truth = found.weights if by_laws else start_at(found.problem, unknowns.leading(truth.values[:, keep]))
     bound = unknown_deviation(found.problem, at_truth)[0]  # (S, A)
     assert quality.misfit is not None
     return Refit(
@@ -86,6 +94,10 @@ def refit(config: Config, seed: int) -> Refit:
         bound=100 * np.median(bound / np.abs(real[keep]), axis=0),
         probability=quality.summary["fit"]["mismatch"]["probability"],
         misfit=quality.misfit,
+        unmeasured={}
+        if elsewhere is None
+        else measure_unmeasured(identified.table(elsewhere), elsewhere, unknowns.by_bearing),
+        numbers=measure_numbers({one.name: (one.value, one.deviation) for one in found.numbers()}, config.machine),
     )
 
 
@@ -164,7 +176,32 @@ def _summarize(found: list[Refit]) -> dict[str, object]:
         "rejected_percent": 100.0 * float(np.mean(rejected)),
         "chi_square_over_expected": float(np.median([of.misfit for of in found])),
         "coefficients": coefficients,
+        **_summarize_physics(found),
     }
+
+
+def _summarize_physics(found: list[Refit]) -> dict[str, object]:
+    """Errors at conditions that no run has, and of the numbers of the bearing laws; nothing where there are none."""
+    unmeasured: dict[str, dict[str, dict[str, dict[str, float]]]] = {}
+    for words, bearings in found[0].unmeasured.items():
+        for node, names in bearings.items():
+            for name in names:
+                median = [of.unmeasured[words][node][name].median_error_percent for of in found]
+                unmeasured.setdefault(words, {}).setdefault(str(node), {})[name] = {
+                    "median_error_percent": float(np.median(median)),
+                    "worst_median_error_percent": float(np.max(median)),
+                }
+    numbers = {}
+    for name in found[0].numbers:
+        every = [of.numbers[name] for of in found]
+        numbers[name] = {
+            "true": every[0].true,
+            "median_error_percent": float(np.median([of.error_percent for of in every])),
+            "worst_error_percent": float(np.max([of.error_percent for of in every])),
+            "median_deviation_percent": float(np.median([100.0 * of.deviation / of.value for of in every])),
+            "within_95_percent_interval": 100.0 * float(np.mean([of.within for of in every])),
+        }
+    return ({"unmeasured": unmeasured} if unmeasured else {}) | ({"numbers": numbers} if numbers else {})
 
 
 def _print(config: Config, summary: Mapping[str, Any]) -> None:
@@ -190,3 +227,11 @@ def _print(config: Config, summary: Mapping[str, Any]) -> None:
         f"{summary['within_95_percent_interval']:.1f} % inside the 95 % interval; the model is rejected in "
         f"{summary['rejected_percent']:.0f} % of the data sets"
     )
+    for words, bearings in summary.get("unmeasured", {}).items():
+        worst = max(of["median_error_percent"] for names in bearings.values() for of in names.values())
+        say(f"at {words}, which no run has: median error of the worst coefficient {worst:.3g} %")
+    for name, of in summary.get("numbers", {}).items():
+        say(
+            f"{name}: error {of['median_error_percent']:.3g} %, typically, {of['worst_error_percent']:.3g} % at worst; "
+            f"{of['within_95_percent_interval']:.0f} % inside the 95 % interval"
+        )

@@ -1,0 +1,76 @@
+"""Physical numbers of a fit against those of the modelled machine."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.config.bearings import PerNodeBearingConfig
+from pipeline.config.laws import LawsConfig
+from pipeline.config.machine import MachineConfig
+from pipeline.config.oil import OilConfig
+from pipeline.data.noise import NOMINAL_95
+
+_MODELLED_AS = {"load": "static_load"}
+"""What a number of a law is called in the section of a modelled bearing, where that is another name."""
+
+
+@dataclass(frozen=True)
+class NumberError:
+    """A number beside the true one."""
+
+    value: float  # SI
+    deviation: float  # standard
+    true: float
+
+    @property
+    def error_percent(self) -> float:
+        """Its distance from the true one, as a share of that."""
+        return 100.0 * abs(self.value / self.true - 1.0)
+
+    @property
+    def within(self) -> bool:
+        """Whether the nominal 95 % interval has the true one."""
+        return abs(self.value - self.true) <= NOMINAL_95 * self.deviation
+
+
+def measure_numbers(numbers: Mapping[str, tuple[float, float]], machine: MachineConfig) -> dict[str, NumberError]:
+    """The errors of ``numbers`` (name -> value and standard deviation, SI) that the modelled machine has, too."""
+    true = find_true_numbers(machine)
+    return {name: NumberError(*one, true[name]) for name, one in numbers.items() if name in true}
+
+
+def find_true_numbers(machine: MachineConfig) -> dict[str, float]:
+    """Numbers (SI) of the modelled bearings and their oil, under the names that the machine's laws have for them."""
+    laws, bearings = machine.laws, machine.bearings
+    if laws is None:
+        return {}
+    per_node = bearings.nodes if isinstance(bearings, PerNodeBearingConfig) else dict.fromkeys(laws.bearings, bearings)
+    found: dict[str, float] = {}
+    for node, law in laws.bearings.items():
+        modelled = per_node.get(node)
+        for name in type(law).model_fields:
+            value = getattr(modelled, _MODELLED_AS.get(name, name), None)
+            if isinstance(value, float):
+                found[f"{node}.{name}"] = value
+        found |= _find_oil(laws, getattr(modelled, "oil_viscosity", None))
+    return found
+
+
+def _find_oil(laws: LawsConfig, modelled: float | OilConfig | None) -> dict[str, float]:
+    """The oil's viscosity at the reference of the laws' oil, and the slope of its logarithm there."""
+    from pipeline.laws.build import known_number, make_oil
+
+    if laws.oil is None or modelled is None:
+        return {}
+    if isinstance(modelled, float):
+        return {"oil.viscosity": modelled}
+    import torch
+
+    oil, reference = make_oil(modelled, known_number), getattr(laws.oil, "reference", None)
+    near = torch.tensor([-1.0, 0.0, 1.0], dtype=torch.float64) + (oil.reference if reference is None else reference)
+    log = oil.log_viscosity(torch.zeros(1, 0, dtype=torch.float64), near)[0][0].numpy()
+    found = {"oil.viscosity": float(np.exp(log[1])), "oil.slope": float(log[0] - log[2]) / 2}
+    return found | {f"oil.{name}": getattr(modelled, name) for name in ("b", "c") if hasattr(modelled, name)}
