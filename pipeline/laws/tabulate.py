@@ -48,9 +48,7 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--tilting", action="store_true", help="pads that tilt about their middles; preloads above 0")
     parser.add_argument("--span", type=float, nargs=2, default=[0.03, 10.0], help="least and largest S (0.03 10)")
     parser.add_argument("--rows", type=int, default=24, help="rows at each preload (24)")
-    parser.add_argument(
-        "--elements", type=int, nargs=2, default=[240, 12], help="along a pad, half across (240 12)"
-    )
+    parser.add_argument("--elements", type=int, nargs=2, default=[240, 12], help="along a pad, half across (240 12)")
     given = parser.parse_args(arguments)
     whole = given.pads * given.arc <= 360
     if given.pads < 1 or given.arc <= 0 or not whole or given.length_ratio <= 0 or given.rows < 4:

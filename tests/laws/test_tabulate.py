@@ -23,6 +23,7 @@ def far(found: np.ndarray, wanted: np.ndarray) -> float:
     return float((np.abs(found - wanted).reshape(len(wanted), 2, 4) / size).max())
 
 
+@pytest.mark.slow
 def test_a_plain_bearing_is_the_published_one() -> None:
     """Two pads of 160 degrees, L/D = 0.5: Lund and Thomsen 1978, who printed three digits at most."""
     found = tabulate_bearing(PadBearing(TWO, np.radians(160), 0.0, 0.5, elements=(96, 8)), LUND[[1, 13], 0])
@@ -79,6 +80,7 @@ def test_every_packaged_table_is_smooth_and_says_where_it_comes_from() -> None:
             assert (np.linalg.eigvalsh((damping + damping.swapaxes(1, 2)) / 2) > 0).all()  # it takes energy
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_table_that_can_be_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "own.csv"
     sizes = ["--span", "0.2", "2", "--rows", "4", "--elements", "24", "4"]
