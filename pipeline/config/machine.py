@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pydantic import Field, PositiveFloat, ValidationInfo, field_validator, model_validator
@@ -14,6 +14,7 @@ from pipeline.config.bearings import BearingConfig, PerNodeBearingConfig, RotorF
 from pipeline.config.laws import LawsConfig
 from pipeline.config.measured import MeasuredRunConfig, convert_phase
 from pipeline.config.operating import States
+from pipeline.config.operating_point import OperatingPoint
 from pipeline.config.recordings import AnyRecordingsConfig, NoRecordingsConfig, RecordingsConfig
 from pipeline.config.rotor import RotorConfig
 from pipeline.config.run_up import RunUpConfig
@@ -22,11 +23,16 @@ from pipeline.config.section import NonNegativeInt, Section
 
 
 class PredictionConfig(Section):
-    """An unbalance that training never saw, and where and when to look at its vibration."""
+    """An unbalance that training never saw, and where and when to look at its vibration.
+
+    ``operating`` are the conditions of the prediction, measured or not (SI); of data with conditions the middle ones
+    where it is not given.
+    """
 
     node: NonNegativeInt
     speed_rpm: PositiveFloat
     unbalances: tuple[UnbalanceConfig, ...] = Field(min_length=1)
+    operating: OperatingPoint = Field(default_factory=dict)
 
 
 class MachineConfig(Section):
@@ -94,14 +100,16 @@ class MachineConfig(Section):
     @field_validator("prediction", mode="before")
     @classmethod
     def _unseen_unbalance(cls, value: Any, info: ValidationInfo) -> Any:
-        if value is not None or not {"speeds", "runs"} <= info.data.keys():
+        alone = value is None or (isinstance(value, Mapping) and set(value) == {"operating"})
+        if not alone or not {"speeds", "runs"} <= info.data.keys():
             return value or PredictionConfig(node=0, speed_rpm=1, unbalances=(UnbalanceConfig(node=0, magnitude=1.0),))
         first = next(iter(_list_weights(info.data["runs"]).values()), ())
         if not first:
             raise ValueError("must be given where no run has an unbalance, but is missing")
         turned = tuple(one.model_copy(update={"phase": one.phase + math.pi / 2}) for one in first)
         rpm = info.data["speeds"].rpm()
-        return PredictionConfig(node=first[0].node, speed_rpm=rpm[len(rpm) // 2], unbalances=turned)
+        at = {"node": first[0].node, "speed_rpm": rpm[len(rpm) // 2], "unbalances": turned}
+        return PredictionConfig.model_validate(at | dict(value or {}))
 
     @field_validator("candidates", mode="before")
     @classmethod

@@ -24,6 +24,7 @@ from pipeline.config.identification import (
 from pipeline.config.machine import MachineConfig
 from pipeline.config.measured import Known
 from pipeline.config.operating import Differences, States
+from pipeline.config.operating_point import OperatingPoint
 from pipeline.config.runs import DesignConfig, NoiseConfig
 from pipeline.config.section import NonNegativeInt, Section
 from pipeline.config.tuning import TuningConfig
@@ -76,10 +77,14 @@ ExportFormat = Literal["ross", "csv", "excel", "json", "dyrobes", "ansys"]
 
 
 class ExportConfig(Section):
-    """``stage=export`` writes the identified bearings in these formats; ROSS's files are SI whatever the ``units``."""
+    """``stage=export`` writes the identified bearings in these formats; ROSS's files are SI whatever the ``units``.
+
+    ``operating`` are the states at which it does so, of data with operating conditions; none for the measured ones.
+    """
 
     units: Literal["si", "us"]
     formats: tuple[ExportFormat, ...] = Field(min_length=1)
+    operating: tuple[OperatingPoint, ...] = ()
 
 
 class NewConfig(Section):

@@ -41,6 +41,18 @@ def split_states(speeds: np.ndarray, operating: Mapping[str, np.ndarray]) -> lis
     return found
 
 
+def find_nearest(
+    speeds: np.ndarray, operating: Mapping[str, np.ndarray], wanted: Mapping[str, float]
+) -> tuple[str, np.ndarray]:
+    """The line of :func:`split_states` whose conditions lie nearest to those that are ``wanted`` (SI)."""
+    states = split_states(speeds, operating)
+    away = np.zeros(len(states))
+    for name, values in operating.items():
+        span = float(np.ptp(values)) or 1.0
+        away += [abs(float(np.mean(values[points])) - wanted[name]) / span for _, points in states]
+    return states[int(np.argmin(away))]
+
+
 def _rank_conditions(speeds: np.ndarray, values: np.ndarray) -> np.ndarray:
     """(S,) how many points of the same speed have lower conditions than this one."""
     order = np.lexsort((*values.T[::-1], speeds))

@@ -1,17 +1,21 @@
 """What is exported: coefficients and deviations in the units of the reader, as columns and as JSON.
 
-Legend: B bearings, S speeds.
+Legend: B bearings, S speeds. Of a machine with operating conditions each state is an answer of its own.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.coefficients import COEFFICIENTS, is_stiffness
+from pipeline.data.operating import name_state
+from pipeline.data.operating_points import list_columns
 from pipeline.data.vibration_files import to_rpm
 from pipeline.rotor.bearing_table import BearingTable
 
@@ -38,13 +42,29 @@ BRIEF = "shaft turns from x to y (CCW), force on the shaft is -K q - C dq/dt"
 
 @dataclass(frozen=True, eq=False)
 class Exported:
-    """The answer of an experiment."""
+    """The answer of an experiment, at one state of its operating conditions."""
 
     name: str
     table: BearingTable  # SI
     deviation: np.ndarray | None  # (B, S, 8) SI; NaN for coefficients that were known; None where the fit states none
     identified: np.ndarray  # (B, 8) bool
     units: Units
+    operating: Mapping[str, float] = field(default_factory=dict)  # SI; empty where the data have no conditions
+
+    @property
+    def state(self) -> str:
+        """Such as ``45 degC``; no words without conditions."""
+        return name_state(self.operating)
+
+    @property
+    def suffix(self) -> str:
+        """What the state adds to the name of a file, such as ``_45_degC``."""
+        return re.sub(r"[^A-Za-z0-9.+-]+", "_", f"_{self.state}") if self.operating else ""
+
+    @property
+    def title(self) -> str:
+        """The experiment, and the state."""
+        return f"{self.name}, {self.state}" if self.operating else self.name
 
     @property
     def rpm(self) -> np.ndarray:
@@ -67,21 +87,34 @@ class Exported:
 
     def conventions(self) -> list[str]:
         """Lines for the head of a file."""
-        return [f"{self.name}: identified bearing coefficients, {' and '.join(NAMES[self.units])}", *CONVENTIONS]
+        return [f"{self.title}: identified bearing coefficients, {' and '.join(NAMES[self.units])}", *CONVENTIONS]
 
 
-def tabulate(exported: Exported) -> dict[str, Any]:
-    """Columns of ``coefficients.csv``: a row a bearing and speed, deviations as ``kxx_std``.
+def list_conventions(states: Sequence[Exported]) -> list[str]:
+    """Lines for the head of what holds every state."""
+    names = "; ".join(one.state for one in states if one.operating)
+    return [*replace(states[0], operating={}).conventions(), *([f"States: {names}."] if names else [])]
+
+
+def tabulate(*states: Exported) -> dict[str, Any]:
+    """Columns of ``coefficients.csv``: a row a state, bearing and speed, deviations as ``kxx_std``.
 
     In SI they are those of ``known_coefficients.csv``; in US units the names say so (``kxx_lb_per_in``), which no one
-    takes for SI.
+    takes for SI. Conditions have columns of their own, such as ``oil_temperature_degC``.
     """
+    parts = [_tabulate(one) for one in states]
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def _tabulate(exported: Exported) -> dict[str, np.ndarray]:
     suffix = {True: "", False: ""} if exported.units == "si" else {True: "_lb_per_in", False: "_lb_s_per_in"}
     n_bearings, n_speeds = len(exported.table.nodes), len(exported.rpm)
-    columns: dict[str, Any] = {
+    columns: dict[str, np.ndarray] = {
         "bearing_node": np.repeat(exported.table.nodes, n_speeds),
         "speed_rpm": np.tile(exported.rpm, n_bearings),
     }
+    count = n_bearings * n_speeds
+    columns |= list_columns({name: np.full(count, value) for name, value in exported.operating.items()})
     for part, ending in ((exported.values, ""), (exported.deviations, "_std")):
         for c, name in enumerate(COEFFICIENTS if part is not None else ()):
             assert part is not None
@@ -102,11 +135,21 @@ class Coefficient(_Part):
 
 
 class Bearing(_Part):
-    """One bearing."""
+    """One bearing, at one state of the operating conditions."""
 
     node: int = Field(ge=0, description="node of the rotor, counted from 0")
+    operating: dict[str, float] = Field(default_factory=dict, description="conditions by name with their unit")
     speed_rpm: list[float]
     coefficients: dict[str, Coefficient] = Field(description=f"by name: {', '.join(COEFFICIENTS)}")
+
+
+class Number(_Part):
+    """A number of a bearing law."""
+
+    name: str = Field(description="such as node 8 radial clearance")
+    value: float
+    std: float | None
+    unit: str
 
 
 class Document(_Part):
@@ -118,24 +161,33 @@ class Document(_Part):
     damping_unit: DampingUnit
     conventions: list[str]
     bearings: list[Bearing]
+    physical_numbers: list[Number] = Field(default_factory=list, description="of bearing laws, where they were fitted")
 
 
-def document(exported: Exported) -> Document:
+def document(*states: Exported, numbers: Sequence[Number] = ()) -> Document:
     """The same as JSON."""
-    deviations = exported.deviations
-    bearings = []
+    first = states[0]
+    stiffness, damping = NAMES[first.units]
+    return Document(
+        experiment=first.name,
+        stiffness_unit=stiffness,
+        damping_unit=damping,
+        conventions=list(CONVENTIONS),
+        bearings=[bearing for one in states for bearing in _list_bearings(one)],
+        physical_numbers=list(numbers),
+    )
+
+
+def _list_bearings(exported: Exported) -> list[Bearing]:
+    deviations, bearings = exported.deviations, []
+    beside = list_columns({name: np.array([value]) for name, value in exported.operating.items()})
+    operating = {name: float(of[0]) for name, of in beside.items()}
     for b, node in enumerate(exported.table.nodes):
         found = {}
         for c, name in enumerate(COEFFICIENTS):
             known = bool(exported.identified[b, c])
             std = deviations[b, :, c].tolist() if known and deviations is not None else None
             found[name] = Coefficient(identified=known, value=exported.values[b, :, c].tolist(), std=std)
-        bearings.append(Bearing(node=int(node), speed_rpm=exported.rpm.tolist(), coefficients=found))
-    stiffness, damping = NAMES[exported.units]
-    return Document(
-        experiment=exported.name,
-        stiffness_unit=stiffness,
-        damping_unit=damping,
-        conventions=list(CONVENTIONS),
-        bearings=bearings,
-    )
+        rpm = exported.rpm.tolist()
+        bearings.append(Bearing(node=int(node), operating=operating, speed_rpm=rpm, coefficients=found))
+    return bearings

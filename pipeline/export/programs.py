@@ -6,13 +6,14 @@ DyRoBeS-Rotor help, "Bearing Coefficients from External Data File"; XLTRC2's wor
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.export.coefficients import BRIEF, NAMES, Exported
+from pipeline.export.coefficients import BRIEF, NAMES, Exported, Number, list_conventions
 
 _DYROBES_UNITS = {"si": 3, "us": 2}
 """Unit systems of DyRoBeS: 2 is s, in, lbf, lbm; 3 is s, m, N, kg."""
@@ -21,12 +22,14 @@ _COMBI214 = (("K11", "K22", "K12", "K21", "C11", "C22"), ("C12", "C21"))
 """Real constants of the element in its own order: six on R, the others on RMORE."""
 _XLTRC2_HEAD = 5
 """Rows above the header of a worksheet."""
+_LONGEST = 31
+"""Letters of a worksheet's name."""
 
 
 def write_dyrobes(exported: Exported, b: int) -> str:
     """``N, unit, Nc, kRot, 0, 0, 0 comments``, then ``rpm, Kxx .. Cyy`` a line: counter-clockwise rotation, kRot 0."""
     units = " and ".join(NAMES[exported.units])
-    words = f"{exported.name}, node {exported.table.nodes[b]}: {units}; {BRIEF}"
+    words = f"{exported.title}, node {exported.table.nodes[b]}: {units}; {BRIEF}"
     head = f"{len(exported.rpm)}, {_DYROBES_UNITS[exported.units]}, 8, 0, 0, 0, 0  {words}"
     rows = [
         ", ".join([f"{rpm:.6f}", *(f"{value:.9E}" for value in row)])
@@ -41,7 +44,7 @@ def write_ansys_file(exported: Exported, b: int) -> str:
     Its columns give speeds two decimals of an rpm, and coefficients eight digits.
     """
     titles = [
-        f"{exported.name}, bearing at node {exported.table.nodes[b]}",
+        f"{exported.title}, bearing at node {exported.table.nodes[b]}",
         f"{' and '.join(NAMES[exported.units])}, speeds in rpm; 1 is x, 2 is y",
         BRIEF,
     ]
@@ -76,27 +79,42 @@ def _write_table(parameter: str, speeds: np.ndarray, values: np.ndarray) -> Iter
         yield f"{parameter}({i},1)={value:.9E}"
 
 
-def write_workbook(path: Path, exported: Exported) -> None:
-    """A worksheet a bearing as XLTRC2 has it, which ROSS's ``BearingElement.from_table`` reads; deviations and
-    conventions on sheets of their own."""
+def write_workbook(path: Path, *states: Exported, numbers: Sequence[Number] = ()) -> None:
+    """A worksheet a bearing and state as XLTRC2 has it, which ROSS's ``BearingElement.from_table`` reads.
+
+    Deviations, physical numbers and conventions are on sheets of their own.
+    """
     from openpyxl import Workbook
 
     book = Workbook()
     book.remove(book.active)
+    for i, exported in enumerate(states, start=1):
+        _add_sheets(book, exported, i)
+    if numbers:
+        sheet = book.create_sheet("physical numbers")
+        sheet.append(["number", "value", "standard deviation", "unit"])
+        for one in numbers:
+            sheet.append([one.name, one.value, one.std, one.unit])
+    sheet = book.create_sheet("conventions")
+    for words in list_conventions(states):
+        sheet.append([words])
+    book.save(path)
+
+
+def _add_sheets(book: Any, exported: Exported, number: int) -> None:
     deviations = exported.deviations
     for b, node in enumerate(exported.table.nodes):
-        for title, part in ((f"node {node}", exported.values), (f"node {node} deviations", deviations)):
+        name = f"node {node}" + (f", {exported.state}" if exported.operating else "")
+        if len(name) > _LONGEST - len(" deviations"):
+            name = f"node {node}, state {number}"
+        for title, part in ((name, exported.values), (f"{name} deviations", deviations)):
             if part is None:
                 continue
             sheet = book.create_sheet(title)
-            sheet.append([f"{exported.name}, bearing at node {node}; the sheet 'conventions' has axes and signs"])
+            sheet.append([f"{exported.title}, bearing at node {node}; the sheet 'conventions' has axes and signs"])
             for _ in range(_XLTRC2_HEAD - 1):
                 sheet.append([None])
             sheet.append(["Speed", *(name.capitalize() for name in COEFFICIENTS)])
             sheet.append(["rpm", *map(exported.unit, COEFFICIENTS)])
             for rpm, row in zip(exported.rpm, part[b], strict=True):
                 sheet.append([float(rpm), *(None if np.isnan(value) else float(value) for value in row)])
-    sheet = book.create_sheet("conventions")
-    for words in exported.conventions():
-        sheet.append([words])
-    book.save(path)

@@ -11,7 +11,7 @@ from pipeline.coefficients import COEFFICIENTS
 from pipeline.data.vibration_files import to_rpm
 from pipeline.problem.determination import WEAKLY_BELOW, WELL_BELOW
 from pipeline.problem.identifiability import Identifiability, Verdict
-from pipeline.reporting.figures import BLUE, GREEN, GREY, LOOKS, ORANGE, YELLOW, open_figure
+from pipeline.reporting.figures import BLUE, GREEN, GREY, LOOKS, ORANGE, YELLOW, break_lines, open_figure
 
 _LARGEST_CONDITION = 1e16
 """Where an infinite condition number is drawn."""
@@ -20,30 +20,36 @@ _LARGEST_DEVIATION = 1e5
 
 
 def draw_diagnosis(
-    path: Path, reports: Sequence[Identifiability], relative: Callable[[int], Mapping[str, np.ndarray]], noise: str
+    path: Path,
+    reports: Sequence[Identifiability],
+    relative: Callable[[int], Mapping[str, np.ndarray]],
+    noise: str,
+    operating: Mapping[str, np.ndarray],
 ) -> Path:
     """Deviation of each coefficient over speed that the ``noise`` implies; below it the condition number.
 
     ``relative`` gives, for the node of a bearing, the standard deviation (S,) over the coefficient by its name. Shades
-    are the limits of well, weakly and not determined.
+    are the limits of well, weakly and not determined. Each state of the ``operating`` conditions (S,) has its own line.
     """
     ratios = {"height_ratios": [1.8, 1.0]}
     width = 5.4 * len(reports)
     with open_figure(path, 2, len(reports), width, 7.0, sharex=True, sharey="row", gridspec_kw=ratios) as axes:
         for above, below, report in zip(*axes, reports, strict=True):
-            rpm = to_rpm(report.speeds)
+            speeds, rpm = report.speeds, to_rpm(report.speeds)
             known = " without noise" if report.verdict is not Verdict.NOT_IDENTIFIABLE else ""
             above.set_title(f"{report.where}:\n{report.verdict.value}{known}")
             for name, values in relative(report.nodes[0]).items():
                 colour = LOOKS[COEFFICIENTS.index(name) % 4][0]
                 drawn = np.where(np.isfinite(values), 100 * values, np.nan)
                 if not np.isnan(drawn).all():
-                    above.semilogy(rpm, drawn, color=colour, ls="-" if name[0] == "k" else "--", lw=1.6, label=name)
+                    line = break_lines(speeds, operating, rpm, drawn)
+                    above.semilogy(*line, color=colour, ls="-" if name[0] == "k" else "--", lw=1.6, label=name)
             if not above.lines:
                 above.text(0.5, 0.5, "free: no finite deviation", transform=above.transAxes, ha="center", color=GREY)
             for condition, look in ((report.condition, (BLUE, "-")), (report.orbit_condition, (GREY, "--"))):
                 label = "of the equations for the coefficients" if look[0] == BLUE else "of the orbits"
-                below.semilogy(rpm, np.minimum(condition, _LARGEST_CONDITION), color=look[0], ls=look[1], label=label)
+                line = break_lines(speeds, operating, rpm, np.minimum(condition, _LARGEST_CONDITION))
+                below.semilogy(*line, color=look[0], ls=look[1], label=label)
             below.set_xlabel("rotor speed (rpm)")
         _shade_verdicts(axes[0])
         axes[0, 0].set_ylabel(f"standard deviation at\n{noise} (% of the coefficient)")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
+from pipeline.evaluation.contradiction import MISMATCH
 from pipeline.evaluation.errors import CoefficientErrors
 from pipeline.problem.determination import Determined, describe_determined, read_determined
 from pipeline.reporting.console import table
@@ -87,10 +88,6 @@ def _format(column: str, value: float | str) -> str:
 def describe_verdicts(determined: Mapping[str, Any]) -> str:
     """Say how well each coefficient is determined, from ``determined`` of ``training.json``."""
     return f"{determined['by']}: {describe_determined(read_determined(determined['coefficients']))}"
-
-
-MISMATCH = 0.05
-"""Deviations less probable than this speak against the model: of a right one, they do so in one of twenty data sets."""
 
 
 def describe_quality(quality: Mapping[str, Any]) -> str:

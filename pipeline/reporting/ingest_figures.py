@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 
 from pipeline.data.dataset import DIRECTIONS, VibrationDataset
+from pipeline.data.operating import name_state
 from pipeline.data.vibration_files import to_rpm
 from pipeline.reporting.figures import BLACK, BLUE, GREEN, GREY, MARKERS, MICROMETRES, ORANGE, PURPLE, SKY, open_figure
+from pipeline.reporting.state_figures import colour_states, pick_states
 
 _COLOURS = (BLUE, ORANGE, GREEN, PURPLE, SKY, BLACK)
 _LINES = ("-", "--", "-.", ":")
@@ -32,9 +34,25 @@ def _choose_looks(dataset: VibrationDataset, baseline: str | None) -> list[dict[
     return looks
 
 
+def _list_curves(dataset: VibrationDataset, baseline: str | None) -> list[tuple[int, np.ndarray, dict[str, Any]]]:
+    """Run, points by ascending speed, and line properties of each curve: a run at a state of its conditions.
+
+    Of several states the colour is that of the state, the line that of the run.
+    """
+    looks, states = _choose_looks(dataset, baseline), pick_states(dataset.speeds, dataset.operating)
+    colours, curves = colour_states(len(states)), []
+    for r, look in enumerate(looks):
+        for (label, points), colour in zip(states, colours, strict=True):
+            own = points if dataset.present is None else points[dataset.present[points, r]]
+            of_state = {"color": colour, "label": f"{look['label']}, {label}"} if len(states) > 1 else {}
+            if len(own):
+                curves.append((r, own, look | of_state))
+    return curves
+
+
 def _place_legend(drawn: Any, axes: np.ndarray) -> None:
-    handles, labels = axes.flat[0].get_legend_handles_labels()
-    drawn.legend(handles, labels, loc="outside upper center", ncols=min(4, len(labels)))
+    every = {label: one for ax in axes.flat for one, label in zip(*ax.get_legend_handles_labels(), strict=True)}
+    drawn.legend(every.values(), every.keys(), loc="outside upper center", ncols=min(4, len(every)))
 
 
 def draw_bode(
@@ -51,10 +69,10 @@ def draw_bode(
         for i, (name, (node, angle)) in enumerate(probes.items()):
             above, below = axes[2 * (i // 2), i % 2], axes[2 * (i // 2) + 1, i % 2]
             seen = dataset.project(node, angle)  # (S, R)
-            for r, look in enumerate(_choose_looks(dataset, baseline)):
+            for r, points, look in _list_curves(dataset, baseline):
                 mark = {"marker": few, "ms": 4, "mfc": "none"}
-                above.plot(rpm, 2 * MICROMETRES * np.abs(seen[:, r]), **look, **mark)
-                below.plot(rpm, find_lag(seen[:, r]), **look, **mark)
+                above.plot(rpm[points], 2 * MICROMETRES * np.abs(seen[points, r]), **look, **mark)
+                below.plot(rpm[points], find_lag(seen[points, r]), **look, **mark)
             above.set_title(f"{name}: node {node}, {angle:g}°", loc="left")
             above.set_ylabel("amplitude (µm pk-pk)")
             below.set_ylabel("phase lag (deg)")
@@ -88,6 +106,8 @@ def draw_measured_orbits(path: Path, dataset: VibrationDataset, baseline: str | 
             for s, at in enumerate(picked):
                 ax = axes[n, s]
                 for r, look in enumerate(_choose_looks(dataset, baseline)):
+                    if dataset.present is not None and not dataset.present[at, r]:
+                        continue
                     x, y = (MICROMETRES * (dataset.displacement[at, place, r] * turn).real for place in places)
                     ax.plot(x, y, **look)
                     size = 4 if look["color"] == GREY else 5.5
@@ -95,7 +115,8 @@ def draw_measured_orbits(path: Path, dataset: VibrationDataset, baseline: str | 
                     arrow = {"arrowstyle": "-|>", "color": look["color"], "lw": 0, "mutation_scale": 17}
                     ax.annotate("", (x[_ARROW + 2], y[_ARROW + 2]), (x[_ARROW], y[_ARROW]), arrowprops=arrow)
                 ax.locator_params(nbins=5)
-                ax.set_title(f"node {node}, {rpm[at]:.5g} rpm")
+                state = name_state({name: values[at] for name, values in dataset.operating.items()})
+                ax.set_title(f"node {node}, {rpm[at]:.5g} rpm" + (f"\n{state}" if state else ""))
                 if n == len(nodes) - 1:
                     ax.set_xlabel("x (µm)")
             axes[n, 0].set_ylabel("y (µm)")

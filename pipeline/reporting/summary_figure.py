@@ -33,7 +33,13 @@ _POINTS = 15
 
 
 def draw_summary(path: Path, results: Results, title: str) -> Path:
-    """Stiffness, damping, one run at one probe, and the predicted unbalance response, all over the speed."""
+    """Stiffness, damping, one run at one probe, and the predicted unbalance response, all over the speed.
+
+    Of data with operating conditions the measured state that is nearest to the prediction's is shown.
+    """
+    label = ""
+    if results.dataset.operating:
+        label, results = results.nearest()
     with open_figure(path, 2, 2, 12.0, 8.2) as axes:
         _draw_coefficients(axes[0, 0], results, "k")
         _draw_coefficients(axes[0, 1], results, "c")
@@ -41,6 +47,8 @@ def draw_summary(path: Path, results: Results, title: str) -> Path:
         _draw_response(axes[1, 1], results)
         for ax in axes.flat:
             ax.set_xlabel("rotor speed (rpm)")
+        for ax in axes.flat[:3] if label else ():
+            ax.set_title(f"{ax.get_title()}, {label}")
         axes[0, 0].figure.suptitle(title, fontweight="bold")
     return path
 
@@ -94,7 +102,9 @@ def _explain(ax: Any, results: Results) -> None:
 def _draw_run(ax: Any, results: Results) -> None:
     """Draw the amplitude of one run at the probe that moves most: measured as markers, predicted as a line."""
     shown, rpm = results.shown, to_rpm(results.dataset.speeds)
-    measured, predicted = (MICROMETRES * np.abs(of[:, shown.probe]) for of in (shown.measured, shown.predicted))
+    there = shown.measured.any(axis=1)  # points that the run was measured at
+    rpm = rpm[there]
+    measured, predicted = (MICROMETRES * np.abs(of[there, shown.probe]) for of in (shown.measured, shown.predicted))
     label = "measured" if results.modelled is None else "measured (modelled data)"
     draw_markers(ax, rpm, measured, BLUE, label, count=2 * MARKERS)
     ax.plot(rpm, predicted, color=ORANGE, lw=1.4, label="predicted from the identified coefficients")
@@ -106,11 +116,7 @@ def _draw_run(ax: Any, results: Results) -> None:
 
 def _draw_response(ax: Any, results: Results) -> None:
     """Draw the response to the unbalance that no run has, and the critical speeds."""
-    found, modelled, rpm = (
-        results.vibration["identified"],
-        results.vibration.get("modelled"),
-        to_rpm(results.dataset.speeds),
-    )
+    found, modelled, rpm = results.vibration["identified"], results.vibration.get("modelled"), results.rpm
     size = MICROMETRES * np.abs(found.displacement)
     for d, (direction, colour) in enumerate(zip("xy", (BLUE, ORANGE), strict=True)):
         if modelled is None:
@@ -124,7 +130,7 @@ def _draw_response(ax: Any, results: Results) -> None:
     for i, one in enumerate(results.behaviour.critical):
         label = "critical speed" if i == 0 else None
         ax.axvline(one.speed / RAD_S_PER_RPM, color=GREY, ls=":", lw=1.2, label=label)
-    ax.set_title(f"predicted: node {found.node} under an unbalance that no run has")
+    ax.set_title(f"predicted: node {found.node} under an unbalance that no run has{results.state}")
     _scale_amplitudes(ax)
     ax.legend(fontsize="small")
 

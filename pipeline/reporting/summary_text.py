@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +14,11 @@ import numpy as np
 from pipeline.coefficients import COEFFICIENTS, unit
 from pipeline.config.schema import Config
 from pipeline.data.dataset import VibrationDataset, name_direction
+from pipeline.data.operating import find_nearest, name_state, split_states
 from pipeline.data.vibration_files import to_rpm
 from pipeline.evaluation.errors import measure_relative_errors
 from pipeline.reporting.error_table import describe_verdicts
+from pipeline.reporting.write_numbers import format_deviation, format_engineering
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.twin.mode_deviations import Behaviour
@@ -59,7 +61,33 @@ class Results:
     shown: ShownRun
     vibration: Mapping[str, PredictedVibration]  # of the unbalance that no run has, by system
     behaviour: Behaviour  # of the identified system
-    at: int  # index of the prediction's speed
+    at: int  # index of the prediction's speed among those of the vibration
+    operating: Mapping[str, float] = field(default_factory=dict)  # conditions of the prediction, SI
+    beyond: Sequence[str] = ()  # which of them lie outside the data, in words
+    numbers: Sequence[str] = ()  # of bearing laws, with their deviations
+
+    @property
+    def rpm(self) -> np.ndarray:
+        """(U,) the different speeds, those of the prediction."""
+        return to_rpm(self.vibration["identified"].speeds)
+
+    @property
+    def state(self) -> str:
+        """The conditions of the prediction, such as ``, 70 degC``; no words without any."""
+        return f", {name_state(self.operating)}" if self.operating else ""
+
+    def nearest(self) -> tuple[str, Results]:
+        """The measured state that is nearest to the prediction's, and the results at its points alone."""
+        label, points = find_nearest(self.dataset.speeds, self.dataset.operating, self.operating)
+        shown = replace(self.shown, measured=self.shown.measured[points], predicted=self.shown.predicted[points])
+        return label, replace(
+            self,
+            dataset=self.dataset.at(points),
+            identified=self.identified.at(points),
+            modelled=None if self.modelled is None else self.modelled.at(points),
+            deviation=None if self.deviation is None else self.deviation[:, points],
+            shown=shown,
+        )
 
 
 def write_summary(config: Config, results: Results, picture: Path) -> str:
@@ -71,12 +99,14 @@ def write_summary(config: Config, results: Results, picture: Path) -> str:
         "",
         *_list_coefficients(config, results),
         "",
+        *(_wrap_entry("numbers", "; ".join(results.numbers)) if results.numbers else ()),
         *_wrap_entry("verdict", describe_verdicts(results.training["determined"])),
         *_wrap_entry("fit", _describe_fit(results.training)),
         *_wrap_entry("", _describe_run(results)),
         *_wrap_entry("critical", _list_critical_speeds(results)),
         *_wrap_entry("stability", _describe_stability(results.behaviour)),
         *_wrap_entry("prediction", _describe_prediction(config, results)),
+        *[line for words in results.beyond for line in _wrap_entry("beyond", f"{words}: the bands grow there")],
         f"{'picture':<{len(_INDENT)}}{picture}",
     ]
     return "\n".join([*head, "", *parts]) + "\n"
@@ -103,23 +133,39 @@ def _describe_machine(config: Config, results: Results) -> str:
 
 def _describe_data(config: Config, results: Results) -> str:
     data = results.dataset
-    rpm, nodes = to_rpm(data.speeds), dict.fromkeys(node for node, _ in data.channels)
+    rpm, nodes = results.rpm, dict.fromkeys(node for node, _ in data.channels)
+    states = [label for label, _ in split_states(data.speeds, data.operating)]
+    at = f" at {_join(states)}" if data.operating else ""
     less = f", less the run {config.data.baseline}" if config.data.baseline else ""
     kind = "measured" if results.modelled is None else "modelled"
     return (
         f"{kind}, {_count(len(data.runs), 'run')} ({_join(data.runs)}){less}; {_count(len(rpm), 'speed')} from "
-        f"{rpm[0]:g} to {rpm[-1]:g} rpm; {_count(len(data.channels), 'channel')} at {_name_nodes(nodes)}"
+        f"{rpm[0]:g} to {rpm[-1]:g} rpm{at}; {_count(len(data.channels), 'channel')} at {_name_nodes(nodes)}"
     )
 
 
-def _list_coefficients(config: Config, results: Results) -> list[str]:
-    """A row a bearing and coefficient, at up to three speeds; constants have one value."""
+def _pick_columns(config: Config, results: Results) -> list[tuple[str, int]]:
+    """Heads and points of the table: up to three speeds, or up to three states at the prediction's speed."""
     rpm = to_rpm(results.identified.speeds)
-    at = [0] if config.model.kind == "constant" else sorted({0, results.at, len(rpm) - 1})
-    heads = ["at every speed"] if config.model.kind == "constant" else [f"at {rpm[s]:g} rpm" for s in at]
+    if config.model.kind == "constant":
+        return [("at every speed", 0)]
+    if not results.identified.operating:
+        return [(f"at {rpm[s]:g} rpm", s) for s in sorted({0, results.at, len(rpm) - 1})]
+    states = split_states(results.identified.speeds, results.identified.operating)
+    shown = [states[i] for i in sorted({0, (len(states) - 1) // 2, len(states) - 1})]
+    return [(label, int(points[np.abs(rpm[points] - results.rpm[results.at]).argmin()])) for label, points in shown]
+
+
+def _list_coefficients(config: Config, results: Results) -> list[str]:
+    """A row a bearing and coefficient, at up to three speeds or states; constants have one value."""
+    columns = _pick_columns(config, results)
+    at = [s for _, s in columns]
+    several = len(columns) > 1 and bool(results.identified.operating)
+    speed = f" at {results.rpm[results.at]:g} rpm" if several else ""
     known = "" if results.deviation is None else " +- one standard deviation"
-    against = ", and the median error over the speeds" if results.modelled is not None else ""
-    lines = [f"identified{known}{against}", f"{'':20}" + "".join(f"{head:>22}" for head in heads)]
+    against = f", and the median error over the {'points' if several else 'speeds'}"
+    against = against if results.modelled is not None else ""
+    lines = [f"identified{speed}{known}{against}", f"{'':20}" + "".join(f"{head:>22}" for head, _ in columns)]
     if results.modelled is not None:
         lines[-1] += f"{'error %':>12}"
     rows = [(b, name) for b, names in enumerate(results.unknowns) for name in names]
@@ -134,34 +180,6 @@ def _list_coefficients(config: Config, results: Results) -> list[str]:
     if len(rows) > _MOST_ROWS:
         lines.append(f"  and {len(rows) - _MOST_ROWS} more in 'identified_coefficients.csv'")
     return lines
-
-
-def format_engineering(value: float, deviation: float | None = None) -> str:
-    """Write a number by powers of 1000, such as ``(12.34 +- 0.05)e6``."""
-    size = max(abs(value), deviation or 0.0)
-    if not math.isfinite(size) or size == 0:
-        return format_deviation(value, deviation)
-    power = 3 * math.floor(math.log10(size) / 3)
-    shown = format_deviation(value / 10**power, None if deviation is None else deviation / 10**power)
-    if power == 0:
-        return shown
-    return f"{shown}e{power}" if deviation is None else f"({shown})e{power}"
-
-
-def format_deviation(value: float, deviation: float | None) -> str:
-    """Write two digits of the deviation, or five of a value without one."""
-    size = max(abs(value), deviation or 0.0)
-    if not math.isfinite(size) or size == 0:
-        return f"{value:g}" if deviation is None else f"{value:g} +- {deviation:g}"
-    whole = math.floor(math.log10(size))
-    if not deviation:
-        return f"{value:.{max(4 - whole, 0)}f}" + ("" if deviation is None else " +- 0")
-    decimals = min(max(1 - math.floor(math.log10(deviation)), 0), max(_MOST_DIGITS - whole, 0))
-    return f"{value:.{decimals}f} +- {deviation:.{decimals}f}"
-
-
-_MOST_DIGITS = 5
-"""After the first one, however small the deviation is."""
 
 
 def _describe_fit(training: Mapping[str, Any]) -> str:
@@ -190,13 +208,13 @@ def _describe_run(results: Results) -> str:
 
 
 def _list_critical_speeds(results: Results) -> str:
-    rpm, of = to_rpm(results.dataset.speeds), results.behaviour
+    rpm, of = results.rpm, results.behaviour
     found = []
     for one in of.critical:
         known_to = (None, None) if of.deviations is None else of.deviations.of_critical(one)
         speed = format_deviation(one.speed / RAD_S_PER_RPM, known_to[0] and known_to[0] / RAD_S_PER_RPM)
         found.append(f"{speed} rpm (logarithmic decrement {format_deviation(one.logarithmic_decrement, known_to[1])})")
-    return f"{_join(found)}, between {rpm[0]:g} and {rpm[-1]:g} rpm"
+    return f"{_join(found)}, between {rpm[0]:g} and {rpm[-1]:g} rpm{results.state}"
 
 
 def _describe_stability(of: Behaviour) -> str:
@@ -220,8 +238,8 @@ def _describe_prediction(config: Config, results: Results) -> str:
         words.append(f"{direction} {format_deviation(float(size[results.at, d]), deviation)} um")
     s, d = np.unravel_index(size.argmax(), size.shape)
     return (
-        f"node {found.node} at {rpm[results.at]:g} rpm: {', '.join(words)} (zero-to-peak); at most {size[s, d]:.4g} um "
-        f"in {'xy'[d]} at {rpm[s]:g} rpm; under {acting}"
+        f"node {found.node} at {rpm[results.at]:g} rpm{results.state}: {', '.join(words)} (zero-to-peak); at most "
+        f"{size[s, d]:.4g} um in {'xy'[d]} at {rpm[s]:g} rpm; under {acting}"
     )
 
 

@@ -33,37 +33,42 @@ def _draw(ax: Any, name: str, x: np.ndarray, y: np.ndarray, colour: str) -> None
         draw_markers(ax, x, y, colour, "predicted by the twin")
 
 
-def draw_time(path: Path, vibration: Mapping[str, PredictedVibration], at: int) -> Path:
-    """Figure 6 (a) and (b): x and y of the node over two turns."""
+def draw_time(path: Path, vibration: Mapping[str, PredictedVibration], at: int, state: str = "") -> Path:
+    """Figure 6 (a) and (b): x and y of the node over two turns; ``state`` names the operating conditions."""
     with open_figure(path, 2, 1, 8.0, 5.6, sharex=True) as axes:
         for name, predicted in vibration.items():
             time, curve = sample_motion(predicted.displacement[at], predicted.speeds[at])
             for d, colour in enumerate((BLUE, ORANGE)):
                 _draw(axes[d, 0], name, 1e3 * time, MICROMETRES * curve[:, d], colour)
                 axes[d, 0].set_ylabel(f"{'xy'[d]}-displacement (µm)")
-        where = f"node {predicted.node} at {to_rpm(predicted.speeds)[at]:g} rpm"
+        where = f"node {predicted.node} at {to_rpm(predicted.speeds)[at]:g} rpm{_beside(state)}"
         axes[0, 0].figure.suptitle(f"{where}, unbalance never seen in training")
         axes[1, 0].set_xlabel("time (ms)")
         place_legend(axes[0, 0])
     return path
 
 
-def draw_orbit(path: Path, vibration: Mapping[str, PredictedVibration], at: int) -> Path:
-    """The orbit of the node at one speed."""
+def _beside(state: str) -> str:
+    return f", {state}" if state else ""
+
+
+def draw_orbit(path: Path, vibration: Mapping[str, PredictedVibration], at: int, state: str = "") -> Path:
+    """The orbit of the node at one speed; ``state`` names the operating conditions."""
     with open_figure(path, 1, 1, 5.4, 5.2) as axes:
         ax = axes[0, 0]
         for name, predicted in vibration.items():
             _, curve = sample_motion(predicted.displacement[at], predicted.speeds[at], turns=1.0)
             _draw(ax, name, MICROMETRES * curve[:, 0], MICROMETRES * curve[:, 1], BLUE)
-        ax.figure.suptitle(f"orbit of node {predicted.node} at {to_rpm(predicted.speeds)[at]:g} rpm")
+        where = f"at {to_rpm(predicted.speeds)[at]:g} rpm{_beside(state)}"
+        ax.figure.suptitle(f"orbit of node {predicted.node} {where}")
         ax.set(xlabel="x-displacement (µm)", ylabel="y-displacement (µm)")
         ax.set_aspect("equal", adjustable="datalim")
         place_legend(ax)
     return path
 
 
-def draw_response(path: Path, vibration: Mapping[str, PredictedVibration]) -> Path:
-    """Amplitude and phase over all speeds, and the error of the prediction."""
+def draw_response(path: Path, vibration: Mapping[str, PredictedVibration], state: str = "") -> Path:
+    """Amplitude and phase over all speeds, and the error of the prediction; ``state`` names the conditions."""
     rows = 1 + len(vibration)
     found = vibration["identified"]
     rpm = to_rpm(found.speeds)
@@ -79,7 +84,7 @@ def draw_response(path: Path, vibration: Mapping[str, PredictedVibration]) -> Pa
             if "modelled" in vibration:
                 error = found.error_percent(vibration["modelled"])[:, d]
                 axes[2, d].semilogy(rpm, np.maximum(error, 1e-14), color=GREY, lw=1.2)
-            axes[0, d].set(title=f"{direction} of node {found.node}", yscale="log")
+            axes[0, d].set(title=f"{direction} of node {found.node}{_beside(state)}", yscale="log")
             axes[-1, d].set_xlabel("rotor speed (rpm)")
         for row, label in zip(axes, ("amplitude (µm)", "phase (deg)", "error (%)"), strict=False):
             row[0].set_ylabel(label)
@@ -87,10 +92,11 @@ def draw_response(path: Path, vibration: Mapping[str, PredictedVibration]) -> Pa
     return path
 
 
-def draw_campbell(path: Path, behaviour: Mapping[str, Behaviour]) -> Path:
+def draw_campbell(path: Path, behaviour: Mapping[str, Behaviour], state: str = "") -> Path:
     """The Campbell diagram and the logarithmic decrements, with two standard deviations either side.
 
-    Modes up to twice the top speed; the modelled machine as lines, the identified one as markers.
+    Modes up to twice the top speed; the modelled machine as lines, the identified one as markers. ``state`` names the
+    operating conditions.
     """
     modes = behaviour["identified"].modes
     rpm, top = to_rpm(modes.speeds), 2.0 * modes.speeds.max() / RAD_S_PER_HERTZ
@@ -101,7 +107,7 @@ def draw_campbell(path: Path, behaviour: Mapping[str, Behaviour]) -> Path:
         decrements.axhline(0.0, color=GREY, ls="--", lw=1.2)
         for name, of in behaviour.items():
             _draw_modes(axes[:, 0], name, of, top)
-        frequencies.set(ylabel="damped natural frequency (Hz)", ylim=(0.0, top))
+        frequencies.set(ylabel="damped natural frequency (Hz)", ylim=(0.0, top), title=state)
         decrements.set(xlabel="rotor speed (rpm)", ylabel="logarithmic decrement (stable above 0)")
         decrements.set_yscale("symlog", linthresh=0.1)
         decrements.yaxis.set_major_formatter("{x:g}")

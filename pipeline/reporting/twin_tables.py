@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 
 from pipeline.config.schema import Config
+from pipeline.data.operating import name_state
+from pipeline.data.operating_points import list_columns
 from pipeline.data.vibration_files import to_rpm
 from pipeline.reporting.console import say, table
-from pipeline.reporting.summary_text import format_deviation
+from pipeline.reporting.write_numbers import format_deviation
 from pipeline.twin.mode_deviations import Behaviour
 from pipeline.twin.modes import amplify, require_separation
 from pipeline.twin.prediction import PredictedVibration
@@ -61,8 +63,11 @@ def _summarize_critical(of: Behaviour, i: int, running_rpm: float) -> dict[str, 
     return found
 
 
-def tabulate_modes(behaviour: Mapping[str, Behaviour]) -> dict[str, Any]:
-    """Columns of ``modes.csv``: a row a system, speed and mode that oscillates, by ascending frequency."""
+def tabulate_modes(behaviour: Mapping[str, Behaviour], operating: Mapping[str, float]) -> dict[str, Any]:
+    """Columns of ``modes.csv``: a row a system, speed and mode that oscillates, by ascending frequency.
+
+    ``operating`` are the conditions (SI) of all rows.
+    """
     columns: dict[str, list[Any]] = {}
     for name, of in behaviour.items():
         there = ~np.isnan(of.modes.frequency)
@@ -79,14 +84,26 @@ def tabulate_modes(behaviour: Mapping[str, Behaviour]) -> dict[str, Any]:
         if of.deviations is not None:
             part["frequency_std_hz"] = of.deviations.frequency[there] / RAD_S_PER_HERTZ
             part["logarithmic_decrement_std"] = of.deviations.logarithmic_decrement[there]
+        part |= _repeat_conditions(operating, len(speed))
         for key, values in part.items():
             columns.setdefault(key, []).extend(values)
     return columns
 
 
-def tabulate_vibration(vibration: Mapping[str, PredictedVibration]) -> dict[str, np.ndarray]:
-    """Columns of ``prediction.csv``: amplitudes (zero-to-peak, m) and phases over the speed."""
+def _repeat_conditions(operating: Mapping[str, float], count: int) -> dict[str, np.ndarray]:
+    """A column a condition, named with its unit."""
+    return list_columns({name: np.full(count, value) for name, value in operating.items()})
+
+
+def tabulate_vibration(
+    vibration: Mapping[str, PredictedVibration], operating: Mapping[str, float]
+) -> dict[str, np.ndarray]:
+    """Columns of ``prediction.csv``: amplitudes (zero-to-peak, m) and phases over the speed.
+
+    ``operating`` are the conditions (SI) of all rows.
+    """
     columns = {"speed_rpm": to_rpm(next(iter(vibration.values())).speeds)}
+    columns |= _repeat_conditions(operating, len(columns["speed_rpm"]))
     for name, predicted in vibration.items():
         for d, direction in enumerate("xy"):
             columns[f"{direction}_{name}_amplitude_m"] = np.abs(predicted.displacement[:, d])
@@ -97,10 +114,15 @@ def tabulate_vibration(vibration: Mapping[str, PredictedVibration]) -> dict[str,
 
 
 def print_twin(
-    config: Config, summary: Mapping[str, Any], vibration: Mapping[str, PredictedVibration], at: int
+    config: Config,
+    summary: Mapping[str, Any],
+    vibration: Mapping[str, PredictedVibration],
+    at: int,
+    operating: Mapping[str, float],
 ) -> None:
-    """The vibration at the prediction's speed and the stability, then each critical speed."""
+    """The vibration at the prediction's speed and ``operating`` conditions (SI), the stability, each critical speed."""
     prediction, rpm = config.machine.prediction, config.machine.prediction.speed_rpm
+    state = f", at {name_state(operating)}" if operating else ""
     rows, criticals = [], []
     for name, predicted in vibration.items():
         size = 1e6 * np.abs(predicted.displacement[at])
@@ -112,12 +134,13 @@ def print_twin(
             asked = f"{one['separation_margin_required_percent']:.0f}"
             criticals.append([name, *(_show(one, key) for key in keys), asked])
     header = ["system", f"x at {rpm:g} rpm, um", f"y at {rpm:g} rpm, um", "smallest log decrement"]
-    table(f"{config.name}: node {prediction.node} under an unbalance never seen (+- standard deviation)", header, rows)
+    title = f"{config.name}: node {prediction.node} under an unbalance never seen{state} (+- standard deviation)"
+    table(title, header, rows)
     if criticals:
         header = ["system", "rpm", "log decrement", "amplification factor", "separation, %", "API 617 asks, %"]
-        table(f"critical speeds; separation is that from {rpm:g} rpm", header, criticals)
+        table(f"critical speeds{state}; separation is that from {rpm:g} rpm", header, criticals)
     else:
-        say("critical speeds: none in the range of speeds")
+        say(f"critical speeds{state}: none in the range of speeds")
     if "displacement" in summary:
         errors = (
             f"{direction} {e['mean_error_percent']:.2g} % mean, {e['max_error_percent']:.2g} % max"

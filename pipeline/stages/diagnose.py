@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.records import RecordsConfig
 from pipeline.config.schema import Config
+from pipeline.data.operating_points import list_columns
 from pipeline.data.tables import write_table
 from pipeline.data.vibration_files import to_rpm
 from pipeline.files import write_json
@@ -54,8 +55,14 @@ def run(config: Config) -> StageOutput:
             summary["combinations"] = summarize_combinations(combined)
     written = [
         write_json(work.folder / "diagnosis.json", summary),
-        write_table(work.folder / "diagnosis.csv", _tabulate(diagnosis, judged)),
-        draw_diagnosis(work.figure("diagnosis"), diagnosis.reports, diagnosis.relative, describe_noise(config)),
+        write_table(work.folder / "diagnosis.csv", _tabulate(diagnosis, judged, measurement.dataset.operating)),
+        draw_diagnosis(
+            work.figure("diagnosis"),
+            diagnosis.reports,
+            diagnosis.relative,
+            describe_noise(config),
+            measurement.dataset.operating,
+        ),
     ]
     written += _write_budget(config, measurement, diagnosis)
     return StageOutput(summary, {"data_fingerprint": measurement.dataset.fingerprint}, written)
@@ -140,14 +147,17 @@ def _summarize(diagnosis: Diagnosis) -> dict[str, object]:
     return result
 
 
-def _tabulate(diagnosis: Diagnosis, judged: Sequence[Determined]) -> list[dict[str, object]]:
-    """A row a bearing and speed; the verdicts are those over all speeds."""
+def _tabulate(
+    diagnosis: Diagnosis, judged: Sequence[Determined], operating: Mapping[str, np.ndarray]
+) -> list[dict[str, object]]:
+    """A row a bearing and operating point; the verdicts are those over all points."""
     rows: list[dict[str, object]] = []
     for report in diagnosis.reports:
         for node in report.nodes:
             b = diagnosis.answer.nodes.index(node)
             columns = {
                 "speed_rpm": to_rpm(report.speeds),
+                **list_columns(operating),
                 "unknowns": np.full(len(report.speeds), len(report.unknowns)),
                 "rank": report.rank,
                 "condition_number": report.condition,

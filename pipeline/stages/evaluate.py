@@ -21,6 +21,8 @@ from pipeline.reporting.console import say
 from pipeline.reporting.error_table import describe_quality, describe_verdicts, make_error_table, print_error_table
 from pipeline.reporting.figures import draw_coefficients, draw_history
 from pipeline.reporting.identified_figure import draw_identified
+from pipeline.reporting.physical_numbers import describe_law, list_numbers, print_numbers
+from pipeline.reporting.state_figures import draw_states
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.diagnose import diagnose
 from pipeline.stages.execution import StageOutput
@@ -32,16 +34,16 @@ from pipeline.stages.measurement import (
     update_measurement,
 )
 from pipeline.stages.unmeasured import judge_beyond, judge_numbers
-from pipeline.stages.workspace import locate_files
+from pipeline.stages.workspace import Workspace, locate_files
 from pipeline.twin.superposition import compare_held_out
 
 
 def run(config: Config) -> StageOutput:
     """Errors, their summary (worst bearing, parts per million), least-squares coefficients, Figures 3 and 4."""
     work, measurement = locate_files(config), load_measurement(config)
-    identified = load_identified(config, measurement)
+    data, identified = measurement.dataset, load_identified(config, measurement)
     uncertainty = load_uncertainty(work.folder, identified)
-    deviation = None if uncertainty is None else uncertainty.deviation(identified, measurement.dataset.speeds)
+    deviation = None if uncertainty is None else uncertainty.deviation(identified, data.speeds, data.operating)
     names = identified.unknowns.by_bearing
     answer = identified.table(update_measurement(measurement, uncertainty).updated_known)
     modelled = load_modelled(config, measurement)
@@ -72,6 +74,9 @@ def run(config: Config) -> StageOutput:
     loss = loss_of(config.loss)
     if modelled is None or loss.weighs_noise:
         say(f"{config.name}: {describe_quality(quality)}")
+    print_numbers(config.name, list_numbers(quality.get("physical_numbers", {}), config))
+    for words in describe_law(quality, config.model.kind):
+        say(f"{config.name}: {words}")
     if "physical_numbers" in quality:
         metrics["physical_numbers"] = judge_numbers(config, quality["physical_numbers"])
     metrics |= judge_beyond(config, identified, measurement.dataset.speeds)
@@ -79,13 +84,32 @@ def run(config: Config) -> StageOutput:
         metrics["held_out"] = _judge_held_out(config, update_measurement(measurement, uncertainty), answer, uncertainty)
     written += [
         draw_history(work.figure("training"), work.history, loss.label),
-        draw_identified(work.figure("identified"), answer, modelled, names, deviation),
-        draw_coefficients(work.figure("stiffness"), "k", answer, modelled, names, deviation),
-        draw_coefficients(work.figure("damping"), "c", answer, modelled, names, deviation),
+        *_draw(work, answer, modelled, names, deviation),
         write_json(work.metrics, metrics),
         write_json(work.folder / "summary.json", summary),
     ]
     return StageOutput(metrics, {"data_fingerprint": measurement.dataset.fingerprint}, [*written, work.identified])
+
+
+def _draw(
+    work: Workspace,
+    answer: BearingTable,
+    modelled: BearingTable | None,
+    names: Sequence[Sequence[str]],
+    deviation: np.ndarray | None,
+) -> list[Path]:
+    """The coefficients over the speed; with operating conditions a line a state."""
+    letters = {"stiffness": "k", "damping": "c"}
+    if answer.operating:
+        shown = {"identified": None, **letters}
+        return [
+            draw_states(work.figure(name), answer, modelled, names, deviation, letter) for name, letter in shown.items()
+        ]
+    over_speed = [
+        draw_coefficients(work.figure(name), letter, answer, modelled, names, deviation)
+        for name, letter in letters.items()
+    ]
+    return [draw_identified(work.figure("identified"), answer, modelled, names, deviation), *over_speed]
 
 
 def _judge_held_out(
@@ -96,7 +120,7 @@ def _judge_held_out(
     summary: dict[str, dict[str, object]] = {}
     for one in compare_held_out(measurement, answer, unbalance, config.training):
         rpm = to_rpm(one.speeds)
-        what = f"{'range of ' if one.together else ''}speeds, {rpm[0]:g} to {rpm[-1]:g} rpm"
+        what = f"{'range of ' if one.together else ''}speeds, {rpm.min():g} to {rpm.max():g} rpm"
         what, rival = (what, "interpolation") if one.run is None else (f"run {one.run}", "influence coefficients")
         said = "no answer" if one.rival is None else f"{one.rival:.3g} %"
         say(f"{config.name}: held-out {what}: predicted to {one.model:.3g} % (root mean square); by {rival}: {said}")

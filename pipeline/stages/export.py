@@ -2,24 +2,33 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.schema import Config
+from pipeline.data.dataset import VibrationDataset
+from pipeline.data.operating import split_states
 from pipeline.data.tables import write_table
-from pipeline.export.coefficients import Document, Exported, document, tabulate
+from pipeline.export.coefficients import Document, Exported, Number, document, list_conventions, tabulate
 from pipeline.export.programs import write_ansys_file, write_apdl, write_dyrobes, write_workbook
-from pipeline.files import write_folder, write_json, write_text
-from pipeline.identification.uncertainty import load_uncertainty
+from pipeline.files import read_json, write_folder, write_json, write_text
+from pipeline.identification.identified import IdentifiedModel
+from pipeline.identification.uncertainty import Uncertainty, load_uncertainty
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say
+from pipeline.reporting.physical_numbers import list_numbers
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_identified, load_measurement, update_measurement
 from pipeline.stages.predict import list_unseen
 from pipeline.stages.workspace import locate_files
+from pipeline.twin.at_conditions import measurement_at, require_conditions
 from pipeline.twin.prediction import predict
 
 
@@ -29,66 +38,103 @@ def run(config: Config) -> StageOutput:
     work, model = locate_files(config), load_identified(config, measurement)
     uncertainty = load_uncertainty(work.folder, model)
     updated = update_measurement(measurement, uncertainty)
-    exported = Exported(
-        config.name,
-        model.table(updated.updated_known),
-        None if uncertainty is None else uncertainty.deviation(model, measurement.dataset.speeds),
-        model.unknowns.identified,
-        config.export.units,
-    )
+    states = [
+        _export_at(config, updated, model, uncertainty, state) for state in list_states(config, measurement.dataset)
+    ]
+    found = list_numbers(read_json(work.training).get("physical_numbers", {}), config)
+    numbers = [Number(name=one.label, value=one.value, std=one.deviation, unit=one.unit) for one in found]
     notes: list[str] = []
     folder = write_folder(
-        work.folder / "export", lambda beside: notes.extend(_write(beside, config, updated, exported))
+        work.folder / "export", lambda beside: notes.extend(_write(beside, config, updated, states, numbers))
     )
     written = sorted(folder.iterdir())
     say("\n".join([f"{config.name}: {len(written)} files in '{folder}'", *notes]))
     return StageOutput(tags={"data_fingerprint": measurement.dataset.fingerprint}, files=written)
 
 
-def _write(folder: Path, config: Config, updated: Measurement, exported: Exported) -> list[str]:
+def list_states(config: Config, dataset: VibrationDataset) -> list[dict[str, float]]:
+    """The conditions (SI) of each state that is written: the configured ones, or the measured ones by their means.
+
+    One without conditions for data that have none. Raises ConfigError for a condition that is missing, or that the
+    data lack.
+    """
+    for given in config.export.operating:
+        require_conditions(_KEY, given, dataset.operating)
+    if config.export.operating:
+        return [{name: given[name] for name in dataset.operating} for given in config.export.operating]
+    measured = split_states(dataset.speeds, dataset.operating)
+    return [
+        {name: float(np.mean(values[points])) for name, values in dataset.operating.items()} for _, points in measured
+    ]
+
+
+_KEY = "export.operating"
+
+
+def _export_at(
+    config: Config,
+    updated: Measurement,
+    model: IdentifiedModel,
+    uncertainty: Uncertainty | None,
+    operating: Mapping[str, float],
+) -> Exported:
+    """The answer at one state, at each speed of the data."""
+    table = model.table(measurement_at(updated, operating, _KEY).updated_known)
+    deviation = None if uncertainty is None else uncertainty.deviation(model, table.speeds, table.operating)
+    return Exported(config.name, table, deviation, model.unknowns.identified, config.export.units, operating)
+
+
+def _write(
+    folder: Path, config: Config, updated: Measurement, states: Sequence[Exported], numbers: Sequence[Number]
+) -> list[str]:
     """Every format that is asked for; what there is to say of them. ``updated`` is at the fitted model parameters."""
-    formats, nodes, notes = config.export.formats, exported.table.nodes, []
-    write_text(folder / "conventions.txt", "\n".join(exported.conventions()) + "\n")
+    formats, notes = config.export.formats, []
+    write_text(folder / "conventions.txt", "\n".join(list_conventions(states)) + "\n")
     if "csv" in formats:
-        write_table(folder / "coefficients.csv", tabulate(exported))
+        write_table(folder / "coefficients.csv", tabulate(*states))
+        if numbers:
+            write_table(folder / "physical_numbers.csv", [one.model_dump() for one in numbers])
     if "excel" in formats:
-        write_workbook(folder / "coefficients.xlsx", exported)
+        write_workbook(folder / "coefficients.xlsx", *states, numbers=numbers)
     if "json" in formats:
-        write_json(folder / "coefficients.json", document(exported).model_dump(mode="json"))
+        write_json(folder / "coefficients.json", document(*states, numbers=numbers).model_dump(mode="json"))
         write_text(folder / "coefficients.schema.json", json.dumps(Document.model_json_schema(), indent=2) + "\n")
-    for b, node in enumerate(nodes):
+    for exported, (b, node) in itertools.product(states, enumerate(states[0].table.nodes)):
+        name = f"node_{node}{exported.suffix}"
         if "dyrobes" in formats:
-            write_text(folder / f"dyrobes_node_{node}.txt", write_dyrobes(exported, b))
+            write_text(folder / f"dyrobes_{name}.txt", write_dyrobes(exported, b))
         if "ansys" in formats:
-            write_text(folder / f"ansys_node_{node}.txt", write_ansys_file(exported, b))
-            write_text(folder / f"ansys_node_{node}.inp", write_apdl(exported, b))
+            write_text(folder / f"ansys_{name}.txt", write_ansys_file(exported, b))
+            write_text(folder / f"ansys_{name}.inp", write_apdl(exported, b))
     if "ross" in formats:
-        notes.append(_write_ross(folder, config, updated, exported))
+        notes.append(_write_ross(folder, config, updated, states))
     return notes
 
 
-def _write_ross(folder: Path, config: Config, updated: Measurement, exported: Exported) -> str:
-    """The rotor, each bearing, and their deviations; how far ROSS's smoothing of tables moves the response."""
+def _write_ross(folder: Path, config: Config, updated: Measurement, states: Sequence[Exported]) -> str:
+    """The rotor and each bearing, a file a state, and their deviations; how far ROSS's smoothing moves the response."""
     from pipeline.rotor.ross_export import export_rotor, make_bearings, read_table
 
-    rotor = config.machine.rotor
-    export_rotor(rotor, updated.parameters, updated.parameter_values, exported.table).save(folder / "rotor.toml")
-    elements = make_bearings(exported.table)
-    for one in elements:
-        one.save(folder / f"bearing_node_{one.n}.toml")
-    if exported.deviation is not None:
-        columns = tabulate(Exported(exported.name, exported.table, exported.deviation, exported.identified, "si"))
-        kept = ("bearing_node", "speed_rpm")
-        write_table(folder / "deviations.csv", {k: v for k, v in columns.items() if k in kept or k.endswith("_std")})
-    off = _compare(config, updated, exported.table, read_table(elements, exported.table.speeds))
+    rotor, off = config.machine.rotor, []
+    for exported in states:
+        made = export_rotor(rotor, updated.parameters, updated.parameter_values, exported.table)
+        made.save(folder / f"rotor{exported.suffix}.toml")
+        elements = make_bearings(exported.table)
+        for one in elements:
+            one.save(folder / f"bearing_node_{one.n}{exported.suffix}.toml")
+        off.append(_compare(config, updated, exported.table, read_table(elements, exported.table.speeds)))
+    if states[0].deviation is not None:
+        columns = tabulate(*(replace(one, units="si") for one in states))
+        write_table(folder / "deviations.csv", {k: v for k, v in columns.items() if k not in COEFFICIENTS})
     every = zip(updated.rotor.bearing_nodes, updated.updated_rotor.bearing_shifts, strict=False)
     beside = "".join(
         f"; the fit places the bearing of node {node} {1e3 * shift:+.3g} mm along the shaft, which 'rotor.toml' lacks"
         for node, shift in every
     )
+    files = " and ".join(f"'rotor{one.suffix}.toml'" for one in states[:3]) + (", ..." if len(states) > 3 else "")
     return (
-        "'rotor.toml' is for ross.Rotor.load; ROSS smooths tables over the speed, which moves the response to the "
-        f"prediction's unbalance by at most {off:.1g} %{beside}"
+        f"{files} {'is' if len(states) == 1 else 'are'} for ross.Rotor.load; ROSS smooths tables over the speed, which "
+        f"moves the response to the prediction's unbalance by at most {max(off):.1g} %{beside}"
     )
 
 

@@ -192,7 +192,7 @@ def _match_unknowns(config: Config, identified: IdentifiedModel) -> bool:
     return bool(order) and np.array_equal(wanted.expansion, found.expansion[..., order])
 
 
-QUALITY = ("fit", "residual", "condition_number", "determined")
+QUALITY = ("fit", "residual", "condition_number", "determined", "physical_numbers", "law", "correction")
 """``training.json`` holds these: parts of :class:`pipeline.identification.quality.Quality`, and the verdicts."""
 
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from pipeline.config.schema import Config
 from pipeline.data.as_built import build_rotor, refine_nodes, stand_on_pedestals
-from pipeline.data.dataset import Excitation
+from pipeline.data.dataset import Excitation, VibrationDataset
+from pipeline.data.operating import name_state
 from pipeline.data.tables import write_table
 from pipeline.data.vibration_files import to_rpm
 from pipeline.errors import ConfigError
@@ -18,14 +19,23 @@ from pipeline.files import write_json
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.uncertainty import Uncertainty, load_uncertainty
 from pipeline.problem.measurement import Measurement
-from pipeline.reporting.console import say
+from pipeline.reporting.console import say, warn
 from pipeline.reporting.twin_figures import draw_campbell, draw_orbit, draw_response, draw_time
 from pipeline.reporting.twin_tables import print_twin, summarize_modes, tabulate_modes, tabulate_vibration
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import translation_dof
+from pipeline.rotor.stored import load_modelled_bearings
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_identified, load_measurement, load_modelled, update_measurement
 from pipeline.stages.workspace import locate_files, require_nodes
+from pipeline.twin.at_conditions import (
+    mask_state,
+    measurement_at,
+    pick_middle,
+    require_conditions,
+    say_beyond,
+    table_at,
+)
 from pipeline.twin.mode_deviations import Behaviour, describe_modes, deviate_modes
 from pipeline.twin.modes import find_modes
 from pipeline.twin.prediction import PredictedVibration, add_deviation, predict
@@ -42,18 +52,20 @@ class Twin:
     vibration: Mapping[str, PredictedVibration]  # under the unbalance that no run has
     behaviour: Mapping[str, Behaviour]
     at: int  # index of the prediction's speed
+    operating: Mapping[str, float]  # the conditions of the prediction, SI; at each speed once
 
 
 def build_twin(config: Config, measurement: Measurement) -> Twin:
     """The twin, training first where its model is missing. Raises ConfigError for an unbalance that a run has."""
     model = load_identified(config, measurement)
     uncertainty = load_uncertainty(locate_files(config).folder, model)
-    updated = update_measurement(measurement, uncertainty)
-    identified = model.table(updated.updated_known)
-    modelled = load_modelled(config, measurement)
+    operating = choose_operating(config, measurement.dataset)
+    there = measurement_at(update_measurement(measurement, uncertainty), operating, OPERATING)
+    identified = model.table(there.updated_known)
+    modelled = load_truth(config, measurement, operating)
     nodes = [config.machine.prediction.node, *(unbalance.node for unbalance in config.machine.prediction.unbalances)]
     require_nodes(measurement.rotor, "machine.prediction", nodes)
-    at = _find_speed(config, measurement.dataset.speeds)
+    at = _find_speed(config, identified.speeds)
     unseen = list_unseen(config)
     if (run := find_same_run(unseen, measurement.dataset.excitations)) is not None:
         raise ConfigError(
@@ -61,22 +73,50 @@ def build_twin(config: Config, measurement: Measurement) -> Twin:
         )
     node, built = config.machine.prediction.node, config.machine.as_built
     systems = {"identified": identified} if modelled is None else {"modelled": modelled, "identified": identified}
-    rotors = {"modelled": measurement.rotor, "identified": updated.updated_rotor}
+    rotors = {"modelled": measurement.rotor, "identified": there.updated_rotor}
     vibration = {name: predict(rotors[name], system, unseen, node) for name, system in systems.items()}
     if modelled is not None and built is not None:  # the truth has nodes of its own
         rotors["modelled"] = build_rotor(config.machine.rotor, built)
         systems["modelled"], acting = stand_on_pedestals(modelled, built), refine_nodes(unseen, built)
         vibration["modelled"] = predict(rotors["modelled"], systems["modelled"], acting, built.refinement * node)
     if uncertainty is not None:
-        vibration["identified"] = add_deviation(
-            vibration["identified"], updated, identified, unseen, model, uncertainty
-        )
+        vibration["identified"] = add_deviation(vibration["identified"], there, identified, unseen, model, uncertainty)
     behaviour = {name: describe_modes(find_modes(rotors[name], system)) for name, system in systems.items()}
     if uncertainty is not None:
         modes = behaviour["identified"].modes
-        known_to = deviate_modes(modes, updated, identified, model, uncertainty)
+        known_to = deviate_modes(modes, there, identified, model, uncertainty)
         behaviour["identified"] = describe_modes(modes, known_to)
-    return Twin(model, uncertainty, systems, vibration, behaviour, at)
+    return Twin(model, uncertainty, systems, vibration, behaviour, at, operating)
+
+
+OPERATING = "machine.prediction.operating"
+
+
+def choose_operating(config: Config, dataset: VibrationDataset) -> dict[str, float]:
+    """The conditions of the prediction, SI: the configured ones, or those in the middle of the measured ones.
+
+    Empty for data without conditions. Raises ConfigError for a condition that is missing, or that the data lack.
+    """
+    given = config.machine.prediction.operating
+    if not given:
+        return pick_middle(dataset.operating)
+    require_conditions(OPERATING, given, dataset.operating)
+    return {name: given[name] for name in dataset.operating}
+
+
+def load_truth(config: Config, measurement: Measurement, operating: Mapping[str, float]) -> BearingTable | None:
+    """The modelled coefficients at the conditions of the prediction; None where nothing says them there."""
+    modelled, dataset = load_modelled(config, measurement), measurement.dataset
+    if modelled is None or not dataset.operating:
+        return modelled
+    there = mask_state(dataset.operating, operating)
+    speeds = np.unique(dataset.speeds)
+    if np.array_equal(np.unique(dataset.speeds[there]), speeds):
+        return table_at(modelled, operating, OPERATING)
+    if config.machine.recordings.format != "none":
+        return None
+    beside = {name: np.full(len(speeds), value) for name, value in operating.items()}
+    return load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds, beside)
 
 
 def run(config: Config) -> StageOutput:
@@ -86,38 +126,50 @@ def run(config: Config) -> StageOutput:
     vibration, at = dict(twin.vibration), twin.at
     running = config.machine.prediction.speed_rpm
     summary: dict[str, Any] = {name: summarize_modes(of, running) for name, of in twin.behaviour.items()}
+    beyond = say_beyond(measurement.dataset.operating, twin.operating)
+    if twin.operating:
+        summary |= {"operating": dict(twin.operating), "outside_measured": beyond}
+    for words in beyond:
+        warn(f"{config.name}: {words}: the bands grow there, and rest on the model of the coefficients alone")
     if "modelled" in vibration:
         error = vibration["identified"].error_percent(vibration["modelled"])
         summary["displacement"] = {
             direction: {"mean_error_percent": float(e.mean()), "max_error_percent": float(e.max())}
             for direction, e in zip("xy", error.T, strict=True)
         }
-    summed = superpose_unseen(config, measurement)
+    summed = superpose_unseen(config, measurement, twin.operating)
     if summed is not None and "modelled" in vibration:
         truth = vibration["modelled"].displacement
         off = {direction: error_percent(summed[:, d], truth[:, d]) for d, direction in enumerate("xy")}
         summary["influence_coefficients"] = {"error_percent": off}
-    print_twin(config, summary, vibration, at)
+    print_twin(config, summary, vibration, at, twin.operating)
     _say_superposed(config, summed, summary, at)
     work = locate_files(config)
     written = [
         write_json(work.folder / "prediction.json", summary),
-        write_table(work.folder / "prediction.csv", tabulate_vibration(vibration)),
-        write_table(work.folder / "modes.csv", tabulate_modes(twin.behaviour)),
-        draw_time(work.figure("prediction_time"), vibration, at),
-        draw_orbit(work.figure("prediction_orbit"), vibration, at),
-        draw_response(work.figure("prediction_response"), vibration),
-        draw_campbell(work.figure("campbell"), twin.behaviour),
+        write_table(work.folder / "prediction.csv", tabulate_vibration(vibration, twin.operating)),
+        write_table(work.folder / "modes.csv", tabulate_modes(twin.behaviour, twin.operating)),
+        draw_time(work.figure("prediction_time"), vibration, at, name_state(twin.operating)),
+        draw_orbit(work.figure("prediction_orbit"), vibration, at, name_state(twin.operating)),
+        draw_response(work.figure("prediction_response"), vibration, name_state(twin.operating)),
+        draw_campbell(work.figure("campbell"), twin.behaviour, name_state(twin.operating)),
     ]
     return StageOutput(summary, {"data_fingerprint": measurement.dataset.fingerprint}, written)
 
 
-def superpose_unseen(config: Config, measurement: Measurement) -> np.ndarray | None:
+def superpose_unseen(config: Config, measurement: Measurement, operating: Mapping[str, float]) -> np.ndarray | None:
     """(S, 2) complex, m: x and y of the prediction's node from the runs alone, without a bearing model.
 
-    None where no sum of the runs is the unbalance, or no probes show the node.
+    None where no sum of the runs is the unbalance, no probes show the node, or not all runs were measured at the
+    conditions of the prediction, at every speed.
     """
     dataset, node = measurement.dataset, config.machine.prediction.node
+    if dataset.operating:
+        there = mask_state(dataset.operating, operating)
+        there &= True if dataset.present is None else dataset.present.all(axis=1)
+        if not np.array_equal(dataset.speeds[there], np.unique(dataset.speeds)):
+            return None
+        dataset = dataset.at(there)
     dof, resolution = dataset.resolution()
     rows = [np.flatnonzero(dof == translation_dof(node, direction)) for direction in range(2)]
     runs = range(len(dataset.runs))
@@ -130,7 +182,8 @@ def superpose_unseen(config: Config, measurement: Measurement) -> np.ndarray | N
 def _say_superposed(config: Config, summed: np.ndarray | None, summary: Mapping[str, Any], at: int) -> None:
     beside = f"{config.name}: influence coefficients (sums of the runs, without a bearing model)"
     if summed is None:
-        say(f"{beside} have no answer: the unbalance is no sum of the runs', or no probes show the node")
+        conditions = ", or not all runs were measured at these conditions" if "operating" in summary else ""
+        say(f"{beside} have no answer: the unbalance is no sum of the runs', or no probes show the node{conditions}")
         return
     size, error = 1e6 * np.abs(summed[at]), summary.get("influence_coefficients", {}).get("error_percent", {})
     off = ", ".join(f"{direction} {percent:.2g} %" for direction, percent in error.items())

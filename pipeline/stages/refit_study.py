@@ -20,6 +20,7 @@ import numpy as np
 from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError
+from pipeline.evaluation.contradiction import MISMATCH
 from pipeline.evaluation.errors import CoefficientErrors, measure_coverage
 from pipeline.evaluation.physical_numbers import NumberError, measure_numbers
 from pipeline.files import write_json
@@ -31,7 +32,6 @@ from pipeline.identification.training import setup_of
 from pipeline.identification.uncertainty import uncertainty_of
 from pipeline.processes import open_pool
 from pipeline.reporting.console import count_progress, say, table
-from pipeline.reporting.error_table import MISMATCH
 from pipeline.reporting.figures import draw_refits
 from pipeline.stages.execution import StageOutput, use_threads
 from pipeline.stages.generate import model_machine, read_probes

@@ -26,8 +26,10 @@ from pipeline.reporting.report.pdf import write_pdf
 from pipeline.reporting.report.sections import list_sections
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_identified, load_measurement, load_modelled, update_measurement
+from pipeline.stages.predict import OPERATING, choose_operating
 from pipeline.stages.workspace import Workspace, locate_files
 from pipeline.tracking.provenance import describe_provenance
+from pipeline.twin.at_conditions import measurement_at, say_beyond
 from pipeline.twin.modes import find_modes
 
 _TABLES: dict[str, tuple[dict[str, str], dict[str, str]]] = {
@@ -75,7 +77,7 @@ def collect_content(config: Config) -> ReportContent:
     work, measurement = locate_files(config), load_measurement(config)
     reference = None if config.report.reference is None else _read_reference(Path(config.report.reference))
     fit = _read_fit(config, measurement)
-    _make_current(config, work, fit is not None)
+    _make_current(config, work, fit)
     names = {"ingest", "diagnosis"} | ({"training", "metrics", "prediction", "verdicts"} if fit else set())
     found = {name: work.folder / f"{name}.json" for name in names}
     if fit is not None and _is_older(found["verdicts"], work.training):
@@ -92,17 +94,28 @@ def collect_content(config: Config) -> ReportContent:
     )
 
 
-def _make_current(config: Config, work: Workspace, fitted: bool) -> None:
+def _make_current(config: Config, work: Workspace, fit: FitContent | None) -> None:
     """Run the stages whose files the report reads, where they are missing or older than what they follow from."""
     from pipeline.stages import run_stage
 
     needed = {"diagnose": ("diagnosis.json", work.vibration)}
-    if fitted:
+    if fit is not None:
         needed |= {"evaluate": ("metrics.json", work.training), "predict": ("modes.csv", work.training)}
     for stage, (name, source) in needed.items():
-        if not (work.folder / name).exists() or _is_older(work.folder / name, source):
-            say(f"'{work.folder / name}' is missing, or older than '{source}': running stage={stage} first")
-            run_stage(config.model_copy(update={"stage": stage}))
+        path = work.folder / name
+        if not path.exists() or _is_older(path, source):
+            why = f"is missing, or older than '{source}'"
+        elif stage == "predict" and fit is not None and _is_elsewhere(work, fit):
+            why = "is of other operating conditions"
+        else:
+            continue
+        say(f"'{path}' {why}: running stage={stage} first")
+        run_stage(config.model_copy(update={"stage": stage}))
+
+
+def _is_elsewhere(work: Workspace, fit: FitContent) -> bool:
+    """Whether the prediction is of other conditions than those that are asked for."""
+    return bool(read_json(work.folder / "prediction.json").get("operating", {}) != dict(fit.operating))
 
 
 def _is_older(path: Path, source: Path) -> bool:
@@ -119,18 +132,28 @@ def _read_fit(config: Config, measurement: Measurement) -> FitContent | None:
     work, data = locate_files(config), measurement.dataset
     uncertainty = load_uncertainty(work.folder, identified)
     updated = update_measurement(measurement, uncertainty)
-    bearings = identified.table(updated.updated_known)
+    bearings, operating = identified.table(updated.updated_known), choose_operating(config, data)
+    there = measurement_at(updated, operating, OPERATING)
+    at_conditions = identified.table(there.updated_known) if operating else bearings
     found = read_json(work.training).get("fit", {}).get("noise_factor")
     factor = np.array(list(found.values())) if found and len(found) == len(data.channels) else None
+    every, chosen = (
+        None if uncertainty is None else uncertainty.deviation(identified, at.speeds, at.operating)
+        for at in (bearings, at_conditions)
+    )
     return FitContent(
-        bearings,
-        None if uncertainty is None else uncertainty.deviation(identified, data.speeds),
-        identified.unknowns.by_bearing,
-        load_modelled(config, measurement),
-        updated.response.predict(bearings, None if uncertainty is None else uncertainty.residual_unbalance),
-        measurement.deviation_of(data.displacement, data.subtracted, factor),
-        find_modes(updated.updated_rotor, bearings),
-        updated.updated_rotor,
+        bearings=bearings,
+        deviation=every,
+        unknowns=identified.unknowns.by_bearing,
+        modelled=load_modelled(config, measurement),
+        predicted=updated.response.predict(bearings, None if uncertainty is None else uncertainty.residual_unbalance),
+        noise=measurement.deviation_of(data.displacement, data.subtracted, factor),
+        at_conditions=at_conditions,
+        at_deviation=chosen,
+        operating=operating,
+        beyond=say_beyond(data.operating, operating),
+        modes=find_modes(updated.updated_rotor, at_conditions),
+        rotor=updated.updated_rotor,
     )
 
 

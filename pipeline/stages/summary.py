@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from pipeline.config.schema import Config
+from pipeline.data.as_built import stand_on_pedestals
 from pipeline.files import read_json, write_text
 from pipeline.identification.losses import loss_of
 from pipeline.identification.uncertainty import Uncertainty
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say
+from pipeline.reporting.physical_numbers import list_numbers
 from pipeline.reporting.summary_figure import draw_summary
 from pipeline.reporting.summary_text import Results, ShownRun, write_summary
+from pipeline.reporting.write_numbers import format_deviation
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.execution import StageOutput
-from pipeline.stages.measurement import load_measurement, update_measurement
+from pipeline.stages.measurement import load_measurement, load_modelled, update_measurement
 from pipeline.stages.predict import Twin, build_twin
 from pipeline.stages.workspace import locate_files
+from pipeline.twin.at_conditions import say_beyond
 
 
 def run(config: Config) -> StageOutput:
@@ -31,20 +37,30 @@ def run(config: Config) -> StageOutput:
     return StageOutput(tags={"data_fingerprint": measurement.dataset.fingerprint}, files=written)
 
 
-def _collect_results(config: Config, measurement: Measurement, twin: Twin, training: dict[str, object]) -> Results:
-    speeds, uncertainty = measurement.dataset.speeds, twin.uncertainty
+def _collect_results(config: Config, measurement: Measurement, twin: Twin, training: dict[str, Any]) -> Results:
+    data, uncertainty = measurement.dataset, twin.uncertainty
+    identified = twin.identified.table(update_measurement(measurement, uncertainty).updated_known)
+    modelled = twin.systems.get("modelled")
+    if data.operating and (modelled := load_modelled(config, measurement)) is not None and config.machine.as_built:
+        modelled = stand_on_pedestals(modelled, config.machine.as_built)
     return Results(
         rotor=measurement.rotor,
-        dataset=measurement.dataset,
-        identified=twin.systems["identified"],
-        modelled=twin.systems.get("modelled"),
+        dataset=data,
+        identified=identified,
+        modelled=modelled,
         unknowns=twin.identified.unknowns.by_bearing,
-        deviation=None if uncertainty is None else uncertainty.deviation(twin.identified, speeds),
+        deviation=None if uncertainty is None else uncertainty.deviation(twin.identified, data.speeds, data.operating),
         training=training,
-        shown=_choose_run(config, measurement, twin.systems["identified"], uncertainty),
+        shown=_choose_run(config, measurement, identified, uncertainty),
         vibration=twin.vibration,
         behaviour=twin.behaviour["identified"],
         at=twin.at,
+        operating=twin.operating,
+        beyond=say_beyond(data.operating, twin.operating),
+        numbers=[
+            f"{one.label} {format_deviation(one.value, one.deviation)} {one.unit}"
+            for one in list_numbers(training.get("physical_numbers", {}), config)
+        ],
     )
 
 
@@ -58,5 +74,7 @@ def _choose_run(
     updated = update_measurement(measurement, uncertainty).select(None, np.array([r]))
     found = None if uncertainty is None else uncertainty.residual_unbalance
     reached, one = updated.response.predict(bearings, found)[..., 0], data.displacement[..., r]  # (S, P) complex, m
+    if data.present is not None:
+        reached = np.where(data.present[:, [r]], reached, 0.0)
     probe = int(np.abs(one).max(axis=0).argmax())
     return ShownRun(data.runs[r], bool(held_out), probe, one, reached)

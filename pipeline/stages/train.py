@@ -27,6 +27,7 @@ from pipeline.problem.determination import Deviations, describe_determined, summ
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, training_progress, warn
 from pipeline.reporting.model_error import print_parameters
+from pipeline.reporting.physical_numbers import describe_law, list_numbers, print_numbers
 from pipeline.rotor.parameters import UNITS
 from pipeline.stages.diagnose import describe_noise, say_diagnosis
 from pipeline.stages.execution import StageOutput, use_threads
@@ -89,7 +90,8 @@ def run(config: Config) -> StageOutput:
 
 def _deviations(config: Config, measurement: Measurement, found: Fit) -> Deviations | None:
     """Posterior ones, of a loss that states them."""
-    values = found.deviation(measurement.dataset.speeds)
+    data = measurement.dataset
+    values = found.deviation(data.speeds, data.operating)
     if values is None:
         return None
     noise = "the noise that was found" if config.loss.noise == "estimated" else describe_noise(config)
@@ -107,7 +109,7 @@ def _summarize(found: Fit) -> dict[str, object]:
 
 def _write(config: Config, measurement: Measurement, found: Fit, summary: Mapping[str, object]) -> list[Path]:
     """Every file of the fit; tables without a row where the loss says nothing of them. Raises StorageError."""
-    work = locate_files(config)
+    work, data = locate_files(config), measurement.dataset
     model = [*save_model(work.folder, found.model), save_uncertainty(work.folder, found.uncertainty)]
     about = {
         "outcome": found.outcome.label,
@@ -116,7 +118,7 @@ def _write(config: Config, measurement: Measurement, found: Fit, summary: Mappin
         "model": " ".join(hash_file(path) for path in model),
     }
     updated = update_measurement(measurement, found.uncertainty)
-    table, deviation = found.table(updated.updated_known), found.deviation(measurement.dataset.speeds)
+    table, deviation = found.table(updated.updated_known), found.deviation(data.speeds, data.operating)
     return [
         *model,
         write_coefficients(work.identified, table, deviation=deviation),
@@ -181,6 +183,10 @@ def _report(config: Config, found: Fit) -> None:
     )
     if found.quality.model_parameters:
         print_parameters(config.name, found.quality.model_parameters)
+    summary = found.quality.summary
+    print_numbers(config.name, list_numbers(summary.get("physical_numbers", {}), config))
+    for words in describe_law(summary, config.model.kind):
+        say(f"{config.name}: {words}")
     misfit = found.quality.misfit
     # NaN compares false.
     if misfit is not None and not misfit < FAR_FROM_EXPECTED:

@@ -10,6 +10,7 @@ import numpy as np
 from pipeline.config.recordings import NoRecordingsConfig
 from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
+from pipeline.evaluation.contradiction import find_contradiction
 from pipeline.files import read_json, write_json
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.losses import loss_of
@@ -26,7 +27,7 @@ from pipeline.trust.evidence import Evidence, gather
 from pipeline.trust.mistakes import WORTH_TRYING, Found, Probe, find_mistakes
 from pipeline.trust.next_run import weigh_candidates
 from pipeline.trust.report import judge, refuse_without_deviations
-from pipeline.trust.verdict import SIGNIFICANT, judge_mistakes
+from pipeline.trust.verdict import SIGNIFICANT, judge_law, judge_mistakes
 
 
 def run(config: Config) -> StageOutput:
@@ -76,7 +77,9 @@ def assess(
         values = measurement.unknowns.leading(evidence.answer.values)
         probes = _list_probes(config) if locate_files(config).own else ()
         mistakes = find_mistakes(updated.as_stated(), values, config.model.kind == "constant", probes)
-    return judge(evidence, gains, judge_mistakes(mistakes)), evidence
+    return judge(
+        evidence, gains, [*judge_mistakes(mistakes), *judge_law(find_contradiction(about, config.model.kind))]
+    ), evidence
 
 
 def _list_probes(config: Config) -> tuple[Probe, ...]:
@@ -96,7 +99,7 @@ def mark_fitted(config: Config, measurement: Measurement) -> np.ndarray:
     fitted = np.broadcast_to(keep[:, None, None], data.displacement.shape).copy()
     if loss_of(config.loss).weighs_noise:
         fitted[..., held_out_runs(measurement, training)] = False
-    return fitted
+    return fitted if data.present is None else fitted & data.present[:, None]
 
 
 def _tabulate(found: Mapping[str, Any]) -> dict[str, list[Any]]:

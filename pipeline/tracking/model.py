@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import importlib.metadata
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.operating import column_of
+from pipeline.data.operating_points import list_columns
+from pipeline.identification.storage import load_model
 from pipeline.units import RAD_S_PER_RPM
 
 if TYPE_CHECKING:
@@ -18,6 +21,8 @@ if TYPE_CHECKING:
     from mlflow import MlflowClient
     from mlflow.entities import LoggedModel, Run
     from mlflow.models import ModelSignature
+
+    from pipeline.identification.identified import IdentifiedModel
 
 MODEL_NAME = "model"
 SPEED, NODE = "speed_rpm", "bearing_node"
@@ -37,13 +42,17 @@ def log_model(client: MlflowClient, run: Run, folder: Path, parameters: Mapping[
     from mlflow.entities import LoggedModelOutput, LoggedModelStatus
 
     weights, description = folder / "model.safetensors", folder / "model.json"
-    signature = _describe_signature(folder)
+    identified = load_model(folder)
+    signature = _describe_signature(folder, list_conditions(identified))
     logged = client.create_logged_model(
         run.info.experiment_id, name=MODEL_NAME, source_run_id=run.info.run_id, params=dict(parameters)
     )
     try:
         with tempfile.TemporaryDirectory() as scratch:
-            _save(Path(scratch, MODEL_NAME), logged, signature, weights, description)
+            example = {SPEED: [_EXAMPLE_RPM]} | _exemplify(identified)
+            _save(
+                Path(scratch, MODEL_NAME), logged, signature, {"weights": weights, "description": description}, example
+            )
             client.log_model_artifacts(logged.model_id, str(Path(scratch, MODEL_NAME)))
         client.log_outputs(run.info.run_id, [LoggedModelOutput(logged.model_id, step=0)])
     except BaseException:
@@ -53,7 +62,39 @@ def log_model(client: MlflowClient, run: Run, folder: Path, parameters: Mapping[
     return logged.model_id
 
 
-def _save(path: Path, logged: LoggedModel, signature: ModelSignature, weights: Path, description: Path) -> None:
+def list_conditions(identified: IdentifiedModel) -> tuple[str, ...]:
+    """The operating conditions that the coefficients depend on."""
+    laws = () if identified.laws is None else identified.laws.inputs
+    inputs = () if identified.model.hidden is None else identified.model.inputs
+    return tuple(dict.fromkeys(name for name in (*inputs, *laws) if name != "speed"))
+
+
+def _exemplify(identified: IdentifiedModel) -> dict[str, list[float]]:
+    """The middle of each condition that the model is a function of, by the column that has it."""
+    columns: dict[str, list[float]] = {}
+    for name in list_conditions(identified):
+        model, column = identified.model, column_of(name)
+        middle = np.mean(model.ranges[model.inputs.index(name)]) if name in model.inputs else _EXAMPLES.get(name, 1.0)
+        columns[column.column] = column.from_si(np.array([middle])).tolist()
+    return columns
+
+
+_EXAMPLES = {"oil_temperature": 323.15, "load": 1000.0}
+
+
+def read_conditions(identified: IdentifiedModel, table: pd.DataFrame) -> dict[str, np.ndarray]:
+    """Name -> (n,) SI, of the conditions that the coefficients depend on, from the columns of a table."""
+    columns = {name: column_of(name) for name in list_conditions(identified)}
+    return {name: one.to_si(table[one.column].to_numpy()) for name, one in columns.items()}
+
+
+def _save(
+    path: Path,
+    logged: LoggedModel,
+    signature: ModelSignature,
+    artifacts: Mapping[str, Path],
+    example: Mapping[str, Sequence[float]],
+) -> None:
     from unittest.mock import patch  # it imports asyncio
 
     import pandas as pd
@@ -75,50 +116,57 @@ def _save(path: Path, logged: LoggedModel, signature: ModelSignature, weights: P
                 run_id=logged.source_run_id,
             ),
             python_model=str(_PREDICTOR),
-            artifacts={"weights": str(weights), "description": str(description)},
+            artifacts={name: str(of) for name, of in artifacts.items()},
             code_paths=[str(_PACKAGE_FOLDER)],
             signature=signature,
-            input_example=pd.DataFrame({SPEED: [_EXAMPLE_RPM]}),
-            pip_requirements=_pin_requirements(),
+            input_example=pd.DataFrame(example),
+            pip_requirements=_pin_requirements("pint" if len(example) > 1 else None),
         )
 
 
-def _describe_signature(folder: Path) -> ModelSignature:
-    """One speed in; a bearing node, that speed and the coefficients this model identifies out."""
+def _describe_signature(folder: Path, conditions: Sequence[str]) -> ModelSignature:
+    """A speed and the conditions in; a bearing node, these and the coefficients this model identifies out."""
     from mlflow.models import ModelSignature
     from mlflow.types import ColSpec, Schema
 
     from pipeline.identification.storage import identified_names
 
-    columns = [NODE, SPEED, *identified_names(folder)]
+    given = [SPEED, *(column_of(name).column for name in conditions)]
+    columns = [NODE, *given, *identified_names(folder)]
     return ModelSignature(
-        inputs=Schema([ColSpec("double", SPEED)]),
+        inputs=Schema([ColSpec("double", name) for name in given]),
         outputs=Schema([ColSpec("long" if name == NODE else "double", name) for name in columns]),
     )
 
 
-def _pin_requirements() -> list[str]:
-    """The predictor's packages at the versions here, less a build's own mark such as ``+cpu``."""
-    return [f"{name}=={importlib.metadata.version(name).partition('+')[0]}" for name in _REQUIREMENTS]
+def _pin_requirements(more: str | None) -> list[str]:
+    """The predictor's packages, and ``more``, at the versions here, less a build's own mark such as ``+cpu``."""
+    names = [*_REQUIREMENTS, *([more] if more else [])]
+    return [f"{name}=={importlib.metadata.version(name).partition('+')[0]}" for name in names]
 
 
 class CoefficientModel(Protocol):
     """What can be evaluated: stiffnesses (N/m) and dampings (N s/m) by bearing node and name."""
 
-    def coefficients(self, speed_rad_s: np.ndarray, /) -> dict[int, dict[str, np.ndarray]]: ...
+    def coefficients(
+        self, speed_rad_s: np.ndarray, operating: Mapping[str, np.ndarray] | None, /
+    ) -> dict[int, dict[str, np.ndarray]]: ...
 
 
-def tabulate_coefficients(model: CoefficientModel, speed_rpm: np.ndarray) -> pd.DataFrame:
+def tabulate_coefficients(
+    model: CoefficientModel, speed_rpm: np.ndarray, operating: Mapping[str, np.ndarray] | None = None
+) -> pd.DataFrame:
     """The columns of ``identified_coefficients.csv``: a row for each bearing and speed, bearing by bearing.
 
     :param speed_rpm: rotor speeds, shape (n,), rev/min
-    :returns: ``bearing_node``, ``speed_rpm`` and the identified coefficients (N/m, N s/m); NaN where a
+    :param operating: conditions at them by name, shape (n,), SI
+    :returns: ``bearing_node``, ``speed_rpm``, the conditions and the identified coefficients (N/m, N s/m); NaN where a
         bearing lacks one that another bearing has
     """
     import pandas as pd
 
     speeds = np.asarray(speed_rpm, dtype=float)
-    bearings = model.coefficients(speeds * RAD_S_PER_RPM)
+    bearings = model.coefficients(speeds * RAD_S_PER_RPM, operating)
     found = {name for values in bearings.values() for name in values}
     names = [name for name in COEFFICIENTS if name in found]
     missing = np.full(speeds.shape, np.nan)
@@ -126,6 +174,7 @@ def tabulate_coefficients(model: CoefficientModel, speed_rpm: np.ndarray) -> pd.
         NODE: np.repeat(np.array(list(bearings), dtype=np.int64), speeds.size),
         SPEED: np.tile(speeds, len(bearings)),
     }
+    columns |= {name: np.tile(values, len(bearings)) for name, values in list_columns(operating or {}).items()}
     for name in names:
         columns[name] = np.concatenate([values.get(name, missing) for values in bearings.values()])
     return pd.DataFrame(columns)

@@ -11,7 +11,7 @@ from mlflow.pyfunc.model import PythonModel, PythonModelContext
 
 
 class CoefficientPredictor(PythonModel):
-    """A table of rotor speeds (``speed_rpm``) in, a table of bearing coefficients (SI) out."""
+    """A table of rotor speeds (``speed_rpm``) and conditions in, a table of bearing coefficients (SI) out."""
 
     def load_context(self, context: PythonModelContext) -> None:
         """Read the network from the model's own files."""
@@ -24,9 +24,10 @@ class CoefficientPredictor(PythonModel):
         self, context: PythonModelContext, model_input: pd.DataFrame, params: dict[str, Any] | None = None
     ) -> pd.DataFrame:
         """The coefficients at the speeds; see :func:`pipeline.tracking.model.tabulate_coefficients`."""
-        from pipeline.tracking.model import SPEED, tabulate_coefficients
+        from pipeline.tracking.model import SPEED, read_conditions, tabulate_coefficients
 
-        return tabulate_coefficients(self._model, model_input[SPEED].to_numpy())
+        operating = read_conditions(self._model, model_input)
+        return tabulate_coefficients(self._model, model_input[SPEED].to_numpy(), operating)
 
 
 set_model(CoefficientPredictor())

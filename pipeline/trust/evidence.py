@@ -86,7 +86,7 @@ def gather(
     linear = linearise(measurement, identified, uncertainty, fitted, factor)
     answer = identified.table(measurement.updated_known)
     growth, unstable = find_growth(measurement, answer)
-    deviation = uncertainty.deviation(identified, answer.speeds)
+    deviation = uncertainty.deviation(identified, answer.speeds, answer.operating)
     left = float(np.mean(np.abs(linear.residual[fitted]) ** 2))
     unfitted, tolerances = linear.tolerances(max(1.0, left))
     runs = measurement.dataset.runs
@@ -200,6 +200,7 @@ def compare_superposed(measurement: Measurement, factor: np.ndarray | None) -> d
         data = update_excitations(data, measurement.parameters, measurement.parameter_values)
     noise = measurement.deviation_of(data.displacement, data.subtracted, factor)
     free = bool(measurement.unknowns.planes) or any(one.kind == "bow" for one in measurement.parameters)
+    whole = slice(None) if data.present is None else data.present.all(axis=1)  # points that every run was measured at
     found = {}
     for r, run in enumerate(data.runs):
         others = [o for o in range(len(data.runs)) if o != r]
@@ -207,7 +208,8 @@ def compare_superposed(measurement: Measurement, factor: np.ndarray | None) -> d
         if told is not None:
             summed, spread = told
             off = np.abs(summed - data.displacement[..., r]) ** 2 / (spread**2 + noise[..., r] ** 2)
-            found[run] = float(off.mean())
+            if off[whole].size:
+                found[run] = float(off[whole].mean())
     return found
 
 

@@ -156,14 +156,12 @@ def linearise(
     noise = measurement.deviation_of(predicted, measurement.dataset.subtracted, factor)
     residual = (measurement.dataset.displacement - predicted) / noise
     by_coefficient = measurement.response.sensitivity(answer, unbalance) / noise[..., None, None]
-    by_number = uncertainty.sensitivity(identified, answer.speeds)  # (B, S, 8, A (K + L))
-    count = by_number.shape[-1]
-    kept = np.diag(uncertainty.covariance)[:count] > 0
-    kept &= ~_is_local(count, uncertainty.n_local, len(uncertainty.active))
+    by_number = uncertainty.sensitivity(identified, answer.speeds, answer.operating)  # (B, S, 8, A (K + L) + Th)
+    kept = _mask_fitted(identified, uncertainty)
     by_number = by_number[..., kept]
     parts = [np.einsum("sprbc,bscz->sprz", by_coefficient, by_number, optimize=True)]
-    # The features are orthonormal over the speeds: an output of 1 at every speed is a weight of their root.
-    priors = [np.full(by_number.shape[-1], 1.0 / len(answer.speeds))]
+    seen = fitted[..., None] * parts[0]
+    priors = [_weigh_before(identified, uncertainty, kept, _cross(seen, seen), len(answer.speeds))]
     if unbalance.size:
         by_plane = measurement.response.derive_by_unbalance(answer) * uncertainty.plane_scale / noise[..., None]
         parts += [by_plane, 1j * by_plane]
@@ -188,10 +186,32 @@ def linearise(
 _NO_PRIOR = 1e-12
 
 
-def _is_local(count: int, n_local: int, active: int) -> np.ndarray:
-    """(A (K + L),) mask of the local functions, which no fit had."""
-    each = count // active
-    return np.tile(np.arange(each) >= each - n_local, active)
+def _mask_fitted(identified: IdentifiedModel, uncertainty: Uncertainty) -> np.ndarray:
+    """(A (K + L) + Th,) mask of the weights that the fit had: not what it dropped, nor the local functions."""
+    count = len(uncertainty.active) * (uncertainty.weights.shape[-1] + uncertainty.n_local)
+    each = count // max(len(uncertainty.active), 1)
+    local = np.tile(np.arange(each) >= each - uncertainty.n_local, len(uncertainty.active))
+    numbers = 0 if identified.theta is None else len(identified.theta)
+    kept = np.diag(uncertainty.covariance)[: count + numbers] > 0
+    kept[:count] &= ~local
+    return np.asarray(kept)
+
+
+def _weigh_before(
+    identified: IdentifiedModel, uncertainty: Uncertainty, kept: np.ndarray, told: np.ndarray, n_speeds: int
+) -> np.ndarray:
+    """(Z,) precision that the ``kept`` weights and numbers have without the readings, of information ``told`` (Z, Z).
+
+    Features are orthonormal over the speeds: an output of 1 at every speed is a weight of their root. A correction of
+    laws has the precision that its fit found: what its covariance knows beyond the readings.
+    """
+    if identified.laws is None:
+        return np.full(int(kept.sum()), 1.0 / n_speeds)
+    whole = np.linalg.inv(uncertainty.covariance[: len(kept), : len(kept)][np.ix_(kept, kept)])
+    before = np.maximum(np.diag(whole) - np.diag(told), _NO_PRIOR)
+    numbers = [1.0 / one.deviation**2 for one in identified.laws.parameters]
+    before[len(before) - len(numbers) :] = numbers
+    return np.asarray(before)
 
 
 def _by_parameters(

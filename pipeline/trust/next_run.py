@@ -61,6 +61,7 @@ def weigh_candidates(
         excitations=excitations,
         own_frequencies=None,
         subtracted=None,
+        present=None,
     )
     planned = replace(measurement, dataset=plan, drift=None)  # its runs are conditions of their own
     seen = linearise(planned, identified, uncertainty, np.ones(shape, dtype=bool), factor, tolerances=False).by_weight

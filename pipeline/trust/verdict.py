@@ -99,6 +99,11 @@ def judge_mistakes(found: Sequence[Found]) -> list[Reason]:
     ]
 
 
+def judge_law(found: tuple[str, str] | None) -> list[Reason]:
+    """What contradicts the bearing law of the fit, and the next step; nothing for None."""
+    return [] if found is None else [Reason(Verdict.WITH_CARE, *found)]
+
+
 def judge_machine(evidence: Evidence) -> list[Reason]:
     """What speaks against all coefficients together."""
     reasons = []

@@ -118,7 +118,7 @@ def deviate_modes(
 
     ``measurement`` is at the fitted model parameters, ``modes`` and ``bearings`` are those of its rotor.
     """
-    by_number = uncertainty.sensitivity(identified, bearings.speeds)  # (B, S, 8, A (K + L))
+    by_number = uncertainty.sensitivity(identified, bearings.speeds, bearings.operating)  # (B, S, 8, A (K + L))
     count, covariance = by_number.shape[-1], uncertainty.of_machine
     changes = [rotor_change(one, measurement.rotor) for one in measurement.parameters]
     along = [t for t, one in enumerate(measurement.parameters) if one.kind == "bearing_position"]

@@ -60,7 +60,7 @@ def add_deviation(
     stiffness = float(np.median(np.abs(bearings.values[..., 0])))
     equations = response_equations(measurement.updated_rotor, dataset, stiffness)
     by_coefficient = equations.sensitivity(bearings)[:, :, 0]  # (S, 2, B, 8)
-    by_number = uncertainty.sensitivity(identified, bearings.speeds)  # (B, S, 8, A (K + L))
+    by_number = uncertainty.sensitivity(identified, bearings.speeds, bearings.operating)  # (B, S, 8, A (K + L))
     moved = np.einsum("sdbc,bscz->sdz", by_coefficient, by_number)
     if measurement.parameters:
         rotor, parameters = measurement.rotor, of_machine_alone(measurement.parameters)

@@ -16,6 +16,7 @@ import numpy as np
 
 from pipeline.config.identification import TrainingConfig
 from pipeline.data.dataset import Excitation, VibrationDataset
+from pipeline.data.operating import split_states
 from pipeline.identification.output_error_start import held_out_range, held_out_runs
 from pipeline.identification.training import held_out_speeds
 from pipeline.problem.measurement import Measurement
@@ -92,15 +93,23 @@ def _amplitudes(excitations: Sequence[Excitation]) -> dict[tuple[str, int, str],
 
 
 def interpolate_response(dataset: VibrationDataset, seen: np.ndarray) -> np.ndarray | None:
-    """(S', P, R) complex, m: the readings at the speeds that ``seen`` (S,) leaves out, by cubic splines through the
-    others; None where one of them lies outside the others.
+    """(S', P, R) complex, m: the readings at the points that ``seen`` (S,) leaves out, by cubic splines over the speed
+    through the others of the same state; None where one of them lies outside the others, or a run is missing.
     """
     from scipy.interpolate import CubicSpline
 
-    known, asked = dataset.speeds[seen], dataset.speeds[~seen]
-    if len(known) < 2 or not len(asked) or asked.min() < known.min() or asked.max() > known.max():
+    if dataset.present is not None and not dataset.present.all():
         return None
-    return np.asarray(CubicSpline(known, dataset.displacement[seen])(asked))
+    drawn = np.zeros_like(dataset.displacement)
+    for _, points in split_states(dataset.speeds, dataset.operating):
+        known, asked = points[seen[points]], points[~seen[points]]
+        if not len(asked):
+            continue
+        speeds = dataset.speeds
+        if len(known) < 2 or speeds[asked[0]] < speeds[known[0]] or speeds[asked[-1]] > speeds[known[-1]]:
+            return None
+        drawn[asked] = CubicSpline(speeds[known], dataset.displacement[known])(speeds[asked])
+    return None if seen.all() else drawn[~seen]
 
 
 @dataclass(frozen=True)
@@ -122,14 +131,16 @@ def compare_held_out(
     ``measurement`` is at the fitted model parameters, ``bearings`` and the residual ``unbalance`` (N,) kg m are fitted.
     """
     dataset = measurement.dataset
-    predicted, measured = measurement.response.predict(bearings, unbalance), dataset.displacement
-    out = held_out_runs(measurement, training)
+    present = np.ones(dataset.displacement.shape[::2], dtype=bool) if dataset.present is None else dataset.present
+    predicted = np.where(present[:, None], measurement.response.predict(bearings, unbalance), 0.0)
+    measured, out = dataset.displacement, held_out_runs(measurement, training)
     fitted = np.setdiff1d(np.arange(len(dataset.runs)), out)
     found = []
     for r in out:
         acting, planes = dataset.excitation_of(int(r)), measurement.unknowns.planes
         summed = superpose(dataset, fitted.tolist(), acting, dataset.frequencies[:, r], bool(planes))
-        error = None if summed is None else error_percent(summed, measured[..., r])
+        beside = present[:, r] & present[:, fitted].all(axis=1)
+        error = error_percent(summed[beside], measured[beside, :, r]) if summed is not None and beside.any() else None
         model = error_percent(predicted[..., r], measured[..., r])
         found.append(HeldOut(dataset.runs[r], dataset.speeds, True, model, error))
     every = held_out_speeds(len(dataset.speeds), training.holdout_every)

@@ -8,7 +8,8 @@ import pytest
 from conftest import Run
 
 from pipeline.config.compose import compose_config
-from pipeline.reporting.summary_text import WIDTH, format_engineering
+from pipeline.reporting.summary_text import WIDTH
+from pipeline.reporting.write_numbers import format_engineering
 
 LINES = 40
 FEW = [

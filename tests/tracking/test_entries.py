@@ -44,7 +44,7 @@ def test_parts_are_given_up_once_failures_have_taken_the_time() -> None:
 
 def test_table_of_bearings_with_different_coefficients() -> None:
     class Stub:
-        def coefficients(self, speeds: np.ndarray) -> dict[int, dict[str, np.ndarray]]:
+        def coefficients(self, speeds: np.ndarray, operating: object) -> dict[int, dict[str, np.ndarray]]:
             return {3: {"cxx": speeds, "kxx": 2 * speeds}, 7: {"kxx": 5 * speeds}}
 
     table = tabulate_coefficients(Stub(), np.array([30.0, 60.0]))

@@ -6,12 +6,14 @@ import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.data.noise import NOMINAL_95
+from pipeline.data.operating import name_state
 from pipeline.data.vibration_files import to_rpm
 from pipeline.reporting.figures import BLACK, LOOKS
 from pipeline.reporting.identified_figure import UNITS
 from pipeline.reporting.report.content import FitContent, ReportContent
 from pipeline.reporting.report.figure import Axes, Curve, Figure, Panel
 from pipeline.reporting.report.section import Paragraph, Section, Table, write_number
+from pipeline.reporting.report.states import draw_states, list_at_states
 
 _KINDS = {"k": "stiffness", "c": "damping"}
 _ROWS = 5
@@ -33,12 +35,12 @@ def describe_coefficients(content: ReportContent) -> Section | None:
         )
     if fit.modelled is not None:
         words += " The data were modelled, so that the true coefficients are known; the fit did not read them."
-    figures = tuple(_draw(content, fit, letter) for letter in "kc")
-    return Section(
-        "coefficients",
-        "Stiffness and damping",
-        (Paragraph(words), _list(content, fit), *figures, *_compare(content, fit)),
-    )
+    shown: tuple[Table | Figure, ...]
+    if fit.bearings.operating:
+        shown = (*list_at_states(content, fit), *(draw_states(content, fit, letter) for letter in "kc"))
+    else:
+        shown = (_list(content, fit), *(_draw(content, fit, letter) for letter in "kc"))
+    return Section("coefficients", "Stiffness and damping", (Paragraph(words), *shown, *_compare(content, fit)))
 
 
 def _draw(content: ReportContent, fit: FitContent, letter: str) -> Figure:
@@ -109,8 +111,8 @@ def _compare(content: ReportContent, fit: FitContent) -> list[Table]:
     reference = content.reference
     if reference is None:
         return []
-    rows = []
-    rpm = to_rpm(fit.bearings.speeds)
+    rows, bearings, deviation = [], fit.at_conditions, fit.at_deviation
+    rpm = to_rpm(bearings.speeds)
     for b, names in enumerate(fit.unknowns):
         at = reference["bearing_node"] == fit.bearings.nodes[b]
         inside = at & (reference["speed_rpm"] >= rpm[0]) & (reference["speed_rpm"] <= rpm[-1])
@@ -118,19 +120,17 @@ def _compare(content: ReportContent, fit: FitContent) -> list[Table]:
             if name not in reference or not inside.any():
                 continue
             c, speeds = COEFFICIENTS.index(name), reference["speed_rpm"][inside]
-            found, given = np.interp(speeds, rpm, fit.bearings.values[b, :, c]), reference[name][inside]
+            found, given = np.interp(speeds, rpm, bearings.values[b, :, c]), reference[name][inside]
             off = found - given
             with np.errstate(divide="ignore", invalid="ignore"):
                 percent = float(np.nanmedian(100 * off / np.abs(given)))
             cells = [f"node {fit.bearings.nodes[b]} {name}", f"{len(speeds)}", write_number(percent, digits=3)]
-            if fit.deviation is not None:
-                cells.append(
-                    write_number(
-                        float(np.nanmedian(np.abs(off) / np.interp(speeds, rpm, fit.deviation[b, :, c]))), digits=3
-                    )
-                )
+            if deviation is not None:
+                share = np.abs(off) / np.interp(speeds, rpm, deviation[b, :, c])
+                cells.append(write_number(float(np.nanmedian(share)), digits=3))
             rows.append(cells)
     header = ["coefficient", "speeds in common", "difference, % (median)"]
     header += ["difference over its deviation (median)"] if fit.deviation is not None else []
     name = content.origin.get("reference", "the reference")
-    return [Table(f"Identified less reference ({name})", header, rows)]
+    at = f" at {name_state(fit.operating)}" if fit.operating else ""
+    return [Table(f"Identified{at} less reference ({name})", header, rows)]

@@ -15,9 +15,11 @@ import numpy as np
 from pipeline.config.recordings import NoRecordingsConfig
 from pipeline.config.schema import Config
 from pipeline.data.dataset import VibrationDataset, name_direction, project_direction
+from pipeline.data.operating import name_state
 from pipeline.data.vibration_files import to_rpm
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.figures import LOOKS
+from pipeline.reporting.state_figures import colour_states, pick_states
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.twin.modes import WhirlModes
@@ -49,9 +51,13 @@ class Waveforms:
     centre: np.ndarray  # (T, 2) m, mean x and y
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class FitContent:
-    """What was identified, and how it follows the readings."""
+    """What was identified, and how it follows the readings.
+
+    ``at_conditions`` are the coefficients at the conditions of the prediction, at each speed once: ``bearings`` where
+    the data have no conditions. The modes are theirs.
+    """
 
     bearings: BearingTable
     deviation: np.ndarray | None  # (B, S, 8) N/m and N s/m
@@ -59,6 +65,10 @@ class FitContent:
     modelled: BearingTable | None  # the truth of modelled data
     predicted: np.ndarray  # (S, P, R) complex, m
     noise: np.ndarray  # (S, P, R) m, root mean square of each reading's noise
+    at_conditions: BearingTable
+    at_deviation: np.ndarray | None  # (B, U, 8) of them
+    operating: Mapping[str, float]  # SI; empty without conditions
+    beyond: Sequence[str]  # which of them lie outside the data, in words
     modes: WhirlModes
     rotor: RotorModel  # at the fitted model parameters
 
@@ -134,6 +144,26 @@ class ReportContent:
         """Colour and dash of a run, the same in every figure."""
         i = self.shown_runs.index(run)
         return {"colour": LOOKS[i % len(LOOKS)][0], "dash": DASHES[i % len(DASHES)], "label": self.dataset.runs[run]}
+
+    def traces(self, run: int) -> list[tuple[np.ndarray, dict[str, Any]]]:
+        """The points (indices, by ascending speed) of each state that a run was measured at, and the look of its curve.
+
+        Of several states the colour is that of the state, the dash that of the run.
+        """
+        data, look = self.dataset, self.look(run)
+        states = pick_states(data.speeds, data.operating)
+        found = []
+        for (label, points), colour in zip(states, colour_states(len(states)), strict=True):
+            own = points if data.present is None else points[data.present[points, run]]
+            of_state = {"colour": colour, "label": f"{look['label']}, {label}"} if len(states) > 1 else {}
+            if len(own):
+                found.append((own, look | of_state))
+        return found
+
+    def name_point(self, point: int) -> str:
+        """Its speed, and its conditions where there are any, such as ``3000 rpm, 45 degC``."""
+        state = name_state({name: values[point] for name, values in self.dataset.operating.items()})
+        return f"{self.rpm[point]:.6g} rpm" + (f", {state}" if state else "")
 
     def baseline(self) -> np.ndarray | None:
         """(S, P) complex, m: the run of the machine as it was found, which was taken off the others."""

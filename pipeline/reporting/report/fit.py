@@ -70,16 +70,17 @@ def _write_quality(content: ReportContent) -> str:
 
 def _list_probes(content: ReportContent, fit: FitContent) -> Table:
     """Root mean square of the residual of each probe, in percent and in deviations."""
-    rows = []
+    rows, present = [], content.dataset.present
     stated = "fit" in content.files.get("training", {})
     held = np.array([content.held_out(r) for r in range(len(content.dataset.runs))])
     for probe in content.shown_probes:
         measured = content.dataset.displacement[..., ~held].transpose(0, 2, 1) @ probe.weights
         rest = measured - fit.predicted[..., ~held].transpose(0, 2, 1) @ probe.weights
-        percent = 100 * np.linalg.norm(rest) / np.linalg.norm(measured)
+        there = np.ones(rest.shape, dtype=bool) if present is None else present[:, ~held]
+        percent = 100 * np.linalg.norm(rest[there]) / np.linalg.norm(measured)
         cells = [probe.name, f"{percent:.3g}"]
         if stated:
-            cells.append(f"{np.sqrt((np.abs(rest / _noise(fit, probe)[:, ~held]) ** 2).mean()):.3g}")
+            cells.append(f"{np.sqrt((np.abs(rest / _noise(fit, probe)[:, ~held])[there] ** 2).mean()):.3g}")
         rows.append(cells)
     header = ["probe", "residual, % of the readings", *(["residual over its noise"] if stated else [])]
     return Table("Fitted runs, root mean square over speeds and runs", header, rows)
@@ -96,21 +97,17 @@ def _draw(content: ReportContent, fit: FitContent, runs: list[int], name: str) -
     for probe in content.shown_probes:
         above, below = [], []
         for r in runs:
-            look = content.look(r)
             measured, predicted = vectors_of(content, probe, r), fit.predicted[..., r] @ probe.weights
             rest = np.abs(measured - predicted)
-            shown = slice(None, None, max(1, len(content.rpm) // 40))
-            run = look.pop("label")
-            above.append(
-                Curve(content.rpm[shown], np.abs(measured)[shown], f"{run} measured", look["colour"], "none", "o")
-            )
-            above.append(Curve(content.rpm, np.abs(predicted), f"{run} model", **look))
-            size = (
-                rest / _noise(fit, probe)[:, r]
-                if stated
-                else 100 * rest / np.linalg.norm(np.abs(measured)) * len(rest) ** 0.5
-            )
-            below.append(Curve(content.rpm, size, "", **look))
+            usual = np.linalg.norm(np.abs(measured)) / np.count_nonzero(measured) ** 0.5
+            size = rest / _noise(fit, probe)[:, r] if stated else 100 * rest / usual
+            for points, traced in content.traces(r):
+                look, rpm = dict(traced), content.rpm[points]
+                run, shown = look.pop("label"), slice(None, None, max(1, len(points) // 40))
+                seen = np.abs(measured[points])[shown]
+                above.append(Curve(rpm[shown], seen, f"{run} measured", look["colour"], "none", "o"))
+                above.append(Curve(rpm, np.abs(predicted[points]), f"{run} model", **look))
+                below.append(Curve(rpm, size[points], "", **look))
         unit = "residual / noise" if stated else "residual (%)"
         axes = (Axes(tuple(above), AMPLITUDE, amplitude=True), Axes(tuple(below), unit))
         panels.append(Panel(probe.name, RPM, axes))

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.data.operating import split_states
 from pipeline.reporting.figures import BLACK, GREY
 from pipeline.reporting.ingest_figures import find_lag, pick_speeds
 from pipeline.reporting.report.content import Probe, ReportContent, Waveforms
@@ -54,8 +55,8 @@ def _list_peaks(content: ReportContent) -> Table:
     for probe in content.shown_probes:
         size = np.abs(content.dataset.displacement.transpose(0, 2, 1) @ probe.weights)  # (S, R)
         s, r = np.unravel_index(size.argmax(), size.shape)
-        rows.append([probe.name, Amplitude(float(size[s, r])), f"{content.rpm[s]:.6g}", content.dataset.runs[r]])
-    return Table("Largest 1X amplitude of each probe (µm pk-pk)", ["probe", "amplitude", "speed, rpm", "run"], rows)
+        rows.append([probe.name, Amplitude(float(size[s, r])), content.name_point(int(s)), content.dataset.runs[r]])
+    return Table("Largest 1X amplitude of each probe (µm pk-pk)", ["probe", "amplitude", "at", "run"], rows)
 
 
 def vectors_of(content: ReportContent, probe: Probe, run: int) -> np.ndarray:
@@ -69,15 +70,18 @@ def _draw_bode(content: ReportContent) -> Figure:
     few = "o" if len(content.rpm) <= 12 else ""
     for probe in content.shown_probes:
         above, below = [], []
+        drawn: list[tuple[np.ndarray, np.ndarray, dict[str, Any]]] = []
         if baseline is not None:
-            vectors = baseline @ probe.weights
-            look: dict[str, Any] = {"colour": GREY, "dash": "dot", "width": 1.2}
-            above.append(Curve(content.rpm, np.abs(vectors), f"{content.config.data.baseline} (as found)", **look))
-            below.append(Curve(content.rpm, find_lag(vectors), f"{content.config.data.baseline} (as found)", **look))
+            found: dict[str, Any] = {"colour": GREY, "dash": "dot", "width": 1.2}
+            found["label"] = f"{content.config.data.baseline} (as found)"
+            states = split_states(content.dataset.speeds, content.dataset.operating)
+            drawn += [(points, (baseline @ probe.weights)[points], found) for _, points in states]
         for r in content.shown_runs:
-            vectors, look = vectors_of(content, probe, r), content.look(r) | {"marker": few}
-            above.append(Curve(content.rpm, np.abs(vectors), **look))
-            below.append(Curve(content.rpm, find_lag(vectors), **look))
+            vectors = vectors_of(content, probe, r)
+            drawn += [(points, vectors[points], look | {"marker": few}) for points, look in content.traces(r)]
+        for points, vectors, look in drawn:
+            above.append(Curve(content.rpm[points], np.abs(vectors), **look))
+            below.append(Curve(content.rpm[points], find_lag(vectors), **look))
         axes = (
             Axes(tuple(above), AMPLITUDE, amplitude=True),
             Axes(tuple(below), "phase lag (deg)", lag=True),
@@ -99,11 +103,13 @@ def _draw_polar(content: ReportContent) -> Figure:
     for probe in content.shown_probes[:4]:
         curves = []
         for r in content.shown_runs:
-            vectors = vectors_of(content, probe, r)
-            curves.append(Curve(-np.degrees(np.angle(vectors)), np.abs(vectors), **content.look(r)))
-            if r == content.shown_runs[0]:
+            for points, look in content.traces(r):
+                vectors = vectors_of(content, probe, r)[points]
+                curves.append(Curve(-np.degrees(np.angle(vectors)), np.abs(vectors), **look))
+                if len(curves) > 1:
+                    continue
                 ticks = _space_evenly(vectors)
-                words = tuple(f"{content.rpm[s]:.0f}" for s in ticks)
+                words = tuple(f"{content.rpm[s]:.0f}" for s in points[ticks])
                 at = vectors[ticks]
                 curves.append(
                     Curve(-np.degrees(np.angle(at)), np.abs(at), "", BLACK, "none", ".", words=words, named=False)
@@ -138,9 +144,10 @@ def _draw_orbits(content: ReportContent) -> Figure | None:
             curves: list[Curve] = []
             reach = float(np.abs(rows @ data.displacement[s][:, list(content.shown_runs)]).max())
             for r in content.shown_runs:
-                curves += _draw_orbit(rows @ data.displacement[s, :, r], content.look(r), reach)
+                if data.present is None or data.present[s, r]:
+                    curves += _draw_orbit(rows @ data.displacement[s, :, r], content.look(r), reach)
             axes = Axes(tuple(curves), "y (µm)", amplitude=True)
-            panels.append(Panel(f"node {node}, {content.rpm[s]:.5g} rpm", "x (µm)", (axes,), equal=True))
+            panels.append(Panel(f"node {node}, {content.name_point(s)}", "x (µm)", (axes,), equal=True))
     caption = (
         "1X orbits: their extent is the peak-to-peak amplitude. The dot is the shaft at the tacho pulse (the "
         "keyphasor dot); from it the orbit runs to the gap, and the arrow shows the sense. "

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 
 from pipeline.data.noise import NOMINAL_95
+from pipeline.data.operating import name_state
 from pipeline.data.vibration_files import to_rpm
 from pipeline.reporting.figures import BLACK, GREY, LOOKS
 from pipeline.reporting.report.content import DASHES, FitContent, ReportContent
 from pipeline.reporting.report.figure import Axes, Curve, Figure, Panel
-from pipeline.reporting.report.section import Paragraph, Section, Table, write_number
+from pipeline.reporting.report.section import Block, Paragraph, Section, Table, write_number
 from pipeline.units import RAD_S_PER_RPM
 
 _POINTS, _HIGHEST_DECREMENT = 60, 1.5
@@ -26,10 +27,11 @@ def describe_modes(content: ReportContent) -> Section | None:
     fit, found = content.fit, content.files.get("prediction", {}).get("identified")
     if fit is None or found is None:
         return None
-    stability, rpm = found["stability"], content.rpm
+    stability, rpm = found["stability"], to_rpm(fit.modes.speeds)
     said = "stable" if stability["stable"] else "UNSTABLE"
     growth = write_number(stability["largest_growth"], stability.get("largest_growth_std"), 3)
-    words = f"The identified machine is {said} from {rpm[0]:.6g} to {rpm[-1]:.6g} rpm; "
+    at = f" at {name_state(fit.operating)}" if fit.operating else ""
+    words = f"The identified machine is {said} from {rpm[0]:.6g} to {rpm[-1]:.6g} rpm{at}; "
     words += f"the largest growth rate is {growth} 1/s."
     least = stability["smallest_logarithmic_decrement"]
     if least is not None:
@@ -44,13 +46,20 @@ def describe_modes(content: ReportContent) -> Section | None:
     words += "with an amplification factor below 2.5 is critically damped. "
     running = content.config.machine.prediction.speed_rpm
     words += f"Separation margins are from {running:.6g} rpm (machine.prediction.speed_rpm), in percent of it."
-    blocks = [Paragraph(words, warning=not stability["stable"]), _list_critical_speeds(content, found)]
+    blocks: list[Block] = [Paragraph(words, warning=not stability["stable"]), *_warn_beyond(fit)]
+    blocks.append(_list_critical_speeds(rpm, found))
     figures = () if len(rpm) < 2 else (_draw_campbell(content, fit, found), _draw_stability(content, fit))
     return Section("modes", "Critical speeds and stability", (*blocks, *figures))
 
 
-def _list_critical_speeds(content: ReportContent, found: Mapping[str, Any]) -> Table | Paragraph:
-    rpm, critical = content.rpm, found["critical_speeds"]
+def _warn_beyond(fit: FitContent) -> list[Paragraph]:
+    """What lies outside the measured conditions."""
+    rest = "the bands grow there, and rest on the model of the coefficients alone."
+    return [Paragraph(f"{words[0].upper()}{words[1:]}: {rest}", warning=True) for words in fit.beyond]
+
+
+def _list_critical_speeds(rpm: np.ndarray, found: Mapping[str, Any]) -> Table | Paragraph:
+    critical = found["critical_speeds"]
     if not critical:
         return Paragraph(
             f"No damped natural frequency equals the rotor speed between {rpm[0]:.6g} and {rpm[-1]:.6g} rpm."
@@ -87,7 +96,7 @@ def _draw_campbell(content: ReportContent, fit: FitContent, found: Mapping[str, 
             f"mode {i + 1}",
             LOOKS[i % 8][0],
             DASHES[i % 4],
-            band=_read_band(content, int(k), _HERTZ),
+            band=_read_band(content, rpm, int(k), _HERTZ),
         )
         for i, k in enumerate(np.flatnonzero(shown))
     ]
@@ -102,14 +111,14 @@ def _draw_campbell(content: ReportContent, fit: FitContent, found: Mapping[str, 
     )
 
 
-def _read_band(content: ReportContent, mode: int, column: str) -> np.ndarray | None:
-    """(S,) half the width of a mode's nominal 95 % band, in the unit of the figure; None where none is stated."""
+def _read_band(content: ReportContent, rpm: np.ndarray, mode: int, column: str) -> np.ndarray | None:
+    """(U,) half the width of a mode's nominal 95 % band, in the unit of the figure; None where none is stated."""
     table = content.tables.get("modes")
     if table is None:
         return None
     rows = (table["system"] == "identified") & (table["mode"] == mode + 1)
-    band = np.full(len(content.rpm), np.nan)
-    at = np.abs(content.rpm[:, None] - table["speed_rpm"][rows]).argmin(axis=0)
+    band = np.full(len(rpm), np.nan)
+    at = np.abs(rpm[:, None] - table["speed_rpm"][rows]).argmin(axis=0)
     band[at] = NOMINAL_95 * table[column][rows] * (60.0 if column == _HERTZ else 1.0)
     return band if np.isfinite(band).any() else None
 
@@ -120,7 +129,7 @@ def _draw_stability(content: ReportContent, fit: FitContent) -> Figure:
     curves = []
     shown = [k for k in range(within.shape[1]) if np.isfinite(within[:, k]).any()]
     for i, k in enumerate(shown):
-        band = _read_band(content, k, "logarithmic_decrement_std")
+        band = _read_band(content, rpm, k, "logarithmic_decrement_std")
         few = slice(None, None, max(1, len(rpm) // _POINTS))
         marks = Curve(rpm[few], within[few, k], f"mode {i + 1}", LOOKS[i % 8][0], "none", LOOKS[i % 8][1])
         curves.append(marks if band is None else replace(marks, band=band[few]))

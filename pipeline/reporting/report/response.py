@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from pipeline.data.dataset import synchronous
 from pipeline.data.noise import NOMINAL_95
+from pipeline.data.operating import name_state
 from pipeline.reporting.figures import BLUE, ORANGE
 from pipeline.reporting.report.content import ReportContent
 from pipeline.reporting.report.figure import Axes, Curve, Figure, Panel
@@ -50,15 +53,17 @@ def _verify(content: ReportContent) -> list[Paragraph | Table]:
     for r in turning:
         if any(one.kind != "unbalance" for one in data.excitation_of(r)):
             continue
-        for probe in content.shown_probes:
-            seen = find_peak(content.rpm, np.abs(vectors_of(content, probe, r)))
-            expected = find_peak(content.rpm, np.abs(fit.predicted[..., r] @ probe.weights))
+        for probe, (points, look) in itertools.product(content.shown_probes, content.traces(r)):
+            rpm = content.rpm[points]
+            seen = find_peak(rpm, np.abs(vectors_of(content, probe, r))[points])
+            expected = find_peak(rpm, np.abs(fit.predicted[points, :, r] @ probe.weights))
             if seen is None or expected is None:
                 continue
             off = 100 * (seen[0] / expected[0] - 1)
-            at = int(np.abs(content.rpm - seen[0]).argmin())
+            at = int(points[np.abs(rpm - seen[0]).argmin()])
             noise = float(np.sqrt(fit.noise[at, :, r] ** 2 @ probe.weights**2 / 2))  # of the amplitude alone
-            rows.append(_row(content, r, probe.name, (seen, expected), (off, noise)))
+            name = look["label"] + (" (not fitted)" if content.held_out(r) else "")
+            rows.append(_row(name, probe.name, (seen, expected), (off, noise)))
     words = (
         "Each row is a response peak inside the speed range. As in API 617's verification test, the measured peak must "
         f"lie within {SPEED_TOLERANCE:g} % of the predicted speed, and must not be higher than predicted (here: by "
@@ -80,8 +85,7 @@ def _verify(content: ReportContent) -> list[Paragraph | Table]:
 
 
 def _row(
-    content: ReportContent,
-    run: int,
+    name: str,
     probe: str,
     peaks: tuple[tuple[float, float], tuple[float, float]],
     off: tuple[float, float],
@@ -89,7 +93,6 @@ def _row(
     (at, size), (expected_at, expected) = peaks
     near, low = abs(off[0]) <= SPEED_TOLERANCE, size <= 1.05 * expected + 2 * off[1]
     words = "within" if near and low else "speed off" if not near else "higher than predicted"
-    name = content.dataset.runs[run] + (" (not fitted)" if content.held_out(run) else "")
     return [
         name,
         probe,
@@ -117,6 +120,8 @@ def _predict(content: ReportContent) -> list[Paragraph | Figure]:
         f"node {one.node}: {1e6 * one.magnitude:.4g} g mm at {np.degrees(one.phase):.4g}°" for one in asked.unbalances
     )
     panel = Panel(f"node {asked.node}", RPM, (Axes(tuple(curves), AMPLITUDE, amplitude=True),), wide=True)
+    state = name_state(content.fit.operating) if content.fit is not None else ""
     caption = f"Predicted 1X amplitude of node {asked.node} under an unbalance that no run has ({acting})"
+    caption += f", at {state}" if state else ""
     caption += ", with its nominal 95 % band." if curves[0].band is not None else "; this fit states no band."
     return [Figure("prediction", caption, (panel,))]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from pipeline.reporting.report.figure import Figure
-from pipeline.reporting.summary_text import format_deviation
+from pipeline.reporting.write_numbers import format_deviation
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from pipeline.reporting.report.fit import describe_fit, describe_held_out
 from pipeline.reporting.report.machine import describe_machine
 from pipeline.reporting.report.measured import describe_measured
 from pipeline.reporting.report.modes import describe_modes
+from pipeline.reporting.report.numbers import describe_numbers
 from pipeline.reporting.report.origin import describe_conventions, describe_origin
 from pipeline.reporting.report.response import describe_response
 from pipeline.reporting.report.section import Section
@@ -17,6 +18,7 @@ from pipeline.reporting.report.verdicts import describe_verdicts
 
 _SECTIONS = (
     describe_verdicts,
+    describe_numbers,
     describe_coefficients,
     describe_machine,
     describe_measured,

@@ -1,0 +1,27 @@
+"""Whether readings contradict the bearing laws of a fit, from ``training.json`` or ``metrics.json``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+MISMATCH = 0.05
+"""Deviations less probable than this speak against the model: of a right one, they do so in one of twenty data sets."""
+STANDS_OUT = 2.0
+"""Deviations of a network's correction, beyond which the law without it is contradicted."""
+
+
+def find_contradiction(about: Mapping[str, Any], kind: str) -> tuple[str, str] | None:
+    """A sentence and the next step where the laws of a fit of the model ``kind`` cannot be it; None otherwise."""
+    probability = about["fit"]["mismatch"]["probability"] if kind == "law" else None
+    if probability is None or probability >= MISMATCH:
+        return None
+    return (
+        f"The readings contradict this bearing law (probability {probability:.2g}).",
+        "Fit model=hybrid or model=network_fluid_film, or take another table in machine.laws.",
+    )
+
+
+def list_contradicted(correction: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """The coefficients of a bearing whose ``correction`` by a network stands out of its own deviation."""
+    return [name for name, one in correction.items() if one["percent"] > STANDS_OUT * one["deviation_percent"]]

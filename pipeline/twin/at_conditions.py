@@ -1,0 +1,95 @@
+"""The machine at operating conditions of one's choice, measured or not: a speed comes once there.
+
+Legend: S operating points of the data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from pipeline.data.operating import name_state, write_condition
+from pipeline.errors import ConfigError
+from pipeline.problem.measurement import Measurement
+from pipeline.rotor.bearing_table import BearingTable
+
+_SAME = 1e-6
+"""A share, within which conditions are the same."""
+
+
+def require_conditions(key: str, given: Mapping[str, float], measured: Mapping[str, np.ndarray]) -> None:
+    """Raise ConfigError unless ``given`` (what ``key`` has) says every condition of the data and no other."""
+    unknown = [name for name in given if name not in measured]
+    if unknown:
+        has = ", ".join(measured) or "none"
+        raise ConfigError(f"{key} must name conditions of the data, but got {unknown[0]}: they have {has}")
+    missing = [name for name in measured if name not in given]
+    if missing:
+        middle = write_condition(missing[0], float(np.median(measured[missing[0]])))
+        raise ConfigError(
+            f"{key} must say every condition of the data, but {missing[0]} is missing: give it too, such as "
+            f"{missing[0]}: {middle}"
+        )
+
+
+def pick_middle(measured: Mapping[str, np.ndarray]) -> dict[str, float]:
+    """The conditions of the measured point that lies nearest to the median of each condition's values; SI."""
+    if not measured:
+        return {}
+    away = np.zeros(len(next(iter(measured.values()))))
+    for values in measured.values():
+        different = np.unique(values)
+        away += np.abs(values - different[(len(different) - 1) // 2]) / (np.ptp(values) or 1.0)
+    nearest = int(np.argmin(away))
+    return {name: float(values[nearest]) for name, values in measured.items()}
+
+
+def mask_state(measured: Mapping[str, np.ndarray], wanted: Mapping[str, float]) -> np.ndarray:
+    """(S,) mask of the points at the conditions that are ``wanted``; of data without conditions a single True."""
+    masks = [np.abs(values - wanted[name]) <= _SAME * abs(wanted[name]) for name, values in measured.items()]
+    return np.all(masks, axis=0) if masks else np.array(True)
+
+
+def say_beyond(measured: Mapping[str, np.ndarray], wanted: Mapping[str, float]) -> list[str]:
+    """A sentence a condition that lies outside the data."""
+    found = []
+    for name, values in measured.items():
+        low, high, at = float(values.min()), float(values.max()), wanted[name]
+        slack = _SAME * abs(at)
+        if not low - slack <= at <= high + slack:
+            span = write_condition(name, values)
+            where = f"is not the measured {span}" if low == high else f"lies outside the measured {span}"
+            found.append(f"{name.replace('_', ' ')}: {write_condition(name, at)} {where}")
+    return found
+
+
+def table_at(table: BearingTable, wanted: Mapping[str, float], key: str) -> BearingTable:
+    """A table over the points of the data at ``wanted`` conditions, at each speed of the data once, ascending.
+
+    Raises ConfigError where a coefficient depends on the conditions and the data have none of these: nothing says what
+    it is there.
+    """
+    if not table.operating:
+        return table
+    there, speeds, picked = mask_state(table.operating, wanted), np.unique(table.speeds), []
+    for speed in speeds:
+        own = np.flatnonzero(table.speeds == speed)
+        exact = own[there[own]]
+        if not len(exact) and np.ptp(table.values[:, own], axis=1).any():
+            raise ConfigError(
+                f"{key} must be conditions of the data where a known coefficient depends on them, but got "
+                f"{name_state(wanted)}: take measured ones, or identify all eight coefficients"
+            )
+        picked.append(int(exact[0] if len(exact) else own[0]))
+    operating = {name: np.full(len(speeds), wanted[name]) for name in table.operating}
+    return BearingTable(table.nodes, speeds, table.values[:, picked], operating)
+
+
+def measurement_at(measurement: Measurement, wanted: Mapping[str, float], key: str) -> Measurement:
+    """The same with the known coefficients at ``wanted`` conditions, at each speed once; the readings stay.
+
+    Raises ConfigError as :func:`table_at`.
+    """
+    return replace(measurement, known=table_at(measurement.known, wanted, key))
