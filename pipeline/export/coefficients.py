@@ -138,7 +138,7 @@ class Bearing(_Part):
     """One bearing, at one state of the operating conditions."""
 
     node: int = Field(ge=0, description="node of the rotor, counted from 0")
-    operating: dict[str, float] = Field(default_factory=dict, description="conditions by name with their unit")
+    operating: dict[str, float] = Field(description="conditions by name with their unit")
     speed_rpm: list[float]
     coefficients: dict[str, Coefficient] = Field(description=f"by name: {', '.join(COEFFICIENTS)}")
 
@@ -161,7 +161,7 @@ class Document(_Part):
     damping_unit: DampingUnit
     conventions: list[str]
     bearings: list[Bearing]
-    physical_numbers: list[Number] = Field(default_factory=list, description="of bearing laws, where they were fitted")
+    physical_numbers: list[Number] = Field(description="of bearing laws, where they were fitted")
 
 
 def document(*states: Exported, numbers: Sequence[Number] = ()) -> Document:
