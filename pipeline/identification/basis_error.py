@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 N_LOCAL = 30
 """Chosen by five machines (docs/model_error.md): with 20 intervals are too wide for kinked coefficients, with 40 too
 narrow."""
+N_SMOOTH = 8
+"""Bearing laws alone are off by smooth functions of the speed."""
 _SPEEDS_EACH = 2
 """At least so many speeds for a local function: fewer can't tell it from noise."""
 _LEAST = 4  # cubic B-splines
@@ -54,7 +56,8 @@ class MeanSquareError:
 
 def count_local(model: CoefficientModel, n_speeds: int) -> int:
     """L, for so many different speeds; constants have none, as they are constants by assumption."""
-    count = min(N_LOCAL, n_speeds // _SPEEDS_EACH)
+    most = N_LOCAL // len(model.inputs) if model.hidden or model.functions else N_SMOOTH
+    count = min(most, n_speeds // _SPEEDS_EACH)
     return 0 if model.hidden is None or count < _LEAST else count * len(model.inputs)
 
 
@@ -69,7 +72,7 @@ def evaluate_local(model: CoefficientModel, points: Mapping[str, np.ndarray], co
         return np.zeros((len(speeds), 0))
     low, high = model.ranges[model.inputs.index(SPEED)]
     others = [i for i, name in enumerate(model.inputs) if name != SPEED]
-    each = count // (1 + len(others))
+    each = count // len(model.inputs)
     by_speed = evaluate_functions("b_spline", each, 2 * (speeds - low) / (high - low) - 1)
     scaled = model.scaled_inputs(points).numpy()
     return np.concatenate([by_speed, *(by_speed * scaled[:, [i]] for i in others)], axis=1)

@@ -1,8 +1,8 @@
 """Where a fit of bearing laws starts: the best of many guesses of their numbers.
 
 Laws have few numbers, and the readings depend on them far from linearly: a clearance that is wrong by three times makes
-other critical speeds. So their numbers are fitted from many guesses, spread evenly over what was thought possible, at a
-few operating points; the whole fit goes on from the best.
+other critical speeds. So many guesses, spread evenly over what was thought possible, are judged at a few operating
+points; the best of them, and the guess itself, are fitted there, and the whole fit goes on from the best answer.
 
 Legend: G starts, M members, S operating points, U unknowns, Th numbers, Z weights.
 """
@@ -26,8 +26,10 @@ from pipeline.problem.measurement import Measurement
 if TYPE_CHECKING:
     import torch
 
-_STARTS = 31
-"""Beside the guess itself; chosen so that starts 3 times off in every clearance and 5 times in viscosity agree."""
+_JUDGED, _FITTED = 255, 7
+"""So many guesses are judged beside the configured one, and so many of them fitted: with these, guesses that are 3 times
+off in every clearance and 5 times in the viscosity lead to the same answer.
+"""
 _SPREAD = 2.0
 """Prior deviations to either side that the starts cover."""
 _POINTS = 24
@@ -58,11 +60,16 @@ def require_response(setup: FitSetup) -> None:
 
 def start_laws(training: Measurement, basis: Basis, plane_scale: float) -> LawStart:
     """The numbers (Th,) from which the readings are explained best; the correction stays zero."""
+    import torch
+
     count = len(training.dataset.speeds)
     few = np.unique(np.linspace(0, count - 1, min(count, _POINTS)).round().astype(int))
     problem = without_correction(output_error(training.select(few), basis, plane_scale))
     section = LevenbergMarquardtConfig(steps=_STEPS, patience=1, initial_damping=1e-2)
-    found = levenberg_marquardt(problem, _spread(problem), section, until_still(_STILL), by_diagonal=True)
+    judged = _spread(problem)
+    order = problem.loss(judged)[1:, 0].nan_to_num(float("inf")).argsort()[:_FITTED]
+    starts = torch.cat([judged[:1], judged[1:][order]])
+    found = levenberg_marquardt(problem, starts, section, until_still(_STILL), by_diagonal=True)
     losses = problem.loss(found)[:, 0].nan_to_num(float("inf"))
     best = int(losses.argmin())
     same = int((losses < losses[best] * (1 + _SAME)).sum())
@@ -75,8 +82,8 @@ def _spread(problem: OutputError) -> torch.Tensor:
     from scipy.stats import qmc
 
     deviation = problem.weight_prior.precision[problem.n_outer :][: problem.n_numbers].rsqrt()
-    weights = torch.zeros(1 + _STARTS, 1, problem.size, dtype=deviation.dtype)
-    drawn = qmc.Sobol(problem.n_numbers, scramble=False).random(_STARTS + 1)[1:]
+    weights = torch.zeros(1 + _JUDGED, 1, problem.size, dtype=deviation.dtype)
+    drawn = qmc.Sobol(problem.n_numbers, scramble=False).random(_JUDGED + 1)[1:]
     places = torch.as_tensor(_SPREAD * (2 * drawn - 1)) * deviation
     weights[1:, 0, problem.n_outer : problem.n_outer + problem.n_numbers] = places
     if problem.n_parameters:
