@@ -122,7 +122,8 @@ def _start_by_coefficients(training: Measurement, setup: FitSetup, basis: Basis,
         basis = replace(basis, model=_scaled_by(basis.model, values))
     problem = output_error(training, basis, plane_scale)
     weights = torch.cat([start_at(problem, start) for start in starts if start is not None])
-    return _First(problem, weights, values is None, filtered, None)
+    # Many features of several inputs, free at once, would follow the noise of single points: they are added one by one.
+    return _First(problem, weights, values is None or len(basis.model.inputs) > 1, filtered, None)
 
 
 def _start_by_laws(training: Measurement, setup: FitSetup, basis: Basis, plane_scale: float) -> _First:
