@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pipeline.identification.evidence_prior import LAW_STANDS, chance_of_gain
 from pipeline.identification.functions import evaluate_functions
 from pipeline.identification.inputs import SPEED
 from pipeline.identification.model import CoefficientModel
@@ -90,6 +91,8 @@ def measure_error(problem: OutputError, weights: torch.Tensor, covariance: np.nd
     information = matrix[np.ix_(local, local)] - matrix[np.ix_(local, ~local)] @ by_fit
     score = -(gradient[local] - by_fit.T @ gradient[~local])
     variance, moment = _maximise_likelihood(information, score, n_active)
+    if problem.measurement.laws is not None and _is_chance(information, score, variance):
+        return MeanSquareError(covariance, 0, np.zeros(n_active))
     error = np.zeros_like(matrix)
     error[np.ix_(~local, ~local)] = covariance + by_fit @ moment @ by_fit.T
     error[np.ix_(~local, local)] = by_fit @ moment
@@ -136,6 +139,16 @@ def _maximise_likelihood(information: np.ndarray, score: np.ndarray, n_active: i
             break
     spread, mean = _follow(information, score, variance)
     return variance, spread + np.outer(mean, mean)
+
+
+def _is_chance(information: np.ndarray, score: np.ndarray, variance: np.ndarray) -> bool:
+    """Whether a right law shows local functions of the ``variance`` (A,) as likely; curves never are quite right."""
+    own = np.repeat(variance, len(score) // len(variance))
+    size = np.sqrt(own)
+    scaled = np.eye(len(score)) + size[:, None] * information * size  # of determinant |T| |T^-1 + S|
+    along = size * score
+    gain = along @ np.linalg.solve(scaled, along) - np.linalg.slogdet(scaled)[1]
+    return chance_of_gain(gain, len(variance)) > LAW_STANDS
 
 
 def _follow(information: np.ndarray, score: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -37,7 +37,7 @@ def describe_laws(fit: OutputErrorFit) -> dict[str, Any]:
     }
     if start.law is not None:
         found["law"] |= {"starts": start.law.n_starts, "starts_at_this_answer": start.law.n_same}
-    if bool(problem.kept.any()):
+    if fit.start.by_evidence:
         found["correction"] = _correction(fit)
     return found
 

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     import torch
 
 _JUDGED, _FITTED = 255, 7
-"""So many guesses are judged beside the configured one, and so many of them fitted: with these, guesses that are 3 times
-off in every clearance and 5 times in the viscosity lead to the same answer.
+"""So many guesses are judged beside the configured one, and so many of them fitted: with these, guesses that are 3
+times off in every clearance and 5 times in the viscosity lead to the same answer.
 """
 _SPREAD = 2.0
 """Prior deviations to either side that the starts cover."""

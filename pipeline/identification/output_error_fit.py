@@ -17,14 +17,14 @@ import numpy as np
 from pipeline.data.dataset import Excitation
 from pipeline.errors import ConfigError
 from pipeline.identification.basis_error import MeanSquareError, measure_error
+from pipeline.identification.evidence_prior import weigh_by_evidence, with_sigma
 from pipeline.identification.identified import IdentifiedModel, PhysicalNumber
 from pipeline.identification.information import invert_information
-from pipeline.identification.law_correction import likely_sigma, with_sigma
 from pipeline.identification.outcome import Outcome
 from pipeline.identification.output_error import OutputError
 from pipeline.identification.output_error_start import OutputErrorStart, prepare_output_error
 from pipeline.identification.selection import add_features, drop_features
-from pipeline.identification.sensor_deviations import split_noise
+from pipeline.identification.sensor_deviations import split_noise, weigh_present
 from pipeline.identification.training import FitSetup, Minimum, Progress, minimise
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.parameters import ModelParameter
@@ -147,11 +147,12 @@ def fit_from(
     problem, weights = start.problem, start.weights
     if start.from_guess:
         problem, weights = add_features(start, setup.optimizer.levenberg_marquardt)
+    if start.by_evidence:
+        problem = with_sigma(problem)
     factor = np.ones(len(start.measurement.dataset.channels))
     history: list[dict[str, float | str]] = []
     steps, seconds = 0, 0.0
     approach = -len(_LESS_EXACT) if problem.n_parameters and not near else 0
-    corrected = problem.measurement.laws is not None and bool(problem.kept.any())
     for turn in range(approach, _ROUNDS):
         found = minimise(_less_exact(problem, turn) if turn < 0 else problem, weights, setup, progress=progress)
         weights = found.parameters
@@ -169,20 +170,26 @@ def fit_from(
         problem = problem.update(weights)
         before = problem
         problem, shares = reweigh(problem, weights, factor, setup.loss.robust)
-        if turn >= _CHOICE and corrected:
-            problem = with_sigma(problem, likely_sigma(problem, weights))
-        if turn == _CHOICE and not start.from_guess and problem.measurement.laws is None:
+        if turn >= _CHOICE and start.by_evidence and bool(problem.kept.any()):
+            problem, weights = weigh_by_evidence(problem, weights)
+        selects = problem.measurement.laws is None and not start.by_evidence
+        if turn == _CHOICE and not start.from_guess and selects:
             chosen, from_there = drop_features(problem, weights, invert_information(problem, weights)[0])
             # The choice takes the minimum for quadratic: where there is none yet, it may lead anywhere, or to NaN.
             if float(chosen.loss(from_there)) <= _NO_WORSE * float(problem.loss(weights)):
                 problem, weights = chosen, from_there
-        if turn == _CHOICE and problem.measurement.laws is None:
+        if turn == _CHOICE and selects:
             problem = problem.with_prior(setup.loss.beyond_trend)
-        pairs = zip(problem.sensors.precision, before.sensors.precision, strict=True)
-        if turn > _CHOICE and max(float((new / old).log().abs().max()) for new, old in pairs) < _SETTLED:
+        if turn > _CHOICE and _change(problem, before) < _SETTLED:
             break
     whole = replace(found, history=tuple(history), steps=steps, seconds=seconds)
     return OutputErrorFit(start=start, problem=problem, minimum=whole, shares=shares, factor=factor)
+
+
+def _change(problem: OutputError, before: OutputError) -> float:
+    """The largest change of a precision, of its logarithm; what was not measured has none."""
+    pairs = zip(problem.sensors.precision, before.sensors.precision, strict=True)
+    return max(float((new[new > 0] / old[new > 0]).log().abs().max()) for new, old in pairs)
 
 
 _LESS_EXACT = (0.03, 0.1, 0.3)
@@ -213,7 +220,8 @@ def reweigh(
         off = (predicted - problem.sensors.measured[b]).abs() / deviation
         share = (HUBER / off.clamp(min=HUBER)) if robust else torch.ones_like(off)
         own, common = split_noise(problem.measurement, problem.sensors.blocks[b].runs, predicted.numpy(), factor)
-        precisions.append(np.sqrt(2.0) / torch.as_tensor(own) * share.sqrt())
+        present = weigh_present(problem.measurement, problem.sensors.blocks[b].runs)
+        precisions.append(np.sqrt(2.0) / torch.as_tensor(own) * share.sqrt() * present)
         commons += [] if common is None else [torch.as_tensor(common)]
         shares.append(share[0].numpy())
     sensors = replace(problem.sensors, precision=tuple(precisions), common=tuple(commons))
@@ -252,8 +260,10 @@ def estimate_by_residuals(problem: OutputError, weights: torch.Tensor) -> np.nda
     for b, predicted in enumerate(problem.predicted(weights)):
         stated = _deviation(problem, b, predicted[0].numpy(), None)
         off = (predicted - problem.sensors.measured[b]).abs()[0].numpy() / stated
+        here = weigh_present(problem.measurement, problem.sensors.blocks[b].runs).numpy() > 0
+        off = np.where(here, off, np.nan)
         left.append(np.moveaxis(off, 1, 0).reshape(off.shape[1], -1))
-    squared = np.median(np.concatenate(left, axis=1) ** 2, axis=1) / np.log(2.0)
+    squared = np.nanmedian(np.concatenate(left, axis=1) ** 2, axis=1) / np.log(2.0)
     rest = max(1.0 - problem.n_fitted / problem.n_rows, 0.05)
     return np.asarray(np.sqrt(squared / rest))
 
@@ -270,11 +280,15 @@ def estimate_by_repeats(problem: OutputError, weights: torch.Tensor) -> np.ndarr
         # All runs had the same baseline taken off: its noise cancels.
         read = predicted[0].numpy() + (0.0 if subtracted is None else subtracted[..., block.runs])
         deviation = problem.measurement.deviation_of(read)
+        here = np.broadcast_to(
+            weigh_present(problem.measurement, block.runs).numpy() > 0, (len(read), 1, read.shape[2])
+        )
         last: dict[tuple[Excitation, ...], int] = {}
         for r, run in enumerate(block.runs):
             # By what is stated: a fitted weight of one run is not that of another.
             before = last.get(key := problem.measurement.dataset.excitation_of(int(run)))
             if before is not None:
-                squares.append(np.abs((measured[..., r] - measured[..., before]) / deviation[..., r]) ** 2 / 2)
+                both = here[:, 0, r] & here[:, 0, before]
+                squares.append((np.abs((measured[..., r] - measured[..., before]) / deviation[..., r]) ** 2 / 2)[both])
             last[key] = r
     return np.sqrt(np.median(np.concatenate(squares), axis=0) / np.log(2.0)) if squares else None

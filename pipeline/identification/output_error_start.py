@@ -20,7 +20,7 @@ from pipeline.config.identification import TrainingConfig
 from pipeline.errors import ConfigError
 from pipeline.identification.basis import Basis, orthonormal_basis
 from pipeline.identification.configured_model import coefficient_model
-from pipeline.identification.law_correction import add_beyond, with_sigma
+from pipeline.identification.evidence_prior import add_beyond, with_sigma
 from pipeline.identification.law_start import (
     LawStart,
     corrects,
@@ -57,6 +57,12 @@ class OutputErrorStart:
     from_guess: bool  # the sensors were too few for a linear start
     filtered: np.ndarray | None  # (M, S, U) at the training speeds: what a filter made of few sensors
     law: LawStart | None = None  # of bearing laws: the numbers, and how many guesses led there
+
+    @property
+    def by_evidence(self) -> bool:
+        """Whether all features are kept, and the likelihood says how large they are: corrections, several inputs."""
+        model = self.problem.basis.model
+        return bool(self.problem.kept.any()) and (model.fades or len(model.inputs) > 1)
 
 
 def prepare_output_error(measurement: Measurement, setup: FitSetup) -> OutputErrorStart:
@@ -122,7 +128,7 @@ def _start_by_coefficients(training: Measurement, setup: FitSetup, basis: Basis,
         basis = replace(basis, model=_scaled_by(basis.model, values))
     problem = output_error(training, basis, plane_scale)
     weights = torch.cat([start_at(problem, start) for start in starts if start is not None])
-    # Many features of several inputs, free at once, would follow the noise of single points: they are added one by one.
+    # Free at once, the features of several inputs would follow the noise of points: the fit starts at their trend.
     return _First(problem, weights, values is None or len(basis.model.inputs) > 1, filtered, None)
 
 

@@ -65,14 +65,16 @@ def add_features(start: OutputErrorStart, config: LevenbergMarquardtConfig) -> t
 
     From several guesses constants are fitted first, then feature by feature is added: far from the answer, many at once
     would follow one speed here and another there. What a filter made of each speed is tried with every number of
-    features. It ends when Akaike's criterion, of the minima themselves, has not fallen for some features.
+    features. It ends when Akaike's criterion, of the minima themselves, has not fallen for some features. Where the
+    likelihood says how large the features are, it ends at the trend, and keeps all.
     """
     import torch
 
     problem, starts = start.problem, start.weights
     count = problem.features.shape[-1]
     weights, before, best = problem.with_features(starts, 1), 1, (float("inf"), 1, starts[:1])
-    for order in dict.fromkeys([1, *range(problem.basis.n_trend, count + 1)]):
+    last = problem.basis.n_trend if start.by_evidence else count
+    for order in dict.fromkeys([1, *range(problem.basis.n_trend, last + 1)]):
         limited = problem.truncated(order)
         tried = problem.truncated(before).with_features(weights, order)
         tried = torch.cat([tried, *(limited.revived(one[None]) for one in tried)])
@@ -86,6 +88,8 @@ def add_features(start: OutputErrorStart, config: LevenbergMarquardtConfig) -> t
             best = (criterion, order, limited.with_features(weights[:1], count))
         elif order >= best[1] + _LOOK_AHEAD:
             break
+    if start.by_evidence:
+        return problem, best[2]
     kept = (torch.arange(count) < best[1]).repeat(len(problem.active), 1)
     return replace(problem, kept=kept), best[2]
 
