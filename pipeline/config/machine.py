@@ -95,7 +95,8 @@ class MachineConfig(Section):
         recordings = info.data["recordings"]
         if isinstance(recordings, NoRecordingsConfig):
             raise ValueError("must be given (a list of runs, each with unbalances or forces), but is missing")
-        return [_plan_run(run, recordings) for run in recordings.runs if run.unbalances or run.forces]
+        excited = {run.name: run for run in recordings.runs if run.unbalances or run.forces}
+        return [_plan_run(run, recordings) for run in excited.values()]
 
     @field_validator("prediction", mode="before")
     @classmethod

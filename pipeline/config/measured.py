@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, PositiveFloat, model_validator
 
 from pipeline.config.motion import MotionConfig, Sensitivity, find_volts, to_motion
+from pipeline.config.operating import Conditions, Differences
 from pipeline.config.quantities import (
     AnyDamping,
     AnyStiffness,
@@ -111,10 +112,14 @@ class MeasuredForceConfig(Section):
 
 
 class MeasuredRunConfig(Section):
-    """One run: where its data are, and what excited it; nothing only in the baseline run."""
+    """One run: where its data are, and what excited it; nothing only in the baseline run.
+
+    ``operating`` are its operating conditions. A run may come several times, each time at others.
+    """
 
     name: Text
     file: Text | None = None
+    operating: Conditions = Field(default_factory=dict)
     unbalances: tuple[MeasuredUnbalanceConfig, ...] = ()
     forces: tuple[MeasuredForceConfig, ...] = ()
 
@@ -123,6 +128,18 @@ class MeasuredRunConfig(Section):
         if self.file is None and file is None:
             raise ValueError(f"run '{self.name}' must have a file, but it has none (and there is no file for all)")
         return (self.file or file or "",)
+
+
+def _check_repeated(runs: Sequence[MeasuredRunConfig]) -> None:
+    """Raise ValueError for runs of one name that differ in more than their operating conditions, or not in these."""
+    states = [tuple(sorted(run.operating.items())) for run in runs]
+    if len(set(states)) < len(states):
+        raise ValueError(
+            f"must give every run a name of its own, or operating conditions of its own, but '{runs[0].name}' is there "
+            f"{len(runs)} times"
+        )
+    if any((run.unbalances, run.forces) != (runs[0].unbalances, runs[0].forces) for run in runs):
+        raise ValueError(f"must have the same excitation in runs of one name, but those of '{runs[0].name}' differ")
 
 
 class SlowRollVectorConfig(Section):
@@ -189,7 +206,9 @@ class MeasuredConfig(Section):
     """All formats share these keys; each adds ``probes`` and ``runs``. Runs that name no file are in ``file``.
 
     ``known`` gives the coefficients that are not identified: a table, ``bearings`` (those of the machine), or
-    values that hold for every bearing and speed. Where all eight are identified, there is none.
+    values that hold for every bearing and speed. Where all eight are identified, there is none. ``conditions_file`` is
+    a table of operating conditions by run, and speed or time; those that differ by no more than ``same_conditions``
+    are one.
     ``synthetic`` says that the recordings were modelled with the machine's bearings: answers are judged by them.
     """
 
@@ -200,6 +219,8 @@ class MeasuredConfig(Section):
     interpolation: Literal["cubic", "linear"] = "cubic"
     slow_roll: SlowRollConfig | None = None
     known: Known = None
+    conditions_file: Text | None = None
+    same_conditions: Differences = Field(default_factory=dict)
     synthetic: bool = False
 
     def check_units(self, unit: str, probes: Mapping[str, ProbeConfig]) -> None:
@@ -233,8 +254,8 @@ class MeasuredConfig(Section):
     ) -> None:
         """Raise ValueError for what runs, probes and tacho must have together."""
         names = [run.name for run in runs]
-        if len(set(names)) != len(names):
-            raise ValueError(f"must give every run a name of its own, but runs has {names}")
+        for run in runs:
+            _check_repeated([one for one in runs if one.name == run.name])
         if self.baseline is not None and self.baseline not in names:
             raise ValueError(f"must have the baseline among its runs {names}, but baseline is '{self.baseline}'")
         for run in runs:

@@ -7,15 +7,19 @@ the unit: ``preheat_degC``.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
-from pydantic import BeforeValidator
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from pipeline.config.quantities import from_base, is_number, same_dimension, to_base
+from pipeline.config.section import Section
+
+if TYPE_CHECKING:
+    import numpy as np
 
 WRITTEN = {
     "temperature": "degC",
@@ -57,12 +61,14 @@ class ConditionColumn:
 
     def to_si(self, values: np.ndarray) -> np.ndarray:
         """Values of the column in SI, temperatures in K."""
-        return np.asarray(to_base(np.asarray(values, dtype=float), self.unit))
+        found: np.ndarray = to_base(values.astype(float), self.unit)
+        return found
 
     def from_si(self, values: np.ndarray) -> np.ndarray:
         """Values in SI in the unit of the column, of so many digits that 45 degC is written as 45."""
-        written = from_base(np.asarray(values, dtype=float), self.unit)
-        return np.array([float(f"{value:.{_DIGITS}g}") for value in written])
+        written: np.ndarray = from_base(values.astype(float), self.unit)
+        written[...] = [float(f"{value:.{_DIGITS}g}") for value in written]
+        return written
 
 
 def find_column(column: str) -> ConditionColumn | None:
@@ -146,7 +152,7 @@ def to_quantity(name: str, value: Any, difference: bool = False) -> float:
         found = float(value)
         if warm and not difference and 0 < found < _COLDEST:
             raise ValueError(f"{name} must carry its unit ({example}): a number alone is in K, but got {value}")
-    if not np.isfinite(found) or (difference and found < 0) or (warm and not difference and found <= 0):
+    if not math.isfinite(found) or (difference and found < 0) or (warm and not difference and found <= 0):
         law = "zero or more" if difference else "above absolute zero" if warm else "finite"
         raise ValueError(f"{name} must be {law} ({example}), but got {value!r}")
     return found
@@ -178,6 +184,25 @@ def _read_differences(value: Any) -> dict[str, float]:
     return {name: to_quantity(name, given, difference=True) for name, given in _read_mapping(value).items()}
 
 
+class ConditionColumnConfig(Section):
+    """A column of a table with an operating condition in ``unit``."""
+
+    column: Annotated[str, Field(min_length=1)]
+    unit: Annotated[str, Field(min_length=1)]
+
+    def to_si(self, values: np.ndarray) -> np.ndarray:
+        """Values (n,) of the column in SI, temperatures in K."""
+        return ConditionColumn(self.column, "", self.unit).to_si(values)
+
+
+def _check_columns(columns: dict[str, ConditionColumnConfig]) -> dict[str, ConditionColumnConfig]:
+    for name, one in columns.items():
+        to_quantity(name, f"1000 {one.unit}")
+    return columns
+
+
+ConditionColumns = Annotated[dict[str, ConditionColumnConfig], AfterValidator(_check_columns)]
+"""Columns of a table by the name of the condition that they have."""
 States = Annotated[dict[str, tuple[float, ...]], BeforeValidator(_read_states)]
 """Values of each condition by its name, SI: every combination is a state of the machine."""
 Conditions = Annotated[dict[str, float], BeforeValidator(_read_one)]

@@ -21,7 +21,7 @@ from pipeline.config.renames import refuse_renamed_in
 from pipeline.errors import ConfigError, nearest
 
 _PATHS = (
-    *("rotor.file", "runs_file", "recordings.file", "recordings.known", "run_up.file"),
+    *("rotor.file", "runs_file", "recordings.file", "recordings.known", "recordings.conditions_file", "run_up.file"),
     *("recordings.runs.*.file", "recordings.runs.*.files.*", "laws.bearings.*.table"),
     *("bearings.table", "bearings.nodes.*.table"),
 )

@@ -20,6 +20,7 @@ from pipeline.config.measured import (
     VectorConventionsConfig,
 )
 from pipeline.config.motion import SignalUnit
+from pipeline.config.operating import ConditionColumns
 from pipeline.config.quantities import Frequency
 from pipeline.config.records import RecordsConfig
 from pipeline.config.runs import check_frequency
@@ -38,9 +39,10 @@ class NoRecordingsConfig(Section):
 
 
 class TableColumnsConfig(Section):
-    """Names of columns; all but ``speed`` are of the long layout."""
+    """Names of columns; all but ``speed`` and ``conditions`` are of the long layout."""
 
     speed: Text
+    conditions: ConditionColumns = Field(default_factory=dict)
     run: Text = "run"
     probe: Text = "probe"
     amplitude: Text = "amplitude"
@@ -249,8 +251,7 @@ class WaveformRunConfig(SignalRunConfig):
 class WaveformRecordingsConfig(SignalConfig):
     """Time signals with a tacho: CSV, Excel, HDF5 or TDMS, by the file's ending.
 
-    Time is a channel (``time``), or ``sample_rate``, or the HDF5 attribute ``sample_rate_attribute`` in Hz, or what a
-    TDMS channel says itself.
+    Time is a channel (``time``), ``sample_rate``, the HDF5 attribute ``sample_rate_attribute`` in Hz, or TDMS's own.
     """
 
     format: Literal["waveform"]

@@ -92,8 +92,8 @@ class RecordsConfig(MeasuredConfig):
                 "must give tacho.angle where angles of weights are measured from the mark, but it is missing: where "
                 "nobody knows it, give 0 deg and identify.model_parameters.weight_angle"
             )
-        for key in ("baseline", "speeds", "slow_roll"):
-            if getattr(self, key) is not None:
+        for key in ("baseline", "speeds", "slow_roll", "conditions_file", "same_conditions"):
+            if getattr(self, key):
                 raise ValueError(f"must have no {key} for a table of records, but it has one: leave it out")
         self.check_units(self.conventions.unit, self.probes)
         places = [(probe.node, probe.angle) for probe in self.probes.values()]

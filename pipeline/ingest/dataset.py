@@ -23,6 +23,7 @@ from pipeline.config.records import RecordsConfig
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.errors import DataError
 from pipeline.ingest.conventions import to_vectors
+from pipeline.ingest.operating import find_conditions, name_recordings, to_points
 from pipeline.ingest.plausibility import note_dead
 from pipeline.ingest.probes import check_probes, resolve
 from pipeline.ingest.ross_results import read_ross_runs
@@ -39,10 +40,11 @@ _CONTRADICTION = 0.05
 
 @dataclass(frozen=True, eq=False)
 class MeasuredRuns:
-    """What was read: the data set of training, the runs it came from, and sentences that need attention."""
+    """What was read: the data set of training, the recordings it came from, and sentences that need attention."""
 
     dataset: VibrationDataset
-    runs: tuple[RunTracks, ...]
+    recorded: VibrationDataset  # a run for each recording, without operating conditions
+    runs: tuple[RunTracks, ...]  # of the recordings
     notes: tuple[str, ...]
     sweeps: Mapping[str, SweepBias] = field(default_factory=dict)
     """By run: of the run-ups that show a peak."""
@@ -69,21 +71,33 @@ def read_measured_runs(config: AnyRecordingsConfig) -> MeasuredRuns:
     speeds, vectors = to_common_speeds(runs, wanted, config.interpolation)
     resolved = resolve(config.probes, vectors)
     _check_size(resolved.displacement, runs)
-    dataset = VibrationDataset(
+    conditions = find_conditions(config, runs, speeds)
+    labels = name_recordings(config, conditions)
+    acting = [
+        replace(one, run=label)
+        for label, run in zip(labels, config.runs, strict=True)
+        for one in _list_acting(config, run)
+    ]
+    recorded = VibrationDataset(
         speeds,
-        tuple(run.name for run in runs),
+        labels,
         resolved.channels,
         resolved.displacement,
-        list_excitations(config),
+        tuple(acting),
         _list_frequencies(config.runs, speeds) if asynchronous else None,
     )
+    dataset = recorded
+    if conditions:
+        names = [run.name for run in config.runs]
+        dataset, merged = to_points(recorded, names, conditions, config.same_conditions)
+        notes += merged
     notes += [
         f"the probes at node {node} contradict each other by {100 * misfit:.2g} % of what they measure: check "
         "their angles, polarity and scale"
         for node, misfit in resolved.misfit.items()
         if misfit > _CONTRADICTION
     ]
-    return MeasuredRuns(dataset, runs, tuple(dict.fromkeys(notes)), sweeps)
+    return MeasuredRuns(dataset, recorded, runs, tuple(dict.fromkeys(notes)), sweeps)
 
 
 def _read_runs(config: AnyRecordingsConfig) -> tuple[RunTracks, ...]:
@@ -123,13 +137,17 @@ def remove_runout(run: RunTracks, slow_roll: SlowRollConfig) -> RunTracks:
 
 def list_excitations(config: AnyRecordingsConfig) -> tuple[Excitation, ...]:
     """What excited the runs; the phases of unbalances as angles from x at the pulse."""
+    runs = {run.name: run for run in config.runs}  # recordings of one run have the same
+    return tuple(one for run in runs.values() for one in _list_acting(config, run))
+
+
+def _list_acting(config: AnyRecordingsConfig, run: MeasuredRunConfig) -> list[Excitation]:
     acting: list[Excitation] = []
-    for run in config.runs:
-        for one in run.unbalances:
-            phase = convert_phase(one.phase, config.shaft_angle or "from_x", config.tacho.angle)
-            acting.append(Excitation(run.name, "unbalance", one.node, one.magnitude, phase))
-        acting += [Excitation(run.name, "force", one.node, one.magnitude, one.phase, one.whirl) for one in run.forces]
-    return tuple(acting)
+    for one in run.unbalances:
+        phase = convert_phase(one.phase, config.shaft_angle or "from_x", config.tacho.angle)
+        acting.append(Excitation(run.name, "unbalance", one.node, one.magnitude, phase))
+    acting += [Excitation(run.name, "force", one.node, one.magnitude, one.phase, one.whirl) for one in run.forces]
+    return acting
 
 
 def _list_frequencies(runs: Sequence[MeasuredRunConfig], speeds: np.ndarray) -> np.ndarray:

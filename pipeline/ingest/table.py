@@ -34,8 +34,33 @@ def read_table_runs(config: TableRecordingsConfig) -> tuple[RunTracks, ...]:
         tracks = {name: _make_track(config, run, name, one) for name, one in rows.items()}
         phases = np.concatenate([phase for _, _, phase, _ in rows.values()])
         notes = note_cut(path) + _note_unit(phases, config.conventions.phase_unit, path)
-        runs.append(RunTracks(run.name, f"'{path}'", tracks, tracks, notes))
+        conditions = _read_conditions(config, run, path)
+        runs.append(RunTracks(run.name, f"'{path}'", tracks, tracks, notes, conditions=conditions))
     return tuple(runs)
+
+
+def _read_conditions(
+    config: TableRecordingsConfig, run: TableRunConfig, path: Path
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Name -> speeds (n,) rad/s, ascending, and the condition there, SI: the mean of the rows of a speed."""
+    named = config.columns
+    if not named.conditions:
+        return {}
+    columns = {name: one.column for name, one in named.conditions.items()}
+    kinds = dict.fromkeys((named.speed, *columns.values()), "number")
+    kinds |= {named.run: "text"} if config.layout == "long" else {}
+    table = read_table(path, kinds, text=read_format(config.csv))
+    if config.layout == "long":
+        table = _select(table, named.run, run.name)
+    speeds, at = np.unique(table[named.speed], return_inverse=True)
+    count = np.bincount(at.ravel())
+    return {
+        name: (
+            speeds * RAD_S[config.conventions.speed],
+            np.bincount(at.ravel(), named.conditions[name].to_si(table[column])) / count,
+        )
+        for name, column in columns.items()
+    }
 
 
 _Rows = tuple[np.ndarray, np.ndarray, np.ndarray, str]

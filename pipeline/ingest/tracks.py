@@ -18,7 +18,7 @@ SAME_SPEED = 1e-3
 LARGEST = 1.0
 """m, what the file of training takes."""
 _FASTEST = 1e5  # rad/s
-_ROUNDING = 1e-5
+ROUNDING = 1e-5
 """Speeds in files have few digits: so much may the end of a range be missed by."""
 
 
@@ -48,6 +48,7 @@ class RunTracks:
     slow: Mapping[str, Track] = field(default_factory=dict)  # by probe, where slow roll was tracked apart
     notes: tuple[str, ...] = ()
     times: np.ndarray | None = None  # (S,) s, when a run-up passed the speeds of its tracks
+    conditions: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)  # rad/s and SI (n,) each
 
 
 def sort_track(speeds: np.ndarray, vectors: np.ndarray, where: str) -> Track:
@@ -111,7 +112,7 @@ def _require_same(
 
 
 def _interpolate(run: RunTracks, probe: str, track: Track, speeds: np.ndarray, kind: str) -> np.ndarray:
-    low, high = track.speeds[0] * (1 - _ROUNDING), track.speeds[-1] * (1 + _ROUNDING)
+    low, high = track.speeds[0] * (1 - ROUNDING), track.speeds[-1] * (1 + ROUNDING)
     if speeds[0] < low or speeds[-1] > high:
         raise DataError(
             f"every run must cover machine.recordings.speeds ({format_rpm(speeds[0])} to {format_rpm(speeds[-1])} "

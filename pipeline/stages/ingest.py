@@ -15,7 +15,9 @@ from pipeline.config.recordings import (
 from pipeline.config.records import RecordsConfig
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import write_coefficients
+from pipeline.data.dataset import VibrationDataset
 from pipeline.data.excitation_files import write_excitation
+from pipeline.data.operating_points import describe_points, list_columns
 from pipeline.data.tables import read_marks
 from pipeline.data.vibration_files import to_rpm, write_vibration
 from pipeline.errors import ConfigError, DataError
@@ -64,8 +66,8 @@ def run(config: Config) -> StageOutput:
     dataset = measured.dataset
     nodes, speeds, operating = rotor.bearing_nodes, dataset.speeds, dataset.operating
     known = load_known(config, ingest.known, "machine.recordings.known", nodes, speeds, operating)
-    notes = [*on_casing, *measured.notes, *note_whirl(dataset)]
-    notes += note_size(dataset, rotor, config.model.initial_stiffness, config.model.initial_damping)
+    notes = [*on_casing, *measured.notes, *note_whirl(measured.recorded)]
+    notes += note_size(measured.recorded, rotor, config.model.initial_stiffness, config.model.initial_damping)
     written = [write_excitation(work.excitation, dataset)]
     if known is not None:
         written.append(write_coefficients(work.known, known, list_known(config, rotor.bearing_nodes)))
@@ -79,8 +81,8 @@ def run(config: Config) -> StageOutput:
     written.append(write_vibration(work.vibration, dataset))
     written += [
         write_json(work.folder / "ingest.json", _summarize(measured, ingest, notes)),
-        draw_bode(work.figure("ingest_bode"), dataset, ingest.baseline, _list_probes(ingest)),
-        draw_measured_orbits(work.figure("ingest_orbits"), dataset, ingest.baseline),
+        draw_bode(work.figure("ingest_bode"), measured.recorded, ingest.baseline, _list_probes(ingest)),
+        draw_measured_orbits(work.figure("ingest_orbits"), measured.recorded, ingest.baseline),
     ]
     _report(config, ingest, measured, work)
     for note in notes:
@@ -99,17 +101,24 @@ def _list_probes(ingest: AnyRecordingsConfig) -> dict[str, tuple[int, float]]:
 
 def _summarize(measured: MeasuredRuns, ingest: AnyRecordingsConfig, notes: list[str]) -> dict[str, object]:
     dataset = measured.dataset
-    rpm = to_rpm(dataset.speeds)
+    rpm = to_rpm(measured.recorded.speeds)
     return {
         "format": ingest.format,
         "conventions": describe_conventions(ingest),
         "speeds": {"count": len(rpm), "first_rpm": float(rpm[0]), "last_rpm": float(rpm[-1])},
         "nodes": sorted({node for node, _ in dataset.channels}),
         "baseline": ingest.baseline,
-        "runs": {run.name: _summarize_run(measured, i) for i, run in enumerate(measured.runs)},
+        **({"operating": _summarize_conditions(dataset)} if dataset.operating else {}),
+        "runs": {name: _summarize_run(measured, i) for i, name in enumerate(measured.recorded.runs)},
         "sweeps": {name: _describe_sweep(bias) for name, bias in measured.sweeps.items()},
         "notes": notes,
     }
+
+
+def _summarize_conditions(dataset: VibrationDataset) -> dict[str, list[float]]:
+    """By column, the lowest and the highest value."""
+    columns = list_columns(dataset.operating)
+    return {name: [float(values.min()), float(values.max())] for name, values in columns.items()}
 
 
 def _describe_sweep(bias: SweepBias) -> dict[str, float]:
@@ -130,7 +139,7 @@ def _summarize_run(measured: MeasuredRuns, index: int) -> dict[str, object]:
         "speeds": max(len(track.speeds) for track in tracks),
         "first_rpm": float(min(to_rpm(track.speeds[:1])[0] for track in tracks)),
         "last_rpm": float(max(to_rpm(track.speeds[-1:])[0] for track in tracks)),
-        "largest_um": float(1e6 * np.abs(measured.dataset.displacement[..., index]).max()),
+        "largest_um": float(1e6 * np.abs(measured.recorded.displacement[..., index]).max()),
     }
 
 
@@ -159,12 +168,12 @@ def _report(config: Config, ingest: AnyRecordingsConfig, measured: MeasuredRuns,
     dataset = measured.dataset
     rows = []
     for i, run in enumerate(measured.runs):
-        summary = _summarize_run(measured, i)
-        acting = [e for e in dataset.excitations if e.run == run.name]
+        summary, name = _summarize_run(measured, i), measured.recorded.runs[i]
+        acting = [e for e in measured.recorded.excitations if e.run == name]
         words = ", ".join(f"{e.kind} at node {e.node}" for e in acting) or "nothing (baseline)"
         rows.append(
             [
-                run.name,
+                name,
                 run.source,
                 str(summary["speeds"]),
                 f"{summary['first_rpm']:g} to {summary['last_rpm']:g}",
@@ -178,10 +187,10 @@ def _report(config: Config, ingest: AnyRecordingsConfig, measured: MeasuredRuns,
     probes = ", ".join(
         f"{name} (node {probe.node}, {np.degrees(probe.angle):g} deg)" for name, probe in ingest.probes.items()
     )
-    rpm = to_rpm(dataset.speeds)
+    rpm = to_rpm(measured.recorded.speeds)
     say(
         f"probes: {probes}\n"
-        f"{config.name}: {len(dataset.runs)} runs, {len(rpm)} speeds from {rpm[0]:g} to {rpm[-1]:g} rpm, "
+        f"{config.name}: {len(dataset.runs)} runs, {describe_points(dataset)} from {rpm[0]:g} to {rpm[-1]:g} rpm, "
         f"{len(dataset.channels)} channels in '{work.vibration}'"
     )
     if not work.known.exists():

@@ -1,0 +1,179 @@
+"""Operating conditions of recordings: given for a run, in a file beside the recordings, or in a column of a table.
+
+Legend: S speeds, R recordings, P channels; then S operating points and R runs of the data set.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.config.measured import MeasuredRunConfig
+from pipeline.config.recordings import AnyRecordingsConfig
+from pipeline.data.dataset import VibrationDataset
+from pipeline.data.operating import name_state
+from pipeline.data.operating_points import find_points, read_with_conditions, require_complete
+from pipeline.data.tables import Columns
+from pipeline.errors import DataError, nearest
+from pipeline.ingest.tracks import ROUNDING, RunTracks
+from pipeline.units import RAD_S_PER_RPM
+
+Conditions = dict[str, np.ndarray]
+
+
+def find_conditions(config: AnyRecordingsConfig, runs: Sequence[RunTracks], speeds: np.ndarray) -> Conditions:
+    """Name -> (S, R) SI at ``speeds`` (S,) rad/s: what ``operating`` of a run says, or the file, or the columns.
+
+    Raises DataError for a condition that some recordings lack, and for speeds or times that the file does not cover.
+    """
+    logged = _read_log(config)
+    found = []
+    for run, tracks in zip(config.runs, runs, strict=True):
+        own = {name: np.interp(speeds, *of) for name, of in tracks.conditions.items()}
+        if logged is not None:
+            own |= _look_up(logged, run, tracks, speeds, f"'{config.conditions_file}'")
+        own |= {name: np.full(len(speeds), value) for name, value in run.operating.items()}
+        found.append(own)
+    names = list(dict.fromkeys(name for own in found for name in own))
+    for name in names:
+        without = [run.name for run, own in zip(config.runs, found, strict=True) if name not in own]
+        if without:
+            raise DataError(
+                f"every run must have every operating condition, but run '{without[0]}' has no {name} "
+                f"({len(without)} of {len(found)} runs): give it as operating={{{name}: ..}} of the run, or in "
+                "machine.recordings.conditions_file"
+            )
+    return {name: np.stack([own[name] for own in found], axis=1) for name in names}
+
+
+def _read_log(config: AnyRecordingsConfig) -> tuple[Columns, Conditions] | None:
+    if config.conditions_file is None:
+        return None
+    path = Path(config.conditions_file)
+    places = {"speed_rpm": "number", "time_s": "number"}
+    table, operating = read_with_conditions(path, {"run": "text"}, places)
+    require_complete(operating, path, table)
+    if not operating:
+        raise DataError(
+            f"'{path}' must have columns of operating conditions, such as oil_temperature_degC, but it has none"
+        )
+    if places.keys() <= table.keys():
+        raise DataError(f"'{path}' must have speed_rpm or time_s, but it has both: leave one out")
+    return table, operating
+
+
+def _look_up(
+    logged: tuple[Columns, Conditions], run: MeasuredRunConfig, tracks: RunTracks, speeds: np.ndarray, where: str
+) -> Conditions:
+    """Name -> (S,) of one recording: straight lines between the rows of its run."""
+    table, operating = logged
+    rows = np.flatnonzero(table["run"] == run.name)
+    if not len(rows):
+        if run.operating:
+            return {}
+        raise DataError(
+            f"{where} must have rows of run '{run.name}', but it has {nearest(run.name, set(table['run']))}"
+        )
+    key = next((name for name in ("speed_rpm", "time_s") if name in table), None)
+    if key is None:
+        if len(rows) > 1:
+            raise DataError(
+                f"{where} must have one row a run where it has no speed_rpm and no time_s, but run '{run.name}' has "
+                f"{len(rows)}: add one of the columns, or give each recording a name of its own"
+            )
+        return {name: np.full(len(speeds), values[rows[0]]) for name, values in operating.items()}
+    if key == "time_s" and tracks.times is None:
+        raise DataError(
+            f"{where} may have time_s for run-ups alone (records=run_up), which pass each speed once, but run "
+            f"'{run.name}' is none: give speed_rpm"
+        )
+    wanted = speeds / RAD_S_PER_RPM if tracks.times is None or key == "speed_rpm" else tracks.times
+    given = table[key][rows]
+    order = np.argsort(given, kind="stable")
+    given = given[order]
+    if (np.diff(given) == 0).any():
+        raise DataError(f"{where} must have each {key} of a run once, but run '{run.name}' has one twice")
+    if wanted.min() < given[0] * (1 - ROUNDING) or wanted.max() > given[-1] * (1 + ROUNDING):
+        raise DataError(
+            f"{where} must cover run '{run.name}' ({key} {wanted.min():.6g} to {wanted.max():.6g}), but it has "
+            f"{given[0]:.6g} to {given[-1]:.6g}: nothing is extrapolated"
+        )
+    return {name: np.interp(wanted, given, values[rows][order]) for name, values in operating.items()}
+
+
+def name_recordings(config: AnyRecordingsConfig, conditions: Conditions) -> tuple[str, ...]:
+    """R names: that of the run, with its conditions where several recordings have it."""
+    names = [run.name for run in config.runs]
+    return tuple(
+        f"{name}, {name_state({key: of[:, r] for key, of in conditions.items()})}" if names.count(name) > 1 else name
+        for r, name in enumerate(names)
+    )
+
+
+def to_points(
+    recorded: VibrationDataset, names: Sequence[str], conditions: Conditions, same: Mapping[str, float]
+) -> tuple[VibrationDataset, list[str]]:
+    """The data set at operating points, and a note on recordings that became one run.
+
+    Recordings of one excitation are one run where no point holds two of them: it is called by the first of their
+    ``names`` (R,). Raises DataError where recordings of one name share a point.
+    """
+    n_speeds, n_recordings = len(recorded.speeds), len(recorded.runs)
+    flat = {name: values.ravel() for name, values in conditions.items()}
+    speeds, operating, at = find_points(np.repeat(recorded.speeds, n_recordings), flat, same)
+    place = at.reshape(n_speeds, n_recordings)  # the point of each speed in each recording
+    groups: list[list[int]] = []
+    for r in range(n_recordings):
+        for group in groups:
+            apart = not any(np.isin(place[:, r], place[:, other]).any() for other in group)
+            if apart and _acts_alike(recorded, r, group[0]):
+                group.append(r)
+                break
+        else:
+            groups.append([r])
+    runs = tuple(names[group[0]] for group in groups)
+    if len(set(runs)) < len(runs):
+        twice = next(run for run in runs if runs.count(run) > 1)
+        raise DataError(
+            f"recordings of one run must be at operating conditions of their own, but some of run '{twice}' have a "
+            "speed at the same ones: give them other names, or a smaller machine.recordings.same_conditions"
+        )
+    displacement = np.zeros((len(speeds), len(recorded.channels), len(runs)), dtype=complex)
+    present = np.zeros((len(speeds), len(runs)), dtype=bool)
+    own = np.repeat(speeds[:, None], len(runs), axis=1)
+    for g, group in enumerate(groups):
+        for r in group:
+            displacement[place[:, r], :, g] = recorded.displacement[..., r]
+            present[place[:, r], g] = True
+            own[place[:, r], g] = recorded.frequencies[:, r]
+    acting = tuple(
+        replace(one, run=run)
+        for run, group in zip(runs, groups, strict=True)
+        for one in recorded.excitations
+        if one.run == recorded.runs[group[0]]
+    )
+    notes = [
+        f"the recordings {', '.join(recorded.runs[r] for r in group)} have the same excitation at other conditions: "
+        f"they are one run, '{run}'"
+        for run, group in zip(runs, groups, strict=True)
+        if len({names[r] for r in group}) > 1
+    ]
+    made = replace(
+        recorded,
+        speeds=speeds,
+        runs=runs,
+        displacement=displacement,
+        excitations=acting,
+        own_frequencies=None if recorded.own_frequencies is None else own,
+        operating=operating,
+        present=None if present.all() else present,
+    )
+    return made, notes
+
+
+def _acts_alike(recorded: VibrationDataset, one: int, other: int) -> bool:
+    same = np.array_equal(recorded.frequencies[:, one], recorded.frequencies[:, other])
+    return same and recorded.excitation_of(one) == recorded.excitation_of(other)
