@@ -124,11 +124,8 @@ def spread_states(
     return np.tile(speeds, len(grid)), conditions
 
 
-def group_points(dataset: VibrationDataset) -> list[np.ndarray]:
-    """The points (indices) of equal conditions that were measured in the same runs: in each group the speeds ascend."""
-    keys = [*dataset.operating.values(), *([] if dataset.present is None else dataset.present.T.astype(float))]
-    if not keys:
-        return [np.arange(len(dataset.speeds))]
-    _, of = np.unique(np.stack(keys, axis=1), axis=0, return_inverse=True)
+def group_rows(keys: np.ndarray) -> list[np.ndarray]:
+    """The indices of equal rows of ``keys`` (n, k), the group of the first row first."""
+    _, of = np.unique(keys, axis=0, return_inverse=True)
     groups = [np.flatnonzero(of.ravel() == i) for i in range(of.max() + 1)]
     return sorted(groups, key=lambda group: int(group[0]))

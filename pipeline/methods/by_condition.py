@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.data.operating import split_states
+from pipeline.data.operating_points import group_rows
 from pipeline.problem.measurement import Measurement
 
 if TYPE_CHECKING:
@@ -17,10 +18,17 @@ if TYPE_CHECKING:
 
 
 def solve_each(solve: Callable[[Measurement], Estimate], measurement: Measurement) -> Estimate:
-    """The answers of ``solve`` at each operating condition, put together. Raises the first Refusal."""
+    """The answers of ``solve`` at each operating condition, put together. Raises the first Refusal.
+
+    Points of a condition that were not measured in the same runs are answered apart, each with its own runs.
+    """
     data, values = measurement.dataset, np.array(measurement.known.values)
-    states = split_states(data.speeds, data.operating)
-    found = [(points, solve(_alone(measurement, points))) for _, points in states]
+    states = [
+        points[rows]
+        for _, points in split_states(data.speeds, data.operating)
+        for rows in group_rows(np.ones((len(points), 1)) if data.present is None else data.present[points])
+    ]
+    found = [(points, solve(_alone(measurement, points))) for points in states]
     deviations = [answer.deviation for _, answer in found]
     together = None if any(one is None for one in deviations) else np.full(values.shape, np.nan)
     for points, answer in found:
@@ -39,6 +47,8 @@ def solve_each(solve: Callable[[Measurement], Estimate], measurement: Measuremen
 
 
 def _alone(measurement: Measurement, points: np.ndarray) -> Measurement:
-    """The measurement at the ``points`` (indices), as if it had no operating conditions."""
-    part = measurement.select(points)
-    return replace(part, dataset=replace(part.dataset, operating={}), known=replace(part.known, operating={}))
+    """The measurement at the ``points`` (indices) in the runs that have them, as if it had no operating conditions."""
+    present = measurement.dataset.present
+    part = measurement.select(points, None if present is None else np.flatnonzero(present[points[0]]))
+    data = replace(part.dataset, operating={}, present=None)
+    return replace(part, dataset=data, known=replace(part.known, operating={}))

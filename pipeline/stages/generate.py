@@ -11,7 +11,7 @@ from pipeline.data.as_built import build_rotor, misplace_probes, simulate_as_bui
 from pipeline.data.coefficient_files import write_coefficients
 from pipeline.data.dataset import Excitation, VibrationDataset, require_synchronous
 from pipeline.data.excitation_files import write_excitation
-from pipeline.data.operating_points import describe_points, spread_states
+from pipeline.data.operating_points import describe_points, group_rows, spread_states
 from pipeline.data.sensors import Channels, Sensors, list_directions, measure
 from pipeline.data.simulate import simulate
 from pipeline.data.tables import read_marks
@@ -56,6 +56,11 @@ def run(config: Config) -> StageOutput:
         f"{config.name}: {len(dataset.runs)} runs, {describe_points(dataset)}, {len(dataset.channels)} channels in "
         f"'{work.vibration}'\n" + _describe_margin(margin)
     )
+    for name in find_idle(bearings):
+        warn(
+            f"no bearing depends on {name}: the data are the same at all its values (a film depends on the oil's "
+            "temperature where oil_viscosity is a law, and on the load where static_load is 'condition')"
+        )
     if not margin.stable:
         warn(
             f"the modelled rotor is unstable somewhere (growth {margin.largest_growth:.3g} 1/s): its steady "
@@ -110,6 +115,17 @@ def read_probes(
         complete = misplace_probes(complete, built, probes.channels, np.random.default_rng([seed, 2]))
         probes = replace(probes, channels=None)
     return measure(complete, probes, np.random.default_rng(seed))
+
+
+def find_idle(bearings: BearingTable) -> list[str]:
+    """The operating conditions that take several values and change no coefficient."""
+    idle = []
+    for name, values in bearings.operating.items():
+        others = [bearings.speeds, *(of for other, of in bearings.operating.items() if other != name)]
+        changes = any(np.ptp(bearings.values[:, rows], axis=1).any() for rows in group_rows(np.stack(others, axis=1)))
+        if np.ptp(values) > 0 and not changes:
+            idle.append(name)
+    return idle
 
 
 def _describe_margin(margin: StabilityMargin) -> str:

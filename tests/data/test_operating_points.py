@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from pipeline.data.coefficient_files import read_coefficients, read_known, write_coefficients
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.data.excitation_files import write_excitation
-from pipeline.data.operating_points import group_points, join, spread_states
+from pipeline.data.operating_points import join, spread_states
 from pipeline.data.vibration_files import read_measured, write_vibration
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.units import RAD_S_PER_RPM
@@ -203,13 +203,6 @@ def test_the_baseline_must_be_measured_where_the_others_are(tmp_path: Path) -> N
     assert found.present is None
     with refused("the baseline 'b' must be measured at the operating conditions of the other runs", "run 'a', 100 rpm"):
         read(tmp_path, [header, *of_a, *of_b[2:]], baseline="b")
-
-
-def test_groups_have_one_state_and_one_set_of_runs() -> None:
-    present = np.ones((8, 2), dtype=bool)
-    present[1, 0] = False
-    groups = group_points(dataset_at(grid().speeds, dict(grid().operating), present))
-    assert [group.tolist() for group in groups] == [[0], [1], [2, 3], [4, 5], [6, 7]]
 
 
 def table_at(speeds: np.ndarray, operating: dict[str, np.ndarray]) -> BearingTable:

@@ -43,6 +43,20 @@ def test_each_condition_is_answered_by_itself(method: str) -> None:
     assert "each of 2 conditions" in both.words
 
 
+def test_points_are_answered_from_the_runs_that_were_measured_there() -> None:
+    """A run that the warm state lacks is no run of zeros."""
+    parts = [task(replace(CASE, data_set=i), *FILM) for i in range(2)]
+    both = _join(*parts)
+    count = len(parts[0].dataset.speeds)
+    present = np.ones((2 * count, len(both.dataset.runs)), dtype=bool)
+    present[count:, 0] = False
+    data = replace(both.dataset, present=present, displacement=both.dataset.displacement * present[:, None])
+    found = METHODS["least_squares"].identify(replace(both, dataset=data), options(*FILM)).coefficients.values
+    fewer = parts[1].select(None, np.arange(1, len(both.dataset.runs)))
+    alone = [METHODS["least_squares"].identify(part, options(*FILM)) for part in (parts[0], fewer)]
+    np.testing.assert_array_equal(found, np.concatenate([of.coefficients.values for of in alone], axis=1))
+
+
 def test_a_case_of_few_speeds_has_them_at_each_condition() -> None:
     whole = machine(*FILM)
     count = len(whole.vibration.speeds)

@@ -16,7 +16,8 @@ from pipeline.data.noise import NoiseModel
 from pipeline.data.vibration_files import write_vibration
 from pipeline.errors import ConfigError
 from pipeline.problem.measurement import Guess, Measurement
-from pipeline.stages.generate import model_machine
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.stages.generate import find_idle, model_machine
 from pipeline.stages.measurement import load_measurement
 from pipeline.stages.workspace import hash_machine
 
@@ -36,6 +37,16 @@ def test_every_speed_and_run_is_made_at_every_combination_of_the_conditions() ->
     assert found.operating["load"].tolist() == 2 * ([500.0] * count + [700.0] * count)
     assert bearings.operating == found.operating
     np.testing.assert_array_equal(found.displacement, np.tile(plain.displacement, (4, 1, 1)))
+
+
+def test_a_condition_that_changes_no_bearing_is_named() -> None:
+    """Balls follow neither; a film follows what it is told to."""
+    at = dict(zip(("load", "oil_temperature"), np.meshgrid([5.0, 7.0], [310.0, 320.0]), strict=True))
+    operating = {name: values.ravel() for name, values in at.items()}
+    same = BearingTable((0,), np.full(4, 100.0), np.ones((1, 4, 8)), operating)
+    assert find_idle(same) == ["load", "oil_temperature"]
+    film = replace(same, values=same.values * operating["oil_temperature"][:, None])
+    assert find_idle(film) == ["load"]
 
 
 def test_a_machine_without_conditions_is_the_machine_that_it_was() -> None:
