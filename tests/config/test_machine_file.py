@@ -85,6 +85,16 @@ def test_paths_in_the_file_start_in_its_folder(folder: Path) -> None:
     assert compose_config([given_by(path), "machine.rotor.file=other.toml"]).machine.rotor.file == "other.toml"
 
 
+def test_the_path_of_a_bearings_table_starts_there_and_the_name_of_one_is_none(folder: Path) -> None:
+    sizes = {"journal_diameter": 0.1, "length": 0.05, "radial_clearance": 1e-4, "static_load": 500, "load_share": 1}
+    law = {"kind": "journal_table", **sizes}
+    laws = {"oil": {"law": "constant", "viscosity": 0.02}, "bearings": {1: law | {"table": "own.csv"}}}
+    laws["bearings"][5] = law | {"table": "elliptical", "preload": 0.3}
+    read = compose_config([given_by(machine_file(folder, laws=laws))]).machine.laws
+    assert read is not None
+    assert [getattr(one, "table", "") for one in read.bearings.values()] == [str(folder / "own.csv"), "elliptical"]
+
+
 def test_paths_of_many_files_and_of_one_for_all(folder: Path) -> None:
     recordings = yaml.safe_load(fill_template(folder, "rolling", "recordings"))["recordings"]
     for run in recordings["runs"]:

@@ -31,6 +31,7 @@ SIZES = {
     "static_load": "892.7 N",
 }
 LUND = {"kind": "journal_table", "table": "lund_thomsen_two_axial_groove", **SIZES}
+ELLIPTICAL = {**LUND, "table": "elliptical", "preload": 0.4}
 SHORT = {"kind": "short_journal", **SIZES}
 BALL = {"kind": "ball", "n_balls": 9, "ball_diameter": "12 mm", "contact_angle": "20 deg", "load": "300 N"}
 VOGEL = {"law": "vogel", "reference": "40 degC", "viscosity": "30 mPa s", "b": "900 K", "c": "-95 degC"}
@@ -62,6 +63,7 @@ EVERYTHING = laws(
     unknown({**SHORT, "load_angle": "40 deg"}, "journal_diameter", "length", "radial_clearance", "static_load"),
     unknown({**SHORT, "static_load": "condition", "load_share": 0.4}, "load_share"),
     unknown(BALL, "ball_diameter", "contact_angle", "load"),
+    unknown(ELLIPTICAL, "radial_clearance", "preload"),
     oil=unknown(OIL, "viscosity", "slope"),
 )
 
@@ -103,10 +105,12 @@ def test_a_ball_bearing_is_that_of_ross(n_balls: int) -> None:
 
 def test_a_table_is_the_modelled_bearing() -> None:
     rows = np.loadtxt(FOLDER / f"{LUND['table']}.csv", delimiter=",", skiprows=5)
-    given = {**LUND, "rows": rows.tolist(), "oil_viscosity": 0.0166}
-    modelled = JournalTableConfig.model_validate({k: v for k, v in given.items() if k != "table"})
-    ours = known(laws(LUND, oil=constant(0.0166)))
-    np.testing.assert_allclose(ours[0], journal_coefficients(modelled, SPEEDS), rtol=1e-9)
+    by_rows = {**{k: v for k, v in LUND.items() if k != "table"}, "rows": rows.tolist()}
+    for modelled, law in ((by_rows, LUND), (ELLIPTICAL, ELLIPTICAL)):
+        config = JournalTableConfig.model_validate({**modelled, "oil_viscosity": 0.0166})
+        ours = known(laws(law, oil=constant(0.0166)))[0]
+        theirs = journal_coefficients(config, SPEEDS)
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9 * np.abs(theirs).max())
 
 
 @pytest.mark.parametrize("bearing", [LUND, SHORT], ids=["table", "short"])
@@ -169,6 +173,10 @@ def test_what_a_law_needs_and_does_not_get_is_named() -> None:
         known(laws(LUND), operating={"load": np.ones(7)})
     with pytest.raises(DataError, match="load above zero"):
         known(laws({**LUND, "static_load": "condition"}), operating={**WARM, "load": np.zeros(7)})
+    with pytest.raises(ConfigError, match=r"bearings.0 must have a preload .*has from 0 to 0.75: give preload"):
+        laws({**ELLIPTICAL, "preload": None})
+    with pytest.raises(ConfigError, match="has none: leave out preload"):
+        laws({**LUND, "preload": 0.4})
     with pytest.raises(ConfigError, match="must have a law for node 5, but it has 0"):
         make_laws(LawsConfig.model_validate({"oil": OIL, "bearings": {0: LUND}}), (0, 5))
 
