@@ -18,6 +18,7 @@ from pipeline.identification.training import FitSetup, Progress, minimise
 from pipeline.problem.determination import Deviations
 from pipeline.problem.diagnosis import Diagnosis, diagnose_residual, diagnose_response
 from pipeline.problem.identifiability import Verdict, require_identifiable
+from pipeline.problem.law_information import require_temperatures
 from pipeline.problem.measurement import Guess, Measurement
 
 if TYPE_CHECKING:
@@ -157,6 +158,8 @@ class OutputErrorLoss:
 
         if not setup.force and measurement.laws is None:
             require_identifiable((diagnosis or self.diagnose(measurement, setup)).reports)
+        elif not setup.force and measurement.laws is not None:
+            require_temperatures(measurement.laws, measurement.dataset.operating)
         found = fit_sensors(measurement, setup, progress)
         quality = output_error_quality(found)
         return Fit(

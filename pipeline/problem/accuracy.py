@@ -20,6 +20,7 @@ import numpy as np
 from pipeline.problem.design import exchange, unknown_sizes
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.response import derive_by_parameters, respond
+from pipeline.rotor.bearing_table import BearingTable
 
 _PRIOR_DEVIATION = 1e3
 """Every weight is known beforehand to within so many times the size of its unknown, so that sets of runs too small to
@@ -72,15 +73,21 @@ def run_information(plan: Measurement, count: int) -> RunInformation:
     by_coefficient = plan.response.sensitivity(plan.known)  # (S, P, R, B, 8)
     by_unknown = np.einsum("sprbc,bca->spra", by_coefficient, unknowns.influence) * size[:, None, None]
     by_weight = np.einsum("spra,sk->sprak", by_unknown, functions).reshape(*by_unknown.shape[:3], -1)
-    by_model = np.einsum("sprbc,sbct->sprt", by_coefficient, plan.known_variation).astype(complex)
-    for block, variation in zip(plan.response.blocks if plan.parameters else (), plan.variations, strict=True):
-        change = plan.response.change(plan.known, block)
-        by_model[:, :, block.runs] += derive_by_parameters(variation, respond(block, change), change[None], None)[0]
+    by_model = derive_by_model(plan, plan.known, by_coefficient)
     joined = np.concatenate([by_weight, by_model], axis=-1) * (np.sqrt(2.0) / plan.deviation)[..., None]
     rows = np.concatenate([joined.real, joined.imag], axis=1)
     nodes = ["all bearings"] if unknowns.shared else [f"node {node}" for node in plan.rotor.bearing_nodes]
     names = tuple(f"{nodes[m]} {unknowns.names[u]}" for m, u in unknowns.active)
     return RunInformation(names, functions, np.moveaxis(rows, 2, 0), len(plan.parameters))
+
+
+def derive_by_model(plan: Measurement, bearings: BearingTable, by_coefficient: np.ndarray) -> np.ndarray:
+    """(S, P, R, T) derivative of the readings by the model parameters, m; ``by_coefficient`` is (S, P, R, B, 8)."""
+    by_model: np.ndarray = np.einsum("sprbc,sbct->sprt", by_coefficient, plan.known_variation).astype(complex)
+    for block, variation in zip(plan.response.blocks if plan.parameters else (), plan.variations, strict=True):
+        change = plan.response.change(bearings, block)
+        by_model[:, :, block.runs] += derive_by_parameters(variation, respond(block, change), change[None], None)[0]
+    return by_model
 
 
 @dataclass(frozen=True)

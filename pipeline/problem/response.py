@@ -37,6 +37,16 @@ def _library(array: Array) -> Any:
     return torch
 
 
+def _solve(system: Array, right: Array) -> Array:
+    """The solution; of tensors NaN where the system is singular, since a search may pass there and turn back."""
+    if isinstance(system, np.ndarray):
+        return np.linalg.solve(system, right)
+    import torch
+
+    solution, failed = torch.linalg.solve_ex(system, right)
+    return torch.where(failed[..., None, None] == 0, solution, float("nan"))
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ResponseBlock:
     """Runs that share their frequencies, on the reference bearings."""
@@ -115,7 +125,7 @@ def respond(
     n_runs, n_units = block.forced_bearings.shape[-1], block.unit_bearings.shape[-1]
     right = [block.forced_bearings, block.unit_bearings, *([block.receptance_bearings] if derivative else [])]
     joined = library.concatenate(right, axis=-1)
-    solved = library.linalg.solve(system, library.broadcast_to(joined, (*change.shape[:-2], *joined.shape[-2:])))
+    solved = _solve(system, library.broadcast_to(joined, (*change.shape[:-2], *joined.shape[-2:])))
     carried = block.receptance_sensors @ change
     moved = solved[..., :n_runs]
     sensors = block.forced_sensors - carried @ moved

@@ -28,6 +28,7 @@ from pipeline.reporting.console import say, table
 from pipeline.reporting.diagnosis_figure import draw_diagnosis
 from pipeline.reporting.model_error import Budget, draw_budget, print_budget
 from pipeline.stages.execution import StageOutput
+from pipeline.stages.law_diagnosis import diagnose_laws
 from pipeline.stages.measurement import load_measurement
 from pipeline.stages.workspace import locate_files
 
@@ -35,6 +36,7 @@ from pipeline.stages.workspace import locate_files
 def run(config: Config) -> StageOutput:
     """``diagnosis.json``, ``diagnosis.csv`` (a row a bearing and speed) and a figure over speed."""
     measurement, work = load_measurement(config), locate_files(config)
+    numbers = diagnose_laws(config, measurement, describe_noise(config))
     diagnosis = diagnose(config, measurement)
     for report in diagnosis.reports:
         say(f"{config.name}: {report.sentence}")
@@ -47,6 +49,7 @@ def run(config: Config) -> StageOutput:
         "bearings": _summarize(diagnosis),
         "determined": {"by": expected.of, "coefficients": summarize_determined(judged)},
     }
+    summary |= numbers
     solvable = all(report.verdict is not Verdict.NOT_IDENTIFIABLE for report in diagnosis.reports)
     if solvable and diagnosis.by_least_squares and loss_of(config.loss).weighs_noise:
         combined = combine(measurement, setup_of(config))

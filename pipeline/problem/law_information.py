@@ -1,0 +1,195 @@
+"""What data determine of the physical numbers of bearing laws, before any fit: Cramer-Rao at the guesses.
+
+Each reading tells of the numbers by its derivative over its noise; residual unbalance and uncertain numbers of the
+model are sought beside them. Numbers that only a product of shows, such as viscosity over load, stay at their priors,
+and what is free is a combination of them.
+
+Legend: S operating points, P channels, R runs, B bearings, A active unknowns, Th numbers (theta, the logarithm of each
+over its guess), N balance planes, T model parameters, Z = Th + 2 N + T.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import qr
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.data.operating import split_states
+from pipeline.errors import IdentifiabilityError
+from pipeline.laws.law_set import LawSet
+from pipeline.laws.numbers import LawParameter
+from pipeline.laws.points import OIL_TEMPERATURE
+from pipeline.problem.accuracy import derive_by_model
+from pipeline.problem.measurement import Measurement
+
+FURTHER = 15.0
+"""K that one more oil temperature lies above the highest one."""
+_OPEN = 0.5
+"""A number of which the data leave this share of its prior deviation, or more, is not told by them."""
+_LEADING = 0.2
+"""Members of a combination with a share below this one are not named."""
+_SAME_OIL = 0.01
+"""What changes the viscosity by less than this share anywhere can't be read from it."""
+
+
+@dataclass(frozen=True, eq=False)
+class LawInformation:
+    """What readings tell of theta, and the priors."""
+
+    parameters: tuple[LawParameter, ...]  # Th
+    readings: np.ndarray  # (Z, Z) information of the readings
+    n_parameters: int  # T
+
+    def plus(self, readings: np.ndarray) -> LawInformation:
+        """With the information (Z, Z) of more readings."""
+        return replace(self, readings=self.readings + readings)
+
+    @cached_property
+    def prior(self) -> np.ndarray:
+        """(Th,) deviations before the data."""
+        return np.array([one.deviation for one in self.parameters])
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """(Th, Th) of theta, with the priors."""
+        count = len(self.parameters)
+        between = len(self.readings) - count - self.n_parameters
+        whole = self.readings + np.diag([*self.prior**-2, *[0.0] * between, *[1.0] * self.n_parameters])
+        size = np.sqrt(np.maximum(np.diag(whole), 1e-300))
+        return np.asarray(np.linalg.pinv(whole / np.outer(size, size), hermitian=True) / np.outer(size, size))[
+            :count, :count
+        ]
+
+    @property
+    def deviation(self) -> np.ndarray:
+        """(Th,) standard deviation of each number over itself."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def determined(self) -> np.ndarray:
+        """(Th,) bool: whether the readings tell it."""
+        return np.asarray(self.deviation < _OPEN * self.prior)
+
+    @property
+    def free(self) -> tuple[dict[str, float], ...]:
+        """The combinations that the readings leave at their priors: shares of a unit vector in prior deviations.
+
+        The largest share is positive. Numbers that share in one may each be told by halves. Of several combinations no
+        one has the number that leads another.
+        """
+        left, vectors = np.linalg.eigh(self.covariance / np.outer(self.prior, self.prior))
+        open_ = vectors[:, left >= _OPEN**2]
+        count = open_.shape[1]
+        if not count:
+            return ()
+        first = np.sort(qr(open_.T, mode="r", pivoting=True)[1][:count])
+        found = []
+        for direction in np.linalg.solve(open_[first].T, open_.T):
+            shares = direction / np.linalg.norm(direction)
+            order = np.argsort(-np.abs(shares))
+            shares = shares * np.sign(shares[order[0]])
+            leading = [i for i in order if abs(shares[i]) >= _LEADING]
+            found.append({self.parameters[i].name: float(shares[i]) for i in leading})
+        return tuple(found)
+
+
+def inform(measurement: Measurement) -> LawInformation:
+    """What the readings tell of the numbers of the laws. Raises DataError for a condition that is missing."""
+    laws, rows = _laws_of(measurement), law_rows(measurement)
+    return LawInformation(laws.parameters, add_rows(rows), len(measurement.parameters))
+
+
+def add_rows(rows: np.ndarray) -> np.ndarray:
+    """(Z, Z) information of rows (.., Z) complex."""
+    flat = rows.reshape(-1, rows.shape[-1])
+    return np.asarray((flat.conj().T @ flat).real)
+
+
+def law_rows(measurement: Measurement) -> np.ndarray:
+    """(S, P, R, Z) complex derivative of the readings over their noise."""
+    values, slopes = _evaluate(measurement)
+    bearings = measurement.table(values)
+    by_coefficient = measurement.response.sensitivity(bearings)  # (S, P, R, B, 8)
+    by_unknown = np.einsum("sprbc,bca->spra", by_coefficient, measurement.unknowns.influence)
+    active = np.stack([slopes[m, :, u] for m, u in measurement.unknowns.active], axis=1)  # (S, A, Th)
+    by_plane = measurement.response.derive_by_unbalance(bearings)
+    parts = [np.einsum("spra,sat->sprt", by_unknown, active), by_plane, 1j * by_plane]
+    parts.append(derive_by_model(measurement, bearings, by_coefficient))
+    return np.asarray(np.concatenate(parts, axis=-1) * (np.sqrt(2.0) / measurement.deviation)[..., None])
+
+
+def at_state(measurement: Measurement, operating: Mapping[str, np.ndarray]) -> Measurement:
+    """The same runs at other ``operating`` conditions (S,), read as the laws at their guesses foretell."""
+    data = replace(measurement.dataset, operating=dict(operating))
+    known = replace(measurement.known, operating=dict(operating))
+    moved = replace(measurement, dataset=data, known=known)
+    vars(moved)["response"] = measurement.response
+    shown = measurement.response.predict(moved.table(_evaluate(moved)[0]))
+    present = data.present
+    shown = shown if present is None else np.where(present[:, None], shown, 0.0)
+    moved = replace(moved, dataset=replace(data, displacement=shown))
+    vars(moved)["response"] = measurement.response
+    return moved
+
+
+def try_warmer(measurement: Measurement) -> tuple[np.ndarray, LawInformation] | None:
+    """One more oil temperature, in K (one value a point), and the information with it; None where none is asked for.
+
+    The readings of the warmest state are repeated :data:`FURTHER` above it.
+    """
+    data = measurement.dataset
+    if OIL_TEMPERATURE not in _laws_of(measurement).inputs:
+        return None
+    lines = [points for _, points in split_states(data.speeds, data.operating)]
+    points = np.sort(max(lines, key=lambda of: float(data.operating[OIL_TEMPERATURE][of].mean())))
+    part = measurement.select(points)
+    warmer = part.dataset.operating[OIL_TEMPERATURE] + FURTHER
+    more = law_rows(at_state(part, {**part.dataset.operating, OIL_TEMPERATURE: warmer}))
+    return warmer, inform(measurement).plus(add_rows(more))
+
+
+def require_temperatures(laws: LawSet, operating: Mapping[str, np.ndarray]) -> None:
+    """Raise IdentifiabilityError where the oil temperatures (S,) in K leave a number of the oil unread."""
+    import torch
+
+    own = [i for i, one in enumerate(laws.parameters) if one.name.startswith("oil.")]
+    if laws.oil is None or not laws.oil.needs_temperature or not own or OIL_TEMPERATURE not in operating:
+        return
+    temperature = np.asarray(operating[OIL_TEMPERATURE], dtype=float)
+    theta = torch.zeros(1, len(laws.parameters), dtype=torch.float64)
+    slopes = laws.oil.log_viscosity(theta, torch.from_numpy(temperature.copy()))[1][0, :, own].numpy()
+    singular = np.linalg.svd(slopes / np.sqrt(len(slopes)), compute_uv=False)
+    if len(singular) == len(own) and singular[-1] >= _SAME_OIL:
+        return
+    names = [laws.parameters[i].name for i in own]
+    low, high = temperature.min() - _ZERO_CELSIUS, temperature.max() - _ZERO_CELSIUS
+    came = f"all readings are at {low:.4g} degC" if high - low < 1 else f"they are at {low:.4g} to {high:.4g} degC"
+    needed = "two" if len(own) < 3 else "three"
+    raise IdentifiabilityError(
+        f"{' and '.join(names)} must be read from {needed} oil temperatures or more, but {came}: measure at a further "
+        f"oil temperature, {FURTHER:g} K apart, or give {names[-1]} in machine.laws as a known number (force=true fits "
+        "all the same, and leaves to the guess what the data do not tell)"
+    )
+
+
+_ZERO_CELSIUS = 273.15
+
+
+def _laws_of(measurement: Measurement) -> LawSet:
+    assert measurement.laws is not None
+    return measurement.laws
+
+
+def _evaluate(measurement: Measurement) -> tuple[np.ndarray, np.ndarray]:
+    """(M, S, U) unknowns of the laws at their guesses, and (M, S, U, Th) slopes by theta."""
+    import torch
+
+    laws, data = _laws_of(measurement), measurement.dataset
+    theta = torch.zeros(1, len(laws.parameters), dtype=torch.float64)
+    values, slopes = laws.coefficients(theta, data.speeds, data.operating)
+    leaders = [COEFFICIENTS.index(name) for name in measurement.unknowns.names]
+    return values[0].numpy()[..., leaders], slopes[0].numpy()[..., leaders, :]

@@ -1,0 +1,87 @@
+"""Which physical numbers of bearing laws the data determine, before any fit (part of ``stage=diagnose``)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from pipeline.config.schema import Config
+from pipeline.data.operating import write_condition
+from pipeline.errors import IdentifiabilityError
+from pipeline.laws.numbers import LawParameter
+from pipeline.laws.points import OIL_TEMPERATURE
+from pipeline.problem.law_information import FURTHER, LawInformation, inform, require_temperatures, try_warmer
+from pipeline.problem.measurement import Measurement
+from pipeline.reporting.console import say, table, warn
+
+_UNITS = {"m": ("mm", 1e3), "Pa * s": ("mPa s", 1e3), "rad": ("deg", 180 / np.pi), "1 / K": ("1/K", 1.0)}
+"""By the unit in SI: the one that is shown, and what SI is multiplied by."""
+
+
+def diagnose_laws(config: Config, measurement: Measurement, noise: str) -> dict[str, Any]:
+    """Print what the data tell of each number, and return it for ``diagnosis.json``; nothing without laws.
+
+    Raises DataError for an operating condition that the laws need and the data lack.
+    """
+    if measurement.laws is None:
+        return {}
+    found, warmer = inform(measurement), try_warmer(measurement)
+    header, further = ["number", "guess", "known to, %", "with these data, %"], None
+    if warmer is not None:
+        further = 100 * warmer[1].deviation
+        header.append(f"with {write_condition(OIL_TEMPERATURE, warmer[0])} as well, %")
+    columns = [100 * found.prior, 100 * found.deviation, *([] if further is None else [further])]
+    rows = []
+    for i, one in enumerate(found.parameters):
+        told = "" if found.determined[i] else "not told by these data"
+        rows.append([one.name, write_number(one), *(f"{column[i]:.2g}" for column in columns), told])
+    title = f"{config.name}: numbers of the bearing laws at their guesses, at {noise} (one standard deviation)"
+    table(title, [*header, ""], rows)
+    for sentence in describe_open(found):
+        say(f"{config.name}: {sentence}")
+    try:
+        require_temperatures(measurement.laws, measurement.dataset.operating)
+    except IdentifiabilityError as error:
+        warn(f"{config.name}: {error}")
+    return {"physical_numbers": summarize_numbers(found, further), "free_combinations": list(found.free)}
+
+
+def summarize_numbers(found: LawInformation, further: np.ndarray | None) -> dict[str, dict[str, Any]]:
+    """By name, SI; ``further`` (Th,) percent, with one more oil temperature."""
+    result = {}
+    for i, one in enumerate(found.parameters):
+        result[one.name] = {
+            "guess": one.guess,
+            "unit": one.unit,
+            "prior_percent": float(100 * found.prior[i]),
+            "deviation_percent": float(100 * found.deviation[i]),
+            "determined": bool(found.determined[i]),
+        }
+        if further is not None:
+            result[one.name][f"deviation_percent_{FURTHER:g}_K_warmer"] = float(further[i])
+    return result
+
+
+def describe_open(found: LawInformation) -> list[str]:
+    """A sentence on each combination of numbers that stays at its prior; none where all is told."""
+    said = []
+    for free in found.free:
+        with_, against = ([name for name, share in free.items() if (share > 0) == same] for same in (True, False))
+        words = _join(with_) + (f", against {_join(against)}" if against else " together" if len(with_) > 1 else "")
+        cure = "it" if len(free) == 1 else "one of them"
+        said.append(f"these data do not tell {words}: give {cure} as a known number, or measure what tells it")
+    return said
+
+
+def _join(names: Sequence[str]) -> str:
+    return f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else names[0]
+
+
+def write_number(one: LawParameter) -> str:
+    """The guess in an engineer's unit."""
+    if one.name.endswith(".c"):
+        return write_condition(OIL_TEMPERATURE, one.guess)
+    unit, factor = _UNITS.get(one.unit, (one.unit, 1.0))
+    return f"{factor * one.guess:.4g} {unit}".strip()

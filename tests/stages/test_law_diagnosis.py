@@ -1,0 +1,49 @@
+"""``stage=diagnose`` of a machine with bearing laws, and the fit that is refused for want of a second temperature."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from conftest import Run
+from running import composed, strict_json
+
+from pipeline.errors import IdentifiabilityError
+
+pytestmark = pytest.mark.slow
+
+SIZES = "kind: short_journal, journal_diameter: 100 mm, length: 30 mm"
+OIL = "{law: exponential, reference: 55 degC, viscosity: {guess: 40 mPa s}, slope: {guess: 0.03 1/K, within: 2}}"
+
+
+def machine(temperatures: str, load: str = "525 N") -> list[str]:
+    bearing = f"{{{SIZES}, radial_clearance: {{guess: 0.1 mm}}, static_load: {load}}}"
+    return [
+        *("experiment=noisy_all", "model=law", "loss=response", "tracking=none"),
+        *(f"machine.speeds.{key}" for key in ("start_rpm=600", "stop_rpm=3000", "step_rpm=400")),
+        f"machine.operating={{oil_temperature: {temperatures}}}",
+        f"machine.laws={{oil: {OIL}, bearings: {{1: {bearing}, 5: {bearing}}}}}",
+    ]
+
+
+def test_two_temperatures_tell_every_number(run: Run, tmp_path: Path) -> None:
+    run("diagnose", composed(*machine("[45 degC, 60 degC]")), tmp_path)
+    found = strict_json(tmp_path / "diagnosis.json")
+    assert found["free_combinations"] == []
+    numbers = found["physical_numbers"]
+    assert list(numbers) == ["oil.viscosity", "oil.slope", "1.radial_clearance", "5.radial_clearance"]
+    for of in numbers.values():
+        assert of["determined"]
+        assert of["deviation_percent_15_K_warmer"] < of["deviation_percent"] < 0.1 * of["prior_percent"]
+
+
+def test_one_temperature_leaves_the_slope_and_names_the_next_step(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = composed(*machine("[45 degC]", load="{guess: 525 N}"))
+    run("diagnose", config, tmp_path)
+    said = " ".join(capsys.readouterr().out.split())
+    assert "these data do not tell oil.slope: give it as a known number" in said
+    assert "5.static_load together: give one of them as a known number" in said
+    with pytest.raises(IdentifiabilityError, match="measure at a further oil temperature, 15 K apart"):
+        run("train", config, tmp_path)
