@@ -107,15 +107,19 @@ def build_measurement(config: Config, rotor: RotorModel, dataset: VibrationDatas
         unknowns,
         Guess(model.initial_stiffness, model.initial_damping, identify.known_within),
         drift=drift,
-        laws=_laws_of(config, rotor),
+        laws=_laws_of(config, rotor, dataset),
         parameters=model_parameters(
             identify.model_parameters.deviations, rotor, dataset, known, unknowns, identify.coupling_node
         ),
     )
 
 
-def _laws_of(config: Config, rotor: RotorModel) -> LawSet | None:
-    """The bearing laws, of a model that is made of them. Raises ConfigError where the machine has none."""
+def _laws_of(config: Config, rotor: RotorModel, dataset: VibrationDataset) -> LawSet | None:
+    """The bearing laws, of a model that is made of them.
+
+    Raises ConfigError where the machine has none, DataError where the slope of the viscosity is asked of one
+    temperature.
+    """
     if config.model.kind not in ("law", "hybrid"):
         return None
     if config.machine.laws is None:
@@ -123,7 +127,9 @@ def _laws_of(config: Config, rotor: RotorModel) -> LawSet | None:
             f"model={config.model.kind} must have machine.laws (what is known of bearings and oil, and guesses of the "
             "rest), but the machine has none: write the section, or choose model=network_fluid_film"
         )
-    return make_laws(config.machine.laws, rotor.bearing_nodes)
+    laws = make_laws(config.machine.laws, rotor.bearing_nodes)
+    laws.refuse_one_temperature(dataset.operating)
+    return laws
 
 
 def _read_known(config: Config, files: Workspace, nodes: tuple[int, ...], dataset: VibrationDataset) -> BearingTable:
