@@ -11,7 +11,7 @@ from pipeline.coefficients import COEFFICIENTS
 from pipeline.data.vibration_files import to_rpm
 from pipeline.problem.determination import WEAKLY_BELOW, WELL_BELOW
 from pipeline.problem.identifiability import Identifiability, Verdict
-from pipeline.reporting.figures import BLUE, GREEN, GREY, LOOKS, ORANGE, YELLOW, break_lines, open_figure
+from pipeline.reporting.figures import BLUE, GREEN, GREY, LOOKS, ORANGE, YELLOW, open_figure
 
 _LARGEST_CONDITION = 1e16
 """Where an infinite condition number is drawn."""
@@ -24,40 +24,46 @@ def draw_diagnosis(
     reports: Sequence[Identifiability],
     relative: Callable[[int], Mapping[str, np.ndarray]],
     noise: str,
-    operating: Mapping[str, np.ndarray],
 ) -> Path:
     """Deviation of each coefficient over speed that the ``noise`` implies; below it the condition number.
 
     ``relative`` gives, for the node of a bearing, the standard deviation (S,) over the coefficient by its name. Shades
-    are the limits of well, weakly and not determined. Each state of the ``operating`` conditions (S,) has its own line.
+    are the limits of well, weakly and not determined. A speed with several operating conditions has their median.
     """
     ratios = {"height_ratios": [1.8, 1.0]}
     width = 5.4 * len(reports)
     with open_figure(path, 2, len(reports), width, 7.0, sharex=True, sharey="row", gridspec_kw=ratios) as axes:
         for above, below, report in zip(*axes, reports, strict=True):
-            speeds, rpm = report.speeds, to_rpm(report.speeds)
+            speeds, of = np.unique(report.speeds, return_inverse=True)
+            rpm, several = to_rpm(speeds), len(speeds) < len(of)
             known = " without noise" if report.verdict is not Verdict.NOT_IDENTIFIABLE else ""
             above.set_title(f"{report.where}:\n{report.verdict.value}{known}")
             for name, values in relative(report.nodes[0]).items():
                 colour = LOOKS[COEFFICIENTS.index(name) % 4][0]
-                drawn = np.where(np.isfinite(values), 100 * values, np.nan)
+                drawn = _take_medians(np.where(np.isfinite(values), 100 * values, np.nan), of)
                 if not np.isnan(drawn).all():
-                    line = break_lines(speeds, operating, rpm, drawn)
-                    above.semilogy(*line, color=colour, ls="-" if name[0] == "k" else "--", lw=1.6, label=name)
+                    above.semilogy(rpm, drawn, color=colour, ls="-" if name[0] == "k" else "--", lw=1.6, label=name)
             if not above.lines:
                 above.text(0.5, 0.5, "free: no finite deviation", transform=above.transAxes, ha="center", color=GREY)
             for condition, look in ((report.condition, (BLUE, "-")), (report.orbit_condition, (GREY, "--"))):
                 label = "of the equations for the coefficients" if look[0] == BLUE else "of the orbits"
-                line = break_lines(speeds, operating, rpm, np.minimum(condition, _LARGEST_CONDITION))
-                below.semilogy(*line, color=look[0], ls=look[1], label=label)
+                drawn = _take_medians(np.minimum(condition, _LARGEST_CONDITION), of)
+                below.semilogy(rpm, drawn, color=look[0], ls=look[1], label=label)
             below.set_xlabel("rotor speed (rpm)")
         _shade_verdicts(axes[0])
-        axes[0, 0].set_ylabel(f"standard deviation at\n{noise} (% of the coefficient)")
+        over = "\nmedian over the operating conditions" if several else ""
+        axes[0, 0].set_ylabel(f"standard deviation at\n{noise} (% of the coefficient){over}")
         axes[1, 0].set_ylabel("condition number (-)")
         axes[1, 0].legend(fontsize=8)
         found = {label: line for ax in axes[0] for line, label in zip(*ax.get_legend_handles_labels(), strict=True)}
         axes[0, 0].figure.legend(found.values(), found.keys(), loc="outside upper center", ncols=8)
     return path
+
+
+def _take_medians(values: np.ndarray, of: np.ndarray) -> np.ndarray:
+    """(U,) medians of the ``values`` (S,) at each different speed; ``of`` (S,) says which it is."""
+    order, counts = np.argsort(of, kind="stable"), np.bincount(of)
+    return np.array([np.median(part) for part in np.split(values[order], np.cumsum(counts)[:-1])])
 
 
 def _shade_verdicts(axes: np.ndarray) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from string import ascii_lowercase
@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS, is_direct, unit
-from pipeline.data.operating import split_states
 from pipeline.data.tables import read_table
 from pipeline.data.vibration_files import to_rpm
 from pipeline.evaluation.errors import measure_relative_errors
@@ -64,14 +63,6 @@ def draw_markers(
     every = max(1, len(x) // count)
     shown = slice(int(shift * every), None, every)
     ax.plot(x[shown], y[shown], ls="", marker=marker, ms=5, mfc="none", mec=colour, label=label)
-
-
-def break_lines(speeds: np.ndarray, operating: Mapping[str, np.ndarray], *values: np.ndarray) -> list[np.ndarray]:
-    """``values`` (S,) state by state, by ascending speed, with a NaN after each: a line breaks where a state ends."""
-    states = split_states(speeds, operating)
-    if len(states) == 1:
-        return [of[states[0][1]] for of in values]
-    return [np.concatenate([np.append(of[points], np.nan) for _, points in states]) for of in values]
 
 
 def draw_band(

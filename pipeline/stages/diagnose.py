@@ -59,13 +59,7 @@ def run(config: Config) -> StageOutput:
     written = [
         write_json(work.folder / "diagnosis.json", summary),
         write_table(work.folder / "diagnosis.csv", _tabulate(diagnosis, judged, measurement.dataset.operating)),
-        draw_diagnosis(
-            work.figure("diagnosis"),
-            diagnosis.reports,
-            diagnosis.relative,
-            describe_noise(config),
-            measurement.dataset.operating,
-        ),
+        draw_diagnosis(work.figure("diagnosis"), diagnosis.reports, diagnosis.relative, describe_noise(config)),
     ]
     written += _write_budget(config, measurement, diagnosis)
     return StageOutput(summary, {"data_fingerprint": measurement.dataset.fingerprint}, written)

@@ -28,7 +28,7 @@ from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_identified, load_measurement, update_measurement
 from pipeline.stages.predict import list_unseen
 from pipeline.stages.workspace import locate_files
-from pipeline.twin.at_conditions import measurement_at, require_conditions
+from pipeline.twin.at_conditions import evaluate_at, require_conditions
 from pipeline.twin.prediction import predict
 
 
@@ -79,7 +79,7 @@ def _export_at(
     operating: Mapping[str, float],
 ) -> Exported:
     """The answer at one state, at each speed of the data."""
-    table = model.table(measurement_at(updated, operating, _KEY).updated_known)
+    table = evaluate_at(model, updated, operating, _KEY)[1]
     deviation = None if uncertainty is None else uncertainty.deviation(model, table.speeds, table.operating)
     return Exported(config.name, table, deviation, model.unknowns.identified, config.export.units, operating)
 

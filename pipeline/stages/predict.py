@@ -29,8 +29,8 @@ from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_identified, load_measurement, load_modelled, update_measurement
 from pipeline.stages.workspace import locate_files, require_nodes
 from pipeline.twin.at_conditions import (
+    evaluate_at,
     mask_state,
-    measurement_at,
     pick_middle,
     require_conditions,
     say_beyond,
@@ -60,8 +60,8 @@ def build_twin(config: Config, measurement: Measurement) -> Twin:
     model = load_identified(config, measurement)
     uncertainty = load_uncertainty(locate_files(config).folder, model)
     operating = choose_operating(config, measurement.dataset)
-    there = measurement_at(update_measurement(measurement, uncertainty), operating, OPERATING)
-    identified = model.table(there.updated_known)
+    updated = update_measurement(measurement, uncertainty)
+    there, identified = evaluate_at(model, updated, operating, OPERATING)
     modelled = load_truth(config, measurement, operating)
     nodes = [config.machine.prediction.node, *(unbalance.node for unbalance in config.machine.prediction.unbalances)]
     require_nodes(measurement.rotor, "machine.prediction", nodes)

@@ -29,7 +29,7 @@ from pipeline.stages.measurement import load_identified, load_measurement, load_
 from pipeline.stages.predict import OPERATING, choose_operating
 from pipeline.stages.workspace import Workspace, locate_files
 from pipeline.tracking.provenance import describe_provenance
-from pipeline.twin.at_conditions import measurement_at, say_beyond
+from pipeline.twin.at_conditions import evaluate_at, say_beyond
 from pipeline.twin.modes import find_modes
 
 _TABLES: dict[str, tuple[dict[str, str], dict[str, str]]] = {
@@ -133,8 +133,7 @@ def _read_fit(config: Config, measurement: Measurement) -> FitContent | None:
     uncertainty = load_uncertainty(work.folder, identified)
     updated = update_measurement(measurement, uncertainty)
     bearings, operating = identified.table(updated.updated_known), choose_operating(config, data)
-    there = measurement_at(updated, operating, OPERATING)
-    at_conditions = identified.table(there.updated_known) if operating else bearings
+    at_conditions = evaluate_at(identified, updated, operating, OPERATING)[1]
     found = read_json(work.training).get("fit", {}).get("noise_factor")
     factor = np.array(list(found.values())) if found and len(found) == len(data.channels) else None
     every, chosen = (

@@ -10,8 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from pipeline.coefficients import COEFFICIENTS, is_direct, unit
 from pipeline.data.operating import name_state, write_condition
 from pipeline.errors import ConfigError
+from pipeline.identification.identified import IdentifiedModel
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
 
@@ -85,6 +87,39 @@ def table_at(table: BearingTable, wanted: Mapping[str, float], key: str) -> Bear
         picked.append(int(exact[0] if len(exact) else own[0]))
     operating = {name: np.full(len(speeds), wanted[name]) for name in table.operating}
     return BearingTable(table.nodes, speeds, table.values[:, picked], operating)
+
+
+def evaluate_at(
+    identified: IdentifiedModel, updated: Measurement, wanted: Mapping[str, float], key: str
+) -> tuple[Measurement, BearingTable]:
+    """:func:`measurement_at` of the measurement ``updated`` to the fit, and all coefficients there.
+
+    Raises ConfigError as that, and where a coefficient leaves all bounds: functions that were fitted at a few states
+    may do anything between and beyond these.
+    """
+    there = measurement_at(updated, wanted, key)
+    table = identified.table(there.updated_known)
+    if wanted:
+        _require_bounded(identified.table(updated.updated_known), table, key, name_state(wanted))
+    return there, table
+
+
+_FAR = 1e3
+"""Times a coefficient of the data, beyond which nothing is a continuation of it."""
+
+
+def _require_bounded(data: BearingTable, there: BearingTable, key: str, state: str) -> None:
+    for b, c in np.ndindex(len(data.nodes), len(COEFFICIENTS)):
+        name, found, size = COEFFICIENTS[c], np.abs(there.values[b, :, c]), np.abs(data.values[b, :, c])
+        lost = is_direct(name) and bool((found < size.min() / _FAR).any())
+        if np.isfinite(found).all() and found.max() <= _FAR * size.max() and not lost:
+            continue
+        raise ConfigError(
+            f"{key} must be conditions that the fitted functions can be continued to, but at {state} {name} of node "
+            f"{data.nodes[b]} leaves all bounds ({found.min():.2g} to {found.max():.2g} {unit(name)}; at the data "
+            f"{size.min():.2g} to {size.max():.2g}): take a measured state, measure there, or fit model=law or "
+            "model=hybrid, which physics continues"
+        )
 
 
 def measurement_at(measurement: Measurement, wanted: Mapping[str, float], key: str) -> Measurement:

@@ -11,7 +11,9 @@ from warm_rotor import CELSIUS, SPEEDS, warm_bearings, warm_machine
 from pipeline.errors import ConfigError
 from pipeline.identification.fit import default_setup, fit
 from pipeline.problem.measurement import Measurement
+from pipeline.rotor.bearing_table import BearingTable
 from pipeline.twin.at_conditions import (
+    evaluate_at,
     mask_state,
     measurement_at,
     pick_middle,
@@ -63,6 +65,25 @@ def test_known_coefficients_are_those_of_the_state_or_of_all_states() -> None:
     assert zero.operating["oil_temperature"].tolist() == [343.15] * len(SPEEDS)
     plain = replace(table, operating={})
     assert table_at(plain, {}, KEY) is plain
+
+
+def test_functions_that_run_away_beyond_the_data_are_refused() -> None:
+    """A constant times ``exp(a (T - 55))`` that a few states cannot hold."""
+    measurement, _ = warm_machine()
+
+    class Runaway:
+        def table(self, known: BearingTable) -> BearingTable:
+            celsius = known.operating["oil_temperature"] - 273.15
+            values = np.zeros_like(known.values)
+            values[...] = 1e6 * np.exp(0.7 * np.maximum(celsius - 65.0, 0.0))[None, :, None]
+            return replace(known, values=values)
+
+    def ask(celsius: float) -> BearingTable:
+        return evaluate_at(Runaway(), measurement, {"oil_temperature": celsius + 273.15}, KEY)[1]
+
+    assert (ask(66.0).values > 1e6).all()
+    with pytest.raises(ConfigError, match="continued to, but at 80 degC kxx of node 0 leaves all bounds"):
+        ask(80.0)
 
 
 @pytest.fixture(scope="module")

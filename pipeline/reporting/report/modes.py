@@ -19,6 +19,8 @@ from pipeline.units import RAD_S_PER_RPM
 
 _POINTS, _HIGHEST_DECREMENT = 60, 1.5
 """Points of a mode, and what is damped so much that nobody asks."""
+_ROUNDING = 1e-9
+"""1/s."""
 _RPM, _HERTZ = "rotor speed (rpm)", "frequency_std_hz"
 
 
@@ -29,7 +31,8 @@ def describe_modes(content: ReportContent) -> Section | None:
         return None
     stability, rpm = found["stability"], to_rpm(fit.modes.speeds)
     said = "stable" if stability["stable"] else "UNSTABLE"
-    growth = write_number(stability["largest_growth"], stability.get("largest_growth_std"), 3)
+    known = stability.get("largest_growth_std")  # of a machine at rest in a mode: rounding
+    growth = write_number(stability["largest_growth"], known if known and known > _ROUNDING else None, 3)
     at = f" at {name_state(fit.operating)}" if fit.operating else ""
     words = f"The identified machine is {said} from {rpm[0]:.6g} to {rpm[-1]:.6g} rpm{at}; "
     words += f"the largest growth rate is {growth} 1/s."

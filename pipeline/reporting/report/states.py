@@ -55,12 +55,12 @@ def draw_states(content: ReportContent, fit: FitContent, letter: str) -> Figure:
             if fit.modelled is not None:
                 for _, points in pick_states(fit.bearings.speeds, fit.bearings.operating):
                     true = scale * fit.modelled.values[b, points, c]
-                    curves.append(Curve(content.rpm[points], true, "modelled", BLACK, width=0.8))
+                    curves.append(Curve(content.rpm[points], true, "modelled", BLACK, "dot", width=1.0))
             axes = Axes(tuple(curves), f"{name} ({unit})")
             panels.append(Panel(f"{name}, bearing at node {node}", "rotor speed (rpm)", (axes,)))
     caption = f"{KINDS[letter].capitalize()} over the speed, a line a state of the operating conditions"
     caption += "" if fit.deviation is None else ", with nominal 95 % bands"
-    caption += "" if fit.modelled is None else "; thin black lines are the modelled truth"
+    caption += "" if fit.modelled is None else "; black dots are the modelled truth"
     return Figure(KINDS[letter], caption + ".", tuple(panels))
 
 
