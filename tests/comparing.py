@@ -29,7 +29,7 @@ def task(case: Case, *overrides: str) -> Measurement:
 def options(*overrides: str) -> MethodOptions:
     """What a method may know beside it."""
     config = composed(*overrides)
-    return MethodOptions(config.comparison, config.seed)
+    return MethodOptions(config.comparison, config.seed, machine(*overrides).laws)
 
 
 def answer(method: str, case: Case, *overrides: str) -> Estimate:

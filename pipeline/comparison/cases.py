@@ -13,6 +13,7 @@ from pipeline.data.dataset import VibrationDataset
 from pipeline.data.noise import NoiseModel
 from pipeline.data.operating import split_states
 from pipeline.data.sensors import Channels, Sensors, list_directions, measure
+from pipeline.laws.law_set import LawSet
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
@@ -61,6 +62,7 @@ class Machine:
     modelled: BearingTable
     vibration: VibrationDataset
     noise_seed: int
+    laws: LawSet | None = None  # what is known of the bearings beforehand
 
     def measure(self, case: Case, location: int | None, floor: float) -> VibrationDataset:
         """The data set of a case, with a ``floor`` (m) of the noise. The same noise, scaled, at every level of it."""

@@ -73,7 +73,7 @@ def judge_method(
     """Let a method identify a case. The truth is looked at when it has answered."""
     data = take_measurement(machine, case, identify, settings)
     started = time.process_time()
-    answer, outcome, words = _ask(method, data, MethodOptions(settings, seed))
+    answer, outcome, words = _ask(method, data, MethodOptions(settings, seed, machine.laws))
     seconds = time.process_time() - started  # of the processor: what else runs does not count
     found: dict[str, dict[str, CoefficientResult]] = {}
     if answer is not None and np.isfinite(answer.coefficients.values).all():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import multiprocessing
 import signal
 from collections.abc import Callable, Iterator, Sequence
@@ -21,7 +22,7 @@ from pipeline.errors import DataError, PipelineError
 from pipeline.files import read_json, write_json
 from pipeline.processes import delay_interrupt, end_with_parent, limit_threads
 
-_PACKAGES = ("comparison", "data", "identification", "methods", "problem", "rotor")
+_PACKAGES = ("comparison", "data", "identification", "laws", "methods", "problem", "rotor")
 _ASKED = {"methods", "noise", "sensors", "speeds", "data_sets", "other_data_sets", "most_data_sets", "workers"}
 """Settings that say which results are asked for, and change none."""
 Done = Callable[[int, int, Result], None]
@@ -66,6 +67,7 @@ class ComparisonSetup:
             self.identify.model_dump_json(),
             self.settings.model_dump_json(exclude=_ASKED),
             f"{machine.noise_seed} {self.seed}",
+            "" if machine.laws is None else json.dumps(machine.laws.to_record(), sort_keys=True),
             *(path.read_bytes() for package in _PACKAGES for path in sorted((root / package).glob("*.py"))),
         )
 

@@ -29,6 +29,7 @@ MethodName = Literal[
     "preconditioned",
     "response",
     "trained",
+    "law",
 ]
 METHOD_NAMES: tuple[str, ...] = get_args(MethodName)
 SensorSet = Literal["all", "bearings", "location"]
@@ -86,6 +87,7 @@ class ComparisonConfig(Section):
     preconditioned: FitConfig
     response: FitConfig
     trained: FitConfig
+    law: FitConfig
 
     @model_validator(mode="after")
     def _once(self) -> ComparisonConfig:
@@ -99,6 +101,8 @@ class ComparisonConfig(Section):
                 raise ValueError(f"{name} must have loss={wanted}, but got {got}")
         if (self.trained.loss.kind, self.trained.loss.hidden) != ("response", "trained"):
             raise ValueError("trained must have loss=response with hidden: trained")
+        if (self.law.loss.kind, self.law.model.kind) != ("response", "law"):
+            raise ValueError("law must have loss=response and model=law")
         return self
 
     def data_sets_of(self, method: MethodName) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pipeline.methods import critical_speeds, kalman, kriging, least_squares, multi_frequency, smoothed, spline
-from pipeline.methods.fem_nn import fit_by, fit_trained, improve_paper
+from pipeline.methods.fem_nn import fit_by, fit_laws, fit_trained, improve_paper
 from pipeline.methods.method import Method
 
 METHODS: dict[str, Method] = {
@@ -144,6 +144,15 @@ METHODS: dict[str, Method] = {
             "docs/noise.md",
             "the noise, a guess",
             fit_trained,
+            takes_planes=True,
+            takes_conditions=True,
+        ),
+        Method(
+            "law",
+            "bearing laws, output error",
+            "docs/laws.md",
+            "the noise, the laws",
+            fit_laws,
             takes_planes=True,
             takes_conditions=True,
         ),

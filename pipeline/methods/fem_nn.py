@@ -7,6 +7,7 @@ was drawn (FEM-RF, random features).
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from pipeline.config.comparison import FitConfig
 from pipeline.errors import IdentifiabilityError
@@ -45,8 +46,8 @@ def fit_by(section: Callable[[MethodOptions], FitConfig]) -> Callable[[Measureme
         words = f"{found.outcome.label} after {found.steps} steps"
         if found.uncertainty is not None:
             words += f", {found.quality.summary['fit']['chi_square']['numbers']} numbers"
-        speeds = data.dataset.speeds
-        return Estimate(found.table(data.known), found.deviation(speeds), words, doubt(found.quality.misfit))
+        deviation = found.deviation(data.dataset.speeds, data.dataset.operating)
+        return Estimate(found.table(data.known), deviation, words, doubt(found.quality.misfit))
 
     return identify
 
@@ -58,6 +59,13 @@ def fit_trained(data: Measurement, options: MethodOptions) -> Estimate:
     if len(data.dataset.speeds) < FEWEST_SPEEDS:
         raise Refusal(Reason.FEW_SPEEDS, f"{len(data.dataset.speeds)} can't be halved: give {FEWEST_SPEEDS} or more")
     return fit_by(lambda options: options.settings.trained)(data, options)
+
+
+def fit_laws(data: Measurement, options: MethodOptions) -> Estimate:
+    """Fit the few numbers of bearing laws by the output error. Raises Refusal where the machine has no laws."""
+    if options.laws is None:
+        raise Refusal(Reason.NO_LAW, "it has none")
+    return fit_by(lambda options: options.settings.law)(replace(data, laws=options.laws), options)
 
 
 def improve_paper(

@@ -15,6 +15,7 @@ import numpy as np
 from pipeline.config.comparison import ComparisonConfig
 from pipeline.errors import DataError, PipelineError
 from pipeline.identification.quality import FAR_FROM_EXPECTED
+from pipeline.laws.law_set import LawSet
 from pipeline.methods.by_condition import solve_each
 from pipeline.problem.diagnosis import determines, sensor_rows
 from pipeline.problem.identifiability import Identifiability, Verdict, judge_identifiability
@@ -26,6 +27,7 @@ from pipeline.rotor.bearing_table import BearingTable
 class Reason(Enum):
     """What a method can't do, by name."""
 
+    NO_LAW = "the machine must have laws of its bearings"
     BEARINGS_NOT_MEASURED = "x and y must be measured at every bearing"
     FORCES_NOT_SEEN = "the sensors must tell the forces at the bearings"
     NOT_DETERMINED = "the measurement must determine the unknowns"
@@ -58,6 +60,7 @@ class MethodOptions:
 
     settings: ComparisonConfig
     seed: int
+    laws: LawSet | None = None  # of the bearings; None where nothing is known of their type
 
     @property
     def constant(self) -> bool:

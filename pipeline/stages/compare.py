@@ -14,6 +14,7 @@ from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError
 from pipeline.files import write_json, write_text
+from pipeline.laws.build import make_laws
 from pipeline.methods.catalogue import METHODS
 from pipeline.reporting.comparison_figures import draw_comparison
 from pipeline.reporting.comparison_tables import Comparison, make_tables, tabulate, write_markdown
@@ -69,7 +70,9 @@ def _asks(settings: ComparisonConfig, method: MethodName, case: Case) -> bool:
 
 def build_machine(config: Config) -> Machine:
     """The configured machine, and its vibration without noise at every node."""
-    machine = Machine(*model_machine(config), config.machine.probes.seed)
+    rotor, modelled, vibration = model_machine(config)
+    laws = None if config.machine.laws is None else make_laws(config.machine.laws, rotor.bearing_nodes)
+    machine = Machine(rotor, modelled, vibration, config.machine.probes.seed, laws)
     require_nodes(machine.rotor, "identify.unbalance_planes", config.identify.unbalance_planes)
     return machine
 

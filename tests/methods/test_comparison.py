@@ -16,6 +16,7 @@ from pipeline.methods.method import Reason, Refusal
 EXACT = 1e-10  # percent, rounding
 FILM = ("experiment=hydrostatic_stiffness", "machine.speeds.step_rpm=100")
 BALLS = ("experiment=ball_bearing",)
+OIL = ("experiment=compressor_two_journals", "machine=compressor_oil_temperatures", "machine.speeds.step_rpm=340")
 BLOWS = ("experiment=impulses", "machine.speeds.step_rpm=500")
 EIGHT = ("experiment=all_coefficients_backward", "machine.speeds.step_rpm=200")
 FORWARD = ("experiment=all_coefficients", "machine.speeds.step_rpm=200")
@@ -50,11 +51,12 @@ GOOD = {
     "preconditioned": Good(FILM, Case(0.0, "all", 60), 8e-4),
     "response": Good(FILM, Case(0.0, "all", 60), 9e-5),
     "trained": Good(FILM, Case(0.0, "all", 60), 0.01),
+    "law": Good(OIL, Case(0.0, "bearings", 11), 1e-7),
 }
 
 
-LONG = ("kriging", "critical_speeds", "paper", "paper_scaling", "paper_logarithm")
-"""Methods that model many machines first, or take thousands of steps."""
+LONG = ("kriging", "critical_speeds", "paper", "paper_scaling", "paper_logarithm", "law")
+"""Methods that model many machines first, take thousands of steps, or start from many guesses."""
 ABLATION = ("paper_scaling", "paper_logarithm", "paper_second_order")
 """The paper's residual with a part of the improved one: what both keep, they keep."""
 WHOLE = tuple(name for name in METHOD_NAMES if name not in ABLATION)
@@ -119,6 +121,7 @@ REFUSED = [
     ),
     ("trained", Case(0.0, "all", 591), Reason.CONSTANT, BALLS),
     ("trained", Case(0.0, "all", 3), Reason.FEW_SPEEDS, FILM),
+    ("law", Case(0.0, "all", 60), Reason.NO_LAW, FILM),
     ("multi_frequency", Case(0.0, "all", 60), Reason.ONE_FREQUENCY, FILM),
     ("multi_frequency", Case(0.0, "location", 12), Reason.BEARINGS_NOT_MEASURED, BLOWS),
     ("kriging", Case(0.0, "all", 30), Reason.EITHER_SIGN, EIGHT),
