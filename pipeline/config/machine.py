@@ -41,8 +41,9 @@ class MachineConfig(Section):
     ``file`` is the machine file of the user's own that the section was read from. A rotor of a file has the bearings
     that are saved with it, where none are given. ``speeds`` and ``runs`` are those of simulated data and of designs; of
     a machine with ``recordings`` that gives none, those that were recorded. Simulated data have all speeds and runs at
-    every combination of the ``operating`` conditions. ``prediction`` is by default the weights of
-    the first run a quarter turn further at the middle speed, and ``candidates`` are weights at the nodes of the runs. A
+    every combination of the ``operating`` conditions; at the ``unmeasured`` ones an answer is held against the modelled
+    coefficients. ``prediction`` is by default the weights of the first run a quarter
+    turn further at the middle speed, and ``candidates`` are weights at the nodes of the runs. A
     ``residual_unbalance`` acts in every run and is not written down: the machine has it and nobody knows. So it is with
     what ``as_built`` says: ``stage=generate`` alone knows of it, and what the truth is judged by.
     """
@@ -54,6 +55,7 @@ class MachineConfig(Section):
     speeds: SpeedsConfig = Field(default=None, validate_default=True)
     runs: tuple[RunConfig, ...] = Field(default=None, validate_default=True, min_length=1)
     operating: States = Field(default_factory=dict)
+    unmeasured: States = Field(default_factory=dict)
     runs_file: str | None = None
     residual_unbalance: tuple[UnbalanceConfig, ...] = ()
     as_built: AsBuiltConfig | None = None

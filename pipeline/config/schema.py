@@ -23,7 +23,7 @@ from pipeline.config.identification import (
 )
 from pipeline.config.machine import MachineConfig
 from pipeline.config.measured import Known
-from pipeline.config.operating import Differences, States
+from pipeline.config.operating import Differences
 from pipeline.config.operating_point import OperatingPoint
 from pipeline.config.runs import DesignConfig, NoiseConfig
 from pipeline.config.section import NonNegativeInt, Section
@@ -57,14 +57,6 @@ class CheckConfig(Section):
     """Experiments that ``stage=check`` looks at; empty stands for all in ``conf/thresholds``."""
 
     experiments: tuple[str, ...] = ()
-
-
-class EvaluateConfig(Section):
-    """``stage=evaluate`` and refits hold the coefficients against the modelled ones at every combination of the
-    ``operating`` conditions, too, at which nothing was measured.
-    """
-
-    operating: States = Field(default_factory=dict)
 
 
 class ReportConfig(Section):
@@ -129,7 +121,6 @@ class Config(Section):
     comparison: ComparisonConfig
     tracking: TrackingConfig
     check: CheckConfig
-    evaluate: EvaluateConfig = Field(default=EvaluateConfig())
     report: ReportConfig = Field(default=ReportConfig())
     balance: BalanceConfig = BalanceConfig()
     predict: PredictConfig = PredictConfig()

@@ -1,6 +1,6 @@
 """What an answer is worth beside its coefficients at the data: where nobody measured, and its physical numbers.
 
-``evaluate.operating`` says at which operating conditions the modelled coefficients are asked for.
+``machine.unmeasured`` says at which operating conditions the modelled coefficients are asked for.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def model_unmeasured(config: Config, speeds: np.ndarray) -> BearingTable | None:
 
     None where none are, or where data were measured.
     """
-    wanted = config.evaluate.operating
+    wanted = config.machine.unmeasured
     if not wanted or config.machine.recordings.format != "none":
         return None
     points = spread_states(np.unique(speeds), wanted)

@@ -13,7 +13,7 @@ from pipeline.stages.unmeasured import measure_unmeasured, model_unmeasured
 from pipeline.units import RAD_S_PER_RPM
 
 OIL = ("machine=compressor_oil_temperatures", "model=law", "loss=response", "robustness=refits")
-ASKED = "+evaluate.operating.oil_temperature=[70 degC,40 degC]"
+ASKED = "machine.unmeasured.oil_temperature=[70 degC,40 degC]"
 SPEEDS = np.tile([1000.0, 2000.0], 3) * RAD_S_PER_RPM
 EIGHT = ("kxx", "kxy", "kyx", "kyy", "cxx", "cxy", "cyx", "cyy")
 
@@ -31,9 +31,9 @@ def test_each_speed_once_at_each_condition() -> None:
 
 
 def test_nothing_is_asked_for() -> None:
-    assert model_unmeasured(compose_config(OIL), SPEEDS) is None
+    assert model_unmeasured(compose_config([*OIL, "machine.unmeasured=null"]), SPEEDS) is None
 
 
 def test_a_condition_without_its_unit() -> None:
-    with pytest.raises(ConfigError, match=r"evaluate\.operating.*must carry its unit"):
-        compose_config([*OIL, "+evaluate.operating.oil_temperature=[40,70]"])
+    with pytest.raises(ConfigError, match=r"machine\.unmeasured.*must carry its unit"):
+        compose_config([*OIL, "machine.unmeasured.oil_temperature=[40,70]"])
