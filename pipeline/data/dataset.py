@@ -203,6 +203,8 @@ def subtract_baseline(dataset: VibrationDataset, baseline: str) -> VibrationData
             dataset = replace(dataset, present=None)
     rest = dataset.of_runs(np.delete(np.arange(len(dataset.runs)), b))
     turning = synchronous(rest.frequencies, rest.speeds[:, None])  # (S, R)
+    if rest.present is not None:
+        turning &= rest.present
     subtracted = dataset.displacement[..., [b]] * turning[:, None]
     return replace(rest, displacement=rest.displacement - subtracted, subtracted=subtracted)
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.problem.noise import UNMEASURED
 from pipeline.problem.residual import BearingEquations
 from pipeline.problem.response import ResponseEquations
 from pipeline.rotor.bearing_table import BearingTable
@@ -66,7 +67,7 @@ def expand(equations: ResponseEquations, displacement: np.ndarray, deviation: np
             covariance[:, run] = inverse @ inverse.conj().swapaxes(1, 2)
             receptance[:, run] = block.receptance_bearings
             force[~here, :, run], moved[~here, :, run] = 0.0, 0.0
-            covariance[~here, run] = _UNKNOWN * np.eye(count)
+            covariance[~here, run] = UNMEASURED * np.eye(count)
     return Expansion(
         bearing_equations_of(equations, force - equations.reference * moved, moved), receptance, covariance
     )
@@ -84,7 +85,5 @@ def bearing_equations_of(equations: ResponseEquations, force: np.ndarray, moved:
     )
 
 
-_UNKNOWN = 1e40
-"""N^2; whitened by it, a row of any force vanishes."""
 _DEPENDENT = 1e-6
 """Sensors whose smallest singular value is below this share say nothing of some bearing force."""

@@ -24,6 +24,8 @@ from pipeline.unknowns import UnknownSet
 
 DEPENDENT = 1e-10
 """Ratio of singular values below which data in double precision can't tell equations apart."""
+UNMEASURED = 1e40
+"""N^2: the covariance of the forces of a run that was not measured. Whitened by it, a row of any force vanishes."""
 _CHUNK = 64
 """Speeds whose sensitivities are held at once."""
 
@@ -35,8 +37,12 @@ def residual_covariance(
 
     ``bearings`` are the best at hand (identified, or a prior); ``deviation`` (S, P, R) m is circular noise.
     """
-    scaled = residual_sensitivity(rotor, dataset, bearings) * deviation.swapaxes(1, 2)[:, :, None]
-    return np.asarray(scaled @ scaled.conj().swapaxes(2, 3))
+    here = np.isfinite(deviation).all(axis=1)  # (S, R) of runs that were measured
+    known = np.where(here[:, None], deviation, 0.0)
+    scaled = residual_sensitivity(rotor, dataset, bearings) * known.swapaxes(1, 2)[:, :, None]
+    covariance = np.asarray(scaled @ scaled.conj().swapaxes(2, 3))
+    covariance[~here] += UNMEASURED * np.eye(covariance.shape[-1])
+    return covariance
 
 
 def residual_sensitivity(rotor: RotorModel, dataset: VibrationDataset, bearings: BearingTable) -> np.ndarray:

@@ -201,6 +201,7 @@ def test_the_baseline_must_be_measured_where_the_others_are(tmp_path: Path) -> N
     assert found.runs == ("a",)
     assert len(found.speeds) == 7
     assert found.present is None
+    assert found.subtracted is not None
     with refused("the baseline 'b' must be measured at the operating conditions of the other runs", "run 'a', 100 rpm"):
         read(tmp_path, [header, *of_a, *of_b[2:]], baseline="b")
 

@@ -1,0 +1,57 @@
+"""A run that was not measured at a point says nothing there: as if it had been left out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from small_rotor import small_machine
+
+from pipeline.data.dataset import subtract_baseline
+from pipeline.problem.measurement import Measurement
+from pipeline.problem.noise import least_squares_deviation, residual_covariance, whiten
+from pipeline.problem.residual import per_speed_least_squares
+
+DIRECT = (2e6, 0.0, 0.0, 1.2e6, 900.0, 0.0, 0.0, 600.0)
+
+
+def without(measurement: Measurement, points: np.ndarray, run: int) -> Measurement:
+    """The readings of a ``run`` gone at the ``points``."""
+    present = np.ones(measurement.dataset.displacement.shape[::2], dtype=bool)
+    present[points, run] = False
+    displacement = measurement.dataset.displacement * present[:, None]
+    return replace(measurement, dataset=replace(measurement.dataset, displacement=displacement, present=present))
+
+
+def test_least_squares_and_their_deviations_are_those_of_the_runs_that_were_measured() -> None:
+    whole, bearings = small_machine(DIRECT)
+    gone, rest = np.array([1, 4]), np.array([0, 2, 3, 5])
+    part = without(whole, gone, 1)
+
+    def solve(of: Measurement) -> tuple[np.ndarray, np.ndarray]:
+        covariance = residual_covariance(
+            of.rotor, of.dataset, bearings.at(np.arange(len(of.known.speeds))), of.deviation
+        )
+        values, _ = per_speed_least_squares(of.residual)
+        return values, least_squares_deviation(whiten(of.residual, covariance))
+
+    found = solve(part)
+    for points, runs in ((gone, np.array([0])), (rest, np.array([0, 1]))):
+        alone = whole.select(points, runs)
+        covariance = residual_covariance(alone.rotor, alone.dataset, bearings.at(points), alone.deviation)
+        np.testing.assert_allclose(found[0][:, points], per_speed_least_squares(alone.residual)[0], rtol=1e-9)
+        spread = least_squares_deviation(whiten(alone.residual, covariance))
+        np.testing.assert_allclose(found[1][:, points], spread, rtol=1e-6)
+
+
+def test_nothing_is_subtracted_from_what_was_not_measured() -> None:
+    whole = small_machine(DIRECT)[0]
+    three = replace(whole.dataset, runs=("a", "b", "c"), displacement=whole.dataset.displacement[..., [0, 1, 1]])
+    part = without(replace(whole, dataset=three), np.array([1, 4]), 1).dataset
+    less = subtract_baseline(part, "a")
+    assert less.present is not None
+    assert less.subtracted is not None
+    assert less.present.tolist() == [[s not in (1, 4), True] for s in range(6)]
+    assert not less.displacement[[1, 4], :, 0].any()
+    assert not less.subtracted[[1, 4], :, 0].any()
+    assert less.displacement[..., 1].all()
