@@ -39,6 +39,7 @@ class BadPoint:
     node: int
     direction: str
     deviations: float  # how many standard deviations it lies from the fit
+    operating: Mapping[str, float] = field(default_factory=dict)  # conditions, SI
 
 
 @dataclass(frozen=True)
@@ -200,7 +201,8 @@ def _bad_points(fit: OutputErrorFit, plain: list[np.ndarray]) -> tuple[BadPoint,
         for s, p, r in np.argwhere(np.abs(off) > BAD_POINT):
             node, angle = dataset.channels[p]
             run, size = dataset.runs[block.runs[r]], float(np.abs(off[s, p, r]))
-            found.append(BadPoint(run, float(dataset.speeds[s]), node, name_direction(angle), size))
+            beside = {name: float(values[s]) for name, values in dataset.operating.items()}
+            found.append(BadPoint(run, float(dataset.speeds[s]), node, name_direction(angle), size, beside))
     return tuple(found)
 
 

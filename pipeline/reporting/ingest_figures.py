@@ -37,7 +37,7 @@ def _choose_looks(dataset: VibrationDataset, baseline: str | None) -> list[dict[
 def _list_curves(dataset: VibrationDataset, baseline: str | None) -> list[tuple[int, np.ndarray, dict[str, Any]]]:
     """Run, points by ascending speed, and line properties of each curve: a run at a state of its conditions.
 
-    Of several states the colour is that of the state, the line that of the run.
+    With several states the colour is that of the state, the line that of the run.
     """
     looks, states = _choose_looks(dataset, baseline), pick_states(dataset.speeds, dataset.operating)
     colours, curves = colour_states(len(states)), []

@@ -35,7 +35,7 @@ _POINTS = 15
 def draw_summary(path: Path, results: Results, title: str) -> Path:
     """Stiffness, damping, one run at one probe, and the predicted unbalance response, all over the speed.
 
-    Of data with operating conditions the measured state that is nearest to the prediction's is shown.
+    Where data have operating conditions, it is at the measured state that is nearest to the prediction's.
     """
     label = ""
     if results.dataset.operating:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import astuple, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import numpy as np
 from pipeline.config.promotion import get_value, has_value
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import write_coefficients
+from pipeline.data.operating_points import list_columns
 from pipeline.data.tables import write_table
 from pipeline.data.vibration_files import to_rpm
 from pipeline.files import hash_file, write_json
@@ -132,10 +133,16 @@ def _write(config: Config, measurement: Measurement, found: Fit, summary: Mappin
 
 def _tabulate_bad_points(found: Fit) -> dict[str, list[Any]]:
     """Readings, and how many deviations they are off."""
-    names = ("run", "speed_rpm", "node", "direction", "deviations")
-    rows = [astuple(point) for point in found.quality.bad_points]
-    columns: dict[str, list[Any]] = {name: [row[i] for row in rows] for i, name in enumerate(names)}
-    return columns | {"speed_rpm": to_rpm(np.array(columns["speed_rpm"])).tolist()}
+    every = found.quality.bad_points
+    columns: dict[str, list[Any]] = {
+        "run": [one.run for one in every],
+        "speed_rpm": to_rpm(np.array([one.speed for one in every])).tolist(),
+    }
+    conditions = {
+        name: np.array([one.operating[name] for one in every]) for name in (every[0].operating if every else ())
+    }
+    columns |= {name: values.tolist() for name, values in list_columns(conditions).items()}
+    return columns | {name: [getattr(one, name) for one in every] for name in ("node", "direction", "deviations")}
 
 
 def _tabulate_unbalance(uncertainty: Uncertainty | None) -> dict[str, Any]:

@@ -148,7 +148,7 @@ class ReportContent:
     def traces(self, run: int) -> list[tuple[np.ndarray, dict[str, Any]]]:
         """The points (indices, by ascending speed) of each state that a run was measured at, and the look of its curve.
 
-        Of several states the colour is that of the state, the dash that of the run.
+        With several states the colour is that of the state, the dash that of the run.
         """
         data, look = self.dataset, self.look(run)
         states = pick_states(data.speeds, data.operating)

@@ -1,0 +1,91 @@
+"""From three oil temperatures to a fourth: what the twin, the summary, the report and the export say there."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import Run
+
+from pipeline.errors import ConfigError
+
+pytestmark = pytest.mark.slow  # fits of bearing laws, of a second each
+
+MACHINE = [
+    *("experiment=noisy_all", "machine=compressor_oil_temperatures", "model=law"),
+    *("machine.speeds.step_rpm=340", "machine.prediction.speed_rpm=1620", "training=to_the_minimum"),
+]
+
+
+def asked(celsius: float) -> str:
+    return f"+machine.prediction.operating.oil_temperature={celsius:g} degC"
+
+
+@pytest.fixture(scope="module")
+def folder(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Readings at 45, 55 and 65 degC, their fit, and the summary at 70 degC."""
+    made = tmp_path_factory.mktemp("warm")
+    run("summary", [*MACHINE, asked(70)], made)
+    return made
+
+
+def predict(run: Run, folder: Path, celsius: float) -> tuple[dict, pd.DataFrame]:
+    run("predict", [*MACHINE, asked(celsius)], folder)
+    return json.loads((folder / "prediction.json").read_text()), pd.read_csv(folder / "prediction.csv")
+
+
+def test_the_twin_answers_at_a_temperature_that_was_not_measured(
+    run: Run, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Oracle: the machine's own bearings at 70 degC, which no file of the experiment has."""
+    found, table = predict(run, folder, 70)
+    words = "oil temperature: 70 degC lies outside the measured 45 to 65 degC"
+    assert found["operating"] == {"oil_temperature": pytest.approx(343.15)}
+    assert found["outside_measured"] == [words]
+    assert words in capsys.readouterr().err
+    assert table["speed_rpm"].is_unique
+    assert set(table["oil_temperature_degC"]) == {70.0}
+    assert set(pd.read_csv(folder / "modes.csv")["oil_temperature_degC"]) == {70.0}
+    assert max(found["displacement"][d]["mean_error_percent"] for d in "xy") < 2
+    inside, at_60 = predict(run, folder, 60)
+    assert inside["outside_measured"] == []
+    size, spread = "y_identified_amplitude_m", "y_identified_amplitude_std_m"
+    assert np.median(table[spread] / table[size]) > np.median(at_60[spread] / at_60[size])
+
+
+def test_the_screen_names_states_numbers_and_what_lies_outside(folder: Path) -> None:
+    lines = (folder / "summary.txt").read_text().splitlines()
+    assert len(lines) <= 40
+    text = " ".join(" ".join(lines).split())
+    for words in ("45 degC", "65 degC", "numbers ", "node 8 radial clearance", " um", "mPa s", "1620 rpm, 70 degC"):
+        assert words in text
+    assert "oil temperature: 70 degC lies outside the measured" in text
+
+
+def test_the_report_follows_the_condition_that_is_asked_for(run: Run, folder: Path) -> None:
+    run("report", [*MACHINE, asked(72)], folder)
+    assert json.loads((folder / "prediction.json").read_text())["operating"]["oil_temperature"] == pytest.approx(345.15)
+    page = (folder / "report.html").read_text()
+    for words in ("72 degC (not measured)", "Numbers of the bearing laws", "outside the measured 45 to 65 degC"):
+        assert words in page
+
+
+def test_the_export_has_a_table_a_measured_state(run: Run, folder: Path) -> None:
+    run("export", [*MACHINE, "export.formats=[csv,dyrobes]"], folder)
+    table = pd.read_csv(folder / "export" / "coefficients.csv")
+    assert sorted(set(table["oil_temperature_degC"])) == [45.0, 55.0, 65.0]
+    assert not table.duplicated(["bearing_node", "speed_rpm", "oil_temperature_degC"]).any()
+    assert (folder / "export" / "dyrobes_node_21_55_degC.txt").exists()
+    numbers = pd.read_csv(folder / "export" / "physical_numbers.csv").set_index("name")
+    clearance = numbers.loc["node 21 radial clearance"]
+    assert abs(clearance["value"] - 85.0) < 4 * clearance["std"] < 8.0
+
+
+def test_conditions_that_are_missing_or_unknown_are_refused(run: Run, folder: Path) -> None:
+    with pytest.raises(ConfigError, match="must name conditions of the data, but got load"):
+        run("predict", [*MACHINE, "+machine.prediction.operating.load=500 N"], folder)
+    with pytest.raises(ConfigError, match="oil_temperature must be a quantity"):
+        run("predict", [*MACHINE, "+machine.prediction.operating.oil_temperature=70 mm"], folder)
