@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from pipeline.laws.law_set import LawSet
 
 
+_FARTHEST = 5.0
+
+
 class Corrected(NamedTuple):
     """Coefficients with the correction of a model, N/m and N s/m."""
 
@@ -54,10 +57,18 @@ class LawTerm:
         return torch.tensor([one.deviation**-2 for one in self.laws.parameters], dtype=torch.float64)
 
     def evaluate(self, theta: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """(G, M, S, U) unknowns of ``theta`` (G, Th), N/m and N s/m, and their slopes (G, M, S, U, Th)."""
+        """(G, M, S, U) unknowns of ``theta`` (G, Th), N/m and N s/m, and their slopes (G, M, S, U, Th).
+
+        Beyond some prior deviations nothing changes any more: a step of a fit that leads there is none.
+        """
+        import torch
+
+        limit = _FARTHEST * self.prior_precision().rsqrt()
+        inside = (theta.abs() <= limit).to(theta.dtype)
+        theta = torch.clamp(theta, -limit, limit)
         operating = {name: values for name, values in self.points.items() if name != "speed"}
         values, slopes = self.laws.coefficients(theta, self.points["speed"], operating)
-        return values[..., list(self.leaders)], slopes[..., list(self.leaders), :]
+        return values[..., list(self.leaders)], slopes[..., list(self.leaders), :] * inside[:, None, None, None]
 
     def correct(
         self, model: CoefficientModel, theta: torch.Tensor, outputs: torch.Tensor, scale: torch.Tensor
