@@ -8,6 +8,7 @@ from typing import Annotated, Literal, get_args
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from pipeline.coefficients import CoefficientName
+from pipeline.config.operating_point import OperatingPoint
 from pipeline.config.quantities import Damping, Length, Mass, PositiveAngle, RotorSpeed, Stiffness, WeightLaw
 from pipeline.config.section import NonNegativeInt, Section, Share
 from pipeline.unknowns import BearingUnknowns, Structure, UnknownSet, unknown_set
@@ -267,6 +268,7 @@ class TrainingConfig(Section):
     holdout_every: NonNegativeInt
     holdout_runs: tuple[str, ...] = ()
     holdout_range: tuple[RotorSpeed, RotorSpeed] | None = None  # rad/s, speeds that are predicted, not fitted
+    holdout_operating: OperatingPoint = Field(default_factory=dict)  # SI, conditions that are predicted, not fitted
     tolerance: Share
 
     @model_validator(mode="after")

@@ -11,6 +11,8 @@ from pipeline.config.operating import to_quantity
 
 
 def _convert(value: Any) -> Any:
+    if value is None:
+        return {}
     if not isinstance(value, Mapping):
         raise ValueError(f"must name conditions with values, such as {{oil_temperature: 70 degC}}, but got {value!r}")
     return {str(name): to_quantity(str(name), of) for name, of in value.items()}

@@ -12,6 +12,7 @@ STAGES: dict[str, str] = {
     "diagnose": "tell which coefficients the data determine: rank, condition number, predicted deviation",
     "senses": "fit the data in every sense of phases and angles, and say which one they choose",
     "design": "choose the runs that would identify best, from what an experimenter can do",
+    "choose": "say which model the data ask for: bearing laws, laws with a correction, or a network",
     "tune": "search hyperparameters on held-out speeds and promote the best into training",
     "samplers": "compare TPE with other samplers: several studies of each at equal budget",
     "train": "identify the unknown bearing coefficients from the vibration",

@@ -132,8 +132,10 @@ class OutputErrorLoss:
         residual unbalance and model parameters. The fit drops superfluous functions, so it may know more.
         """
         from pipeline.identification.information import unknown_deviation
+        from pipeline.identification.law_start import for_model
         from pipeline.identification.output_error_start import prepare_output_error
 
+        measurement = for_model(measurement, setup)
         solvable = all(report.verdict is not Verdict.NOT_IDENTIFIABLE for report in diagnosis.reports)
         if measurement.laws is None and not (solvable and diagnosis.by_least_squares):
             return diagnosis.deviations
@@ -153,13 +155,15 @@ class OutputErrorLoss:
         diagnosis: Diagnosis | None = None,
     ) -> Fit:
         """The fit by its rounds of precisions."""
+        from pipeline.identification.law_start import for_model
         from pipeline.identification.quality import output_error_quality
         from pipeline.identification.uncertainty import uncertainty_of
 
-        if not setup.force and measurement.laws is None:
-            require_identifiable((diagnosis or self.diagnose(measurement, setup)).reports)
-        elif not setup.force and measurement.laws is not None:
+        measurement = for_model(measurement, setup)
+        if not setup.force and measurement.laws is not None:
             require_temperatures(measurement.laws, measurement.dataset.operating)
+        elif not setup.force:
+            require_identifiable((diagnosis or self.diagnose(measurement, setup)).reports)
         found = fit_sensors(measurement, setup, progress)
         quality = output_error_quality(found)
         return Fit(

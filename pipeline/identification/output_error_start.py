@@ -16,16 +16,15 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from pipeline.config.identification import TrainingConfig
-from pipeline.errors import ConfigError
 from pipeline.identification.basis import Basis, orthonormal_basis
 from pipeline.identification.configured_model import coefficient_model
 from pipeline.identification.evidence_prior import add_beyond, with_sigma
+from pipeline.identification.held_out import held_out_conditions, held_out_range, held_out_runs
 from pipeline.identification.law_start import (
     LawStart,
     corrects,
     first_weights,
-    require_response,
+    for_model,
     scale_by_laws,
     start_laws,
     without_correction,
@@ -70,9 +69,11 @@ def prepare_output_error(measurement: Measurement, setup: FitSetup) -> OutputErr
 
     Raises ConfigError for held-out runs that the data lack, or that leave no other.
     """
+    measurement = for_model(measurement, setup)
     unknowns, speeds = measurement.unknowns, measurement.dataset.speeds
     held_out = held_out_runs(measurement, setup.training)
     keep = ~held_out_speeds(len(speeds), setup.training.holdout_every) & ~held_out_range(speeds, setup.training)
+    keep &= ~held_out_conditions(measurement.dataset.operating, setup.training, len(speeds))
     runs = np.setdiff1d(np.arange(len(measurement.dataset.runs)), held_out)
     plane_scale = _plane_scale(measurement)  # solves the response, of which all problems are parts
     training = align_weights(measurement.select(keep, runs))
@@ -134,7 +135,6 @@ def _start_by_coefficients(training: Measurement, setup: FitSetup, basis: Basis,
 
 def _start_by_laws(training: Measurement, setup: FitSetup, basis: Basis, plane_scale: float) -> _First:
     """At the best numbers of bearing laws, without a correction."""
-    require_response(setup)
     law = start_laws(training, basis, plane_scale)
     rows = scale_by_laws(output_error(training, basis, plane_scale), law.theta)
     basis = replace(basis, model=replace(basis.model, scale=rows))
@@ -177,35 +177,6 @@ def drawn_basis(setup: FitSetup, training: Measurement, points: Mapping[str, np.
     generator = torch.Generator().manual_seed(setup.seed)
     drawn = model.spread_parameters(initial_guess(setup, training.unknowns), generator)
     return orthonormal_basis(model, drawn, training.dataset.points)
-
-
-def held_out_range(speeds: np.ndarray, training: TrainingConfig) -> np.ndarray:
-    """(S,) mask of the ``speeds`` (S,) rad/s in ``training.holdout_range``. Raises ConfigError for none or all."""
-    if training.holdout_range is None:
-        return np.zeros(len(speeds), dtype=bool)
-    low, high = training.holdout_range
-    mask = (speeds > low * (1 - _SAME)) & (speeds < high * (1 + _SAME))
-    if mask.all() or not mask.any():
-        raise ConfigError(
-            "training.holdout_range must hold some of the speeds and leave some, but it holds "
-            f"{int(mask.sum())} of {len(speeds)}"
-        )
-    return np.asarray(mask)
-
-
-_SAME = 1e-9
-
-
-def held_out_runs(measurement: Measurement, training: TrainingConfig) -> np.ndarray:
-    """Indices of the runs that are predicted rather than fitted. Raises ConfigError as :func:`prepare_output_error`."""
-    runs = measurement.dataset.runs
-    for name in training.holdout_runs:
-        if name not in runs:
-            raise ConfigError(f"training.holdout_runs must name runs of the data ({', '.join(runs)}), but got '{name}'")
-    held_out = np.array([runs.index(name) for name in training.holdout_runs], dtype=int)
-    if len(held_out) == len(runs):
-        raise ConfigError("training.holdout_runs must leave a run to train on, but it names all of them")
-    return np.sort(held_out)
 
 
 def _filter(training: Measurement) -> np.ndarray | None:

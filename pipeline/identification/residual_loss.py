@@ -206,9 +206,10 @@ def prepare_residual(measurement: Measurement, setup: FitSetup) -> ResidualTrain
     Raises IdentifiabilityError where the runs determine the unknowns of a bearing at no speed, unless ``setup.force``;
     DataError where x or y is not measured at a bearing; ConfigError for ``training.holdout_range``.
     """
-    if setup.training.holdout_range is not None:
+    beyond = [name for name in ("holdout_range", "holdout_operating") if getattr(setup.training, name)]
+    if beyond:
         raise ConfigError(
-            "training.holdout_range must go with loss=response, but the loss is "
+            f"training.{beyond[0]} must go with loss=response, but the loss is "
             f"{setup.loss.kind}, whose held-out speeds choose the best state: leave it out"
         )
     equations, residual, points = measurement.equations, measurement.residual, measurement.dataset.points

@@ -22,8 +22,6 @@ from pipeline.laws.points import LOAD, OIL_TEMPERATURE, Points
 if TYPE_CHECKING:
     import torch
 
-_CHANGES = ("oil.slope", "oil.b", "oil.c")
-_SAME, _ZERO = 1.0, 273.15  # K; temperatures so near to each other tell nothing of a slope
 _COLUMNS = {OIL_TEMPERATURE: "oil_temperature_degC", LOAD: "load_N"}
 
 
@@ -68,17 +66,6 @@ class LawSet:
         theta = theta.detach()
         points = self._place(theta, speeds, operating)
         return np.stack([law.outside(theta, points).mean(axis=1) for law in self.laws], axis=1)
-
-    def refuse_one_temperature(self, operating: Mapping[str, np.ndarray]) -> None:
-        """Raise DataError where the viscosity's change with the temperature is asked of data at one temperature."""
-        asked = [one for one in self.parameters if one.name in _CHANGES]
-        warm = operating.get(OIL_TEMPERATURE)
-        if not asked or warm is None or np.ptp(warm) > _SAME:
-            return
-        raise DataError(
-            f"{asked[0].name} must have data at two oil temperatures or more, but all are at "
-            f"{np.mean(warm) - _ZERO:.4g} degC: give it as a number, take the law `constant`, or measure at another"
-        )
 
     def _place(self, theta: torch.Tensor, speeds: np.ndarray, operating: Mapping[str, np.ndarray]) -> Points:
         import torch

@@ -60,7 +60,7 @@ class Measurement:
     parameters: tuple[ModelParameter, ...] = ()  # T, uncertain numbers of the model
     values: tuple[float, ...] = ()  # of them, in prior deviations, where the response is evaluated; none for all zero
     drift: ConditionNoise | None = None  # noise in levels, of runs that are means of records; None for ``noise``
-    laws: LawSet | None = None  # of the bearings, where their few numbers are fitted in place of functions
+    laws: LawSet | None = None  # of the bearings, for models that are made of them
 
     @classmethod
     def read(
@@ -210,6 +210,13 @@ class Measurement:
         )
         if "response" in vars(self):  # what is solved once is not solved again for a part of it
             vars(part)["response"] = self.response.at(keep, runs)
+        return part
+
+    def without_laws(self) -> Measurement:
+        """The same for a model of curves."""
+        part = replace(self, laws=None)
+        if "response" in vars(self):
+            vars(part)["response"] = self.response
         return part
 
     def table(self, values: np.ndarray) -> BearingTable:

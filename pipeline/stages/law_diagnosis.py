@@ -21,11 +21,11 @@ _UNITS = {"m": ("mm", 1e3), "Pa * s": ("mPa s", 1e3), "rad": ("deg", 180 / np.pi
 
 
 def diagnose_laws(config: Config, measurement: Measurement, noise: str) -> dict[str, Any]:
-    """Print what the data tell of each number, and return it for ``diagnosis.json``; nothing without laws.
+    """Print what the data tell of each number, and return it for ``diagnosis.json``; nothing of a model without laws.
 
     Raises DataError for an operating condition that the laws need and the data lack.
     """
-    if measurement.laws is None:
+    if measurement.laws is None or config.model.kind not in ("law", "hybrid"):
         return {}
     found, warmer = inform(measurement), try_warmer(measurement)
     header, further = ["number", "guess", "known to, %", "with these data, %"], None

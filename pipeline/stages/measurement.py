@@ -14,7 +14,7 @@ from pipeline.data.dataset import VibrationDataset, require_synchronous
 from pipeline.data.noise import NoiseModel
 from pipeline.data.tables import read_marks
 from pipeline.data.vibration_files import read_measured, require_made_for, require_nodes_of
-from pipeline.errors import ConfigError, DataError
+from pipeline.errors import DataError
 from pipeline.files import hash_file, read_json
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.storage import ARCHITECTURE, WEIGHTS, load_model
@@ -107,29 +107,16 @@ def build_measurement(config: Config, rotor: RotorModel, dataset: VibrationDatas
         unknowns,
         Guess(model.initial_stiffness, model.initial_damping, identify.known_within),
         drift=drift,
-        laws=_laws_of(config, rotor, dataset),
+        laws=_laws_of(config, rotor),
         parameters=model_parameters(
             identify.model_parameters.deviations, rotor, dataset, known, unknowns, identify.coupling_node
         ),
     )
 
 
-def _laws_of(config: Config, rotor: RotorModel, dataset: VibrationDataset) -> LawSet | None:
-    """The bearing laws, of a model that is made of them.
-
-    Raises ConfigError where the machine has none, DataError where the slope of the viscosity is asked of one
-    temperature.
-    """
-    if config.model.kind not in ("law", "hybrid"):
-        return None
-    if config.machine.laws is None:
-        raise ConfigError(
-            f"model={config.model.kind} must have machine.laws (what is known of bearings and oil, and guesses of the "
-            "rest), but the machine has none: write the section, or choose model=network_fluid_film"
-        )
-    laws = make_laws(config.machine.laws, rotor.bearing_nodes)
-    laws.refuse_one_temperature(dataset.operating)
-    return laws
+def _laws_of(config: Config, rotor: RotorModel) -> LawSet | None:
+    """The bearing laws of the machine, which some models are made of; None where it has none."""
+    return None if config.machine.laws is None else make_laws(config.machine.laws, rotor.bearing_nodes)
 
 
 def _read_known(config: Config, files: Workspace, nodes: tuple[int, ...], dataset: VibrationDataset) -> BearingTable:

@@ -82,7 +82,7 @@ def refit(config: Config, seed: int) -> Refit:
     error = list_active(answer.values) - real
     keep = found.start.keep
     # Laws have no weights that give any coefficients: their bound is that of the answer.
-    by_laws = measurement.laws is not None
+    by_laws = found.problem.measurement.laws is not None
     at_truth = found.weights if by_laws else start_at(found.problem, unknowns.leading(truth.values[:, keep]))
     bound = unknown_deviation(found.problem, at_truth)[0]  # (S, A)
     assert quality.misfit is not None

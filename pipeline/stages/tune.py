@@ -45,7 +45,7 @@ def pose_study(config: Config, measurement: Measurement) -> StudyProblem:
 
     Raises ConfigError where no speed is held out, or the noise is estimated from the deviations to be judged.
     """
-    if not config.training.holdout_every:
+    if not config.training.holdout_every and not config.training.holdout_operating:
         raise ConfigError(
             "a study must judge its trials on held-out speeds, but training.holdout_every is 0: give it 10, or another "
             "number from 2"

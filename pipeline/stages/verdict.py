@@ -12,9 +12,9 @@ from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
 from pipeline.evaluation.contradiction import find_contradiction
 from pipeline.files import read_json, write_json
+from pipeline.identification.held_out import held_out_range, held_out_runs
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.losses import loss_of
-from pipeline.identification.output_error_start import held_out_range, held_out_runs
 from pipeline.identification.training import held_out_speeds
 from pipeline.identification.uncertainty import Uncertainty, load_uncertainty
 from pipeline.problem.measurement import Measurement

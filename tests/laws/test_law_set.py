@@ -181,14 +181,6 @@ def test_what_a_law_needs_and_does_not_get_is_named() -> None:
         make_laws(LawsConfig.model_validate({"oil": OIL, "bearings": {0: LUND}}), (0, 5))
 
 
-def test_one_temperature_tells_no_slope() -> None:
-    one = {"oil_temperature": np.full(7, 328.15)}
-    with pytest.raises(DataError, match=r"oil.slope must have data at two oil temperatures .*are at 55 degC"):
-        EVERYTHING.refuse_one_temperature(one)
-    EVERYTHING.refuse_one_temperature(WARM)
-    laws(SHORT, oil=unknown(OIL, "viscosity")).refuse_one_temperature(one)
-
-
 HEADER = "S,Kxx,Kxy,Kyx,Kyy,Bxx,Bxy,Byx,Byy\n"
 
 

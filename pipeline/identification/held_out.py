@@ -1,0 +1,72 @@
+"""What a fit by the output error predicts in place of fitting it: ranges of speed, operating conditions, runs.
+
+Legend: S operating points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from pipeline.config.identification import TrainingConfig
+from pipeline.data.operating import write_condition
+from pipeline.errors import ConfigError
+from pipeline.problem.measurement import Measurement
+
+
+def held_out_range(speeds: np.ndarray, training: TrainingConfig) -> np.ndarray:
+    """(S,) mask of the ``speeds`` (S,) rad/s in ``training.holdout_range``. Raises ConfigError for none or all."""
+    if training.holdout_range is None:
+        return np.zeros(len(speeds), dtype=bool)
+    low, high = training.holdout_range
+    mask = (speeds > low * (1 - _SAME)) & (speeds < high * (1 + _SAME))
+    if mask.all() or not mask.any():
+        raise ConfigError(
+            "training.holdout_range must hold some of the speeds and leave some, but it holds "
+            f"{int(mask.sum())} of {len(speeds)}"
+        )
+    return np.asarray(mask)
+
+
+_SAME = 1e-9
+
+
+def held_out_conditions(operating: Mapping[str, np.ndarray], training: TrainingConfig, n_points: int) -> np.ndarray:
+    """(S,) mask of the points at one of the conditions ``training.holdout_operating``, within a thousandth.
+
+    Raises ConfigError for a condition that the data lack, for a value that no point has, and where none is left.
+    """
+    mask = np.zeros(n_points, dtype=bool)
+    for name, wanted in training.holdout_operating.items():
+        if name not in operating:
+            raise ConfigError(
+                f"training.holdout_operating must name conditions of the data ({', '.join(operating) or 'none'}), but "
+                f"got '{name}'"
+            )
+        here = np.abs(operating[name] - wanted) <= _NEARLY * abs(wanted)
+        if not here.any():
+            values = ", ".join(dict.fromkeys(write_condition(name, value) for value in operating[name]))
+            raise ConfigError(
+                f"training.holdout_operating must be a condition that was measured ({values}), but {name} got "
+                f"{write_condition(name, np.array(wanted))}"
+            )
+        mask |= here
+    if mask.all() and n_points:
+        raise ConfigError("training.holdout_operating must leave points to train on, but it holds all of them")
+    return mask
+
+
+_NEARLY = 1e-3
+
+
+def held_out_runs(measurement: Measurement, training: TrainingConfig) -> np.ndarray:
+    """Indices of the runs that are predicted rather than fitted. Raises ConfigError as :func:`prepare_output_error`."""
+    runs = measurement.dataset.runs
+    for name in training.holdout_runs:
+        if name not in runs:
+            raise ConfigError(f"training.holdout_runs must name runs of the data ({', '.join(runs)}), but got '{name}'")
+    held_out = np.array([runs.index(name) for name in training.holdout_runs], dtype=int)
+    if len(held_out) == len(runs):
+        raise ConfigError("training.holdout_runs must leave a run to train on, but it names all of them")
+    return np.sort(held_out)

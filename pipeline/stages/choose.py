@@ -1,0 +1,72 @@
+"""Which model of the coefficients the data ask for: laws, laws with a correction, or a network."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+from pipeline.config.schema import Config
+from pipeline.data.tables import write_table
+from pipeline.files import write_json
+from pipeline.identification.choice import Judged, choose, judge_models, setup_model
+from pipeline.identification.training import setup_of
+from pipeline.reporting.console import say, table
+from pipeline.stages.execution import StageOutput, use_threads
+from pipeline.stages.measurement import load_measurement
+from pipeline.stages.workspace import locate_files
+
+_KINDS = ("law", "hybrid", "network")
+"""From simple to free: a tie goes to the first."""
+_MODELS = {"law": "law", "hybrid": "hybrid", "network": "network_fluid_film"}
+
+
+def run(config: Config) -> StageOutput:
+    """``choice.json`` and ``choice.csv``: a row a model.
+
+    Raises ConfigError for data of a single state; as a fit does.
+    """
+    measurement = load_measurement(config)
+    use_threads(config)
+    setup = setup_of(config)
+    kinds = _KINDS if measurement.laws is not None else _KINDS[-1:]
+    setups = {kind: setup_model(setup, kind) for kind in kinds}
+    judged = judge_models(measurement, setups, lambda what: say(f"{config.name}: fits {what}"))
+    chosen = choose(judged)
+    _print(config, judged, chosen)
+    folder = locate_files(config).folder
+    summary = {"chosen": chosen.name, "models": {one.name: asdict(one) | {"rejected": one.rejected} for one in judged}}
+    rows = [
+        {"model": one.name, "probability": one.probability, "criterion": one.criterion, "numbers": one.numbers}
+        | {f"held_out_{label.replace(' ', '_')}": square for label, square in one.held_out.items()}
+        for one in judged
+    ]
+    return StageOutput(
+        {"choice": summary},
+        {"data_fingerprint": measurement.dataset.fingerprint},
+        [write_json(folder / "choice.json", summary), write_table(folder / "choice.csv", rows)],
+    )
+
+
+def _print(config: Config, judged: tuple[Judged, ...], chosen: Judged) -> None:
+    labels = list(judged[0].held_out)
+    header = ["model", "probability", "Akaike", "numbers", *(f"without {label}" for label in labels)]
+    table(
+        f"{config.name}: models, and the mean square of readings that were not fitted (1 is noise)",
+        header,
+        [
+            [
+                one.name,
+                "-" if one.probability is None else f"{one.probability:.2g}",
+                f"{one.criterion - min(other.criterion for other in judged):.0f}",
+                f"{one.numbers:.0f}",
+                *(f"{one.held_out[label]:.3g}" for label in labels),
+            ]
+            for one in judged
+        ],
+    )
+    for one in judged:
+        if one.rejected:
+            say(f"{config.name}: the readings contradict {one.name} (probability {one.probability:.2g})")
+    words = "the simplest that is not contradicted and predicts as well as the best"
+    if chosen.rejected:
+        words = "it predicts best, but the readings contradict every model: check rotor, probes and weights"
+    say(f"{config.name}: choose model={_MODELS[chosen.name]}: {words}")
