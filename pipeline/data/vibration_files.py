@@ -84,15 +84,21 @@ def write_vibration(path: Path, dataset: VibrationDataset, marks: Mapping[str, s
     return write_table(path, columns, marks)
 
 
-def read_dataset(vibration: Path, excitation: Path, rotor: RotorModel, baseline: str | None = None) -> VibrationDataset:
+def read_dataset(
+    vibration: Path,
+    excitation: Path,
+    rotor: RotorModel,
+    baseline: str | None = None,
+    same: Mapping[str, float] | None = None,
+) -> VibrationDataset:
     """Read both files and hold them against each other and against the rotor.
 
-    The run ``baseline``, of the machine as it was found, is subtracted from the runs that turn with the rotor.
+    The ``baseline``, the machine as found, is subtracted from runs that turn with the rotor; ``same``: read_measured.
 
     Raises DataError with the law that a file breaks; see :func:`pipeline.data.tables.read_table` for those of
     the tables themselves.
     """
-    dataset = read_measured(vibration, excitation, baseline, rotor.n_nodes)
+    dataset = read_measured(vibration, excitation, baseline, rotor.n_nodes, same)
     require_made_for(vibration, rotor)
     return dataset
 

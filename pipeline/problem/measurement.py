@@ -6,7 +6,7 @@ coefficients), N balance planes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -77,6 +77,7 @@ class Measurement:
         structure: Structure = "none",
         shared: bool = False,
         unbalance_planes: Sequence[int] = (),
+        same_conditions: Mapping[str, float] | None = None,
     ) -> Measurement:
         """A measurement from files.
 
@@ -90,6 +91,7 @@ class Measurement:
             structure: ties between the coefficients of a bearing, see :mod:`pipeline.unknowns`.
             shared: all bearings have the same coefficients.
             unbalance_planes: nodes whose residual unbalance is identified too (loss ``response``).
+            same_conditions: by how much operating conditions may differ and still be one, by name, SI.
 
         Raises DataError with the law that a file breaks.
         """
@@ -100,7 +102,7 @@ class Measurement:
         from pipeline.rotor.stored import load_rotor
 
         model = load_rotor(RotorConfig(file=str(rotor)))
-        dataset = read_dataset(Path(vibration), Path(excitation), model, baseline)
+        dataset = read_dataset(Path(vibration), Path(excitation), model, baseline, same_conditions)
         nodes, asked = model.bearing_nodes, BearingUnknowns(tuple(unknowns), structure)
         others = tuple(name for name in COEFFICIENTS if name not in asked.coefficients)
         if known is None and not others:

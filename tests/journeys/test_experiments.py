@@ -67,7 +67,9 @@ def test_the_committed_seed_is_the_one_measured() -> None:
 
 def test_every_experiment_has_a_bar() -> None:
     """A new experiment must be held to something, here or in the file of tests that is named after its kind."""
-    assert sorted([*PAPER, *ALL_EIGHT, *NOISY, *AS_BUILT, *BY_LAWS, "measured_demo", "rk4"]) == list_options("experiment")
+    assert sorted([*PAPER, *ALL_EIGHT, *NOISY, *AS_BUILT, *BY_LAWS, "measured_demo", "rk4"]) == list_options(
+        "experiment"
+    )
 
 
 def limit_of(experiment: str, file: str, metric: str) -> float:
