@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
+from pipeline.config.operating import States
 from pipeline.config.quantities import Angle, Deviation, Force, UnbalanceMagnitude
 from pipeline.config.section import NonNegativeInt, Section, Share
 
@@ -146,7 +147,8 @@ class DesignConfig(Section):
 
     With ``accuracy``, a relative standard deviation, it chooses at most so many runs, and as few speeds of the machine
     as reach it for each coefficient as a series of ``functions`` terms. Candidates are then made smaller where an orbit
-    at a bearing would leave the share ``clearance`` of its radial clearance.
+    at a bearing would leave the share ``clearance`` of its radial clearance. With a model of bearing laws the accuracy
+    is that of their ``numbers``, or of all that are unknown, in states that are chosen from ``operating``.
     """
 
     runs: PositiveInt
@@ -156,3 +158,5 @@ class DesignConfig(Section):
     criterion: Literal["A", "D"]
     speeds: Annotated[int, Field(ge=2)]
     simulations: NonNegativeInt
+    numbers: tuple[str, ...]
+    operating: States

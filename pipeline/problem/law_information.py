@@ -25,6 +25,7 @@ from pipeline.laws.numbers import LawParameter
 from pipeline.laws.points import OIL_TEMPERATURE
 from pipeline.problem.accuracy import derive_by_model
 from pipeline.problem.measurement import Measurement
+from pipeline.rotor.bearing_table import BearingTable
 
 FURTHER = 15.0
 """K that one more oil temperature lies above the highest one."""
@@ -47,6 +48,10 @@ class LawInformation:
     def plus(self, readings: np.ndarray) -> LawInformation:
         """With the information (Z, Z) of more readings."""
         return replace(self, readings=self.readings + readings)
+
+    def alone(self) -> LawInformation:
+        """The priors without any reading."""
+        return replace(self, readings=np.zeros_like(self.readings))
 
     @cached_property
     def prior(self) -> np.ndarray:
@@ -120,6 +125,15 @@ def law_rows(measurement: Measurement) -> np.ndarray:
     parts = [np.einsum("spra,sat->sprt", by_unknown, active), by_plane, 1j * by_plane]
     parts.append(derive_by_model(measurement, bearings, by_coefficient))
     return np.asarray(np.concatenate(parts, axis=-1) * (np.sqrt(2.0) / measurement.deviation)[..., None])
+
+
+def guess_table(laws: LawSet, speeds: np.ndarray, operating: Mapping[str, np.ndarray]) -> BearingTable:
+    """The coefficients of the laws at their guesses, at ``speeds`` (S,) rad/s and ``operating`` conditions (S,)."""
+    import torch
+
+    theta = torch.zeros(1, len(laws.parameters), dtype=torch.float64)
+    values = laws.coefficients(theta, speeds, operating)[0][0].numpy()
+    return BearingTable(laws.nodes, speeds, values, dict(operating))
 
 
 def at_state(measurement: Measurement, operating: Mapping[str, np.ndarray]) -> Measurement:

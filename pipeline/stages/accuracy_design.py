@@ -27,11 +27,9 @@ from pipeline.stages.diagnose import describe_noise
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.generate import configure_sensors
 from pipeline.stages.measurement import build_measurement
-from pipeline.stages.planned_runs import format_runs, list_candidates
+from pipeline.stages.planned_runs import Runs, format_runs, list_candidates, scale_runs
 from pipeline.stages.workspace import locate_files, require_nodes
 from pipeline.units import RAD_S_PER_RPM
-
-Runs = tuple[tuple[Excitation, ...], ...]
 
 
 @dataclass(frozen=True)
@@ -48,7 +46,7 @@ class Designer:
         moved = project(complete, list_directions(self.rotor.bearing_nodes)).displacement
         orbits = moved.reshape(len(moved), -1, 2, len(runs))
         scale = scale_to_limits(orbits, self.config.design.clearance * self._clearances())
-        return _scale(runs, scale)
+        return scale_runs(runs, scale)
 
     def _clearances(self) -> np.ndarray:
         """(B,) m, infinite for a bearing that states none."""
@@ -112,13 +110,6 @@ def _superfluous(config: Config, chosen: Sequence[Sequence[Excitation]]) -> list
     return [] if weighed else [kind for kind in config.identify.model_parameters.deviations if kind in OF_WEIGHT]
 
 
-def _scale(runs: Runs, scale: np.ndarray) -> Runs:
-    return tuple(
-        tuple(replace(one, magnitude=one.magnitude * float(s)) for one in acting)
-        for acting, s in zip(runs, scale, strict=True)
-    )
-
-
 def _try_cures(designer: Designer, allowed: Runs, plan: Measurement) -> dict[str, float]:
     """What would help -> the worst deviation with it, at all speeds."""
     most, can = designer.config.design.runs, designer.config.machine.candidates
@@ -130,7 +121,7 @@ def _try_cures(designer: Designer, allowed: Runs, plan: Measurement) -> dict[str
     floorless = replace(plan, noise=replace(plan.noise, additive=0.0))
     cures = {
         f"all {len(allowed)} candidate runs": worst(plan, len(allowed)),
-        "weights and forces twice as large": worst(designer.measure(_scale(allowed, np.full(len(allowed), 2.0)))),
+        "weights and forces twice as large": worst(designer.measure(scale_runs(allowed, np.full(len(allowed), 2.0)))),
     }
     if plan.noise.additive and plan.noise.multiplicative:
         cures["probes without a floor"] = worst(floorless)

@@ -33,6 +33,7 @@ from pipeline.stages.accuracy_design import reach_accuracy
 from pipeline.stages.diagnose import describe_noise
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.generate import configure_excitations, configure_frequencies
+from pipeline.stages.law_design import reach_numbers
 from pipeline.stages.measurement import build_measurement
 from pipeline.stages.planned_runs import format_runs, list_candidates
 from pipeline.stages.workspace import locate_files, require_nodes
@@ -41,6 +42,8 @@ from pipeline.units import RAD_S_PER_RPM
 
 def run(config: Config) -> StageOutput:
     """``design.json`` and ``designed_excitation.yaml``, which can be used at once."""
+    if config.model.kind in ("law", "hybrid"):
+        return reach_numbers(config)
     if config.design.accuracy is not None:
         return reach_accuracy(config, config.design.accuracy)
     design, rotor = config.design, load_rotor(config.machine.rotor)

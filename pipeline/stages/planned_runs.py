@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -27,6 +28,18 @@ def list_candidates(can: CandidateConfig) -> tuple[tuple[Excitation, ...], ...]:
     for node, whirl in itertools.product(can.force_nodes, can.whirls):
         made.append((Excitation(f"{whirl}_force_{node}", "force", node, can.force, 0.0, whirl),))
     return tuple(made)
+
+
+Runs = tuple[tuple[Excitation, ...], ...]
+"""What acts in each run."""
+
+
+def scale_runs(runs: Runs, scale: np.ndarray) -> Runs:
+    """The runs with all that acts in each times its ``scale`` (R,)."""
+    return tuple(
+        tuple(replace(one, magnitude=one.magnitude * float(s)) for one in acting)
+        for acting, s in zip(runs, scale, strict=True)
+    )
 
 
 def format_runs(config: Config, chosen: Sequence[Sequence[Excitation]], speeds: SpeedsConfig) -> str:

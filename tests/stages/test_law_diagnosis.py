@@ -1,4 +1,4 @@
-"""``stage=diagnose`` of a machine with bearing laws, and the fit that is refused for want of a second temperature."""
+"""``stage=diagnose`` and ``stage=design`` of a machine with bearing laws, and a fit that lacks a second temperature."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 from conftest import Run
 from running import composed, strict_json
 
-from pipeline.errors import IdentifiabilityError
+from pipeline.errors import ConfigError, IdentifiabilityError
 
 pytestmark = pytest.mark.slow
 
@@ -47,3 +47,37 @@ def test_one_temperature_leaves_the_slope_and_names_the_next_step(
     assert "5.static_load together: give one of them as a known number" in said
     with pytest.raises(IdentifiabilityError, match="measure at a further oil temperature, 15 K apart"):
         run("train", config, tmp_path)
+
+
+def test_a_design_says_which_temperatures_and_its_command_reaches_them(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two temperatures, the slope at its prior with one; the numbers of the plan are what diagnose then finds."""
+    could = ["design.operating={oil_temperature: [45 degC, 55 degC, 60 degC]}", "design.accuracy=0.02"]
+    run("design", composed(*machine("[45 degC]"), *could), tmp_path)
+    found = strict_json(tmp_path / "design.json")
+    assert found["reached"]
+    one, two = found["by_number_of_states"]
+    assert (len(one["states"]), len(two["states"])) == (1, 2)
+    assert one["worst"] > 0.5 > 0.02 > two["worst"]
+    assert "machine.operating={oil_temperature: [45 degC, 60 degC]}" in " ".join(capsys.readouterr().out.split())
+    designed = [f"machine.runs_file={tmp_path / 'designed_excitation.yaml'}"]
+    run("diagnose", composed(*machine("[45 degC, 60 degC]"), *designed), tmp_path / "designed")
+    numbers = strict_json(tmp_path / "designed" / "diagnosis.json")["physical_numbers"]
+    for name, deviation in found["predicted"].items():
+        assert numbers[name]["deviation_percent"] == pytest.approx(100 * deviation, rel=0.3)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        ((), "must have design.accuracy"),
+        (("design.accuracy=0.02", "design.numbers=[oil.slopes]"), "did you mean 'oil.slope'"),
+        (("design.accuracy=0.02", "machine.operating=null"), "design.operating must have oil_temperature"),
+    ],
+)
+def test_a_design_that_lacks_something_says_what(
+    run: Run, tmp_path: Path, overrides: tuple[str, ...], words: str
+) -> None:
+    with pytest.raises(ConfigError, match=words):
+        run("design", composed(*machine("[45 degC]"), *overrides), tmp_path)
