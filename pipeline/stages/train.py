@@ -57,11 +57,24 @@ def _format_values(values: Mapping[str, object]) -> str:
     return ", ".join(shown) or "none"
 
 
+def list_idle(kind: str, measurement: Measurement) -> list[str]:
+    """The operating conditions that change in the data, and that a model of this kind does not depend on."""
+    changing = [name for name, values in measurement.dataset.operating.items() if np.ptp(values) > 0]
+    if kind == "law" and measurement.laws is not None:
+        return [name for name in changing if name not in measurement.laws.inputs]
+    return changing if kind == "constant" else []
+
+
 def run(config: Config) -> StageOutput:
     """Fit, keep the best state, and write model, coefficients, history and quality."""
     measurement = load_measurement(config)
     use_threads(config)  # torch is imported when the data have been found sound
     say_promoted(config)
+    for name in list_idle(config.model.kind, measurement):
+        warn(
+            f"{config.name}: {name} changes in the data, and model={config.model.kind} has no input for it: its answer "
+            "is the same at all values (model=network_fluid_film has one)"
+        )
     diagnosis, expected = say_diagnosis(config, measurement)
     if not diagnosis.by_least_squares:
         warn(

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from conftest import refused
 from running import composed
+from small_rotor import small_machine
 
 from pipeline.data.coefficient_files import write_coefficients
 from pipeline.data.excitation_files import write_excitation
@@ -19,6 +20,7 @@ from pipeline.problem.measurement import Guess, Measurement
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.generate import find_idle, model_machine
 from pipeline.stages.measurement import load_measurement
+from pipeline.stages.train import list_idle
 from pipeline.stages.workspace import hash_machine
 
 pytestmark = pytest.mark.slow
@@ -47,6 +49,15 @@ def test_a_condition_that_changes_no_bearing_is_named() -> None:
     assert find_idle(same) == ["load", "oil_temperature"]
     film = replace(same, values=same.values * operating["oil_temperature"][:, None])
     assert find_idle(film) == ["load"]
+
+
+def test_a_condition_that_the_model_has_no_input_for_is_named() -> None:
+    measurement, _ = small_machine((2e6, 0.0, 0.0, 1.2e6, 900.0, 0.0, 0.0, 600.0))
+    count = len(measurement.dataset.speeds)
+    operating = {"oil_temperature": np.linspace(310.0, 330.0, count), "load": np.full(count, 500.0)}
+    warm = replace(measurement, dataset=replace(measurement.dataset, operating=operating))
+    assert list_idle("constant", warm) == ["oil_temperature"]
+    assert list_idle("network", warm) == []
 
 
 def test_a_machine_without_conditions_is_the_machine_that_it_was() -> None:
