@@ -22,6 +22,8 @@ _WIDE = 1.5
 as a power, while an oil temperature in kelvin varies by a few percent.
 """
 _SMALLEST = 1e-3
+_FADES = 2.0
+"""Half ranges beyond the data, after which a correction has fallen to a third."""
 
 
 def scale_inputs(
@@ -63,13 +65,14 @@ def trend_terms(inputs: torch.Tensor, speed: int, span: tuple[float, float], log
 
 
 def fade(inputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """(S, 1) each: one where scaled ``inputs`` (S, n) lie in the data's range, falling to zero beyond it within about
-    the range's size; and the root of what is missing to one, squares taken.
+    """(S, 1) each: one where scaled ``inputs`` (S, n) lie in the data's range, falling to zero beyond it: hardly within
+    a quarter of the range, and all but nothing is left after one and a half; and the root of what is missing to one,
+    squares taken.
     """
     import torch
 
-    beyond = (inputs.abs() - 1).clamp(min=0.0).square().sum(-1, keepdim=True)
-    return torch.exp(-beyond / 2), torch.sqrt(-torch.expm1(-beyond))
+    beyond = ((inputs.abs() - 1).clamp(min=0.0) / _FADES).square().sum(-1, keepdim=True).square()
+    return torch.exp(-beyond), torch.sqrt(-torch.expm1(-2 * beyond))
 
 
 def points_of(speeds: np.ndarray, operating: Mapping[str, np.ndarray] | None) -> dict[str, np.ndarray]:

@@ -69,20 +69,19 @@ class CoefficientModel:
     @property
     def n_trend(self) -> int:
         """Inputs of the output layer beside the hidden units."""
-        if self.fades:
-            return 1
-        return len(self.inputs) + 1 if self.trend else 0
+        return len(self.inputs) + 1 if self.trend or self.fades else 0
 
     def _with_trend(self, hidden: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:
         """(..., S, n_in) what the output layer is fed: power laws and straight lines need no hidden units.
 
-        Where the output fades, the hidden units do, and one more input is what nobody measured, beyond the data.
+        Where the output fades, hidden units and inputs do, and the last input is what nobody measured, beyond the data.
         """
         import torch
 
         if self.fades:
             inside, beyond = fade(inputs)
-            return torch.cat([hidden * inside, beyond.expand(*hidden.shape[:-1], 1)], dim=-1)
+            terms = torch.cat([inputs * inside, beyond], dim=-1)
+            return torch.cat([hidden * inside, terms.expand(*hidden.shape[:-1], self.n_trend)], dim=-1)
         if not self.trend:
             return hidden
         at = self.inputs.index(SPEED)
