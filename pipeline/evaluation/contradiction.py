@@ -7,6 +7,7 @@ from typing import Any
 
 MISMATCH = 0.05
 """Deviations less probable than this speak against the model: of a right one, they do so in one of twenty data sets."""
+_LEAST = 1e-4
 STANDS_OUT = 2.0
 """Deviations of a network's correction, beyond which the law without it is contradicted."""
 
@@ -16,8 +17,9 @@ def find_contradiction(about: Mapping[str, Any], kind: str) -> tuple[str, str] |
     probability = about["fit"]["mismatch"]["probability"] if kind == "law" else None
     if probability is None or probability >= MISMATCH:
         return None
+    chance = f"{probability:.2g}" if probability >= _LEAST else f"below {_LEAST:g}"
     return (
-        f"The readings contradict this bearing law (probability {probability:.2g}).",
+        f"The readings contradict this bearing law (probability {chance}).",
         "Fit model=hybrid or model=network_fluid_film, or take another table in machine.laws.",
     )
 

@@ -106,8 +106,14 @@ def describe_law(quality: Mapping[str, Any], kind: str) -> list[str]:
     return words
 
 
+_NOTHING = 0.01
+"""Percent."""
+
+
 def _describe_correction(node: str, of: Mapping[str, Mapping[str, float]]) -> str:
     """How much a network corrects the law of a bearing: what stands out of its own deviation speaks against the law."""
+    if all(one["percent"] < _NOTHING and one["deviation_percent"] < _NOTHING for one in of.values()):
+        return f"The network corrects nothing of the law of node {node}: the readings do not ask for it."
     shown = ", ".join(f"{name} {one['percent']:.2g} +- {one['deviation_percent']:.2g} %" for name, one in of.items())
     out = list_contradicted(of)
     against = f"That of {', '.join(out)} speaks against the law" if out else "None of it speaks against the law"

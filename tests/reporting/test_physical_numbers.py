@@ -49,6 +49,7 @@ def test_a_law_that_the_readings_contradict_is_named_with_the_next_step() -> Non
     (words,) = describe_law(quality(0.002), "law")
     assert words.startswith("The readings contradict this bearing law (probability 0.002). Fit model=hybrid or model=")
     assert "another table" in words
+    assert "(probability below 0.0001)" in describe_law(quality(0.0), "law")[0]
     assert describe_law(quality(0.06), "law") == describe_law(quality(None), "law") == []
     assert describe_law(quality(0.002), "network") == []
     (reason,) = judge_law(find_contradiction(quality(0.002), "law"))
@@ -59,11 +60,13 @@ def test_a_law_that_the_readings_contradict_is_named_with_the_next_step() -> Non
 def test_a_correction_that_stands_out_of_its_deviation_speaks_against_the_law() -> None:
     correction = {
         "8": {name: {"percent": p, "deviation_percent": 1.0} for name, p in (("kxx", 12.0), ("cyy", 1.5))},
-        "21": {"kxx": {"percent": 0.0, "deviation_percent": 0.01}},
+        "13": {"kxx": {"percent": 0.0, "deviation_percent": 1e-9}},
+        "21": {"kxx": {"percent": 0.5, "deviation_percent": 3.0}},
     }
-    first, second = describe_law(quality(0.5, correction=correction), "hybrid")
+    first, nothing, second = describe_law(quality(0.5, correction=correction), "hybrid")
     assert "node 8 by kxx 12 +- 1 %, cyy 1.5 +- 1 %" in first
     assert first.endswith("That of kxx speaks against the law.")
+    assert nothing.startswith("The network corrects nothing of the law of node 13")
     assert second.endswith("None of it speaks against the law.")
 
 
