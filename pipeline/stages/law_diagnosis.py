@@ -10,14 +10,11 @@ import numpy as np
 from pipeline.config.schema import Config
 from pipeline.data.operating import write_condition
 from pipeline.errors import IdentifiabilityError
-from pipeline.laws.numbers import LawParameter
 from pipeline.laws.points import OIL_TEMPERATURE
 from pipeline.problem.law_information import FURTHER, LawInformation, inform, require_temperatures, try_warmer
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, table, warn
-
-_UNITS = {"m": ("mm", 1e3), "Pa * s": ("mPa s", 1e3), "rad": ("deg", 180 / np.pi), "1 / K": ("1/K", 1.0)}
-"""By the unit in SI: the one that is shown, and what SI is multiplied by."""
+from pipeline.reporting.physical_numbers import list_numbers
 
 
 def diagnose_laws(config: Config, measurement: Measurement, noise: str) -> dict[str, Any]:
@@ -33,10 +30,10 @@ def diagnose_laws(config: Config, measurement: Measurement, noise: str) -> dict[
         further = 100 * warmer[1].deviation
         header.append(f"with {write_condition(OIL_TEMPERATURE, warmer[0])} as well, %")
     columns = [100 * found.prior, 100 * found.deviation, *([] if further is None else [further])]
-    rows = []
-    for i, one in enumerate(found.parameters):
-        told = "" if found.determined[i] else "not told by these data"
-        rows.append([one.name, write_number(one), *(f"{column[i]:.2g}" for column in columns), told])
+    summary, rows = summarize_numbers(found, further), []
+    for i, one in enumerate(list_numbers(summary, config)):
+        shown = [one.name, f"{one.guess:.4g} {one.unit}".strip(), *(f"{column[i]:.2g}" for column in columns)]
+        rows.append([*shown, "" if one.determined else "not told by these data"])
     title = f"{config.name}: numbers of the bearing laws at their guesses, at {noise} (one standard deviation)"
     table(title, [*header, ""], rows)
     for sentence in describe_open(found):
@@ -45,7 +42,7 @@ def diagnose_laws(config: Config, measurement: Measurement, noise: str) -> dict[
         require_temperatures(measurement.laws, measurement.dataset.operating)
     except IdentifiabilityError as error:
         warn(f"{config.name}: {error}")
-    return {"physical_numbers": summarize_numbers(found, further), "free_combinations": list(found.free)}
+    return {"physical_numbers": summary, "free_combinations": list(found.free)}
 
 
 def summarize_numbers(found: LawInformation, further: np.ndarray | None) -> dict[str, dict[str, Any]]:
@@ -54,6 +51,8 @@ def summarize_numbers(found: LawInformation, further: np.ndarray | None) -> dict
     for i, one in enumerate(found.parameters):
         result[one.name] = {
             "guess": one.guess,
+            "value": one.guess,
+            "deviation": float(one.guess * found.deviation[i]),
             "unit": one.unit,
             "prior_percent": float(100 * found.prior[i]),
             "deviation_percent": float(100 * found.deviation[i]),
@@ -77,11 +76,3 @@ def describe_open(found: LawInformation) -> list[str]:
 
 def _join(names: Sequence[str]) -> str:
     return f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else names[0]
-
-
-def write_number(one: LawParameter) -> str:
-    """The guess in an engineer's unit."""
-    if one.name.endswith(".c"):
-        return write_condition(OIL_TEMPERATURE, one.guess)
-    unit, factor = _UNITS.get(one.unit, (one.unit, 1.0))
-    return f"{factor * one.guess:.4g} {unit}".strip()
