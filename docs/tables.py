@@ -29,7 +29,7 @@ PAGES = (
     "README.md",
     *(
         f"docs/{name}.md"
-        for name in ("results", "paper", "method", "noise", "all_coefficients", "model_error", "trust")
+        for name in ("results", "paper", "method", "noise", "all_coefficients", "model_error", "trust", "operating")
     ),
 )
 MEASURED = ROOT / "docs" / "measured"
