@@ -121,6 +121,8 @@ def _judge_held_out(
     for one in compare_held_out(measurement, answer, unbalance, config.training):
         rpm = to_rpm(one.speeds)
         what = f"{'range of ' if one.together else ''}speeds, {rpm.min():g} to {rpm.max():g} rpm"
+        if one.state:
+            what = f"conditions, {one.state}"
         what, rival = (what, "interpolation") if one.run is None else (f"run {one.run}", "influence coefficients")
         said = "no answer" if one.rival is None else f"{one.rival:.3g} %"
         say(f"{config.name}: held-out {what}: predicted to {one.model:.3g} % (root mean square); by {rival}: {said}")

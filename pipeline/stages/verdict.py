@@ -12,7 +12,7 @@ from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
 from pipeline.evaluation.contradiction import find_contradiction
 from pipeline.files import read_json, write_json
-from pipeline.identification.held_out import held_out_range, held_out_runs
+from pipeline.identification.held_out import held_out_conditions, held_out_range, held_out_runs
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.losses import loss_of
 from pipeline.identification.training import held_out_speeds
@@ -96,6 +96,7 @@ def mark_fitted(config: Config, measurement: Measurement) -> np.ndarray:
     """(S, P, R) mask of the readings that the fit had."""
     data, training = measurement.dataset, config.training
     keep = ~held_out_speeds(len(data.speeds), training.holdout_every) & ~held_out_range(data.speeds, training)
+    keep &= ~held_out_conditions(data.operating, training, len(data.speeds))
     fitted = np.broadcast_to(keep[:, None, None], data.displacement.shape).copy()
     if loss_of(config.loss).weighs_noise:
         fitted[..., held_out_runs(measurement, training)] = False

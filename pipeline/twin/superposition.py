@@ -16,8 +16,8 @@ import numpy as np
 
 from pipeline.config.identification import TrainingConfig
 from pipeline.data.dataset import Excitation, VibrationDataset
-from pipeline.data.operating import split_states
-from pipeline.identification.held_out import held_out_range, held_out_runs
+from pipeline.data.operating import name_state, split_states
+from pipeline.identification.held_out import held_out_conditions, held_out_range, held_out_runs
 from pipeline.identification.training import held_out_speeds
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
@@ -121,6 +121,7 @@ class HeldOut:
     together: bool  # the speeds are a whole range, not one here and there
     model: float
     rival: float | None  # of influence coefficients for a run, of interpolation for speeds; None without an answer
+    state: str = ""  # the operating conditions that were held out as a whole
 
 
 def compare_held_out(
@@ -145,16 +146,21 @@ def compare_held_out(
         found.append(HeldOut(dataset.runs[r], dataset.speeds, True, model, error))
     every = held_out_speeds(len(dataset.speeds), training.holdout_every)
     together = held_out_range(dataset.speeds, training)
-    for mask in (every & ~together, together):
+    away = held_out_conditions(dataset.operating, training, len(dataset.speeds))
+    known = ~every & ~together & ~away
+    for mask in (every & ~together & ~away, together & ~away):
         if not mask.any():
             continue
-        known = ~every & ~together
         part = dataset.at(known | mask).of_runs(fitted)
         drawn = interpolate_response(part, known[known | mask])
         aim = measured[mask][..., fitted]
         error = None if drawn is None else error_percent(drawn, aim)
         model = error_percent(predicted[mask][..., fitted], aim)
-        found.append(HeldOut(None, dataset.speeds[mask], mask is together, model, error))
+        found.append(HeldOut(None, dataset.speeds[mask], bool((mask & together).any()), model, error))
+    if away.any():
+        state = name_state({name: values[away] for name, values in dataset.operating.items()})
+        model = error_percent(predicted[away][..., fitted], measured[away][..., fitted])
+        found.append(HeldOut(None, dataset.speeds[away], True, model, None, state))
     return found
 
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from warm_rotor import CELSIUS, SPEEDS, warm_bearings, warm_machine
+from warm_rotor import CELSIUS, NOISE, SPEEDS, warm_bearings, warm_machine
 
 from pipeline.errors import ConfigError
 from pipeline.identification.fit import default_setup, fit
@@ -23,6 +24,7 @@ from pipeline.twin.at_conditions import (
 )
 from pipeline.twin.mode_deviations import deviate_modes
 from pipeline.twin.modes import find_modes
+from pipeline.twin.superposition import compare_held_out
 
 KEY = "machine.prediction.operating"
 MEASURED = {"oil_temperature": np.repeat(CELSIUS, 2) + 273.15, "load": np.tile([500.0, 900.0], 3)}
@@ -123,3 +125,17 @@ def test_modes_at_a_temperature_that_was_not_measured_lie_within_their_deviation
     assert known.any(axis=1).all()
     off = np.abs(modes.frequency - true.frequency)[known] / deviations.frequency[known]
     assert np.median(off) < 3
+
+
+def test_a_state_that_was_held_out_is_judged_by_itself() -> None:
+    """The machine's own coefficients predict its readings at 65 degC to their noise, and no interpolation does."""
+    measurement, bearings = warm_machine()
+    training = SimpleNamespace(
+        holdout_every=0, holdout_range=None, holdout_runs=(), holdout_operating={"oil_temperature": 65.0 + 273.15}
+    )
+    (found,) = compare_held_out(measurement, bearings, None, training)
+    assert found.state == "65 degC"
+    assert found.rival is None
+    np.testing.assert_array_equal(found.speeds, SPEEDS)
+    there = measurement.dataset.at(np.arange(2 * len(SPEEDS), 3 * len(SPEEDS)))
+    assert found.model == pytest.approx(100 * NOISE / np.sqrt((np.abs(there.displacement) ** 2).mean()), rel=0.5)
