@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from pipeline.laws.law_set import LawSet
 
-SCHEMA = 4
+SCHEMA = 3
 WEIGHTS, ARCHITECTURE = "model.safetensors", "model.json"
 
 
