@@ -17,6 +17,7 @@ import pytest
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.compose import compose_config
 from pipeline.config.loader import list_options
+from pipeline.config.operating import column_of
 from pipeline.config.schema import Config
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -77,7 +78,8 @@ def python(*words: str, cwd: Path = ROOT, **others: Any) -> subprocess.Completed
 def identified_columns(config: Config) -> list[str]:
     """Those of identified_coefficients.csv: the response loss states a standard deviation of each."""
     deviations = [f"{name}_std" for name in COEFFICIENTS] if config.loss.kind == "response" else []
-    return ["bearing_node", "speed_rpm", *COEFFICIENTS, *deviations]
+    conditions = [column_of(name).column for name in config.machine.operating]
+    return ["bearing_node", "speed_rpm", *conditions, *COEFFICIENTS, *deviations]
 
 
 def at_night(test: Any, names: str, values: Iterable[object], **others: Any) -> Any:
