@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import shutil
 from pathlib import Path
@@ -14,6 +15,7 @@ from conftest import Made, Run, known_names
 from running import DEFAULT, EXPERIMENTS, FIGURES, contents, few, identified_columns, strict_json
 
 from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.operating import column_of
 from pipeline.data.dataset import Excitation
 from pipeline.errors import ConfigError
 from pipeline.stages import evaluate, robustness
@@ -166,26 +168,28 @@ def test_tables_have_the_columns_that_others_rely_on(experiment: str, made: Made
     speeds, nodes = config.machine.speeds.rpm(), list(config.machine.rotor.bearing_nodes)
     vibration = pd.read_parquet(folder / "vibration.parquet")
     own = ["frequency_hz"] if any(run.frequency_hz or run.frequency_ratio for run in config.machine.runs) else []
-    assert list(vibration) == ["run", "speed_rpm", "node", "direction", "amplitude_m", "phase_deg", *own]
+    operating = config.machine.operating
+    at, states = [column_of(name).column for name in operating], math.prod(len(of) for of in operating.values())
+    assert list(vibration) == ["run", "speed_rpm", *at, "node", "direction", "amplitude_m", "phase_deg", *own]
     assert sorted(set(vibration["speed_rpm"])) == speeds
     assert set(vibration["direction"]) == {"x", "y"}
     assert list(dict.fromkeys(vibration["run"])) == [r.name for r in config.machine.runs]
     everywhere = 1 + sum(segment.elements for segment in config.machine.rotor.shaft)
     n_nodes = {"all": everywhere, "bearings": len(nodes)}[str(config.machine.probes.at)]
-    assert len(vibration) == len(config.machine.runs) * len(speeds) * n_nodes * 2
+    assert len(vibration) == len(config.machine.runs) * len(speeds) * states * n_nodes * 2
     excitation = pd.read_csv(folder / "excitation.csv")
     assert list(excitation) == ["run", "kind", "node", "magnitude", "phase_deg", "whirl"]
-    known = ["bearing_node", "speed_rpm", *known_names(config)]
+    known = ["bearing_node", "speed_rpm", *at, *known_names(config)]
     for name, columns in {
-        "modelled_coefficients": ["bearing_node", "speed_rpm", *COEFFICIENTS],
+        "modelled_coefficients": ["bearing_node", "speed_rpm", *at, *COEFFICIENTS],
         "identified_coefficients": identified_columns(config),
-        "least_squares_coefficients": ["bearing_node", "speed_rpm", *COEFFICIENTS],
+        "least_squares_coefficients": ["bearing_node", "speed_rpm", *at, *COEFFICIENTS],
         "known_coefficients": known,
     }.items():
         table = pd.read_csv(folder / f"{name}.csv")
         assert list(table) == columns
-        assert table["bearing_node"].tolist() == [node for node in nodes for _ in speeds]
-        assert table["speed_rpm"].tolist() == speeds * len(nodes)
+        assert table["bearing_node"].tolist() == [node for node in nodes for _ in range(states * len(speeds))]
+        assert table["speed_rpm"].tolist() == speeds * states * len(nodes)
     history = pd.read_csv(folder / "history.csv")
     held_out = ["held_out_loss"] if config.training.holdout_every else []
     assert list(history) == ["step", "phase", "loss", *held_out]
@@ -228,7 +232,11 @@ def test_metrics_have_the_shape_that_others_rely_on(experiment: str, made: Made)
         assert sum(robustness["outcomes"].values()) == robustness["starts"]
     assert list(robustness["coefficients"]) == [str(node) for node in config.machine.rotor.bearing_nodes]
     prediction = strict_json(made(experiment) / "prediction.json")
-    assert set(prediction) - {"influence_coefficients"} == {"modelled", "identified", "displacement"}
+    assert set(prediction) - {"influence_coefficients", "operating", "outside_measured"} == {
+        "modelled",
+        "identified",
+        "displacement",
+    }
     assert set(prediction["displacement"]) == {"x", "y"}
     for system in ("modelled", "identified"):
         assert isinstance(prediction[system]["stability"]["stable"], bool)
