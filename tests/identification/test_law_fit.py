@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from oil_rig import LUND, SHORT, TRUE, bearings_at, laws_of, measure, setup
+from oil_rig import LUND, NOISE, SHORT, TRUE, bearings_at, laws_of, measure, setup
 
 from pipeline.errors import ConfigError, DataError
 from pipeline.identification.fit import fit
@@ -48,6 +48,19 @@ def test_the_numbers_are_those_that_made_the_data() -> None:
         assert one.determined
         assert one.share < 0.01, one.name
     assert probability(fitted("law")) > 0.01
+
+
+def test_the_fit_is_as_good_as_any() -> None:
+    """A Gauss-Newton step from the truth at the exact weights is the estimate of least variance."""
+    truth = bearings_at(RPM, WARM)
+    measurement = measure(truth, laws_of(LUND, (1.0, 1.0, 1.0, 1.0)))
+    problem = prepare_output_error(measurement, setup("law")).problem
+    exact = np.sqrt(2.0) / NOISE.deviation(measurement.response.predict(truth))
+    sensors = replace(problem.sensors, precision=(torch.as_tensor(exact)[None],))
+    gradient, matrix = problem.with_sensors(sensors).normal(torch.zeros(1, 1, problem.size, dtype=torch.float64))
+    best = -torch.linalg.solve(matrix[0, 0], gradient[0, 0])[problem.n_outer :]
+    for one, share in zip(fitted("law").numbers, best.tolist(), strict=True):
+        assert abs(np.log(one.value / TRUE[one.name]) - share) < 0.1 * one.share, one.name
 
 
 @pytest.mark.parametrize("celsius", [40.0, 70.0])
