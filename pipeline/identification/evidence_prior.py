@@ -1,9 +1,11 @@
-"""How large a network is that corrects bearing laws, or a trend of several inputs: the data say so, for each unknown.
+"""How large a network is that corrects bearing laws, or a trend of several inputs: the data say so, for each bearing.
 
 It is a sum of features whose weights are normal about zero: a Gaussian process of variance sigma^2 over the data (each
-feature has its share of it: the wavy ones little). sigma is that of the greatest likelihood (empirical
-Bayes; by MacKay's fixed point, 1992). Where the law is right it goes to zero and nothing is corrected; its size is the
-evidence against the law. Where nobody measured, the correction is zero, and uncertain by sigma.
+feature has its share of it: the wavy ones little). sigma is that of the greatest likelihood (empirical Bayes; by
+MacKay's fixed point, 1992), and the same for all coefficients of a bearing: a law that is off in one of them is off in
+all, and one by one some would come out as exactly right, with bands that are too narrow. Where the law is right sigma
+goes to zero and nothing is corrected; its size is the evidence against the law. Where nobody measured, the correction
+is zero, and uncertain by sigma.
 
 Legend: M members, S operating points, A active unknowns, K features, Z weights.
 """
@@ -72,7 +74,8 @@ def weigh_by_evidence(problem: OutputError, weights: torch.Tensor) -> tuple[Outp
 
     evidence = _expand(problem, weights)
     sigma = _likeliest_sigma(evidence)
-    if problem.basis.model.fades and chance_of_gain(2 * _gain(evidence, sigma), len(sigma)) > LAW_STANDS:
+    n_bearings = len({m for m, _ in problem.active})
+    if problem.basis.model.fades and chance_of_gain(2 * _gain(evidence, sigma), n_bearings) > LAW_STANDS:
         kept = torch.zeros_like(problem.kept)
         left = replace(problem, kept=kept)
         return left, torch.where(left.fitted(), weights, torch.zeros_like(weights))
@@ -85,6 +88,7 @@ class _Evidence(NamedTuple):
     data: np.ndarray  # (Z, Z)
     right: np.ndarray  # (Z,)
     unit: np.ndarray  # (A, K) precisions of the correction's weights for a sigma of one
+    alike: np.ndarray  # (A, A) one for unknowns of the same bearing: these have the same sigma
     sigma: np.ndarray  # (A,) at hand
 
     def posterior(self, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -107,7 +111,9 @@ def _expand(problem: OutputError, weights: torch.Tensor) -> _Evidence:
     # At the minimum ``matrix z = matrix at - gradient``, whatever the precisions of the correction.
     right = matrix @ weights[0, 0].numpy() - gradient
     data = matrix - np.diag(np.pad(own, (0, len(matrix) - outer)))
-    return _Evidence(data, right, unit, np.sqrt(unit[:, -1] / own.reshape(unit.shape)[:, -1]))
+    bearing = np.array([m for m, _ in problem.active])
+    sigma = np.sqrt(unit[:, -1] / own.reshape(unit.shape)[:, -1])
+    return _Evidence(data, right, unit, (bearing[:, None] == bearing).astype(float), sigma)
 
 
 def _likeliest_sigma(evidence: _Evidence) -> np.ndarray:
@@ -119,7 +125,8 @@ def _likeliest_sigma(evidence: _Evidence) -> np.ndarray:
         free = unit.ravel() > 0
         told = (1.0 - (evidence.precision(sigma) * np.diag(spread))[: unit.size]) * free
         squares = (mean[: unit.size] ** 2 * unit.ravel()).reshape(unit.shape).sum(axis=1)
-        found = np.sqrt(squares / np.maximum(told.reshape(unit.shape).sum(axis=1), _TINY))
+        told = told.reshape(unit.shape).sum(axis=1)
+        found = np.sqrt(evidence.alike @ squares / np.maximum(evidence.alike @ told, _TINY))
         found = np.maximum(found, _SMALLEST)
         still = bool((np.abs(np.log(found / sigma)) < _STILL).all())
         sigma = found
