@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.coefficients import is_direct
-from pipeline.config.identification import HybridModelConfig, LawModelConfig, LevenbergMarquardtConfig
-from pipeline.errors import ConfigError
+from pipeline.config.identification import HybridModelConfig, LevenbergMarquardtConfig
 from pipeline.identification.basis import Basis
 from pipeline.identification.optimizers import levenberg_marquardt, until_still
 from pipeline.identification.output_error import OutputError, output_error
@@ -45,28 +44,6 @@ class LawStart:
     theta: np.ndarray  # (Th,)
     n_starts: int
     n_same: int  # starts that ended at the lowest loss
-
-
-def for_model(measurement: Measurement, setup: FitSetup) -> Measurement:
-    """The measurement as the configured model sees it: with bearing laws if it is made of them.
-
-    Raises ConfigError where there are none, or for a loss that they don't go with.
-    """
-    if not isinstance(setup.model, (LawModelConfig, HybridModelConfig)):
-        return measurement if measurement.laws is None else measurement.without_laws()
-    if measurement.laws is None:
-        raise ConfigError(
-            f"model={setup.model.kind} must have machine.laws (what is known of bearings and oil, and guesses of the "
-            "rest), but the machine has none: write the section, or choose model=network_fluid_film"
-        )
-    kind, hidden = setup.loss.kind, setup.loss.hidden
-    if kind != "response" or hidden != "drawn":
-        came = f"loss.kind={kind}" if kind != "response" else f"loss.hidden={hidden}"
-        raise ConfigError(
-            f"model.kind={setup.model.kind} must go with loss.kind=response and loss.hidden=drawn, but got {came}: "
-            "choose loss=response"
-        )
-    return measurement
 
 
 def start_laws(training: Measurement, basis: Basis, plane_scale: float) -> LawStart:

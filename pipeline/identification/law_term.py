@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.identification import HybridModelConfig, LawModelConfig
 from pipeline.errors import ConfigError
 from pipeline.unknowns import UnknownSet
 
@@ -23,7 +24,9 @@ if TYPE_CHECKING:
     import torch
 
     from pipeline.identification.model import CoefficientModel
+    from pipeline.identification.training import FitSetup
     from pipeline.laws.law_set import LawSet
+    from pipeline.problem.measurement import Measurement
 
 
 _FARTHEST = 5.0
@@ -91,3 +94,25 @@ def law_term(laws: LawSet, unknowns: UnknownSet, points: Mapping[str, np.ndarray
             "identify.shared must be false where machine.laws gives each bearing its own, but it is true: leave it out"
         )
     return LawTerm(laws, points, tuple(COEFFICIENTS.index(name) for name in unknowns.names))
+
+
+def for_model(measurement: Measurement, setup: FitSetup) -> Measurement:
+    """The measurement as the configured model sees it: with bearing laws if it is made of them.
+
+    Raises ConfigError where there are none, or for a loss that they don't go with.
+    """
+    if not isinstance(setup.model, (LawModelConfig, HybridModelConfig)):
+        return measurement if measurement.laws is None else measurement.without_laws()
+    if measurement.laws is None:
+        raise ConfigError(
+            f"model={setup.model.kind} must have machine.laws (what is known of bearings and oil, and guesses of the "
+            "rest), but the machine has none: write the section, or choose model=network_fluid_film"
+        )
+    kind, hidden = setup.loss.kind, setup.loss.hidden
+    if kind != "response" or hidden != "drawn":
+        came = f"loss.kind={kind}" if kind != "response" else f"loss.hidden={hidden}"
+        raise ConfigError(
+            f"model.kind={setup.model.kind} must go with loss.kind=response and loss.hidden=drawn, but got {came}: "
+            "choose loss=response"
+        )
+    return measurement

@@ -13,6 +13,7 @@ import numpy as np
 
 from pipeline.config.identification import LossConfig
 from pipeline.identification.identified import Fit
+from pipeline.identification.law_term import for_model
 from pipeline.identification.outcome import Outcome
 from pipeline.identification.training import FitSetup, Progress, minimise
 from pipeline.problem.determination import Deviations
@@ -132,7 +133,6 @@ class OutputErrorLoss:
         residual unbalance and model parameters. The fit drops superfluous functions, so it may know more.
         """
         from pipeline.identification.information import unknown_deviation
-        from pipeline.identification.law_start import for_model
         from pipeline.identification.output_error_start import prepare_output_error
 
         measurement = for_model(measurement, setup)
@@ -155,7 +155,6 @@ class OutputErrorLoss:
         diagnosis: Diagnosis | None = None,
     ) -> Fit:
         """The fit by its rounds of precisions."""
-        from pipeline.identification.law_start import for_model
         from pipeline.identification.quality import output_error_quality
         from pipeline.identification.uncertainty import uncertainty_of
 

@@ -24,11 +24,11 @@ from pipeline.identification.law_start import (
     LawStart,
     corrects,
     first_weights,
-    for_model,
     scale_by_laws,
     start_laws,
     without_correction,
 )
+from pipeline.identification.law_term import for_model
 from pipeline.identification.linear_start import linear_start
 from pipeline.identification.model import CoefficientModel
 from pipeline.identification.output_error import OutputError, output_error

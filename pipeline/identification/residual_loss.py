@@ -24,6 +24,7 @@ import numpy as np
 from pipeline.errors import ConfigError
 from pipeline.identification.configured_model import coefficient_model
 from pipeline.identification.identified import IdentifiedModel
+from pipeline.identification.law_term import for_model
 from pipeline.identification.model import CoefficientModel
 from pipeline.identification.training import FitSetup, held_out_speeds, initial_guess, root_mean_square
 from pipeline.problem.identifiability import judge_identifiability, require_identifiable
@@ -212,6 +213,7 @@ def prepare_residual(measurement: Measurement, setup: FitSetup) -> ResidualTrain
             f"training.{beyond[0]} must go with loss=response, but the loss is "
             f"{setup.loss.kind}, whose held-out speeds choose the best state: leave it out"
         )
+    measurement = for_model(measurement, setup)
     equations, residual, points = measurement.equations, measurement.residual, measurement.dataset.points
     if not setup.force:
         require_identifiable(judge_identifiability(equations, residual, setup.constant))

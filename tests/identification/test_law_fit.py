@@ -149,3 +149,12 @@ def test_laws_go_with_the_output_error_alone() -> None:
     residual = replace(chosen, loss=chosen.loss.model_copy(update={"hidden": "trained"}))
     with pytest.raises(ConfigError, match="loss=response"):
         fit(measure(bearings_at(RPM[:3], WARM), laws_of(LUND, FAR)), residual)
+
+
+def test_a_residual_knows_no_laws() -> None:
+    chosen = setup("law")
+    residual = replace(chosen, loss=chosen.loss.model_copy(update={"kind": "preconditioned"}))
+    with pytest.raises(ConfigError, match=r"loss\.kind=preconditioned: choose loss=response"):
+        fit(measure(bearings_at(RPM[:3], WARM), laws_of(LUND, FAR)), residual)
+    with pytest.raises(ConfigError, match=r"must have machine\.laws"):
+        fit(measure(bearings_at(RPM[:3], WARM), None), chosen)
