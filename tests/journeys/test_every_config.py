@@ -120,6 +120,8 @@ def test_every_option_of_every_group(group: str, option: str, experiment: str, r
     if group in ("tracking", "comparison") or measured:
         compose_config([f"experiment={experiment}", *chosen])
         return
+    if option in ("law", "hybrid"):
+        experiment = "oil_temperatures"  # the one whose machine has bearing laws
     if group == "optimizer":
         chosen += [f"optimizer.{phase}.steps=3" for phase in ("adam", "lbfgs") if phase in option]
     _runs_or_says_why_not(run, experiment, tmp_path / "x", *chosen)

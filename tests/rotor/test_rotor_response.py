@@ -84,7 +84,8 @@ def assert_equals_ross(machine: Machine) -> None:
 
 
 # ROSS computes forced responses at the rotor speed; those of other frequencies are compared with their dense twin.
-SYNCHRONOUS = [name for name in list_options("experiment") if name != "impulses"]
+# Bearings that follow an oil temperature have comparisons of their own (tests/laws).
+SYNCHRONOUS = [name for name in list_options("experiment") if name not in ("impulses", "oil_temperatures")]
 
 
 @pytest.mark.slow

@@ -21,7 +21,7 @@ MACHINE = [
 
 
 def asked(celsius: float) -> str:
-    return f"+machine.prediction.operating.oil_temperature={celsius:g} degC"
+    return f"machine.prediction.operating.oil_temperature={celsius:g} degC"
 
 
 @pytest.fixture(scope="module")
@@ -88,4 +88,4 @@ def test_conditions_that_are_missing_or_unknown_are_refused(run: Run, folder: Pa
     with pytest.raises(ConfigError, match="must name conditions of the data, but got load"):
         run("predict", [*MACHINE, "+machine.prediction.operating.load=500 N"], folder)
     with pytest.raises(ConfigError, match="oil_temperature must be a quantity"):
-        run("predict", [*MACHINE, "+machine.prediction.operating.oil_temperature=70 mm"], folder)
+        run("predict", [*MACHINE, "machine.prediction.operating.oil_temperature=70 mm"], folder)
