@@ -12,8 +12,8 @@ import numpy as np
 from running import composed
 
 from pipeline.coefficients import CoefficientName
-from pipeline.config.identification import HybridModelConfig, LawModelConfig, ModelConfig
 from pipeline.config.laws import LawsConfig
+from pipeline.config.models import HybridModelConfig, LawModelConfig, ModelConfig
 from pipeline.data.dataset import Excitation
 from pipeline.data.noise import NoiseModel
 from pipeline.data.simulate import add_noise, simulate
@@ -88,6 +88,6 @@ def setup(kind: str = "law") -> FitSetup:
     if kind == "law":
         model = LawModelConfig(kind="law", **shared)
     elif kind == "hybrid":
-        network = {"width": 24, "depth": 1, "activation": "tanh", "input_scaling": "log_rpm", "trend": False}
+        network = {"width": 24, "depth": 1, "activation": "tanh", "input_scaling": "log_rpm"}
         model = HybridModelConfig.model_validate({"kind": "hybrid", **shared, **network})
     return replace(made, model=model, force=True)

@@ -6,7 +6,8 @@ from typing import Annotated, Literal, get_args
 
 from pydantic import Field, PositiveInt, model_validator
 
-from pipeline.config.identification import LossConfig, ModelConfig, OptimizerConfig, TrainingConfig
+from pipeline.config.identification import LossConfig, OptimizerConfig, TrainingConfig
+from pipeline.config.models import ModelConfig
 from pipeline.config.quantities import Damping, Deviation, Stiffness
 from pipeline.config.section import NonNegativeInt, Section, Share
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Literal
 
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from pipeline.coefficients import CoefficientName
 from pipeline.config.operating_point import OperatingPoint
-from pipeline.config.quantities import Damping, Length, Mass, PositiveAngle, RotorSpeed, Stiffness, WeightLaw
+from pipeline.config.quantities import Length, Mass, PositiveAngle, RotorSpeed, Stiffness, WeightLaw
 from pipeline.config.section import NonNegativeInt, Section, Share
 from pipeline.unknowns import BearingUnknowns, Structure, UnknownSet, unknown_set
 
@@ -98,92 +98,6 @@ class IdentifyConfig(Section):
         return tuple(
             dict.fromkeys([*self.unknowns, *(n for one in self.bearings.values() for n in one.unknowns or ())])
         )
-
-
-class _CoefficientModelConfig(Section):
-    parametrisation: Literal["log", "scaled"]
-    initialisation: Literal["guess", "per_speed"]
-    initial_stiffness: Stiffness
-    initial_damping: Damping
-
-    def as_chebyshev(self, degree: int) -> FunctionsModelConfig:
-        """The Chebyshev series of this degree, linear in its parameters."""
-        return FunctionsModelConfig(
-            kind="chebyshev",
-            count=degree,
-            input_scaling=getattr(self, "input_scaling", "rpm"),
-            trend=False,
-            parametrisation="scaled",
-            initialisation="guess",
-            initial_stiffness=self.initial_stiffness,
-            initial_damping=self.initial_damping,
-        )
-
-
-class ConstantModelConfig(_CoefficientModelConfig):
-    """One trainable parameter a coefficient, the same at every speed (paper, section 4.1)."""
-
-    kind: Literal["constant"]
-
-
-class NetworkModelConfig(_CoefficientModelConfig):
-    """A multilayer perceptron of the rotor speed (paper, section 4.2).
-
-    With ``trend`` the output layer sees the speed and its logarithm beside the hidden units.
-    """
-
-    kind: Literal["network"]
-    width: Annotated[int, Field(ge=1, le=512)]
-    depth: Annotated[int, Field(ge=1, le=8)]
-    activation: Literal["tanh", "silu", "sine"]
-    input_scaling: Literal["rpm", "log_rpm"]
-    trend: bool
-
-
-class LawModelConfig(_CoefficientModelConfig):
-    """The bearing laws of ``machine.laws``, whose few numbers are fitted (loss ``response``)."""
-
-    kind: Literal["law"]
-
-
-class HybridModelConfig(NetworkModelConfig):
-    """The bearing laws of ``machine.laws`` times a network's correction, which is one where the data say nothing.
-
-    How large it may be the data tell, for each coefficient by itself (loss ``response``).
-    """
-
-    kind: Literal["hybrid"]  # type: ignore[assignment]
-
-
-class FunctionsModelConfig(_CoefficientModelConfig):
-    """A linear combination of ``count`` fixed functions of the rotor speed: cubic B-splines, or Chebyshev polynomials.
-
-    With ``trend`` the speed and its logarithm are among them.
-    """
-
-    kind: Literal["b_spline", "chebyshev"]
-    count: Annotated[int, Field(ge=2, le=512)]
-    input_scaling: Literal["rpm", "log_rpm"]
-    trend: bool
-
-    @model_validator(mode="after")
-    def _cubic(self) -> FunctionsModelConfig:
-        if self.kind == "b_spline" and self.count < 4:
-            raise ValueError(f"must have count of at least 4 for cubic B-splines, but got {self.count}")
-        return self
-
-
-ModelConfig = Annotated[
-    ConstantModelConfig | NetworkModelConfig | FunctionsModelConfig | LawModelConfig | HybridModelConfig,
-    Field(discriminator="kind"),
-]
-
-
-def model_fields(kind: str) -> tuple[str, ...]:
-    """The keys of a model of this kind; none where there is no such kind."""
-    kinds = get_args(get_args(ModelConfig)[0])
-    found = (one.model_fields for one in kinds if kind in get_args(one.model_fields["kind"].annotation))
-    return tuple(next(found, {}))
 
 
 class LossConfig(Section):

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from pipeline.config.identification import model_fields
 from pipeline.config.messages import explain_schema_errors
+from pipeline.config.models import model_fields
 from pipeline.config.tuning import Key, Value
 from pipeline.errors import ConfigError, DataError
 

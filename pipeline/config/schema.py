@@ -13,16 +13,10 @@ from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 from pipeline.config.balance import BalanceConfig, PredictConfig
 from pipeline.config.comparison import ComparisonConfig
 from pipeline.config.folds import FoldsConfig
-from pipeline.config.identification import (
-    IdentifyConfig,
-    LossConfig,
-    ModelConfig,
-    OptimizerConfig,
-    RobustnessConfig,
-    TrainingConfig,
-)
+from pipeline.config.identification import IdentifyConfig, LossConfig, OptimizerConfig, RobustnessConfig, TrainingConfig
 from pipeline.config.machine import MachineConfig
 from pipeline.config.measured import Known
+from pipeline.config.models import ModelConfig
 from pipeline.config.operating import Differences
 from pipeline.config.operating_point import OperatingPoint
 from pipeline.config.runs import DesignConfig, NoiseConfig

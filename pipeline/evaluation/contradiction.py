@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-MISMATCH = 0.05
-"""Deviations less probable than this speak against the model: of a right one, they do so in one of twenty data sets."""
+from pipeline.identification.quality import MISMATCH
+
 _LEAST = 1e-4
 STANDS_OUT = 2.0
 """Deviations of a network's correction, beyond which the law without it is contradicted."""

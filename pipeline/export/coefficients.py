@@ -1,6 +1,6 @@
 """What is exported: coefficients and deviations in the units of the reader, as columns and as JSON.
 
-Legend: B bearings, S speeds. Of a machine with operating conditions each state is an answer of its own.
+Each state of a machine with operating conditions is an answer of its own. Legend: B bearings, S speeds.
 """
 
 from __future__ import annotations

@@ -12,17 +12,19 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from pydantic import TypeAdapter
 
+from pipeline.config.models import ModelConfig, model_fields
 from pipeline.data.operating import split_states
 from pipeline.errors import ConfigError
 from pipeline.identification.fit import default_setup, fit
 from pipeline.identification.identified import Fit
+from pipeline.identification.quality import MISMATCH
 from pipeline.identification.training import FitSetup
-from pipeline.problem.measurement import Measurement
+from pipeline.problem.measurement import Guess, Measurement
 
 TIE = 1.1
 """Mean squares of held-out readings within this factor are equal: ten percent is what their noise makes of them."""
-REJECTED = 0.05
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,7 @@ class Judged:
     @property
     def rejected(self) -> bool:
         """Whether the readings contradict it."""
-        return self.probability is not None and self.probability < REJECTED
+        return self.probability is not None and self.probability < MISMATCH
 
     @property
     def predicts(self) -> float:
@@ -49,17 +51,11 @@ class Judged:
 
 def setup_model(setup: FitSetup, kind: str) -> FitSetup:
     """The ``setup`` with a model of this kind: ``law``, ``hybrid`` or ``network``; networks as a fit has by default."""
-    from pipeline.config.identification import HybridModelConfig, LawModelConfig, NetworkModelConfig
-    from pipeline.problem.measurement import Guess
-
     own = setup.model
-    usual = default_setup(Guess(own.initial_stiffness, own.initial_damping)).model.model_dump()
-    network = {**usual, **(own.model_dump() if isinstance(own, NetworkModelConfig) else {}), "kind": kind}
-    if kind == "law":
-        shared = {name: network[name] for name in LawModelConfig.model_fields}
-        return replace(setup, model=LawModelConfig.model_validate(shared))
-    made = HybridModelConfig if kind == "hybrid" else NetworkModelConfig
-    return replace(setup, model=made.model_validate(network))
+    usual = default_setup(Guess(own.initial_stiffness, own.initial_damping)).model
+    keys = usual.model_dump() | own.model_dump() | {"kind": kind}
+    chosen = {name: keys[name] for name in model_fields(kind)}
+    return replace(setup, model=TypeAdapter(ModelConfig).validate_python(chosen))
 
 
 def judge_models(

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.coefficients import CoefficientName
-from pipeline.config.identification import (
+from pipeline.config.models import (
     ConstantModelConfig,
     HybridModelConfig,
     LawModelConfig,
@@ -39,12 +39,14 @@ def coefficient_model(
     made = replace(constant, inputs=inputs, hidden=(), input_scaling="log_rpm", ranges=ranges)
     if isinstance(config, LawModelConfig):
         return made
-    made = replace(made, input_scaling=config.input_scaling, trend=config.trend)
+    made = replace(made, input_scaling=config.input_scaling)
+    if isinstance(config, (NetworkModelConfig, HybridModelConfig)):
+        made = replace(made, hidden=(config.width,) * config.depth, activation=config.activation)
+    if isinstance(config, HybridModelConfig):
+        return replace(made, fades=True)
+    made = replace(made, trend=config.trend)
     if isinstance(config, NetworkModelConfig):
-        hybrid = isinstance(config, HybridModelConfig)
-        hidden = (config.width,) * config.depth
-        made = replace(made, hidden=hidden, activation=config.activation, fades=hybrid)
-        return replace(made, trend=False) if hybrid else made
+        return made
     if len(inputs) > 1:
         raise ConfigError(
             f"model.kind={config.kind} is made of functions of the speed alone, but the data have {inputs[1]}, too: "

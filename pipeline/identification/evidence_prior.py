@@ -44,7 +44,6 @@ def add_beyond(basis: Basis) -> Basis:
 
 def unit_precision(problem: OutputError) -> torch.Tensor:
     """(A, K) precisions of the weights for a sigma of one."""
-
     own, free = problem.basis.weights[[m for m, _ in problem.active]], problem.basis.n_trend  # (A, F, K)
     share = own.square().sum(1).reciprocal()  # squared size of a feature over the data, for weights of equal variance
     share[:, :free] = 0.0

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from pipeline.config.identification import (
     AdamConfig,
-    ConstantModelConfig,
     LBFGSConfig,
     LevenbergMarquardtConfig,
     LossConfig,
-    ModelConfig,
-    NetworkModelConfig,
     OptimizerConfig,
     TrainingConfig,
 )
+from pipeline.config.models import ConstantModelConfig, ModelConfig, NetworkModelConfig
 from pipeline.identification.identified import Fit
 from pipeline.identification.losses import loss_of
 from pipeline.identification.training import FitSetup, Progress

@@ -49,7 +49,7 @@ def held_out_conditions(operating: Mapping[str, np.ndarray], training: TrainingC
             values = ", ".join(dict.fromkeys(write_condition(name, value) for value in operating[name]))
             raise ConfigError(
                 f"training.holdout_operating must be a condition that was measured ({values}), but {name} got "
-                f"{write_condition(name, np.array(wanted))}"
+                f"{write_condition(name, wanted)}"
             )
         mask |= here
     if mask.all() and n_points:

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.coefficients import is_direct
-from pipeline.config.identification import HybridModelConfig, LevenbergMarquardtConfig
+from pipeline.config.identification import LevenbergMarquardtConfig
+from pipeline.config.models import HybridModelConfig
 from pipeline.identification.basis import Basis
 from pipeline.identification.optimizers import levenberg_marquardt, until_still
 from pipeline.identification.output_error import OutputError, output_error

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.config.identification import HybridModelConfig, LawModelConfig
+from pipeline.config.models import HybridModelConfig, LawModelConfig
 from pipeline.errors import ConfigError
 from pipeline.unknowns import UnknownSet
 

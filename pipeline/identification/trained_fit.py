@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.config.identification import NetworkModelConfig
+from pipeline.config.models import NetworkModelConfig
 from pipeline.errors import ConfigError
 from pipeline.identification.basis import Basis
 from pipeline.identification.basis_error import MeanSquareError

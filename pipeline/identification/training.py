@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from pipeline.coefficients import is_direct, is_stiffness
-from pipeline.config.identification import LossConfig, ModelConfig, OptimizerConfig, TrainingConfig
+from pipeline.config.identification import LossConfig, OptimizerConfig, TrainingConfig
+from pipeline.config.models import ModelConfig
 from pipeline.identification import optimizers
 from pipeline.identification.optimizers import LeastSquares
 from pipeline.identification.outcome import Outcome

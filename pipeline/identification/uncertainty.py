@@ -102,13 +102,6 @@ class Uncertainty:
         own = np.r_[: last - 2 * len(self.planes), last : len(self.covariance)]
         return np.asarray(self.covariance[np.ix_(own, own)])
 
-    @property
-    def of_numbers(self) -> np.ndarray:
-        """(Th, Th) covariance of theta, the logarithms of the bearing laws' numbers."""
-        first = len(self.active) * (self.weights.shape[-1] + self.n_local)
-        own = slice(first, len(self.covariance) - len(self.parameters) - 2 * len(self.planes))
-        return self.covariance[own, own]
-
     def unbalance_deviation(self) -> np.ndarray:
         """(N,) standard deviation of the residual unbalance's magnitude, kg m: the mean one of its two parts."""
         last = len(self.covariance) - len(self.parameters)

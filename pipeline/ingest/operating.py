@@ -113,6 +113,20 @@ def name_recordings(config: AnyRecordingsConfig, conditions: Conditions) -> tupl
     )
 
 
+def _group(recorded: VibrationDataset, place: np.ndarray) -> list[list[int]]:
+    """Recordings of one excitation together, where no point holds two of them; ``place`` (S, R) are their points."""
+    groups: list[list[int]] = []
+    for r in range(place.shape[1]):
+        for group in groups:
+            apart = not any(np.isin(place[:, r], place[:, other]).any() for other in group)
+            if apart and _acts_alike(recorded, r, group[0]):
+                group.append(r)
+                break
+        else:
+            groups.append([r])
+    return groups
+
+
 def to_points(
     recorded: VibrationDataset, names: Sequence[str], conditions: Conditions, same: Mapping[str, float]
 ) -> tuple[VibrationDataset, list[str]]:
@@ -125,15 +139,7 @@ def to_points(
     flat = {name: values.ravel() for name, values in conditions.items()}
     speeds, operating, at = find_points(np.repeat(recorded.speeds, n_recordings), flat, same)
     place = at.reshape(n_speeds, n_recordings)  # the point of each speed in each recording
-    groups: list[list[int]] = []
-    for r in range(n_recordings):
-        for group in groups:
-            apart = not any(np.isin(place[:, r], place[:, other]).any() for other in group)
-            if apart and _acts_alike(recorded, r, group[0]):
-                group.append(r)
-                break
-        else:
-            groups.append([r])
+    groups = _group(recorded, place)
     runs = tuple(names[group[0]] for group in groups)
     if len(set(runs)) < len(runs):
         twice = next(run for run in runs if runs.count(run) > 1)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.evaluation.contradiction import MISMATCH
 from pipeline.evaluation.errors import CoefficientErrors
+from pipeline.identification.quality import MISMATCH
 from pipeline.problem.determination import Determined, describe_determined, read_determined
 from pipeline.reporting.console import table
 from pipeline.rotor.bearing_table import BearingTable

@@ -35,13 +35,8 @@ from pipeline.sweep.bias import SweepBias
 from pipeline.units import RAD_S_PER_RPM
 
 
-def run(config: Config) -> StageOutput:
-    """``vibration.parquet``, ``excitation.csv``, ``known_coefficients.csv``, ``ingest.json`` and two figures.
-
-    Synthetic recordings have ``modelled_coefficients.csv``, too, which training never reads.
-    Raises ConfigError where the configuration says nothing to read.
-    """
-    work, ingest = locate_files(config), config.machine.recordings
+def _require_own_work(work: Workspace) -> None:
+    """Raise DataError for files that ingest did not write."""
     require_own(work, "ingest")
     marks = read_marks(work.vibration) or {}
     if work.vibration.exists() and ("schema" not in marks or "origin" in marks):
@@ -49,6 +44,16 @@ def run(config: Config) -> StageOutput:
             f"ingest must not replace what it did not write, but '{work.vibration}' was generated or made elsewhere: "
             "choose another folder with output=FOLDER"
         )
+
+
+def run(config: Config) -> StageOutput:
+    """``vibration.parquet``, ``excitation.csv``, ``known_coefficients.csv``, ``ingest.json`` and two figures.
+
+    Synthetic recordings have ``modelled_coefficients.csv``, too, which training never reads.
+    Raises ConfigError where the configuration says nothing to read.
+    """
+    work, ingest = locate_files(config), config.machine.recordings
+    _require_own_work(work)
     if isinstance(ingest, NoRecordingsConfig):
         raise ConfigError(
             "ingest must have recordings to read, but machine.recordings.format is none: say in a machine file "

@@ -20,14 +20,13 @@ import numpy as np
 from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError
-from pipeline.evaluation.contradiction import MISMATCH
 from pipeline.evaluation.errors import CoefficientErrors, measure_coverage
 from pipeline.evaluation.physical_numbers import NumberError, measure_numbers
 from pipeline.files import write_json
 from pipeline.identification.information import unknown_deviation
 from pipeline.identification.losses import fit_sensors, loss_of
 from pipeline.identification.output_error_start import start_at
-from pipeline.identification.quality import output_error_quality
+from pipeline.identification.quality import MISMATCH, output_error_quality
 from pipeline.identification.training import setup_of
 from pipeline.identification.uncertainty import uncertainty_of
 from pipeline.processes import open_pool

@@ -13,8 +13,8 @@ from pipeline.errors import ConfigError, PipelineError
 from pipeline.evaluation.errors import CoefficientErrors, measure_errors
 from pipeline.files import write_json
 from pipeline.identification.outcome import Outcome
-from pipeline.identification.residual_loss import initial_parameters, prepare_residual
-from pipeline.identification.training import Minimum, minimise, setup_of
+from pipeline.identification.residual_loss import ResidualTraining, initial_parameters, prepare_residual
+from pipeline.identification.training import FitSetup, Minimum, minimise, setup_of
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, table, training_progress
 from pipeline.reporting.figures import draw_robustness
@@ -29,6 +29,7 @@ from pipeline.twin.prediction import predict
 
 if TYPE_CHECKING:
     import pandas as pd
+    import torch
 
 
 def choose_starts(config: Config) -> np.ndarray:
@@ -46,8 +47,6 @@ def run(config: Config) -> StageOutput:
 
         return refit_study.run(config)
     measurement, setup = load_measurement(config), setup_of(config)
-    import torch  # when the data have been found sound
-
     use_threads(config)
     say_promoted(config)
     if config.robustness.over == "initial_guess" and not any(name.startswith("k") for name in config.identify.named()):
@@ -58,14 +57,10 @@ def run(config: Config) -> StageOutput:
     training = prepare_residual(measurement, setup)
     say_diagnosis(config, measurement)
     starts = choose_starts(config)
-    if config.robustness.over == "seed":
-        parameters = [initial_parameters(training, setup, int(seed)) for seed in starts]
-    else:
-        parameters = [initial_parameters(training, setup, config.seed, float(guess)) for guess in starts]
     with training_progress(f"{config.name}: {len(starts)} at once") as progress:
         found = minimise(
             training.problem,
-            torch.cat(parameters),
+            _start(config, training, setup, starts),
             setup,
             held_out=training.held_out,
             progress=progress,
@@ -92,6 +87,15 @@ def run(config: Config) -> StageOutput:
         written,
         exit_code=exit_code,
     )
+
+
+def _start(config: Config, training: ResidualTraining, setup: FitSetup, starts: np.ndarray) -> torch.Tensor:
+    """(G, M, Q) where each training starts: from a seed, or from a guess of the stiffness."""
+    import torch  # when the data have been found sound
+
+    if config.robustness.over == "seed":
+        return torch.cat([initial_parameters(training, setup, int(seed)) for seed in starts])
+    return torch.cat([initial_parameters(training, setup, config.seed, float(guess)) for guess in starts])
 
 
 def _tabulate(

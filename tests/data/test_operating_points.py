@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -50,11 +51,13 @@ def rows_of(dataset: VibrationDataset, folder: Path) -> tuple[Path, list[list[st
     return path, list(csv.reader(path.read_text().splitlines()))
 
 
-def read(folder: Path, rows: list[list[str]], **more: object) -> VibrationDataset:
+def read(
+    folder: Path, rows: list[list[str]], baseline: str | None = None, same: Mapping[str, float] | None = None
+) -> VibrationDataset:
     path = folder / "theirs.csv"
     with path.open("w", newline="") as file:
         csv.writer(file).writerows(rows)
-    return read_measured(path, folder / "excitation.csv", **more)  # type: ignore[arg-type]
+    return read_measured(path, folder / "excitation.csv", baseline, same=same)
 
 
 @settings(max_examples=8, deadline=None)

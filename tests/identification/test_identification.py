@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from training import CHAINS, a_model, asked, errors, optimizer, setup_of, starts, trained
 
 from pipeline.config.compose import compose_config
-from pipeline.config.identification import NetworkModelConfig
 from pipeline.config.loader import list_options
+from pipeline.config.models import NetworkModelConfig
 from pipeline.identification.configured_model import coefficient_model
 from pipeline.identification.residual_loss import initial_parameters, prepare_residual
 from pipeline.identification.training import held_out_speeds, initial_guess

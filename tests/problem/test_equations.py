@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.coefficients import COEFFICIENTS, column, is_stiffness, row
-from pipeline.config.identification import ConstantModelConfig, ModelConfig, NetworkModelConfig
+from pipeline.config.models import ConstantModelConfig, ModelConfig, NetworkModelConfig
 from pipeline.data.dataset import VibrationDataset, assemble_forces
 from pipeline.errors import DataError, IdentifiabilityError
 from pipeline.identification.configured_model import coefficient_model
