@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, PositiveInt, model_validator
 
@@ -92,8 +92,3 @@ class LawsConfig(Section):
         if journals and self.oil is None:
             raise ValueError(f"must have an oil for the journal bearing of node {journals[0]}, but it is missing")
         return self
-
-
-def list_unknown(section: Any) -> list[str]:
-    """Names of the numbers of ``section`` that are guesses."""
-    return [name for name, value in section if hasattr(value, "guess")]

@@ -9,9 +9,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
-_ZERO_CELSIUS = 273.15
-_UNITS = {"temperature": ("degC", 1.0, -_ZERO_CELSIUS), "pressure": ("bar", 1e-5, 0.0), "load": ("N", 1.0, 0.0)}
-"""By the last part of a condition's name: the unit that is shown, what SI is multiplied by, and what is added."""
+from pipeline.config.operating import column_of
+from pipeline.config.quantities import from_base
+
+_SHOWN = {"Pa": ("bar", "bar"), "percent": ("percent", "%")}
+"""By the unit of files: the one that is shown, and how it is written, where these differ."""
+_PLAIN = ("temperature", "pressure", "load")
+"""Conditions that their unit tells, by the last word of their names: ``45 degC``."""
 
 
 def split_states(speeds: np.ndarray, operating: Mapping[str, np.ndarray]) -> list[tuple[str, np.ndarray]]:
@@ -69,8 +73,11 @@ def name_state(operating: Mapping[str, np.ndarray | float]) -> str:
 
 
 def write_condition(name: str, values: np.ndarray | float) -> str:
-    """One condition in the unit that an engineer uses, such as ``45 degC``; without one, with its name."""
-    unit, factor, shift = _UNITS.get(name.rsplit("_", 1)[-1], ("", 1.0, 0.0))
-    shown = [f"{end:.4g}" for end in (factor * np.min(values) + shift, factor * np.max(values) + shift)]
-    numbers = " to ".join(dict.fromkeys(shown))
-    return f"{numbers} {unit}" if unit else f"{name.replace('_', ' ')} {numbers}"
+    """One condition in the unit that an engineer uses, such as ``45 degC``; with its name where the unit tells less."""
+    written = column_of(name).unit
+    unit, sign = _SHOWN.get(written, (written, written))
+    ends = from_base(np.array([np.min(values), np.max(values)], dtype=float), unit)
+    text = f"{' to '.join(dict.fromkeys(f'{end:.4g}' for end in ends))} {sign}"
+    if name.rpartition("_")[2] in _PLAIN:
+        return text
+    return f"{name.removesuffix(f'_{written}').replace('_', ' ')} {text}"

@@ -75,7 +75,6 @@ def orthonormal_basis(model: CoefficientModel, parameters: torch.Tensor, points:
     first, from_trend = _orthonormal(trend)
     along = first.mT @ hidden
     _, from_hidden = _orthonormal(hidden - first @ along)
-    from_hidden = from_hidden[..., : max(1, len(next(iter(points.values()))) // _POINTS_EACH)]
     weights = torch.cat(
         [
             torch.cat([torch.zeros(*hidden.shape[::2], first.shape[-1], dtype=hidden.dtype), from_hidden], dim=-1),
@@ -95,7 +94,5 @@ def _orthonormal(columns: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     return left[..., :count], (right.mT / singular[:, None])[..., :count]
 
 
-_POINTS_EACH = 4
-"""At least so many training points for a combination: more of them would follow the noise of each."""
 _NEGLIGIBLE = 1e-6
 """Combinations smaller than this share of the largest need output weights that cancel to so many digits."""
