@@ -24,7 +24,7 @@ from pipeline.errors import ConfigError, PipelineError
 from pipeline.stages.measurement import load_measurement
 from pipeline.stages.tune import pose_study
 from pipeline.tuning.attempts import list_results
-from pipeline.tuning.storage import open_storage
+from pipeline.tuning.storage import close_storage, open_storage
 from pipeline.tuning.study import StudyProblem
 
 if TYPE_CHECKING:
@@ -111,8 +111,7 @@ def stored(problem: StudyProblem) -> Iterator[optuna.Study | None]:
     try:
         yield study
     finally:
-        storage.remove_session()
-        storage.engine.dispose()
+        close_storage(storage)
 
 
 def trials_of(problem: StudyProblem) -> list[optuna.trial.FrozenTrial]:

@@ -32,7 +32,7 @@ from pipeline.tuning.attempts import list_results
 from pipeline.tuning.finalists import TrialSummary, choose, hash_study, measure_importances, summarize, train_finalists
 from pipeline.tuning.judging import require_study
 from pipeline.tuning.parallel import run_study
-from pipeline.tuning.storage import is_shared, open_storage
+from pipeline.tuning.storage import close_storage, is_shared, open_storage
 from pipeline.tuning.study import StudyProblem
 from pipeline.tuning.worker import Seen
 
@@ -63,7 +63,8 @@ def run(config: Config) -> StageOutput:
     from filelock import FileLock
 
     if is_shared(config.tuning):
-        open_storage(config.tuning)  # one that can't be reached is said at once, before the data are read
+        # One that can't be reached is said at once, before the data are read.
+        close_storage(open_storage(config.tuning))
     measurement = load_measurement(config)
     problem, folder = pose_study(config, measurement), Path(config.tuning.folder)
     require_study(measurement, setup_of(config))

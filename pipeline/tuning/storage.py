@@ -8,6 +8,7 @@ met no locked database, lost no trial and gave no number twice (Optuna 5.0.0).
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import socket
@@ -56,6 +57,13 @@ def settle(config: TuningConfig) -> None:
     if not is_shared(config):
         with suppress(sqlite3.Error), closing(sqlite3.connect(make_url(config.storage).database or ":memory:")) as file:
             file.execute("pragma wal_checkpoint(truncate)")
+
+
+def close_storage(storage: optuna.storages.RDBStorage) -> None:
+    """Give up its connections now; else the garbage collector does at some time."""
+    if hasattr(storage, "scoped_session"):  # one that was made, or partly made
+        storage.remove_session()
+        storage.engine.dispose()
 
 
 @contextmanager
@@ -121,6 +129,13 @@ def _connect(config: TuningConfig, connect: dict[str, Any]) -> optuna.storages.R
     class Storage(RDBStorage):
         """One whose heartbeats outlive a moment without the database, and whose trials name their worker."""
 
+        def __init__(self, *arguments: Any, **options: Any) -> None:
+            try:
+                super().__init__(*arguments, **options)
+            except BaseException:
+                close_storage(self)  # the pool of one that was not made would keep its connections
+                raise
+
         def record_heartbeat(self, trial_id: int) -> None:
             with suppress(Exception):  # the trial itself tells where the database is gone for good
                 super().record_heartbeat(trial_id)
@@ -138,24 +153,31 @@ def _connect(config: TuningConfig, connect: dict[str, Any]) -> optuna.storages.R
 
 
 def _prepare_file(path: Path, url: str) -> None:
-    """Make the folder of a new file; raise StorageError for one that holds something else, and leave it as it is."""
+    """Make the folder of a new file; raise StorageError for one that holds something else, and leave it as it is.
+
+    SQLite itself says whether the file is a database. To open and close one here would free the locks that other
+    connections of this process hold on it, and another process would remove the log under them: the database reads as
+    malformed then (SQLite, How To Corrupt An SQLite Database File, section 2.2).
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
+    if path.is_dir():
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
     if not path.exists() or not path.stat().st_size:
         with closing(sqlite3.connect(path)) as connection:
             connection.execute("pragma journal_mode=wal")  # a commit waits for the disk once, not three times
         return
-    with path.open("rb") as file:
-        start = file.read(16)
-    if start.startswith(b'{"op_code"'):
-        what = "is an Optuna journal of an earlier version, whose studies can't be gone on with; their reports stay"
-    elif not start.startswith(b"SQLite format 3"):
-        what = "holds something else"
-    else:
+    try:
         with closing(sqlite3.connect(path)) as connection:
             tables = {name for (name,) in connection.execute("select name from sqlite_master where type = 'table'")}
         if not tables or tables & {"studies", "version_info"}:
             return
         what = "has tables that are not of Optuna"
+    except sqlite3.DatabaseError as error:
+        if error.sqlite_errorcode != sqlite3.SQLITE_NOTADB:
+            raise
+        what = "holds something else"
+        if path.read_bytes().startswith(b'{"op_code"'):
+            what = "is an Optuna journal of an earlier version, whose studies can't be gone on with; their reports stay"
     raise StorageError(
         f"tuning.storage must be a database of studies, but '{url}' {what}: "
         "give another file, such as tuning.storage=sqlite:///studies/optuna.db"

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import sqlite3
+import subprocess
+import sys
 from collections.abc import Callable
 from contextlib import closing
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 
 from pipeline.__main__ import main
@@ -16,7 +19,7 @@ from pipeline.config.compose import compose_mapping, validate
 from pipeline.config.schema import Config
 from pipeline.errors import StorageError
 from pipeline.tuning.parallel import run_study
-from pipeline.tuning.storage import open_storage
+from pipeline.tuning.storage import close_storage, open_storage
 from pipeline.tuning.study import StudyProblem, open_study
 from studies import CHEAP, FOREIGN, Forks, Make, Undisturbed, finished, refused, silent, trials_of
 
@@ -189,6 +192,38 @@ def test_a_database_that_is_damaged(make: Make, tmp_path: Path) -> None:
     path.write_bytes(content[:4096] + b"\x00" * (len(content) - 4096))
     with refused("tuning.storage must be a database that can be used", "malformed", kind=StorageError):
         run_study(make(n_trials=2), silent)
+
+
+def test_a_second_look_at_a_database_keeps_the_locks_on_it(make: Make, tmp_path: Path) -> None:
+    """Another process that closes it is not the last, and leaves its log: the database would read as malformed."""
+    storage = open_storage(make().config.tuning)
+    close_storage(open_storage(make().config.tuning))
+    script = "import sqlite3, sys; sqlite3.connect(sys.argv[1]).execute('select * from studies').fetchall()"
+    subprocess.run([sys.executable, "-c", script, str(tmp_path / "studies.db")], check=True)
+    assert (tmp_path / "studies.db-wal").exists()
+    close_storage(storage)
+    assert not (tmp_path / "studies.db-wal").exists()
+
+
+def test_a_database_that_another_process_makes_is_opened_again(
+    make: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first attempt, which found half of the tables, keeps no connection."""
+    from optuna.storages import RDBStorage
+    from sqlalchemy.exc import OperationalError
+
+    real, calls = RDBStorage.__init__, []
+
+    def fails_once(self: RDBStorage, *arguments: Any, **options: Any) -> None:
+        real(self, *arguments, **options)
+        calls.append(self)
+        if len(calls) == 1:
+            raise OperationalError("create table studies", None, Exception("table studies already exists"))
+
+    monkeypatch.setattr(RDBStorage, "__init__", fails_once)
+    close_storage(open_storage(make().config.tuning))
+    assert len(calls) == 2
+    assert not [file.path for file in psutil.Process().open_files() if file.path.startswith(str(tmp_path))]
 
 
 def test_braces_in_the_name_of_a_storage(make: Make, tmp_path: Path) -> None:
