@@ -13,7 +13,7 @@ from running import composed
 
 from pipeline.coefficients import CoefficientName
 from pipeline.config.laws import LawsConfig
-from pipeline.config.models import HybridModelConfig, LawModelConfig, ModelConfig
+from pipeline.config.models import HybridModelConfig, LawModelConfig, ModelConfig, NetworkModelConfig
 from pipeline.data.dataset import Excitation
 from pipeline.data.noise import NoiseModel
 from pipeline.data.simulate import add_noise, simulate
@@ -35,6 +35,10 @@ TRUE = {"oil.viscosity": 0.0277 * np.exp(0.034 * -15), "oil.slope": 0.034}
 TRUE |= {"8.radial_clearance": 1e-4, "21.radial_clearance": 8.5e-5}
 WEIGHTS = (("a", 5, 5e-4, 0.0), ("b", 15, 2.5e-4, 0.0), ("c", 5, 5e-4, 0.0), ("c", 15, 2.5e-4, np.pi / 2))
 RUNS = tuple(Excitation(run, "unbalance", node, size, phase) for run, node, size, phase in WEIGHTS)
+SHAKEN = tuple(
+    Excitation(run, "force", node, size, 0.0, "backward") for run, node, size in (("d", 5, 50.0), ("e", 15, 20.0))
+)
+"""Runs of a shaker, whose force turns against the rotor."""
 
 
 def laws_of(kind: dict[str, Any] = LUND, factors: Sequence[float] | None = None) -> LawSet:
@@ -87,7 +91,9 @@ def setup(kind: str = "law") -> FitSetup:
     model: ModelConfig = made.model
     if kind == "law":
         model = LawModelConfig(kind="law", **shared)
-    elif kind == "hybrid":
-        network = {"width": 24, "depth": 1, "activation": "tanh", "input_scaling": "log_rpm"}
+    network = {"width": 48, "depth": 1, "activation": "tanh", "input_scaling": "log_rpm"}
+    if kind == "hybrid":
         model = HybridModelConfig.model_validate({"kind": "hybrid", **shared, **network})
+    if kind == "network":
+        model = NetworkModelConfig.model_validate({"kind": "network", "trend": True, **shared, **network})
     return replace(made, model=model, force=True)

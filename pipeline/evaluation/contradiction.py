@@ -20,7 +20,7 @@ def find_contradiction(about: Mapping[str, Any], kind: str) -> tuple[str, str] |
     chance = f"{probability:.2g}" if probability >= _LEAST else f"below {_LEAST:g}"
     return (
         f"The readings contradict this bearing law (probability {chance}).",
-        "Fit model=hybrid or model=network_fluid_film, or take another table in machine.laws.",
+        "Fit model=hybrid or model=network_operating, or take another table in machine.laws.",
     )
 
 

@@ -50,6 +50,6 @@ def coefficient_model(
     if len(inputs) > 1:
         raise ConfigError(
             f"model.kind={config.kind} is made of functions of the speed alone, but the data have {inputs[1]}, too: "
-            "choose model=network_fluid_film"
+            "choose model=network_operating"
         )
     return replace(made, functions=config.kind, n_functions=config.count)

@@ -28,6 +28,10 @@ _FIRST_LAYER_GAIN = 3.0
 """Inputs lie in [-1, 1]; first-layer weights of this size spread the bends of the units over that range."""
 _SPREAD_GAIN = 1.0
 _REACH = 1.2
+_CONDITION_SHARE = 1 / 3
+"""Over its range a condition bends coefficients less than the speed does over its own: 20 K are a factor of two in an
+oil's viscosity, where the speed has seven, and both act by their product. Straight lines are no bends.
+"""
 _SMALLEST = 1e-3
 _OUTPUT_RIDGE = 1e-9
 """Keeps the weights of a fitted last layer small enough to train on from."""
@@ -236,6 +240,8 @@ class CoefficientModel:
         directions = torch.ones(members, n_in, width, dtype=torch.float64)
         if n_in > 1:  # the bends lie across random directions, and reach from corner to corner along them
             directions = torch.randn(members, n_in, width, generator=generator, dtype=torch.float64)
+            share = torch.tensor([1.0 if name == SPEED else _CONDITION_SHARE for name in self.inputs])
+            directions = directions * share[:, None]
             directions = directions / directions.norm(dim=1, keepdim=True)
             places = places * directions.abs().sum(1)
         parameters[:, : n_in * width] = (slopes[:, None] * directions).flatten(1)

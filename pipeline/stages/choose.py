@@ -16,7 +16,7 @@ from pipeline.stages.workspace import locate_files
 
 _KINDS = ("law", "hybrid", "network")
 """From simple to free: a tie goes to the first."""
-_MODELS = {"law": "law", "hybrid": "hybrid", "network": "network_fluid_film"}
+_MODELS = {"law": "law", "hybrid": "hybrid", "network": "network_operating"}
 
 
 def run(config: Config) -> StageOutput:

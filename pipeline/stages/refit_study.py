@@ -182,6 +182,7 @@ def _summarize(found: list[Refit]) -> dict[str, object]:
 def _summarize_physics(found: list[Refit]) -> dict[str, object]:
     """Errors at conditions that no run has, and of the numbers of the bearing laws; nothing where there are none."""
     unmeasured: dict[str, dict[str, dict[str, dict[str, float]]]] = {}
+    together = {}
     for words, bearings in found[0].unmeasured.items():
         for node, names in bearings.items():
             for name in names:
@@ -190,6 +191,8 @@ def _summarize_physics(found: list[Refit]) -> dict[str, object]:
                     "median_error_percent": float(np.median(median)),
                     "worst_median_error_percent": float(np.max(median)),
                 }
+        medians = [of["median_error_percent"] for names in unmeasured[words].values() for of in names.values()]
+        together[words] = {"median_error_percent": float(np.median(medians))}
     numbers = {}
     for name in found[0].numbers:
         every = [of.numbers[name] for of in found]
@@ -200,7 +203,8 @@ def _summarize_physics(found: list[Refit]) -> dict[str, object]:
             "median_deviation_percent": float(np.median([100.0 * of.deviation / of.value for of in every])),
             "within_95_percent_interval": 100.0 * float(np.mean([of.within for of in every])),
         }
-    return ({"unmeasured": unmeasured} if unmeasured else {}) | ({"numbers": numbers} if numbers else {})
+    elsewhere = {"unmeasured": unmeasured, "all_unmeasured": together} if unmeasured else {}
+    return elsewhere | ({"numbers": numbers} if numbers else {})
 
 
 def _print(config: Config, summary: Mapping[str, Any]) -> None:
@@ -228,7 +232,8 @@ def _print(config: Config, summary: Mapping[str, Any]) -> None:
     )
     for words, bearings in summary.get("unmeasured", {}).items():
         worst = max(of["median_error_percent"] for names in bearings.values() for of in names.values())
-        say(f"at {words}, which no run has: median error of the worst coefficient {worst:.3g} %")
+        typical = summary["all_unmeasured"][words]["median_error_percent"]
+        say(f"at {words}, which no run has: median error {typical:.3g} %, of the worst coefficient {worst:.3g} %")
     for name, of in summary.get("numbers", {}).items():
         say(
             f"{name}: error {of['median_error_percent']:.3g} %, typically, {of['worst_error_percent']:.3g} % at worst; "

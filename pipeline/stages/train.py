@@ -73,7 +73,7 @@ def run(config: Config) -> StageOutput:
     for name in list_idle(config.model.kind, measurement):
         warn(
             f"{config.name}: {name} changes in the data, and model={config.model.kind} has no input for it: its answer "
-            "is the same at all values (model=network_fluid_film has one)"
+            "is the same at all values (model=network_operating has one)"
         )
     diagnosis, expected = say_diagnosis(config, measurement)
     if not diagnosis.by_least_squares:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import Run
 
 from pipeline.config.compose import compose_config
 from pipeline.errors import ConfigError
@@ -37,3 +40,17 @@ def test_nothing_is_asked_for() -> None:
 def test_a_condition_without_its_unit() -> None:
     with pytest.raises(ConfigError, match=r"machine\.unmeasured.*must carry its unit"):
         compose_config([*OIL, "machine.unmeasured.oil_temperature=[40,70]"])
+
+
+@pytest.mark.slow
+def test_refits_tell_errors_at_conditions_that_no_run_has(run: Run, tmp_path: Path) -> None:
+    """Of each coefficient, and of all: the median over coefficients of the typical data set."""
+    few = ("machine.speeds.step_rpm=340", "robustness.count=2", "robustness.workers=1", "tracking=none")
+    run("robustness", compose_config(["experiment=oil_temperatures", *few]), tmp_path / "x")
+    told = json.loads((tmp_path / "x" / "robustness.json").read_text())
+    assert list(told["unmeasured"]) == list(told["all_unmeasured"]) == ["40 degC", "70 degC"]
+    for words, bearings in told["unmeasured"].items():
+        every = [of["median_error_percent"] for names in bearings.values() for of in names.values()]
+        assert len(every) == 16
+        assert told["all_unmeasured"][words]["median_error_percent"] == pytest.approx(np.median(every))
+        assert max(every) < 1.0
