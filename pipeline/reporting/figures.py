@@ -153,14 +153,20 @@ def _draw_coefficient(
         draw_band(axes[0], rpm, values, stated, colour)
 
 
+_LARGE_RATIO = 2.0
+"""A loss that falls by less is read better on a linear axis."""
+
+
 def draw_history(path: Path, history: Path, label: str) -> Path:
     """The loss, which ``label`` names, over the steps of training, on training and held-out speeds."""
     table = read_table(history, {"step": "number", "phase": "text", "loss": "number"})
     with open_figure(path, 1, 1, 7.5, 4.2) as axes:
         ax = axes[0, 0]
-        ax.semilogy(table["step"], table["loss"], color=BLUE, label="training speeds")
+        ax.plot(table["step"], table["loss"], color=BLUE, label="training speeds")
         if "held_out_loss" in table:
-            ax.semilogy(table["step"], table["held_out_loss"], color=ORANGE, ls="--", label="held-out speeds")
+            ax.plot(table["step"], table["held_out_loss"], color=ORANGE, ls="--", label="held-out speeds")
+        if max(table["loss"]) > _LARGE_RATIO * min(table["loss"]):
+            ax.set_yscale("log")
         for phase in dict.fromkeys(table["phase"]):
             if phase != "start":
                 first = table["step"][table["phase"] == phase][0]
@@ -175,7 +181,7 @@ def draw_history(path: Path, history: Path, label: str) -> Path:
                 )
         ax.set_xlabel("training step")
         ax.set_ylabel(label)
-        ax.legend(loc="center right")
+        ax.legend()
     return path
 
 
