@@ -240,8 +240,8 @@ class CoefficientModel:
         directions = torch.ones(members, n_in, width, dtype=torch.float64)
         if n_in > 1:  # the bends lie across random directions, and reach from corner to corner along them
             directions = torch.randn(members, n_in, width, generator=generator, dtype=torch.float64)
-            share = torch.tensor([1.0 if name == SPEED else _CONDITION_SHARE for name in self.inputs])
-            directions = directions * share[:, None]
+            share = [1.0 if name == SPEED else _CONDITION_SHARE for name in self.inputs]
+            directions = directions * torch.tensor(share, dtype=torch.float64)[:, None]
             directions = directions / directions.norm(dim=1, keepdim=True)
             places = places * directions.abs().sum(1)
         parameters[:, : n_in * width] = (slopes[:, None] * directions).flatten(1)

@@ -165,7 +165,7 @@ def draw_history(path: Path, history: Path, label: str) -> Path:
         ax.plot(table["step"], table["loss"], color=BLUE, label="training speeds")
         if "held_out_loss" in table:
             ax.plot(table["step"], table["held_out_loss"], color=ORANGE, ls="--", label="held-out speeds")
-        if max(table["loss"]) > _LARGE_RATIO * min(table["loss"]):
+        if not table["loss"].max() <= _LARGE_RATIO * table["loss"].min():  # a loss that is no number has a large range
             ax.set_yscale("log")
         for phase in dict.fromkeys(table["phase"]):
             if phase != "start":

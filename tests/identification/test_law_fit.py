@@ -70,7 +70,7 @@ def test_coefficients_hold_at_temperatures_never_measured(celsius: float) -> Non
 
 
 def test_a_network_follows_the_temperature_without_a_law() -> None:
-    """Within three percent, the median over all sixteen, five kelvin beyond the data; forward whirl alone is worse."""
+    """Within three percent, the median over all sixteen, five kelvin beyond the data."""
     rpm = np.linspace(600.0, 4000.0, 40)
     found = fit(measure(bearings_at(rpm, WARM), None, runs=RUNS + SHAKEN), setup("network"))
     for celsius, bar in ((55.0, 1.5), (40.0, 3.0), (70.0, 3.0)):
