@@ -12,7 +12,7 @@ export DVC_NO_ANALYTICS := 1
 unexport PYTHONHOME PYTHONPATH
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo reproduce test test-quick test-nightly comparison ablation paper-study studies promote bench tables measured house docs reference lint lock audit clean
+.PHONY: help env demo reproduce test test-quick test-nightly comparison ablation paper-study studies promote dashboard bench tables measured house docs reference lint lock audit clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' Makefile
@@ -74,23 +74,24 @@ ablation: env  ## the paper's residual, and its improvements one at a time and t
 		'comparison.methods=[paper,paper_scaling,paper_logarithm,paper_second_order,residual]' \
 		'comparison.noise=[0,0.01]' 'comparison.sensors=[bearings]' 'comparison.speeds=[100]' comparison.data_sets=3
 
-paper-study: env  ## Adam's rate and epochs for the paper's residual, by held-out speeds, into artifacts/paper_study
-	$(RUN) pipeline stage=tune experiment=hydrostatic_stiffness tuning=paper loss.scaling=none model.parametrisation=scaled \
-		optimizer=adam tuned=false output=artifacts/paper_study tuning.study=hydrostatic_stiffness_paper \
-		tuning.folder=artifacts/paper_study/study tuning.n_trials=20 tuning.startup_trials=8 tuning.finalists=2 \
-		'tuning.seeds=[0,1,2]'
-
-studies: env  ## repeat the hyperparameter studies, into artifacts/NAME/study (half an hour)
-	for name in $(STUDIED); do \
-		$(RUN) pipeline stage=tune experiment=$$name tuning.folder=artifacts/$$name/study \
-			tuning.changed=restart tuning.workers=2 || exit; \
-	done
+# One worker: with more, a study's trials hang on which of them ends first.
+studies: env  ## repeat the hyperparameter studies, into artifacts/studies/NAME (half an hour)
+	for name in $(STUDIED); do $(STUDY_OF) experiment=$$name || exit; done
+	$(STUDY_OF) experiment=realistic training.holdout_every=10
 STUDIED = ball_bearing hydrostatic_stiffness hydrostatic_damping
+STUDY_OF = $(RUN) pipeline stage=tune tuning.changed=restart
 
-promote:  ## let training use a repeated study: make promote STUDY=NAME
-	@test -f "artifacts/$(STUDY)/study/best.yaml" || { \
-		echo "STUDY must name an experiment whose study was repeated, but got '$(STUDY)': run make studies first" >&2; exit 2; }
-	cp -R artifacts/$(STUDY)/study/. studies/$(STUDY)/
+paper-study: env  ## Adam's rate and epochs alone, for the paper's settings, into artifacts/studies/hydrostatic_stiffness_paper
+	$(STUDY_OF) experiment=hydrostatic_stiffness tuning=paper tuning.study=hydrostatic_stiffness_paper \
+		tuning.n_trials=20 tuning.startup_trials=8 tuning.finalists=2 'tuning.seeds=[0,1,2]'
+
+promote: env  ## let training use a study: make promote STUDY=NAME [EXPERIMENT=NAME]
+	$(RUN) pipeline stage=promote experiment=$(or $(EXPERIMENT),$(STUDY)) tuning.study=$(STUDY) tracking=none
+
+PORT ?= 8080
+dashboard: env  ## look at all studies at http://127.0.0.1:8080, the committed ones and those of this machine
+	$(RUN) pipeline stage=dashboard tracking.enabled=false
+	PATH="$(CURDIR)/.venv/bin:$$PATH" optuna-dashboard sqlite:///studies/optuna.db --port $(PORT)
 
 bench: env  ## measure ratios of speed and write docs/benchmarks.md; no time fails it
 	$(RUN) benchmarks --write docs/benchmarks.md

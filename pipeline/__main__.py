@@ -11,9 +11,10 @@ import hashlib
 import os
 import re
 import sys
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, cast
 
@@ -98,7 +99,14 @@ def _run_hydra(options: Namespace, folder: Path | None) -> None:
         _call_hydra(Job(), [*options.overrides, *options.flags], options.cfg)
         return
     with prepare_for_hydra(options.overrides, folder) as options.overrides:
-        _call_hydra(_check(options), [*options.overrides, *options.flags], options.cfg)
+        job, started = _check(options), time.time()
+        try:
+            _call_hydra(job, [*options.overrides, *options.flags], options.cfg)
+        finally:  # also of the jobs that ended well beside one that failed
+            if len(job.folders) > 1:
+                from pipeline.stages.jobs import compare_jobs
+
+                compare_jobs(job.folders, started)
 
 
 def _call_hydra(job: Job, arguments: list[str], shows: str | None) -> None:
@@ -132,14 +140,15 @@ def _check(options: Namespace) -> Job:
         return Job()
     jobs, fixed = expand_sweeps(options.overrides)
     job = Job(multirun=True, fixed=fixed, count=len(jobs))
-    _refuse_shared_folders(job, jobs)
-    return job
+    return replace(job, folders=_locate_jobs(job, jobs))
 
 
-def _refuse_shared_folders(job: Job, jobs: list[list[str]]) -> None:
+def _locate_jobs(job: Job, jobs: list[list[str]]) -> dict[str, str]:
+    """What is a job's own -> its folder. Raises ConfigError where two would write the same files."""
     from pipeline.config.compose import compose_stages
 
     stages_of: dict[str, set[str]] = {}
+    folders: dict[str, str] = {}
     for overrides in jobs:
         configs = compose_stages(overrides)
         folder, stages = job.folder(configs[0].output, overrides), {config.stage for config in configs}
@@ -149,12 +158,14 @@ def _refuse_shared_folders(job: Job, jobs: list[list[str]]) -> None:
                 "give each value once, and leave output out or give 'output=FOLDER/${name}'"
             )
         stages_of[folder] |= stages
+        folders[" ".join(o for o in overrides if job.is_own(o) and _parse_key(o) != "stage")] = folder
     parallel = any(o.startswith("hydra/launcher=") and o != "hydra/launcher=basic" for o in jobs[0])
     if parallel and any(len(stages) > 1 for stages in stages_of.values()):
         raise ConfigError(
             "the stages of one experiment must run one after the other, but a parallel launcher got several; "
             "give the stages in separate commands, or leave hydra/launcher out"
         )
+    return folders
 
 
 @contextmanager
@@ -174,12 +185,14 @@ def _replace_command(argv: list[str]) -> Iterator[None]:
 class Job:
     """What Hydra calls with each composed configuration, perhaps in another process.
 
-    ``fixed`` holds the keys that all jobs of a multirun share; the others name a job's folder.
+    ``fixed`` holds the keys that all jobs of a multirun share; the others name a job's folder. ``folders`` has those
+    of all jobs.
     """
 
     multirun: bool = False
     fixed: frozenset[str] = frozenset()
     count: int = 1
+    folders: Mapping[str, str] = field(default_factory=dict)
 
     def __call__(self, composed: DictConfig) -> None:
         code = exit_code(lambda: self._run(composed))
@@ -212,13 +225,13 @@ class Job:
     def _describe(self) -> str:
         return f"[{_get_job().job.num + 1}/{self.count}] {' '.join(_get_job().overrides.task)}"
 
+    def is_own(self, override: str) -> bool:
+        """Whether other jobs of the multirun have other values of this key."""
+        return _parse_key(override) not in self.fixed and not _parse_key(override).startswith("hydra")
+
     def folder(self, output: str, overrides: Sequence[str]) -> str:
         """The folder of the job with these overrides: no other job of the multirun has it."""
-        swept = [
-            o
-            for o in overrides
-            if _parse_key(o) not in self.fixed | _NOT_IN_FOLDER and not _parse_key(o).startswith("hydra")
-        ]
+        swept = [o for o in overrides if self.is_own(o) and _parse_key(o) not in _NOT_IN_FOLDER]
         if not swept:
             return output
         raw = "__".join(override.lstrip("+~").replace("=", "-", 1) for override in swept)

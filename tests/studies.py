@@ -36,6 +36,7 @@ PYTHON = [sys.executable, "-W", "error", "-W", "ignore::ResourceWarning"]
 TRIALS = 10
 CHEAP = [
     *("experiment=ball_bearing", "tracking=none", "machine.speeds.step_rpm=245", "tuning=study"),
+    *("tuned=false", "optimizer=adam_levenberg_marquardt", "loss.scaling=per_speed", "model.parametrisation=log"),
     *("tuning.startup_trials=3", "tuning.finalists=1", "tuning.seeds=[0]", "tuning.heartbeat_seconds=1"),
     *(f"tuning.n_trials={TRIALS}", "optimizer.adam.steps=40", "optimizer.levenberg_marquardt.steps=2"),
     "+tuning.space.output={kind: choice, key: model.parametrisation, choices: [log, scaled]}",

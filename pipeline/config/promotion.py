@@ -10,14 +10,14 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.config.messages import explain_schema_errors
 from pipeline.config.models import model_fields
-from pipeline.config.tuning import Key, Value
+from pipeline.config.tuning import HeldOutLoss, Key, Value
 from pipeline.errors import ConfigError, DataError
 
 if TYPE_CHECKING:
     from pipeline.config.schema import Config
 
 BEST = "best.yaml"
-UNTUNED_STAGES = ("tune", "samplers", "check", "new")
+UNTUNED_STAGES = ("tune", "samplers", "dashboard", "promote", "check", "new")
 """Stages that see the configured values: a study begins from them."""
 
 
@@ -29,6 +29,7 @@ class PromotedTrial(BaseModel):
     study: str
     trial: int = Field(ge=0)
     values: dict[Key, Value]
+    held_out_loss: HeldOutLoss
 
 
 def apply_values(config: Config, values: Mapping[str, Value], source: str) -> Config:
@@ -110,8 +111,8 @@ def read_promoted(folder: Path) -> PromotedTrial | None:
 
 
 def find_study(config: Config) -> Path:
-    """Return the folder of the study: below the working folder, or beside ``conf/`` where that has none."""
-    folder = Path(config.tuning.folder)
+    """Return the folder of the study that training uses: in the working folder, or else beside ``conf/``."""
+    folder = Path(config.tuning.promoted)
     return folder if (folder / BEST).exists() else Path(__file__).parents[2] / folder
 
 
@@ -137,6 +138,8 @@ def apply_promoted(config: Config, overrides: Sequence[str]) -> Config:
             "promoted": PromotedConfig(
                 study=promoted.study,
                 trial=promoted.trial,
+                held_out_loss=promoted.held_out_loss,
+                configured={key: get_value(config, key) for key in in_force if has_value(config, key)},
                 in_force=in_force,
                 overridden={key: value for key, value in promoted.values.items() if key not in in_force},
             )

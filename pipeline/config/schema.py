@@ -21,7 +21,7 @@ from pipeline.config.operating import Differences
 from pipeline.config.operating_point import OperatingPoint
 from pipeline.config.runs import DesignConfig, NoiseConfig
 from pipeline.config.section import NonNegativeInt, Section
-from pipeline.config.tuning import TuningConfig
+from pipeline.config.tuning import HeldOutLoss, TuningConfig
 
 
 class DataConfig(Section):
@@ -48,9 +48,14 @@ class TrackingConfig(Section):
 
 
 class CheckConfig(Section):
-    """Experiments that ``stage=check`` looks at; empty stands for all in ``conf/thresholds``."""
+    """Experiments that ``stage=check`` looks at; empty stands for all in ``conf/thresholds``.
+
+    Metrics that ``changed`` by more than this share since they were committed are printed first; ``commit`` commits.
+    """
 
     experiments: tuple[str, ...] = ()
+    changed: PositiveFloat
+    commit: bool
 
 
 class ReportConfig(Section):
@@ -85,6 +90,8 @@ class PromotedConfig(Section):
 
     study: str
     trial: NonNegativeInt
+    held_out_loss: HeldOutLoss
+    configured: dict[str, bool | int | float | str]  # what was in the place of those in force
     in_force: dict[str, bool | int | float | str]
     overridden: dict[str, bool | int | float | str]
 

@@ -95,11 +95,19 @@ class ComparisonConfig(Section):
     seeds: tuple[NonNegativeInt, ...] = Field(min_length=1)
 
 
+class HeldOutLoss(Section):
+    """Medians of the held-out loss over the seeds of a study; null where most seeds diverged."""
+
+    configured: PositiveFloat | None
+    promoted: PositiveFloat | None
+
+
 class TuningConfig(Section):
     """A study: what is varied, how often, where it is kept and what is done with its best trials."""
 
     study: str = Field(min_length=1, max_length=200)
     folder: str = Field(min_length=1)
+    promoted: str = Field(min_length=1)
     storage: str = Field(min_length=1)
     n_trials: PositiveInt
     sampler: Sampler

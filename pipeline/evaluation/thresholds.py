@@ -2,13 +2,15 @@
 
 A threshold file (one an experiment) is a list of rules ``{file, metric, max, why}``, or ``min`` in place of ``max``.
 ``metric`` is a dotted path into the JSON ``file`` of the experiment's folder; ``*`` matches every key, and all matches
-must hold.
+must hold. ``committed.csv`` beside them has every metric as it was when the limits were last reviewed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from csv import DictReader
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,6 +19,8 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, model_validator
 
 from pipeline.errors import ConfigError, DataError
 from pipeline.files import read_json
+
+COMMITTED = "committed.csv"
 
 
 class Rule(BaseModel):
@@ -52,11 +56,26 @@ class Check:
     metric: str
     value: float | None
     rule: Rule
+    committed: float | None = None  # what it was; None where nobody committed it
 
     @property
     def met(self) -> bool:
         """False for a missing metric and for NaN, too."""
         return self.value is not None and self.rule.allows(self.value)
+
+    def has_changed(self, share: float) -> bool:
+        """Whether it moved by more than ``share`` of the committed value, and by a hundredth of its limit.
+
+        Rounding moves the last bits of what is far below its limit.
+        """
+        if self.committed is None or self.value is None or not math.isfinite(self.value):
+            return self.committed is not None
+        limit = self.rule.max if self.rule.max is not None else self.rule.min
+        moved = abs(self.value - self.committed)
+        return moved > share * abs(self.committed) and moved > _OF_LIMIT * abs(limit or 0.0)
+
+
+_OF_LIMIT = 0.01
 
 
 def read_rules(path: Path) -> list[Rule]:
@@ -73,14 +92,46 @@ def read_rules(path: Path) -> list[Rule]:
         ) from None
 
 
-def check_experiment(experiment: str, rules: list[Rule], folder: Path) -> list[Check]:
+Committed = dict[tuple[str, str, str], float]
+"""Experiment, file, metric -> value."""
+
+
+def read_committed(path: Path) -> Committed:
+    """The committed metrics; none without a file. Raises ConfigError where it is not what ``check.commit`` writes."""
+    if not path.exists():
+        return {}
+    try:
+        with path.open(encoding="utf-8", newline="") as lines:
+            return {(row["experiment"], row["file"], row["metric"]): float(row["value"]) for row in DictReader(lines)}
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        raise ConfigError(
+            f"'{path}' must be a table of experiment, file, metric and value, but it is not ({error}): make it again "
+            "with stage=check check.commit=true"
+        ) from None
+
+
+def tabulate_committed(checks: Sequence[Check]) -> dict[str, list[Any]]:
+    """The columns of ``committed.csv``; four digits say enough."""
+    found = [(c, c.value) for c in checks if c.value is not None]
+    return {
+        "experiment": [c.experiment for c, _ in found],
+        "file": [c.rule.file for c, _ in found],
+        "metric": [c.metric for c, _ in found],
+        "value": [f"{value:.4g}" for _, value in found],
+    }
+
+
+def check_experiment(experiment: str, rules: list[Rule], folder: Path, committed: Committed) -> list[Check]:
     """Every rule against the files in ``folder``. A missing file or metric fails its rule."""
     checks = []
     for rule in rules:
         found: list[tuple[str, float | None]] = []
         with suppress(DataError):
             found += _select(read_json(folder / rule.file), rule.metric.split("."))
-        checks += [Check(experiment, name, value, rule) for name, value in found or [(rule.metric, None)]]
+        checks += [
+            Check(experiment, name, value, rule, committed.get((experiment, rule.file, name)))
+            for name, value in found or [(rule.metric, None)]
+        ]
     return checks
 
 

@@ -21,6 +21,7 @@ from pipeline.identification.output_error import OutputError, output_error
 from pipeline.identification.output_error_start import prepare_output_error
 from pipeline.identification.training import FitSetup
 from pipeline.problem.measurement import Measurement
+from pipeline.problem.ranking import find_least, rank, rank_indices
 
 if TYPE_CHECKING:
     import torch
@@ -43,8 +44,9 @@ class Combination:
     @property
     def words(self) -> str:
         """Its leading coefficients, joined by their signs."""
-        order = sorted(self.shares.items(), key=lambda one: -abs(one[1]))
-        leading = [one for one in order if abs(one[1]) >= _LEADING] or order[:1]
+        order = rank({name: abs(share) for name, share in self.shares.items()})
+        leading = [(name, self.shares[name]) for name in order if abs(self.shares[name]) >= _LEADING]
+        leading = leading or [(order[0], self.shares[order[0]])]
         first = np.sign(leading[0][1])
         parts = [f"{'with' if share * first > 0 else 'against'} {name}" for name, share in leading[1:]]
         return " ".join([leading[0][0], *parts])
@@ -121,7 +123,7 @@ def _try_runs(
     heaviest = [sum(one.magnitude for one in data.excitation_of(r)) for r in range(len(data.runs))]
     if not max(heaviest):
         return None
-    run, top = int(np.argmax(heaviest)), float(data.speeds[-1])
+    run, top = rank_indices(heaviest)[0], float(data.speeds[-1])
     before, tried = _deviation(information, along), []
     for share in _SPEEDS:
         speeds = np.array([share * top])
@@ -143,7 +145,7 @@ def _try_runs(
         # Its own problem has the priors again.
         gained = more.normal(weights)[1][0, 0] - more.weight_prior.matrix()
         tried.append(NextRun(data.runs[run], float(speeds[0]), _deviation(information + gained, along)))
-    best = min(tried, key=lambda one: one.deviation)
+    best = tried[find_least({i: one.deviation for i, one in enumerate(tried)})]
     return best if best.deviation < WORTH * before else None
 
 

@@ -28,6 +28,7 @@ from pipeline.identification.output_error_start import prepare_output_error, sta
 from pipeline.identification.quality import FAR_FROM_EXPECTED
 from pipeline.identification.training import FitSetup
 from pipeline.problem.measurement import Measurement
+from pipeline.problem.ranking import find_least, rank_indices
 
 DECISIVE = 2.0 * math.log(20.0)
 """Chi-square by which one sense must be better: odds of twenty to one."""
@@ -188,8 +189,8 @@ def try_senses(measurement: Measurement, setup: FitSetup, tell: Callable[[Sense]
     wider = max(1.0, least / count)
     beyond = {sense: (square - least) / wider for sense, square in squares.items()}
     trials = [Trial(one, beyond.get(one, math.inf), refused.get(one, "")) for one in SENSES]
-    best = min(squares, key=lambda sense: squares[sense])
-    ranked = tuple(sorted(trials, key=lambda one: one.chi_square))
+    best = SENSES[find_least({SENSES.index(sense): square for sense, square in squares.items()})]
+    ranked = tuple(trials[i] for i in rank_indices(-squares.get(one, math.inf) for one in SENSES))
     return Senses(ranked, float(count), float(least), (first[best] - least) / wider)
 
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from pipeline.problem.design import exchange, unknown_sizes
 from pipeline.problem.measurement import Measurement
+from pipeline.problem.ranking import find_least
 from pipeline.problem.response import derive_by_parameters, respond
 from pipeline.rotor.bearing_table import BearingTable
 
@@ -109,7 +110,8 @@ def reach(information: RunInformation, accuracy: float, most_runs: int, steps: S
     runs: tuple[int, ...] = ()
     for count in range(1, min(most_runs, len(information.rows)) + 1):
         every_way = (partial(_merit, information), information.worst)
-        runs = min((exchange(of, len(information.rows), count) for of in every_way), key=information.worst)
+        found = [exchange(of, len(information.rows), count) for of in every_way]
+        runs = find_least({of: information.worst(of) for of in found})
         if information.worst(runs) <= accuracy:
             enough = [every for every in steps if information.worst(runs, every) <= accuracy]
             return Plan(runs, max(enough, default=1), True)

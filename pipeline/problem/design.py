@@ -18,6 +18,7 @@ from pipeline.data.dataset import VibrationDataset
 from pipeline.data.simulate import add_noise
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise import least_squares_deviation, residual_covariance, whiten
+from pipeline.problem.ranking import find_least
 from pipeline.problem.residual import LinearResidual, bearing_equations, linear_residual, per_speed_least_squares
 
 Criterion = Literal["A", "D"]
@@ -64,14 +65,14 @@ def exchange(merit_of: Callable[[Sequence[int]], float], n_candidates: int, coun
     chosen: list[int] = []
     for _ in range(count):
         free = [c for c in range(n_candidates) if c not in chosen]
-        chosen.append(min(free, key=lambda c: merit_of([*chosen, c])))
+        chosen.append(find_least({c: merit_of([*chosen, c]) for c in free}))
     improved = True
     while improved:
         improved = False
         for place in range(count):
             others = [*chosen[:place], *chosen[place + 1 :]]
             free = [c for c in range(n_candidates) if c not in others]
-            best = min(free, key=lambda c: merit_of([*others, c]))
+            best = find_least({c: merit_of([*others, c]) for c in free})
             if merit_of(chosen) - merit_of([*others, best]) > _LEAST_GAIN:
                 chosen, improved = [*others, best], True
     return tuple(sorted(chosen))

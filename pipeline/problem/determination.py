@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
+from pipeline.problem.ranking import rank_indices
 from pipeline.rotor.bearing_table import BearingTable
 
 WELL_BELOW = 0.05
@@ -83,14 +84,14 @@ def describe_determined(judged: Sequence[Determined]) -> str:
         if not own:
             continue
         names = [f"{one.name} at node {one.node}" if several else one.name for one in own]
-        worst = max(range(len(own)), key=lambda i: own[i].deviation)
+        worst = rank_indices(one.deviation for one in own)[0]
         size = f"+- {100 * own[worst].deviation:.2g} %" if np.isfinite(own[worst].deviation) else "no limit"
         which = f"{len(own)} of {len(judged)}" if len(own) > _NAMED else ", ".join(names)
         which = "all" if len(own) == len(judged) > 1 else which
         parts.append(f"{which} {verdict.value} ({f'{names[worst]} ' if len(own) > 1 else ''}{size})")
     partly = [one for one in judged if one.lost and one.verdict is not Determination.NOT]
     if partly:
-        one = max(partly, key=lambda one: one.lost)
+        one = partly[rank_indices(one.lost for one in partly)[0]]
         where = f" at node {one.node}" if several else ""
         parts.append(f"{one.name}{where} not at {100 * one.lost:.2g} % of the speeds")
     return "; ".join(parts)

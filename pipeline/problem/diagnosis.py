@@ -28,6 +28,7 @@ from pipeline.problem.identifiability import (
 )
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise import DEPENDENT, least_squares_deviation, residual_covariance, whiten
+from pipeline.problem.ranking import rank
 from pipeline.problem.residual import LinearResidual, linear_residual, per_speed_least_squares
 from pipeline.rotor.bearing_table import BearingTable
 
@@ -73,7 +74,7 @@ class Diagnosis:
             for node in report.nodes
             for name, values in self.relative(node).items()
         }
-        name = max(medians, key=lambda key: medians[key])
+        name = rank(medians)[0]
         return name, medians[name]
 
 

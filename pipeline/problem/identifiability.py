@@ -17,6 +17,7 @@ import numpy as np
 
 from pipeline.errors import IdentifiabilityError
 from pipeline.problem.noise import DEPENDENT
+from pipeline.problem.ranking import rank
 from pipeline.problem.residual import BearingEquations, LinearResidual
 
 
@@ -80,9 +81,11 @@ class Identifiability:
     def free_combination(self) -> str:
         """The least determined combination at the speed of the median condition, such as ``0.71 kxx - 0.70 kxy``."""
         vector = self.free[int(np.argsort(self.condition)[len(self.condition) // 2])]
-        vector = vector * np.sign(vector[np.abs(vector).argmax()])
-        order = [u for u in np.argsort(-np.abs(vector)) if abs(vector[u]) >= _SHOWN]
-        words = [f"{'-' if vector[u] < 0 else '+'} {abs(vector[u]):.2f} {self.unknowns[u]}" for u in order]
+        shares = dict(zip(self.unknowns, vector, strict=True))
+        order = rank({name: abs(share) for name, share in shares.items()})
+        sign = np.sign(shares[order[0]])
+        shown = [(name, sign * shares[name]) for name in order if abs(shares[name]) >= _SHOWN]
+        words = [f"{'-' if share < 0 else '+'} {abs(share):.2f} {name}" for name, share in shown]
         return " ".join(words).removeprefix("+ ")
 
 

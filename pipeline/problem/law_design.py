@@ -14,6 +14,7 @@ import numpy as np
 
 from pipeline.problem.design import exchange
 from pipeline.problem.law_information import LawInformation
+from pipeline.problem.ranking import find_least
 
 _MOST_SETS = 2000
 """Sets of states that are tried one by one; of more, single states are exchanged."""
@@ -74,7 +75,7 @@ def _choose_states(candidates: LawCandidates, count: int) -> tuple[int, ...]:
         return candidates.merit(states, range(n_runs))
 
     sets = list(itertools.islice(itertools.combinations(range(n_states), count), _MOST_SETS + 1))
-    return exchange(merit, n_states, count) if len(sets) > _MOST_SETS else min(sets, key=merit)
+    return exchange(merit, n_states, count) if len(sets) > _MOST_SETS else find_least({of: merit(of) for of in sets})
 
 
 def _choose_runs(candidates: LawCandidates, states: tuple[int, ...], most: int, accuracy: float) -> LawPlan:

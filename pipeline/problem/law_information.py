@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import qr
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.data.operating import split_states
@@ -25,6 +24,7 @@ from pipeline.laws.numbers import LawParameter
 from pipeline.laws.points import OIL_TEMPERATURE
 from pipeline.problem.accuracy import derive_by_model
 from pipeline.problem.measurement import Measurement
+from pipeline.problem.ranking import rank, rank_indices
 from pipeline.rotor.bearing_table import BearingTable
 
 FURTHER = 15.0
@@ -91,15 +91,25 @@ class LawInformation:
         count = open_.shape[1]
         if not count:
             return ()
-        first = np.sort(qr(open_.T, mode="r", pivoting=True)[1][:count])
+        first = _choose_leaders(open_)
         found = []
         for direction in np.linalg.solve(open_[first].T, open_.T):
             shares = direction / np.linalg.norm(direction)
-            order = np.argsort(-np.abs(shares))
-            shares = shares * np.sign(shares[order[0]])
-            leading = [i for i in order if abs(shares[i]) >= _LEADING]
-            found.append({self.parameters[i].name: float(shares[i]) for i in leading})
+            by_name = {one.name: float(share) for one, share in zip(self.parameters, shares, strict=True)}
+            order = rank({name: abs(share) for name, share in by_name.items()})
+            sign = np.sign(by_name[order[0]])
+            found.append({name: sign * by_name[name] for name in order if abs(by_name[name]) >= _LEADING})
         return tuple(found)
+
+
+def _choose_leaders(directions: np.ndarray) -> list[int]:
+    """The rows of ``directions`` (Th, F) that F combinations are told by: QR with pivoting, and ties by place."""
+    rest, chosen = directions.copy(), []
+    for _ in range(directions.shape[1]):
+        chosen.append(rank_indices((rest**2).sum(axis=1))[0])
+        along = rest[chosen[-1]] / np.linalg.norm(rest[chosen[-1]])
+        rest = rest - np.outer(rest @ along, along)
+    return sorted(chosen)
 
 
 def inform(measurement: Measurement) -> LawInformation:

@@ -16,6 +16,7 @@ from pipeline.evaluation.errors import find_worst_mean, measure_errors
 from pipeline.identification.chebyshev import ChebyshevFit
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.reporting.console import format_markdown
+from pipeline.reporting.write_numbers import write_value
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.tuning.finalists import Finalist, TrialSummary
 from pipeline.tuning.judging import describe_objective
@@ -150,7 +151,7 @@ def judge_study(report: StudyReport) -> str:
     default, best = report.default, report.best
     if best is not default:
         return (
-            f"trial {best.trial} is promoted: median held-out loss {best.median:.3g}, "
+            f"trial {best.trial} is worth promoting: median held-out loss {best.median:.3g}, "
             f"{default.median / best.median:.3g} times below the default's {default.median:.3g}"
         )
     if default.median < ROUNDING_LEVEL:
@@ -160,8 +161,8 @@ def judge_study(report: StudyReport) -> str:
         )
     return (
         f"the configured default stays: over {len(default.losses)} seeds no finalist lowers its median held-out loss "
-        f"{default.median:.3g} by {report.config.tuning.least_gain:g} times and below its luckiest seed, so tuning "
-        "does not help"
+        f"{default.median:.3g} by {report.config.tuning.least_gain:g} times, with every seed below its luckiest one, "
+        "so tuning does not help"
     )
 
 
@@ -174,6 +175,8 @@ def write_report(report: StudyReport) -> str:
     states = Counter(t.state for t in report.trials)
     seconds = sum(t.seconds or 0.0 for t in report.trials)
     command = f"python -m pipeline stage=tune {config.chosen} tuning.n_trials={tuning.n_trials}"
+    if config.training.holdout_every:
+        command += f" training.holdout_every={config.training.holdout_every}"
     if tuning.study != config.name:
         command += f" tuning.study={tuning.study} (and what else was overridden when the study was begun)"
     missing = {
@@ -227,7 +230,7 @@ def _compare(report: StudyReport) -> str:
         errors = [report.errors[f.trial][name] for name in names]
         cells = [f"{np.median(e):.2g} ({e.min():.2g} to {e.max():.2g})" for e in errors]
         if f is report.best:
-            title = f"**{title}, {'promoted' if f.trial else 'which stays'}**"
+            title = f"**{title}, {'chosen' if f.trial else 'which stays'}**"
         rows.append([title, span, *cells, f"{f.seconds / len(f.losses):.1f} s"])
     if (series := report.chebyshev) is not None:
         cells = [f"{report.chebyshev_errors[name]:.2g}" for name in names]
@@ -254,14 +257,14 @@ def _explain_limits(report: StudyReport) -> list[str]:
         text += "The default network is below that already."
     if best is report.default:
         return [text]
-    sentences = [text + f" The promoted values have {max(best.median / series.held_out_loss, 1.0):.2g} left."]
+    sentences = [text + f" The chosen values have {max(best.median / series.held_out_loss, 1.0):.2g} left."]
     if report.errors:
         gains, worse = [], []
         for name, limit in report.chebyshev_errors.items():
             before, after = report.medians(name)
             gains.append(f"{name} {before:.2g} to {after:.2g} % ({before / after:.2g} times; series {limit:.2g} %)")
             worse += [name] if after > before else []
-        sentences.append(f"Median errors, default to promoted: {', '.join(gains)}.")
+        sentences.append(f"Median errors, default to chosen: {', '.join(gains)}.")
         if worse:
             sentences.append(
                 f"A lower held-out loss is not a better {' and '.join(worse)} here: so close to the limit, the loss "
@@ -275,12 +278,8 @@ def _list_values(report: StudyReport) -> str:
     changed = {key: value for key, value in report.best.values.items() if before[key] != value}
     if not changed:
         return ""
-    rows = [[f"`{key}`", _shorten(before[key]), _shorten(value)] for key, value in changed.items()]
-    return format_markdown(["value", "default", "promoted"], rows).rstrip()
-
-
-def _shorten(value: object) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    rows = [[f"`{key}`", write_value(before[key]), write_value(value)] for key, value in changed.items()]
+    return format_markdown(["value", "default", "chosen"], rows).rstrip()
 
 
 def _say_importance(report: StudyReport) -> str:

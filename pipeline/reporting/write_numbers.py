@@ -31,3 +31,10 @@ def format_deviation(value: float, deviation: float | None) -> str:
 
 _MOST_DIGITS = 5
 """After the first one, however small the deviation is."""
+
+
+def write_value(value: object) -> str:
+    """Write a value of the configuration: four digits of a number that is not whole."""
+    if value is None:
+        return "no number"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -18,6 +18,7 @@ from pipeline.data.simulate import simulate
 from pipeline.files import write_json, write_text
 from pipeline.problem.accuracy import Plan, RunInformation, reach, run_information, scale_to_limits
 from pipeline.problem.measurement import Measurement
+from pipeline.problem.ranking import rank
 from pipeline.reporting.console import say, table
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
@@ -156,10 +157,11 @@ def _print(
         say(f"every coefficient is predicted to {100 * accuracy:g} % or better")
         return
     short = {key: of for key, of in predicted.items() if of > accuracy}
-    worst = max(short, key=lambda key: short[key])
+    worst = rank(short)[0]
     say(
         f"{100 * accuracy:g} % can't be reached with {len(chosen)} runs for {len(short)} of {len(predicted)} "
         f"coefficients; the worst, {worst}, is known to {100 * short[worst]:.2g} % at best"
     )
-    for name, of in sorted(cures.items(), key=lambda item: item[1]):
+    for name in reversed(rank(cures)):
+        of = cures[name]
         say(f"with {name} the worst is {100 * of:.2g} %" + (" (enough)" if of <= accuracy else ""))

@@ -7,7 +7,14 @@ from pathlib import Path
 
 from pipeline.config.schema import Config
 from pipeline.errors import ConfigError, nearest
-from pipeline.evaluation.thresholds import Check, check_experiment, read_rules
+from pipeline.evaluation.thresholds import (
+    COMMITTED,
+    Check,
+    check_experiment,
+    read_committed,
+    read_rules,
+    tabulate_committed,
+)
 from pipeline.files import write_json
 from pipeline.reporting.console import say, table, warn
 from pipeline.stages.execution import StageOutput
@@ -16,9 +23,9 @@ THRESHOLDS = Path(__file__).parents[2] / "conf" / "thresholds"
 
 
 def run(config: Config) -> StageOutput:
-    """Print every metric beside its threshold and write ``check.json``.
+    """Print what changed since the committed metrics, then every metric beside its threshold; write ``check.json``.
 
-    Exits with 1 if a limit is exceeded or a metric is missing.
+    Exits with 1 if a limit is exceeded or a metric is missing. ``check.commit`` makes these metrics the committed ones.
     """
     known = sorted(path.stem for path in THRESHOLDS.glob("*.yaml"))
     chosen = config.check.experiments or known
@@ -28,10 +35,12 @@ def run(config: Config) -> StageOutput:
                 f"check.experiments must name experiments with thresholds, but got '{name}': {nearest(name, known)}"
             )
     checks: list[Check] = []
+    committed = read_committed(THRESHOLDS / COMMITTED)
     for name in chosen:
         # The folders of all experiments lie beside each other.
         folder = Path(config.output).parent / name
-        checks += check_experiment(name, read_rules(THRESHOLDS / f"{name}.yaml"), folder)
+        checks += check_experiment(name, read_rules(THRESHOLDS / f"{name}.yaml"), folder, committed)
+    _print_changed(checks, config.check.changed)
     rows = [
         [
             c.experiment,
@@ -44,6 +53,8 @@ def run(config: Config) -> StageOutput:
     ]
     table("metrics against thresholds", ["experiment", "metric", "value", "limit", ""], rows)
     failed = [c for c in checks if not c.met]
+    if config.check.commit:
+        _commit(config, failed, checks)
     for c in failed:
         came = f"is missing (run the stages of {c.experiment} first)" if c.value is None else f"is {c.value:.3g}"
         warn(f"{c.experiment}: {c.metric} must be {c.rule}, but {came}. The limit: {c.rule.why}")
@@ -52,6 +63,37 @@ def run(config: Config) -> StageOutput:
     summary = {"checked": len(checks), "failed": len(failed), "share_of_threshold": _compute_shares(checks)}
     path = write_json(Path(config.output).parent / "check.json", summary)
     return StageOutput(summary, files=[path], exit_code=1 if failed else 0)
+
+
+def _print_changed(checks: list[Check], share: float) -> None:
+    rows = [
+        [
+            c.experiment,
+            f"{c.rule.file.removesuffix('.json')}: {c.metric}",
+            f"{c.committed:.3g}",
+            "missing" if c.value is None else f"{c.value:.3g}",
+            str(c.rule),
+            "ok" if c.met else "FAILED",
+        ]
+        for c in checks
+        if c.has_changed(share)
+    ]
+    if rows:
+        title = f"changed by more than {100 * share:g} % since the committed metrics"
+        table(title, ["experiment", "metric", "committed", "now", "limit", ""], rows)
+
+
+def _commit(config: Config, failed: list[Check], checks: list[Check]) -> None:
+    """Raises ConfigError where not every metric of every experiment holds."""
+    if failed or config.check.experiments:
+        raise ConfigError(
+            "metrics must be committed of all experiments, and all must hold, but "
+            + (f"{len(failed)} fail" if failed else f"check.experiments names {len(config.check.experiments)}")
+            + ": leave check.commit out, or run stage=check without check.experiments when all hold"
+        )
+    from pipeline.data.tables import write_table
+
+    say(f"committed metrics in '{write_table(THRESHOLDS / COMMITTED, tabulate_committed(checks))}'")
 
 
 def _compute_shares(checks: list[Check]) -> dict[str, float]:

@@ -24,6 +24,7 @@ from pipeline.problem.accuracy import scale_to_limits
 from pipeline.problem.law_design import LawCandidates, LawPlan, plan_by_states
 from pipeline.problem.law_information import add_rows, guess_table, inform, law_rows
 from pipeline.problem.measurement import Measurement
+from pipeline.problem.ranking import find_least
 from pipeline.reporting.console import say, table
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_rotor
@@ -91,7 +92,7 @@ def reach_numbers(config: Config) -> StageOutput:
     allowed = designer.limit(possible, states)
     candidates = _inform(config, designer, allowed, states)
     plans = plan_by_states(candidates, len(states), config.design.runs, accuracy)
-    best = min(plans, key=lambda one: one.worst)
+    best = plans[find_least({i: one.worst for i, one in enumerate(plans)})]
     chosen = [allowed[c] for c in best.runs]
     summary = _summarize(candidates, plans, best, states, accuracy)
     summary |= {"runs": [acting[0].run for acting in chosen], "stated_noise": config.stated_noise.model_dump()}

@@ -29,6 +29,7 @@ from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, training_progress, warn
 from pipeline.reporting.model_error import print_parameters
 from pipeline.reporting.physical_numbers import describe_law, list_numbers, print_numbers
+from pipeline.reporting.write_numbers import write_value
 from pipeline.rotor.parameters import UNITS
 from pipeline.stages.diagnose import describe_noise, say_diagnosis
 from pipeline.stages.execution import StageOutput, use_threads
@@ -45,7 +46,15 @@ def say_promoted(config: Config) -> None:
     if not promoted.in_force and not promoted.overridden:
         say(f"{config.name}: configured values, which {source} found no better ones for")
         return
-    words = [f"{config.name}: tuned values of {source} in force: {_format_values(promoted.in_force)}"]
+    changed = {key: value for key, value in promoted.in_force.items() if promoted.configured.get(key) != value}
+    before = {key: write_value(promoted.configured.get(key, "-")) for key in changed}
+    pairs = (f"{key} {before[key]} -> {write_value(value)}" for key, value in changed.items())
+    losses = promoted.held_out_loss
+    words = [
+        f"{config.name}: tuned values of {source} in force: {', '.join(pairs) or 'none'}",
+        f"on held-out speeds their loss is {write_value(losses.promoted)}, that of the configured values (tuned=false) "
+        f"{write_value(losses.configured)}: medians over the seeds of the study",
+    ]
     if promoted.overridden:
         now = {key: get_value(config, key) for key in promoted.overridden if has_value(config, key)}
         words.append(f"given on the command line instead of tuned: {_format_values(now)}")
@@ -53,8 +62,7 @@ def say_promoted(config: Config) -> None:
 
 
 def _format_values(values: Mapping[str, object]) -> str:
-    shown = (f"{key}={value:.4g}" if isinstance(value, float) else f"{key}={value}" for key, value in values.items())
-    return ", ".join(shown) or "none"
+    return ", ".join(f"{key}={write_value(value)}" for key, value in values.items()) or "none"
 
 
 def list_idle(kind: str, measurement: Measurement) -> list[str]:

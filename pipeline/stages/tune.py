@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 
 from pipeline.config.promotion import BEST, PromotedTrial
 from pipeline.config.schema import Config
+from pipeline.config.tuning import HeldOutLoss
 from pipeline.errors import ConfigError, without_password
 from pipeline.files import read_json, write_json, write_text
 from pipeline.identification.chebyshev import fit_chebyshev
@@ -34,6 +36,7 @@ from pipeline.tuning.judging import require_study
 from pipeline.tuning.parallel import run_study
 from pipeline.tuning.storage import close_storage, is_shared, open_storage
 from pipeline.tuning.study import StudyProblem
+from pipeline.tuning.trials_file import TRIALS, format_trials
 from pipeline.tuning.worker import Seen
 
 SUMMARY = "summary.json"
@@ -87,7 +90,7 @@ def run(config: Config) -> StageOutput:
 def _report(config: Config, problem: StudyProblem, study: Any, searched: float) -> StageOutput:
     """The finalists, the choice, and the files of ``studies/NAME/``; nothing where they are up to date."""
     folder, trials, mark = Path(config.tuning.folder), summarize(study), hash_study(study, problem)
-    files = (BEST, SUMMARY, "README.md", "trials.csv", "finalists.csv")
+    files = (BEST, SUMMARY, "README.md", TRIALS, "trials.csv", "finalists.csv")
     before = read_json(folder / SUMMARY, AGAIN) if all((folder / name).exists() for name in files) else {}
     if before.get("study_fingerprint") == mark:
         say(f"{config.name}: the study has its {len(trials)} trials, and '{folder}' is what came of them")
@@ -107,11 +110,12 @@ def _report(config: Config, problem: StudyProblem, study: Any, searched: float) 
         modelled=load_modelled(config, problem.measurement),  # read when the choice is made
     )
     summary = summarize_study(report) | {"study_fingerprint": mark}
-    written = _write(config, report, summary, folder)
+    written = _write(config, study, report, summary, folder)
     say(
         f"{config.name}: {len(trials)} trials in {searched:.0f} s; {summary['verdict']}\n"
         f"report in '{folder / 'README.md'}'; look at the trials with: "
-        f"optuna-dashboard {without_password(config.tuning.storage)}"
+        f"optuna-dashboard {without_password(config.tuning.storage)}\n"
+        f"training uses it after: python -m pipeline stage=promote {config.chosen} tuning.study={config.tuning.study}"
     )
     return StageOutput(
         summary | {"search_seconds": searched},
@@ -137,20 +141,27 @@ def follow_progress(shown: StudyProgress, total: int) -> Seen:
     return seen
 
 
-def _write(config: Config, report: StudyReport, summary: dict[str, object], folder: Path) -> list[Path]:
+def _write(config: Config, study: Any, report: StudyReport, summary: dict[str, object], folder: Path) -> list[Path]:
     import yaml
 
     from pipeline.data.tables import write_table
 
-    values = PromotedTrial(study=config.tuning.study, trial=report.best.trial, values=dict(report.best.values))
+    medians = {"configured": report.default.median, "promoted": report.best.median}
+    values = PromotedTrial(
+        study=config.tuning.study,
+        trial=report.best.trial,
+        values=dict(report.best.values),
+        held_out_loss=HeldOutLoss(**{name: of if math.isfinite(of) else None for name, of in medians.items()}),
+    )
     head = (
-        f"# Promoted by: python -m pipeline stage=tune {config.chosen}\n"
+        f"# Found by: python -m pipeline stage=tune {config.chosen}\n"
         "# Training uses these values; one given on the command line wins, and tuned=false leaves them all out.\n"
     )
     return [
         write_table(folder / "trials.csv", tabulate_trials(report)),
         write_table(folder / "finalists.csv", tabulate_finalists(report)),
         *draw_study(folder / "figures", report.trials, config.tuning.space, report.importances, report.finalists),
+        write_text(folder / TRIALS, format_trials(study)),
         write_text(folder / "README.md", write_report(report)),
         write_text(folder / BEST, head + yaml.safe_dump(values.model_dump(mode="json"), sort_keys=False)),
         write_json(folder / SUMMARY, summary),

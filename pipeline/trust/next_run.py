@@ -14,6 +14,7 @@ from pipeline.data.dataset import Excitation
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.uncertainty import Uncertainty
 from pipeline.problem.measurement import Measurement
+from pipeline.problem.ranking import rank_indices
 from pipeline.trust.linearised import LinearisedFit, linearise
 
 Runs = Sequence[tuple[Excitation, ...]]
@@ -33,7 +34,7 @@ class Gains:
             return None
         with np.errstate(divide="ignore", invalid="ignore"):
             gain = np.median(self.before[b, :, c] / self.deviation[:, b, :, c], axis=1)
-        k = int(np.nanargmax(gain)) if np.isfinite(gain).any() else 0
+        k = rank_indices(np.where(np.isfinite(gain), gain, np.nan))[0]
         return self.runs[k], float(gain[k])
 
 

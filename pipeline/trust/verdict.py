@@ -17,6 +17,7 @@ import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.problem.determination import WEAKLY_BELOW, WELL_BELOW
+from pipeline.problem.ranking import rank
 from pipeline.trust.evidence import SMALL_MISFIT, Evidence
 from pipeline.trust.mistakes import Found
 
@@ -169,7 +170,7 @@ def _judge_runs(evidence: Evidence) -> list[Reason]:
     ):
         bad = {run: size for run, size in found.items() if size / max(1.0, evidence.misfit) > CONTRADICTION}
         if bad:
-            run = max(bad, key=lambda one: bad[one])
+            run = rank(bad)[0]
             reasons.append(
                 Reason(
                     Verdict.WITH_CARE,
@@ -191,7 +192,7 @@ def _judge_priors(evidence: Evidence) -> list[Reason]:
     moved = {name: value for name, (value, _) in evidence.priors.items() if abs(value) > limit}
     if not moved:
         return []
-    name = max(moved, key=lambda one: abs(moved[one]))
+    name = rank({one: abs(value) for one, value in moved.items()})[0]
     return [
         Reason(
             Verdict.WITH_CARE,
@@ -247,7 +248,7 @@ def _judge_band(which: str, fit: float, band: float, lost: float, tolerances: di
         return [Reason(Verdict.NO, f"The data do not determine {which}: {_percent(fit)} is one standard deviation.")]
     if not band < USABLE_BAND or not band < GOOD_BAND:
         verdict = Verdict.WITH_CARE if band < USABLE_BAND else Verdict.NO
-        kind = max(tolerances, key=lambda one: tolerances[one], default=None)
+        kind = rank(tolerances)[0] if tolerances else None
         if kind is not None and tolerances[kind] > fit:
             sentence = (
                 f"A usual tolerance of {kind.replace('_', ' ')}, which no fit corrects here, moves {which} by "

@@ -62,6 +62,11 @@ class Finalist:
         """The median loss; infinite where most seeds diverged."""
         return float(np.median(np.where(np.isfinite(self.losses), self.losses, math.inf)))
 
+    @property
+    def highest(self) -> float:
+        """The loss of the unluckiest seed; infinite where one diverged."""
+        return float(np.where(np.isfinite(self.losses), self.losses, math.inf).max())
+
 
 def summarize(study: optuna.Study) -> list[TrialSummary]:
     """The study's finished trials; a trial that was stopped is there by its repeat alone."""
@@ -130,16 +135,16 @@ def _join_seeds(place: int, values: Mapping[str, Value], runs: Sequence[_Run]) -
 
 
 def choose(finalists: Sequence[Finalist], config: TuningConfig) -> Finalist:
-    """The finalist with the lowest median loss, or the default, which is the first.
+    """The finalist whose unluckiest seed has the lowest loss, or the default, which is the first.
 
-    A finalist must be better by ``least_gain``, more than the sampler's path and the processor's kernels give, and by
-    more than the luck of seeds: its median below the default's luckiest seed.
+    Training has one seed: values that need a lucky one are no good. The median must be better by ``least_gain``, more
+    than the sampler's path and the processor's kernels give, and every seed below the default's luckiest one.
     """
     default, *others = finalists
-    best = min(others, key=lambda f: max(f.median, ROUNDING), default=default)  # of equals the better trial
+    best = min(others, key=lambda f: max(f.highest, ROUNDING), default=default)  # of equals the better trial
     gained = max(default.median, ROUNDING) >= config.least_gain * max(best.median, ROUNDING)
     luckiest = np.nanmin(default.losses) if np.isfinite(default.median) else np.inf
-    return best if gained and best.median < luckiest else default
+    return best if gained and best.highest < luckiest else default
 
 
 def measure_importances(study: optuna.Study) -> dict[str, float]:

@@ -91,7 +91,8 @@ def test_constants_start_at_the_guess(parametrisation: str, guess: float, ball: 
 def test_networks_start_near_the_guess(depth: int, guess: float, hydrostatic: Machine) -> None:
     """Paper, Figure 2, for a network: at every speed and with any seed within a factor two of the guess."""
     setup = setup_of(hydrostatic, optimizer(lm=1))
-    setup = replace(setup, model=setup.model.model_copy(update={"depth": depth}))
+    network = {"depth": depth, "width": 48, "activation": "tanh", "parametrisation": "log"}
+    setup = replace(setup, model=setup.model.model_copy(update=network))
     prepared = prepare_residual(asked(hydrostatic), setup)
     for seed in range(5):
         start = prepared.identified(initial_parameters(prepared, setup, seed, guess)[0])

@@ -109,3 +109,32 @@ def test_check_of_some_experiments(checking: Checking) -> None:
     assert checking(RULE, GOOD) == 1
     assert checking(RULE, GOOD, "check.experiments=[rig]") == 0
     assert checking(RULE, GOOD, "check.experiments=[rig,other]") == 1
+
+
+def test_what_changed_since_the_commit_is_shown_first(
+    checking: Checking, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Committed are all metrics that hold; then those that moved by more than a tenth stand above the whole table."""
+    assert checking(RULE, GOOD, "check.commit=true") == 0
+    committed = tmp_path / "thresholds" / "committed.csv"
+    assert len(committed.read_text().splitlines()) == 3
+    assert checking(RULE, GOOD) == 0
+    assert "changed by more than" not in capsys.readouterr().out
+    assert checking(RULE, GOOD.replace("0.5", "0.56")) == 0
+    first, whole = capsys.readouterr().out.split("metrics against thresholds")
+    assert "changed by more than 10 %" in first
+    assert [word in first for word in ("coefficients.0.kxx", "0.5", "0.56", "at most 1", "coefficients.2.kxx")] == [
+        *[True] * 4,
+        False,
+    ]
+    assert "coefficients.2.kxx" in whole
+
+
+def test_metrics_that_fail_are_not_committed(checking: Checking, tmp_path: Path) -> None:
+    """Nor those of some experiments; and a table that is none is refused."""
+    for metrics, more in ((GOOD.replace("0.5", "5"), []), (GOOD, ["check.experiments=[rig]"])):
+        with pytest.raises(ConfigError, match="must be committed of all experiments"):
+            checking(RULE, metrics, "check.commit=true", *more)
+    (tmp_path / "thresholds" / "committed.csv").write_text("experiment,value\nrig,1\n")
+    with pytest.raises(ConfigError, match=r"committed\.csv' must be a table"):
+        checking(RULE, GOOD)

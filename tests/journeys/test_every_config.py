@@ -237,6 +237,18 @@ def test_all_stages_are_tried_here() -> None:
     """A new stage is added to these tests, or tried in a test file of its own (such as test_summary.py)."""
     elsewhere = {
         *("configure", "check", "tune", "samplers", "diagnose", "senses", "design", "ingest", "compare", "summary"),
-        *("new", "identify", "verdict", "report", "export", "runup", "balance", "folds", "choose"),
+        *(
+            "new",
+            "identify",
+            "verdict",
+            "report",
+            "export",
+            "runup",
+            "balance",
+            "folds",
+            "choose",
+            "promote",
+            "dashboard",
+        ),
     }
     assert set(LINE) | elsewhere == set(STAGES)

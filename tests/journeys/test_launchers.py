@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from conftest import ANSWER, DATA
 from running import FEW_SPEEDS, python
@@ -44,7 +45,8 @@ def test_jobs_side_by_side(launcher: list[str], one_by_one: Path, tmp_path: Path
         assert all(f"[{seed + 1}/3] stage=train seed={seed} " in done.stdout for seed in range(3))
     assert {path.name for path in tmp_path.iterdir()} == {"artifacts", "out"}
     assert [path.name for path in (tmp_path / "artifacts").iterdir()] == [".multirun"]
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {f"seed-{seed}" for seed in range(3)}
+    names = {"jobs.csv", "jobs.png", *(f"seed-{seed}" for seed in range(3))}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == names
     answers = []
     for seed in range(3):
         here, there = tmp_path / "out" / f"seed-{seed}", one_by_one / f"seed-{seed}"
@@ -79,3 +81,22 @@ def test_a_job_that_fails_is_named(launcher: str, tmp_path: Path) -> None:
     assert "'out/seed-1/config.yaml' must be writable" in said
     assert "Traceback" not in said
     assert all((tmp_path / "out" / f"seed-{seed}" / "config.yaml").is_file() for seed in (0, 2))
+
+
+def test_a_multirun_ends_with_its_jobs_side_by_side(tmp_path: Path) -> None:
+    """Two widths, trained and evaluated: a table, its file and a figure, with what the jobs' own files say."""
+    stages = ["stage=[train,evaluate]", "model=network", "model.width=4,6", "tuned=false", "experiment=ball_bearing"]
+    done = python("-m", "pipeline", "-m", *stages, *CHEAP, "output=out", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    said = done.stdout[done.stdout.index("the jobs of this command") :]
+    rows = pd.read_csv(tmp_path / "out" / "jobs.csv").set_index("job")
+    assert list(rows.index) == ["model.width=4", "model.width=6"]
+    assert all(job in said for job in rows.index)
+    for job, row in rows.iterrows():
+        folder = tmp_path / "out" / str(job).replace("=", "-")
+        training, metrics = (json.loads((folder / f"{name}.json").read_text()) for name in ("training", "metrics"))
+        assert (row["outcome"], row["steps"]) == (training["outcome"], training["steps"])
+        errors = [of["mean_error_percent"] for node in metrics["coefficients"].values() for of in node.values()]
+        assert row["worst_mean_error_percent"] == pytest.approx(max(errors))
+        assert row["held_out_loss"] == pytest.approx(training["held_out_loss"])
+    assert (tmp_path / "out" / "jobs.png").stat().st_size > 1000

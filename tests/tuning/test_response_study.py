@@ -100,7 +100,9 @@ def test_a_trial_may_have_another_kind_of_model(posed: StudyProblem, basis: str)
     config = posed.config
     values = translate(config.tuning.space, find_default(config) | {"basis": basis})
     if basis in ("b_spline", "chebyshev"):
-        values = {key: value for key, value in values.items() if key not in ("model.width", "model.activation")}
+        values = {
+            key: value for key, value in values.items() if key not in ("model.depth", "model.width", "model.activation")
+        }
     made = apply_values(config, values, "trial")
     assert made.model.parametrisation == config.model.parametrisation
     assert made.model.kind == (basis if basis in ("b_spline", "chebyshev") else "network")

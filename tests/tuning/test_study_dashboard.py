@@ -29,6 +29,7 @@ STUDY = [
     "experiment=ball_bearing",
     "stage=tune",
     *FEW_SPEEDS,
+    *("tuned=false", "optimizer=adam_levenberg_marquardt", "loss.scaling=per_speed", "model.parametrisation=log"),
     # So few steps that the losses of the trials differ.
     *("optimizer.adam.steps=60", "optimizer.levenberg_marquardt.steps=3"),
     *("tuning.space.adam_epochs.high=150", "tuning.space.lbfgs_epochs.high=40"),

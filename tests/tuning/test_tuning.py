@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from conftest import Machine
 
 EXPERIMENTS = ["ball_bearing", "hydrostatic_stiffness", "hydrostatic_damping"]
-NO_STUDY = "tuning.folder=no/such/folder"
+NO_STUDY = "tuning.promoted=no/such/folder"
 
 
 @cache
@@ -166,19 +166,21 @@ def study(tmp_path: Path) -> Path:
     folder = tmp_path / "a study"
     folder.mkdir()
     values = {"model.width": 17, "model.activation": "silu", "training.tolerance": 0.03}
-    (folder / "best.yaml").write_text(yaml.safe_dump({"study": "x", "trial": 5, "values": values}))
+    losses = {"configured": 0.07, "promoted": 1.4e-7}
+    best = {"study": "x", "trial": 5, "values": values, "held_out_loss": losses}
+    (folder / "best.yaml").write_text(yaml.safe_dump(best))
     return folder
 
 
 def test_promoted_values_are_in_force_where_training_is(study: Path) -> None:
     """train, what reads its answer, and the written configuration use them; a study itself does not."""
     for stage in ("configure", "generate", "train", "evaluate", "robustness", "predict"):
-        config = compose_config([f"stage={stage}", f"tuning.folder={study}"])
+        config = compose_config([f"stage={stage}", f"tuning.promoted={study}"])
         assert (config.model.width, config.model.activation, config.training.tolerance) == (17, "silu", 0.03)
         assert config.promoted is not None
         assert (config.promoted.trial, len(config.promoted.in_force)) == (5, 3)
     for stage in ("tune", "samplers"):
-        config = compose_config([f"stage={stage}", f"tuning.folder={study}"])
+        config = compose_config([f"stage={stage}", f"tuning.promoted={study}"])
         assert (config.model.width, config.promoted) == (48, None)
 
 
@@ -195,7 +197,7 @@ def test_promoted_values_are_in_force_where_training_is(study: Path) -> None:
 )
 def test_the_command_line_wins_over_promoted_values(study: Path, override: str, overridden: list[str]) -> None:
     """A value, or the group that it is in, given explicitly is in force; the other promoted values stay."""
-    config = compose_config([f"tuning.folder={study}", override])
+    config = compose_config([f"tuning.promoted={study}", override])
     plain = compose_config([NO_STUDY, override])
     assert config.promoted is not None
     assert set(config.promoted.overridden) == set(overridden)
@@ -207,7 +209,7 @@ def test_the_command_line_wins_over_promoted_values(study: Path, override: str, 
 
 def test_tuned_false_leaves_them_out(study: Path) -> None:
     (study / "best.yaml").write_text("{")
-    assert compose_config([f"tuning.folder={study}", "tuned=false"]).model.width == 48
+    assert compose_config([f"tuning.promoted={study}", "tuned=false"]).model.width == 48
 
 
 @pytest.mark.parametrize(
@@ -225,22 +227,23 @@ def test_tuned_false_leaves_them_out(study: Path) -> None:
 def test_a_damaged_best_file_is_a_sentence(study: Path, text: str) -> None:
     (study / "best.yaml").write_text(text)
     with pytest.raises(DataError, match=r"best\.yaml' must hold .*tuned=false"):
-        compose_config([f"tuning.folder={study}"])
+        compose_config([f"tuning.promoted={study}"])
 
 
 def test_promoted_values_of_another_kind_of_model_are_refused(study: Path) -> None:
     """A network's width does not fit a constant that a configuration file chose; the command line alone drops it."""
     with pytest.raises(ConfigError, match=r"tuned=false.*model\.\w+' is not one of ball_bearing"):
-        compose_config(["experiment=ball_bearing", f"tuning.folder={study}"])
-    assert compose_config(["model=constant", f"tuning.folder={study}"]).model.kind == "constant"
+        compose_config(["experiment=ball_bearing", f"tuning.promoted={study}"])
+    assert compose_config(["model=constant", f"tuning.promoted={study}"]).model.kind == "constant"
 
 
 def test_the_console_says_which_values_are_in_force(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from pipeline.stages.train import say_promoted
 
-    say_promoted(compose_config([f"tuning.folder={study}", "model.width=24"]))
+    say_promoted(compose_config([f"tuning.promoted={study}", "model.width=24"]))
     said = capsys.readouterr().out
-    assert "study 'x' (trial 5) in force: model.activation=silu, training.tolerance=0.03" in said
+    assert "study 'x' (trial 5) in force: model.activation tanh -> silu, training.tolerance 0.1 -> 0.03" in said
+    assert "their loss is 1.4e-07, that of the configured values (tuned=false) 0.07" in said
     assert "given on the command line instead of tuned: model.width=24" in said
 
 
@@ -296,6 +299,7 @@ SMALL = [
     "tuning.n_trials=6",
     "tuning.startup_trials=3",
     "tuning.space.adam_epochs.high=400",
+    *("optimizer=adam_levenberg_marquardt", "loss.scaling=per_speed", "model.parametrisation=log"),
     "optimizer.adam.steps=100",
 ]
 
@@ -412,15 +416,16 @@ def _finalist(trial: int, *losses: float) -> Any:
         ([1.0, 1.0, 1.0], [(7, 0.6, 0.6, 0.6)], 0),  # less than the least gain
         ([1.0, 1.0, 1.0], [(7, 0.01, 2.0, 2.0)], 0),  # one lucky seed
         ([0.3, 1.0, 1.5], [(7, 0.4, 0.4, 0.4)], 0),  # within the luck of the default's seeds
-        ([1.0, 1.0, 1.0], [(7, 0.4, 0.4, 0.4), (8, 0.3, 0.3, 9.0)], 8),
+        ([1.0, 1.0, 1.0], [(7, 0.4, 0.4, 0.4), (8, 0.3, 0.3, 9.0)], 7),  # training has one seed: the unluckiest counts
+        ([1.0, 1.0, 1.0], [(7, 0.4, 0.4, 0.4), (8, 0.3, 0.3, 0.3)], 8),
         ([1.0, 1.0, 1.0], [(7, math.nan, math.nan, 0.1)], 0),  # most seeds diverged
         ([math.nan, math.nan, 1.0], [(7, 3.0, 3.0, 3.0)], 7),
         ([1e-15, 1e-15, 1e-15], [(7, 1e-16, 1e-16, 1e-16)], 0),  # rounding
         ([1.0, 1.0, 1.0], [], 0),
     ],
 )
-def test_the_median_over_seeds_decides(default: list[float], others: list[tuple[float, ...]], chosen: int) -> None:
-    """Promoted is what lowers the median by the least gain; luck of a seed, of either, and rounding do not count."""
+def test_seeds_decide(default: list[float], others: list[tuple[float, ...]], chosen: int) -> None:
+    """Promoted is the best of the unluckiest seeds, where the median falls enough; luck and rounding do not count."""
     from pipeline.tuning.finalists import choose
 
     finalists = [_finalist(0, *default), *(_finalist(int(number), *losses) for number, *losses in others)]
@@ -471,22 +476,12 @@ def test_every_experiment_has_a_study_that_a_person_can_judge(name: str) -> None
 
 
 @pytest.mark.parametrize("name", ["hydrostatic_stiffness", "hydrostatic_damping"])
-def test_a_study_is_three_times_more_accurate_or_shows_why_it_cannot_be(name: str) -> None:
-    """Either every identified coefficient gained three times, or no smooth function of the speed has that to give."""
-    summary = json.loads((STUDIES / name / "summary.json").read_text())
-    if min(summary["error_gain"].values()) >= 3.0:
-        return
-    default, series = summary["default"]["held_out_loss"]["median"], summary["chebyshev_series"]["held_out_loss"]
-    assert default < 3.0 * series
-    assert "**What limits it.**" in (STUDIES / name / "README.md").read_text()
-
-
-@pytest.mark.parametrize("name", ["hydrostatic_stiffness_from_adam", "hydrostatic_damping_from_adam"])
-def test_a_study_from_the_papers_optimizer_is_three_times_more_accurate(name: str) -> None:
+def test_a_study_from_the_papers_settings_is_a_thousand_times_more_accurate(name: str) -> None:
     """From the paper's optimiser and loss, the search finds by itself what makes every coefficient better."""
     summary = json.loads((STUDIES / name / "summary.json").read_text())
     assert summary["promoted_trial"] > 0
-    assert min(summary["error_gain"].values()) >= 3.0
+    assert min(summary["error_gain"].values()) >= 1e3
+    assert "**What limits it.**" in (STUDIES / name / "README.md").read_text()
 
 
 @pytest.mark.parametrize("name", ["hydrostatic_stiffness", "hydrostatic_damping"])

@@ -1,0 +1,35 @@
+"""Order by size where sizes tie: what is said or chosen must not hang on the last bit of a processor's kernels."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from itertools import pairwise
+from typing import Any, TypeVar
+
+Name = TypeVar("Name", bound=Any)
+
+ALIKE = 1e-6
+"""Neighbours in size that differ by this share, or less, tie: far above rounding, far below what anybody reads."""
+
+
+def rank(sizes: Mapping[Name, float]) -> list[Name]:
+    """The names, the largest size first; those whose sizes tie go by name, and what is no number comes last."""
+    order = sorted(sizes, key=lambda name: (math.isnan(sizes[name]), -sizes[name]))
+    groups = [order[:1]]
+    for before, after in pairwise(order):
+        if math.isclose(sizes[before], sizes[after], rel_tol=ALIKE) or math.isnan(sizes[before]):
+            groups[-1].append(after)
+        else:
+            groups.append([after])
+    return [name for group in groups for name in sorted(group)]
+
+
+def rank_indices(sizes: Iterable[float]) -> list[int]:
+    """The same of a sequence: the names are its indices."""
+    return rank(dict(enumerate(map(float, sizes))))
+
+
+def find_least(sizes: Mapping[Name, float]) -> Name:
+    """The name of the smallest size; of those that tie the first by name."""
+    return rank({name: -size for name, size in sizes.items()})[0]

@@ -1,0 +1,30 @@
+"""Put the committed studies beside those of this machine, so that optuna-dashboard shows them all."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pipeline.config.schema import Config
+from pipeline.errors import without_password
+from pipeline.reporting.console import say, table
+from pipeline.stages.execution import StageOutput
+from pipeline.tracking import TrackingSettings, find_trial_pages
+from pipeline.tuning.dashboard import gather_studies
+from pipeline.tuning.trials_file import TRIALS
+
+
+def run(config: Config) -> StageOutput:
+    """Every ``studies/NAME/trials.jsonl`` in the database, and on each trial that MLflow has a note with its page."""
+    settings = TrackingSettings(True, config.tracking.uri, config.tracking.timeout_seconds)
+    shown = gather_studies(config.tuning, _list_files(config), find_trial_pages(settings))
+    storage = without_password(config.tuning.storage)
+    rows = [[one.name, str(one.trials), str(one.linked)] for one in shown]
+    table(f"studies in {storage}", ["study", "trials", "of these with a run in MLflow"], rows)
+    say(f"look at them with: optuna-dashboard {storage}")
+    return StageOutput()
+
+
+def _list_files(config: Config) -> list[Path]:
+    """Those of the working folder, or those beside ``conf/`` where it has none."""
+    folder = Path(config.tuning.promoted).parent
+    return sorted(folder.glob(f"*/{TRIALS}")) or sorted((Path(__file__).parents[2] / folder).glob(f"*/{TRIALS}"))

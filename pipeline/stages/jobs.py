@@ -1,0 +1,58 @@
+"""The end of a multirun: what its jobs came to, side by side."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from pipeline.errors import DataError
+from pipeline.files import read_json
+
+COLUMNS = ("outcome", "steps", "loss", "held_out_loss", "worst_mean_error_percent")
+JOBS = "jobs.csv"
+
+
+def compare_jobs(jobs: Mapping[str, str], since: float) -> None:
+    """Print a table of the jobs, and write ``jobs.csv`` and ``jobs.png`` in the folder that they share.
+
+    :param jobs: what is the job's own -> its folder
+    :param since: a training is of this multirun if it was written after it (seconds since 1970)
+
+    Nothing where fewer than two jobs have a training.
+    """
+    found = {job: _read_job(Path(folder), since) for job, folder in jobs.items()}
+    if sum("outcome" in one for one in found.values()) < 2:
+        return
+    from pipeline.data.tables import write_table
+    from pipeline.reporting.console import say, table
+    from pipeline.reporting.jobs_figure import draw_jobs
+    from pipeline.reporting.write_numbers import write_value
+
+    shown = [name for name in COLUMNS if any(name in one for one in found.values())]
+    rows = [[job, *(write_value(one.get(name, "-")) for name in shown)] for job, one in found.items()]
+    table("the jobs of this command", ["job", *(name.replace("_", " ") for name in shown)], rows)
+    folder = Path(os.path.commonpath(list(jobs.values())))
+    columns: dict[str, list[Any]] = {"job": list(found), "folder": list(jobs.values())}
+    columns |= {name: [one.get(name) for one in found.values()] for name in shown}
+    written = [write_table(folder / JOBS, columns), draw_jobs(folder / "jobs.png", found)]
+    say(f"side by side in '{written[0]}' and '{written[1]}'")
+
+
+def _read_job(folder: Path, since: float) -> dict[str, Any]:
+    """What a job's files say; empty where it has no training of this multirun."""
+    path = folder / "training.json"
+    if not path.exists() or path.stat().st_mtime < since:
+        return {}
+    job: dict[str, Any] = {}
+    with suppress(DataError):
+        training = read_json(path)
+        job = {name: training[name] for name in COLUMNS if training.get(name) is not None}
+    metrics = folder / "metrics.json"
+    if metrics.exists() and metrics.stat().st_mtime >= since:
+        with suppress(DataError, KeyError, ValueError, AttributeError):
+            of = read_json(metrics)["coefficients"].values()
+            job["worst_mean_error_percent"] = max(c["mean_error_percent"] for node in of for c in node.values())
+    return job

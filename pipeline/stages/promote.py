@@ -1,0 +1,75 @@
+"""Let training use what a study found: copy its report over that of the experiment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from pipeline.config.promotion import BEST, apply_values, read_promoted
+from pipeline.config.schema import Config
+from pipeline.errors import ConfigError
+from pipeline.files import read_json, write_beside
+from pipeline.reporting.console import say, table
+from pipeline.reporting.write_numbers import write_value
+from pipeline.stages.execution import StageOutput
+from pipeline.stages.tune import AGAIN, SUMMARY
+
+
+def run(config: Config) -> StageOutput:
+    """Say what changes in ``tuning.promoted``, then copy ``tuning.folder`` there.
+
+    :raises ConfigError: where there is no such study, or it is of another experiment
+    """
+    source, target = Path(config.tuning.folder), Path(config.tuning.promoted)
+    found = read_promoted(source)
+    if found is None:
+        raise ConfigError(
+            f"a study must have ended before it is promoted, but there is no '{source / BEST}': run stage=tune with "
+            f"tuning.study={config.tuning.study}, or name another (make promote STUDY=NAME EXPERIMENT=NAME)"
+        )
+    of = read_json(source / SUMMARY, AGAIN).get("experiment")
+    if of != config.name:
+        raise ConfigError(
+            f"a study must be promoted for the experiment that it is of, but '{source}' is of {of}, not of "
+            f"{config.name}: give experiment={of} (make promote STUDY={config.tuning.study} EXPERIMENT={of})"
+        )
+    apply_values(config, found.values, f"'{source / BEST}'")
+    files = [path.relative_to(source) for path in sorted(source.rglob("*")) if _is_report(path)]
+    changes = {name: _compare(source / name, target / name) for name in files}
+    if not any(changes.values()):
+        say(f"{config.name}: '{target}' is what study '{found.study}' (trial {found.trial}) found: nothing changes")
+        return StageOutput()
+    before = read_promoted(target)
+    _say_values(config, before.values if before else {}, found.values)
+    rows = [[str(target / name), change] for name, change in changes.items() if change]
+    table(f"{config.name}: study '{found.study}' (trial {found.trial}) is promoted", ["file", ""], rows)
+    # What training reads comes last: stopped in between, training still has the values of before.
+    written = [_copy(source / name, target / name) for name in sorted(files, key=_is_best)]
+    say(f"{config.name}: training uses '{target / BEST}' from now on")
+    return StageOutput(files=written)
+
+
+def _is_report(path: Path) -> bool:
+    return path.is_file() and not path.name.startswith(".")
+
+
+def _copy(source: Path, target: Path) -> Path:
+    return write_beside(target, lambda path: path.write_bytes(source.read_bytes()))
+
+
+def _is_best(name: Path) -> bool:
+    return name.name == BEST
+
+
+def _compare(new: Path, old: Path) -> str:
+    """What becomes of the old file; empty where nothing does."""
+    if not old.exists():
+        return "new"
+    return "" if new.read_bytes() == old.read_bytes() else "changed"
+
+
+def _say_values(config: Config, before: Mapping[str, object], after: Mapping[str, object]) -> None:
+    keys = [key for key in dict.fromkeys([*before, *after]) if before.get(key) != after.get(key)]
+    shown = [[key, *(write_value(of[key]) if key in of else "as configured" for of in (before, after))] for key in keys]
+    if shown:
+        table(f"{config.name}: values that training uses", ["value", "now", "then"], shown)
