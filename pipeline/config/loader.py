@@ -161,8 +161,8 @@ def _explain_missing(error: Any) -> str:
 
 def _quote_hydra(error: Exception) -> str:
     """Hydra's own words, for the rare cases that have no sentence of ours."""
-    words = [line.strip() for line in f"{error}\n{error.__cause__ or ''}".splitlines()]
-    return f"the overrides must fit conf/, but Hydra says: {' '.join(word for word in words if word)}"
+    phrases = [line.strip() for line in f"{error}\n{error.__cause__ or ''}".splitlines()]
+    return f"the overrides must fit conf/, but Hydra says: {' '.join(word for word in phrases if word)}"
 
 
 def _explain_unresolved(error: Any) -> str:
