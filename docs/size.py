@@ -38,7 +38,7 @@ STATEMENTS = {
     "tuning": 611,
     "reporting": 2931,
     "tracking": 440,
-    "stages": 2266,
+    "stages": 2267,
     "beside the rooms": 429,
 }
 """Room -> the most statements that it may have, without imports and docstrings."""
@@ -50,7 +50,7 @@ BUDGETS = {
     "is None, is not None": (789, 420),
     "isinstance on configurations": (67, 10),
     "numeric constants of modules": (302, 150),
-    "bindings named by empty words": (1309, 200),
+    "bindings named by empty words": (879, 200),
     "statements of tests/": (12400, 13000),
     "words of docs/ beside the reference": (46045, 30000),
     "functions entered by ingest and train of measured_demo": (573, 380),
