@@ -12,7 +12,7 @@ export DVC_NO_ANALYTICS := 1
 unexport PYTHONHOME PYTHONPATH
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo reproduce test test-quick test-nightly comparison ablation paper-study studies promote dashboard bench tables measured house docs reference lint lock audit clean
+.PHONY: help env demo reproduce test test-quick test-nightly comparison ablation paper-study studies promote dashboard bench tables measured house size docs reference lint lock audit clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' Makefile
@@ -104,6 +104,9 @@ measured: env  ## repeat what no make reproduce makes (docs/measured/NAME.json):
 
 house: env  ## draw who imports whom, docs/figures/house.png
 	.venv/bin/python docs/house.py docs/figures/house.png
+
+size: env  ## measure the house: statements, files, classes, names, and the budget of each room
+	.venv/bin/python docs/size.py
 
 reference: env  ## write docs/configuration.md from the schema and docs/meanings.yaml
 	.venv/bin/python docs/reference.py

@@ -72,8 +72,8 @@ def _table(rows: dict[str, str]) -> str:
     width = max(map(len, rows), default=0) + 2
     indent = " " * (width + 2)
     return "\n".join(
-        textwrap.fill(words or "-", 100, initial_indent=f"  {name:<{width}}", subsequent_indent=indent)
-        for name, words in rows.items()
+        textwrap.fill(row or "-", 100, initial_indent=f"  {name:<{width}}", subsequent_indent=indent)
+        for name, row in rows.items()
     )
 
 

@@ -18,6 +18,17 @@ import pytest
 import yaml
 
 from docs.house import ROOMS, count_imports, room_of
+from docs.size import (
+    BUDGETS,
+    EMPTY,
+    ENTERED,
+    ENTERED_FILES,
+    STATEMENTS,
+    count_statements,
+    list_bindings,
+    measure_house,
+    measure_rooms,
+)
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "pipeline"
@@ -318,3 +329,21 @@ def test_every_config_says_what_it_is(path: Path) -> None:
     """Each file of conf/ starts with a sentence."""
     first = path.read_text(encoding="utf-8").splitlines()[0]
     assert re.match(r"# \S.{10,}", first)
+
+
+def test_every_room_keeps_its_budget() -> None:
+    """`make size` prints them; raising one needs a reason in the commit."""
+    rooms, house = measure_rooms(), measure_house()
+    assert rooms.keys() == STATEMENTS.keys()
+    assert house.keys() == BUDGETS.keys() - {ENTERED, ENTERED_FILES}
+    assert [name for name, size in rooms.items() if size > STATEMENTS[name]] == []
+    assert [name for name, size in house.items() if size > BUDGETS[name][0]] == []
+
+
+def test_the_sizes_are_those_of_a_house_counted_by_hand() -> None:
+    tree = ast.parse(
+        '"""Text."""\nimport os\nLIMIT = 3\n"""Why."""\n\ndef ask(one, part_of=2):\n    found = one is not None\n'
+        "    return [own for own in found if isinstance(own, MeanConfig)]\n"
+    )
+    assert count_statements(tree) == 4
+    assert [name for name in list_bindings(tree) if EMPTY & set(name.split("_"))] == ["one", "part_of", "found", "own"]

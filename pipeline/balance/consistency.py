@@ -79,14 +79,14 @@ def find_contradictions(
     return found, model
 
 
-def _explain(one: Conditions, model: Influence, chance: float) -> Contradiction:
+def _explain(conditions: Conditions, model: Influence, chance: float) -> Contradiction:
     """What the model of the others makes of a condition."""
-    label, vector, count = one.unbalance[0], one.vectors[0], int(one.counts[0])
+    label, vector, count = conditions.unbalance[0], conditions.vectors[0], int(conditions.counts[0])
     mean, own = model.predict(label[None])
     total = own[0] + model.noise.covariance(np.array([count]))[0]
     residual = vector - mean[0]
     reading = estimate_unbalance(model, vector, count)
-    n_speeds, n_channels = one.displacement.shape[1:]
+    n_speeds, n_channels = conditions.displacement.shape[1:]
     free = {}
     for p in range(n_channels):
         rest = np.setdiff1d(np.arange(len(vector)), np.arange(n_speeds) * n_channels + p)
@@ -99,26 +99,28 @@ def _explain(one: Conditions, model: Influence, chance: float) -> Contradiction:
         best = int(np.argmax((abs(residual.reshape(n_speeds, n_channels)) ** 2).sum(0)))
     shift = not explained or by_shift > by_weights
     without = [np.where(np.arange(len(label)) == n, 0, label) for n in np.flatnonzero(label)]
-    missing = [one.planes[n] for n, u in zip(np.flatnonzero(label), without, strict=True) if _fits(one, model, u)]
+    missing = [
+        conditions.planes[n] for n, u in zip(np.flatnonzero(label), without, strict=True) if _fits(conditions, model, u)
+    ]
     width = model.noise.half_width(np.diag(total).real)
     outside = (abs(residual.real) > width) | (abs(residual.imag) > width)
     return Contradiction(
-        name=one.names[0],
+        name=conditions.names[0],
         chance=chance,
         label=label,
         reading=reading,
         missing=tuple(missing),
-        shifted=one.channels[best] if shift else None,
+        shifted=conditions.channels[best] if shift else None,
         explained=explained,
         seen=outside.reshape(n_speeds, n_channels),
     )
 
 
-def _fits(one: Conditions, model: Influence, unbalance: np.ndarray) -> bool:
+def _fits(conditions: Conditions, model: Influence, unbalance: np.ndarray) -> bool:
     """Whether a condition reads like these weights."""
     mean, own = model.predict(unbalance[None])
-    total = own[0] + model.noise.covariance(one.counts)[0]
-    return _chance(_squared(one.vectors[0] - mean[0], total), len(total), model) > _EXPLAINED
+    total = own[0] + model.noise.covariance(conditions.counts)[0]
+    return _chance(_squared(conditions.vectors[0] - mean[0], total), len(total), model) > _EXPLAINED
 
 
 def _squared(residual: np.ndarray, covariance: np.ndarray) -> float:

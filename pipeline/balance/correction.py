@@ -74,13 +74,13 @@ def choose_weights(acting: np.ndarray, there: np.ndarray, planes: Sequence[Holes
     """
     wanted, triangle = _reduce(acting, there)
     if planes[0].masses is not None:
-        choices = [_list_choices(one) for one in planes]
-        chosen = [of.weights(k) for of, k in zip(choices, _search(triangle, wanted, choices), strict=True)]
-    elif min(one.most for one in planes) > 1:
-        chosen = [split_vector(complex(c), one) for c, one in zip(wanted, planes, strict=True)]
+        choices = [_list_choices(plane) for plane in planes]
+        chosen = [choice.weights(k) for choice, k in zip(choices, _search(triangle, wanted, choices), strict=True)]
+    elif min(plane.most for plane in planes) > 1:
+        chosen = [split_vector(complex(c), plane) for c, plane in zip(wanted, planes, strict=True)]
     else:
         chosen = _choose_holes(triangle, wanted, planes)
-    made = [sum(w.mass * one.unit[w.hole - 1] for w in of) for of, one in zip(chosen, planes, strict=True)]
+    made = [sum(w.mass * plane.unit[w.hole - 1] for w in of) for of, plane in zip(chosen, planes, strict=True)]
     unbalance = np.array(made, dtype=complex)
     return Correction(tuple(chosen), unbalance, acting @ unbalance + there)
 
@@ -203,7 +203,7 @@ def _choose_holes(triangle: np.ndarray, wanted: np.ndarray, planes: Sequence[Hol
     """One weight of any mass a plane: every set of holes, each with its masses by non-negative least squares."""
     from scipy.optimize import nnls
 
-    count = math.prod(len(one.angles) for one in planes)
+    count = math.prod(len(plane.angles) for plane in planes)
     if count > MOST_HOLES:
         raise ConfigError(
             f"weights of any mass, one a plane, must have at most {MOST_HOLES} sets of holes, but there are {count}: "
@@ -211,8 +211,8 @@ def _choose_holes(triangle: np.ndarray, wanted: np.ndarray, planes: Sequence[Hol
         )
     right = _as_points(triangle @ wanted).ravel()
     best, least = [], math.inf
-    for holes in product(*(range(len(one.angles)) for one in planes)):
-        units = np.array([one.unit[h] for h, one in zip(holes, planes, strict=True)])
+    for holes in product(*(range(len(plane.angles)) for plane in planes)):
+        units = np.array([plane.unit[h] for h, plane in zip(holes, planes, strict=True)])
         matrix = _as_points((triangle * units).T).transpose(1, 2, 0).reshape(len(right), -1)
         masses, left = nnls(matrix, right)
         if left < least:

@@ -61,19 +61,19 @@ def estimate_all(readings: Readings, models: Sequence[LinearVibration]) -> Estim
         model, counts = models[c], readings.counts[c]
         if not (counts > 0).any():
             raise DataError(f"condition '{readings.names[c]}' must have at least one measured vector, but has none")
-        one = estimate_unbalance(model, vector, int(counts[counts > 0].min()))
-        away = readings.unbalance[c] - one.value
+        unbalance = estimate_unbalance(model, vector, int(counts[counts > 0].min()))
+        away = readings.unbalance[c] - unbalance.value
         known = not np.isnan(away).any()
-        squared = float((away.conj() @ np.linalg.solve(one.covariance, away)).real) if known else np.nan
-        found.append(one)
-        chance.append(_judge_rest(one, int((counts > 0).sum()) - len(away), model.noise))
-        labels.append(judge_distance(squared, len(away), one.freedom))
+        squared = float((away.conj() @ np.linalg.solve(unbalance.covariance, away)).real) if known else np.nan
+        found.append(unbalance)
+        chance.append(_judge_rest(unbalance, int((counts > 0).sum()) - len(away), model.noise))
+        labels.append(judge_distance(squared, len(away), unbalance.freedom))
     return Estimates(
         readings=readings, found=tuple(found), chance=np.array(chance), label_chance=np.array(labels, dtype=float)
     )
 
 
-def _judge_rest(one: Unbalance, spare: int, noise: NoiseLevels) -> float:
+def _judge_rest(unbalance: Unbalance, spare: int, noise: NoiseLevels) -> float:
     """The chance of what the weights leave in ``spare`` complex numbers, with the tails that conditions have."""
     tail = noise.freedom - spare + 1 if noise.tail is None else noise.tail
-    return judge_distance(one.unexplained / noise.stretch, spare, tail)
+    return judge_distance(unbalance.unexplained / noise.stretch, spare, tail)

@@ -56,6 +56,6 @@ def blend_with_influence(physical: Physical, sound: Conditions) -> Blend:
 def leave_out(train: Conditions, rate: float) -> Conditions:
     """The conditions that do not contradict their labels; all where they are too few to judge one by the others."""
     try:
-        return train.without([one.name for one in find_contradictions(train, rate)[0]])
+        return train.without([contradiction.name for contradiction in find_contradictions(train, rate)[0]])
     except IdentifiabilityError:
         return train

@@ -59,7 +59,7 @@ def predict_records(
     mean, own = model.predict(tested.unbalance)
     variance = np.einsum("cii->ci", own + model.noise.covariance(np.ones(len(mean)))).real
     width = model.noise.half_width(variance)
-    counts, measured = [len(one) for one in records], np.concatenate(records)
+    counts, measured = [len(record) for record in records], np.concatenate(records)
     return Forward(
         tuple(np.repeat(np.array(tested.names, dtype=object), counts)),
         measured - baseline,
@@ -170,8 +170,8 @@ def floor_of_drift(
     }
 
 
-def _draw(residual: np.ndarray, total: np.ndarray, of: Conditions, rng: np.random.Generator) -> np.ndarray:
+def _draw(residual: np.ndarray, total: np.ndarray, conditions: Conditions, rng: np.random.Generator) -> np.ndarray:
     """(C, D) m drifts for conditions, from those of the :data:`_ALIKE` whose ``total`` weight (K,) is nearest."""
-    near = np.argsort(abs(total - abs(of.unbalance).sum(1)[:, None]), axis=1)[:, :_ALIKE]
+    near = np.argsort(abs(total - abs(conditions.unbalance).sum(1)[:, None]), axis=1)[:, :_ALIKE]
     chosen = near[np.arange(len(near)), rng.integers(near.shape[1], size=len(near))]
     return np.asarray(residual[chosen] * np.exp(2j * np.pi * rng.random((len(near), 1))))

@@ -73,7 +73,7 @@ def propose_weights(
     inside = covariance[np.ix_(read, read)]
     start = predict_one(vibration, state.weights)
     correction = np.zeros(len(vibration.planes), dtype=complex)
-    active, given = [n for n, one in enumerate(holes) if one], [one for one in holes if one]
+    active, given = [n for n, hole in enumerate(holes) if hole], [hole for hole in holes if hole]
     chosen = None
     for _ in range(_PASSES):
         influence = vibration.influence_at(state.weights + correction)[0][read]

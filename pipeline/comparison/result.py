@@ -60,7 +60,7 @@ class Result(BaseModel):
 
     def error(self, name: str) -> float:
         """Median error over speed of a coefficient in percent, mean over the bearings that have it; NaN without one."""
-        of = [found[name].median_error for found in self.coefficients.values() if name in found]
+        of = [coefficient[name].median_error for coefficient in self.coefficients.values() if name in coefficient]
         return float(np.mean(of)) if of else float("nan")
 
 
@@ -75,9 +75,9 @@ def judge_method(
     started = time.process_time()
     answer, outcome, words = _ask(method, data, MethodOptions(settings, seed, machine.laws))
     seconds = time.process_time() - started  # of the processor: what else runs does not count
-    found: dict[str, dict[str, CoefficientResult]] = {}
+    errors: dict[str, dict[str, CoefficientResult]] = {}
     if answer is not None and np.isfinite(answer.coefficients.values).all():
-        found = _measure_errors(data, answer, machine, case)
+        errors = _measure_errors(data, answer, machine, case)
     elif answer is not None:
         outcome = Reason.NOT_FINITE.name.lower()
     # Clean data have no noise that chi-square could be held against.
@@ -90,7 +90,7 @@ def judge_method(
         doubt=doubt,
         seconds=seconds,
         used_speeds=None if answer is None else answer.n_speeds,
-        coefficients=found,
+        coefficients=errors,
     )
 
 

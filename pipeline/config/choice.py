@@ -84,11 +84,11 @@ def _begin_anew(parsed: Sequence[Override], loader: ConfigLoader) -> list[Overri
     sections = {id(override): _find_kind(override) for override in parsed}
     if not any(sections.values()):
         return list(parsed)
-    there = _compose([o for o in parsed if o.key_or_group in ("machine", "experiment")], loader)
+    composed = _compose([o for o in parsed if o.key_or_group in ("machine", "experiment")], loader)
     made: list[Override] = []
     for override in parsed:
         key, tag, value, text = sections[id(override)] or ("", "", None, "")
-        former = _look_up(there, key) if key else {}
+        former = _look_up(composed, key) if key else {}
         if not former or (override.key_or_group != key and former.get(tag) == value):
             made.append(override)
         else:

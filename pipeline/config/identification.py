@@ -76,7 +76,7 @@ class IdentifyConfig(Section):
     def _lawful(self) -> IdentifyConfig:
         if self.shared and self.bearings:
             raise ValueError("shared makes all bearings alike, but bearings has exceptions: leave one of them out")
-        for unknowns in (self.unknowns, *(one.unknowns or () for one in self.bearings.values())):
+        for unknowns in (self.unknowns, *(bearing.unknowns or () for bearing in self.bearings.values())):
             if len(set(unknowns)) != len(unknowns):
                 raise ValueError(f"must name each unknown once, but got {list(unknowns)}")
         self.at(-1)
@@ -96,7 +96,7 @@ class IdentifyConfig(Section):
     def named(self) -> tuple[str, ...]:
         """Every coefficient that is unknown at some bearing, in the order of the configuration."""
         return tuple(
-            dict.fromkeys([*self.unknowns, *(n for one in self.bearings.values() for n in one.unknowns or ())])
+            dict.fromkeys([*self.unknowns, *(n for bearing in self.bearings.values() for n in bearing.unknowns or ())])
         )
 
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from pipeline.config.messages import explain_key, explain_option, explain_syntax, list_paths
-from pipeline.config.renames import refuse_renamed
 from pipeline.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -104,7 +103,6 @@ def parse_overrides(overrides: Sequence[str], loader: ConfigLoader) -> list[Over
             parsed += parser.parse_overrides([f"{FILE_KEY}'{path}'"])  # a path as it is, such as ~/rig (1)/ü.yaml
         if not parsed[-1].key_or_group:  # "=3"
             raise ConfigError(explain_syntax(text, names))
-        refuse_renamed(parsed[-1].key_or_group, parsed[-1].value(), text)
     # The last override of each key wins, as a shell user expects; Hydra itself refuses a group given twice.
     last = {(override.get_key_element(), override.is_delete()): override for override in parsed}
     return [override for override in parsed if last[override.get_key_element(), override.is_delete()] is override]
@@ -163,8 +161,8 @@ def _explain_missing(error: Any) -> str:
 
 def _quote_hydra(error: Exception) -> str:
     """Hydra's own words, for the rare cases that have no sentence of ours."""
-    words = [line.strip() for line in f"{error}\n{error.__cause__ or ''}".splitlines()]
-    return f"the overrides must fit conf/, but Hydra says: {' '.join(word for word in words if word)}"
+    phrases = [line.strip() for line in f"{error}\n{error.__cause__ or ''}".splitlines()]
+    return f"the overrides must fit conf/, but Hydra says: {' '.join(word for word in phrases if word)}"
 
 
 def _explain_unresolved(error: Any) -> str:

@@ -122,8 +122,8 @@ class MachineConfig(Section):
         weights = [one for run in _list_weights(info.data["runs"]).values() for one in run]
         if not weights:
             raise ValueError("must be given where no run has an unbalance, but is missing")
-        nodes = tuple(sorted({one.node for one in weights}))
-        largest = max(one.magnitude for one in weights)
+        nodes = tuple(sorted({weight.node for weight in weights}))
+        largest = max(weight.magnitude for weight in weights)
         return CandidateConfig(unbalance_nodes=nodes, unbalance=largest, **_NO_FORCE)
 
     @model_validator(mode="after")
@@ -197,13 +197,13 @@ def _plan_run(run: MeasuredRunConfig, recordings: AnyRecordingsConfig) -> RunCon
         name=run.name,
         unbalances=tuple(
             UnbalanceConfig(
-                node=one.node,
-                magnitude=one.magnitude,
-                phase=convert_phase(one.phase, recordings.shaft_angle or "from_x", recordings.tacho.angle),
+                node=unbalance.node,
+                magnitude=unbalance.magnitude,
+                phase=convert_phase(unbalance.phase, recordings.shaft_angle or "from_x", recordings.tacho.angle),
             )
-            for one in run.unbalances
+            for unbalance in run.unbalances
         ),
-        forces=tuple(ForceConfig(**one.model_dump()) for one in run.forces),
+        forces=tuple(ForceConfig(**force.model_dump()) for force in run.forces),
         frequency_hz=getattr(run, "frequency_hz", None),
         frequency_ratio=getattr(run, "frequency_ratio", None),
     )

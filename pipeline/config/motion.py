@@ -47,12 +47,12 @@ def find_volts(unit: str) -> float | None:
 def to_motion(unit: str, scale: str | None) -> tuple[int, float]:
     """Order k, and size in m/s^k, of one ``unit``; of a voltage by the sensitivity ``scale``."""
     volts = find_volts(unit)
-    found = find_motion(unit)
+    motion = find_motion(unit)
     if volts is not None and scale is not None:
         order, sensitivity = _find_sensitivity(scale)
         return order, volts / sensitivity
-    assert found is not None, unit  # the schema has seen to it
-    return found
+    assert motion is not None, unit  # the schema has seen to it
+    return motion
 
 
 def _find_sensitivity(scale: str) -> tuple[int, float]:
@@ -124,6 +124,6 @@ class MotionConfig(Section):
                 "place, but is missing"
             )
         if len([value, *others] if value is not None else others) > 1:
-            words = " and ".join([*(["length"] if value is not None else []), *others])
-            raise ValueError(f"must be the one unit of the amplitudes, but got {words}: leave out all but one")
+            text = " and ".join([*(["length"] if value is not None else []), *others])
+            raise ValueError(f"must be the one unit of the amplitudes, but got {text}: leave out all but one")
         return value

@@ -117,13 +117,13 @@ def column_of(name: str) -> ConditionColumn:
     word = name.split("_")[-1]
     if word in WRITTEN:
         return ConditionColumn(f"{name}_{WRITTEN[word]}", name, WRITTEN[word])
-    found = find_column(name)
-    if found is None or found.name != name:
+    column = find_column(name)
+    if column is None or column.name != name:
         raise ValueError(
             f"must name a condition by a last word that says what it is ({', '.join(WRITTEN)}) or by its unit "
             f"(preheat_degC), but got '{name}'"
         )
-    return found
+    return column
 
 
 def to_quantity(name: str, value: Any, difference: bool = False) -> float:
@@ -196,8 +196,8 @@ class ConditionColumnConfig(Section):
 
 
 def _check_columns(columns: dict[str, ConditionColumnConfig]) -> dict[str, ConditionColumnConfig]:
-    for name, one in columns.items():
-        to_quantity(name, f"1000 {one.unit}")
+    for name, column in columns.items():
+        to_quantity(name, f"1000 {column.unit}")
     return columns
 
 

@@ -17,7 +17,6 @@ from typing import Any
 
 from pipeline.config.loader import CONF, FILE_KEY
 from pipeline.config.measured import AS_MODELLED
-from pipeline.config.renames import refuse_renamed_in
 from pipeline.errors import ConfigError, nearest
 
 _PATHS = (
@@ -82,7 +81,6 @@ def store_machine(path: Path) -> str:
         )
     if "file" in content:
         raise ConfigError(f"machine.file must be given on the command line alone, but '{path}' has a key 'file'")
-    refuse_renamed_in(content, path, in_machine=True)
     name = f"{clean_name(path)}-{hashlib.sha256(str(path).encode() + path.read_bytes()).hexdigest()[:8]}"
     data = {key: content.pop(key) for key in ("data",) if key in content}
     node = {"machine": _resolve_paths(content, _PATHS, path.parent) | {"file": str(path)}}
@@ -120,7 +118,6 @@ def _store_folder(folder: Path) -> None:
         content = _read_yaml(path, f"a file of --config-dir in {group}/")
         paths = _PATHS if group == "machine" else (*(f"machine.{key}" for key in _PATHS), *_DATA_PATHS)
         if group.startswith(("machine", "experiment")):
-            refuse_renamed_in(content, path, in_machine=group.startswith("machine"))
             content = _resolve_paths(content, paths, path.parent)
         package = _PACKAGE.search(path.read_text(encoding="utf-8"))
         ConfigStore.instance().store(

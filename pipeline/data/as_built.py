@@ -33,7 +33,7 @@ def build_rotor(rotor: RotorConfig, built: AsBuiltConfig) -> RotorModel:
         fine = fine.model_copy(
             update={
                 "shaft": tuple(one.model_copy(update={"elements": n * one.elements}) for one in fine.shaft),
-                "discs": tuple(one.model_copy(update={"node": n * one.node}) for one in rotor.discs),
+                "discs": tuple(disc.model_copy(update={"node": n * disc.node}) for disc in rotor.discs),
                 "bearing_nodes": tuple(n * node for node in rotor.bearing_nodes),
             }
         )
@@ -80,17 +80,19 @@ def simulate_as_built(
             acting[i] = replace(one, magnitude=magnitude, phase=one.phase + angle * turn)
     felt = stand_on_pedestals(bearings, built)
     if built.in_time:
-        found = integrate(rotor, felt, tuple(acting))
+        simulated = integrate(rotor, felt, tuple(acting))
     else:
-        found = simulate(rotor, felt, tuple(acting), own_frequencies)
-    keep = [p for p, (node, _) in enumerate(found.channels) if node % n == 0]
-    channels = tuple((found.channels[p][0] // n, found.channels[p][1]) for p in keep)
-    return replace(found, channels=channels, displacement=found.displacement[:, keep], excitations=tuple(excitations))
+        simulated = simulate(rotor, felt, tuple(acting), own_frequencies)
+    keep = [p for p, (node, _) in enumerate(simulated.channels) if node % n == 0]
+    channels = tuple((simulated.channels[p][0] // n, simulated.channels[p][1]) for p in keep)
+    return replace(
+        simulated, channels=channels, displacement=simulated.displacement[:, keep], excitations=tuple(excitations)
+    )
 
 
 def refine_nodes(excitations: Sequence[Excitation], built: AsBuiltConfig) -> tuple[Excitation, ...]:
     """The same, at the nodes of the rotor as it was built."""
-    return tuple(replace(one, node=built.refinement * one.node) for one in excitations)
+    return tuple(replace(excitation, node=built.refinement * excitation.node) for excitation in excitations)
 
 
 def misplace_probes(

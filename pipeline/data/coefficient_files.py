@@ -172,8 +172,8 @@ def read_known(
             if not len(rows):
                 raise DataError(f"{where} must have rows at the conditions of the data, but it has none: add them")
             columns = {name: table[name][rows] for name in ("speed_rpm", *of[node])}
-            found = _interpolate_known(columns, to_rpm(speeds[at]), where)
-            for name, column in found.items():
+            known = _interpolate_known(columns, to_rpm(speeds[at]), where)
+            for name, column in known.items():
                 values[b, at, COEFFICIENTS.index(name)] = column
     return BearingTable(tuple(nodes), speeds, values, operating)
 
@@ -191,13 +191,13 @@ def _interpolate_known(table: Columns, rpm: np.ndarray, where: str) -> Columns:
             f"{where} must cover the speeds of the data ({rpm.min():.6g} to {rpm.max():.6g} rpm), but it has "
             f"{given[0]:.6g} to {given[-1]:.6g} rpm: nothing is extrapolated"
         )
-    found: Columns = {}
+    columns: Columns = {}
     for name in table.keys() - {"speed_rpm"}:
         column = table[name][order]
         if np.isnan(column).any():
             raise DataError(f"{where} must have {name} at every speed, but some are blank")
-        found[name] = _interpolate(given, column, np.clip(rpm, given[0], given[-1]))
-    return found
+        columns[name] = _interpolate(given, column, np.clip(rpm, given[0], given[-1]))
+    return columns
 
 
 def _interpolate(given: np.ndarray, column: np.ndarray, wanted: np.ndarray) -> np.ndarray:

@@ -115,16 +115,18 @@ def _read_unbalance(dataset: VibrationDataset, planes: tuple[int, ...]) -> np.nd
             "has a frequency of its own: leave it out"
         )
     loads = np.zeros((len(dataset.runs), len(planes)), dtype=complex)
-    for one in dataset.excitations:
-        if one.kind != "unbalance" or one.whirl != "forward":
+    for excitation in dataset.excitations:
+        if excitation.kind != "unbalance" or excitation.whirl != "forward":
             raise DataError(
-                f"influence of weights must come from unbalances that turn forward, but run '{one.run}' has a "
-                f"{one.kind} ({one.whirl}): leave it out"
+                f"influence of weights must come from unbalances that turn forward, but run '{excitation.run}' has a "
+                f"{excitation.kind} ({excitation.whirl}): leave it out"
             )
-        if one.node not in planes:
+        if excitation.node not in planes:
             raise DataError(
-                f"weights must lie in the balancing planes (nodes {', '.join(map(str, planes))}), but run '{one.run}' "
-                f"has one at node {one.node}: name that plane too"
+                f"weights must lie in the balancing planes (nodes {', '.join(map(str, planes))}), "
+                f"but run '{excitation.run}' has one at node {excitation.node}: name that plane too"
             )
-        loads[dataset.runs.index(one.run), planes.index(one.node)] += one.magnitude * np.exp(1j * one.phase)
+        loads[dataset.runs.index(excitation.run), planes.index(excitation.node)] += excitation.magnitude * np.exp(
+            1j * excitation.phase
+        )
     return loads

@@ -116,7 +116,7 @@ class VibrationDataset:
 
     def excitation_of(self, run: int) -> tuple[Excitation, ...]:
         """What acts in the run of this index, without its name: equal for runs that repeat each other."""
-        return tuple(replace(one, run="") for one in self.excitations if one.run == self.runs[run])
+        return tuple(replace(excitation, run="") for excitation in self.excitations if excitation.run == self.runs[run])
 
     def sensor_matrix(self, n_dof: int) -> np.ndarray:
         """(P, n) what each channel shows of the rotor's lateral DOF."""

@@ -32,14 +32,14 @@ def split_states(speeds: np.ndarray, operating: Mapping[str, np.ndarray]) -> lis
     if not operating:
         return [("", np.arange(len(speeds)))]
     values = np.stack([np.asarray(of, dtype=float) for of in operating.values()], axis=1)  # (S, conditions)
-    unique, of = np.unique(values, axis=0, return_inverse=True)
-    of = of.ravel()
-    repeated = any(len(np.unique(speeds[of == i])) < (of == i).sum() for i in range(len(unique)))
-    if repeated or np.bincount(of).min() < 2:
-        of = _rank_conditions(speeds, values)
+    unique, conditions = np.unique(values, axis=0, return_inverse=True)
+    conditions = conditions.ravel()
+    repeated = any(len(np.unique(speeds[conditions == i])) < (conditions == i).sum() for i in range(len(unique)))
+    if repeated or np.bincount(conditions).min() < 2:
+        conditions = _rank_conditions(speeds, values)
     found = []
-    for i in range(of.max() + 1):
-        points = np.flatnonzero(of == i)
+    for i in range(conditions.max() + 1):
+        points = np.flatnonzero(conditions == i)
         points = points[np.argsort(speeds[points], kind="stable")]
         found.append((name_state({name: of_all[points] for name, of_all in operating.items()}), points))
     return found

@@ -167,12 +167,12 @@ def _read_excel(path: Path, text: TextFormat) -> tuple[list[str], Sequence[Seque
 
 
 def _read_mat(path: Path, columns: Mapping[str, str]) -> tuple[list[str], Sequence[Sequence[Any] | np.ndarray]]:
-    found = read_mat(path, columns)
-    lengths = {name: len(values) for name, values in found.items()}
+    mat = read_mat(path, columns)
+    lengths = {name: len(values) for name, values in mat.items()}
     if len(set(lengths.values())) > 1:
-        words = ", ".join(f"'{name}' {count}" for name, count in lengths.items())
-        raise DataError(f"'{path}' must have as many values in every variable, but it has {words}")
-    return list(found), [values if values.dtype.kind in "iuf" else values.tolist() for values in found.values()]
+        text = ", ".join(f"'{name}' {count}" for name, count in lengths.items())
+        raise DataError(f"'{path}' must have as many values in every variable, but it has {text}")
+    return list(mat), [values if values.dtype.kind in "iuf" else values.tolist() for values in mat.values()]
 
 
 def _read_parquet(path: Path) -> tuple[list[str], Sequence[Sequence[Any] | np.ndarray]]:

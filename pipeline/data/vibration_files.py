@@ -220,16 +220,16 @@ def _assemble(
     values = table["amplitude_m"] * np.exp(1j * np.radians(table["phase_deg"]))
     displacement[at_point, at_channel.ravel(), at_run] = values
     speeds = rpm * RAD_S_PER_RPM
-    own = None
+    frequencies = None
     if _FREQUENCY in table and not np.isnan(table[_FREQUENCY]).all():
-        own = _read_frequencies(table, path, speeds, runs, at_point, at_run)
+        frequencies = _read_frequencies(table, path, speeds, runs, at_point, at_run)
     return VibrationDataset(
         speeds,
         runs,
         tuple(pairs),
         displacement,
         excitations,
-        own,
+        frequencies,
         conditions=_read_conditions(table, path, runs) if _CONDITION in table else None,
         operating=operating,
         present=None if present.all() else present,

@@ -62,7 +62,7 @@ def list_metrics(errors: CoefficientErrors) -> dict[str, dict[str, dict[str, flo
 
 def find_worst_mean(errors: CoefficientErrors, name: str) -> float:
     """The largest mean error of one coefficient among the bearings, percent."""
-    return max((of[name].mean_error_percent for of in errors.values() if name in of), default=0.0)
+    return max((error[name].mean_error_percent for error in errors.values() if name in error), default=0.0)
 
 
 def measure_coverage(errors: np.ndarray, deviation: np.ndarray) -> np.ndarray:

@@ -39,7 +39,7 @@ class NumberError:
 def measure_numbers(numbers: Mapping[str, tuple[float, float]], machine: MachineConfig) -> dict[str, NumberError]:
     """The errors of ``numbers`` (name -> value and standard deviation, SI) that the modelled machine has, too."""
     true = find_true_numbers(machine)
-    return {name: NumberError(*one, true[name]) for name, one in numbers.items() if name in true}
+    return {name: NumberError(*number, true[name]) for name, number in numbers.items() if name in true}
 
 
 def find_true_numbers(machine: MachineConfig) -> dict[str, float]:

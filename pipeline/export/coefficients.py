@@ -92,7 +92,7 @@ class Exported:
 
 def list_conventions(states: Sequence[Exported]) -> list[str]:
     """Lines for the head of what holds every state."""
-    names = "; ".join(one.state for one in states if one.operating)
+    names = "; ".join(state.state for state in states if state.operating)
     return [*replace(states[0], operating={}).conventions(), *([f"States: {names}."] if names else [])]
 
 
@@ -102,7 +102,7 @@ def tabulate(*states: Exported) -> dict[str, Any]:
     In SI they are those of ``known_coefficients.csv``; in US units the names say so (``kxx_lb_per_in``), which no one
     takes for SI. Conditions have columns of their own, such as ``oil_temperature_degC``.
     """
-    parts = [_tabulate(one) for one in states]
+    parts = [_tabulate(state) for state in states]
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
@@ -173,7 +173,7 @@ def document(*states: Exported, numbers: Sequence[Number] = ()) -> Document:
         stiffness_unit=stiffness,
         damping_unit=damping,
         conventions=list(CONVENTIONS),
-        bearings=[bearing for one in states for bearing in _list_bearings(one)],
+        bearings=[bearing for state in states for bearing in _list_bearings(state)],
         physical_numbers=list(numbers),
     )
 

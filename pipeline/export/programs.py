@@ -29,8 +29,8 @@ _LONGEST = 31
 def write_dyrobes(exported: Exported, b: int) -> str:
     """``N, unit, Nc, kRot, 0, 0, 0 comments``, then ``rpm, Kxx .. Cyy`` a line: counter-clockwise rotation, kRot 0."""
     units = " and ".join(NAMES[exported.units])
-    words = f"{exported.title}, node {exported.table.nodes[b]}: {units}; {BRIEF}"
-    head = f"{len(exported.rpm)}, {_DYROBES_UNITS[exported.units]}, 8, 0, 0, 0, 0  {words}"
+    text = f"{exported.title}, node {exported.table.nodes[b]}: {units}; {BRIEF}"
+    head = f"{len(exported.rpm)}, {_DYROBES_UNITS[exported.units]}, 8, 0, 0, 0, 0  {text}"
     rows = [
         ", ".join([f"{rpm:.6f}", *(f"{value:.9E}" for value in row)])
         for rpm, row in zip(exported.rpm, exported.values[b], strict=True)
@@ -93,11 +93,11 @@ def write_workbook(path: Path, *states: Exported, numbers: Sequence[Number] = ()
     if numbers:
         sheet = book.create_sheet("physical numbers")
         sheet.append(["number", "value", "standard deviation", "unit"])
-        for one in numbers:
-            sheet.append([one.name, one.value, one.std, one.unit])
+        for number in numbers:
+            sheet.append([number.name, number.value, number.std, number.unit])
     sheet = book.create_sheet("conventions")
-    for words in list_conventions(states):
-        sheet.append([words])
+    for convention in list_conventions(states):
+        sheet.append([convention])
     book.save(path)
 
 

@@ -90,7 +90,7 @@ def combine_at(problem: OutputError, weights: torch.Tensor) -> Combinations:
     ]
     ends = [Combination(dict(zip(labels, directions[:, i].tolist(), strict=True)), float(spread[i])) for i in (0, -1)]
     left, spans = np.sqrt(np.diag(covariance)[problem.size - problem.n_parameters :]), {}
-    kinds = [one.kind for one in measurement.parameters]
+    kinds = [parameter.kind for parameter in measurement.parameters]
     for kind in dict.fromkeys(kinds):
         own = [float(value) for value, of in zip(left, kinds, strict=True) if of == kind]
         spans[kind] = (min(own), max(own))
@@ -127,7 +127,7 @@ def _try_runs(
     before, tried = _deviation(information, along), []
     for share in _SPEEDS:
         speeds = np.array([share * top])
-        acting = tuple(one for one in data.excitations if one.run == data.runs[run])
+        acting = tuple(excitation for excitation in data.excitations if excitation.run == data.runs[run])
         read = np.zeros((1, len(data.channels), 1), dtype=complex)
         known = replace(measurement.known.at(np.array([-1])), speeds=speeds)
         other = replace(

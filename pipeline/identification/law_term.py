@@ -57,7 +57,7 @@ class LawTerm:
         """(Th,) of theta: a guess is within its factor by one standard deviation of the logarithm."""
         import torch
 
-        return torch.tensor([one.deviation**-2 for one in self.laws.parameters], dtype=torch.float64)
+        return torch.tensor([parameter.deviation**-2 for parameter in self.laws.parameters], dtype=torch.float64)
 
     def evaluate(self, theta: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """(G, M, S, U) unknowns of ``theta`` (G, Th), N/m and N s/m, and their slopes (G, M, S, U, Th).

@@ -163,19 +163,19 @@ class OutputErrorLoss:
             require_temperatures(measurement.laws, measurement.dataset.operating)
         elif not setup.force:
             require_identifiable((diagnosis or self.diagnose(measurement, setup)).reports)
-        found = fit_sensors(measurement, setup, progress)
-        quality = output_error_quality(found)
+        sensors = fit_sensors(measurement, setup, progress)
+        quality = output_error_quality(sensors)
         return Fit(
-            model=found.identified,
-            outcome=found.minimum.outcomes[0],
-            loss=float(found.problem.loss(found.weights)),
+            model=sensors.identified,
+            outcome=sensors.minimum.outcomes[0],
+            loss=float(sensors.problem.loss(sensors.weights)),
             held_out_loss=None,
-            steps=found.minimum.steps,
-            seconds=found.minimum.seconds,
-            history=found.minimum.history,
-            uncertainty=uncertainty_of(found, quality.inflation if setup.loss.noise == "estimated" else 1.0),
+            steps=sensors.minimum.steps,
+            seconds=sensors.minimum.seconds,
+            history=sensors.minimum.history,
+            uncertainty=uncertainty_of(sensors, quality.inflation if setup.loss.noise == "estimated" else 1.0),
             quality=quality,
-            numbers=found.numbers(),
+            numbers=sensors.numbers(),
         )
 
 
@@ -184,10 +184,10 @@ def fit_sensors(measurement: Measurement, setup: FitSetup, progress: Progress | 
     from pipeline.identification.output_error_fit import fit_output_error
     from pipeline.identification.trained_fit import train_hidden
 
-    found = fit_output_error(measurement, setup, progress)
-    if setup.loss.hidden == "trained" and found.minimum.outcomes[0] is not Outcome.INTERRUPTED:
-        return train_hidden(found, setup, progress)
-    return found
+    output_error = fit_output_error(measurement, setup, progress)
+    if setup.loss.hidden == "trained" and output_error.minimum.outcomes[0] is not Outcome.INTERRUPTED:
+        return train_hidden(output_error, setup, progress)
+    return output_error
 
 
 _LABELS = {

@@ -94,8 +94,10 @@ class OutputErrorFit:
         spread = np.sqrt(np.diag(self.error.matrix)[first : first + self.problem.n_numbers])
         values = laws.numbers(self.problem.theta(self.weights)[0].numpy())
         return tuple(
-            PhysicalNumber(one.name, float(value), float(value * share), one.unit, one.guess, one.within)
-            for one, value, share in zip(laws.parameters, values, spread, strict=True)
+            PhysicalNumber(
+                parameter.name, float(value), float(value * share), parameter.unit, parameter.guess, parameter.within
+            )
+            for parameter, value, share in zip(laws.parameters, values, spread, strict=True)
         )
 
     def model_parameters(self) -> tuple[FittedParameter, ...]:

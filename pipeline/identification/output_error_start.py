@@ -151,7 +151,7 @@ def align_weights(measurement: Measurement) -> Measurement:
     Far from it, Gauss-Newton steps end in another valley. For any bearings the response turns with the weights, so the
     angle is that between what the runs' differences show and what the guessed bearings make of them.
     """
-    at = [t for t, one in enumerate(measurement.parameters) if one.kind == "weight_angle"]
+    at = [t for t, parameter in enumerate(measurement.parameters) if parameter.kind == "weight_angle"]
     if not at:
         return measurement
     n_speeds, unknowns = len(measurement.dataset.speeds), measurement.unknowns
@@ -235,14 +235,14 @@ def robust_start(problem: OutputError, values: np.ndarray) -> torch.Tensor:
     rows: list[torch.Tensor] = []
     for m, u in problem.active:
         features, target = problem.features[m], raw[m, :, u]
-        weight, found = torch.ones_like(target), torch.zeros(features.shape[-1], dtype=target.dtype)
+        weight, solution = torch.ones_like(target), torch.zeros(features.shape[-1], dtype=target.dtype)
         for _ in range(_ROBUST_ROUNDS):
             weighted = features * weight[:, None]
-            ridge = _RIDGE * torch.eye(len(found), dtype=target.dtype)
-            found = torch.linalg.solve(features.T @ weighted + ridge, weighted.T @ target)
-            off = (target - features @ found).abs()
+            ridge = _RIDGE * torch.eye(len(solution), dtype=target.dtype)
+            solution = torch.linalg.solve(features.T @ weighted + ridge, weighted.T @ target)
+            off = (target - features @ solution).abs()
             weight = 1 / (off / off.median().clamp(min=_SMALLEST)).clamp(min=1.0)
-        rows.append(found * problem.kept[len(rows)])
+        rows.append(solution * problem.kept[len(rows)])
     rest = torch.zeros(problem.n_rest, dtype=raw.dtype)
     return torch.cat([torch.stack(rows).flatten(), rest])[None, None]
 

@@ -74,7 +74,9 @@ class Sense:
             data = replace(data, displacement=data.displacement.conj())
             data = replace(data, subtracted=None if taken is None else taken.conj())
         if self.against:
-            data = replace(data, excitations=tuple(replace(one, phase=-one.phase) for one in data.excitations))
+            data = replace(
+                data, excitations=tuple(replace(excitation, phase=-excitation.phase) for excitation in data.excitations)
+            )
         if self.mirrored:
             data = replace(data, channels=tuple((node, -angle % 360.0) for node, angle in data.channels))
         return data
@@ -110,12 +112,12 @@ class Senses:
     @property
     def open(self) -> tuple[Trial, ...]:
         """Those that the data do not tell from the best, which is the first."""
-        return tuple(one for one in self.trials if one.chi_square < max(DECISIVE, self.gained))
+        return tuple(trial for trial in self.trials if trial.chi_square < max(DECISIVE, self.gained))
 
     @property
     def sentence(self) -> str:
         """What the data choose, and by how much."""
-        best, rest = self.trials[0], [one for one in self.trials if one not in self.open]
+        best, rest = self.trials[0], [trial for trial in self.trials if trial not in self.open]
         others = [one for one in self.open[1:] if one.sense != best.sense.twin]
         if others:
             text = f"the data do not tell {best.sense.words} from {'; '.join(one.sense.words for one in others)}"
@@ -133,7 +135,7 @@ class Senses:
                 " and these readings do not tell it. Stiffness is the same in both"
             )
         else:
-            twin = next(one for one in self.trials if one.sense == best.sense.twin)
+            twin = next(trial for trial in self.trials if trial.sense == best.sense.twin)
             text += f". The same machine mirrored ({twin.sense.words}) would need damping of the other sign"
             text += f": chi-square {twin.chi_square:.3g} larger" if math.isfinite(twin.chi_square) else ": no fit"
         if self.gained >= DECISIVE:
@@ -199,7 +201,7 @@ def _fit(measurement: Measurement, setup: FitSetup) -> list[OutputErrorFit]:
     start = prepare_output_error(measurement, setup)
     # A damping that runs off to zero is no mistake here: it is what the wrong sign of its phase leaves of it.
     fits = [fit_from(start, setup, near=near) for near in ((False, True) if measurement.parameters else (False,))]
-    return [one for one in fits if np.isfinite(one.weights.numpy()).all()]
+    return [fit for fit in fits if np.isfinite(fit.weights.numpy()).all()]
 
 
 def _compare(
@@ -242,8 +244,8 @@ def _start_at(fit: OutputErrorFit, twin: OutputErrorFit, setup: FitSetup) -> Out
     planes = 2 * other.n_planes
     rest[..., :planes] *= other.sensors.plane_scale / own.problem.sensors.plane_scale
     rest[..., 1:planes:2] *= -1.0  # imaginary parts
-    for t, one in enumerate(other.measurement.parameters):
-        if one.kind in _ANGLES or one.detail == "imaginary":
+    for t, parameter in enumerate(other.measurement.parameters):
+        if parameter.kind in _ANGLES or parameter.detail == "imaginary":
             rest[..., planes + t] *= -1.0
     weights[..., own.problem.n_outer :] = rest
     found = fit_from(

@@ -157,33 +157,33 @@ class SensorDeviations:
 
         block, precision = self._block(state, b), self.precision[b]
         change = self._bearings(state, block)
-        found = respond(block, change, state.unbalance)
-        by_coefficient = derive(block, found).flatten(-2)  # (G, S, P, R, 8 B)
+        response = respond(block, change, state.unbalance)
+        by_coefficient = derive(block, response).flatten(-2)  # (G, S, P, R, 8 B)
         _, slope, by_numbers = self.unknowns(state)
         by_unknowns = by_coefficient @ self.influence.to(by_coefficient.dtype)  # (G, S, P, R, A)
         by_outputs = by_unknowns * slope[:, :, None, None]
         by_theta = by_unknowns @ by_numbers.to(by_unknowns.dtype)[:, :, None]
-        rest = [by_theta * precision[..., None], self._by_planes(found, precision)]
+        rest = [by_theta * precision[..., None], self._by_planes(response, precision)]
         if self.n_parameters:
             known = self.known_variation.to(by_coefficient.dtype)[:, None]
-            by_model = derive_by_parameters(self.variations[b], found, change, state.unbalance)
+            by_model = derive_by_parameters(self.variations[b], response, change, state.unbalance)
             rest.append((by_model + by_coefficient @ known) * precision[..., None])
         rows = [
-            ((found.sensors - self.measured[b]) * precision)[..., None],
+            ((response.sensors - self.measured[b]) * precision)[..., None],
             by_outputs * precision[..., None],
             torch.cat(rest, dim=-1),
         ]
-        flat = [self._whiten(b, part).flatten(2, 3) for part in rows]
+        flat = [self._whiten(b, row).flatten(2, 3) for row in rows]
         by_parts = [torch.cat([part.real, part.imag], dim=2) for part in flat]
         return by_parts[0], by_parts[1], by_parts[2]
 
-    def _by_planes(self, found: BlockResponse, precision: torch.Tensor) -> torch.Tensor:
+    def _by_planes(self, response: BlockResponse, precision: torch.Tensor) -> torch.Tensor:
         """(G, S, P, R, 2 N) derivative by the weights of the residual unbalance, over the noise."""
         import torch
 
-        own = torch.zeros(*found.sensors.shape, self.n_planes, dtype=found.sensors.dtype)
-        if found.unit_sensors.shape[-1]:
-            own = found.unit_sensors[:, :, :, None, :].expand(own.shape) * precision[..., None]
+        own = torch.zeros(*response.sensors.shape, self.n_planes, dtype=response.sensors.dtype)
+        if response.unit_sensors.shape[-1]:
+            own = response.unit_sensors[:, :, :, None, :].expand(own.shape) * precision[..., None]
         own = self.plane_scale * own
         return torch.stack([own, 1j * own], dim=-1).flatten(-2)
 

@@ -75,7 +75,7 @@ class TrainedFit(OutputErrorFit):
         return MeanSquareError(self.scatter, 0, np.zeros(len(self.problem.active)))
 
 
-def train_hidden(found: OutputErrorFit, setup: FitSetup, progress: Progress | None = None) -> TrainedFit:
+def train_hidden(fit: OutputErrorFit, setup: FitSetup, progress: Progress | None = None) -> TrainedFit:
     """Train all layers, from the fit with hidden layers as drawn, whose precisions of the readings are kept.
 
     Raises ConfigError for a model without hidden layers, and for fewer than four speeds.
@@ -87,7 +87,7 @@ def train_hidden(found: OutputErrorFit, setup: FitSetup, progress: Progress | No
             f"loss.hidden=trained must have a model with hidden layers, but got model.kind={setup.model.kind}: choose "
             "model=network_fluid_film model.width=8, or loss.hidden=drawn"
         )
-    began, problem, count = time.perf_counter(), found.problem, setup.loss.networks
+    began, problem, count = time.perf_counter(), fit.problem, setup.loss.networks
     speeds = problem.measurement.dataset.speeds
     if len(speeds) < FEWEST_SPEEDS:
         raise ConfigError(
@@ -99,7 +99,7 @@ def train_hidden(found: OutputErrorFit, setup: FitSetup, progress: Progress | No
     own, other = (_weigh(problem.sensors, share) for share in (halves, (2 - halves) * (halves != 1)))
     signs = torch.randn(count // 2, problem.n_parameters, generator=generator, dtype=torch.float64)
     prior = torch.stack([signs, -signs], dim=1).flatten(0, 1)
-    every = found.weights.repeat(count, 1, 1)
+    every = fit.weights.repeat(count, 1, 1)
     linear = levenberg_marquardt(problem.with_sensors(own), every, section, until_still())
     inputs = problem.basis.model.scaled_inputs(problem.measurement.dataset.points)
     start = _start(problem, linear, inputs, setup, generator)
@@ -110,7 +110,7 @@ def train_hidden(found: OutputErrorFit, setup: FitSetup, progress: Progress | No
         levenberg_marquardt(training, start, section, watch)
     except KeyboardInterrupt:
         interrupted = True
-    return _mean(found, training, watch, interrupted, began)
+    return _mean(fit, training, watch, interrupted, began)
 
 
 @dataclass(kw_only=True)
@@ -179,7 +179,7 @@ def _start(
     model, guess = problem.basis.model, initial_guess(setup, problem.measurement.unknowns)
     values = model.physical(problem.outputs(linear), problem.sensors.scale)
     networks = [
-        model.with_output_at(model.spread_parameters(guess, generator), inputs, one).flatten() for one in values
+        model.with_output_at(model.spread_parameters(guess, generator), inputs, value).flatten() for value in values
     ]
     return torch.cat([torch.stack(networks)[:, None], linear[..., problem.n_outer :]], dim=-1)
 
@@ -187,13 +187,11 @@ def _start(
 # --- the mean of the networks ----------------------------------------------------------------------------
 
 
-def _mean(
-    found: OutputErrorFit, training: TrainedNetworks, watch: _Judge, interrupted: bool, began: float
-) -> TrainedFit:
+def _mean(fit: OutputErrorFit, training: TrainedNetworks, watch: _Judge, interrupted: bool, began: float) -> TrainedFit:
     """The mean of the networks at the minimum, and their scatter about it."""
     import torch
 
-    numbers, before, start = watch.best, found.problem, found.start
+    numbers, before, start = watch.best, fit.problem, fit.start
     speeds = before.measurement.dataset.speeds
     alone = before.basis.model.inputs == (SPEED,)
     over = torch.linspace(-1, 1, _POINTS, dtype=numbers.dtype)[:, None] if alone else training.inputs
@@ -216,21 +214,21 @@ def _mean(
         answer = each[int(watch.score[:, 0].argmin())]
     off = (each - answer).numpy() * _student(len(each) // 2)  # the networks come in pairs
     held_out = (None if one is None else of(one) for one in (start.held_out_speeds, start.held_out_runs))
-    steps = found.minimum.steps
-    history = (*found.minimum.history, *(row | {"step": steps + i} for i, row in enumerate(watch.history)))
+    steps = fit.minimum.steps
+    history = (*fit.minimum.history, *(row | {"step": steps + i} for i, row in enumerate(watch.history)))
     return TrainedFit(
         start=replace(start, held_out_speeds=next(held_out), held_out_runs=next(held_out)),
         problem=problem,
         minimum=replace(
-            found.minimum,
+            fit.minimum,
             parameters=answer[None, None],
             outcomes=(watch.outcome(interrupted),),
             steps=steps + len(watch.history),
-            seconds=found.minimum.seconds + time.perf_counter() - began,
+            seconds=fit.minimum.seconds + time.perf_counter() - began,
             history=history,
         ),
-        shares=found.shares,
-        factor=found.factor,
+        shares=fit.shares,
+        factor=fit.factor,
         scatter=off.T @ off / len(each),
     )
 

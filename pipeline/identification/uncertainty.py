@@ -165,7 +165,7 @@ def load_uncertainty(folder: Path, identified: IdentifiedModel) -> Uncertainty |
         if not parts:
             return None
         unbalance = parts["residual_unbalance"][0] + 1j * parts["residual_unbalance"][1]
-        found = Uncertainty(
+        uncertainty = Uncertainty(
             parts["weights"],
             parts["active"],
             parts["covariance"],
@@ -176,15 +176,15 @@ def load_uncertainty(folder: Path, identified: IdentifiedModel) -> Uncertainty |
             int(parts["n_local"][0]),
         )
         size = (
-            len(found.active) * (found.weights.shape[-1] + found.n_local)
+            len(uncertainty.active) * (uncertainty.weights.shape[-1] + uncertainty.n_local)
             + (0 if identified.theta is None else len(identified.theta))
-            + 2 * len(found.planes)
-            + len(found.parameters)
+            + 2 * len(uncertainty.planes)
+            + len(uncertainty.parameters)
         )
-        if found.covariance.shape != (size, size) or len(found.weights) != len(identified.parameters):
+        if uncertainty.covariance.shape != (size, size) or len(uncertainty.weights) != len(identified.parameters):
             raise ValueError("its numbers do not fit the model")
     except (OSError, SafetensorError, KeyError, IndexError, ValueError) as error:
         raise DataError(
             f"'{path}' must belong to the model beside it, but {error}: train again with stage=train"
         ) from None
-    return found
+    return uncertainty

@@ -59,11 +59,11 @@ def size_prior(
     if guess.within is None:
         return None
     sizes = guess.sizes(unknowns)
-    for own, (m, u) in zip(features, unknowns.active, strict=True):
+    for feature, (m, u) in zip(features, unknowns.active, strict=True):
         positive = model.positive[u]
         share = float(sizes[m, u] / scale[m, 0, u])
         deviation = np.log(guess.within) if positive else guess.within * share
-        rows.append(own.mean(0) / deviation)
+        rows.append(feature.mean(0) / deviation)
         aims.append(np.log(share) / deviation if positive else 0.0)
     return SizePrior(torch.stack(rows), torch.tensor(aims, dtype=rows[0].dtype))
 

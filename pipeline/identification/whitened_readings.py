@@ -61,7 +61,9 @@ class WhitenedReadings:
         import torch
 
         deviations = self.deviations(state)
-        return torch.cat([torch.view_as_real(one).reshape(len(one), -1) for one in deviations], dim=-1)
+        return torch.cat(
+            [torch.view_as_real(deviation).reshape(len(deviation), -1) for deviation in deviations], dim=-1
+        )
 
     def jacobian(self, state: SensorState) -> torch.Tensor:
         """(G, rows, Z) derivative of the rows by the weights."""

@@ -56,7 +56,7 @@ def read_measured_runs(config: AnyRecordingsConfig) -> MeasuredRuns:
     runs = _read_runs(config)
     notes = [note for run in runs for note in run.notes] + _note_zeros(runs)
     for run in runs:
-        sizes = {probe: float(np.sqrt((np.abs(of.vectors) ** 2).mean())) for probe, of in run.tracks.items()}
+        sizes = {probe: float(np.sqrt((np.abs(track.vectors) ** 2).mean())) for probe, track in run.tracks.items()}
         notes += note_dead(run.name, sizes)
     asynchronous = {run.name for run in config.runs if isinstance(run, TableRunConfig) and run.asynchronous}
     if config.slow_roll is not None:  # runout turns with the shaft
@@ -143,10 +143,12 @@ def list_excitations(config: AnyRecordingsConfig) -> tuple[Excitation, ...]:
 
 def _list_acting(config: AnyRecordingsConfig, run: MeasuredRunConfig) -> list[Excitation]:
     acting: list[Excitation] = []
-    for one in run.unbalances:
-        phase = convert_phase(one.phase, config.shaft_angle or "from_x", config.tacho.angle)
-        acting.append(Excitation(run.name, "unbalance", one.node, one.magnitude, phase))
-    acting += [Excitation(run.name, "force", one.node, one.magnitude, one.phase, one.whirl) for one in run.forces]
+    for unbalance in run.unbalances:
+        phase = convert_phase(unbalance.phase, config.shaft_angle or "from_x", config.tacho.angle)
+        acting.append(Excitation(run.name, "unbalance", unbalance.node, unbalance.magnitude, phase))
+    acting += [
+        Excitation(run.name, "force", force.node, force.magnitude, force.phase, force.whirl) for force in run.forces
+    ]
     return acting
 
 

@@ -32,7 +32,7 @@ def find_conditions(config: AnyRecordingsConfig, runs: Sequence[RunTracks], spee
     logged = _read_log(config)
     found = []
     for run, tracks in zip(config.runs, runs, strict=True):
-        own = {name: np.interp(speeds, *of) for name, of in tracks.conditions.items()}
+        own = {name: np.interp(speeds, *condition) for name, condition in tracks.conditions.items()}
         if logged is not None:
             own |= _look_up(logged, run, tracks, speeds, f"'{config.conditions_file}'")
         own |= {name: np.full(len(speeds), value) for name, value in run.operating.items()}
@@ -108,7 +108,9 @@ def name_recordings(config: AnyRecordingsConfig, conditions: Conditions) -> tupl
     """R names: that of the run, with its conditions where several recordings have it."""
     names = [run.name for run in config.runs]
     return tuple(
-        f"{name}, {name_state({key: of[:, r] for key, of in conditions.items()})}" if names.count(name) > 1 else name
+        f"{name}, {name_state({key: condition[:, r] for key, condition in conditions.items()})}"
+        if names.count(name) > 1
+        else name
         for r, name in enumerate(names)
     )
 
@@ -156,10 +158,10 @@ def to_points(
             present[place[:, r], g] = True
             own[place[:, r], g] = recorded.frequencies[:, r]
     acting = tuple(
-        replace(one, run=run)
+        replace(excitation, run=run)
         for run, group in zip(runs, groups, strict=True)
-        for one in recorded.excitations
-        if one.run == recorded.runs[group[0]]
+        for excitation in recorded.excitations
+        if excitation.run == recorded.runs[group[0]]
     )
     notes = [
         f"the recordings {', '.join(recorded.runs[r] for r in group)} have the same excitation at other conditions: "

@@ -47,9 +47,9 @@ def note_size(dataset: VibrationDataset, rotor: RotorModel, stiffness: float, da
     ratio = compare_size(dataset, rotor, stiffness, damping)
     if not (np.isfinite(ratio) and (ratio > FAR_OFF or ratio < 1 / FAR_OFF)):
         return []
-    words = f"{ratio:.2g} times larger" if ratio > 1 else f"{1 / ratio:.2g} times smaller"
+    text = f"{ratio:.2g} times larger" if ratio > 1 else f"{1 / ratio:.2g} times smaller"
     return [
-        f"the amplitudes are {words} than the rotor's on bearings of {stiffness:.2g} N/m (median): is a unit wrong, of "
+        f"the amplitudes are {text} than the rotor's on bearings of {stiffness:.2g} N/m (median): is a unit wrong, of "
         "the lengths or of the unbalances?"
     ]
 

@@ -38,10 +38,10 @@ def check_probes(probes: Mapping[str, ProbeConfig]) -> None:
             )
         angles = np.array([probe.angle for probe in here.values()])
         if np.abs(np.sin(angles[:, None] - angles)).max() < np.sin(LEAST_SPREAD):
-            words = ", ".join(f"'{name}' at {np.degrees(probe.angle):g} deg" for name, probe in here.items())
+            text = ", ".join(f"'{name}' at {np.degrees(probe.angle):g} deg" for name, probe in here.items())
             raise ConfigError(
                 f"machine.recordings.probes must span the plane at each node, but those of node {node} lie within "
-                f"{np.degrees(LEAST_SPREAD):g} deg of one line: {words}"
+                f"{np.degrees(LEAST_SPREAD):g} deg of one line: {text}"
             )
 
 

@@ -67,8 +67,8 @@ def check_recording(path: Path, channels: Mapping[str, np.ndarray], clock: Clock
     """The recording of ``channels`` (n,) each, with the sample rate that its file states in Hz (None: it does not)."""
     lengths = {name: len(values) for name, values in channels.items()}
     if len(set(lengths.values())) > 1:
-        words = ", ".join(f"'{name}' {count}" for name, count in lengths.items())
-        raise DataError(f"'{path}' must have as many samples in every channel, but it has {words}")
+        text = ", ".join(f"'{name}' {count}" for name, count in lengths.items())
+        raise DataError(f"'{path}' must have as many samples in every channel, but it has {text}")
     for name, values in channels.items():
         bad = np.flatnonzero(~(np.abs(values) < _TOO_LARGE))
         if len(bad):
@@ -164,14 +164,14 @@ def _read_rate(path: Path, attribute: str | None, places: Sequence[Any]) -> floa
 
 
 def _read_mat(path: Path, names: Sequence[str], rate: str | None) -> tuple[dict[str, np.ndarray], float | None]:
-    found = read_mat(path, [*names, *([rate] if rate else [])])
-    for name, values in found.items():
+    mat = read_mat(path, [*names, *([rate] if rate else [])])
+    for name, values in mat.items():
         if values.dtype.kind not in "iuf":
             raise DataError(f"'{path}' must have numbers in '{name}', but it has {values.dtype.name} values")
-    stated = found.pop(rate) if rate and rate not in names else found[rate] if rate else None
+    stated = mat.pop(rate) if rate and rate not in names else mat[rate] if rate else None
     if stated is not None and (len(stated) != 1 or not 0 < float(stated[0]) < np.inf):
         raise DataError(f"'{path}' must have a rate in Hz in the variable '{rate}', but it has {stated[:3]}")
-    return {name: found[name].astype(float) for name in names}, None if stated is None else float(stated[0])
+    return {name: mat[name].astype(float) for name in names}, None if stated is None else float(stated[0])
 
 
 def _read_tdms(path: Path, names: Sequence[str]) -> tuple[dict[str, np.ndarray], float | None]:
@@ -193,6 +193,6 @@ def _read_tdms(path: Path, names: Sequence[str]) -> tuple[dict[str, np.ndarray],
             step = float(every[name].properties.get("wf_increment", 0.0))
             rates |= {1 / step} if step > 0 else set()
     if len(rates) > 1:
-        words = ", ".join(f"{rate:g} Hz" for rate in sorted(rates))
-        raise DataError(f"'{path}' must have channels of one sample rate, but it has {words}")
+        text = ", ".join(f"{rate:g} Hz" for rate in sorted(rates))
+        raise DataError(f"'{path}' must have channels of one sample rate, but it has {text}")
     return channels, next(iter(rates), None)

@@ -40,7 +40,9 @@ def read_ross_runs(config: RossRecordingsConfig, excitations: Sequence[Excitatio
             raise DataError(
                 f"'{path}' must have a value a speed and DOF, but its shape is {response.shape} of {len(speeds)} speeds"
             )
-        _check_unbalances(path, content.get("unbalance"), [one for one in excitations if one.run == run.name])
+        _check_unbalances(
+            path, content.get("unbalance"), [excitation for excitation in excitations if excitation.run == run.name]
+        )
         tracks = {}
         for name, probe in config.probes.items():
             if _DOF * probe.node + 1 >= len(response):
@@ -93,8 +95,8 @@ def _check_unbalances(path: Path, stated: Any, acting: Sequence[Excitation]) -> 
         for a, b in zip(theirs, ours, strict=True)
     )
     if not same:
-        words = " and ".join(f"{size:g} kg m at node {node:g}, {phase:g} rad" for node, size, phase in theirs)
+        text = " and ".join(f"{size:g} kg m at node {node:g}, {phase:g} rad" for node, size, phase in theirs)
         raise DataError(
             f"'{path}' must have the unbalances of its run in machine.recordings.runs (phases from x, shaft_angle: "
-            f"from_x), but it says {words}: write these"
+            f"from_x), but it says {text}: write these"
         )

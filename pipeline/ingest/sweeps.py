@@ -15,14 +15,14 @@ def measure_sweep(run: RunTracks, most: float) -> SweepBias | None:
     """
     if run.times is None or len(run.times) < 3:
         return None
-    found: list[SweepBias] = []
+    biases: list[SweepBias] = []
     for track in run.tracks.values():
         reading = read_peak(track.speeds, np.abs(track.vectors))
         if reading is not None:
             rates = np.gradient(track.speeds, run.times)
             rate = float(np.interp(reading.frequency, track.speeds, rates))
-            found.append(measure_bias(*find_mode(reading, rate), rate, most))
-    return max(found, key=lambda bias: abs(bias.peak_shift), default=None)
+            biases.append(measure_bias(*find_mode(reading, rate), rate, most))
+    return max(biases, key=lambda bias: abs(bias.peak_shift), default=None)
 
 
 def note_sweep(run: RunTracks, bias: SweepBias | None) -> list[str]:

@@ -31,7 +31,7 @@ def read_table_runs(config: TableRecordingsConfig) -> tuple[RunTracks, ...]:
     for run in config.runs:
         path = Path(run.sources(config.file)[0])
         rows = _read_wide(config, run, path) if config.layout == "wide" else _read_long(config, run, path)
-        tracks = {name: _make_track(config, run, name, one) for name, one in rows.items()}
+        tracks = {name: _make_track(config, run, name, row) for name, row in rows.items()}
         phases = np.concatenate([phase for _, _, phase, _ in rows.values()])
         notes = note_cut(path) + _note_unit(phases, config.conventions.phase_unit, path)
         conditions = _read_conditions(config, run, path)
@@ -46,7 +46,7 @@ def _read_conditions(
     named = config.columns
     if not named.conditions:
         return {}
-    columns = {name: one.column for name, one in named.conditions.items()}
+    columns = {name: condition.column for name, condition in named.conditions.items()}
     kinds = dict.fromkeys((named.speed, *columns.values()), "number")
     kinds |= {named.run: "text"} if config.layout == "long" else {}
     table = read_table(path, kinds, text=read_format(config.csv))

@@ -157,10 +157,10 @@ def _note_contradictions(record: UffRecord, file: UffFile, said: VectorConventio
     labelled_size, followed = _read_unit(record.ordinate_label), find_motion(said.unit)
     stated = labelled_size or (file.metre if said.unit != "g" else None)
     if followed is not None and stated is not None and not np.isclose(stated, followed[1], rtol=1e-3):
-        words = f"'{record.ordinate_label}'" if labelled_size else f"{stated:g} m (dataset 164)"
+        text = f"'{record.ordinate_label}'" if labelled_size else f"{stated:g} m (dataset 164)"
         key = KINDS[followed[0]]
         notes.append(
-            f"{where} says that its {'lengths are' if key == 'length' else f'{key} is'} in {words}, and "
+            f"{where} says that its {'lengths are' if key == 'length' else f'{key} is'} in {text}, and "
             f"machine.recordings.conventions.{key} is {said.unit}, which is followed"
         )
     units = _ABSCISSA.get(record.abscissa_type, ())

@@ -161,7 +161,7 @@ def _read_uff(config: UffRecordingsConfig, run: UffRunConfig, path: Path) -> Rec
 def _to_si(config: SignalRecordingsConfig, values: Mapping[str, np.ndarray]) -> np.ndarray:
     """(n, P) m, m/s or m/s^2, of the probes in their order."""
     unit = config.signal_unit or ""
-    return np.stack([values[name] * to_motion(unit, one.scale)[1] for name, one in config.probes.items()], axis=1)
+    return np.stack([values[name] * to_motion(unit, probe.scale)[1] for name, probe in config.probes.items()], axis=1)
 
 
 def _make_track(

@@ -42,7 +42,7 @@ class LawSet:
 
     def numbers(self, theta: np.ndarray) -> np.ndarray:
         """(.., Th) the unknown numbers in SI at ``theta`` (.., Th)."""
-        return np.array([one.guess for one in self.parameters]) * np.exp(theta)
+        return np.array([parameter.guess for parameter in self.parameters]) * np.exp(theta)
 
     def coefficients(
         self, theta: torch.Tensor, speeds: np.ndarray, operating: Mapping[str, np.ndarray]
@@ -92,7 +92,7 @@ class LawSet:
             "nodes": list(self.nodes),
             "oil": None if self.oil is None else self.oil.to_record(),
             "laws": [law.to_record() for law in self.laws],
-            "parameters": [asdict(one) for one in self.parameters],
+            "parameters": [asdict(parameter) for parameter in self.parameters],
         }
 
     @classmethod

@@ -169,8 +169,8 @@ def _pad_forces(pad: _Pad, place: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
     ]
     by_speed = [2 * np.kron(one, across) for one in g]
     # Where the film breaks, the pressure's derivative is zero: the edge moves, but counts in the second order alone.
-    found = splu(matrix[full][:, full]).solve(np.stack([*by_place, *by_speed], axis=1)[full])
-    both = shown[:, full] @ found
+    solution = splu(matrix[full][:, full]).solve(np.stack([*by_place, *by_speed], axis=1)[full])
+    both = shown[:, full] @ solution
     return shown @ pressure, both[:, :q], both[:, q:]
 
 

@@ -84,7 +84,7 @@ class FilmTable:
     @property
     def span(self) -> tuple[float, float]:
         """The logarithms of S between which every curve has rows."""
-        return max(float(one.nodes[0]) for one in self.curves), min(float(one.nodes[-1]) for one in self.curves)
+        return max(float(curve.nodes[0]) for curve in self.curves), min(float(curve.nodes[-1]) for curve in self.curves)
 
     def evaluate(self, log_s: torch.Tensor, preload: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """(G, S, 8) at ``log_s`` (G, S) and ``preload`` (G, 1); their slopes by ``log_s`` and by the preload."""

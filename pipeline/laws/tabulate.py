@@ -77,7 +77,7 @@ def main(arguments: Sequence[str]) -> int:
     several = len(given.preloads) > 1
     names = [*COLUMNS, *([PRELOAD] if several else [])]
     lines = [",".join(f"{value:.5g}" for value in row[: len(names)]) for row in rows]
-    command = " ".join([given.file.name, *(one for one in arguments if one != str(given.file))])
+    command = " ".join([given.file.name, *(argument for argument in arguments if argument != str(given.file))])
     head = _HEAD.format(command=command, reduced=_REDUCED if given.tilting else "")
     write_text(given.file, head + "\n".join([",".join(names), *lines]) + "\n")
     return 0

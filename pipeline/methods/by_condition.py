@@ -30,7 +30,7 @@ def solve_each(solve: Callable[[Measurement], Estimate], measurement: Measuremen
     ]
     found = [(points, solve(_alone(measurement, points))) for points in states]
     deviations = [answer.deviation for _, answer in found]
-    together = None if any(one is None for one in deviations) else np.full(values.shape, np.nan)
+    together = None if any(deviation is None for deviation in deviations) else np.full(values.shape, np.nan)
     for points, answer in found:
         values[:, points] = answer.coefficients.values
         if together is not None and answer.deviation is not None:

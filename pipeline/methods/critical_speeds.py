@@ -56,13 +56,13 @@ def identify_by_critical_speeds(data: Measurement, options: MethodOptions) -> Es
     values = network.stiffness(measured[None])[0]
     noise = data.deviation * generator.standard_normal((2, _SPREAD, *data.deviation.shape)) / np.sqrt(2)
     readings = data.dataset.displacement + noise[0] + 1j * noise[1]
-    again = np.array([_find_crossings(data, own, places) for own in readings])
+    again = np.array([_find_crossings(data, reading, places) for reading in readings])
     spread = np.log(network.stiffness(again[~np.isnan(again).any(axis=1)])).std(axis=0)
     deviation = values * np.hypot(spread, network.error)
     shape = (data.unknowns.n_members, len(data.dataset.speeds), len(names))
     listed = ", ".join(f"{speed / RAD_S_PER_RPM:.1f}" for speed in measured)
-    words = f"{MODELLED} modelled machines; critical speeds {listed} rpm"
-    return make_estimate(data, np.broadcast_to(values, shape), np.broadcast_to(deviation, shape), words)
+    text = f"{MODELLED} modelled machines; critical speeds {listed} rpm"
+    return make_estimate(data, np.broadcast_to(values, shape), np.broadcast_to(deviation, shape), text)
 
 
 def _choose_place(data: Measurement, name: str) -> tuple[int, int, np.ndarray]:
@@ -70,7 +70,7 @@ def _choose_place(data: Measurement, name: str) -> tuple[int, int, np.ndarray]:
     dataset, angle = data.dataset, list(DIRECTIONS.values())[column(name)]
     run = int(np.flatnonzero(data.synchronous())[0]) if data.synchronous().any() else 0
     forces = assemble_forces(data.rotor, dataset.excitations, dataset.runs, dataset.frequencies)
-    excited = [one.node for one in dataset.excitations if one.run == dataset.runs[run]]
+    excited = [excitation.node for excitation in dataset.excitations if excitation.run == dataset.runs[run]]
     channels = [p for p, channel in enumerate(dataset.channels) if channel[1] == angle]
     if not channels or not excited:
         raise Refusal(Reason.NO_CRITICAL_SPEED, f"no sensor looks along {name[1]}")

@@ -40,14 +40,14 @@ def fit_by(section: Callable[[MethodOptions], FitConfig]) -> Callable[[Measureme
         diagnosis = loss.diagnose(data, setup)
         refuse_undetermined(diagnosis.reports)
         try:
-            found = fit(data, setup, diagnosis=diagnosis)
+            fitted = fit(data, setup, diagnosis=diagnosis)
         except IdentifiabilityError as error:
             raise Refusal(Reason.NOT_DETERMINED, str(error)) from None
-        words = f"{found.outcome.label} after {found.steps} steps"
-        if found.uncertainty is not None:
-            words += f", {found.quality.summary['fit']['chi_square']['numbers']} numbers"
-        deviation = found.deviation(data.dataset.speeds, data.dataset.operating)
-        return Estimate(found.table(data.known), deviation, words, doubt(found.quality.misfit))
+        text = f"{fitted.outcome.label} after {fitted.steps} steps"
+        if fitted.uncertainty is not None:
+            text += f", {fitted.quality.summary['fit']['chi_square']['numbers']} numbers"
+        deviation = fitted.deviation(data.dataset.speeds, data.dataset.operating)
+        return Estimate(fitted.table(data.known), deviation, text, doubt(fitted.quality.misfit))
 
     return identify
 

@@ -32,8 +32,8 @@ def identify_by_filter(data: Measurement, options: MethodOptions) -> Estimate:
     values, settled = filter_bearings(data)
     if settled.mean() < _LEAST_SETTLED:
         raise Refusal(Reason.NOT_SETTLED, f"it does at {int(settled.sum())} of {len(settled)} speeds")
-    words = f"{int(settled.sum())} of {len(settled)} speeds settled"
-    return make_estimate(data, values, _propagate_noise(data, values), words)
+    text = f"{int(settled.sum())} of {len(settled)} speeds settled"
+    return make_estimate(data, values, _propagate_noise(data, values), text)
 
 
 def _propagate_noise(data: Measurement, values: np.ndarray) -> np.ndarray:

@@ -73,10 +73,10 @@ def identify_by_kriging(data: Measurement, options: MethodOptions) -> Estimate:
     else:
         x, deviation = (_interpolate(speeds, chosen, values) for values in (x, deviation))
     evaluations = len(groups) * _ROUNDS * _count_points(x.shape[1])
-    words = f"{evaluations} modelled responses, {len(groups)} surrogate{'s' * (len(groups) > 1)}"
+    text = f"{evaluations} modelled responses, {len(groups)} surrogate{'s' * (len(groups) > 1)}"
     spread = unknowns.from_active(deviation * np.exp(x))
-    found = make_estimate(data, unknowns.from_active(np.exp(x)), spread, words, doubt(left_over / readings))
-    return replace(found, n_speeds=len(chosen))
+    estimate = make_estimate(data, unknowns.from_active(np.exp(x)), spread, text, doubt(left_over / readings))
+    return replace(estimate, n_speeds=len(chosen))
 
 
 def _choose(speeds: np.ndarray, count: int) -> np.ndarray:
@@ -99,35 +99,35 @@ def _interpolate(speeds: np.ndarray, chosen: np.ndarray, values: np.ndarray) -> 
     return np.asarray(PchipInterpolator(np.log(speeds[chosen]), values)(np.log(speeds)))
 
 
-def _predict(part: Measurement, x: np.ndarray) -> np.ndarray:
+def _predict(measurement: Measurement, x: np.ndarray) -> np.ndarray:
     """(S, P, R) m of one point (A,), the logarithms of the unknowns, the same at every speed."""
-    return part.response.predict(part.table(_repeat_unknowns(part, x)))
+    return measurement.response.predict(measurement.table(_repeat_unknowns(measurement, x)))
 
 
-def _repeat_unknowns(part: Measurement, x: np.ndarray) -> np.ndarray:
+def _repeat_unknowns(measurement: Measurement, x: np.ndarray) -> np.ndarray:
     """(M, S, U) of one point (A,)."""
-    return part.unknowns.from_active(np.repeat(np.exp(x)[None], len(part.dataset.speeds), axis=0))
+    return measurement.unknowns.from_active(np.repeat(np.exp(x)[None], len(measurement.dataset.speeds), axis=0))
 
 
-def _match(part: Measurement, prior: PriorConfig, generator: np.random.Generator) -> np.ndarray:
+def _match(measurement: Measurement, prior: PriorConfig, generator: np.random.Generator) -> np.ndarray:
     """(A,) what comes nearest to the readings."""
 
     def deviations(x: np.ndarray) -> np.ndarray:
         """(2 S P R,) logarithms of predicted over measured displacement, of one point (A,)."""
-        return stack_rows(np.log(_predict(part, x) / part.dataset.displacement)).ravel()
+        return stack_rows(np.log(_predict(measurement, x) / measurement.dataset.displacement)).ravel()
 
     limits = {
         True: (prior.lowest_stiffness, prior.highest_stiffness),
         False: (prior.lowest_damping, prior.highest_damping),
     }
-    low, high = np.log([limits[is_stiffness(part.unknowns.names[u])] for _, u in part.unknowns.active]).T
+    low, high = np.log([limits[is_stiffness(measurement.unknowns.names[u])] for _, u in measurement.unknowns.active]).T
     return _find_nearest(deviations, low, high, generator)
 
 
-def _sum_squares(part: Measurement, x: np.ndarray) -> float:
+def _sum_squares(measurement: Measurement, x: np.ndarray) -> float:
     """Chi-square of the readings for one point (A,)."""
-    off = np.abs(_predict(part, x) - part.dataset.displacement)
-    return 2 * float((off**2 / part.deviation**2).sum())
+    off = np.abs(_predict(measurement, x) - measurement.dataset.displacement)
+    return 2 * float((off**2 / measurement.deviation**2).sum())
 
 
 def _find_nearest(
@@ -190,10 +190,10 @@ def _evolve(cube: np.ndarray, rows: np.ndarray, generator: np.random.Generator) 
     return np.asarray(found.x)
 
 
-def _bound_deviation(part: Measurement, x: np.ndarray) -> np.ndarray:
+def _bound_deviation(measurement: Measurement, x: np.ndarray) -> np.ndarray:
     """(A,) the Cramer-Rao bound of the readings that were matched."""
-    by = differentiate_response(part, _repeat_unknowns(part, x)) * np.exp(x)
-    rows = stack_rows(by * (np.sqrt(2) / part.deviation)[..., None]).reshape(-1, len(x))
+    by = differentiate_response(measurement, _repeat_unknowns(measurement, x)) * np.exp(x)
+    rows = stack_rows(by * (np.sqrt(2) / measurement.deviation)[..., None]).reshape(-1, len(x))
     size = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
     singular, right = np.linalg.svd(rows / size, full_matrices=False)[1:]
     return np.asarray(np.sqrt(((right / singular[:, None]) ** 2).sum(axis=0)) / size)

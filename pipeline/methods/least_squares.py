@@ -159,10 +159,10 @@ def _solve(data: Measurement, white: LinearResidual, derivative: np.ndarray, cov
     members = member_rows(data.unknowns)
     values = np.zeros((len(members), *white.matrix.shape[1::2]))
     noise = data.deviation.swapaxes(1, 2)[:, :, None, None]  # (S, R, 1, 1, P)
-    for m, own in enumerate(members):
+    for m, member in enumerate(members):
         present = np.append(white.unknowns.present[m], True)
-        factor = np.linalg.cholesky(covariance[:, :, own[:, None], own])
-        moved = (derivative[:, :, own][:, :, :, present] * noise).reshape(*factor.shape[:3], -1)
+        factor = np.linalg.cholesky(covariance[:, :, member[:, None], member])
+        moved = (derivative[:, :, member][:, :, :, present] * noise).reshape(*factor.shape[:3], -1)
         moved = np.linalg.solve(factor, moved).reshape(*factor.shape[:3], int(present.sum()), -1)
         spread = np.einsum("sriup,srivp->suv", moved.conj(), moved, optimize=True).real
         matrix = np.concatenate([white.matrix[m], white.offset[m][..., None]], axis=-1)[..., present]

@@ -36,7 +36,7 @@ def identify_by_frequencies(measurement: Measurement, options: MethodOptions) ->
     planes, unknowns = measurement.unknowns.planes, measurement.unknowns
     data = _project_on_bearings(measurement) if planes else measurement
     dataset = data.dataset
-    frequencies = [len(np.unique(np.round(of, 9))) for of in dataset.frequencies]
+    frequencies = [len(np.unique(np.round(frequency, 9))) for frequency in dataset.frequencies]
     equations = require_bearing_equations(data)
     if min(frequencies) < 2:
         raise Refusal(Reason.ONE_FREQUENCY, "every run turns with the rotor")
@@ -52,12 +52,12 @@ def identify_by_frequencies(measurement: Measurement, options: MethodOptions) ->
     values = unknowns.from_active(answer)
     covariance = residual_covariance(data.rotor, dataset, data.table(values), data.deviation)
     deviation = unknowns.from_active(linear_deviation(inverse, covariance))
-    words = f"{min(frequencies)} frequencies a speed"
+    text = f"{min(frequencies)} frequencies a speed"
     if planes:
         pairs = answer[:, len(unknowns.active) :].reshape(len(answer), -1, 2)
         found = np.median(pairs, axis=0) @ np.array([1.0, 1j])
-        words += describe_unbalance(planes, found)
-    return make_estimate(data, values, deviation, words)
+        text += describe_unbalance(planes, found)
+    return make_estimate(data, values, deviation, text)
 
 
 def _project_on_bearings(measurement: Measurement) -> Measurement:

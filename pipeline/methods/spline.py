@@ -83,10 +83,10 @@ def identify_by_spline(task: Measurement, options: MethodOptions) -> Estimate:
     best = _fit(problem, best.basis.shape[1], best.x, best.pairs)
     deviation = _bound_deviation(problem, best) * parameters.slope(best.x)
     expected = 2 * task.dataset.displacement.size - best.n_numbers
-    words = f"{best.n_numbers} numbers, chi-square {best.chi_square:.4g} where {expected} is expected"
-    words += describe_unbalance(task.unknowns.planes, parameters.unbalance(best.pairs))
+    text = f"{best.n_numbers} numbers, chi-square {best.chi_square:.4g} where {expected} is expected"
+    text += describe_unbalance(task.unknowns.planes, parameters.unbalance(best.pairs))
     spread = task.unknowns.from_active(deviation)
-    return make_estimate(task, parameters.values(best.x), spread, words, doubt(best.chi_square / expected))
+    return make_estimate(task, parameters.values(best.x), spread, text, doubt(best.chi_square / expected))
 
 
 def _choose_start(problem: SplineProblem, starts: list[np.ndarray], constant: bool) -> _Fit:
@@ -151,12 +151,12 @@ def _fit(problem: SplineProblem, count: int, start: np.ndarray, pairs: np.ndarra
     """SciPy's trust-region least squares from the spline nearest to ``start`` (S, A), and the unbalance ``pairs``."""
     from scipy.optimize import least_squares
 
-    own = make_basis(problem.task.dataset.speeds, count)
-    first = np.linalg.lstsq(own, start, rcond=None)[0]
+    basis = make_basis(problem.task.dataset.speeds, count)
+    first = np.linalg.lstsq(basis, start, rcond=None)[0]
     large = first.size > _DENSE
 
     def split(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return own @ z[: first.size].reshape(first.shape), z[first.size :]
+        return basis @ z[: first.size].reshape(first.shape), z[first.size :]
 
     def residual(z: np.ndarray) -> np.ndarray:
         return problem.deviations(*split(z)).ravel()
@@ -164,7 +164,7 @@ def _fit(problem: SplineProblem, count: int, start: np.ndarray, pairs: np.ndarra
     def jacobian(z: np.ndarray) -> Any:
         by_speed = problem.sensitivity(*split(z))
         by_x, by_pairs = np.split(by_speed, [first.shape[1]], axis=2)
-        return _make_sparse(by_x, own, by_pairs) if large else _make_dense(by_x, own, by_pairs)
+        return _make_sparse(by_x, basis, by_pairs) if large else _make_dense(by_x, basis, by_pairs)
 
     with np.errstate(over="ignore", invalid="ignore"):  # a step too far is taken back
         found = least_squares(
@@ -179,7 +179,7 @@ def _fit(problem: SplineProblem, count: int, start: np.ndarray, pairs: np.ndarra
             tr_solver="lsmr" if large else "exact",
         )
     z, rest = np.split(found.x, [first.size])
-    return _Fit(own, z.reshape(first.shape), rest, 2 * float(found.cost))
+    return _Fit(basis, z.reshape(first.shape), rest, 2 * float(found.cost))
 
 
 def _make_dense(by_x: np.ndarray, own: np.ndarray, by_pairs: np.ndarray) -> np.ndarray:

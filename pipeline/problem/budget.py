@@ -27,8 +27,8 @@ def systematic_shifts(measurement: Measurement, bearings: BearingTable) -> np.nd
     by_model = np.einsum("sprbc,sbct->sprt", by_coefficient, measurement.known_variation)
     for block, variation in zip(measurement.response.blocks, measurement.variations, strict=True):
         change = measurement.response.change(bearings, block)
-        found = derive_by_parameters(variation, respond(block, change), change[None], None)
-        by_model[:, :, block.runs] += found[0]
+        by_parameters = derive_by_parameters(variation, respond(block, change), change[None], None)
+        by_model[:, :, block.runs] += by_parameters[0]
     scaled = [
         (part / measurement.deviation[..., None]).reshape(len(part), -1, part.shape[-1])
         for part in (by_unknown, by_model)

@@ -25,9 +25,9 @@ PARTS = {"real": 1.0, "imaginary": 1j}
 def number_excitations(excitations: Sequence[Excitation]) -> Iterator[tuple[int, Excitation]]:
     """Each excitation with its position among those of its run, which selecting runs does not change."""
     seen: dict[str, int] = {}
-    for one in excitations:
-        seen[one.run] = seen.get(one.run, -1) + 1
-        yield seen[one.run], one
+    for excitation in excitations:
+        seen[excitation.run] = seen.get(excitation.run, -1) + 1
+        yield seen[excitation.run], excitation
 
 
 # --- weights -------------------------------------------------------------------------------------------
@@ -73,34 +73,34 @@ def _shifts(parameters: Sequence[ModelParameter], values: np.ndarray) -> _Shifts
     return {(p.kind, p.detail, p.place): float(v) * p.deviation for p, v in every if p.kind in kinds}
 
 
-def _parts(one: Excitation, i: int, shifts: _Shifts) -> tuple[float, complex, complex]:
+def _parts(excitation: Excitation, i: int, shifts: _Shifts) -> tuple[float, complex, complex]:
     """Magnitude and turn of a weight, and the a of ``U (1 + a |U|)``."""
     law = 0j
-    if one.kind == "unbalance":
+    if excitation.kind == "unbalance":
         law = sum((part * shifts.get(("weight_law", name, 0), 0.0) for name, part in PARTS.items()), 0j)
-    common = shifts.get(("weight_angle", "", 0), 0.0) if one.kind == "unbalance" else 0.0
-    turn = one.phase + common + shifts.get(("unbalance_phase", one.run, i), 0.0)
-    size = one.magnitude * (1 + shifts.get(("unbalance_magnitude", one.run, i), 0.0))
+    common = shifts.get(("weight_angle", "", 0), 0.0) if excitation.kind == "unbalance" else 0.0
+    turn = excitation.phase + common + shifts.get(("unbalance_phase", excitation.run, i), 0.0)
+    size = excitation.magnitude * (1 + shifts.get(("unbalance_magnitude", excitation.run, i), 0.0))
     return size, complex(np.exp(1j * turn)), law
 
 
-def _effective(one: Excitation, i: int, shifts: _Shifts) -> complex:
-    size, turn, law = _parts(one, i, shifts)
+def _effective(excitation: Excitation, i: int, shifts: _Shifts) -> complex:
+    size, turn, law = _parts(excitation, i, shifts)
     return turn * size * (1 + law * size)
 
 
-def _derive(one: Excitation, i: int, shifts: _Shifts, parameter: ModelParameter) -> complex:
+def _derive(excitation: Excitation, i: int, shifts: _Shifts, parameter: ModelParameter) -> complex:
     """The derivative of :func:`_effective` by the number itself."""
-    size, turn, law = _parts(one, i, shifts)
+    size, turn, law = _parts(excitation, i, shifts)
     if parameter.kind == "unbalance_magnitude":
-        return turn * one.magnitude * (1 + 2 * law * size)
+        return turn * excitation.magnitude * (1 + 2 * law * size)
     if parameter.kind == "weight_law":
         return turn * size**2 * PARTS[parameter.detail]
-    return 1j * _effective(one, i, shifts)
+    return 1j * _effective(excitation, i, shifts)
 
 
-def _vector(one: Excitation, value: complex) -> Excitation:
-    return replace(one, magnitude=abs(value), phase=float(np.angle(value)))
+def _vector(excitation: Excitation, value: complex) -> Excitation:
+    return replace(excitation, magnitude=abs(value), phase=float(np.angle(value)))
 
 
 # --- the bow -------------------------------------------------------------------------------------------

@@ -85,8 +85,8 @@ class Identifiability:
         order = rank({name: abs(share) for name, share in shares.items()})
         sign = np.sign(shares[order[0]])
         shown = [(name, sign * shares[name]) for name in order if abs(shares[name]) >= _SHOWN]
-        words = [f"{'-' if share < 0 else '+'} {abs(share):.2f} {name}" for name, share in shown]
-        return " ".join(words).removeprefix("+ ")
+        phrases = [f"{'-' if share < 0 else '+'} {abs(share):.2f} {name}" for name, share in shown]
+        return " ".join(phrases).removeprefix("+ ")
 
 
 _SHOWN = 0.1

@@ -61,14 +61,14 @@ class BearingFilter:
         force = np.empty((len(table.speeds), 2 * len(table.nodes), measured.shape[2]), dtype=complex)
         moved = np.empty_like(force)  # at the bearings; the force is that of the bearings on the shaft
         for block in equations.blocks:
-            own = respond(block, equations.change(table, block))
+            response = respond(block, equations.change(table, block))
             impedance = table.impedance(block.frequencies)  # (B, S, 2, 2)
-            bearing = _product(impedance, own.bearings)
+            bearing = _product(impedance, response.bearings)
             for i, run in enumerate(block.runs):
                 prior = (_PRIOR * np.abs(bearing[:, :, i])) ** 2
-                gain = _gain(own.receptance_sensors, prior, data.deviation[:, :, run])
-                unknown = gain @ (measured[:, :, run] - own.sensors[:, :, i])[..., None]
-                motion = own.bearings[:, :, [i]] + own.receptance_bearings @ unknown
+                gain = _gain(response.receptance_sensors, prior, data.deviation[:, :, run])
+                unknown = gain @ (measured[:, :, run] - response.sensors[:, :, i])[..., None]
+                motion = response.bearings[:, :, [i]] + response.receptance_bearings @ unknown
                 moved[..., run] = motion[..., 0]
                 force[..., run] = (unknown - _product(impedance, motion))[..., 0]
         found = bearing_equations_of(equations, force, moved)

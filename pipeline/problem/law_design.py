@@ -59,13 +59,13 @@ def plan_by_states(candidates: LawCandidates, most_states: int, most_runs: int, 
     States are chosen with all candidate runs, runs for these states.
     """
     n_states, n_runs = candidates.readings.shape[:2]
-    found: list[LawPlan] = []
+    plans: list[LawPlan] = []
     for count in range(1, min(most_states, n_states) + 1):
         states = _choose_states(candidates, count)
-        found.append(_choose_runs(candidates, states, min(most_runs, n_runs), accuracy))
-        if found[-1].worst <= accuracy:
+        plans.append(_choose_runs(candidates, states, min(most_runs, n_runs), accuracy))
+        if plans[-1].worst <= accuracy:
             break
-    return found
+    return plans
 
 
 def _choose_states(candidates: LawCandidates, count: int) -> tuple[int, ...]:

@@ -56,7 +56,7 @@ class LawInformation:
     @cached_property
     def prior(self) -> np.ndarray:
         """(Th,) deviations before the data."""
-        return np.array([one.deviation for one in self.parameters])
+        return np.array([parameter.deviation for parameter in self.parameters])
 
     @cached_property
     def covariance(self) -> np.ndarray:
@@ -95,7 +95,7 @@ class LawInformation:
         found = []
         for direction in np.linalg.solve(open_[first].T, open_.T):
             shares = direction / np.linalg.norm(direction)
-            by_name = {one.name: float(share) for one, share in zip(self.parameters, shares, strict=True)}
+            by_name = {parameter.name: float(share) for parameter, share in zip(self.parameters, shares, strict=True)}
             order = rank({name: abs(share) for name, share in by_name.items()})
             sign = np.sign(by_name[order[0]])
             found.append({name: sign * by_name[name] for name in order if abs(by_name[name]) >= _LEADING})
@@ -180,7 +180,7 @@ def require_temperatures(laws: LawSet, operating: Mapping[str, np.ndarray]) -> N
     """Raise IdentifiabilityError where the oil temperatures (S,) in K leave a number of the oil unread."""
     import torch
 
-    own = [i for i, one in enumerate(laws.parameters) if one.name.startswith("oil.")]
+    own = [i for i, parameter in enumerate(laws.parameters) if parameter.name.startswith("oil.")]
     if laws.oil is None or not laws.oil.needs_temperature or not own or OIL_TEMPERATURE not in operating:
         return
     temperature = np.asarray(operating[OIL_TEMPERATURE], dtype=float)

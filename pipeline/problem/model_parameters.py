@@ -44,7 +44,7 @@ def model_parameters(
 
     ``deviations`` has prior standard deviations by kind. Raises ConfigError for a kind that the machine does not have.
     """
-    found: list[ModelParameter] = []
+    parameters: list[ModelParameter] = []
     for kind, deviation in deviations.items():
         own = [ModelParameter(kind, deviation, *place) for place in _places(kind, rotor, dataset, known, unknowns)]
         if kind in OF_COUPLING:
@@ -66,8 +66,8 @@ def model_parameters(
                 f"identify.model_parameters.{kind} must belong to something that the machine has, but it has "
                 f"{_MISSING[kind]}: leave it out"
             )
-        found += own
-    return tuple(found)
+        parameters += own
+    return tuple(parameters)
 
 
 _MISSING = {
@@ -81,10 +81,10 @@ _MISSING = {
 _ALONG_SHAFT = ("bearing_position", "probe_position")
 
 
-def _require_on_shaft(own: Sequence[ModelParameter], rotor: RotorModel, dataset: VibrationDataset) -> None:
+def _require_on_shaft(parameters: Sequence[ModelParameter], rotor: RotorModel, dataset: VibrationDataset) -> None:
     """Raise ConfigError where one deviation along the shaft leaves it."""
     first, last = float(rotor.positions[0]), float(rotor.positions[-1])
-    for one in own:
+    for one in parameters:
         node = rotor.bearing_nodes[one.place] if one.kind == "bearing_position" else dataset.channels[one.place][0]
         place = float(rotor.positions[node])
         room = max(place - first, last - place) if one.kind == "probe_position" else min(place - first, last - place)
@@ -108,9 +108,9 @@ def _places(
         for i, one in number_excitations(dataset.excitations):
             if one.kind == "unbalance":
                 yield f"{one.run} node {one.node}", i, one.run
-    if kind == "weight_angle" and any(one.kind == "unbalance" for one in dataset.excitations):
+    if kind == "weight_angle" and any(excitation.kind == "unbalance" for excitation in dataset.excitations):
         yield "", 0, ""
-    if kind == "weight_law" and any(one.kind == "unbalance" for one in dataset.excitations):
+    if kind == "weight_law" and any(excitation.kind == "unbalance" for excitation in dataset.excitations):
         for part in PARTS:
             yield part, 0, part
     if kind == "bearing_position":
@@ -208,7 +208,10 @@ def _channel(
 def of_machine_alone(parameters: Sequence[ModelParameter]) -> tuple[ModelParameter, ...]:
     """The same with exact probes and weights and a straight shaft, for vibration that no probe shows."""
     kept_out = (*OF_PROBE, *OF_ALL_WEIGHTS, "runout", "bow")
-    return tuple(replace(one, deviation=0.0, place=0) if one.kind in kept_out else one for one in parameters)
+    return tuple(
+        replace(parameter, deviation=0.0, place=0) if parameter.kind in kept_out else parameter
+        for parameter in parameters
+    )
 
 
 # --- known coefficients --------------------------------------------------------------------------------

@@ -75,8 +75,8 @@ def fit_tail(distance: np.ndarray, size: int, freedom: float, below: float = np.
         return -float((density - special.betaln(size, tail) - chosen).sum())
 
     start = [np.log(min(most, 8.0)), 0.0]
-    found = optimize.minimize(loss, start, method="L-BFGS-B", bounds=[(np.log(0.5), np.log(most)), (-3.0, 3.0)])
-    return float(np.exp(found.x[0])), float(np.exp(found.x[1]))
+    minimum = optimize.minimize(loss, start, method="L-BFGS-B", bounds=[(np.log(0.5), np.log(most)), (-3.0, 3.0)])
+    return float(np.exp(minimum.x[0])), float(np.exp(minimum.x[1]))
 
 
 def spread_blocks(record: np.ndarray) -> np.ndarray:

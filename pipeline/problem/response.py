@@ -216,8 +216,8 @@ class ResponseEquations:
         """(S, P, R) m, of the bearings at the same speeds; residual ``unbalance`` (N,) complex, kg m."""
         result = np.empty((len(self.speeds), self.n_channels, self.n_runs), dtype=complex)
         for block in self.blocks:
-            found = respond(block, self.change(bearings, block), unbalance, derivative=False)
-            result[..., block.runs] = found.sensors
+            response = respond(block, self.change(bearings, block), unbalance, derivative=False)
+            result[..., block.runs] = response.sensors
         return result
 
     def sensitivity(self, bearings: BearingTable, unbalance: np.ndarray | None = None) -> np.ndarray:
@@ -234,8 +234,8 @@ class ResponseEquations:
         result = np.zeros(shape, dtype=complex)
         for block in self.blocks:
             if block.unit_sensors.shape[-1]:
-                found = respond(block, self.change(bearings, block), derivative=False)
-                result[:, :, block.runs] = found.unit_sensors[:, :, None]
+                response = respond(block, self.change(bearings, block), derivative=False)
+                result[:, :, block.runs] = response.unit_sensors[:, :, None]
         return result
 
     def change(self, bearings: BearingTable, block: ResponseBlock) -> np.ndarray:

@@ -16,20 +16,20 @@ _NAMED = 12
 """Most conditions that carry their names in the figure."""
 
 
-def draw_balance(path: Path, method: str, of: Estimates, planes: Sequence[int], source: SourceUnits) -> Path:
+def draw_balance(path: Path, method: str, estimates: Estimates, planes: Sequence[int], source: SourceUnits) -> Path:
     """A panel a plane: estimates with the circle that holds 95 %, and lines from the known weights to them.
 
     Conditions that no unbalance explains, or that contradict their weights, have another colour.
     """
-    values, known = source.weights(of.unbalance), source.weights(of.readings.unbalance)
-    radius, remarked = of.radius / GRAM_MILLIMETRE, of.inconsistent | of.contradicted
+    values, known = source.weights(estimates.unbalance), source.weights(estimates.readings.unbalance)
+    radius, remarked = estimates.radius / GRAM_MILLIMETRE, estimates.inconsistent | estimates.contradicted
     finite = np.where(np.isnan(known), 0.0, np.abs(known))
     reach = 1.15 * max(float(np.abs(values).max()), float(finite.max()), 1e-9)
     with open_figure(path, 1, len(planes), 6.2 * len(planes), 6.4) as axes:
         for n, node in enumerate(planes):
             ax = axes[0, n]
             _draw_grid(ax, reach)
-            for c, name in enumerate(of.readings.names):
+            for c, name in enumerate(estimates.readings.names):
                 colour = ORANGE if remarked[c] else BLUE
                 _draw_circle(ax, values[c, n], min(radius[c, n], 4 * reach), colour)
                 if not np.isnan(known[c, n]):
@@ -37,7 +37,7 @@ def draw_balance(path: Path, method: str, of: Estimates, planes: Sequence[int], 
                     ax.plot(pair.real, pair.imag, color=colour, lw=0.8)
                     ax.plot(known[c, n].real, known[c, n].imag, "+", color=GREY, ms=7)
                 ax.plot(values[c, n].real, values[c, n].imag, "o", color=colour, ms=3.5)
-                if remarked[c] or len(of.readings.names) <= _NAMED:
+                if remarked[c] or len(estimates.readings.names) <= _NAMED:
                     ax.annotate(name, (values[c, n].real, values[c, n].imag), (4, 4), textcoords="offset points")
             ax.set_title(f"plane at node {node}: g mm and angle on the shaft", loc="left")
         _describe(axes[0, 0], method, bool(remarked.any()), not np.isnan(known).all())

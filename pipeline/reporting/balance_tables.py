@@ -26,11 +26,11 @@ _SHOWN = 40
 
 
 def tabulate_estimates(
-    found: Mapping[str, Estimates], planes: Sequence[int], source: SourceUnits
+    by_method: Mapping[str, Estimates], planes: Sequence[int], source: SourceUnits
 ) -> list[dict[str, Any]]:
     """Rows of ``balance.csv``: one a method, condition and plane. Angles are those of the recordings."""
     rows: list[dict[str, Any]] = []
-    for method, of in found.items():
+    for method, of in by_method.items():
         values, given = source.weights(of.unbalance), source.weights(of.readings.unbalance)
         radius = of.radius / GRAM_MILLIMETRE
         for c, (name, one) in enumerate(zip(of.readings.names, of.found, strict=True)):
@@ -73,22 +73,22 @@ def _show_complex(name: str, value: complex) -> dict[str, float]:
     }
 
 
-def print_estimates(name: str, method: str, of: Estimates, planes: Sequence[int], source: SourceUnits) -> None:
+def print_estimates(name: str, method: str, estimates: Estimates, planes: Sequence[int], source: SourceUnits) -> None:
     """The unbalance of every condition by one method; of many conditions the first ones and those with a remark."""
-    names, remarks = of.readings.names, [_remark(of, c) for c in range(len(of.found))]
+    names, remarks = estimates.readings.names, [_remark(estimates, c) for c in range(len(estimates.found))]
     shown = [c for c, remark in enumerate(remarks) if remark]
     first = len(names) if len(names) <= _SHOWN else _SHOWN - len(shown)
     shown = sorted({*shown, *range(first)})
-    rows = [[names[c], *_show_condition(of, c, source), remarks[c]] for c in shown]
+    rows = [[names[c], *_show_condition(estimates, c, source), remarks[c]] for c in shown]
     header = ["condition", *(f"node {node}, {what}" for node in planes for what in ("g mm", "deg", "known")), "remark"]
     table(f"{name}: unbalance by {method} (+- 95 %)", header, rows)
     if len(shown) < len(names):
         say(f"{len(names) - len(shown)} more conditions are in balance.csv")
 
 
-def _show_condition(of: Estimates, c: int, source: SourceUnits) -> list[str]:
-    one, cells = of.found[c], []
-    values, known = source.weights(one.value), source.weights(of.readings.unbalance[c])
+def _show_condition(estimates: Estimates, c: int, source: SourceUnits) -> list[str]:
+    one, cells = estimates.found[c], []
+    values, known = source.weights(one.value), source.weights(estimates.readings.unbalance[c])
     half, angle = one.half_width() / GRAM_MILLIMETRE, np.degrees(one.angle_half_width())
     for n, value in enumerate(values):
         known_to = _blank(half[n])
@@ -102,12 +102,12 @@ def _show_known(value: complex) -> str:
     return f"{abs(value):.4g} at {_show_angle(value)}" if abs(value) > 0 else "0"
 
 
-def _remark(of: Estimates, c: int) -> str:
+def _remark(estimates: Estimates, c: int) -> str:
     said = []
-    if of.inconsistent[c]:
-        said.append(f"no unbalance explains it ({of.chance[c]:.1g})")
-    if of.contradicted[c]:
-        said.append(f"contradicts its weights ({of.label_chance[c]:.1g})")
+    if estimates.inconsistent[c]:
+        said.append(f"no unbalance explains it ({estimates.chance[c]:.1g})")
+    if estimates.contradicted[c]:
+        said.append(f"contradicts its weights ({estimates.label_chance[c]:.1g})")
     return ", ".join(said)
 
 
@@ -158,9 +158,9 @@ def print_fewer(sheets: Sequence[BalanceSheet], planes: Sequence[int], source: S
     """What at most one, two ... weights a plane leave: whether another screw is worth it."""
     rows = []
     for k, sheet in enumerate(sheets, 1):
-        put = [", ".join(f"{1e3 * w.mass:.4g} g in {w.hole}" for w in of) or "none" for of in sheet.weights]
+        put = [", ".join(f"{1e3 * w.mass:.4g} g in {w.hole}" for w in weight) or "none" for weight in sheet.weights]
         left = ", ".join(_show_size(float(size)) for size in np.abs(source.weights(sheet.remaining)))
-        grams = 1e3 * sum(w.mass for of in sheet.weights for w in of)
+        grams = 1e3 * sum(w.mass for weight in sheet.weights for w in weight)
         vibration = 1e6 * float(np.sqrt(np.nanmean(np.abs(sheet.after) ** 2)))
         rows.append([str(k), *put, left, f"{vibration:.3g}", f"{grams:.4g}"])
     holes = [f"node {node}: in hole" for node in planes]
@@ -218,7 +218,7 @@ def tabulate_vibration_change(
 
 def print_vibration_change(rows: Sequence[Mapping[str, Any]], unit: str) -> None:
     """Amplitudes before and after, of many speeds a few that are evenly spread."""
-    read = [one for one in rows if one["before"] is not None]
+    read = [row for row in rows if row["before"] is not None]
     speeds = sorted({one["speed_rpm"] for one in read})
     every = max(1, -(-len(speeds) // _SPEEDS))
     shown = speeds[::-every]

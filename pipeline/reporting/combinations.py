@@ -8,16 +8,16 @@ from pipeline.identification.combinations import WORTH, Combinations
 from pipeline.units import RAD_S_PER_RPM
 
 
-def describe_combinations(found: Combinations) -> str:
+def describe_combinations(combinations: Combinations) -> str:
     """Sentences: the best and the least known combination, the run that would tell more, and the tolerances."""
-    text = f"known best is {found.strongest.words} (+- {100 * found.strongest.deviation:.2g} %), "
-    text += f"known least is {found.weakest.words} (+- {100 * found.weakest.deviation:.2g} %)"
-    run = found.next_run
+    text = f"known best is {combinations.strongest.words} (+- {100 * combinations.strongest.deviation:.2g} %), "
+    text += f"known least is {combinations.weakest.words} (+- {100 * combinations.weakest.deviation:.2g} %)"
+    run = combinations.next_run
     if run is not None:
         rpm = run.speed / RAD_S_PER_RPM
         text += f"; '{run.run}' at {rpm:.4g} rpm besides would tell that to +- {100 * run.deviation:.2g} %"
-    told = {kind: span for kind, span in found.parameters.items() if span[0] < WORTH}
-    untold = [kind for kind in found.parameters if kind not in told]
+    told = {kind: span for kind, span in combinations.parameters.items() if span[0] < WORTH}
+    untold = [kind for kind in combinations.parameters if kind not in told]
     if told:
         listed = ", ".join(f"{kind} {_describe_span(*span)}" for kind, span in told.items())
         text += f". The data narrow the tolerances (what is left, as a share): {listed}"
@@ -30,15 +30,15 @@ def _describe_span(least: float, most: float) -> str:
     return f"{least:.2g}" if most - least < 0.05 else f"{least:.2g} to {most:.2g}"
 
 
-def summarize_combinations(found: Combinations) -> dict[str, Any]:
+def summarize_combinations(combinations: Combinations) -> dict[str, Any]:
     """The same for JSON, deviations in percent."""
-    run, ends = found.next_run, (("strongest", found.strongest), ("weakest", found.weakest))
+    run, ends = combinations.next_run, (("strongest", combinations.strongest), ("weakest", combinations.weakest))
     more = None
     if run is not None:
         more = {"run": run.run, "speed_rpm": run.speed / RAD_S_PER_RPM, "deviation_percent": 100 * run.deviation}
     return {
-        "sentence": describe_combinations(found),
+        "sentence": describe_combinations(combinations),
         **{name: {"deviation_percent": 100 * one.deviation, "shares": dict(one.shares)} for name, one in ends},
-        "posterior_over_prior": {kind: list(span) for kind, span in found.parameters.items()},
+        "posterior_over_prior": {kind: list(span) for kind, span in combinations.parameters.items()},
         "next_run": more,
     }

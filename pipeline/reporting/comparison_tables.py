@@ -97,8 +97,8 @@ class Comparison:
         shares = [
             of.within_interval
             for r in self.of(method, case)
-            for found in r.coefficients.values()
-            for of in found.values()
+            for coefficient in r.coefficients.values()
+            for of in coefficient.values()
             if of.within_interval is not None
         ]
         return float(np.mean(shares)) if shares else None
@@ -267,7 +267,9 @@ def tabulate(comparison: Comparison) -> list[dict[str, object]]:
             "doubt": next((r.doubt for r in found if r.doubt), ""),
             "seconds": float(np.median([r.seconds for r in found])),
         }
-        places = dict.fromkeys((node, name) for r in answered for node, of in r.coefficients.items() for name in of)
+        places = dict.fromkeys(
+            (node, name) for r in answered for node, coefficient in r.coefficients.items() for name in coefficient
+        )
         rows += [about | {"bearing_node": n, "coefficient": c} | _summarize(answered, n, c) for n, c in places]
         if not places:
             rows.append(about | {"bearing_node": None, "coefficient": None} | _summarize([], "", ""))

@@ -78,8 +78,8 @@ def study_progress(name: str, total: int) -> Iterator[StudyProgress]:
     with _show_bar(name, total) as (bar, task):
 
         def update(done: int, best: float | None) -> None:
-            words = f"trials, best held-out loss {'-' if best is None else f'{best:.3g}'}, left:"
-            bar.update(task, completed=done, words=words)
+            text = f"trials, best held-out loss {'-' if best is None else f'{best:.3g}'}, left:"
+            bar.update(task, completed=done, words=text)
 
         yield update
 

@@ -101,7 +101,7 @@ def draw_coefficients(
     ``unknowns`` are those of each bearing. A direct coefficient that was not identified is drawn as the known line that
     it is. ``deviation`` (B, S, 8) is drawn as a band, and beside the error as nominal 95 % interval.
     """
-    named = {name for of in unknowns for name in of}
+    named = {name for unknown in unknowns for name in unknown}
     names = [name for name in COEFFICIENTS if name[0] == letter and (is_direct(name) or name in named)]
     compared = modelled is not None and not named.isdisjoint(names)
     ratios, height = ([2.2, 1], 6.2) if compared else ([1], 4.0)
@@ -188,19 +188,19 @@ def draw_history(path: Path, history: Path, label: str) -> Path:
 def draw_robustness(
     path: Path,
     training: ResidualTraining,
-    found: Minimum,
+    minimum: Minimum,
     over: str,
     rows: pd.DataFrame,
     modelled: BearingTable | None,
 ) -> Path:
     """Paper, Figure 2: the stiffnesses on their way from every guess; final errors over guesses or seeds."""
     unknowns = training.model.unknowns
-    if not found.trajectory:
+    if not minimum.trajectory:
         return _draw_final_errors(path, rows, over)
-    steps = np.array([step for step, _ in found.trajectory])
+    steps = np.array([step for step, _ in minimum.trajectory])
     model = training.model
     scale = model.scale_tensor()[:, 0]
-    paths = np.stack([model.physical(one, scale).detach().numpy() for _, one in found.trajectory])  # (T, G, M, U)
+    paths = np.stack([model.physical(one, scale).detach().numpy() for _, one in minimum.trajectory])  # (T, G, M, U)
     nodes = training.measurement.rotor.bearing_nodes
     members = paths.shape[2]
     with open_figure(path, members, len(unknowns), 5.2 * len(unknowns), 3.4 * members, sharex=True) as axes:
@@ -212,7 +212,7 @@ def draw_robustness(
                 ax.set_title(f"({ascii_lowercase[m * len(unknowns) + u]}) {name}, {where}")
                 if modelled is not None:
                     ax.axhline(modelled.coefficient(name)[m, 0], color=ORANGE, lw=1.5, ls="--", label="modelled")
-                ax.plot([], [], color=BLUE, lw=0.7, label=f"{len(found.outcomes)} initial guesses")
+                ax.plot([], [], color=BLUE, lw=0.7, label=f"{len(minimum.outcomes)} initial guesses")
                 ax.set_ylabel(f"{name} ({unit(name)})")
                 ax.set_xlabel("training step" if m == members - 1 else "")
         axes[0, 0].legend(loc="lower right")

@@ -30,7 +30,7 @@ def draw_identified(
 
     Markers are identified, bands (of ``deviation``, (B, S, 8)) nominal 95 % intervals, thin lines the modelled truth.
     """
-    named = {name for of in unknowns for name in of}
+    named = {name for unknown in unknowns for name in unknown}
     rows = [letter for letter in "kc" if any(name[0] == letter for name in named)]
     width = max(5.4 * len(identified.nodes), 7.0)
     with open_figure(path, len(rows), len(identified.nodes), width, 1.1 + 3.3 * len(rows), sharex=True) as axes:

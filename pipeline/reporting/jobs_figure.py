@@ -17,13 +17,13 @@ _PANELS = {
 
 def draw_jobs(path: Path, jobs: Mapping[str, Mapping[str, Any]]) -> Path:
     """Draw a row for each job, and a panel for its loss (of held-out speeds where there are some) and its error."""
-    names = [name for name in _PANELS if any(_is_drawn(one.get(name)) for one in jobs.values())]
+    names = [name for name in _PANELS if any(_is_drawn(job.get(name)) for job in jobs.values())]
     names = [name for name in names if name != "loss" or "held_out_loss" not in names] or ["loss"]
     height = 1.4 + 0.35 * len(jobs)
     with open_figure(path, 1, len(names), 3.0 + 3.5 * len(names), height, sharey=True) as axes:
         for ax, name in zip(axes.flat, names, strict=True):
             label, colour = _PANELS[name]
-            values = [(place, one[name]) for place, one in enumerate(jobs.values()) if _is_drawn(one.get(name))]
+            values = [(place, job[name]) for place, job in enumerate(jobs.values()) if _is_drawn(job.get(name))]
             ax.plot([value for _, value in values], [place for place, _ in values], "o", color=colour)
             if values:
                 ax.set_xscale("log")

@@ -78,32 +78,34 @@ def list_number_rows(numbers: Sequence[EngineersNumber]) -> list[list[str]]:
     """Rows below ``NUMBERS_HEADER``."""
     return [
         [
-            one.label,
-            format_deviation(one.value, one.deviation),
-            one.unit,
-            f"{one.percent:.2g}",
-            f"{one.guess:.4g}",
-            "" if one.determined else "the data do not tell it",
+            number.label,
+            format_deviation(number.value, number.deviation),
+            number.unit,
+            f"{number.percent:.2g}",
+            f"{number.guess:.4g}",
+            "" if number.determined else "the data do not tell it",
         ]
-        for one in numbers
+        for number in numbers
     ]
 
 
 def describe_law(quality: Mapping[str, Any], kind: str) -> list[str]:
     """Sentences for and against the bearing laws of a fit of model ``kind``; empty without any."""
-    found = find_contradiction(quality, kind)
-    words = [] if found is None else [" ".join(found)]
-    words += [_describe_correction(node, of) for node, of in quality.get("correction", {}).items()]
+    contradiction = find_contradiction(quality, kind)
+    phrases = [] if contradiction is None else [" ".join(contradiction)]
+    phrases += [_describe_correction(node, of) for node, of in quality.get("correction", {}).items()]
     law = quality.get("law", {})
     for node, share in law.get("outside_table", {}).items():
         if share > 0:
-            words.append(
+            phrases.append(
                 f"At {100 * share:.2g} % of the points the bearing of node {node} lies beyond the end of its table, "
                 "whose last coefficients are continued there: give a table that goes further."
             )
     if law.get("starts", 1) > 1:
-        words.append(f"{law['starts_at_this_answer']} of {law['starts']} guesses of the numbers ended at this answer.")
-    return words
+        phrases.append(
+            f"{law['starts_at_this_answer']} of {law['starts']} guesses of the numbers ended at this answer."
+        )
+    return phrases
 
 
 _NOTHING = 0.01

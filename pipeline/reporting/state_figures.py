@@ -64,12 +64,12 @@ def draw_states(
     identified, the direct ones as they are known.
     """
     names = [name for name in COEFFICIENTS if letter in (None, name[0])]
-    places = [(b, name) for b, of in enumerate(unknowns) for name in names if name in of]
+    places = [(b, name) for b, unknown in enumerate(unknowns) for name in names if name in unknown]
     if not places:
         places = [(b, name) for b in range(len(unknowns)) for name in names if is_direct(name)]
         modelled = deviation = None
     states = pick_states(identified.speeds, identified.operating)
-    of = _Drawn(identified, modelled, deviation, states, colour_states(len(states)))
+    drawn = _Drawn(identified, modelled, deviation, states, colour_states(len(states)))
     below = letter is not None and modelled is not None
     columns = min(_COLUMNS, len(places))
     rows, each = -(-len(places) // columns), 2 if below else 1
@@ -79,15 +79,15 @@ def draw_states(
         for i, (b, name) in enumerate(places):
             row, column = each * (i // columns), i % columns
             known = "" if name in unknowns[b] else ", known"
-            _draw_values(axes[row, column], of, b, name, f"{name}, node {identified.nodes[b]}{known}")
+            _draw_values(axes[row, column], drawn, b, name, f"{name}, node {identified.nodes[b]}{known}")
             if below:
-                _draw_error(axes[row + 1, column], of, b, name)
+                _draw_error(axes[row + 1, column], drawn, b, name)
         for ax in axes.flat:
             if not ax.lines:
                 ax.set_axis_off()
         for ax in axes[-1]:
             ax.set_xlabel("rotor speed (rpm)")
-        _place_legend(axes, of)
+        _place_legend(axes, drawn)
     return path
 
 

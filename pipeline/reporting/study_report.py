@@ -61,10 +61,10 @@ class StudyReport:
         """The same of the Chebyshev series."""
         return {} if self.chebyshev is None else self._errors(self.chebyshev.identified)
 
-    def _errors(self, found: IdentifiedModel) -> dict[str, float]:
+    def _errors(self, model: IdentifiedModel) -> dict[str, float]:
         if self.modelled is None:
             return {}
-        errors = measure_errors(found.table(self.known), self.modelled, found.unknowns.by_bearing)
+        errors = measure_errors(model.table(self.known), self.modelled, model.unknowns.by_bearing)
         return {name: find_worst_mean(errors, name) for name in self.names}
 
     @property
@@ -101,7 +101,7 @@ def tabulate_finalists(report: StudyReport) -> pd.DataFrame:
         outcomes = [outcome.label for outcome in f.outcomes]
         columns = {"trial": f.trial, "seed": report.config.tuning.seeds, "held_out_loss": f.losses, "outcome": outcomes}
         errors = report.errors.get(f.trial, {})
-        frames.append(pd.DataFrame(columns | {f"{name}_mean_error_percent": of for name, of in errors.items()}))
+        frames.append(pd.DataFrame(columns | {f"{name}_mean_error_percent": error for name, error in errors.items()}))
     return pd.concat(frames, ignore_index=True)
 
 

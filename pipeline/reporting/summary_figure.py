@@ -55,7 +55,7 @@ def draw_summary(path: Path, results: Results, title: str) -> Path:
 
 def _draw_coefficients(ax: Any, results: Results, letter: str) -> None:
     """Draw a colour a coefficient, a marker a bearing; what is known is dashed."""
-    some = [name for name in COEFFICIENTS if name[0] == letter and any(name in of for of in results.unknowns)]
+    some = [name for name in COEFFICIENTS if name[0] == letter and any(name in unknown for unknown in results.unknowns)]
     names = some or [name for name in COEFFICIENTS if name[0] == letter and is_direct(name)]
     for colour, name in zip(_COLOURS, names, strict=False):
         for b in range(len(results.identified.nodes)):

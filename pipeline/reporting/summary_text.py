@@ -186,25 +186,25 @@ def _describe_fit(training: Mapping[str, Any]) -> str:
     """Say what the fit leaves over, and how well it predicts what was held out."""
     if "fit" not in training:
         loss, held_out = training.get("loss"), training.get("held_out_loss")
-        words = "the loss overflowed" if loss is None else f"residual {loss:.2g} of the bearing force"
-        return words + (f", {held_out:.2g} at held-out speeds" if held_out is not None else "")
+        text = "the loss overflowed" if loss is None else f"residual {loss:.2g} of the bearing force"
+        return text + (f", {held_out:.2g} at held-out speeds" if held_out is not None else "")
     fit = training["fit"]
     square = fit["chi_square"]
-    words = (
+    text = (
         f"chi-square {square['value']:.0f}, where {square['expected']:.0f} is expected: the readings lie "
         f"{math.sqrt(square['value'] / square['expected']):.2f} times as far off as their noise"
     )
     if "held_out_speeds" in fit:
-        words += f"; held-out speeds predicted to {fit['held_out_speeds']['error_percent']:.2g} %"
-    return words
+        text += f"; held-out speeds predicted to {fit['held_out_speeds']['error_percent']:.2g} %"
+    return text
 
 
 def _describe_run(results: Results) -> str:
     shown = results.shown
-    words = f"{shown.error_percent:.2g} % (root mean square, {_count(shown.measured.shape[1], 'channel')})"
+    text = f"{shown.error_percent:.2g} % (root mean square, {_count(shown.measured.shape[1], 'channel')})"
     if shown.held_out:
-        return f"held-out run {shown.name} predicted to {words}"
-    return f"run {shown.name}, which was fitted, reproduced to {words}"
+        return f"held-out run {shown.name} predicted to {text}"
+    return f"run {shown.name}, which was fitted, reproduced to {text}"
 
 
 def _list_critical_speeds(results: Results) -> str:
@@ -217,8 +217,11 @@ def _list_critical_speeds(results: Results) -> str:
     return f"{_join(found)}, between {rpm[0]:g} and {rpm[-1]:g} rpm{results.state}"
 
 
-def _describe_stability(of: Behaviour) -> str:
-    margin, known_to = of.margin, (None, None) if of.deviations is None else of.deviations.of_margin(of.margin)
+def _describe_stability(behaviour: Behaviour) -> str:
+    margin, known_to = (
+        behaviour.margin,
+        (None, None) if behaviour.deviations is None else behaviour.deviations.of_margin(behaviour.margin),
+    )
     growth = format_deviation(margin.largest_growth, known_to[0])
     verdict = "stable at all speeds" if margin.stable else f"UNSTABLE, growth {growth} 1/s"
     if margin.smallest_logarithmic_decrement is None or margin.at_speed is None:
@@ -231,14 +234,17 @@ def _describe_prediction(config: Config, results: Results) -> str:
     """The vibration at the prediction's speed, and the largest of all speeds."""
     found = results.vibration["identified"]
     rpm, size = to_rpm(found.speeds), 1e6 * np.abs(found.displacement)
-    acting = _join(f"{1e6 * one.magnitude:g} g mm at node {one.node}" for one in config.machine.prediction.unbalances)
-    words = []
+    acting = _join(
+        f"{1e6 * unbalance.magnitude:g} g mm at node {unbalance.node}"
+        for unbalance in config.machine.prediction.unbalances
+    )
+    phrases = []
     for d, direction in enumerate("xy"):
         deviation = None if found.deviation is None else float(1e6 * found.deviation[results.at, d])
-        words.append(f"{direction} {format_deviation(float(size[results.at, d]), deviation)} um")
+        phrases.append(f"{direction} {format_deviation(float(size[results.at, d]), deviation)} um")
     s, d = np.unravel_index(size.argmax(), size.shape)
     return (
-        f"node {found.node} at {rpm[results.at]:g} rpm{results.state}: {', '.join(words)} (zero-to-peak); at most "
+        f"node {found.node} at {rpm[results.at]:g} rpm{results.state}: {', '.join(phrases)} (zero-to-peak); at most "
         f"{size[s, d]:.4g} um in {'xy'[d]} at {rpm[s]:g} rpm; under {acting}"
     )
 

@@ -115,24 +115,26 @@ def draw_campbell(path: Path, behaviour: Mapping[str, Behaviour], state: str = "
     return path
 
 
-def _draw_modes(axes: Any, name: str, of: Behaviour, top: float) -> None:
-    rpm, order = to_rpm(of.modes.speeds), follow_modes(of.modes)
+def _draw_modes(axes: Any, name: str, behaviour: Behaviour, top: float) -> None:
+    rpm, order = to_rpm(behaviour.modes.speeds), follow_modes(behaviour.modes)
 
     def follow(values: np.ndarray, scale: float = 1.0) -> np.ndarray:
         return np.take_along_axis(values, order, axis=1) / scale
 
-    hertz = follow(of.modes.frequency, RAD_S_PER_HERTZ)
+    hertz = follow(behaviour.modes.frequency, RAD_S_PER_HERTZ)
     seen = hertz <= top  # false for NaN
-    lines = [np.where(seen, line, np.nan) for line in (hertz, follow(of.modes.logarithmic_decrement))]
+    lines = [np.where(seen, line, np.nan) for line in (hertz, follow(behaviour.modes.logarithmic_decrement))]
     for k in np.flatnonzero(seen.any(axis=0)):
         colour = LOOKS[k % len(LOOKS)][0]
         for ax, line in zip(axes, lines, strict=True):
             _draw(ax, name, rpm, line[:, k], colour)
-        if of.deviations is not None:
-            draw_band(axes[0], rpm, lines[0][:, k], follow(of.deviations.frequency, RAD_S_PER_HERTZ)[:, k], colour)
-            draw_band(axes[1], rpm, lines[1][:, k], follow(of.deviations.logarithmic_decrement)[:, k], colour)
+        if behaviour.deviations is not None:
+            draw_band(
+                axes[0], rpm, lines[0][:, k], follow(behaviour.deviations.frequency, RAD_S_PER_HERTZ)[:, k], colour
+            )
+            draw_band(axes[1], rpm, lines[1][:, k], follow(behaviour.deviations.logarithmic_decrement)[:, k], colour)
     if name == "identified":
-        for one in of.critical:
+        for one in behaviour.critical:
             speed = one.speed / RAD_S_PER_HERTZ
             axes[0].plot(60.0 * speed, speed, "k*", ms=11, label="critical speed")
 

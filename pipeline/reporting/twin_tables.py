@@ -21,29 +21,29 @@ from pipeline.units import RAD_S_PER_RPM
 RAD_S_PER_HERTZ = 2.0 * np.pi
 
 
-def summarize_modes(of: Behaviour, running_rpm: float) -> dict[str, object]:
+def summarize_modes(behaviour: Behaviour, running_rpm: float) -> dict[str, object]:
     """Critical speeds and stability for ``prediction.json``; margins are from the running speed, in percent of it.
 
     Standard deviations stand beside (``*_std``) where the fit states them.
     """
-    margin = of.margin
+    margin = behaviour.margin
     stability: dict[str, object] = {
         "stable": margin.stable,
         "largest_growth": margin.largest_growth,
         "smallest_logarithmic_decrement": margin.smallest_logarithmic_decrement,
         "at_rpm": None if margin.at_speed is None else margin.at_speed / RAD_S_PER_RPM,
     }
-    if of.deviations is not None:
-        growth, decrement = of.deviations.of_margin(margin)
+    if behaviour.deviations is not None:
+        growth, decrement = behaviour.deviations.of_margin(margin)
         stability |= {"largest_growth_std": growth, "smallest_logarithmic_decrement_std": decrement}
-    critical = {f"{i + 1}": _summarize_critical(of, i, running_rpm) for i in range(len(of.critical))}
+    critical = {f"{i + 1}": _summarize_critical(behaviour, i, running_rpm) for i in range(len(behaviour.critical))}
     return {"critical_speeds": critical, "stability": stability}
 
 
-def _summarize_critical(of: Behaviour, i: int, running_rpm: float) -> dict[str, float | None]:
-    one = of.critical[i]
+def _summarize_critical(behaviour: Behaviour, i: int, running_rpm: float) -> dict[str, float | None]:
+    one = behaviour.critical[i]
     rpm, decrement = one.speed / RAD_S_PER_RPM, one.logarithmic_decrement
-    speed_std, decrement_std = (0.0, 0.0) if of.deviations is None else of.deviations.of_critical(one)
+    speed_std, decrement_std = (0.0, 0.0) if behaviour.deviations is None else behaviour.deviations.of_critical(one)
     amplified = amplify(decrement, decrement_std)
     factor, factor_std = (None, None) if amplified is None else amplified
     found: dict[str, float | None] = {
@@ -53,7 +53,7 @@ def _summarize_critical(of: Behaviour, i: int, running_rpm: float) -> dict[str, 
         "separation_margin_percent": 100.0 * abs(rpm / running_rpm - 1.0),
         "separation_margin_required_percent": require_separation(factor, rpm > running_rpm),
     }
-    if of.deviations is not None:
+    if behaviour.deviations is not None:
         found |= {
             "rpm_std": speed_std / RAD_S_PER_RPM,
             "logarithmic_decrement_std": decrement_std,

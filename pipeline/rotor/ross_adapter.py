@@ -127,7 +127,7 @@ def ross_rotor(config: RotorConfig, bearing: BearingConfig, speeds: np.ndarray) 
     rotor = _make_rotor(config)
     if isinstance(bearing, RotorFileBearingConfig):
         return rotor
-    seals = [one for one in rotor.bearing_elements if isinstance(one, ross().SealElement)]
+    seals = [element for element in rotor.bearing_elements if isinstance(element, ross().SealElement)]
     bearings = _make_elements(config, bearing, rotor, speeds)
     return ross().Rotor(rotor.shaft_elements, rotor.disk_elements, [*bearings, *seals])
 
@@ -148,7 +148,7 @@ def bearing_table(
     else:
         nodes = _find_bearings(config, rotor)
         share = rotor.m * GRAVITY / len(nodes)
-        values = np.stack([_tabulate_at(_select(bearing, one), speeds, operating or {}, share) for one in nodes])
+        values = np.stack([_tabulate_at(_select(bearing, node), speeds, operating or {}, share) for node in nodes])
     if not np.isfinite(values).all():
         raise ConfigError(
             "Modelled bearing coefficients must be finite, but ROSS gave some that are not: check the bearing's "

@@ -25,16 +25,18 @@ def export_rotor(
     """
     rs, base = ross(), make_rotor(config)
     moved = {
-        (one.kind, one.place): float(value) * one.deviation  # ROSS writes numbers of numpy as texts
-        for one, value in zip(parameters, values, strict=True)
-        if one.kind not in ("known_coefficients", "runout")
+        (parameter.kind, parameter.place): float(value) * parameter.deviation  # ROSS writes numbers of numpy as texts
+        for parameter, value in zip(parameters, values, strict=True)
+        if parameter.kind not in ("known_coefficients", "runout")
     }
     young, density = 1.0 + moved.get(("youngs_modulus", 0), 0.0), 1.0 + moved.get(("density", 0), 0.0)
     shaft = [_change_material(one, young, density) for one in base.shaft_elements]
     discs = []
-    for one in base.disk_elements:
-        mass, inertia = (1.0 + moved.get((kind, one.n), 0.0) for kind in ("disc_mass", "disc_inertia"))
-        discs.append(rs.DiskElement(one.n, mass * one.m, inertia * one.Id, inertia * one.Ip, tag=one.tag))
+    for element in base.disk_elements:
+        mass, inertia = (1.0 + moved.get((kind, element.n), 0.0) for kind in ("disc_mass", "disc_inertia"))
+        discs.append(
+            rs.DiskElement(element.n, mass * element.m, inertia * element.Id, inertia * element.Ip, tag=element.tag)
+        )
     last = len(base.nodes) - 1
     masses = [one for one in base.point_mass_elements if one.n <= last]
     standing = [*make_bearings(bearings), *(one for one in base.bearing_elements if isinstance(one, rs.SealElement))]
@@ -66,10 +68,10 @@ def read_table(elements: Sequence[Any], speeds: np.ndarray) -> BearingTable:
     ROSS smooths a table of four speeds or more by a spline that leaves a root mean square of 1 N/m and 1 N s/m.
     """
     values = [
-        [[float(getattr(one, f"{name}_interpolated")(speed)) for name in COEFFICIENTS] for speed in speeds]
-        for one in elements
+        [[float(getattr(element, f"{name}_interpolated")(speed)) for name in COEFFICIENTS] for speed in speeds]
+        for element in elements
     ]
-    return BearingTable(tuple(int(one.n) for one in elements), speeds, np.array(values))
+    return BearingTable(tuple(int(element.n) for element in elements), speeds, np.array(values))
 
 
 def _change_material(element: Any, young: float, density: float) -> Any:

@@ -35,9 +35,9 @@ def read_rotor_file(ross: Any, file: Path) -> Any:
                 for name, content in data.items()
                 if name not in _NO_ELEMENTS and not name.startswith("_")
             ]
-            _check_shaft([one.n for one in elements if isinstance(one, ross.ShaftElement)], file)
+            _check_shaft([element.n for element in elements if isinstance(element, ross.ShaftElement)], file)
             kinds = (ross.ShaftElement, ross.DiskElement, ross.BearingElement, ross.PointMass)
-            parts = [[one for one in elements if isinstance(one, kind)] for kind in kinds]
+            parts = [[element for element in elements if isinstance(element, kind)] for kind in kinds]
             return ross.Rotor(*parts, **data["parameters"])
     except ConfigError:
         raise

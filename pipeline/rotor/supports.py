@@ -59,13 +59,13 @@ class Stand:
             total[at, :, at] -= w**2 * mass.M()[:2, :2]
         matrix = total.reshape(2 * len(nodes), 2 * len(nodes))
         try:
-            moved = np.linalg.solve(matrix[2:, 2:], matrix[2:, :2])
+            solution = np.linalg.solve(matrix[2:, 2:], matrix[2:, :2])
         except np.linalg.LinAlgError:
             raise ConfigError(
                 f"a support must be held to give its bearing coefficients, but that of node {self.node} is not at "
                 f"{w:.6g} rad/s: add a bearing element from its node to the ground"
             ) from None
-        return np.asarray(matrix[:2, :2] - matrix[:2, 2:] @ moved)
+        return np.asarray(matrix[:2, :2] - matrix[:2, 2:] @ solution)
 
 
 def find_stands(elements: Iterable[Any], masses: Sequence[Any], last: int, seal_class: type) -> tuple[Stand, ...]:
@@ -73,9 +73,9 @@ def find_stands(elements: Iterable[Any], masses: Sequence[Any], last: int, seal_
 
     Raises ConfigError for bearings that hold two nodes of the shaft together.
     """
-    bearings = [one for one in elements if not isinstance(one, seal_class) and not _is_axial(one)]
+    bearings = [element for element in elements if not isinstance(element, seal_class) and not _is_axial(element)]
     stands = []
-    for node in sorted({end for one in bearings for end in _ends(one) if end <= last}):
+    for node in sorted({end for bearing in bearings for end in _ends(bearing) if end <= last}):
         joined, found = {node}, []
         rest = list(bearings)
         # From the shaft's node through the supports; another node of the shaft ends the way.
@@ -98,7 +98,7 @@ def find_stands(elements: Iterable[Any], masses: Sequence[Any], last: int, seal_
 def find_seals(elements: Iterable[Any], last: int, seal_class: type) -> Seals:
     """The seals of a rotor. Raises ConfigError for one on a support, and one beside the shaft."""
     rows: list[list[float]] = []
-    seals: list[Any] = [one for one in elements if isinstance(one, seal_class)]
+    seals: list[Any] = [element for element in elements if isinstance(element, seal_class)]
     for seal, one in enumerate(seals):
         if one.n_link is not None or one.n > last:
             raise ConfigError(

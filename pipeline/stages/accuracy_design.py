@@ -115,8 +115,8 @@ def _try_cures(designer: Designer, allowed: Runs, plan: Measurement) -> dict[str
     """What would help -> the worst deviation with it, at all speeds."""
     most, can = designer.config.design.runs, designer.config.machine.candidates
 
-    def worst(one: Measurement, runs: int = most) -> float:
-        information = designer.inform(one)
+    def worst(measurement: Measurement, runs: int = most) -> float:
+        information = designer.inform(measurement)
         return information.worst(reach(information, 0.0, runs, [1]).runs)
 
     floorless = replace(plan, noise=replace(plan.noise, additive=0.0))

@@ -54,27 +54,27 @@ def run(config: Config) -> StageOutput:
     models = fitted.models
     source = SourceUnits(config.machine.recordings)
     method = pick_method(models, config.balance.method, "balance.method")
-    found: dict[str, Estimates] = {}
+    by_method: dict[str, Estimates] = {}
     for name, model in models.items():
         if config.balance.records is None:
-            found[name] = estimate_all(describe_conditions(fitted.conditions), leave_each_out(fitted, name))
+            by_method[name] = estimate_all(describe_conditions(fitted.conditions), leave_each_out(fitted, name))
         else:
             readings = _read(config, config.balance.records, model)
-            found[name] = estimate_all(readings, [model] * len(readings.names))
-        print_estimates(config.name, name, found[name], model.planes, source)
+            by_method[name] = estimate_all(readings, [model] * len(readings.names))
+        print_estimates(config.name, name, by_method[name], model.planes, source)
         if config.balance.records is None and not can_leave_out(fitted, name):
             say(f"{config.name}: {name} was fitted to these conditions themselves; stage=folds tries it on unseen ones")
     planes = models[method].planes
-    summary: dict[str, Any] = {"methods": {name: _summarize(of) for name, of in found.items()}, "sheet": None}
+    summary: dict[str, Any] = {"methods": {name: _summarize(of) for name, of in by_method.items()}, "sheet": None}
     if config.machine.balance is None:
         say(f"{config.name}: no correction weights, since machine.balance does not say where there are holes")
     else:
-        readings = found[method].readings
+        readings = by_method[method].readings
         summary["sheet"] = _correct(config, config.machine.balance, models[method], method, readings, measurement.rotor)
     written = [
-        write_table(work.folder / "balance.csv", tabulate_estimates(found, planes, source)),
+        write_table(work.folder / "balance.csv", tabulate_estimates(by_method, planes, source)),
         write_json(work.folder / "balance.json", summary),
-        draw_balance(work.figure("balance"), method, found[method], planes, source),
+        draw_balance(work.figure("balance"), method, by_method[method], planes, source),
     ]
     return StageOutput(summary, {"data_fingerprint": fitted.fingerprint}, written)
 
@@ -85,20 +85,20 @@ def _read(config: Config, file: str, model: LinearVibration) -> Readings:
     missing = list_missing(records)
     without = f" without {', '.join(missing)}" if missing else ""
     there = np.flatnonzero((readings.counts > 0).any(axis=(0, 2)))
-    rpm = ", ".join(f"{one / RAD_S_PER_RPM:.0f}" for one in model.speeds[there])
+    rpm = ", ".join(f"{speed / RAD_S_PER_RPM:.0f}" for speed in model.speeds[there])
     say(f"{config.name}: {len(readings.names)} conditions of '{file}' at {rpm} rpm{without}")
     return readings
 
 
-def _summarize(of: Estimates) -> dict[str, Any]:
+def _summarize(estimates: Estimates) -> dict[str, Any]:
     """Names of what is out of order, and how the known weights lie in the bands."""
-    names = of.readings.names
-    known = ~np.isnan(of.readings.unbalance)
-    inside = np.abs(of.readings.unbalance - of.unbalance) <= of.radius
+    names = estimates.readings.names
+    known = ~np.isnan(estimates.readings.unbalance)
+    inside = np.abs(estimates.readings.unbalance - estimates.unbalance) <= estimates.radius
     return {
         "conditions": len(names),
-        "inconsistent": [name for name, bad in zip(names, of.inconsistent, strict=True) if bad],
-        "contradicted": [name for name, bad in zip(names, of.contradicted, strict=True) if bad],
+        "inconsistent": [name for name, bad in zip(names, estimates.inconsistent, strict=True) if bad],
+        "contradicted": [name for name, bad in zip(names, estimates.contradicted, strict=True) if bad],
         "known_within_95_percent": float(inside[known].mean()) if known.any() else None,
     }
 
@@ -118,7 +118,9 @@ def _correct(
     speeds = match_speeds(np.array(asked.speeds_rpm) * RAD_S_PER_RPM, model.speeds, "balance.speeds_rpm")
     state = _find_state(config, model, readings)
     every = [
-        propose_weights(model, state, [one and replace(one, most=k) for one in holes], asked.minimise, speeds.tolist())
+        propose_weights(
+            model, state, [hole and replace(hole, most=k) for hole in holes], asked.minimise, speeds.tolist()
+        )
         for k in range(given.most if given.masses == ANY else 1, given.most + 1)
     ]
     sheet = every[-1]

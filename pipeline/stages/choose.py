@@ -66,7 +66,7 @@ def _print(config: Config, judged: tuple[Judged, ...], chosen: Judged) -> None:
     for one in judged:
         if one.rejected:
             say(f"{config.name}: the readings contradict {one.name} (probability {one.probability:.2g})")
-    words = "the simplest that is not contradicted and predicts as well as the best"
+    text = "the simplest that is not contradicted and predicts as well as the best"
     if chosen.rejected:
-        words = "it predicts best, but the readings contradict every model: check rotor, probes and weights"
-    say(f"{config.name}: choose model={_MODELS[chosen.name]}: {words}")
+        text = "it predicts best, but the readings contradict every model: check rotor, probes and weights"
+    say(f"{config.name}: choose model={_MODELS[chosen.name]}: {text}")

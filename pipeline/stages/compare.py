@@ -120,8 +120,8 @@ def _print(config: Config, comparison: Comparison) -> None:
     for title, header, rows in make_tables(comparison):
         table(f"{config.name}: {title}", header, rows)
     for method, outcomes in comparison.outcomes().items():
-        for words in outcomes.values():
-            say(f"{METHODS[method].label}: {words}")
+        for outcome in outcomes.values():
+            say(f"{METHODS[method].label}: {outcome}")
     if "response" in comparison.methods:
         for name in comparison.names:
             best, ratio = comparison.best_other("response", comparison.main, name)

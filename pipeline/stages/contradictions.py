@@ -27,21 +27,21 @@ def to_labels(config: Config, unbalance: np.ndarray) -> np.ndarray:
     return np.asarray(turned.conj() if sense == "against_rotation" else turned) / _GRAM_MM
 
 
-def describe_contradiction(config: Config, conditions: Conditions, one: Contradiction) -> str:
+def describe_contradiction(config: Config, conditions: Conditions, contradiction: Contradiction) -> str:
     """One sentence: the condition, and what its vibration reads like."""
     label, reading = (
         " and ".join(_weight(node, u) for node, u in zip(conditions.planes, to_labels(config, of), strict=True))
-        for of in (one.label, one.reading.value)
+        for of in (contradiction.label, contradiction.reading.value)
     )
-    text = f"condition {one.name} contradicts its label ({label}; chance {one.chance:.1g}): "
-    if one.shifted is not None:
-        node, angle = one.shifted
+    text = f"condition {contradiction.name} contradicts its label ({label}; chance {contradiction.chance:.1g}): "
+    if contradiction.shifted is not None:
+        node, angle = contradiction.shifted
         probe = f"the probe at node {node} ({name_direction(angle)})"
-        if one.explained:
+        if contradiction.explained:
             return f"{text}it reads as if the baseline of {probe} alone had shifted"
         return f"{text}no weights explain it; its baseline has shifted, most at {probe}"
-    if one.missing:
-        nodes = " or ".join(map(str, one.missing))
+    if contradiction.missing:
+        nodes = " or ".join(map(str, contradiction.missing))
         return f"{text}it reads as if the weight at node {nodes} were missing, like {reading}"
     return f"{text}it reads like {reading}"
 
@@ -53,24 +53,26 @@ def _weight(node: int, value: complex) -> str:
     return f"{size} at {np.degrees(np.angle(value)) % 360:.0f} deg at node {node}"
 
 
-def tell_contradiction(config: Config, conditions: Conditions, one: Contradiction) -> dict[str, Any]:
+def tell_contradiction(config: Config, conditions: Conditions, contradiction: Contradiction) -> dict[str, Any]:
     """The same for a file: g mm and degrees as the labels count them."""
-    reading, label = to_labels(config, one.reading.value), to_labels(config, one.label)
+    reading, label = to_labels(config, contradiction.reading.value), to_labels(config, contradiction.label)
     outside = [
         f"node {conditions.channels[p][0]} {name_direction(conditions.channels[p][1])} at "
         f"{to_rpm(conditions.speeds[s]):.0f} rpm"
-        for s, p in np.argwhere(one.seen)
+        for s, p in np.argwhere(contradiction.seen)
     ]
     return {
-        "condition": one.name,
-        "sentence": describe_contradiction(config, conditions, one),
-        "chance": one.chance,
+        "condition": contradiction.name,
+        "sentence": describe_contradiction(config, conditions, contradiction),
+        "chance": contradiction.chance,
         "label_g_mm": abs(label).tolist(),
         "label_deg": np.degrees(np.angle(label)).tolist(),
         "reads_like_g_mm": abs(reading).tolist(),
         "reads_like_deg": np.degrees(np.angle(reading)).tolist(),
-        "within_g_mm": (one.reading.half_width() / _GRAM_MM).tolist(),
-        "missing_at_nodes": list(one.missing),
-        "shifted": None if one.shifted is None else f"node {one.shifted[0]} {name_direction(one.shifted[1])}",
+        "within_g_mm": (contradiction.reading.half_width() / _GRAM_MM).tolist(),
+        "missing_at_nodes": list(contradiction.missing),
+        "shifted": None
+        if contradiction.shifted is None
+        else f"node {contradiction.shifted[0]} {name_direction(contradiction.shifted[1])}",
         "outside_interval": outside,
     }

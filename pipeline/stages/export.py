@@ -93,7 +93,7 @@ def _write(
     if "csv" in formats:
         write_table(folder / "coefficients.csv", tabulate(*states))
         if numbers:
-            write_table(folder / "physical_numbers.csv", [one.model_dump() for one in numbers])
+            write_table(folder / "physical_numbers.csv", [number.model_dump() for number in numbers])
     if "excel" in formats:
         write_workbook(folder / "coefficients.xlsx", *states, numbers=numbers)
     if "json" in formats:
@@ -120,18 +120,18 @@ def _write_ross(folder: Path, config: Config, updated: Measurement, states: Sequ
         made = export_rotor(rotor, updated.parameters, updated.parameter_values, exported.table)
         made.save(folder / f"rotor{exported.suffix}.toml")
         elements = make_bearings(exported.table)
-        for one in elements:
-            one.save(folder / f"bearing_node_{one.n}{exported.suffix}.toml")
+        for element in elements:
+            element.save(folder / f"bearing_node_{element.n}{exported.suffix}.toml")
         off.append(_compare(config, updated, exported.table, read_table(elements, exported.table.speeds)))
     if states[0].deviation is not None:
-        columns = tabulate(*(replace(one, units="si") for one in states))
+        columns = tabulate(*(replace(state, units="si") for state in states))
         write_table(folder / "deviations.csv", {k: v for k, v in columns.items() if k not in COEFFICIENTS})
     every = zip(updated.rotor.bearing_nodes, updated.updated_rotor.bearing_shifts, strict=False)
     beside = "".join(
         f"; the fit places the bearing of node {node} {1e3 * shift:+.3g} mm along the shaft, which 'rotor.toml' lacks"
         for node, shift in every
     )
-    files = " and ".join(f"'rotor{one.suffix}.toml'" for one in states[:3]) + (", ..." if len(states) > 3 else "")
+    files = " and ".join(f"'rotor{state.suffix}.toml'" for state in states[:3]) + (", ..." if len(states) > 3 else "")
     return (
         f"{files} {'is' if len(states) == 1 else 'are'} for ross.Rotor.load; ROSS smooths tables over the speed, which "
         f"moves the response to the prediction's unbalance by at most {max(off):.1g} %{beside}"

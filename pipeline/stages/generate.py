@@ -139,8 +139,13 @@ def configure_excitations(config: Config) -> tuple[Excitation, ...]:
     """The configured runs."""
     acting: list[Excitation] = []
     for run in config.machine.runs:
-        acting += [Excitation(run.name, "unbalance", one.node, one.magnitude, one.phase) for one in run.unbalances]
-        acting += [Excitation(run.name, "force", one.node, one.magnitude, one.phase, one.whirl) for one in run.forces]
+        acting += [
+            Excitation(run.name, "unbalance", unbalance.node, unbalance.magnitude, unbalance.phase)
+            for unbalance in run.unbalances
+        ]
+        acting += [
+            Excitation(run.name, "force", force.node, force.magnitude, force.phase, force.whirl) for force in run.forces
+        ]
     return tuple(acting)
 
 

@@ -64,7 +64,10 @@ def run(config: Config) -> StageOutput:
     if isinstance(ingest, RecordsConfig):
         return ingest_records(config, ingest, work, rotor)
     for measured_run in ingest.runs:
-        acting = [*(one.node for one in measured_run.unbalances), *(one.node for one in measured_run.forces)]
+        acting = [
+            *(unbalance.node for unbalance in measured_run.unbalances),
+            *(force.node for force in measured_run.forces),
+        ]
         require_nodes(rotor, f"machine.recordings.runs, run '{measured_run.name}',", acting)
     on_casing = note_casing(ingest.probes, rotor.bearing_nodes)
     measured = read_measured_runs(ingest)

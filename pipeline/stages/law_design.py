@@ -63,7 +63,7 @@ class LawDesigner:
 
     def limit(self, runs: Runs, states: Sequence[State]) -> Runs:
         """The runs, made smaller where an orbit would leave its share of the clearance in one of the states."""
-        clearance = [one.clearance.value if isinstance(one, JournalLaw) else np.inf for one in self.laws.laws]
+        clearance = [law.clearance.value if isinstance(law, JournalLaw) else np.inf for law in self.laws.laws]
         scales = []
         for state in states:
             prior = guess_table(self.laws, *self.bearings(state))
@@ -92,7 +92,7 @@ def reach_numbers(config: Config) -> StageOutput:
     allowed = designer.limit(possible, states)
     candidates = _inform(config, designer, allowed, states)
     plans = plan_by_states(candidates, len(states), config.design.runs, accuracy)
-    best = plans[find_least({i: one.worst for i, one in enumerate(plans)})]
+    best = plans[find_least({i: plan.worst for i, plan in enumerate(plans)})]
     chosen = [allowed[c] for c in best.runs]
     summary = _summarize(candidates, plans, best, states, accuracy)
     summary |= {"runs": [acting[0].run for acting in chosen], "stated_noise": config.stated_noise.model_dump()}
@@ -124,7 +124,7 @@ def _list_states(config: Config, laws: LawSet) -> list[State]:
 
 
 def _inform(config: Config, designer: LawDesigner, runs: Runs, states: Sequence[State]) -> LawCandidates:
-    names = [one.name for one in designer.laws.parameters]
+    names = [parameter.name for parameter in designer.laws.parameters]
     asked = config.design.numbers or names
     for name in asked:
         if name not in names:
@@ -141,15 +141,15 @@ def _summarize(
     candidates: LawCandidates, plans: Sequence[LawPlan], best: LawPlan, states: Sequence[State], accuracy: float
 ) -> dict[str, object]:
     deviation = candidates.with_runs(best.states, best.runs).deviation
-    names = [one.name for one in candidates.nothing.parameters]
+    names = [parameter.name for parameter in candidates.nothing.parameters]
     return {
         "accuracy": accuracy,
         "reached": best.worst <= accuracy,
         "predicted": dict(zip(names, map(float, deviation), strict=True)),
         "states": [dict(states[t]) for t in best.states],
         "by_number_of_states": [
-            {"states": [name_state(states[t]) for t in one.states], "runs": len(one.runs), "worst": one.worst}
-            for one in plans
+            {"states": [name_state(states[t]) for t in plan.states], "runs": len(plan.runs), "worst": plan.worst}
+            for plan in plans
         ],
     }
 
@@ -159,7 +159,9 @@ def _print(
 ) -> None:
     accuracy = config.design.accuracy or 0.0
     where, runs = _name(best, states), f"{len(best.runs)} run{'s' if len(best.runs) > 1 else ''}"
-    rows = [[f"{len(one.states)}", _name(one, states), f"{len(one.runs)}", f"{100 * one.worst:.2g}"] for one in plans]
+    rows = [
+        [f"{len(plan.states)}", _name(plan, states), f"{len(plan.runs)}", f"{100 * plan.worst:.2g}"] for plan in plans
+    ]
     title = f"{config.name}: the number that is known least, % (one standard deviation, at {describe_noise(config)})"
     table(title, ["states", "which", "runs", "worst, %"], rows)
     found, before = candidates.with_runs(best.states, best.runs).deviation, candidates.nothing.deviation
@@ -168,8 +170,13 @@ def _print(
         f"{config.name}: numbers of the bearing laws with {runs} at {where}",
         header,
         [
-            [one.name, f"{100 * a:.2g}", f"{100 * b:.2g}", "" if b <= accuracy else "not reached" if w else "not asked"]
-            for one, a, b, w in zip(candidates.nothing.parameters, before, found, candidates.wanted, strict=True)
+            [
+                parameter.name,
+                f"{100 * a:.2g}",
+                f"{100 * b:.2g}",
+                "" if b <= accuracy else "not reached" if w else "not asked",
+            ]
+            for parameter, a, b, w in zip(candidates.nothing.parameters, before, found, candidates.wanted, strict=True)
         ],
     )
     if best.worst <= accuracy:
@@ -190,11 +197,11 @@ def _name(plan: LawPlan, states: Sequence[State]) -> str:
 
 def _override_states(states: Sequence[State]) -> str:
     """The states as an override, where they are every combination of some values."""
-    values = {name: list(dict.fromkeys(one[name] for one in states)) for name in states[0]} if states[0] else {}
+    values = {name: list(dict.fromkeys(state[name] for state in states)) for name in states[0]} if states[0] else {}
     if not values or np.prod([len(of) for of in values.values()]) != len(states):
         return ""
     parts = []
-    for name, own in values.items():
+    for name, value in values.items():
         column = column_of(name)
-        parts.append(f"{name}: [{', '.join(f'{of:g} {column.unit}' for of in column.from_si(np.array(own)))}]")
+        parts.append(f"{name}: [{', '.join(f'{of:g} {column.unit}' for of in column.from_si(np.array(value)))}]")
     return " " + shlex.quote(f"machine.operating={{{', '.join(parts)}}}")

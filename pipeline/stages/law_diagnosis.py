@@ -31,9 +31,9 @@ def diagnose_laws(config: Config, measurement: Measurement, noise: str) -> dict[
         header.append(f"with {write_condition(OIL_TEMPERATURE, warmer[0])} as well, %")
     columns = [100 * found.prior, 100 * found.deviation, *([] if further is None else [further])]
     summary, rows = summarize_numbers(found, further), []
-    for i, one in enumerate(list_numbers(summary, config)):
-        shown = [one.name, f"{one.guess:.4g} {one.unit}".strip(), *(f"{column[i]:.2g}" for column in columns)]
-        rows.append([*shown, "" if one.determined else "not told by these data"])
+    for i, number in enumerate(list_numbers(summary, config)):
+        shown = [number.name, f"{number.guess:.4g} {number.unit}".strip(), *(f"{column[i]:.2g}" for column in columns)]
+        rows.append([*shown, "" if number.determined else "not told by these data"])
     title = f"{config.name}: numbers of the bearing laws at their guesses, at {noise} (one standard deviation)"
     table(title, [*header, ""], rows)
     for sentence in describe_open(found):
@@ -45,28 +45,28 @@ def diagnose_laws(config: Config, measurement: Measurement, noise: str) -> dict[
     return {"physical_numbers": summary, "free_combinations": list(found.free)}
 
 
-def summarize_numbers(found: LawInformation, further: np.ndarray | None) -> dict[str, dict[str, Any]]:
+def summarize_numbers(information: LawInformation, further: np.ndarray | None) -> dict[str, dict[str, Any]]:
     """By name, SI; ``further`` (Th,) percent, with one more oil temperature."""
     result = {}
-    for i, one in enumerate(found.parameters):
-        result[one.name] = {
-            "guess": one.guess,
-            "value": one.guess,
-            "deviation": float(one.guess * found.deviation[i]),
-            "unit": one.unit,
-            "prior_percent": float(100 * found.prior[i]),
-            "deviation_percent": float(100 * found.deviation[i]),
-            "determined": bool(found.determined[i]),
+    for i, parameter in enumerate(information.parameters):
+        result[parameter.name] = {
+            "guess": parameter.guess,
+            "value": parameter.guess,
+            "deviation": float(parameter.guess * information.deviation[i]),
+            "unit": parameter.unit,
+            "prior_percent": float(100 * information.prior[i]),
+            "deviation_percent": float(100 * information.deviation[i]),
+            "determined": bool(information.determined[i]),
         }
         if further is not None:
-            result[one.name][f"deviation_percent_{FURTHER:g}_K_warmer"] = float(further[i])
+            result[parameter.name][f"deviation_percent_{FURTHER:g}_K_warmer"] = float(further[i])
     return result
 
 
-def describe_open(found: LawInformation) -> list[str]:
+def describe_open(information: LawInformation) -> list[str]:
     """A sentence on each combination of numbers that stays at its prior; none where all is told."""
     said = []
-    for free in found.free:
+    for free in information.free:
         with_, against = ([name for name, share in free.items() if (share > 0) == same] for same in (True, False))
         words = _join(with_) + (f", against {_join(against)}" if against else " together" if len(with_) > 1 else "")
         cure = "it" if len(free) == 1 else "one of them"

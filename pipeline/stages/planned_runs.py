@@ -59,8 +59,8 @@ def format_runs(config: Config, chosen: Sequence[Sequence[Excitation]], speeds: 
     return head + yaml.safe_dump(content, sort_keys=False)
 
 
-def _format_source(one: Excitation) -> dict[str, object]:
-    unit = "kg m" if one.kind == "unbalance" else "N"
-    source: dict[str, object] = {"node": one.node, "magnitude": f"{one.magnitude:.12g} {unit}"}
-    source["phase"] = f"{np.degrees(one.phase):.12g} deg"
-    return source | ({"whirl": one.whirl} if one.kind == "force" else {})
+def _format_source(excitation: Excitation) -> dict[str, object]:
+    unit = "kg m" if excitation.kind == "unbalance" else "N"
+    source: dict[str, object] = {"node": excitation.node, "magnitude": f"{excitation.magnitude:.12g} {unit}"}
+    source["phase"] = f"{np.degrees(excitation.phase):.12g} deg"
+    return source | ({"whirl": excitation.whirl} if excitation.kind == "force" else {})

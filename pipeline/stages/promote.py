@@ -21,8 +21,8 @@ def run(config: Config) -> StageOutput:
     :raises ConfigError: where there is no such study, or it is of another experiment
     """
     source, target = Path(config.tuning.folder), Path(config.tuning.promoted)
-    found = read_promoted(source)
-    if found is None:
+    promoted = read_promoted(source)
+    if promoted is None:
         raise ConfigError(
             f"a study must have ended before it is promoted, but there is no '{source / BEST}': run stage=tune with "
             f"tuning.study={config.tuning.study}, or name another (make promote STUDY=NAME EXPERIMENT=NAME)"
@@ -33,16 +33,17 @@ def run(config: Config) -> StageOutput:
             f"a study must be promoted for the experiment that it is of, but '{source}' is of {of}, not of "
             f"{config.name}: give experiment={of} (make promote STUDY={config.tuning.study} EXPERIMENT={of})"
         )
-    apply_values(config, found.values, f"'{source / BEST}'")
+    apply_values(config, promoted.values, f"'{source / BEST}'")
     files = [path.relative_to(source) for path in sorted(source.rglob("*")) if _is_report(path)]
     changes = {name: _compare(source / name, target / name) for name in files}
     if not any(changes.values()):
-        say(f"{config.name}: '{target}' is what study '{found.study}' (trial {found.trial}) found: nothing changes")
+        origin = f"study '{promoted.study}' (trial {promoted.trial})"
+        say(f"{config.name}: '{target}' is what {origin} found: nothing changes")
         return StageOutput()
     before = read_promoted(target)
-    _say_values(config, before.values if before else {}, found.values)
+    _say_values(config, before.values if before else {}, promoted.values)
     rows = [[str(target / name), change] for name, change in changes.items() if change]
-    table(f"{config.name}: study '{found.study}' (trial {found.trial}) is promoted", ["file", ""], rows)
+    table(f"{config.name}: study '{promoted.study}' (trial {promoted.trial}) is promoted", ["file", ""], rows)
     # What training reads comes last: stopped in between, training still has the values of before.
     written = [_copy(source / name, target / name) for name in sorted(files, key=_is_best)]
     say(f"{config.name}: training uses '{target / BEST}' from now on")

@@ -65,9 +65,9 @@ def refit(config: Config, seed: int) -> Refit:
     asked = config.identify.unknowns_of(rotor.bearing_nodes).identified[:, None]
     known = replace(truth, values=np.where(asked, 0.0, truth.values))  # the fit sees nothing of what it is to find
     measurement = build_measurement(config, rotor, read_probes(config, rotor, complete, seed), known)
-    found = fit_sensors(measurement, setup_of(config))
-    quality, identified, unknowns = output_error_quality(found), found.identified, measurement.unknowns
-    uncertainty = uncertainty_of(found, quality.inflation if config.loss.noise == "estimated" else 1.0)
+    sensors = fit_sensors(measurement, setup_of(config))
+    quality, identified, unknowns = output_error_quality(sensors), sensors.identified, measurement.unknowns
+    uncertainty = uncertainty_of(sensors, quality.inflation if config.loss.noise == "estimated" else 1.0)
     answer = identified.table(update_measurement(measurement, uncertainty).updated_known)
     deviation = np.nan_to_num(uncertainty.deviation(identified, truth.speeds, truth.operating))
     elsewhere = model_unmeasured(config, truth.speeds)
@@ -79,11 +79,11 @@ def refit(config: Config, seed: int) -> Refit:
 
     real, spread = list_active(truth.values), list_active(deviation)
     error = list_active(answer.values) - real
-    keep = found.start.keep
+    keep = sensors.start.keep
     # Laws have no weights that give any coefficients: their bound is that of the answer.
-    by_laws = found.problem.measurement.laws is not None
-    at_truth = found.weights if by_laws else start_at(found.problem, unknowns.leading(truth.values[:, keep]))
-    bound = unknown_deviation(found.problem, at_truth)[0]  # (S, A)
+    by_laws = sensors.problem.measurement.laws is not None
+    at_truth = sensors.weights if by_laws else start_at(sensors.problem, unknowns.leading(truth.values[:, keep]))
+    bound = unknown_deviation(sensors.problem, at_truth)[0]  # (S, A)
     assert quality.misfit is not None
     return Refit(
         names=tuple((rotor.bearing_nodes[m], unknowns.names[u]) for m, u in unknowns.active),
@@ -96,7 +96,7 @@ def refit(config: Config, seed: int) -> Refit:
         unmeasured={}
         if elsewhere is None
         else measure_unmeasured(identified.table(elsewhere), elsewhere, unknowns.by_bearing),
-        numbers=measure_numbers({one.name: (one.value, one.deviation) for one in found.numbers()}, config.machine),
+        numbers=measure_numbers({one.name: (one.value, one.deviation) for one in sensors.numbers()}, config.machine),
     )
 
 
@@ -135,7 +135,7 @@ def _refit_all(config: Config) -> Iterator[Refit]:
             yield found
 
 
-def _tabulate(found: list[Refit]) -> pd.DataFrame:
+def _tabulate(refits: list[Refit]) -> pd.DataFrame:
     import pandas as pd
 
     return pd.DataFrame(
@@ -148,16 +148,16 @@ def _tabulate(found: list[Refit]) -> pd.DataFrame:
             "probability": of.probability,
             "chi_square_over_expected": of.misfit,
         }
-        for g, of in enumerate(found)
+        for g, of in enumerate(refits)
         for a, (node, name) in enumerate(of.names)
     )
 
 
-def _summarize(found: list[Refit]) -> dict[str, object]:
+def _summarize(refits: list[Refit]) -> dict[str, object]:
     coefficients: dict[str, dict[str, dict[str, float]]] = {}
-    error, within = (np.array([getattr(of, name) for of in found]) for name in ("error", "within"))
-    over_bound = np.array([of.over_bound for of in found])  # (data sets, S, A)
-    for a, (node, name) in enumerate(found[0].names):
+    error, within = (np.array([getattr(of, name) for of in refits]) for name in ("error", "within"))
+    over_bound = np.array([of.over_bound for of in refits])  # (data sets, S, A)
+    for a, (node, name) in enumerate(refits[0].names):
         coefficients.setdefault(str(node), {})[name] = {
             "median_error_percent": float(np.median(error[:, a])),
             "worst_median_error_percent": float(error[:, a].max()),
@@ -165,28 +165,28 @@ def _summarize(found: list[Refit]) -> dict[str, object]:
             # Each speed has a bound of its own: the mean of the squared ratio over speeds and data sets.
             "rmse_over_bound": float(np.sqrt((over_bound[..., a] ** 2).mean())),
             "bias_over_bound": float(np.sqrt((over_bound[..., a].mean(axis=0) ** 2).mean())),
-            "median_bound_percent": float(np.median([of.bound[a] for of in found])),
+            "median_bound_percent": float(np.median([of.bound[a] for of in refits])),
         }
-    rejected = [of.probability is not None and of.probability < MISMATCH for of in found]
+    rejected = [of.probability is not None and of.probability < MISMATCH for of in refits]
     return {
-        "data_sets": len(found),
+        "data_sets": len(refits),
         "median_error_percent": float(np.median(error)),
         "within_95_percent_interval": float(within.mean()),
         "rejected_percent": 100.0 * float(np.mean(rejected)),
-        "chi_square_over_expected": float(np.median([of.misfit for of in found])),
+        "chi_square_over_expected": float(np.median([of.misfit for of in refits])),
         "coefficients": coefficients,
-        **_summarize_physics(found),
+        **_summarize_physics(refits),
     }
 
 
-def _summarize_physics(found: list[Refit]) -> dict[str, object]:
+def _summarize_physics(refits: list[Refit]) -> dict[str, object]:
     """Errors at conditions that no run has, and of the numbers of the bearing laws; nothing where there are none."""
     unmeasured: dict[str, dict[str, dict[str, dict[str, float]]]] = {}
     together = {}
-    for words, bearings in found[0].unmeasured.items():
+    for words, bearings in refits[0].unmeasured.items():
         for node, names in bearings.items():
             for name in names:
-                median = [of.unmeasured[words][node][name].median_error_percent for of in found]
+                median = [of.unmeasured[words][node][name].median_error_percent for of in refits]
                 unmeasured.setdefault(words, {}).setdefault(str(node), {})[name] = {
                     "median_error_percent": float(np.median(median)),
                     "worst_median_error_percent": float(np.max(median)),
@@ -194,8 +194,8 @@ def _summarize_physics(found: list[Refit]) -> dict[str, object]:
         medians = [of["median_error_percent"] for names in unmeasured[words].values() for of in names.values()]
         together[words] = {"median_error_percent": float(np.median(medians))}
     numbers = {}
-    for name in found[0].numbers:
-        every = [of.numbers[name] for of in found]
+    for name in refits[0].numbers:
+        every = [of.numbers[name] for of in refits]
         numbers[name] = {
             "true": every[0].true,
             "median_error_percent": float(np.median([of.error_percent for of in every])),
@@ -211,14 +211,14 @@ def _print(config: Config, summary: Mapping[str, Any]) -> None:
     shown = [
         [
             f"node {node} {name}",
-            f"{of['median_error_percent']:.3g}",
-            f"{of['worst_median_error_percent']:.3g}",
-            f"{of['median_bound_percent']:.3g}",
-            f"{of['rmse_over_bound']:.2f}",
-            f"{of['within_95_percent_interval']:.1f}",
+            f"{coefficient['median_error_percent']:.3g}",
+            f"{coefficient['worst_median_error_percent']:.3g}",
+            f"{coefficient['median_bound_percent']:.3g}",
+            f"{coefficient['rmse_over_bound']:.2f}",
+            f"{coefficient['within_95_percent_interval']:.1f}",
         ]
         for node, coefficients in summary["coefficients"].items()
-        for name, of in coefficients.items()
+        for name, coefficient in coefficients.items()
     ]
     errors = ["median error %, typical", "worst data set", "standard deviation by the bound, %", "error over bound"]
     header = ["bearing and coefficient", *errors, "inside the 95 % interval, %"]

@@ -188,7 +188,7 @@ def _read_waveforms(config: Config) -> list[Waveforms]:
     if not signals or config.data.vibration is not None:
         return []
     assert isinstance(recordings, WaveformRecordingsConfig | UffRecordingsConfig)
-    found: list[Waveforms] = []
+    waveforms: list[Waveforms] = []
     nodes = sorted({probe.node for probe in recordings.probes.values()})[:_MOST_WAVEFORMS]
     for measured in recordings.runs[:_MOST_WAVEFORMS]:
         try:
@@ -202,8 +202,8 @@ def _read_waveforms(config: Config) -> list[Waveforms]:
                 joined = [
                     np.concatenate([getattr(one, key) for one in parts]) for key in ("speeds", "spectrum", "centre")
                 ]
-                found.append(Waveforms(node, measured.name, joined[0], parts[0].orders, joined[1], joined[2]))
-    return found
+                waveforms.append(Waveforms(node, measured.name, joined[0], parts[0].orders, joined[1], joined[2]))
+    return waveforms
 
 
 def _describe_origin(config: Config, work: Workspace, measurement: Measurement) -> dict[str, str]:

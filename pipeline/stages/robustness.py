@@ -68,7 +68,7 @@ def run(config: Config) -> StageOutput:
         )
     modelled = load_modelled(config, measurement)  # read when training is over
     work = locate_files(config)
-    answers = [training.identified(one).table(measurement.known) for one in found.parameters]
+    answers = [training.identified(parameter).table(measurement.known) for parameter in found.parameters]
     rows = _tabulate(config, found, answers, starts, modelled, measurement)
     summary = _summarize(found, rows)
     error = None if modelled is None else _measure_displacement(config, measurement, answers, modelled)
@@ -100,7 +100,7 @@ def _start(config: Config, training: ResidualTraining, setup: FitSetup, starts: 
 
 def _tabulate(
     config: Config,
-    found: Minimum,
+    minimum: Minimum,
     answers: list[BearingTable],
     starts: np.ndarray,
     modelled: BearingTable | None,
@@ -123,8 +123,8 @@ def _tabulate(
                         "mean_error_percent": _get_error(errors, node, name, "mean"),
                         "median_error_percent": _get_error(errors, node, name, "median"),
                         "p95_error_percent": _get_error(errors, node, name, "p95"),
-                        "loss": float(found.loss[g]),
-                        "outcome": found.outcomes[g].label,
+                        "loss": float(minimum.loss[g]),
+                        "outcome": minimum.outcomes[g].label,
                     }
                 )
     return pd.DataFrame(rows)
@@ -135,8 +135,8 @@ def _get_error(errors: CoefficientErrors | None, node: int, name: str, kind: str
     return float("nan") if found is None else float(getattr(found, f"{kind}_error_percent"))
 
 
-def _summarize(found: Minimum, rows: pd.DataFrame) -> dict[str, Any]:
-    labels = [outcome.label for outcome in found.outcomes]
+def _summarize(minimum: Minimum, rows: pd.DataFrame) -> dict[str, Any]:
+    labels = [outcome.label for outcome in minimum.outcomes]
     coefficients: dict[str, dict[str, dict[str, float]]] = {}
     for (node, name), group in rows.groupby(["bearing_node", "coefficient"], sort=False):
         errors = group["mean_error_percent"]
@@ -151,7 +151,7 @@ def _summarize(found: Minimum, rows: pd.DataFrame) -> dict[str, Any]:
     return {
         "starts": len(labels),
         "outcomes": {label: labels.count(label) for label in sorted(set(labels))},
-        "worst_loss": float(found.loss.max()),
+        "worst_loss": float(minimum.loss.max()),
         "coefficients": coefficients,
     }
 
@@ -181,10 +181,10 @@ def _measure_displacement(
     return worst if np.isfinite(worst) else None
 
 
-def _print(config: Config, summary: Mapping[str, Any], found: Minimum) -> None:
+def _print(config: Config, summary: Mapping[str, Any], minimum: Minimum) -> None:
     outcomes = ", ".join(f"{count} {label.replace('_', ' ')}" for label, count in summary["outcomes"].items())
     varied = {"seed": "seeds", "initial_guess": "initial guesses"}[config.robustness.over]
-    say(f"{config.name}: {summary['starts']} {varied} trained at once in {found.seconds:.1f} s ({outcomes})")
+    say(f"{config.name}: {summary['starts']} {varied} trained at once in {minimum.seconds:.1f} s ({outcomes})")
     rows = [
         [
             f"node {node} {name}",

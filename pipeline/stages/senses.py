@@ -22,27 +22,27 @@ def run(config: Config) -> StageOutput:
     """
     use_threads(config)
     measurement, work = load_measurement(config), locate_files(config)
-    found = try_senses(measurement, setup_of(config), lambda sense: say(f"{config.name}: {sense.words}"))
+    senses = try_senses(measurement, setup_of(config), lambda sense: say(f"{config.name}: {sense.words}"))
     header = ["phase of readings", "angle of weights", "rotation", "chi-square beyond the least", "the same mirrored"]
     rows, listed = [], []
-    for one in found.trials:
-        twin = next(j for j, other in enumerate(found.trials) if other.sense == one.sense.twin)
-        size = f"{one.chi_square:.4g}" if np.isfinite(one.chi_square) else "no fit"
-        rows.append([*one.sense.words.split(", "), size, f"row {twin + 1}"])
+    for trial in senses.trials:
+        twin = next(j for j, other in enumerate(senses.trials) if other.sense == trial.sense.twin)
+        size = f"{trial.chi_square:.4g}" if np.isfinite(trial.chi_square) else "no fit"
+        rows.append([*trial.sense.words.split(", "), size, f"row {twin + 1}"])
         listed.append(
             {
-                "phase_as_lag": one.sense.lag,
-                "weights_against_rotation": one.sense.against,
-                "rotation_from_y_to_x": one.sense.mirrored,
-                "chi_square_beyond_the_least": finite(one.chi_square),
-                "told_from_the_best": one not in found.open,
+                "phase_as_lag": trial.sense.lag,
+                "weights_against_rotation": trial.sense.against,
+                "rotation_from_y_to_x": trial.sense.mirrored,
+                "chi_square_beyond_the_least": finite(trial.chi_square),
+                "told_from_the_best": trial not in senses.open,
                 "same_machine_mirrored": twin,
-                "why_no_fit": one.why_not,
+                "why_no_fit": trial.why_not,
             }
         )
     table(f"{config.name}: senses of phases and angles", header, rows)
-    say(f"{config.name}: {found.sentence}")
-    summary = {"sentence": found.sentence, "least": found.least, "expected": found.expected, "gained": found.gained}
+    say(f"{config.name}: {senses.sentence}")
+    summary = {"sentence": senses.sentence, "least": senses.least, "expected": senses.expected, "gained": senses.gained}
     summary |= {"senses": listed}
     written = [write_json(work.folder / "senses.json", summary)]
-    return StageOutput({"least": found.least}, {"data_fingerprint": measurement.dataset.fingerprint}, written)
+    return StageOutput({"least": senses.least}, {"data_fingerprint": measurement.dataset.fingerprint}, written)

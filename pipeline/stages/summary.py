@@ -58,8 +58,8 @@ def _collect_results(config: Config, measurement: Measurement, twin: Twin, train
         operating=twin.operating,
         beyond=say_beyond(data.operating, twin.operating),
         numbers=[
-            f"{one.label} {format_deviation(one.value, one.deviation)} {one.unit}"
-            for one in list_numbers(training.get("physical_numbers", {}), config)
+            f"{number.label} {format_deviation(number.value, number.deviation)} {number.unit}"
+            for number in list_numbers(training.get("physical_numbers", {}), config)
         ],
     )
 

@@ -50,15 +50,15 @@ def say_promoted(config: Config) -> None:
     before = {key: write_value(promoted.configured.get(key, "-")) for key in changed}
     pairs = (f"{key} {before[key]} -> {write_value(value)}" for key, value in changed.items())
     losses = promoted.held_out_loss
-    words = [
+    phrases = [
         f"{config.name}: tuned values of {source} in force: {', '.join(pairs) or 'none'}",
         f"on held-out speeds their loss is {write_value(losses.promoted)}, that of the configured values (tuned=false) "
         f"{write_value(losses.configured)}: medians over the seeds of the study",
     ]
     if promoted.overridden:
         now = {key: get_value(config, key) for key in promoted.overridden if has_value(config, key)}
-        words.append(f"given on the command line instead of tuned: {_format_values(now)}")
-    say("\n".join(words))
+        phrases.append(f"given on the command line instead of tuned: {_format_values(now)}")
+    say("\n".join(phrases))
 
 
 def _format_values(values: Mapping[str, object]) -> str:
@@ -90,23 +90,23 @@ def run(config: Config) -> StageOutput:
             "several sizes of model.initial_stiffness and model.initial_damping, and may end beside the best answer"
         )
     with training_progress(config.name) as progress:
-        found = fit(measurement, setup_of(config), progress, diagnosis)
-    after = _deviations(config, measurement, found) or replace(
+        fitted = fit(measurement, setup_of(config), progress, diagnosis)
+    after = _deviations(config, measurement, fitted) or replace(
         expected, of=f"at {describe_noise(config)}, {expected.of}"
     )
     judged = after.judge()
     determined = {"by": after.of, "coefficients": summarize_determined(judged)}
-    summary = _summarize(found) | {"determined": determined}
-    files = _write(config, measurement, found, summary)
-    _report(config, found)
+    summary = _summarize(fitted) | {"determined": determined}
+    files = _write(config, measurement, fitted, summary)
+    _report(config, fitted)
     say(f"{config.name}: {after.of}: {describe_determined(judged)}")
     return StageOutput(
-        metrics={"training": summary | {"seconds": found.seconds}},
-        tags={"data_fingerprint": measurement.dataset.fingerprint, "outcome": found.outcome.label},
+        metrics={"training": summary | {"seconds": fitted.seconds}},
+        tags={"data_fingerprint": measurement.dataset.fingerprint, "outcome": fitted.outcome.label},
         files=files,
-        history=[{key: value for key, value in row.items() if not isinstance(value, str)} for row in found.history],
+        history=[{key: value for key, value in row.items() if not isinstance(value, str)} for row in fitted.history],
         model=locate_files(config).folder,
-        exit_code=130 if found.outcome is Outcome.INTERRUPTED else 0,
+        exit_code=130 if fitted.outcome is Outcome.INTERRUPTED else 0,
     )
 
 

@@ -151,7 +151,9 @@ def _write(config: Config, study: Any, report: StudyReport, summary: dict[str, o
         study=config.tuning.study,
         trial=report.best.trial,
         values=dict(report.best.values),
-        held_out_loss=HeldOutLoss(**{name: of if math.isfinite(of) else None for name, of in medians.items()}),
+        held_out_loss=HeldOutLoss(
+            **{name: median if math.isfinite(median) else None for name, median in medians.items()}
+        ),
     )
     head = (
         f"# Found by: python -m pipeline stage=tune {config.chosen}\n"

@@ -47,8 +47,8 @@ def judge_beyond(config: Config, identified: IdentifiedModel, speeds: np.ndarray
     if modelled is None:
         return {}
     errors = measure_unmeasured(identified.table(modelled), modelled, identified.unknowns.by_bearing)
-    for words, of in errors.items():
-        worst = max(one.median_error_percent for names in of.values() for one in names.values())
+    for words, error in errors.items():
+        worst = max(name.median_error_percent for names in error.values() for name in names.values())
         say(f"{config.name}: at {words}, which no run has, the worst coefficient is off by {worst:.3g} % (median)")
     return {"unmeasured": {words: list_metrics(of) for words, of in errors.items()}}
 
@@ -58,5 +58,5 @@ def judge_numbers(config: Config, found: Mapping[str, Mapping[str, Any]]) -> dic
     if config.machine.recordings.format != "none":
         return dict(found)
     errors = measure_numbers({name: (of["value"], of["deviation"]) for name, of in found.items()}, config.machine)
-    more = {name: {"true": of.true, "error_percent": of.error_percent} for name, of in errors.items()}
+    more = {name: {"true": error.true, "error_percent": error.error_percent} for name, error in errors.items()}
     return {name: {**of, **more.get(name, {})} for name, of in found.items()}

@@ -88,7 +88,8 @@ def _list_probes(config: Config) -> tuple[Probe, ...]:
     if isinstance(recordings, NoRecordingsConfig):
         return ()
     return tuple(
-        Probe(name, one.node, round(float(np.degrees(one.angle)), 9) % 360.0) for name, one in recordings.probes.items()
+        Probe(name, probe.node, round(float(np.degrees(probe.angle)), 9) % 360.0)
+        for name, probe in recordings.probes.items()
     )
 
 

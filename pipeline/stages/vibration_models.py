@@ -28,7 +28,7 @@ from pipeline.stages.workspace import locate_files
 def list_planes(config: Config) -> tuple[int, ...] | None:
     """The nodes of the planes that the recordings have weights in; None where they do not say."""
     recordings = config.machine.recordings
-    return tuple(one.node for one in recordings.weights) if isinstance(recordings, RecordsConfig) else None
+    return tuple(weight.node for weight in recordings.weights) if isinstance(recordings, RecordsConfig) else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -134,8 +134,8 @@ def find_mode(reading: SteadyReading, rate: float) -> tuple[float, float]:
     from scipy.optimize import least_squares
 
     def differ(logs: np.ndarray) -> np.ndarray:
-        found = read_ramp(float(np.exp(logs[0])), float(np.exp(logs[1])), rate)
-        return np.array([np.log(found.frequency / reading.frequency), np.log(found.damping / reading.damping)])
+        ramp = read_ramp(float(np.exp(logs[0])), float(np.exp(logs[1])), rate)
+        return np.array([np.log(ramp.frequency / reading.frequency), np.log(ramp.damping / reading.damping)])
 
     least = np.log([0.5 * reading.frequency, _LEAST_DAMPING])
     most = np.log([1.5 * reading.frequency, _MOST_DAMPING])

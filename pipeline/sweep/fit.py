@@ -121,10 +121,10 @@ def fit_decay(run_up: RunUp, near: float, degree: int = 2) -> ModalFit | None:
     if len(tail.speeds) < _LEAST_ROWS:
         return None
     starts = [np.log([near * factor, 0.01]) for factor in (0.98, 1.0, 1.02)]
-    found = _fit(_Problem(tail, 1, degree, decay_freely), starts)
+    fitted = _fit(_Problem(tail, 1, degree, decay_freely), starts)
     alone = np.vander(tail.speeds / tail.speeds.mean(), degree + 1).astype(complex)
     left = tail.vectors - alone @ np.linalg.lstsq(alone, tail.vectors, rcond=None)[0]
-    return found if np.linalg.norm(tail.vectors - found.fitted) < _SEEN * np.linalg.norm(left) else None
+    return fitted if np.linalg.norm(tail.vectors - fitted.fitted) < _SEEN * np.linalg.norm(left) else None
 
 
 def respond_as_steady(run_up: RunUp, fit: ModalFit) -> np.ndarray:

@@ -25,8 +25,8 @@ def combine(readings: Sequence[Reading]) -> Reading:
 
     What they differ by beyond these is a variance of its own, which every reading gets (DerSimonian and Laird 1986).
     """
-    values = np.array([one.value for one in readings])
-    variances = np.array([one.deviation**2 for one in readings])
+    values = np.array([reading.value for reading in readings])
+    variances = np.array([reading.deviation**2 for reading in readings])
     weights = 1 / variances
     excess = float(weights @ (values - np.average(values, weights=weights)) ** 2) - (len(values) - 1)
     spread = weights.sum() - (weights**2).sum() / weights.sum()

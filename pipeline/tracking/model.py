@@ -85,7 +85,7 @@ _EXAMPLES = {"oil_temperature": 323.15, "load": 1000.0}
 def read_conditions(identified: IdentifiedModel, table: pd.DataFrame) -> dict[str, np.ndarray]:
     """Name -> (n,) SI, of the conditions that the coefficients depend on, from the columns of a table."""
     columns = {name: column_of(name) for name in list_conditions(identified)}
-    return {name: one.to_si(table[one.column].to_numpy()) for name, one in columns.items()}
+    return {name: column.to_si(table[column.column].to_numpy()) for name, column in columns.items()}
 
 
 def _save(
@@ -116,7 +116,7 @@ def _save(
                 run_id=logged.source_run_id,
             ),
             python_model=str(_PREDICTOR),
-            artifacts={name: str(of) for name, of in artifacts.items()},
+            artifacts={name: str(artifact) for name, artifact in artifacts.items()},
             code_paths=[str(_PACKAGE_FOLDER)],
             signature=signature,
             input_example=pd.DataFrame(example),

@@ -36,7 +36,7 @@ def _find(uri: str, study: str) -> dict[int, str]:
 
     client, server = MlflowClient(tracking_uri=uri), uri if uri.startswith("http") else _LOCAL
     start = "" if uri.startswith("http") else f" (served by `mlflow ui --backend-store-uri {uri}`)"
-    experiments = [one.experiment_id for one in client.search_experiments()]
+    experiments = [experiment.experiment_id for experiment in client.search_experiments()]
     named = study.replace("'", "\\'")
     stages: list[Any] = client.search_runs(experiments, f"tags.study = '{named}'")
     pages: dict[int, str] = {}

@@ -165,7 +165,7 @@ def _log_metrics(
     from mlflow.utils import chunk_list
 
     values, not_finite = found
-    for batch in chunk_list([Metric(*one, model_id=model_id, run_id=run_id) for one in values], _METRICS_A_BATCH):
+    for batch in chunk_list([Metric(*value, model_id=model_id, run_id=run_id) for value in values], _METRICS_A_BATCH):
         client.log_batch(run_id, metrics=batch)
     return not_finite
 

@@ -166,7 +166,7 @@ def linearise(
         by_plane = measurement.response.derive_by_unbalance(answer) * uncertainty.plane_scale / noise[..., None]
         parts += [by_plane, 1j * by_plane]
         priors.append(np.full(2 * unbalance.size, _NO_PRIOR))
-    names = [one.kind for one in measurement.parameters]
+    names = [parameter.kind for parameter in measurement.parameters]
     if names:
         parts.append(_by_parameters(measurement, answer, by_coefficient, noise))
         priors.append(np.ones(len(names)))
@@ -209,7 +209,7 @@ def _weigh_before(
         return np.full(int(kept.sum()), 1.0 / n_speeds)
     whole = np.linalg.inv(uncertainty.covariance[: len(kept), : len(kept)][np.ix_(kept, kept)])
     before = np.maximum(np.diag(whole) - np.diag(told), _NO_PRIOR)
-    numbers = [1.0 / one.deviation**2 for one in identified.laws.parameters]
+    numbers = [1.0 / parameter.deviation**2 for parameter in identified.laws.parameters]
     before[len(before) - len(numbers) :] = numbers
     return np.asarray(before)
 
@@ -230,7 +230,7 @@ def _by_tolerances(
     measurement: Measurement, answer: BearingTable, by_coefficient: np.ndarray, noise: np.ndarray
 ) -> dict[str, np.ndarray]:
     """The tolerances that the fit does not have among its parameters, by kind."""
-    stated, found = {one.kind for one in measurement.parameters}, {}
+    stated, found = {parameter.kind for parameter in measurement.parameters}, {}
     for kind, size in TOLERANCES.items():
         if kind in stated:
             continue

@@ -26,24 +26,24 @@ class Mistake:
     penalty: float = 1.0  # on what it leaves over: it explains nothing, or leaves many numbers free
 
 
-def change(part: Measurement, displacement: np.ndarray, deviation: np.ndarray) -> Measurement:
+def change(measurement: Measurement, displacement: np.ndarray, deviation: np.ndarray) -> Measurement:
     """Other readings with their noise; the response is not solved again."""
-    made = replace(part, dataset=replace(part.dataset, displacement=displacement, subtracted=None))
-    vars(made)["response"] = part.response
+    made = replace(measurement, dataset=replace(measurement.dataset, displacement=displacement, subtracted=None))
+    vars(made)["response"] = measurement.response
     vars(made)["deviation"] = deviation
     return made
 
 
-def scale(part: Measurement, factor: np.ndarray | complex) -> Measurement:
+def scale(measurement: Measurement, factor: np.ndarray | complex) -> Measurement:
     """Readings times ``factor`` (broadcast to (S, P, R))."""
-    size = np.abs(factor) * np.ones_like(part.deviation)
-    return change(part, part.dataset.displacement * factor, part.deviation * size)
+    size = np.abs(factor) * np.ones_like(measurement.deviation)
+    return change(measurement, measurement.dataset.displacement * factor, measurement.deviation * size)
 
 
-def exchange(part: Measurement, order: Sequence[int], axis: int) -> Measurement:
+def exchange(measurement: Measurement, order: Sequence[int], axis: int) -> Measurement:
     """The readings in another ``order`` of channels (axis 1) or runs (axis 2)."""
-    data = part.dataset
-    return change(part, np.take(data.displacement, order, axis), np.take(part.deviation, order, axis))
+    data = measurement.dataset
+    return change(measurement, np.take(data.displacement, order, axis), np.take(measurement.deviation, order, axis))
 
 
 LEFT_OUT = 3.0

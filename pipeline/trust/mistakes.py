@@ -69,11 +69,11 @@ def find_mistakes(
         return []
     first = _Trial(own, values, _FIRST_SPEEDS, 1 if constant else _FIRST_TERMS)
     screened = sorted(
-        (first.fit(one, _FIRST_ROUNDS).mean_square, i) for i, one in enumerate(list_mistakes(first.part, names))
+        (first.fit(mistake, _FIRST_ROUNDS).mean_square, i) for i, mistake in enumerate(list_mistakes(first.part, names))
     )
     kept = {i for _, i in screened[:_REFINED]}
     trial = _Trial(own, values, MOST_SPEEDS, 1 if constant else _TERMS)
-    tried = [(one, trial.fit(one)) for i, one in enumerate(list_mistakes(trial.part, names)) if i in kept]
+    tried = [(mistake, trial.fit(mistake)) for i, mistake in enumerate(list_mistakes(trial.part, names)) if i in kept]
     tried.sort(key=lambda pair: pair[1].mean_square * (1.0 if pair[0].extra is None else _LEAVES_FREE))
     best = min(fit.mean_square for _, fit in tried)
     return [
@@ -92,13 +92,13 @@ _LEAVES_FREE = 1.2
 """A mistake without a free number is named before one with, where they leave about as much."""
 
 
-def list_mistakes(part: Measurement, names: Sequence[str]) -> Iterator[Mistake]:
+def list_mistakes(measurement: Measurement, names: Sequence[str]) -> Iterator[Mistake]:
     """Every mistake that is tried; ``names`` are the channels'."""
-    yield from of_all_readings(part)
-    yield from of_probes(part, names)
-    yield from of_runs(part)
-    yield from of_weights(part)
-    yield from of_rest(part)
+    yield from of_all_readings(measurement)
+    yield from of_probes(measurement, names)
+    yield from of_runs(measurement)
+    yield from of_weights(measurement)
+    yield from of_rest(measurement)
 
 
 _FIRST_SPEEDS, _FIRST_TERMS, _FIRST_ROUNDS, _REFINED = 16, 3, 6, 8
@@ -148,11 +148,11 @@ def _call(node: int, angle: float) -> str:
     return f"node {node} {name_direction(angle)}"
 
 
-def _as_probes(part: Measurement, probes: Sequence[Probe]) -> Measurement:
+def _as_probes(measurement: Measurement, probes: Sequence[Probe]) -> Measurement:
     """The measurement with a channel for each probe, in place of x and y that were made of them."""
     if not probes:
-        return part
-    data, rows = part.dataset, []
+        return measurement
+    data, rows = measurement.dataset, []
     for probe in probes:
         row = np.zeros(len(data.channels))
         for direction, cosine in zip((0.0, 90.0), project_direction(probe.angle % 360.0), strict=True):
@@ -164,7 +164,7 @@ def _as_probes(part: Measurement, probes: Sequence[Probe]) -> Measurement:
         return np.einsum("pc,scr->spr", matrix, values)
 
     return replace(
-        part,
+        measurement,
         dataset=replace(
             data,
             channels=tuple((probe.node, probe.angle % 360.0) for probe in probes),

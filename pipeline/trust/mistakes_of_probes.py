@@ -29,26 +29,28 @@ def _call_factor(factor: float) -> str:
     return f"{1 / factor:.3g} times too large" if factor < 1 else f"{factor:.3g} times too small"
 
 
-def of_all_readings(part: Measurement) -> Iterator[Mistake]:
+def of_all_readings(measurement: Measurement) -> Iterator[Mistake]:
     """Mistakes in conventions, which all readings share."""
-    data = part.dataset
+    data = measurement.dataset
     yield Mistake(
         "the phases of all readings have the wrong sign (lag for lead, or the shaft turns the other way)",
         "conventions.phase, and the sense of rotation",
-        change(part, data.displacement.conj(), part.deviation),
+        change(measurement, data.displacement.conj(), measurement.deviation),
     )
     for factor, words in _FACTORS.items():
-        yield Mistake(f"all readings are {_call_factor(factor)}: {words}", "the conventions", scale(part, factor))
+        yield Mistake(
+            f"all readings are {_call_factor(factor)}: {words}", "the conventions", scale(measurement, factor)
+        )
     for degrees in (90, 180, 270):
         yield Mistake(
             f"all phases are turned by {degrees} deg: the tacho at the other edge or angle, or all weights",
             "tacho.edge, tacho.angle and shaft_angle",
-            scale(part, np.exp(1j * np.radians(degrees))),
+            scale(measurement, np.exp(1j * np.radians(degrees))),
         )
     yield Mistake(
         "all readings, or all weights, are not as stated",
         "the conventions, the tacho's angle, and the unit of the weights",
-        part,
+        measurement,
         lambda predicted: np.stack([predicted, 1j * predicted], axis=-1),
         gross=False,
     )
@@ -57,26 +59,26 @@ def of_all_readings(part: Measurement) -> Iterator[Mistake]:
         yield Mistake(
             "the angles of all probes have the wrong sign (counted against the rotation)",
             "the probes' angles, from x towards y in the sense of rotation",
-            _with_channels(part, mirrored),
+            _with_channels(measurement, mirrored),
         )
 
 
-def _with_channels(part: Measurement, channels: tuple[tuple[int, float], ...]) -> Measurement:
-    made = replace(part, dataset=replace(part.dataset, channels=channels))
-    vars(made)["deviation"] = part.deviation
+def _with_channels(measurement: Measurement, channels: tuple[tuple[int, float], ...]) -> Measurement:
+    made = replace(measurement, dataset=replace(measurement.dataset, channels=channels))
+    vars(made)["deviation"] = measurement.deviation
     return made
 
 
-def of_probes(part: Measurement, names: Sequence[str]) -> Iterator[Mistake]:
+def of_probes(measurement: Measurement, names: Sequence[str]) -> Iterator[Mistake]:
     """Mistakes in single probes, and exchanged ones; ``names`` are the channels'."""
-    data, count = part.dataset, len(part.dataset.channels)
+    data, count = measurement.dataset, len(measurement.dataset.channels)
     for p in range(count):
         sign = np.ones((1, count, 1))
         sign[0, p] = -1.0
         yield Mistake(
             f"probe '{names[p]}' has the wrong sign, or stands opposite to its stated angle",
             f"the wiring, the sign of the scale and the angle of '{names[p]}'",
-            scale(part, sign),
+            scale(measurement, sign),
         )
         for factor, words in _FACTORS.items():
             gain = np.ones((1, count, 1))
@@ -84,26 +86,28 @@ def of_probes(part: Measurement, names: Sequence[str]) -> Iterator[Mistake]:
             yield Mistake(
                 f"the readings of probe '{names[p]}' are {_call_factor(factor)} (as {words})",
                 f"the scale of '{names[p]}'",
-                scale(part, gain),
+                scale(measurement, gain),
             )
         for turn in (90.0, 270.0):
             node, angle = data.channels[p]
-            turned = tuple((node, (angle + turn) % 360.0) if i == p else one for i, one in enumerate(data.channels))
+            turned = tuple(
+                (node, (angle + turn) % 360.0) if i == p else channel for i, channel in enumerate(data.channels)
+            )
             yield Mistake(
                 f"probe '{names[p]}' stands {turn:g} deg from its stated angle",
                 f"the angle of '{names[p]}'",
-                _with_channels(part, turned),
+                _with_channels(measurement, turned),
             )
         yield Mistake(
             f"probe '{names[p]}' is left out: it is dead, clipped, loose, or somewhere else",
             f"the signal of '{names[p]}'",
-            _without_probe(part, p),
+            _without_probe(measurement, p),
             penalty=LEFT_OUT,
         )
         yield Mistake(
             f"the readings of probe '{names[p]}' are not as stated",
             f"scale and place of '{names[p]}'",
-            part,
+            measurement,
             _probe_gain(p, count),
             gross=False,
         )
@@ -113,9 +117,9 @@ def of_probes(part: Measurement, names: Sequence[str]) -> Iterator[Mistake]:
         yield Mistake(
             f"probes '{names[i]}' and '{names[j]}' are exchanged",
             "the cables of these two channels",
-            exchange(part, order, 1),
+            exchange(measurement, order, 1),
         )
-    yield from _of_bearings(part)
+    yield from _of_bearings(measurement)
 
 
 def _probe_gain(probe: int, count: int) -> Extra:
@@ -126,11 +130,11 @@ def _probe_gain(probe: int, count: int) -> Extra:
     return columns
 
 
-def _without_probe(part: Measurement, probe: int) -> Measurement:
+def _without_probe(measurement: Measurement, probe: int) -> Measurement:
     """The measurement without a channel."""
-    data, rest = part.dataset, [p for p in range(len(part.dataset.channels)) if p != probe]
+    data, rest = measurement.dataset, [p for p in range(len(measurement.dataset.channels)) if p != probe]
     made = replace(
-        part,
+        measurement,
         dataset=replace(
             data,
             channels=tuple(data.channels[p] for p in rest),
@@ -138,13 +142,13 @@ def _without_probe(part: Measurement, probe: int) -> Measurement:
             subtracted=None if data.subtracted is None else data.subtracted[:, rest],
         ),
     )
-    vars(made)["deviation"] = part.deviation[:, rest]
+    vars(made)["deviation"] = measurement.deviation[:, rest]
     return made
 
 
-def _of_bearings(part: Measurement) -> Iterator[Mistake]:
+def _of_bearings(measurement: Measurement) -> Iterator[Mistake]:
     """The probes of two nodes exchanged."""
-    data = part.dataset
+    data = measurement.dataset
     nodes = list(dict.fromkeys(node for node, _ in data.channels))
     for a, b in itertools.combinations(nodes, 2):
         of = {node: [p for p, (own, _) in enumerate(data.channels) if own == node] for node in (a, b)}
@@ -156,5 +160,5 @@ def _of_bearings(part: Measurement) -> Iterator[Mistake]:
         yield Mistake(
             f"the probes of node {a} and those of node {b} are exchanged",
             "which cables come from which bearing, and from which end the nodes count",
-            exchange(part, order, 1),
+            exchange(measurement, order, 1),
         )

@@ -17,9 +17,9 @@ from pipeline.trust.mistake import LEFT_OUT, Mistake, change, exchange, scale
 from pipeline.trust.quick_fit import Extra
 
 
-def of_runs(part: Measurement) -> Iterator[Mistake]:
+def of_runs(measurement: Measurement) -> Iterator[Mistake]:
     """Mistakes in single runs, and two that are exchanged."""
-    data = part.dataset
+    data = measurement.dataset
     for i, j in itertools.combinations(range(len(data.runs)), 2):
         order = list(range(len(data.runs)))
         order[i], order[j] = j, i
@@ -27,7 +27,7 @@ def of_runs(part: Measurement) -> Iterator[Mistake]:
             yield Mistake(
                 f"the recordings of runs '{data.runs[i]}' and '{data.runs[j]}' are exchanged",
                 "the files of these runs",
-                exchange(part, order, 2),
+                exchange(measurement, order, 2),
             )
     for r, run in enumerate(data.runs):
         own = data.displacement.copy()
@@ -35,7 +35,7 @@ def of_runs(part: Measurement) -> Iterator[Mistake]:
         yield Mistake(
             f"the phases of run '{run}' have the wrong sign (lag for lead)",
             f"the phase convention of run '{run}'",
-            change(part, own, part.deviation),
+            change(measurement, own, measurement.deviation),
         )
         for degrees in (90, 180, 270):
             turn = np.ones((1, 1, len(data.runs)), dtype=complex)
@@ -43,20 +43,20 @@ def of_runs(part: Measurement) -> Iterator[Mistake]:
             yield Mistake(
                 f"the weight of run '{run}' is {degrees} deg from its stated angle",
                 f"where the weight of run '{run}' was",
-                scale(part, turn),
+                scale(measurement, turn),
             )
         if len(data.runs) > 2:
             rest = np.delete(np.arange(len(data.runs)), r)
             yield Mistake(
                 f"run '{run}' is left out: it is not the run that it is called",
                 f"the recording and the weights of run '{run}'",
-                part.select(None, rest),
+                measurement.select(None, rest),
                 penalty=LEFT_OUT,
             )
         yield Mistake(
             f"the weight of run '{run}' is not as stated",
             f"mass, radius and angle of the weight of run '{run}'",
-            part,
+            measurement,
             _run_gain(r, len(data.runs)),
             gross=False,
         )
@@ -70,10 +70,10 @@ def _run_gain(run: int, count: int) -> Extra:
     return columns
 
 
-def of_weights(part: Measurement) -> Iterator[Mistake]:
+def of_weights(measurement: Measurement) -> Iterator[Mistake]:
     """Mistakes in the planes and angles of weights."""
-    data, rotor = part.dataset, part.rotor
-    weights = [i for i, one in enumerate(data.excitations) if one.kind == "unbalance"]
+    data, rotor = measurement.dataset, measurement.rotor
+    weights = [i for i, excitation in enumerate(data.excitations) if excitation.kind == "unbalance"]
     planes = dict.fromkeys([*rotor.disc_nodes, *(data.excitations[i].node for i in weights)])
     for i in weights:
         one = data.excitations[i]
@@ -82,48 +82,48 @@ def of_weights(part: Measurement) -> Iterator[Mistake]:
                 yield Mistake(
                     f"the weight of run '{one.run}' at node {one.node} is at node {node}",
                     f"the plane of the weight of run '{one.run}'",
-                    _with_weights(data, part, {i: replace(one, node=node)}),
+                    _with_weights(data, measurement, {i: replace(one, node=node)}),
                 )
         if len([e for e in data.excitations if e.run == one.run]) > 1 or abs(np.sin(one.phase)) > _STRAIGHT:
             yield Mistake(
                 f"the weight of run '{one.run}' at node {one.node} has the wrong sign of its angle",
                 "whether angles on the shaft count with the rotation (shaft_angle)",
-                _with_weights(data, part, {i: replace(one, phase=-one.phase)}),
+                _with_weights(data, measurement, {i: replace(one, phase=-one.phase)}),
             )
     if any(abs(np.sin(data.excitations[i].phase)) > _STRAIGHT for i in weights):
         mirrored = {i: replace(data.excitations[i], phase=-data.excitations[i].phase) for i in weights}
         yield Mistake(
             "the angles of all weights have the wrong sign (against the rotation)",
             "shaft_angle",
-            _with_weights(data, part, mirrored),
+            _with_weights(data, measurement, mirrored),
         )
 
 
 _STRAIGHT = 0.02
 
 
-def _with_weights(data: VibrationDataset, part: Measurement, changed: dict[int, Excitation]) -> Measurement:
-    acting = tuple(changed.get(i, one) for i, one in enumerate(data.excitations))
-    made = replace(part, dataset=replace(data, excitations=acting))
-    vars(made)["deviation"] = part.deviation
+def _with_weights(data: VibrationDataset, measurement: Measurement, changed: dict[int, Excitation]) -> Measurement:
+    acting = tuple(changed.get(i, excitation) for i, excitation in enumerate(data.excitations))
+    made = replace(measurement, dataset=replace(data, excitations=acting))
+    vars(made)["deviation"] = measurement.deviation
     return made
 
 
 # --- rotor, runout, residual unbalance -----------------------------------------------------------------
 
 
-def of_rest(part: Measurement) -> Iterator[Mistake]:
+def of_rest(measurement: Measurement) -> Iterator[Mistake]:
     """Mistakes in rotor, baseline and runout."""
-    data = part.dataset
+    data = measurement.dataset
     shape = data.displacement.shape
-    yield from _of_rotor(part)
-    turning = part.synchronous()
-    if turning.sum() > 2 and rotor_planes(part):
-        unknowns = replace(part.unknowns, planes=rotor_planes(part))
+    yield from _of_rotor(measurement)
+    turning = measurement.synchronous()
+    if turning.sum() > 2 and rotor_planes(measurement):
+        unknowns = replace(measurement.unknowns, planes=rotor_planes(measurement))
         yield Mistake(
             "the machine's own unbalance is in the readings: the baseline is not subtracted, or it is twice",
             "data.baseline, or identify.unbalance_planes",
-            replace(part, unknowns=unknowns).subtract_unbalance(),
+            replace(measurement, unknowns=unknowns).subtract_unbalance(),
             gross=False,
         )
     if data.subtracted is None and turning.any():
@@ -134,27 +134,27 @@ def of_rest(part: Measurement) -> Iterator[Mistake]:
         yield Mistake(
             "a vector that is the same at all speeds is in the readings: runout",
             "slow_roll, or fit identify.model_parameters.runout",
-            part,
+            measurement,
             lambda predicted: size * constant,
             gross=False,
         )
 
 
-def rotor_planes(part: Measurement) -> tuple[int, ...]:
+def rotor_planes(measurement: Measurement) -> tuple[int, ...]:
     """Nodes at which the machine's own unbalance may be thought of: its discs."""
-    return tuple(dict.fromkeys(part.rotor.disc_nodes))
+    return tuple(dict.fromkeys(measurement.rotor.disc_nodes))
 
 
 _SHARES = (-0.67, -0.2, -0.1, -0.05, -0.03, 0.03, 0.05, 0.1, 0.2)
 """Of Young's modulus: aluminium for steel, hot steel, another diameter."""
 
 
-def _of_rotor(part: Measurement) -> Iterator[Mistake]:
+def _of_rotor(measurement: Measurement) -> Iterator[Mistake]:
     for share in _SHARES:
         for what, name in (("stiffness", "shaft's Young's modulus (or its diameters)"), ("mass", "rotor's mass")):
-            changed = {what: (1 + share) * getattr(part.rotor, what)}
-            made = replace(part, rotor=replace(part.rotor, **changed))
-            vars(made)["deviation"] = part.deviation
+            changed = {what: (1 + share) * getattr(measurement.rotor, what)}
+            made = replace(measurement, rotor=replace(measurement.rotor, **changed))
+            vars(made)["deviation"] = measurement.deviation
             yield Mistake(
                 f"the {name} is {abs(100 * share):.0f} % {'larger' if share > 0 else 'smaller'} than stated",
                 "machine.rotor: is it this rotor's file, and of this material?",

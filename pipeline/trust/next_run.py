@@ -82,7 +82,7 @@ def _spread(linear: LinearisedFit, covariance: np.ndarray) -> np.ndarray:
 
 def describe_run(acting: Sequence[Excitation]) -> str:
     """In words: weights and forces with their nodes and angles."""
-    words = []
+    phrases = []
     for one in acting:
         if one.kind == "unbalance":
             what = f"a weight of {1e6 * one.magnitude:.3g} g mm at node {one.node}"
@@ -90,5 +90,5 @@ def describe_run(acting: Sequence[Excitation]) -> str:
             what = f"a {one.whirl} rotating force of {one.magnitude:.3g} N at node {one.node}"
         if len(acting) > 1:
             what += f" at {np.degrees(one.phase):.0f} deg"
-        words.append(what)
-    return " and ".join(words)
+        phrases.append(what)
+    return " and ".join(phrases)

@@ -50,7 +50,7 @@ def quick_fit(
         linear = None
     if linear is not None and np.isfinite(linear).all():
         begins.append(linear)
-    found = [_minimise(measurement, one, scale, functions, extra, rounds) for one in begins]
+    found = [_minimise(measurement, begin, scale, functions, extra, rounds) for begin in begins]
     return min(found, key=lambda one: one.mean_square)
 
 

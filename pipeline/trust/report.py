@@ -106,44 +106,46 @@ def _rpm(evidence: Evidence, s: int) -> float:
     return float(to_rpm(evidence.answer.speeds)[s])
 
 
-def _to_json(one: CoefficientVerdict) -> dict[str, Any]:
-    reasons = [reason.sentence for reason in one.reasons] or [_praise(one)]
+def _to_json(verdict: CoefficientVerdict) -> dict[str, Any]:
+    reasons = [reason.sentence for reason in verdict.reasons] or [_praise(verdict)]
     return {
-        "bearing": one.bearing,
-        "node": one.node,
-        "coefficient": one.coefficient,
-        "verdict": one.verdict.value,
+        "bearing": verdict.bearing,
+        "node": verdict.node,
+        "coefficient": verdict.coefficient,
+        "verdict": verdict.verdict.value,
         "reasons": reasons,
-        "next": one.next,
-        "checks": _finite(one.checks),
+        "next": verdict.next,
+        "checks": _finite(verdict.checks),
     }
 
 
-def _praise(one: CoefficientVerdict) -> str:
-    band = one.checks["band"]["percent"]
-    return f"{one.coefficient} at node {one.node} is known to {band:.2g} % (95 %), and no check speaks against it."
+def _praise(verdict: CoefficientVerdict) -> str:
+    band = verdict.checks["band"]["percent"]
+    return (
+        f"{verdict.coefficient} at node {verdict.node} is known to {band:.2g} % (95 %), and no check speaks against it."
+    )
 
 
-def _judge_bearing(node: int, own: Sequence[CoefficientVerdict]) -> dict[str, Any]:
-    good = [one.coefficient for one in own if one.verdict is Verdict.GOOD]
-    verdict = worst([one.verdict for one in own])
-    if verdict is Verdict.NO and any(one.verdict is not Verdict.NO for one in own):
+def _judge_bearing(node: int, verdicts: Sequence[CoefficientVerdict]) -> dict[str, Any]:
+    good = [one.coefficient for one in verdicts if one.verdict is Verdict.GOOD]
+    verdict = worst([one.verdict for one in verdicts])
+    if verdict is Verdict.NO and any(one.verdict is not Verdict.NO for one in verdicts):
         verdict = Verdict.WITH_CARE
-    bad = max(own, key=lambda one: list(Verdict).index(one.verdict), default=None)
+    bad = max(verdicts, key=lambda one: list(Verdict).index(one.verdict), default=None)
     if bad is None or bad.verdict is Verdict.GOOD:
-        sentence = f"All {len(own)} coefficients are good."
+        sentence = f"All {len(verdicts)} coefficients are good."
     else:
-        sentence = f"{len(good)} of {len(own)} coefficients are good. {bad.reasons[0].sentence}"
+        sentence = f"{len(good)} of {len(verdicts)} coefficients are good. {bad.reasons[0].sentence}"
     return {"node": node, "verdict": verdict.value, "reason": sentence, "next": None if bad is None else bad.next}
 
 
-def _judge_whole(common: Sequence[Reason], found: Sequence[CoefficientVerdict]) -> dict[str, Any]:
-    good = sum(one.verdict is Verdict.GOOD for one in found)
-    verdict = worst([one.verdict for one in found])
-    if verdict is Verdict.NO and any(one.verdict is not Verdict.NO for one in found):
+def _judge_whole(common: Sequence[Reason], verdicts: Sequence[CoefficientVerdict]) -> dict[str, Any]:
+    good = sum(one.verdict is Verdict.GOOD for one in verdicts)
+    verdict = worst([one.verdict for one in verdicts])
+    if verdict is Verdict.NO and any(one.verdict is not Verdict.NO for one in verdicts):
         verdict = Verdict.WITH_CARE
-    head = f"{good} of {len(found)} coefficients are good."
-    bad = max(found, key=lambda one: list(Verdict).index(one.verdict), default=None)
+    head = f"{good} of {len(verdicts)} coefficients are good."
+    bad = max(verdicts, key=lambda one: list(Verdict).index(one.verdict), default=None)
     reasons = list(common) or ([] if bad is None else list(bad.reasons))
     first = max(reasons, key=lambda reason: list(Verdict).index(reason.verdict), default=None)
     return {

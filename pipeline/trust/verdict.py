@@ -84,17 +84,17 @@ class CoefficientVerdict:
         return max(told, key=lambda reason: _ORDER.index(reason.verdict)).next if told else None
 
 
-def judge_mistakes(found: Sequence[Found]) -> list[Reason]:
+def judge_mistakes(mistakes: Sequence[Found]) -> list[Reason]:
     """A mistake that explains the readings: the answer is that of wrong data, however narrow its bands are."""
-    if not found:
+    if not mistakes:
         return []
-    best = found[0]
-    words = "; or ".join(one.sentence for one in found)
-    checks = ", or ".join(dict.fromkeys(one.check for one in found))
+    best = mistakes[0]
+    text = "; or ".join(one.sentence for one in mistakes)
+    checks = ", or ".join(dict.fromkeys(one.check for one in mistakes))
     return [
         Reason(
             Verdict.NO if best.gross else Verdict.WITH_CARE,
-            f"The readings fit {np.sqrt(best.falls_by):.2g} times better if this is so: {words}.",
+            f"The readings fit {np.sqrt(best.falls_by):.2g} times better if this is so: {text}.",
             f"Check {checks}; correct it and identify again.",
         )
     ]
@@ -211,7 +211,7 @@ def judge_coefficient(evidence: Evidence, b: int, c: int) -> tuple[list[Reason],
     fit = _median(evidence.deviation[b, :, c] / size)
     band = _median(evidence.band[b, :, c] / size)
     lost = float(np.mean(~(evidence.deviation[b, :, c] / size < WEAKLY_BELOW)))
-    tolerances = {kind: _median(moved[b, :, c] / size) for kind, moved in evidence.tolerances.items()}
+    tolerances = {kind: _median(tolerance[b, :, c] / size) for kind, tolerance in evidence.tolerances.items()}
     reasons = _judge_band(f"{name} at node {node}", fit, band, lost, tolerances)
     if name in _DIRECT and (wrong := float(np.mean(value <= 0))) > 0.0:
         reasons.append(
@@ -234,7 +234,7 @@ def judge_coefficient(evidence: Evidence, b: int, c: int) -> tuple[list[Reason],
     checks = {
         "determination": {"deviation_percent": 100 * fit, "not_determined_at_percent_of_speeds": 100 * lost},
         "band": {"percent": 100 * band},
-        "tolerances": {f"{kind}_percent": 100 * of for kind, of in tolerances.items()},
+        "tolerances": {f"{kind}_percent": 100 * tolerance for kind, tolerance in tolerances.items()},
         "left_out": {"what": left_out, "move_over_band": share, "move_over_deviation": explained},
     }
     return reasons, checks

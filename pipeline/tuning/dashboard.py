@@ -46,7 +46,9 @@ def gather_studies(
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     storage = open_storage(config)
     with translate_errors(config):
-        present = {one.study_name: one for one in optuna.get_all_study_summaries(storage, include_best_trial=False)}
+        present = {
+            summary.study_name: summary for summary in optuna.get_all_study_summaries(storage, include_best_trial=False)
+        }
         for path in files:
             name, mark = f"{path.parent.name} (committed)", hash_file(path)
             if name in present and present[name].user_attrs.get(_FILE) == mark:

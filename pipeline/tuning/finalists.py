@@ -119,18 +119,21 @@ def _train_seed(given: tuple[StudyProblem, int, Mapping[str, Value], int]) -> _R
 
     problem, place, values, seed = given
     setup = replace(setup_of(apply_values(problem.config, values, f"trial {place}")), seed=seed)
-    found = judge(problem.measurement, setup, lambda *_: None)
-    if found.outcome is Outcome.INTERRUPTED:
+    verdict = judge(problem.measurement, setup, lambda *_: None)
+    if verdict.outcome is Outcome.INTERRUPTED:
         raise KeyboardInterrupt
-    model = replace(found.model, parameters=torch.empty(0))
-    return found.loss, model, found.model.parameters.numpy(), found.outcome, found.seconds
+    model = replace(verdict.model, parameters=torch.empty(0))
+    return verdict.loss, model, verdict.model.parameters.numpy(), verdict.outcome, verdict.seconds
 
 
 def _join_seeds(place: int, values: Mapping[str, Value], runs: Sequence[_Run]) -> Finalist:
     import torch
 
     losses, models, parameters, outcomes, seconds = zip(*runs, strict=True)
-    whole = [replace(model, parameters=torch.from_numpy(own)) for model, own in zip(models, parameters, strict=True)]
+    whole = [
+        replace(model, parameters=torch.from_numpy(parameter))
+        for model, parameter in zip(models, parameters, strict=True)
+    ]
     return Finalist(place, values, np.array(losses), whole, outcomes, sum(seconds))
 
 

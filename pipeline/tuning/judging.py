@@ -54,15 +54,15 @@ def _judge_by_readings(measurement: Measurement, setup: FitSetup, step: Step) ->
     def progress(phase: str, number: int, total: int, loss: float) -> None:
         step(phase, number, total, None)
 
-    found = loss_of(setup.loss).fit(measurement, setup, progress)
-    square = found.quality.summary["fit"]["held_out_speeds"]["mean_square_over_noise"]
+    fitted = loss_of(setup.loss).fit(measurement, setup, progress)
+    square = fitted.quality.summary["fit"]["held_out_speeds"]["mean_square_over_noise"]
     return Judged(
         loss=float(np.sqrt(square)),
-        outcome=found.outcome,
-        steps=found.steps,
-        seconds=found.seconds,
-        training_loss=found.loss,
-        model=found.model,
+        outcome=fitted.outcome,
+        steps=fitted.steps,
+        seconds=fitted.seconds,
+        training_loss=fitted.loss,
+        model=fitted.model,
     )
 
 

@@ -42,7 +42,9 @@ def _describe(trial: FrozenTrial) -> dict[str, Any]:
         "state": trial.state.name,
         "value": trial.value,
         "parameters": trial.params,
-        "ranges": {name: json.loads(distribution_to_json(one)) for name, one in trial.distributions.items()},
+        "ranges": {
+            name: json.loads(distribution_to_json(distribution)) for name, distribution in trial.distributions.items()
+        },
         "curve": {str(step): value for step, value in trial.intermediate_values.items()},
         "attributes": {name: value for name, value in trial.user_attrs.items() if name != WORKER},
         "started": trial.datetime_start and trial.datetime_start.isoformat(),

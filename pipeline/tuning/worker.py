@@ -109,16 +109,16 @@ def run_trial(trial: optuna.trial.Trial, problem: StudyProblem, seen: Seen) -> f
         started = time.perf_counter()  # sampling is no training; where it fails, the time of that is all there is
         setup = setup_of(apply_values(config, values, f"trial {place}"))
         curve = _Curve(trial, seen)
-        found = judge(problem.measurement, setup, curve)
-        if found.outcome is Outcome.INTERRUPTED:
+        verdict = judge(problem.measurement, setup, curve)
+        if verdict.outcome is Outcome.INTERRUPTED:
             raise KeyboardInterrupt
-        if found.outcome is Outcome.DIVERGED or not math.isfinite(found.loss):
-            describe(outcome="diverged", epochs=found.steps, **{REASON: Outcome.DIVERGED.value})
+        if verdict.outcome is Outcome.DIVERGED or not math.isfinite(verdict.loss):
+            describe(outcome="diverged", epochs=verdict.steps, **{REASON: Outcome.DIVERGED.value})
             raise TrialFailed
-        curve.carry_to_the_end(found.loss)
-        about = {"outcome": found.outcome.label, "epochs": found.steps, "training_loss": found.training_loss}
-        describe(**about, held_out_loss=found.loss)
-        return score(found.loss)
+        curve.carry_to_the_end(verdict.loss)
+        about = {"outcome": verdict.outcome.label, "epochs": verdict.steps, "training_loss": verdict.training_loss}
+        describe(**about, held_out_loss=verdict.loss)
+        return score(verdict.loss)
     except optuna.TrialPruned:
         assert curve is not None
         describe(outcome="pruned", epochs=curve.steps, held_out_loss=10**curve.last)

@@ -108,9 +108,9 @@ _FAR = 1e3
 """Times a coefficient of the data, beyond which nothing is a continuation of it."""
 
 
-def _require_bounded(data: BearingTable, there: BearingTable, key: str, state: str) -> None:
+def _require_bounded(data: BearingTable, table: BearingTable, key: str, state: str) -> None:
     for b, c in np.ndindex(len(data.nodes), len(COEFFICIENTS)):
-        name, found, size = COEFFICIENTS[c], np.abs(there.values[b, :, c]), np.abs(data.values[b, :, c])
+        name, found, size = COEFFICIENTS[c], np.abs(table.values[b, :, c]), np.abs(data.values[b, :, c])
         lost = is_direct(name) and bool((found < size.min() / _FAR).any())
         if np.isfinite(found).all() and found.max() <= _FAR * size.max() and not lost:
             continue

@@ -47,5 +47,5 @@ def expect_criticals(
     bearings = identified.table(table)
     modes = find_modes(there.updated_rotor, bearings)
     deviations = deviate_modes(modes, there, bearings, identified, uncertainty)
-    found = [(one, deviations.of_critical(one)) for one in find_critical_speeds(modes)]
+    found = [(speed, deviations.of_critical(speed)) for speed in find_critical_speeds(modes)]
     return [ExpectedCritical(c.speed, of_speed, c.logarithmic_decrement, of_dec) for c, (of_speed, of_dec) in found]

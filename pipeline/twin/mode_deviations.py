@@ -120,18 +120,20 @@ def deviate_modes(
     """
     by_number = uncertainty.sensitivity(identified, bearings.speeds, bearings.operating)  # (B, S, 8, A (K + L))
     count, covariance = by_number.shape[-1], uncertainty.of_machine
-    changes = [rotor_change(one, measurement.rotor) for one in measurement.parameters]
-    along = [t for t, one in enumerate(measurement.parameters) if one.kind == "bearing_position"]
+    changes = [rotor_change(parameter, measurement.rotor) for parameter in measurement.parameters]
+    along = [t for t, parameter in enumerate(measurement.parameters) if parameter.kind == "bearing_position"]
     values = np.concatenate([modes.eigenvalues, (modes.growth + 1j * modes.growing)[:, None]], axis=1)
     rotor = measurement.updated_rotor
     stiffness, damping = assemble_systems(rotor, bearings)
     mass = np.broadcast_to(assemble_mass(rotor, bearings.speeds), stiffness.shape)
     moved = np.full((*values.shape, len(covariance)), np.nan, dtype=complex)  # (S, K + 1, Z)
-    for s, of in enumerate(values):
-        there = np.flatnonzero(~np.isnan(of))
+    for s, value in enumerate(values):
+        there = np.flatnonzero(~np.isnan(value))
         system = System(mass[s], stiffness[s], damping[s], float(bearings.speeds[s]), bearing_places(rotor))
         moves = {t: derive_place(rotor, measurement.parameters[t], bearings.values[:, s]) for t in along}
-        by_coefficient, by_rotor = system.derive(of[there], [moves.get(t, one) for t, one in enumerate(changes)])
+        by_coefficient, by_rotor = system.derive(
+            value[there], [moves.get(t, change) for t, change in enumerate(changes)]
+        )
         moved[s, there, :count] = np.einsum("kbc,bcz->kz", by_coefficient, by_number[:, s], optimize=True)
         if changes:
             by_known = np.einsum("kbc,bct->kt", by_coefficient, measurement.known_variation[s])

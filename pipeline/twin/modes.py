@@ -140,9 +140,9 @@ def find_critical_speeds(modes: WhirlModes) -> list[CriticalSpeed]:
     Modes are followed by their order in frequency. A line that jumps because a mode became overdamped makes
     a crossing only where it passes the synchronous line between two neighbouring speeds on a continuous branch.
     """
-    found: list[CriticalSpeed] = []
+    speeds: list[CriticalSpeed] = []
     if len(modes.speeds) < 2:
-        return found
+        return speeds
     gap = modes.frequency - modes.speeds[:, None]  # (S, K)
     for k in range(gap.shape[1]):
         crosses = (gap[:-1, k] * gap[1:, k] < 0) | (gap[:-1, k] == 0)
@@ -155,8 +155,8 @@ def find_critical_speeds(modes: WhirlModes) -> list[CriticalSpeed]:
             speed = modes.speeds[s] + t * (modes.speeds[s + 1] - modes.speeds[s])
             values = modes.logarithmic_decrement[s : s + 2, k]
             decrement = values[0] + t * (values[1] - values[0])
-            found.append(CriticalSpeed(float(speed), float(decrement), (int(s), k)))
-    return sorted(found, key=lambda critical: critical.speed)
+            speeds.append(CriticalSpeed(float(speed), float(decrement), (int(s), k)))
+    return sorted(speeds, key=lambda critical: critical.speed)
 
 
 @dataclass(frozen=True)

@@ -67,8 +67,8 @@ def add_deviation(
         values = measurement.parameter_values
         (variation,) = response_variations(rotor, dataset, stiffness, (), parameters, values)
         change = equations.change(bearings, equations.blocks[0])
-        found = respond(equations.blocks[0], change)
-        by_model = derive_by_parameters(variation, found, change[None], None)[0, :, :, 0]  # (S, 2, T)
+        response = respond(equations.blocks[0], change)
+        by_model = derive_by_parameters(variation, response, change[None], None)[0, :, :, 0]  # (S, 2, T)
         by_model = by_model + np.einsum("sdbc,sbct->sdt", by_coefficient, measurement.known_variation)
         moved = np.concatenate([moved, by_model], axis=-1)
     direction = predicted.displacement.conj() / np.abs(predicted.displacement)

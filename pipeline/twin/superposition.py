@@ -86,9 +86,9 @@ def _find_shares(
 def _amplitudes(excitations: Sequence[Excitation]) -> dict[tuple[str, int, str], complex]:
     """Kind, node and whirl -> complex amplitude, kg m or N."""
     result: dict[tuple[str, int, str], complex] = {}
-    for one in excitations:
-        key = (one.kind, one.node, one.whirl)
-        result[key] = result.get(key, 0.0) + one.magnitude * np.exp(1j * one.phase)
+    for excitation in excitations:
+        key = (excitation.kind, excitation.node, excitation.whirl)
+        result[key] = result.get(key, 0.0) + excitation.magnitude * np.exp(1j * excitation.phase)
     return result
 
 

@@ -15,11 +15,11 @@ def describe_balancing(content: ReportContent) -> Section | None:
         return None
     title, table = "Residual unbalance and correction weights", content.tables.get("residual_unbalance")
     if table is None or not len(table["node"]):
-        words = (
+        text = (
             "No residual unbalance was identified: identify.unbalance_planes names no node. With planes there and "
             "loss=response, this section has the correction weights."
         )
-        return Section("balancing", title, (Paragraph(words),))
+        return Section("balancing", title, (Paragraph(text),))
     rows = []
     for node, size, angle, deviation in zip(
         table["node"], table["magnitude"], table["phase_deg"], table["magnitude_std"], strict=True

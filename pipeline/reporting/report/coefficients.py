@@ -25,22 +25,22 @@ def describe_coefficients(content: ReportContent) -> Section | None:
     fit = content.fit
     if fit is None:
         return None
-    words = "Forces on the shaft are -(K q + C q'); kxy is the force in x for a displacement in y."
+    text = "Forces on the shaft are -(K q + C q'); kxy is the force in x for a displacement in y."
     if fit.deviation is None:
-        words += " The loss of this fit states no deviations, so there are no bands: loss=response has them."
+        text += " The loss of this fit states no deviations, so there are no bands: loss=response has them."
     else:
-        words += (
+        text += (
             " Numbers are given with one standard deviation, bands are nominal 95 % intervals. They count the noise and"
             " what is fitted of the model; the verdicts above add usual tolerances of rotor, weights and probes."
         )
     if fit.modelled is not None:
-        words += " The data were modelled, so that the true coefficients are known; the fit did not read them."
+        text += " The data were modelled, so that the true coefficients are known; the fit did not read them."
     shown: tuple[Table | Figure, ...]
     if fit.bearings.operating:
         shown = (*list_at_states(content, fit), *(draw_states(content, fit, letter) for letter in "kc"))
     else:
         shown = (_list(content, fit), *(_draw(content, fit, letter) for letter in "kc"))
-    return Section("coefficients", "Stiffness and damping", (Paragraph(words), *shown, *_compare(content, fit)))
+    return Section("coefficients", "Stiffness and damping", (Paragraph(text), *shown, *_compare(content, fit)))
 
 
 def _draw(content: ReportContent, fit: FitContent, letter: str) -> Figure:
@@ -86,7 +86,9 @@ def _draw_one(
 
 def _list(content: ReportContent, fit: FitContent) -> Table:
     constant = all(
-        np.ptp(fit.bearings.values[b, :, COEFFICIENTS.index(n)]) == 0 for b, of in enumerate(fit.unknowns) for n in of
+        np.ptp(fit.bearings.values[b, :, COEFFICIENTS.index(n)]) == 0
+        for b, unknown in enumerate(fit.unknowns)
+        for n in unknown
     )
     at = [0] if constant else np.unique(np.linspace(0, len(content.rpm) - 1, _ROWS).round().astype(int)).tolist()
     rows = []

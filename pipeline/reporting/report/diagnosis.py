@@ -27,13 +27,13 @@ def describe_diagnosis(content: ReportContent) -> Section | None:
         )
         if one["reason"]:
             blocks.append(Paragraph(f"Bearing at node {node}: {one['reason']}", warning=True))
-    words = (
+    text = (
         f"At each speed by itself, at {100 * noise['multiplicative']:g} % and {1e6 * noise['additive']:g} µm noise "
         "(root mean square, zero-to-peak). A fit over all speeds does better: its own deviations follow below."
     )
     header = ["bearing", "verdict", "rank", "condition number", "determined least"]
     table = Table("What the readings tell of each bearing", header, rows)
-    return Section("diagnosis", "Diagnosis", (Paragraph(words), *blocks, table, *_list_expected(content)))
+    return Section("diagnosis", "Diagnosis", (Paragraph(text), *blocks, table, *_list_expected(content)))
 
 
 def _describe_range(least: int, most: int) -> str:

@@ -34,13 +34,13 @@ def describe_held_out(content: ReportContent) -> Section | None:
     ]
     held = [r for r in content.shown_runs if content.held_out(r)]
     if not rows and not held:
-        words = "No run and no speed was held out (training.holdout_runs, training.holdout_every)."
-        return Section("held-out", "Held-out runs and speeds", (Paragraph(words),))
-    words = "The fit did not see these readings. Beside the model stands what needs no bearing model at all."
+        text = "No run and no speed was held out (training.holdout_runs, training.holdout_every)."
+        return Section("held-out", "Held-out runs and speeds", (Paragraph(text),))
+    text = "The fit did not see these readings. Beside the model stands what needs no bearing model at all."
     header = ["held out", "model, error %", "without a model", "its error, %"]
     table = Table("Root mean square of the error over that of the readings", header, rows)
     figures = [_draw(content, fit, held, "held-out")] if held else []
-    return Section("held-out", "Held-out runs and speeds", (Paragraph(words), *([table] if rows else []), *figures))
+    return Section("held-out", "Held-out runs and speeds", (Paragraph(text), *([table] if rows else []), *figures))
 
 
 def _write_quality(content: ReportContent) -> str:
@@ -53,7 +53,7 @@ def _write_quality(content: ReportContent) -> str:
         return f"{outcome}{said} Its loss weighs no noise, so there is no chi-square."
     square, white, chance = found["chi_square"], found["whiteness"], found["mismatch"]["probability"]
     ratio = float(np.sqrt(square["value"] / square["expected"]))
-    words = (
+    text = (
         f"{outcome} Chi-square is {square['value']:.0f}, where {square['expected']:.0f} is expected: the readings lie "
         f"{ratio:.2f} times as far off as their noise. Neighbouring residuals correlate by "
         f"{write_number(white['autocorrelation'], digits=2)} ({write_number(white['over_its_deviation'], digits=2)} "
@@ -65,7 +65,7 @@ def _write_quality(content: ReportContent) -> str:
         else "The model does not explain the readings to their noise: what is left is systematic, and the "
         "deviations are too small."
     )
-    return words + f"{explained} {count(found['bad_points'], 'reading')} lie beyond 4 deviations."
+    return text + f"{explained} {count(found['bad_points'], 'reading')} lie beyond 4 deviations."
 
 
 def _list_probes(content: ReportContent, fit: FitContent) -> Table:

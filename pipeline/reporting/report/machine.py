@@ -55,8 +55,8 @@ def _draw_sketch(content: ReportContent) -> Figure:
     nodes = sorted({probe.node for probe in content.probes})
     if len(content.probes) < 2 * rotor.n_nodes:
         curves.append(Curve(x[nodes], np.full(len(nodes), 1.05), "probes", GREEN, "none", "D"))
-    weights = sorted({one.node for one in content.dataset.excitations if one.kind == "unbalance"})
-    forces = sorted({one.node for one in content.dataset.excitations if one.kind == "force"})
+    weights = sorted({excitation.node for excitation in content.dataset.excitations if excitation.kind == "unbalance"})
+    forces = sorted({excitation.node for excitation in content.dataset.excitations if excitation.kind == "force"})
     for acting, label, colour, at in ((weights, "weights", ORANGE, 1.25), (forces, "forces", PURPLE, 1.45)):
         if acting:
             curves.append(Curve(x[acting], np.full(len(acting), at), label, colour, "none", "s"))
@@ -123,7 +123,7 @@ def _list_probes(content: ReportContent) -> Table:
 def _list_runs(content: ReportContent) -> Table:
     data, rows = content.dataset, []
     for r, run in enumerate(data.runs):
-        acting = [one for one in data.excitations if one.run == run and one.magnitude]
+        acting = [excitation for excitation in data.excitations if excitation.run == run and excitation.magnitude]
         use = "predicted, not fitted" if content.held_out(r) else "fitted"
         turning = synchronous(data.frequencies[:, r], data.speeds).all()
         hertz = data.frequencies[:, r] / (2 * np.pi)
@@ -134,7 +134,11 @@ def _list_runs(content: ReportContent) -> Table:
     return Table("Runs", ["run", "excited by", "frequency", "use"], rows)
 
 
-def describe_excitation(one: Excitation) -> str:
+def describe_excitation(excitation: Excitation) -> str:
     """Such as ``node 2: 200 g mm at 30°``; angles are from x towards y at the tacho pulse."""
-    size = f"{_G_MM * one.magnitude:.4g} g mm" if one.kind == "unbalance" else f"{one.magnitude:.4g} N {one.whirl}"
-    return f"node {one.node}: {size} at {np.degrees(one.phase):.4g}°"
+    size = (
+        f"{_G_MM * excitation.magnitude:.4g} g mm"
+        if excitation.kind == "unbalance"
+        else f"{excitation.magnitude:.4g} N {excitation.whirl}"
+    )
+    return f"node {excitation.node}: {size} at {np.degrees(excitation.phase):.4g}°"

@@ -21,18 +21,18 @@ _LEAST_MOVE = 1e-6
 
 def describe_measured(content: ReportContent) -> Section:
     """1X vectors of the probes, before any fit."""
-    words = "All figures here show readings, not the model."
+    text = "All figures here show readings, not the model."
     if content.baseline() is not None:
-        words += (
+        text += (
             f" The run {content.config.data.baseline} is the machine as it was found. It is subtracted from the other "
             "runs that turn with the rotor, and with it residual unbalance and runout."
         )
     left = len(content.probes) - len(content.shown_probes), len(content.dataset.runs) - len(content.shown_runs)
     for number, name in zip(left, ("probes", "runs"), strict=True):
         if number:
-            words += f" {number} further {name} are not shown."
+            text += f" {number} further {name} are not shown."
     blocks: list[Block] = [
-        Paragraph(words),
+        Paragraph(text),
         *_write_notes(content),
         _list_peaks(content),
         _draw_bode(content),
@@ -176,33 +176,33 @@ def _draw_waveforms(content: ReportContent) -> list[Figure]:
     """Full spectra and the shaft centreline, where there are time signals that show them."""
     if not content.waveforms:
         return []
-    panels = tuple(_draw_spectrum(one) for one in content.waveforms)
+    panels = tuple(_draw_spectrum(waveform) for waveform in content.waveforms)
     caption = (
         "Full spectra of the run-ups in orders of the rotor speed: positive orders whirl with the rotation, negative "
         "ones against it. Levels are powers of ten of the amplitude in µm pk-pk."
     )
     figures = [Figure("spectra", caption, panels)]
-    moved = [one for one in content.waveforms if np.ptp(one.centre, axis=0).max() > _LEAST_MOVE]
+    moved = [waveform for waveform in content.waveforms if np.ptp(waveform.centre, axis=0).max() > _LEAST_MOVE]
     if moved:
         caption = "Mean position of the shaft from the DC part of the probes, against the lowest speed (square)."
         figures.append(Figure("centreline", caption, tuple(_draw_centreline(one) for one in moved)))
     return figures
 
 
-def _draw_spectrum(one: Waveforms) -> Panel:
-    rpm = one.speeds * 30 / np.pi
+def _draw_spectrum(waveforms: Waveforms) -> Panel:
+    rpm = waveforms.speeds * 30 / np.pi
     order = np.argsort(rpm)
-    levels = np.log10(np.maximum(2e6 * one.spectrum[order], 1e-4))
-    heat = HeatMap(one.orders, rpm[order], levels, "log10 amplitude")
-    return Panel(f"{one.run}, node {one.node}", "order", (Axes((), RPM),), heat=heat)
+    levels = np.log10(np.maximum(2e6 * waveforms.spectrum[order], 1e-4))
+    heat = HeatMap(waveforms.orders, rpm[order], levels, "log10 amplitude")
+    return Panel(f"{waveforms.run}, node {waveforms.node}", "order", (Axes((), RPM),), heat=heat)
 
 
-def _draw_centreline(one: Waveforms) -> Panel:
-    order = np.argsort(one.speeds)
-    place = one.centre[order] - one.centre[order[0]]
+def _draw_centreline(waveforms: Waveforms) -> Panel:
+    order = np.argsort(waveforms.speeds)
+    place = waveforms.centre[order] - waveforms.centre[order[0]]
     curves = (
-        Curve(place[:, 0], place[:, 1], one.run, GREY, "solid", "o", named=False),
+        Curve(place[:, 0], place[:, 1], waveforms.run, GREY, "solid", "o", named=False),
         Curve(place[:1, 0], place[:1, 1], "lowest speed", BLACK, "none", "s", named=False),
     )
     axes = Axes(curves, "y (µm)", amplitude=True)
-    return Panel(f"{one.run}, node {one.node}", "x (µm)", (axes,), equal=True)
+    return Panel(f"{waveforms.run}, node {waveforms.node}", "x (µm)", (axes,), equal=True)

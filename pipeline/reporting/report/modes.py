@@ -34,22 +34,22 @@ def describe_modes(content: ReportContent) -> Section | None:
     known = stability.get("largest_growth_std")  # of a machine at rest in a mode: rounding
     growth = write_number(stability["largest_growth"], known if known and known > _ROUNDING else None, 3)
     at = f" at {name_state(fit.operating)}" if fit.operating else ""
-    words = f"The identified machine is {said} from {rpm[0]:.6g} to {rpm[-1]:.6g} rpm{at}; "
-    words += f"the largest growth rate is {growth} 1/s."
+    text = f"The identified machine is {said} from {rpm[0]:.6g} to {rpm[-1]:.6g} rpm{at}; "
+    text += f"the largest growth rate is {growth} 1/s."
     least = stability["smallest_logarithmic_decrement"]
     if least is not None:
         decrement = write_number(least, stability.get("smallest_logarithmic_decrement_std"), 3)
-        words += (
+        text += (
             f" The smallest logarithmic decrement is {decrement}, at {stability['at_rpm']:.6g} rpm (modes up to twice "
         )
-        words += "the top speed)."
-    words += (
+        text += "the top speed)."
+    text += (
         " A critical speed is where a damped natural frequency equals the rotor speed. In the sense of API RP 684 one "
     )
-    words += "with an amplification factor below 2.5 is critically damped. "
+    text += "with an amplification factor below 2.5 is critically damped. "
     running = content.config.machine.prediction.speed_rpm
-    words += f"Separation margins are from {running:.6g} rpm (machine.prediction.speed_rpm), in percent of it."
-    blocks: list[Block] = [Paragraph(words, warning=not stability["stable"]), *_warn_beyond(fit)]
+    text += f"Separation margins are from {running:.6g} rpm (machine.prediction.speed_rpm), in percent of it."
+    blocks: list[Block] = [Paragraph(text, warning=not stability["stable"]), *_warn_beyond(fit)]
     blocks.append(_list_critical_speeds(rpm, found))
     figures = () if len(rpm) < 2 else (_draw_campbell(content, fit, found), _draw_stability(content, fit))
     return Section("modes", "Critical speeds and stability", (*blocks, *figures))

@@ -17,10 +17,10 @@ def describe_numbers(content: ReportContent) -> Section | None:
     against = find_contradiction(training, kind) is not None or any(
         map(list_contradicted, training.get("correction", {}).values())
     )
-    words = "All coefficients over speed and operating conditions follow from these numbers"
-    words += ", times what a network corrects." if training.get("correction") else "."
+    text = "All coefficients over speed and operating conditions follow from these numbers"
+    text += ", times what a network corrects." if training.get("correction") else "."
     rows = [[cell.replace("+-", "±") for cell in row] for row in list_number_rows(numbers)]
     header = [head.replace("+-", "±") for head in NUMBERS_HEADER]
-    blocks: list[Block] = [Paragraph(words), Table("Found, ± one standard deviation", header, rows)]
+    blocks: list[Block] = [Paragraph(text), Table("Found, ± one standard deviation", header, rows)]
     blocks += [Paragraph(said.replace("+-", "±"), warning=against) for said in describe_law(training, kind)]
     return Section("numbers", "Numbers of the bearing laws", tuple(blocks))

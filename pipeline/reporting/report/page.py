@@ -27,8 +27,12 @@ def write_page(path: Path, title: str, head: Sequence[str], sections: Sequence[S
     environment = Environment(loader=FileSystemLoader(_FOLDER), autoescape=True, trim_blocks=True, lstrip_blocks=True)
     panels: list[dict[str, Any]] = []
     shown = [
-        {"anchor": one.anchor, "title": one.title, "blocks": [_describe_block(block, panels) for block in one.blocks]}
-        for one in sections
+        {
+            "anchor": section.anchor,
+            "title": section.title,
+            "blocks": [_describe_block(block, panels) for block in section.blocks],
+        }
+        for section in sections
     ]
     text = environment.get_template("page.html").render(
         title=title,
@@ -52,9 +56,9 @@ def _describe_block(block: Paragraph | Table | Figure, panels: list[dict[str, An
         return {"kind": "paragraph", "text": block.text, "warning": block.warning}
     if isinstance(block, Table):
         rows = [[_describe_cell(cell) for cell in row] for row in block.rows]
-        words = [any(not _NUMBER.fullmatch(row[c]["text"]) for row in rows) for c in range(len(block.header))]
-        header = list(zip(block.header, words, strict=True))
-        cells = [list(zip(row, words, strict=True)) for row in rows]
+        textual = [any(not _NUMBER.fullmatch(row[c]["text"]) for row in rows) for c in range(len(block.header))]
+        header = list(zip(block.header, textual, strict=True))
+        cells = [list(zip(row, textual, strict=True)) for row in rows]
         return {"kind": "table", "caption": block.caption, "header": header, "rows": cells}
     places = []
     for panel in block.panels:

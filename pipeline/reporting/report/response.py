@@ -64,7 +64,7 @@ def _verify(content: ReportContent) -> list[Paragraph | Table]:
             noise = float(np.sqrt(fit.noise[at, :, r] ** 2 @ probe.weights**2 / 2))  # of the amplitude alone
             name = look["label"] + (" (not fitted)" if content.held_out(r) else "")
             rows.append(_row(name, probe.name, (seen, expected), (off, noise)))
-    words = (
+    text = (
         "Each row is a response peak inside the speed range. As in API 617's verification test, the measured peak must "
         f"lie within {SPEED_TOLERANCE:g} % of the predicted speed, and must not be higher than predicted (here: by "
         "more than two deviations of the noise and 5 %). Runs that were fitted verify less than runs that were not."
@@ -81,7 +81,7 @@ def _verify(content: ReportContent) -> list[Paragraph | Table]:
         "predicted, µm pk-pk",
         "verdict",
     ]
-    return [Paragraph(words), Table("Unbalanced rotor response verification", header, rows)]
+    return [Paragraph(text), Table("Unbalanced rotor response verification", header, rows)]
 
 
 def _row(
@@ -92,7 +92,7 @@ def _row(
 ) -> list[Cell]:
     (at, size), (expected_at, expected) = peaks
     near, low = abs(off[0]) <= SPEED_TOLERANCE, size <= 1.05 * expected + 2 * off[1]
-    words = "within" if near and low else "speed off" if not near else "higher than predicted"
+    text = "within" if near and low else "speed off" if not near else "higher than predicted"
     return [
         name,
         probe,
@@ -101,7 +101,7 @@ def _row(
         f"{off[0]:+.2f}",
         Amplitude(size, off[1] or None),
         Amplitude(expected),
-        Mark("good" if near and low else "no", words),
+        Mark("good" if near and low else "no", text),
     ]
 
 
@@ -117,7 +117,8 @@ def _predict(content: ReportContent) -> list[Paragraph | Figure]:
         band = None if stated is None else NOMINAL_95 * stated
         curves.append(Curve(table["speed_rpm"], size, f"{direction} predicted", colour, dash, band=band))
     acting = "; ".join(
-        f"node {one.node}: {1e6 * one.magnitude:.4g} g mm at {np.degrees(one.phase):.4g}°" for one in asked.unbalances
+        f"node {unbalance.node}: {1e6 * unbalance.magnitude:.4g} g mm at {np.degrees(unbalance.phase):.4g}°"
+        for unbalance in asked.unbalances
     )
     panel = Panel(f"node {asked.node}", RPM, (Axes(tuple(curves), AMPLITUDE, amplitude=True),), wide=True)
     state = name_state(content.fit.operating) if content.fit is not None else ""
