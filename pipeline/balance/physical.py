@@ -18,9 +18,9 @@ import numpy as np
 from pipeline.data.conditions import Conditions
 from pipeline.errors import DataError
 from pipeline.identification.identified import IdentifiedModel
-from pipeline.identification.output_error import OutputError, output_error
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
 from pipeline.identification.output_error_start import drawn_basis, start_at
+from pipeline.identification.problem import OutputError, output_error
 from pipeline.identification.training import FitSetup
 from pipeline.identification.uncertainty import Uncertainty
 from pipeline.problem.condition_noise import condition_noise, follow_residuals, spread_conditions, suffices, to_dataset
@@ -92,7 +92,7 @@ class Physical:
         problem = self._problem(trial)
         (mean,) = problem.predicted(self.weights)
         n_speeds, n_channels, n_runs = mean.shape[1:]
-        slope = problem.jacobian(self.weights)[0, 0, : 2 * mean.numel()].numpy()
+        slope = problem.columns(self.weights)[0, :, :-1].numpy()
         pairs = slope.reshape(n_speeds, n_channels, n_runs, 2, -1)
         slopes = (pairs[..., 0, :] + 1j * pairs[..., 1, :]).transpose(2, 0, 1, 3).reshape(n_runs, -1, slope.shape[-1])
         rows = mean[0].numpy().reshape(-1, n_runs).T.copy()
@@ -127,14 +127,10 @@ class Physical:
 
         dataset = to_dataset(spread_conditions(unbalance, self.planes, self.speeds, self.channels))
         measurement = replace(self.measurement, dataset=dataset, drift=None)
-        made = output_error(measurement, self.problem.basis, self.problem.sensors.plane_scale)
-        sensors = replace(
-            made.sensors,
-            scale=self.problem.sensors.scale,
-            precision=tuple(torch.ones_like(one) for one in made.sensors.precision),
-            common=(),
-        )
-        return replace(made, sensors=sensors, kept=self.problem.kept, prior=self.problem.prior)
+        made = output_error(measurement, self.problem.basis, self.problem.plane_scale)
+        plain = replace(made.readings, precision=tuple(map(torch.ones_like, made.readings.precision)), common=())
+        fitted = self.problem
+        return replace(made, readings=plain, scale=fitted.scale, kept=fitted.kept, precision=fitted.precision)
 
 
 def _carry(
@@ -185,7 +181,7 @@ def restore_physical(
     weights = start_at(problem, values)
     residual = uncertainty.residual_unbalance / uncertainty.plane_scale
     pairs = torch.as_tensor(np.stack([residual.real, residual.imag], axis=-1).ravel())
-    weights[0, 0, problem.n_outer : problem.n_outer + len(pairs)] = pairs
+    weights[0, 0, problem.places.planes] = pairs
     return _physical(problem, weights, uncertainty.covariance, planes)
 
 
@@ -203,7 +199,7 @@ def _physical(
     """With the noise that the residuals show, or with the stated one where there are no levels."""
     measurement = problem.measurement
     if measurement.drift is not None:
-        (predicted,), (measured,) = problem.predicted(weights), problem.sensors.measured
+        (predicted,), (measured,) = problem.predicted(weights), problem.readings.measured
         rest = (predicted - measured)[0].flatten(0, 1).T.numpy()
         noise = follow_residuals(measurement.drift, rest, problem.n_fitted).levels
     else:

@@ -23,11 +23,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pipeline.identification.blocks import Places
 from pipeline.identification.evidence_prior import LAW_STANDS, chance_of_gain
 from pipeline.identification.functions import evaluate_functions
 from pipeline.identification.inputs import SPEED
 from pipeline.identification.model import CoefficientModel
-from pipeline.identification.output_error import OutputError
+from pipeline.identification.problem import OutputError
 
 if TYPE_CHECKING:
     import torch
@@ -51,6 +52,7 @@ class MeanSquareError:
     """What the weights of features and local functions, (A, K + L), and all others are off by."""
 
     matrix: np.ndarray  # (Z + A L, Z + A L)
+    places: Places  # of the blocks in it, local functions among the coefficients'
     n_local: int  # L
     deviation: np.ndarray  # (A,) tau
 
@@ -85,20 +87,21 @@ def measure_error(problem: OutputError, weights: torch.Tensor, covariance: np.nd
     count = count_local(problem.basis.model, len(np.unique(points[SPEED])))
     n_active = len(problem.kept)
     if not count:
-        return MeanSquareError(covariance, 0, np.zeros(n_active))
+        return MeanSquareError(covariance, problem.places, 0, np.zeros(n_active))
     gradient, matrix, local = _expand(problem, weights, evaluate_local(problem.basis.model, points, count))
     by_fit = covariance @ matrix[np.ix_(~local, local)]  # (Z, A L): how the fitted weights follow the local ones
     information = matrix[np.ix_(local, local)] - matrix[np.ix_(local, ~local)] @ by_fit
     score = -(gradient[local] - by_fit.T @ gradient[~local])
     variance, moment = _maximise_likelihood(information, score, n_active)
     if problem.measurement.laws is not None and _is_chance(information, score, variance):
-        return MeanSquareError(covariance, 0, np.zeros(n_active))
+        return MeanSquareError(covariance, problem.places, 0, np.zeros(n_active))
     error = np.zeros_like(matrix)
     error[np.ix_(~local, ~local)] = covariance + by_fit @ moment @ by_fit.T
     error[np.ix_(~local, local)] = by_fit @ moment
     error[np.ix_(local, ~local)] = (by_fit @ moment).T
     error[np.ix_(local, local)] = moment
-    return MeanSquareError(error, count, np.sqrt(variance))
+    wider = replace(problem.places, n_coefficients=problem.places.n_coefficients + n_active * count)
+    return MeanSquareError(error, wider, count, np.sqrt(variance))
 
 
 def _expand(
@@ -113,11 +116,11 @@ def _expand(
         problem,
         features=torch.cat([problem.features, added], dim=-1),
         kept=torch.cat([problem.kept, torch.ones(n_active, count, dtype=torch.bool)], dim=1),
-        prior=torch.nn.functional.pad(problem.prior, (0, count)),
+        precision=torch.nn.functional.pad(problem.precision, (0, count)),
     )
     gradient, matrix = wider.normal(problem.with_features(weights, n_features + count))
     own = np.arange(n_features + count) >= n_features
-    local = np.concatenate([np.tile(own, n_active), np.zeros(problem.n_rest, dtype=bool)])
+    local = np.concatenate([np.tile(own, n_active), np.zeros(problem.places.n_rest, dtype=bool)])
     return gradient[0, 0].numpy(), matrix[0, 0].numpy(), local
 
 

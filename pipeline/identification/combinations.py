@@ -17,8 +17,8 @@ import numpy as np
 
 from pipeline.data.dataset import VibrationDataset
 from pipeline.identification.information import invert
-from pipeline.identification.output_error import OutputError, output_error
 from pipeline.identification.output_error_start import prepare_output_error
+from pipeline.identification.problem import OutputError, output_error
 from pipeline.identification.training import FitSetup
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.ranking import find_least, rank, rank_indices
@@ -89,7 +89,7 @@ def combine_at(problem: OutputError, weights: torch.Tensor) -> Combinations:
         unknowns.names[u] if unknowns.shared else f"{unknowns.names[u]} at node {nodes[m]}" for m, u in problem.active
     ]
     ends = [Combination(dict(zip(labels, directions[:, i].tolist(), strict=True)), float(spread[i])) for i in (0, -1)]
-    left, spans = np.sqrt(np.diag(covariance)[problem.size - problem.n_parameters :]), {}
+    left, spans = np.sqrt(np.diag(covariance)[problem.places.parameters]), {}
     kinds = [parameter.kind for parameter in measurement.parameters]
     for kind in dict.fromkeys(kinds):
         own = [float(value) for value, of in zip(left, kinds, strict=True) if of == kind]
@@ -100,7 +100,7 @@ def combine_at(problem: OutputError, weights: torch.Tensor) -> Combinations:
 
 def _share(problem: OutputError, weights: torch.Tensor) -> np.ndarray:
     """(A, Z) change of each constant, as a share of itself, by the weights."""
-    values, slope = (of[0, 0].numpy() for of in problem.unknowns(weights))
+    values, slope = (every[0, 0].numpy() for every in problem.unknowns(weights)[:2])
     result = np.zeros((len(problem.active), problem.size))
     for a, (m, _) in enumerate(problem.active):
         features = problem.features[m, 0].numpy()
@@ -136,14 +136,14 @@ def _try_runs(
             known=known,
             drift=None,
         )
-        shown = output_error(other, problem.basis, problem.sensors.plane_scale).predicted(weights)[0][0].numpy()
+        shown = output_error(other, problem.basis, problem.plane_scale).predicted(weights)[0][0].numpy()
         more = output_error(
             replace(other, dataset=replace(other.dataset, displacement=shown)),
             problem.basis,
-            problem.sensors.plane_scale,
+            problem.plane_scale,
         )
         # Its own problem has the priors again.
-        gained = more.normal(weights)[1][0, 0] - more.weight_prior.matrix()
+        gained = more.normal(weights)[1][0, 0] - more.prior.information()
         tried.append(NextRun(data.runs[run], float(speeds[0]), _deviation(information + gained, along)))
     best = tried[find_least({i: one.deviation for i, one in enumerate(tried)})]
     return best if best.deviation < WORTH * before else None

@@ -19,7 +19,7 @@ import numpy as np
 
 from pipeline.identification.basis import Basis
 from pipeline.identification.information import invert
-from pipeline.identification.output_error import OutputError
+from pipeline.identification.problem import OutputError
 
 if TYPE_CHECKING:
     import torch
@@ -61,7 +61,7 @@ def with_sigma(problem: OutputError, sigma: np.ndarray | None = None) -> OutputE
     import torch
 
     every = torch.full((len(problem.active),), _FIRST) if sigma is None else torch.as_tensor(sigma)
-    return replace(problem, prior=unit_precision(problem) / every.to(torch.float64)[:, None] ** 2)
+    return replace(problem, precision=unit_precision(problem) / every.to(torch.float64)[:, None] ** 2)
 
 
 def weigh_by_evidence(problem: OutputError, weights: torch.Tensor) -> tuple[OutputError, torch.Tensor]:
@@ -104,9 +104,9 @@ class _Evidence(NamedTuple):
 
 def _expand(problem: OutputError, weights: torch.Tensor) -> _Evidence:
     """The likelihood about the minimum ``weights`` (1, 1, Z)."""
-    unit, outer = unit_precision(problem).numpy(), problem.n_outer
+    unit, outer = unit_precision(problem).numpy(), problem.places.n_coefficients
     gradient, matrix = (one[0, 0].numpy() for one in problem.normal(weights))
-    own = problem.weight_prior.precision.numpy()[:outer]
+    own = (problem.precision * problem.kept).flatten().numpy()
     # At the minimum ``matrix z = matrix at - gradient``, whatever the precisions of the correction.
     right = matrix @ weights[0, 0].numpy() - gradient
     data = matrix - np.diag(np.pad(own, (0, len(matrix) - outer)))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.identification.output_error import OutputError
+from pipeline.identification.problem import OutputError
 
 if TYPE_CHECKING:
     import torch
@@ -36,8 +36,9 @@ def invert(information: torch.Tensor) -> np.ndarray:
 def unknown_deviation(problem: OutputError, weights: torch.Tensor) -> np.ndarray:
     """(G, S, A) standard deviation of the active unknowns, N/m and N s/m, see :func:`invert_information`."""
     spread, count = invert_information(problem, weights), problem.features.shape[-1]
-    _, slope, by_numbers = (one.numpy() for one in problem.sensors.unknowns(problem.state(weights)))
-    numbers, parts = problem.n_outer + np.arange(problem.n_numbers), []
+    _, slope, by_numbers = (one.numpy() for one in problem.unknowns(weights))
+    places, parts = problem.places, []
+    numbers = np.arange(places.numbers.start, places.numbers.stop)
     for a, (m, _) in enumerate(problem.active):
         by_features = problem.features[m].numpy() * slope[..., a, None]  # (G, S, K)
         own = np.concatenate([by_features, by_numbers[:, :, a]], axis=-1)

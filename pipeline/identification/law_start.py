@@ -19,7 +19,7 @@ from pipeline.config.identification import LevenbergMarquardtConfig
 from pipeline.config.models import HybridModelConfig
 from pipeline.identification.basis import Basis
 from pipeline.identification.optimizers import levenberg_marquardt, until_still
-from pipeline.identification.output_error import OutputError, output_error
+from pipeline.identification.problem import OutputError, output_error
 from pipeline.identification.training import FitSetup
 from pipeline.problem.measurement import Measurement
 
@@ -70,13 +70,14 @@ def _spread(problem: OutputError) -> torch.Tensor:
     import torch
     from scipy.stats import qmc
 
-    deviation = problem.weight_prior.precision[problem.n_outer :][: problem.n_numbers].rsqrt()
+    law = problem.law
+    assert law is not None
+    deviation = law.prior_precision().rsqrt()
     weights = torch.zeros(1 + _JUDGED, 1, problem.size, dtype=deviation.dtype)
-    drawn = qmc.Sobol(problem.n_numbers, scramble=False).random(_JUDGED + 1)[1:]
+    drawn = qmc.Sobol(law.n_numbers, scramble=False).random(_JUDGED + 1)[1:]
     places = torch.as_tensor(_SPREAD * (2 * drawn - 1)) * deviation
-    weights[1:, 0, problem.n_outer : problem.n_outer + problem.n_numbers] = places
-    if problem.n_parameters:
-        weights[..., problem.size - problem.n_parameters :] = problem.sensors.values
+    weights[1:, 0, problem.places.numbers] = places
+    weights[..., problem.places.parameters] = problem.solved_at
     return weights
 
 
@@ -91,7 +92,7 @@ def scale_by_laws(problem: OutputError, theta: np.ndarray) -> tuple[tuple[float,
     """(M, U) sizes of the unknowns by the laws: of a cross-coupled one, that of the direct ones of its kind."""
     import torch
 
-    law = problem.sensors.law
+    law = problem.law
     assert law is not None
     values, _ = law.evaluate(torch.as_tensor(theta)[None])
     median = values[0].abs().median(dim=1).values.numpy()  # (M, U)
@@ -110,9 +111,8 @@ def first_weights(problem: OutputError, theta: np.ndarray) -> torch.Tensor:
     import torch
 
     weights = torch.zeros(1, 1, problem.size, dtype=torch.float64)
-    weights[0, 0, problem.n_outer : problem.n_outer + problem.n_numbers] = torch.as_tensor(theta)
-    if problem.n_parameters:
-        weights[..., problem.size - problem.n_parameters :] = problem.sensors.values
+    weights[0, 0, problem.places.numbers] = torch.as_tensor(theta)
+    weights[..., problem.places.parameters] = problem.solved_at
     return weights
 
 

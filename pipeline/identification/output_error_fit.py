@@ -21,10 +21,9 @@ from pipeline.identification.evidence_prior import weigh_by_evidence, with_sigma
 from pipeline.identification.identified import IdentifiedModel, PhysicalNumber
 from pipeline.identification.information import invert_information
 from pipeline.identification.outcome import Outcome
-from pipeline.identification.output_error import OutputError
 from pipeline.identification.output_error_start import OutputErrorStart, prepare_output_error
+from pipeline.identification.problem import OutputError
 from pipeline.identification.selection import add_features, drop_features
-from pipeline.identification.sensor_deviations import split_noise, weigh_present
 from pipeline.identification.training import FitSetup, Minimum, Progress, minimise
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.parameters import ModelParameter
@@ -72,9 +71,7 @@ class OutputErrorFit:
         unknowns = self.start.measurement.unknowns
         nodes, parameters = self.start.measurement.rotor.bearing_nodes, self.problem.parameters(self.weights)[0]
         laws, theta = self.problem.measurement.laws, self.problem.theta(self.weights)[0]
-        return IdentifiedModel(
-            self.problem.basis.model, unknowns, nodes, parameters, laws, None if laws is None else theta
-        )
+        return IdentifiedModel(self.problem.model, unknowns, nodes, parameters, laws, None if laws is None else theta)
 
     def covariance(self) -> np.ndarray:
         """(Z, Z) of the weights: the inverse of the information, the Cramer-Rao bound of the parametrisation."""
@@ -90,8 +87,7 @@ class OutputErrorFit:
         laws = self.problem.measurement.laws
         if laws is None:
             return ()
-        first = len(self.problem.active) * (self.problem.features.shape[-1] + self.error.n_local)
-        spread = np.sqrt(np.diag(self.error.matrix)[first : first + self.problem.n_numbers])
+        spread = np.sqrt(np.diag(self.error.matrix)[self.error.places.numbers])
         values = laws.numbers(self.problem.theta(self.weights)[0].numpy())
         return tuple(
             PhysicalNumber(
@@ -103,7 +99,7 @@ class OutputErrorFit:
     def model_parameters(self) -> tuple[FittedParameter, ...]:
         """T, each with its posterior."""
         values = self.problem.model_parameters(self.weights)[0].numpy()
-        variance = np.diag(self.error.matrix)[len(self.error.matrix) - self.problem.n_parameters :]
+        variance = np.diag(self.error.matrix)[self.error.places.parameters]
         every = zip(self.problem.measurement.parameters, values, np.sqrt(variance), strict=True)
         return tuple(FittedParameter(parameter, float(value), float(spread)) for parameter, value, spread in every)
 
@@ -125,7 +121,7 @@ def fit_output_error(measurement: Measurement, setup: FitSetup, progress: Progre
 
 def _refuse_lost(fit: OutputErrorFit) -> None:
     """Raise ConfigError where a coefficient ran off so far that no reading feels it, and no deviation is finite."""
-    felt = fit.problem.normal(fit.weights)[1][0, 0].diagonal()[: fit.problem.n_outer]
+    felt = fit.problem.normal(fit.weights)[1][0, 0].diagonal()[fit.problem.places.coefficients]
     unfelt = (felt.unflatten(-1, (len(fit.problem.active), -1)) < _NOTHING).all(-1)
     lost = [fit.problem.active[a] for a in unfelt.nonzero().flatten().tolist()]
     if lost:
@@ -154,14 +150,14 @@ def fit_from(
     factor = np.ones(len(start.measurement.dataset.channels))
     history: list[dict[str, float | str]] = []
     steps, seconds = 0, 0.0
-    approach = -len(_LESS_EXACT) if problem.n_parameters and not near else 0
+    approach = -len(_LESS_EXACT) if problem.places.n_parameters and not near else 0
     for turn in range(approach, _ROUNDS):
         found = minimise(_less_exact(problem, turn) if turn < 0 else problem, weights, setup, progress=progress)
         weights = found.parameters
         history += [dict(row) | {"step": steps + int(row["step"])} for row in found.history]
         steps, seconds = steps + found.steps, seconds + found.seconds
         if found.outcomes[0] is Outcome.INTERRUPTED:
-            shares = tuple(np.ones(precision.shape[1:]) for precision in problem.sensors.precision)
+            shares = tuple(np.ones(precision.shape[1:]) for precision in problem.readings.precision)
             break
         if turn < 0:
             problem = problem.update(weights)
@@ -190,7 +186,7 @@ def fit_from(
 
 def _change(problem: OutputError, before: OutputError) -> float:
     """The largest change of a precision, of its logarithm; what was not measured has none."""
-    pairs = zip(problem.sensors.precision, before.sensors.precision, strict=True)
+    pairs = zip(problem.readings.precision, before.readings.precision, strict=True)
     return max(float((new[new > 0] / old[new > 0]).log().abs().max()) for new, old in pairs)
 
 
@@ -201,8 +197,7 @@ them many prior deviations away, into valleys of their own. While the readings c
 
 def _less_exact(problem: OutputError, turn: int) -> OutputError:
     """The problem with readings that count for less; ``turn`` is from -3 to -1."""
-    precision = tuple(_LESS_EXACT[turn] * one for one in problem.sensors.precision)
-    return problem.with_sensors(replace(problem.sensors, precision=precision))
+    return replace(problem, readings=problem.readings.scaled(_LESS_EXACT[turn]))
 
 
 # --- what the readings' noise is -------------------------------------------------------------------------
@@ -216,18 +211,13 @@ def reweigh(
 
     if problem.measurement.drift is not None:
         return _weigh_conditions(problem)
-    precisions, commons, shares = [], [], []
-    for b, predicted in enumerate(problem.predicted(weights)):
-        deviation = torch.as_tensor(_deviation(problem, b, predicted.numpy(), factor))
-        off = (predicted - problem.sensors.measured[b]).abs() / deviation
-        share = (HUBER / off.clamp(min=HUBER)) if robust else torch.ones_like(off)
-        own, common = split_noise(problem.measurement, problem.sensors.blocks[b].runs, predicted.numpy(), factor)
-        present = weigh_present(problem.measurement, problem.sensors.blocks[b].runs)
-        precisions.append(np.sqrt(2.0) / torch.as_tensor(own) * share.sqrt() * present)
-        commons += [] if common is None else [torch.as_tensor(common)]
-        shares.append(share[0].numpy())
-    sensors = replace(problem.sensors, precision=tuple(precisions), common=tuple(commons))
-    return problem.with_sensors(sensors), tuple(shares)
+    readings, predicted, shares = problem.readings, problem.predicted(weights), []
+    for b, expected in enumerate(predicted):
+        deviation = torch.as_tensor(readings.deviation(b, expected.numpy(), factor))
+        off = (expected - readings.measured[b]).abs() / deviation
+        shares.append((HUBER / off.clamp(min=HUBER)) if robust else torch.ones_like(off))
+    problem = replace(problem, readings=readings.follow(predicted, factor, shares))
+    return problem, tuple(share[0].numpy() for share in shares)
 
 
 def _weigh_conditions(problem: OutputError) -> tuple[OutputError, tuple[np.ndarray, ...]]:
@@ -243,14 +233,7 @@ def _weigh_conditions(problem: OutputError) -> tuple[OutputError, tuple[np.ndarr
     own = drift.deviation()
     share = np.minimum(drift.weights, 1.0) * np.ones(own.shape)
     precision = torch.as_tensor(np.sqrt(2.0 * share) / own)[None]
-    return problem.with_sensors(replace(problem.sensors, precision=(precision,))), (share,)
-
-
-def _deviation(problem: OutputError, b: int, predicted: np.ndarray, factor: np.ndarray | None) -> np.ndarray:
-    """(.., S, P, R) m of the ``predicted`` readings of block b; ``factor`` (P,) over the stated noise."""
-    subtracted = problem.measurement.dataset.subtracted
-    taken = None if subtracted is None else subtracted[..., problem.sensors.blocks[b].runs]
-    return problem.measurement.deviation_of(predicted, taken, factor)
+    return replace(problem, readings=replace(problem.readings, precision=(precision,))), (share,)
 
 
 def estimate_by_residuals(problem: OutputError, weights: torch.Tensor) -> np.ndarray:
@@ -260,13 +243,13 @@ def estimate_by_residuals(problem: OutputError, weights: torch.Tensor) -> np.nda
     """
     left = []
     for b, predicted in enumerate(problem.predicted(weights)):
-        stated = _deviation(problem, b, predicted[0].numpy(), None)
-        off = (predicted - problem.sensors.measured[b]).abs()[0].numpy() / stated
-        here = weigh_present(problem.measurement, problem.sensors.blocks[b].runs).numpy() > 0
+        stated = problem.readings.deviation(b, predicted[0].numpy())
+        off = (predicted - problem.readings.measured[b]).abs()[0].numpy() / stated
+        here = problem.readings.present(b).numpy() > 0
         off = np.where(here, off, np.nan)
         left.append(np.moveaxis(off, 1, 0).reshape(off.shape[1], -1))
     squared = np.nanmedian(np.concatenate(left, axis=1) ** 2, axis=1) / np.log(2.0)
-    rest = max(1.0 - problem.n_fitted / problem.n_rows, 0.05)
+    rest = max(1.0 - problem.n_fitted / problem.readings.size, 0.05)
     return np.asarray(np.sqrt(squared / rest))
 
 
@@ -277,14 +260,12 @@ def estimate_by_repeats(problem: OutputError, weights: torch.Tensor) -> np.ndarr
     """
     squares = []
     for b, predicted in enumerate(problem.predicted(weights)):
-        block, measured = problem.sensors.blocks[b], problem.sensors.measured[b][0].numpy()
+        block, measured = problem.readings.blocks[b], problem.readings.measured[b][0].numpy()
         subtracted = problem.measurement.dataset.subtracted
         # All runs had the same baseline taken off: its noise cancels.
         read = predicted[0].numpy() + (0.0 if subtracted is None else subtracted[..., block.runs])
         deviation = problem.measurement.deviation_of(read)
-        here = np.broadcast_to(
-            weigh_present(problem.measurement, block.runs).numpy() > 0, (len(read), 1, read.shape[2])
-        )
+        here = np.broadcast_to(problem.readings.present(b).numpy() > 0, (len(read), 1, read.shape[2]))
         last: dict[tuple[Excitation, ...], int] = {}
         for r, run in enumerate(block.runs):
             # By what is stated: a fitted weight of one run is not that of another.

@@ -31,7 +31,7 @@ from pipeline.identification.law_start import (
 from pipeline.identification.law_term import for_model
 from pipeline.identification.linear_start import linear_start
 from pipeline.identification.model import CoefficientModel
-from pipeline.identification.output_error import OutputError, output_error
+from pipeline.identification.problem import OutputError, output_error
 from pipeline.identification.training import FitSetup, held_out_speeds, initial_guess
 from pipeline.problem.kalman_filter import filter_bearings
 from pipeline.problem.measurement import Guess, Measurement
@@ -222,9 +222,10 @@ def start_at(problem: OutputError, values: np.ndarray) -> torch.Tensor:
 
     raw = _raw(problem, values)
     own = torch.stack([problem.features[m].T @ raw[m, :, u] for m, u in problem.active]) * problem.kept  # (A, K)
-    rest = torch.zeros(problem.n_rest, dtype=own.dtype)
-    rest[len(rest) - problem.n_parameters :] = problem.sensors.values
-    return torch.cat([own.flatten(), rest])[None, None]
+    weights = torch.zeros(1, 1, problem.size, dtype=own.dtype)
+    weights[..., problem.places.coefficients] = own.flatten()
+    weights[..., problem.places.parameters] = problem.solved_at
+    return weights
 
 
 def robust_start(problem: OutputError, values: np.ndarray) -> torch.Tensor:
@@ -243,7 +244,7 @@ def robust_start(problem: OutputError, values: np.ndarray) -> torch.Tensor:
             off = (target - features @ solution).abs()
             weight = 1 / (off / off.median().clamp(min=_SMALLEST)).clamp(min=1.0)
         rows.append(solution * problem.kept[len(rows)])
-    rest = torch.zeros(problem.n_rest, dtype=raw.dtype)
+    rest = torch.zeros(problem.places.n_rest, dtype=raw.dtype)
     return torch.cat([torch.stack(rows).flatten(), rest])[None, None]
 
 
@@ -254,4 +255,4 @@ def _raw(problem: OutputError, values: np.ndarray) -> torch.Tensor:
     """(M, S, U) outputs of the model that give unknowns (M, S, U)."""
     import torch
 
-    return problem.basis.model.raw_from(torch.tensor(values), problem.sensors.scale)
+    return problem.basis.model.raw_from(torch.tensor(values), problem.scale)

@@ -17,9 +17,8 @@ import numpy as np
 from pipeline.data.dataset import name_direction
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.law_evidence import describe_laws
-from pipeline.identification.output_error import OutputError
 from pipeline.identification.output_error_fit import FittedParameter, OutputErrorFit
-from pipeline.identification.sensor_deviations import weigh_present
+from pipeline.identification.problem import OutputError
 from pipeline.problem.condition_noise import NAMED
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.residual import per_speed_least_squares
@@ -91,7 +90,7 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
         readings = fit.problem.measurement.dataset.n_readings
     posterior = fit.model_parameters()
     # What the data do not tell of a weight its prior does: it takes no reading away.
-    by_prior = np.einsum("zy,yz->z", fit.covariance(), fit.problem.weight_prior.matrix().numpy())
+    by_prior = np.einsum("zy,yz->z", fit.covariance(), fit.problem.prior.information().numpy())
     used = fit.problem.n_fitted - float(by_prior.sum())
     correlation, significance = autocorrelation(plain)
     bad = () if fit.problem.measurement.drift is not None else _bad_points(fit, plain)
@@ -107,7 +106,7 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
     stated = np.allclose(fit.factor, 1.0) and not levels
     square = 2 * value + sum(one.value**2 for one in posterior)
     # A guess of a law's number is no reading: that it was off speaks against nothing.
-    told_before = by_prior[: fit.problem.n_outer + fit.problem.n_numbers].sum()
+    told_before = by_prior[: fit.problem.places.numbers.stop].sum()
     freedom = 2 * readings + len(posterior) - fit.problem.n_fitted + told_before
     summary["mismatch"] = mismatch(square if stated else None, freedom, np.nan if levels else significance)
     for name, other in (("held_out_speeds", fit.start.held_out_speeds), ("held_out_runs", fit.start.held_out_runs)):
@@ -172,11 +171,11 @@ def _plain_deviations(fit: OutputErrorFit) -> list[np.ndarray]:
     kept = slice(None) if drift is None else np.flatnonzero(drift.weights >= NAMED)
     import torch
 
-    sensors = fit.problem.sensors
-    pairs = zip(sensors.precision, fit.shares, strict=True)
-    whole = replace(sensors, precision=tuple(one / torch.as_tensor(share).sqrt() for one, share in pairs))
+    readings = fit.problem.readings
+    pairs = zip(readings.precision, fit.shares, strict=True)
+    whole = replace(readings, precision=tuple(every / torch.as_tensor(share).sqrt() for every, share in pairs))
     with np.errstate(all="ignore"):  # of a fit that ran away
-        every = fit.problem.with_sensors(whole).deviations(fit.weights)
+        every = replace(fit.problem, readings=whole).deviations(fit.weights)
         return [np.asarray(deviation[0].numpy())[..., kept] / np.sqrt(2.0) for deviation in every]
 
 
@@ -184,12 +183,10 @@ def _held_out(fit: OutputErrorFit, other: OutputError) -> dict[str, float]:
     """Readings that were not fitted: their mean square over the noise (1 where all is well), the error in percent."""
     squares, errors, size = 0.0, 0.0, 0.0
     other = other.update(fit.weights)
-    subtracted = other.measurement.dataset.subtracted
     for b, predicted in enumerate(other.predicted(fit.weights)):
-        measured, reached = other.sensors.measured[b][0].numpy(), predicted[0].numpy()
-        taken = None if subtracted is None else subtracted[..., other.sensors.blocks[b].runs]
-        noise = other.measurement.deviation_of(reached, taken, fit.factor)
-        off = np.abs(reached - measured) ** 2 * weigh_present(other.measurement, other.sensors.blocks[b].runs).numpy()
+        measured, reached = other.readings.measured[b][0].numpy(), predicted[0].numpy()
+        noise = other.readings.deviation(b, reached, fit.factor)
+        off = np.abs(reached - measured) ** 2 * other.readings.present(b).numpy()
         squares += float((off / noise**2).sum())
         errors += float(off.sum())
         size += float((np.abs(measured) ** 2).sum())
@@ -199,7 +196,7 @@ def _held_out(fit: OutputErrorFit, other: OutputError) -> dict[str, float]:
 
 def _bad_points(fit: OutputErrorFit, plain: list[np.ndarray]) -> tuple[BadPoint, ...]:
     dataset, found = fit.problem.measurement.dataset, []
-    for block, off in zip(fit.problem.sensors.blocks, plain, strict=True):
+    for block, off in zip(fit.problem.readings.blocks, plain, strict=True):
         for s, p, r in np.argwhere(np.abs(off) > BAD_POINT):
             node, angle = dataset.channels[p]
             run, size = dataset.runs[block.runs[r]], float(np.abs(off[s, p, r]))

@@ -17,8 +17,8 @@ import numpy as np
 
 from pipeline.config.identification import LevenbergMarquardtConfig
 from pipeline.identification.optimizers import levenberg_marquardt, until_still
-from pipeline.identification.output_error import OutputError
 from pipeline.identification.output_error_start import OutputErrorStart, robust_start
+from pipeline.identification.problem import OutputError
 
 if TYPE_CHECKING:
     import torch
@@ -83,7 +83,7 @@ def add_features(start: OutputErrorStart, config: LevenbergMarquardtConfig) -> t
         tried = levenberg_marquardt(limited, tried, config, until_still(_NEARLY), by_diagonal=True)
         losses = limited.loss(tried)[:, 0].nan_to_num(float("inf"))
         weights, before = tried[_distinct(losses.tolist())], order
-        criterion = float(losses.min()) ** 2 * limited.n_rows + AKAIKE * limited.n_fitted
+        criterion = float(losses.min()) ** 2 * limited.readings.size + AKAIKE * limited.n_fitted
         if criterion < best[0] - TIE:  # a tie stays with fewer
             best = (criterion, order, limited.with_features(weights[:1], count))
         elif order >= best[1] + _LOOK_AHEAD:

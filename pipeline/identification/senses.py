@@ -217,7 +217,7 @@ def _compare(
     if len(best) < 2:
         return best
     fits = [(square, sense, fit) for sense in best for square, fit in zip(squares[sense], found[sense], strict=True)]
-    waiting = sorted(fits, key=lambda each: each[0])[: None if fits[0][2].problem.n_parameters else 1]
+    waiting = sorted(fits, key=lambda each: each[0])[: None if fits[0][2].problem.places.n_parameters else 1]
     for _ in range(_RESTARTS):
         if not waiting:
             break
@@ -240,14 +240,14 @@ def _start_at(fit: OutputErrorFit, twin: OutputErrorFit, setup: FitSetup) -> Out
     values = unknowns.from_active(other.unknowns(twin.weights)[0][0].numpy())
     turned = values * [-1.0 if name in ("kxy", "kyx") else 1.0 for name in unknowns.names]
     weights = start_at(own.problem, turned)
-    rest = twin.weights[..., other.n_outer :].clone()
-    planes = 2 * other.n_planes
-    rest[..., :planes] *= other.sensors.plane_scale / own.problem.sensors.plane_scale
+    rest = twin.weights[..., other.places.n_coefficients :].clone()
+    planes = 2 * other.places.n_planes
+    rest[..., :planes] *= other.plane_scale / own.problem.plane_scale
     rest[..., 1:planes:2] *= -1.0  # imaginary parts
     for t, parameter in enumerate(other.measurement.parameters):
         if parameter.kind in _ANGLES or parameter.detail == "imaginary":
             rest[..., planes + t] *= -1.0
-    weights[..., own.problem.n_outer :] = rest
+    weights[..., own.problem.places.n_coefficients :] = rest
     found = fit_from(
         replace(own, problem=own.problem.update(weights), weights=weights, from_guess=False), setup, near=True
     )
@@ -262,11 +262,12 @@ def _square(fit: OutputErrorFit, factor: np.ndarray) -> float:
     """Chi-square with the priors, of the noise of the measured readings times ``factor`` (P,); far ones by Huber."""
     import torch
 
-    first = fit.start.problem.sensors
-    scale = torch.as_tensor(factor)[:, None]
-    sensors = replace(fit.problem.sensors, precision=tuple(one / scale for one in first.precision), common=first.common)
-    problem, total = fit.problem.with_sensors(sensors), 0.0
+    first, total = fit.start.problem.readings, 0.0
+    readings = first.scaled(1 / torch.as_tensor(factor)[:, None])
+    problem = replace(
+        fit.problem, readings=replace(fit.problem.readings, precision=readings.precision, common=first.common)
+    )
     for deviations in problem.deviations(fit.weights):
         off = (deviations.abs() / math.sqrt(2.0)).numpy()
         total += float(np.where(off < HUBER, off**2, HUBER * (2 * off - HUBER)).sum())
-    return 2.0 * total + float(problem.weight_prior.rows(fit.weights[:, 0]).square().sum())
+    return 2.0 * total + float(problem.prior.deviations(fit.weights[:, 0]).square().sum())

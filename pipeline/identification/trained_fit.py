@@ -18,7 +18,7 @@ features of the mean, N balance planes, T model parameters, Y = M Q + 2 N + T nu
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,9 +31,9 @@ from pipeline.identification.inputs import SPEED
 from pipeline.identification.model import CoefficientModel
 from pipeline.identification.optimizers import levenberg_marquardt, until_still
 from pipeline.identification.outcome import Outcome
-from pipeline.identification.output_error import OutputError
 from pipeline.identification.output_error_fit import OutputErrorFit
-from pipeline.identification.sensor_deviations import SensorDeviations
+from pipeline.identification.problem import OutputError
+from pipeline.identification.readings import Readings
 from pipeline.identification.trained_network import TrainedNetworks
 from pipeline.identification.training import FitSetup, Progress, initial_guess
 
@@ -47,7 +47,7 @@ _CONFIDENCE = 0.95
 """The intervals that Student's factor makes right."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class _Mean(OutputError):
     """The problem in the hidden units of all networks; as many numbers count as followed the noise."""
 
@@ -72,7 +72,7 @@ class TrainedFit(OutputErrorFit):
     @property
     def error(self) -> MeanSquareError:
         """The scatter: networks of their own follow what the mean can't."""
-        return MeanSquareError(self.scatter, 0, np.zeros(len(self.problem.active)))
+        return MeanSquareError(self.scatter, self.problem.places, 0, np.zeros(len(self.problem.active)))
 
 
 def train_hidden(fit: OutputErrorFit, setup: FitSetup, progress: Progress | None = None) -> TrainedFit:
@@ -96,14 +96,15 @@ def train_hidden(fit: OutputErrorFit, setup: FitSetup, progress: Progress | None
         )
     generator, section = torch.Generator().manual_seed(setup.seed), setup.optimizer.levenberg_marquardt
     halves = _halves(count, len(speeds), generator)
-    own, other = (_weigh(problem.sensors, share) for share in (halves, (2 - halves) * (halves != 1)))
-    signs = torch.randn(count // 2, problem.n_parameters, generator=generator, dtype=torch.float64)
-    prior = torch.stack([signs, -signs], dim=1).flatten(0, 1)
+    half, other = (_weigh(problem.readings, share) for share in (halves, (2 - halves) * (halves != 1)))
+    signs = torch.randn(count // 2, problem.places.n_parameters, generator=generator, dtype=torch.float64)
+    aims = torch.stack([signs, -signs], dim=1).flatten(0, 1)
     every = fit.weights.repeat(count, 1, 1)
-    linear = levenberg_marquardt(problem.with_sensors(own), every, section, until_still())
+    linear = levenberg_marquardt(replace(problem, readings=half), every, section, until_still())
     inputs = problem.basis.model.scaled_inputs(problem.measurement.dataset.points)
     start = _start(problem, linear, inputs, setup, generator)
-    training, judging = (TrainedNetworks(one, inputs, prior) for one in (own, other))
+    parts = {part.name: getattr(problem, part.name) for part in fields(OutputError)} | {"inputs": inputs, "aims": aims}
+    training, judging = (TrainedNetworks(**parts | {"readings": readings}) for readings in (half, other))
     watch = _Judge(judging=judging, total=section.steps, progress=progress, best=start, score=judging.loss(start))
     interrupted = False
     try:
@@ -165,9 +166,9 @@ def _halves(count: int, n_speeds: int, generator: torch.Generator) -> torch.Tens
 _HALF = 0.5
 
 
-def _weigh(sensors: SensorDeviations, share: torch.Tensor) -> SensorDeviations:
+def _weigh(readings: Readings, share: torch.Tensor) -> Readings:
     """The readings, those of each speed counted so often (G, S)."""
-    return replace(sensors, precision=tuple(one * share.sqrt()[:, :, None, None] for one in sensors.precision))
+    return readings.scaled(share.sqrt()[:, :, None, None])
 
 
 def _start(
@@ -177,11 +178,11 @@ def _start(
     import torch
 
     model, guess = problem.basis.model, initial_guess(setup, problem.measurement.unknowns)
-    values = model.physical(problem.outputs(linear), problem.sensors.scale)
+    values = model.physical(problem.outputs(linear), problem.scale)
     networks = [
         model.with_output_at(model.spread_parameters(guess, generator), inputs, value).flatten() for value in values
     ]
-    return torch.cat([torch.stack(networks)[:, None], linear[..., problem.n_outer :]], dim=-1)
+    return torch.cat([torch.stack(networks)[:, None], linear[..., problem.places.n_coefficients :]], dim=-1)
 
 
 # --- the mean of the networks ----------------------------------------------------------------------------
@@ -197,16 +198,26 @@ def _mean(fit: OutputErrorFit, training: TrainedNetworks, watch: _Judge, interru
     over = torch.linspace(-1, 1, _POINTS, dtype=numbers.dtype)[:, None] if alone else training.inputs
     basis, along = _span(before.basis.model, training.networks(numbers), over)
     own = torch.stack([along[:, m, :, u] for m, u in before.active], dim=1).flatten(1)
-    each = torch.cat([own, numbers[:, 0, training.n_outer :]], dim=-1)  # (G, Z)
+    each = torch.cat([own, numbers[:, 0, training.places.n_coefficients :]], dim=-1)  # (G, Z)
     # A half is fitted too well by as much as the other, which lacks the two ends, is predicted too badly.
     own_square, predicted = training.loss(numbers).square(), watch.score.square() * len(speeds) / (len(speeds) - 2)
-    spent = min(max(float((predicted - own_square).mean()) * before.n_rows / 4, 0.0), float(numbers.shape[-1]))
+    spent = min(max(float((predicted - own_square).mean()) * before.readings.size / 4, 0.0), float(numbers.shape[-1]))
 
     def of(other: OutputError) -> _Mean:
         at = basis.at(other.measurement.dataset.points)
         kept = torch.ones(len(before.active), basis.n_features, dtype=torch.bool)
         none = torch.zeros(basis.n_features, dtype=torch.float64)
-        return _Mean(other.sensors, basis, at, kept, none, round(spent) + before.n_parameters)
+        return _Mean(
+            readings=other.readings,
+            basis=basis,
+            features=at,
+            kept=kept,
+            precision=none,
+            scale=other.scale,
+            plane_scale=other.plane_scale,
+            law=None,
+            numbers=round(spent) + before.places.n_parameters,
+        )
 
     problem, answer = of(before), each.mean(dim=0)
     # Where a combination is nearly free the networks lie along a curved valley, and their mean beside it.

@@ -122,7 +122,7 @@ def uncertainty_of(fit: OutputErrorFit, inflation: float = 1.0) -> Uncertainty:
         inflation * fit.error.matrix,
         fit.residual_unbalance(),
         np.array(problem.measurement.unknowns.planes, dtype=np.int64),
-        problem.sensors.plane_scale,
+        problem.plane_scale,
         problem.model_parameters(fit.weights)[0].numpy(),
         fit.error.n_local,
     )

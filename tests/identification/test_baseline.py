@@ -17,8 +17,8 @@ from pipeline.data.sensors import Sensors, list_directions, measure
 from pipeline.data.simulate import simulate
 from pipeline.identification import output_error_fit, sensor_deviations
 from pipeline.identification.fit import fit
-from pipeline.identification.output_error import OutputError
 from pipeline.identification.output_error_fit import fit_output_error, reweigh
+from pipeline.identification.problem import OutputError
 from pipeline.identification.training import setup_of
 from pipeline.problem.measurement import Measurement
 

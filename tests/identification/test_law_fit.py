@@ -14,8 +14,8 @@ from oil_rig import LUND, NOISE, RUNS, SHAKEN, SHORT, TRUE, bearings_at, laws_of
 from pipeline.errors import ConfigError, DataError
 from pipeline.identification.fit import fit
 from pipeline.identification.identified import Fit
-from pipeline.identification.output_error import OutputError
 from pipeline.identification.output_error_start import prepare_output_error
+from pipeline.identification.problem import OutputError
 from pipeline.identification.storage import load_model, save_model
 from pipeline.problem.measurement import Measurement
 

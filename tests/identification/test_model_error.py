@@ -14,9 +14,9 @@ from pipeline.config.as_built import AsBuiltConfig
 from pipeline.config.compose import compose_config
 from pipeline.data.as_built import build_rotor, simulate_as_built
 from pipeline.data.sensors import measure
-from pipeline.identification.output_error import OutputError
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
 from pipeline.identification.output_error_start import prepare_output_error
+from pipeline.identification.problem import OutputError
 from pipeline.identification.quality import mismatch, output_error_quality
 from pipeline.identification.training import setup_of
 from pipeline.problem.measurement import Measurement

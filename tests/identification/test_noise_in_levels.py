@@ -16,9 +16,9 @@ from small_rig import SIZE, SmallRig, small_rig, with_noise
 from small_rotor import FITTED
 
 from pipeline.identification.information import invert_information, unknown_deviation
-from pipeline.identification.output_error import OutputError, output_error
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
 from pipeline.identification.output_error_start import align_weights, drawn_basis, start_at
+from pipeline.identification.problem import OutputError, output_error
 from pipeline.identification.training import setup_of
 from pipeline.problem.measurement import Guess, Measurement
 

@@ -10,8 +10,8 @@ import torch
 from running import composed
 
 from pipeline.identification.basis import Basis
-from pipeline.identification.output_error import OutputError
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
+from pipeline.identification.problem import OutputError
 from pipeline.identification.training import setup_of
 from pipeline.stages.generate import model_machine, read_probes
 from pipeline.stages.measurement import build_measurement

@@ -1,0 +1,454 @@
+"""One least-squares problem: what the sensors would read for given unknowns, against what they read, over their noise.
+
+Under noise of the sensors its minimum is the maximum-likelihood estimate; the residual instead multiplies the noise by
+the shaft's dynamic stiffness. The rows are whitened: with the right unknowns they have unit variance.
+
+The unknowns are a flat vector of blocks (:mod:`pipeline.identification.blocks`): weights of the functions that the
+coefficients are made of, numbers of bearing laws that these correct, residual unbalance, uncertain numbers of the model
+(:mod:`pipeline.problem.model_parameters`). A block that is not there has no columns.
+
+The hidden layer of a network stays as it was drawn (random features; Rahimi and Recht 2007): the output layer is
+linear, the estimate is then close to normal, and its covariance is that of the whole parametrisation. Trained hidden
+layers have directions that the data leave undetermined, along which no linearised covariance holds. The weights are
+those of an orthonormal basis of the features over the training speeds, of which each unknown has as many as the data
+determine (:mod:`pipeline.identification.selection`); the others stay zero.
+
+Uncertain numbers have a prior of unit variance, which is one more row: what the data do not tell of it stays at its
+prior and widens the deviations. So have the features beyond the trend, a wide one, once it is chosen how many there
+are: where the readings say nothing, a coefficient must not run away.
+
+Legend: G data sets or starts, M members (bearings, or 1 where they share their coefficients), S speeds, P channels, R
+runs, B bearings, U unknowns, A those of them that members have, K features, Th numbers of bearing laws, N balance
+planes, T model parameters, Z = A K + Th + 2 N + T weights.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from pipeline.identification.basis import Basis
+from pipeline.identification.blocks import Places, Prior
+from pipeline.identification.law_term import LawTerm, law_term
+from pipeline.identification.model import CoefficientModel
+from pipeline.identification.readings import Readings, gather_readings
+from pipeline.problem.measurement import Measurement
+from pipeline.problem.response import (
+    BlockResponse,
+    ResponseBlock,
+    derive,
+    derive_by_parameters,
+    impedance_change,
+    respond,
+)
+
+if TYPE_CHECKING:
+    import torch
+
+COLLAPSED = 0.02
+"""Below this fraction of its initial guess a coefficient counts as collapsed."""
+
+
+class Machine(NamedTuple):
+    """What the readings follow from."""
+
+    outputs: torch.Tensor  # (G, M, S, U) of the coefficient model
+    numbers: torch.Tensor  # (G, Th) theta of the bearing laws
+    unbalance: torch.Tensor  # (G, N) complex residual unbalance, kg m
+    parameters: torch.Tensor  # (G, T) model parameters, in prior deviations
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OutputError:
+    """Least squares of the weights z, (G, 1, Z), at the speeds and runs of a measurement."""
+
+    readings: Readings
+    basis: Basis
+    features: torch.Tensor  # (M, S, K) at the speeds of the measurement
+    kept: torch.Tensor  # (A, K) bool: the features that an unknown has
+    precision: torch.Tensor  # (K,) or (A, K) of a feature's weight before the data; 0 for none
+    scale: torch.Tensor  # (M, 1, U) what outputs of 1 stand for, N/m and N s/m
+    plane_scale: float  # kg m that a weight of 1 stands for
+    law: LawTerm | None  # what the model's outputs correct; None for the scale
+
+    @property
+    def measurement(self) -> Measurement:
+        """Where the readings are from."""
+        return self.readings.measurement
+
+    @property
+    def model(self) -> CoefficientModel:
+        """What the weights are the output layer of."""
+        return self.basis.model
+
+    @property
+    def active(self) -> tuple[tuple[int, int], ...]:
+        """A of (member, unknown)."""
+        return self.measurement.unknowns.active
+
+    @cached_property
+    def places(self) -> Places:
+        """Where each block lies among the weights."""
+        numbers = 0 if self.law is None else self.law.n_numbers
+        unknowns = self.measurement.unknowns
+        return Places(self._n_coefficients(), numbers, len(unknowns.planes), len(self.measurement.parameters))
+
+    def _n_coefficients(self) -> int:
+        return len(self.active) * int(self.features.shape[-1])
+
+    @property
+    def size(self) -> int:
+        """Z."""
+        return self.places.size
+
+    @property
+    def n_fitted(self) -> int:
+        """How many weights are fitted: Z less the features that are not kept."""
+        return int(self.kept.sum()) + self.places.n_rest
+
+    def fitted(self) -> torch.Tensor:
+        """(Z,) bool: which weights are fitted."""
+        import torch
+
+        return torch.cat([self.kept.flatten(), torch.ones(self.places.n_rest, dtype=torch.bool)])
+
+    @cached_property
+    def prior(self) -> Prior:
+        """Of features, of theta about its guess, of unit variance of the model parameters; of coefficients' sizes.
+
+        With ``guess.within`` the mean of a coefficient's output over the speeds has a prior about its guess: of the
+        logarithm of that factor for what must be positive, of that many guesses otherwise.
+        """
+        import torch
+
+        numbers = torch.zeros(0) if self.law is None else self.law.prior_precision()
+        rest = [numbers, torch.zeros(2 * self.places.n_planes), torch.ones(self.places.n_parameters)]
+        precision = torch.cat([(self.precision * self.kept).flatten(), *rest]).to(self.precision.dtype)
+        rows, aims = [torch.diag(precision.sqrt())], [torch.zeros_like(precision)]
+        guess, unknowns = self.measurement.guess, self.measurement.unknowns
+        if guess.within is not None:
+            sizes = guess.sizes(unknowns)
+            for a, (m, u) in enumerate(unknowns.active):
+                positive, share = self.model.positive[u], float(sizes[m, u] / self.scale[m, 0, u])
+                deviation = np.log(guess.within) if positive else guess.within * share
+                row = torch.zeros(len(self.active), self.features.shape[-1], dtype=precision.dtype)
+                row[a] = self._carrier[a].mean(0) / deviation
+                rows.append(torch.nn.functional.pad(row.flatten(), (0, self.places.n_rest))[None])
+                aims.append(torch.tensor([np.log(share) / deviation if positive else 0.0], dtype=precision.dtype))
+        return Prior(torch.cat(rows), torch.cat(aims))
+
+    @cached_property
+    def _carrier(self) -> torch.Tensor:
+        """(A, S, K) features of each unknown, zero where not kept."""
+        return self.features[[m for m, _ in self.active]] * self.kept[:, None]
+
+    # --- from weights to the machine -----------------------------------------------------------------
+
+    def state(self, weights: torch.Tensor) -> Machine:
+        """What the readings follow from."""
+        return Machine(
+            self.outputs(weights), self.theta(weights), self.unbalance(weights), self.model_parameters(weights)
+        )
+
+    def outputs(self, weights: torch.Tensor) -> torch.Tensor:
+        """(G, M, S, U) outputs of the model."""
+        return self.features @ self.coordinates(weights).mT
+
+    def coordinates(self, weights: torch.Tensor) -> torch.Tensor:
+        """(G, M, U, K) weights of every member; zero where a member does not have an unknown."""
+        import torch
+
+        alone = weights[:, 0, self.places.coefficients].unflatten(-1, (len(self.active), -1)) * self.kept  # (G, A, K)
+        members, n_unknowns = len(self.scale), self.scale.shape[-1]
+        full = torch.zeros(len(weights), members, n_unknowns, self.features.shape[-1], dtype=weights.dtype)
+        for a, (m, u) in enumerate(self.active):
+            full[:, m, u] = alone[:, a]
+        return full
+
+    def parameters(self, weights: torch.Tensor) -> torch.Tensor:
+        """(G, M, Q) parameters of the coefficient model."""
+        return self.basis.parameters_of(self.coordinates(weights))
+
+    def theta(self, weights: torch.Tensor) -> torch.Tensor:
+        """(G, Th) theta of the bearing laws."""
+        return weights[:, 0, self.places.numbers]
+
+    def unbalance(self, weights: torch.Tensor) -> torch.Tensor:
+        """(G, N) complex residual unbalance, kg m."""
+        import torch
+
+        pairs = weights[:, 0, self.places.planes].unflatten(-1, (self.places.n_planes, 2))
+        return self.plane_scale * torch.complex(pairs[..., 0], pairs[..., 1])
+
+    def model_parameters(self, weights: torch.Tensor) -> torch.Tensor:
+        """(G, T) model parameters, in prior deviations."""
+        return weights[:, 0, self.places.parameters]
+
+    def unknowns(self, weights: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """(G, S, A) active unknowns in N/m and N s/m, their derivative by the model's outputs, and (G, S, A, Th) that
+        by theta.
+        """
+        return self._unknowns(self.state(weights))
+
+    def _unknowns(self, state: Machine) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        import torch
+
+        member, unknown = [m for m, _ in self.active], [u for _, u in self.active]
+        outputs, scale = state.outputs, self.scale
+        if self.law is not None:
+            values, slope, by_numbers = self.law.correct(self.model, state.numbers, outputs, scale)
+        else:
+            values, slope = self.model.physical(outputs, scale), self.model.physical_slope(outputs, scale)
+            by_numbers = torch.zeros(*outputs.shape, 0, dtype=outputs.dtype)
+        values, slope = (every[:, member, :, unknown].movedim(0, -1) for every in (values, slope))
+        return values, slope, by_numbers[:, member, :, unknown].movedim(0, -2)
+
+    # --- from the machine to the sensors -------------------------------------------------------------
+
+    @cached_property
+    def _influence(self) -> torch.Tensor:
+        """(8 B, A) which coefficients each active unknown moves."""
+        import torch
+
+        influence = self.measurement.unknowns.influence
+        return torch.as_tensor(influence.reshape(influence.shape[0] * influence.shape[1], -1))
+
+    @cached_property
+    def _known(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """(S, 8 B) N/m and N s/m, the other coefficients, zero where identified; (S, 8 B, T) their derivative."""
+        import torch
+
+        measurement, n_speeds = self.measurement, len(self.measurement.dataset.speeds)
+        others = np.where(measurement.unknowns.identified[:, None], 0.0, measurement.updated_known.values)  # (B, S, 8)
+        slopes = measurement.known_variation.reshape(n_speeds, len(self._influence), self.places.n_parameters)
+        return torch.as_tensor(others.swapaxes(0, 1).reshape(n_speeds, -1)), torch.as_tensor(slopes)
+
+    @cached_property
+    def _variations(self) -> tuple[ResponseBlock, ...]:
+        """The blocks' derivatives by the model parameters; none where there are none."""
+        import torch
+
+        return tuple(block.converted(torch.as_tensor) for block in self.measurement.variations)
+
+    @cached_property
+    def solved_at(self) -> torch.Tensor:
+        """(T,) the model parameters at which the response was solved; it is of first order beyond."""
+        import torch
+
+        return torch.as_tensor(self.measurement.parameter_values)
+
+    def _bearings(self, state: Machine, block: ResponseBlock) -> torch.Tensor:
+        """dH, (G, S, 2 B, 2 B) N/m."""
+        known, by_parameters = self._known
+        known = known + (by_parameters @ (state.parameters - self.solved_at)[:, None, :, None])[..., 0]
+        eight = (self._unknowns(state)[0] @ self._influence.T + known).unflatten(-1, (-1, 8))  # (G, S, B, 8)
+        change: torch.Tensor = impedance_change(eight, block.frequencies, self.measurement.response.reference)
+        return change
+
+    def _block(self, state: Machine, b: int) -> ResponseBlock:
+        """Block b at the state's model parameters."""
+        if not self.places.n_parameters:
+            return self.readings.blocks[b]
+        return self.readings.blocks[b].vary(self._variations[b], state.parameters - self.solved_at)
+
+    def predicted(self, weights: torch.Tensor) -> list[torch.Tensor]:
+        """(G, S, P, R) m of every block."""
+        return self._predicted(self.state(weights))
+
+    def _predicted(self, state: Machine) -> list[torch.Tensor]:
+        blocks = [self._block(state, b) for b in range(len(self.readings.blocks))]
+        return [respond(block, self._bearings(state, block), state.unbalance, False).sensors for block in blocks]
+
+    def deviations(self, weights: torch.Tensor) -> list[torch.Tensor]:
+        """(G, S, P, R) complex of every block, whitened: predicted minus measured, of unit variance in each part."""
+        readings, found = self.readings, []
+        for b, predicted in enumerate(self.predicted(weights)):
+            off = readings.subtract_from(b, predicted)[..., None]
+            found.append(readings.mix(b, readings.whiten(b, off))[..., 0])
+        return found
+
+    def _local(self, state: Machine, b: int) -> torch.Tensor:
+        """(G, S, P, R, A + Th + 2 N + T + 1) complex rows of block b: derivatives of the readings over their own noise
+        by outputs, theta, parts of the residual unbalance and model parameters, and last what they deviate by.
+        """
+        import torch
+
+        block, precision = self._block(state, b), self.readings.precision[b][..., None]
+        change = self._bearings(state, block)
+        response = respond(block, change, state.unbalance)
+        by_coefficient = derive(block, response).flatten(-2)  # (G, S, P, R, 8 B)
+        _, slope, by_numbers = self._unknowns(state)
+        by_unknowns = by_coefficient @ self._influence.to(by_coefficient.dtype)  # (G, S, P, R, A)
+        by_outputs = by_unknowns * slope[:, :, None, None]
+        by_theta = by_unknowns @ by_numbers.to(by_unknowns.dtype)[:, :, None]
+        columns = [by_outputs * precision, by_theta * precision, self._by_planes(response, precision)]
+        if self.places.n_parameters:
+            by_known = by_coefficient @ self._known[1].to(by_coefficient.dtype)[:, None]
+            by_model = derive_by_parameters(self._variations[b], response, change, state.unbalance)
+            columns.append((by_model + by_known) * precision)
+        columns.append(self.readings.subtract_from(b, response.sensors)[..., None])
+        return self.readings.whiten(b, torch.cat(columns, dim=-1))
+
+    def _by_planes(self, response: BlockResponse, precision: torch.Tensor) -> torch.Tensor:
+        """(G, S, P, R, 2 N) derivative by the weights of the residual unbalance, over the noise."""
+        import torch
+
+        alone = torch.zeros(*response.sensors.shape, self.places.n_planes, dtype=response.sensors.dtype)
+        if response.unit_sensors.shape[-1]:
+            alone = response.unit_sensors[:, :, :, None, :].expand(alone.shape) * precision
+        alone = self.plane_scale * alone
+        return torch.stack([alone, 1j * alone], dim=-1).flatten(-2)
+
+    # --- what is minimised ----------------------------------------------------------------------------
+
+    def rows(self, weights: torch.Tensor) -> torch.Tensor:
+        """(G, 1, rows + N), whitened; the priors come last."""
+        import torch
+
+        both = [torch.view_as_real(off).reshape(len(off), -1) for off in self.deviations(weights)]
+        return torch.cat([*both, self.prior.deviations(weights[:, 0])], dim=-1)[:, None]
+
+    def loss(self, weights: torch.Tensor) -> torch.Tensor:
+        """(G, 1) root mean square of the whitened deviations: 1 where nothing but the stated noise is left."""
+        return (self.rows(weights).square().sum(-1) / self.readings.size).sqrt()
+
+    def rounding(self) -> torch.Tensor:
+        """(1,) the loss that the readings round to."""
+        return self.readings.rounding()
+
+    def scatter(self) -> float:
+        """None: the readings are weighed by their noise."""
+        return 0.0
+
+    def members(self) -> tuple[OutputError, ...]:
+        """What is minimised by itself: all bearings together, since they speak through the same sensors."""
+        return (self,)
+
+    def normal(self, weights: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Gradient J'r (G, 1, Z) and J'J (G, 1, Z, Z).
+
+        Weights that are not fitted have a gradient of 0 and 1 on the diagonal, so that a step leaves them.
+        """
+        import torch
+
+        whole = self._gather_tied(weights) if self.readings.mixing else self._gather(weights)
+        gradient, matrix = whole[:, :-1, -1], whole[:, :-1, :-1]
+        left = torch.diag((~self.fitted()).to(weights.dtype))
+        gradient = gradient + self.prior.gradient(weights[:, 0])
+        return gradient[:, None], (matrix + self.prior.information() + left)[:, None]
+
+    def _gather(self, weights: torch.Tensor) -> torch.Tensor:
+        """(G, Z + 1, Z + 1) products of all columns, the deviations' last: each speed's are small, and spread over the
+        features afterwards, so that no large derivative is made.
+        """
+        import torch
+
+        state = self.state(weights)
+        products = []
+        for b in range(len(self.readings.blocks)):
+            local = self._local(state, b).flatten(2, 3)
+            parts = torch.cat([local.real, local.imag], dim=2)
+            products.append(parts.mT @ parts)
+        return self._spread(torch.stack(products).sum(0), weights)
+
+    def _spread(self, local: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
+        """(G, Z + 1, Z + 1) from products (G, S, A + .. + 1, A + .. + 1) of each speed."""
+        import torch
+
+        carrier, n_active, outer = self._carrier, len(self.active), self.places.n_coefficients
+        count = carrier.shape[-1]
+        whole = torch.zeros(len(local), self.size + 1, self.size + 1, dtype=local.dtype)
+        for a in range(n_active):
+            weighted = carrier[a][None, :, :, None] * local[:, :, a, None, :n_active]  # (G, S, K, A)
+            rows = slice(a * count, (a + 1) * count)
+            whole[:, rows, :outer] = torch.einsum("gskc,csl->gkcl", weighted, carrier).flatten(2)
+        across = torch.einsum("gsan,ask->gakn", local[:, :, :n_active, n_active:], carrier).flatten(1, 2)
+        whole[:, :outer, outer:], whole[:, outer:, :outer] = across, across.mT
+        whole[:, outer:, outer:] = local[:, :, n_active:, n_active:].sum(1)
+        return whole
+
+    def _gather_tied(self, weights: torch.Tensor) -> torch.Tensor:
+        """As :meth:`_gather`, where noise ties the speeds: of the whole derivative."""
+        columns = self.columns(weights)
+        return columns.mT @ columns
+
+    def columns(self, weights: torch.Tensor) -> torch.Tensor:
+        """(G, rows, Z + 1) derivative of the readings' rows by the weights, and the rows themselves: large."""
+        import torch
+
+        state, found = self.state(weights), []
+        for b in range(len(self.readings.blocks)):
+            local = self._local(state, b)
+            by_output, rest = local[..., : len(self.active)], local[..., len(self.active) :]
+            spread = torch.einsum("gspra,ask->gsprak", by_output, self._carrier.to(local.dtype)).flatten(-2)
+            mixed = self.readings.mix(b, torch.cat([spread, rest], dim=-1))
+            found.append(torch.view_as_real(mixed).movedim(-1, -2).flatten(1, 4))  # (G, S, P, R, 2, Z + 1)
+        return torch.cat(found, dim=1)
+
+    # --- fewer features ------------------------------------------------------------------------------
+
+    def truncated(self, order: int) -> OutputError:
+        """The same with the first ``order`` features alone, and weights that are as many fewer."""
+        features, kept, precision = (every[..., :order] for every in (self.features, self.kept, self.precision))
+        return replace(self, features=features, kept=kept, precision=precision)
+
+    def with_features(self, weights: torch.Tensor, order: int) -> torch.Tensor:
+        """The weights (G, 1, ..) of this problem as those of ``order`` features: cut, or filled up with zeros."""
+        import torch
+
+        alone = weights[..., self.places.coefficients].unflatten(-1, (len(self.active), -1))
+        padded = torch.nn.functional.pad(alone, (0, order - alone.shape[-1])).flatten(-2)
+        return torch.cat([padded, weights[..., self.places.n_coefficients :]], dim=-1)
+
+    def revived(self, weights: torch.Tensor) -> torch.Tensor:
+        """(0 or 1, 1, Z) the weights (1, 1, Z) with collapsed unknowns put back to their guess; none is collapsed: 0.
+
+        What must be positive is an exponential: once it has all but vanished, nothing draws it back.
+        """
+        import torch
+
+        values = self.unknowns(weights)[0][0].abs().median(dim=0).values  # (A,)
+        positive = torch.tensor([self.model.positive[u] for _, u in self.active])
+        gone = positive & (values < COLLAPSED * torch.stack([self.scale[m, 0, u] for m, u in self.active]))
+        if not gone.any():
+            return weights[:0]
+        alone = weights[0, 0, self.places.coefficients].unflatten(-1, (len(self.active), -1)) * ~gone[:, None]
+        return torch.cat([alone.flatten(), weights[0, 0, self.places.n_coefficients :]])[None, None]
+
+    # --- other data ----------------------------------------------------------------------------------
+
+    def with_prior(self, beyond_trend: float) -> OutputError:
+        """The same with the prior of the basis, which is this wide."""
+        return replace(self, precision=self.basis.prior_precision(self.features.shape[1], beyond_trend))
+
+    def update(self, weights: torch.Tensor) -> OutputError:
+        """The same with the rotor solved anew at the model parameters of the weights (1, 1, Z), to first order until
+        then.
+        """
+        if not self.places.n_parameters:
+            return self
+        import torch
+
+        measurement = self.measurement.update(self.model_parameters(weights)[0].numpy())
+        blocks = tuple(block.converted(torch.as_tensor) for block in measurement.response.blocks)
+        return replace(self, readings=replace(self.readings, measurement=measurement, blocks=blocks))
+
+
+def output_error(measurement: Measurement, basis: Basis, plane_scale: float) -> OutputError:
+    """The problem at the speeds and runs of the measurement; ``plane_scale`` kg m is a weight of 1."""
+    import torch
+
+    laws, points = measurement.laws, measurement.dataset.points
+    return OutputError(
+        readings=gather_readings(measurement),
+        basis=basis,
+        features=basis.at(points),
+        kept=torch.ones(len(measurement.unknowns.active), basis.n_features, dtype=torch.bool),
+        precision=torch.zeros(basis.n_features, dtype=torch.float64),
+        scale=basis.model.scale_tensor(),
+        plane_scale=plane_scale,
+        law=None if laws is None else law_term(laws, measurement.unknowns, points),
+    )
