@@ -388,6 +388,13 @@ class OutputError:
             found.append(torch.view_as_real(mixed).movedim(-1, -2).flatten(1, 4))  # (G, S, P, R, 2, Z + 1)
         return torch.cat(found, dim=1)
 
+    def jacobian(self, weights: torch.Tensor) -> torch.Tensor:
+        """(G, 1, rows + N, Z) derivative of :meth:`rows`, as it orders them: large, :meth:`normal` does without it."""
+        import torch
+
+        priors = self.prior.rows.expand(len(weights), -1, -1)
+        return torch.cat([self.columns(weights)[..., :-1], priors], dim=1)[:, None]
+
     # --- fewer features ------------------------------------------------------------------------------
 
     def truncated(self, order: int) -> OutputError:

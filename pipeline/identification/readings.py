@@ -95,7 +95,7 @@ class Readings:
         import torch
 
         noise = [
-            _split_noise(self.measurement, block.runs, one.numpy(), factor)
+            split_noise(self.measurement, block.runs, one.numpy(), factor)
             for block, one in zip(self.blocks, predicted, strict=True)
         ]
         precision = [
@@ -112,7 +112,7 @@ def gather_readings(measurement: Measurement) -> Readings:
 
     displacement = measurement.dataset.displacement
     blocks = tuple(block.converted(torch.as_tensor) for block in measurement.response.blocks)
-    noise = [_split_noise(measurement, block.runs, displacement[None][..., block.runs]) for block in blocks]
+    noise = [split_noise(measurement, block.runs, displacement[None][..., block.runs]) for block in blocks]
     mixing = () if measurement.drift is None else (torch.as_tensor(measurement.drift.mixing()),)
     return Readings(
         measurement=measurement,
@@ -136,7 +136,7 @@ def _weigh_present(measurement: Measurement, runs: np.ndarray) -> torch.Tensor:
     return torch.as_tensor(present[:, np.asarray(runs)], dtype=torch.float64)[:, None]
 
 
-def _split_noise(
+def split_noise(
     measurement: Measurement, runs: np.ndarray, displacement: np.ndarray, factor: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Each reading's own deviation (.., S, P, R), m, and that of the baseline over it; None where none was subtracted.

@@ -18,7 +18,7 @@ features of the mean, N balance planes, T model parameters, Y = M Q + 2 N + T nu
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,7 +34,7 @@ from pipeline.identification.outcome import Outcome
 from pipeline.identification.output_error_fit import OutputErrorFit
 from pipeline.identification.problem import OutputError
 from pipeline.identification.readings import Readings
-from pipeline.identification.trained_network import TrainedNetworks
+from pipeline.identification.trained_network import TrainedNetworks, trained_networks
 from pipeline.identification.training import FitSetup, Progress, initial_guess
 
 if TYPE_CHECKING:
@@ -103,8 +103,9 @@ def train_hidden(fit: OutputErrorFit, setup: FitSetup, progress: Progress | None
     linear = levenberg_marquardt(replace(problem, readings=half), every, section, until_still())
     inputs = problem.basis.model.scaled_inputs(problem.measurement.dataset.points)
     start = _start(problem, linear, inputs, setup, generator)
-    parts = {part.name: getattr(problem, part.name) for part in fields(OutputError)} | {"inputs": inputs, "aims": aims}
-    training, judging = (TrainedNetworks(**parts | {"readings": readings}) for readings in (half, other))
+    training, judging = (
+        trained_networks(replace(problem, readings=readings), inputs, aims) for readings in (half, other)
+    )
     watch = _Judge(judging=judging, total=section.steps, progress=progress, best=start, score=judging.loss(start))
     interrupted = False
     try:

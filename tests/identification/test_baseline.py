@@ -15,7 +15,7 @@ from pipeline.data.dataset import Excitation, VibrationDataset, subtract_baselin
 from pipeline.data.noise import NoiseModel
 from pipeline.data.sensors import Sensors, list_directions, measure
 from pipeline.data.simulate import simulate
-from pipeline.identification import output_error_fit, sensor_deviations
+from pipeline.identification import readings
 from pipeline.identification.fit import fit
 from pipeline.identification.output_error_fit import fit_output_error, reweigh
 from pipeline.identification.problem import OutputError
@@ -88,12 +88,12 @@ def test_the_rows_have_the_covariance_of_the_noise(rotor_of: Machine) -> None:
     found = fit_output_error(measurement, setup_of(CONFIG))
     whole, _ = reweigh(found.problem, found.weights, found.factor, robust=False)
     turned = 0
-    for b, block in enumerate(whole.sensors.blocks):
+    for b, block in enumerate(whole.readings.blocks):
         import torch
 
         count, floor = len(block.runs), measurement.noise.additive
-        unit = torch.eye(count, dtype=torch.float64).expand(1, *whole.sensors.precision[b].shape[1:3], -1, -1)
-        root = whole.sensors._whiten(b, unit * whole.sensors.precision[b][..., None])[0, 0, 0].numpy()
+        unit = torch.eye(count, dtype=torch.float64).expand(1, *whole.readings.precision[b].shape[1:3], -1, -1)
+        root = whole.readings.whiten(b, unit * whole.readings.precision[b][..., None])[0, 0, 0].numpy()
         shared = 1.0 if count == 3 else 0.0
         turned += count == 3
         wanted = floor**2 / 2 * (np.eye(count) + shared)
@@ -113,7 +113,7 @@ def _as_if_independent(
 @pytest.mark.parametrize(
     ("split", "low", "high"),
     [
-        pytest.param(sensor_deviations.split_noise, 0.93, 1.07, id="shared"),
+        pytest.param(readings.split_noise, 0.93, 1.07, id="shared"),
         pytest.param(_as_if_independent, 1.15, 1.40, id="as if independent"),
     ],
 )
@@ -123,8 +123,7 @@ def test_intervals_hold_as_often_as_they_say(
     """A hundred measurements, eight constants: errors over their stated deviations have a root mean square of 0.98,
     and the 95 % intervals hold 95 %. Runs taken for independent: 1.25 and 89 %.
     """
-    for module in (sensor_deviations, output_error_fit):
-        monkeypatch.setattr(module, "split_noise", split)
+    monkeypatch.setattr(readings, "split_noise", split)
     clean, over, squares = clean_of(rotor_of), [], []
     truth = bearings_of((1, 5), rotor_of.speeds, **TRUTH).values
     for seed in range(100):

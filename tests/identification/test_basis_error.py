@@ -31,7 +31,7 @@ def fitted(name: str, *overrides: str) -> tuple[OutputErrorFit, np.ndarray]:
 def held(fit: OutputErrorFit, truth: np.ndarray, matrix: np.ndarray, n_local: int) -> float:
     """Share of coefficients and speeds inside their 95 % intervals."""
     problem = fit.problem
-    values, slope = (part[0].numpy() for part in problem.unknowns(fit.weights))
+    values, slope = (part[0].numpy() for part in problem.unknowns(fit.weights)[:2])
     local = evaluate_local(problem.basis.model, problem.measurement.dataset.points, n_local)
     count = problem.features.shape[-1] + n_local
     inside = []
@@ -57,7 +57,7 @@ def test_intervals_hold_coefficients_with_kinks() -> None:
 def test_where_the_functions_suffice_the_deviations_hardly_change() -> None:
     """Tables over the Sommerfeld number are nearly power laws."""
     fit, _ = fitted("rigid")
-    n_rest = fit.problem.n_rest
+    n_rest = fit.problem.places.n_rest
     assert n_rest == 0
     n_features, n_local = fit.problem.features.shape[-1], fit.error.n_local
     own = np.arange(len(fit.error.matrix)) % (n_features + n_local) < n_features

@@ -56,9 +56,9 @@ def test_the_fit_is_as_good_as_any() -> None:
     measurement = measure(truth, laws_of(LUND, (1.0, 1.0, 1.0, 1.0)))
     problem = prepare_output_error(measurement, setup("law")).problem
     exact = np.sqrt(2.0) / NOISE.deviation(measurement.response.predict(truth))
-    sensors = replace(problem.sensors, precision=(torch.as_tensor(exact)[None],))
-    gradient, matrix = problem.with_sensors(sensors).normal(torch.zeros(1, 1, problem.size, dtype=torch.float64))
-    best = -torch.linalg.solve(matrix[0, 0], gradient[0, 0])[problem.n_outer :]
+    problem = replace(problem, readings=replace(problem.readings, precision=(torch.as_tensor(exact)[None],)))
+    gradient, matrix = problem.normal(torch.zeros(1, 1, problem.size, dtype=torch.float64))
+    best = -torch.linalg.solve(matrix[0, 0], gradient[0, 0])[problem.places.numbers]
     for one, share in zip(fitted("law").numbers, best.tolist(), strict=True):
         assert abs(np.log(one.value / TRUE[one.name]) - share) < 0.1 * one.share, one.name
 
@@ -109,7 +109,7 @@ def test_derivatives_are_those_of_the_rows() -> None:
     rows = problem.rows(weights)[0, 0]
     torch.testing.assert_close(slope.T @ rows, gradient[0, 0], rtol=1e-8, atol=1e-6)
     torch.testing.assert_close(slope.T @ slope, matrix[0, 0], rtol=1e-8, atol=1e-4)
-    for z in range(problem.n_outer - 2, problem.size):
+    for z in range(problem.places.n_coefficients - 2, problem.size):
         moved = torch.zeros_like(weights)
         moved[0, 0, z] = step
         along = (problem.rows(weights + moved) - problem.rows(weights - moved))[0, 0] / (2 * step)
@@ -130,7 +130,7 @@ def test_a_run_that_was_not_measured_at_a_point_says_nothing_there() -> None:
     whole, part = (prepare_output_error(one, setup("law")).problem for one in (measurement, less))
     weights = torch.zeros(1, 1, whole.size, dtype=torch.float64)
     every, rest = whole.deviations(weights)[0][0], part.deviations(weights)[0][0]
-    assert part.n_rows == 2 * 4 * present.sum()
+    assert part.readings.size == 2 * 4 * present.sum()
     shown = torch.as_tensor(present)[:, None].expand(every.shape)
     assert (rest[~shown] == 0).all()
     assert (rest[shown].abs() > 0).all()

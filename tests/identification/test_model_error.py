@@ -77,7 +77,8 @@ def problem() -> tuple[OutputError, torch.Tensor]:
 
     start = prepare_output_error(measured(EXACT)[0], SETUP)
     weights = start.weights.clone()
-    weights[..., start.problem.n_outer :] = torch.linspace(-0.5, 0.5, start.problem.n_rest, dtype=torch.float64)
+    places = start.problem.places
+    weights[..., places.n_coefficients :] = torch.linspace(-0.5, 0.5, places.n_rest, dtype=torch.float64)
     return start.problem.update(0.9 * weights), weights
 
 
@@ -143,7 +144,7 @@ def test_an_uncertain_model_widens_the_deviations() -> None:
     """The information of the weights falls by what the parameters take of it, and by no more."""
     data, _ = measured(EXACT)
     alone, joint = (fit_output_error(one, SETUP) for one in (only(data), data))
-    count = min(alone.problem.n_outer, joint.problem.n_outer)
+    count = min(one.problem.places.n_coefficients for one in (alone, joint))
     kept = (alone.problem.fitted()[:count] & joint.problem.fitted()[:count]).numpy()
     first, second = (np.diag(fit.covariance())[:count][kept] for fit in (alone, joint))
     assert (second > 0.9 * first).all()

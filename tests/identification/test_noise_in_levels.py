@@ -73,14 +73,14 @@ def test_without_levels_the_sizes_are_in_both_ways_to_the_normal_equations() -> 
     gradient, matrix = problem.normal(weights)
     assert torch.allclose(matrix[0, 0], slope.T @ slope, rtol=1e-9)
     assert torch.allclose(gradient[0, 0], slope.T @ rows, rtol=1e-9)
-    assert len(rows) - problem.size - problem.n_rows == len(problem.active)
+    assert len(rows) - problem.size - problem.readings.size == len(problem.active)
 
 
 def test_the_rows_are_squares_under_the_covariance_of_the_levels() -> None:
     """Oracle: 2 e^H C^-1 e of each condition, with the covariance itself inverted."""
     rig = small_rig(np.random.default_rng(3), 5)
     problem, weights = problem_of(with_noise(rig))
-    (predicted,), (measured,) = problem.predicted(weights), problem.sensors.measured
+    (predicted,), (measured,) = problem.predicted(weights), problem.readings.measured
     off = (predicted - measured)[0].flatten(0, 1).numpy()
     expected = 2 * np.einsum("dr,de,er->", off.conj(), np.linalg.inv(rig.root @ rig.root.conj().T), off).real
     readings = problem.rows(weights)[0, 0][: 2 * SIZE * 5]

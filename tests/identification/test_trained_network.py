@@ -16,7 +16,7 @@ from pipeline.identification.identified import Fit
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
 from pipeline.identification.quality import output_error_quality
 from pipeline.identification.trained_fit import TrainedFit, train_hidden
-from pipeline.identification.trained_network import TrainedNetworks
+from pipeline.identification.trained_network import trained_networks
 from pipeline.identification.training import FitSetup, setup_of
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.parameters import ModelParameter
@@ -53,14 +53,14 @@ def test_the_normal_equations_are_those_of_automatic_differentiation(drawn: Outp
     """Two layers; each network has precisions of its own."""
     import torch
 
-    sensors = drawn.problem.sensors
-    model = replace(sensors.model, hidden=(3, 2))
+    fitted = drawn.problem
+    model = replace(fitted.model, hidden=(3, 2))
     generator = torch.Generator().manual_seed(0)
     share = torch.rand(2, len(drawn.problem.measurement.dataset.speeds), 1, 1, generator=generator)
-    own = replace(sensors, model=model, precision=tuple(one * share for one in sensors.precision))
-    inputs = model.scaled_inputs(drawn.problem.measurement.dataset.points)
-    problem = TrainedNetworks(own, inputs, torch.tensor([[0.3], [-0.3]], dtype=torch.float64))
-    size = 2 * model.n_parameters + 2 * sensors.n_planes + 1
+    inputs = model.scaled_inputs(fitted.measurement.dataset.points)
+    weighed = replace(fitted, readings=fitted.readings.scaled(share), basis=replace(fitted.basis, model=model))
+    problem = trained_networks(weighed, inputs, torch.tensor([[0.3], [-0.3]], dtype=torch.float64))
+    size = 2 * model.n_parameters + 2 * fitted.places.n_planes + 1
     numbers = 0.1 * torch.randn(2, 1, size, generator=generator, dtype=torch.float64)
     gradient, matrix = problem.normal(numbers)
     whole = torch.autograd.functional.jacobian(problem.rows, numbers)
