@@ -73,12 +73,12 @@ def orthonormal_basis(model: CoefficientModel, parameters: torch.Tensor, points:
     count = 1 + model.n_trend
     hidden, trend = features[..., :-count], features[..., -count:]
     first, from_trend = _orthonormal(trend)
-    along = first.mT @ hidden
-    _, from_hidden = _orthonormal(hidden - first @ along)
+    projection = first.mT @ hidden
+    _, from_hidden = _orthonormal(hidden - first @ projection)
     weights = torch.cat(
         [
             torch.cat([torch.zeros(*hidden.shape[::2], first.shape[-1], dtype=hidden.dtype), from_hidden], dim=-1),
-            torch.cat([from_trend, -from_trend @ along @ from_hidden], dim=-1),
+            torch.cat([from_trend, -from_trend @ projection @ from_hidden], dim=-1),
         ],
         dim=1,
     )

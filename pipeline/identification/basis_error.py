@@ -119,8 +119,8 @@ def _expand(
         precision=torch.nn.functional.pad(problem.precision, (0, count)),
     )
     gradient, matrix = wider.normal(problem.with_features(weights, n_features + count))
-    own = np.arange(n_features + count) >= n_features
-    local = np.concatenate([np.tile(own, n_active), np.zeros(problem.places.n_rest, dtype=bool)])
+    is_local = np.arange(n_features + count) >= n_features
+    local = np.concatenate([np.tile(is_local, n_active), np.zeros(problem.places.n_rest, dtype=bool)])
     return gradient[0, 0].numpy(), matrix[0, 0].numpy(), local
 
 
@@ -135,9 +135,9 @@ def _maximise_likelihood(information: np.ndarray, score: np.ndarray, n_active: i
         # How many of an unknown's local weights the readings determine.
         told = count - np.diag(spread).reshape(n_active, count).sum(axis=1) / variance
         squares = (mean**2).reshape(n_active, count).sum(axis=1)
-        found = np.maximum(squares / np.maximum(told, _SMALLEST), _SMALLEST)
-        still = bool((np.abs(np.log(found / variance)) < _STILL).all())
-        variance = found
+        likelier = np.maximum(squares / np.maximum(told, _SMALLEST), _SMALLEST)
+        still = bool((np.abs(np.log(likelier / variance)) < _STILL).all())
+        variance = likelier
         if still:
             break
     spread, mean = _follow(information, score, variance)
@@ -146,11 +146,11 @@ def _maximise_likelihood(information: np.ndarray, score: np.ndarray, n_active: i
 
 def _is_chance(information: np.ndarray, score: np.ndarray, variance: np.ndarray) -> bool:
     """Whether a right law shows local functions of the ``variance`` (A,) as likely; curves never are quite right."""
-    own = np.repeat(variance, len(score) // len(variance))
-    size = np.sqrt(own)
+    every_variance = np.repeat(variance, len(score) // len(variance))
+    size = np.sqrt(every_variance)
     scaled = np.eye(len(score)) + size[:, None] * information * size  # of determinant |T| |T^-1 + S|
-    along = size * score
-    gain = along @ np.linalg.solve(scaled, along) - np.linalg.slogdet(scaled)[1]
+    scaled_score = size * score
+    gain = scaled_score @ np.linalg.solve(scaled, scaled_score) - np.linalg.slogdet(scaled)[1]
     return chance_of_gain(gain, len(variance)) > LAW_STANDS
 
 

@@ -59,7 +59,7 @@ def _solve(training: ResidualTraining) -> torch.Tensor:
     """(1, M, Q) the least squares of each member's rows, which are linear in the parameters."""
     import torch
 
-    return torch.stack([_solve_member(one) for one in training.problem.members()])[None]
+    return torch.stack([_solve_member(member) for member in training.problem.members()])[None]
 
 
 def _solve_member(problem: ResidualProblem) -> torch.Tensor:

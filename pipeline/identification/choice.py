@@ -51,9 +51,9 @@ class Judged:
 
 def setup_model(setup: FitSetup, kind: str) -> FitSetup:
     """The ``setup`` with a model of this kind: ``law``, ``hybrid`` or ``network``; networks as a fit has by default."""
-    own = setup.model
-    usual = default_setup(Guess(own.initial_stiffness, own.initial_damping)).model
-    keys = usual.model_dump() | own.model_dump() | {"kind": kind}
+    model = setup.model
+    usual = default_setup(Guess(model.initial_stiffness, model.initial_damping)).model
+    keys = usual.model_dump() | model.model_dump() | {"kind": kind}
     chosen = {name: keys[name] for name in model_fields(kind)}
     return replace(setup, model=TypeAdapter(ModelConfig).validate_python(chosen))
 
@@ -72,7 +72,7 @@ def judge_models(
             "models are judged at operating conditions that they were not fitted to, but the data have "
             f"{len(states)} state: measure at a second one (an oil temperature 15 K apart, another load)"
         )
-    found = []
+    judged = []
     for name, setup in setups.items():
         step(name)
         whole = fit(measurement, setup)
@@ -83,7 +83,7 @@ def judge_models(
             held_out[label] = _predict(measurement.select(points), fit(measurement.select(rest), setup))
         summary = whole.quality.summary["fit"]
         square, spent = summary["chi_square"], summary["chi_square"]["numbers"]
-        found.append(
+        judged.append(
             Judged(
                 name,
                 summary["mismatch"]["probability"],
@@ -93,16 +93,16 @@ def judge_models(
                 held_out,
             )
         )
-    return tuple(found)
+    return tuple(judged)
 
 
-def _predict(measurement: Measurement, found: Fit) -> float:
+def _predict(measurement: Measurement, fitted: Fit) -> float:
     """Mean square of the readings' deviations from the fit's prediction, over their noise."""
-    uncertainty, part = found.uncertainty, measurement
+    uncertainty, updated = fitted.uncertainty, measurement
     if uncertainty is not None:
-        part = measurement.update(uncertainty.parameters)
+        updated = measurement.update(uncertainty.parameters)
     unbalance = None if uncertainty is None else uncertainty.residual_unbalance
-    predicted = part.response.predict(found.table(part.updated_known), unbalance)
+    predicted = updated.response.predict(fitted.table(updated.updated_known), unbalance)
     off = np.abs(predicted - measurement.dataset.displacement) / measurement.deviation
     return float((off**2).sum() / measurement.dataset.n_readings)
 
@@ -112,6 +112,6 @@ def choose(judged: tuple[Judged, ...]) -> Judged:
 
     Where all are rejected: the one that predicts best.
     """
-    standing = [one for one in judged if not one.rejected] or list(judged)
-    best = min(one.predicts for one in standing)
-    return next(one for one in standing if one.predicts <= TIE * best)
+    standing = [model for model in judged if not model.rejected] or list(judged)
+    best = min(model.predicts for model in standing)
+    return next(model for model in standing if model.predicts <= TIE * best)

@@ -92,10 +92,10 @@ def combine_at(problem: OutputError, weights: torch.Tensor) -> Combinations:
     left, spans = np.sqrt(np.diag(covariance)[problem.places.parameters]), {}
     kinds = [parameter.kind for parameter in measurement.parameters]
     for kind in dict.fromkeys(kinds):
-        own = [float(value) for value, of in zip(left, kinds, strict=True) if of == kind]
-        spans[kind] = (min(own), max(own))
-    along = directions[:, -1] @ relative
-    return Combinations(ends[0], ends[1], spans, _try_runs(problem, weights, information, along))
+        deviations = [float(value) for value, other in zip(left, kinds, strict=True) if other == kind]
+        spans[kind] = (min(deviations), max(deviations))
+    direction = directions[:, -1] @ relative
+    return Combinations(ends[0], ends[1], spans, _try_runs(problem, weights, information, direction))
 
 
 def _share(problem: OutputError, weights: torch.Tensor) -> np.ndarray:
@@ -115,16 +115,16 @@ def _directions(relative: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarra
 
 
 def _try_runs(
-    problem: OutputError, weights: torch.Tensor, information: torch.Tensor, along: np.ndarray
+    problem: OutputError, weights: torch.Tensor, information: torch.Tensor, direction: np.ndarray
 ) -> NextRun | None:
     """The speed at which the run of the heaviest weights tells most of the direction ``along`` (Z,)."""
     measurement = problem.measurement
     data = measurement.dataset
-    heaviest = [sum(one.magnitude for one in data.excitation_of(r)) for r in range(len(data.runs))]
+    heaviest = [sum(weight.magnitude for weight in data.excitation_of(r)) for r in range(len(data.runs))]
     if not max(heaviest):
         return None
     run, top = rank_indices(heaviest)[0], float(data.speeds[-1])
-    before, tried = _deviation(information, along), []
+    before, tried = _deviation(information, direction), []
     for share in _SPEEDS:
         speeds = np.array([share * top])
         acting = tuple(excitation for excitation in data.excitations if excitation.run == data.runs[run])
@@ -144,10 +144,10 @@ def _try_runs(
         )
         # Its own problem has the priors again.
         gained = more.normal(weights)[1][0, 0] - more.prior.information()
-        tried.append(NextRun(data.runs[run], float(speeds[0]), _deviation(information + gained, along)))
-    best = tried[find_least({i: one.deviation for i, one in enumerate(tried)})]
+        tried.append(NextRun(data.runs[run], float(speeds[0]), _deviation(information + gained, direction)))
+    best = tried[find_least({i: weight.deviation for i, weight in enumerate(tried)})]
     return best if best.deviation < WORTH * before else None
 
 
-def _deviation(information: torch.Tensor, along: np.ndarray) -> float:
-    return float(np.sqrt(along @ invert(information) @ along))
+def _deviation(information: torch.Tensor, direction: np.ndarray) -> float:
+    return float(np.sqrt(direction @ invert(information) @ direction))

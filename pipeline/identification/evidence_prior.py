@@ -44,8 +44,10 @@ def add_beyond(basis: Basis) -> Basis:
 
 def unit_precision(problem: OutputError) -> torch.Tensor:
     """(A, K) precisions of the weights for a sigma of one."""
-    own, free = problem.basis.weights[[m for m, _ in problem.active]], problem.basis.n_trend  # (A, F, K)
-    share = own.square().sum(1).reciprocal()  # squared size of a feature over the data, for weights of equal variance
+    to_features, free = problem.basis.weights[[m for m, _ in problem.active]], problem.basis.n_trend  # (A, F, K)
+    share = (
+        to_features.square().sum(1).reciprocal()
+    )  # squared size of a feature over the data, for weights of equal variance
     share[:, :free] = 0.0
     if problem.basis.model.fades:
         share[:, -1] = 0.0
@@ -105,13 +107,13 @@ class _Evidence(NamedTuple):
 def _expand(problem: OutputError, weights: torch.Tensor) -> _Evidence:
     """The likelihood about the minimum ``weights`` (1, 1, Z)."""
     unit, outer = unit_precision(problem).numpy(), problem.places.n_coefficients
-    gradient, matrix = (one[0, 0].numpy() for one in problem.normal(weights))
-    own = (problem.precision * problem.kept).flatten().numpy()
+    gradient, matrix = (array[0, 0].numpy() for array in problem.normal(weights))
+    precision = (problem.precision * problem.kept).flatten().numpy()
     # At the minimum ``matrix z = matrix at - gradient``, whatever the precisions of the correction.
     right = matrix @ weights[0, 0].numpy() - gradient
-    data = matrix - np.diag(np.pad(own, (0, len(matrix) - outer)))
+    data = matrix - np.diag(np.pad(precision, (0, len(matrix) - outer)))
     bearing = np.array([m for m, _ in problem.active])
-    sigma = np.sqrt(unit[:, -1] / own.reshape(unit.shape)[:, -1])
+    sigma = np.sqrt(unit[:, -1] / precision.reshape(unit.shape)[:, -1])
     return _Evidence(data, right, unit, (bearing[:, None] == bearing).astype(float), sigma)
 
 
@@ -125,10 +127,10 @@ def _likeliest_sigma(evidence: _Evidence) -> np.ndarray:
         told = (1.0 - (evidence.precision(sigma) * np.diag(spread))[: unit.size]) * free
         squares = (mean[: unit.size] ** 2 * unit.ravel()).reshape(unit.shape).sum(axis=1)
         told = told.reshape(unit.shape).sum(axis=1)
-        found = np.sqrt(evidence.alike @ squares / np.maximum(evidence.alike @ told, _TINY))
-        found = np.maximum(found, _SMALLEST)
-        still = bool((np.abs(np.log(found / sigma)) < _STILL).all())
-        sigma = found
+        likelier = np.sqrt(evidence.alike @ squares / np.maximum(evidence.alike @ told, _TINY))
+        likelier = np.maximum(likelier, _SMALLEST)
+        still = bool((np.abs(np.log(likelier / sigma)) < _STILL).all())
+        sigma = likelier
         if still:
             break
     return sigma

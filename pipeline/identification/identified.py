@@ -53,7 +53,7 @@ class IdentifiedModel:
             slope = self.model.physical_slope(raw, scale)
             return Corrected(self.model.physical(raw, scale), slope, torch.zeros(*raw.shape, 0, dtype=raw.dtype))
         term = law_term(self.laws, self.unknowns, points)
-        return Corrected(*(one[0] for one in term.correct(self.model, self.theta[None], raw[None], scale)))
+        return Corrected(*(array[0] for array in term.correct(self.model, self.theta[None], raw[None], scale)))
 
     def coefficients(
         self, speeds: np.ndarray, operating: Mapping[str, np.ndarray] | None = None

@@ -36,12 +36,12 @@ def invert(information: torch.Tensor) -> np.ndarray:
 def unknown_deviation(problem: OutputError, weights: torch.Tensor) -> np.ndarray:
     """(G, S, A) standard deviation of the active unknowns, N/m and N s/m, see :func:`invert_information`."""
     spread, count = invert_information(problem, weights), problem.features.shape[-1]
-    _, slope, by_numbers = (one.numpy() for one in problem.unknowns(weights))
+    _, slope, by_numbers = (array.numpy() for array in problem.unknowns(weights))
     places, parts = problem.places, []
     numbers = np.arange(places.numbers.start, places.numbers.stop)
     for a, (m, _) in enumerate(problem.active):
         by_features = problem.features[m].numpy() * slope[..., a, None]  # (G, S, K)
-        own = np.concatenate([by_features, by_numbers[:, :, a]], axis=-1)
-        part = np.concatenate([np.arange(a * count, (a + 1) * count), numbers])
-        parts.append(np.einsum("gsk,gkl,gsl->gs", own, spread[:, part[:, None], part], own, optimize=True))
+        slopes = np.concatenate([by_features, by_numbers[:, :, a]], axis=-1)
+        columns = np.concatenate([np.arange(a * count, (a + 1) * count), numbers])
+        parts.append(np.einsum("gsk,gkl,gsl->gs", slopes, spread[:, columns[:, None], columns], slopes, optimize=True))
     return np.asarray(np.sqrt(np.stack(parts, axis=-1)))

@@ -56,11 +56,11 @@ def trend_terms(inputs: torch.Tensor, speed: int, span: tuple[float, float], log
     import torch
 
     low, high = span
-    ratio, own = high / low, inputs[..., speed : speed + 1]
+    ratio, place = high / low, inputs[..., speed : speed + 1]
     if logarithmic:
-        other = 2 * (ratio ** ((own + 1) / 2) - 1) / max(ratio - 1, _SMALLEST) - 1
+        other = 2 * (ratio ** ((place + 1) / 2) - 1) / max(ratio - 1, _SMALLEST) - 1
     else:
-        other = 2 * (1 + (ratio - 1) * (own + 1) / 2).log() / max(math.log(ratio), _SMALLEST) - 1
+        other = 2 * (1 + (ratio - 1) * (place + 1) / 2).log() / max(math.log(ratio), _SMALLEST) - 1
     return torch.cat([inputs, other], dim=-1)
 
 
@@ -78,7 +78,7 @@ def fade(inputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
 def points_of(speeds: np.ndarray, operating: Mapping[str, np.ndarray] | None) -> dict[str, np.ndarray]:
     """Name -> (S,): ``speeds`` (S,) rad/s, and ``operating`` conditions (S,) or single numbers, SI."""
     speeds = np.atleast_1d(speeds)
-    return {SPEED: speeds} | {name: np.broadcast_to(of, speeds.shape) for name, of in (operating or {}).items()}
+    return {SPEED: speeds} | {name: np.broadcast_to(values, speeds.shape) for name, values in (operating or {}).items()}
 
 
 def varying(points: Mapping[str, np.ndarray]) -> tuple[str, ...]:

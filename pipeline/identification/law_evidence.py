@@ -22,24 +22,24 @@ def describe_laws(fit: OutputErrorFit) -> dict[str, Any]:
     assert laws is not None
     data, theta = problem.measurement.dataset, problem.theta(fit.weights)
     outside = laws.outside(theta, data.speeds, data.operating)[0]
-    found: dict[str, Any] = {
+    summary: dict[str, Any] = {
         "physical_numbers": {
-            one.name: {
-                "value": one.value,
-                "deviation": one.deviation,
-                "unit": one.unit,
-                "guess": one.guess,
-                "determined": one.determined,
+            number.name: {
+                "value": number.value,
+                "deviation": number.deviation,
+                "unit": number.unit,
+                "guess": number.guess,
+                "determined": number.determined,
             }
-            for one in fit.numbers()
+            for number in fit.numbers()
         },
         "law": {"outside_table": {str(node): float(share) for node, share in zip(laws.nodes, outside, strict=True)}},
     }
     if start.law is not None:
-        found["law"] |= {"starts": start.law.n_starts, "starts_at_this_answer": start.law.n_same}
+        summary["law"] |= {"starts": start.law.n_starts, "starts_at_this_answer": start.law.n_same}
     if fit.start.by_evidence:
-        found["correction"] = _correction(fit)
-    return found
+        summary["correction"] = _correction(fit)
+    return summary
 
 
 def _correction(fit: OutputErrorFit) -> dict[str, dict[str, dict[str, float]]]:
@@ -49,10 +49,10 @@ def _correction(fit: OutputErrorFit) -> dict[str, dict[str, dict[str, float]]]:
     count = problem.features.shape[-1]
     result: dict[str, dict[str, dict[str, float]]] = {}
     for a, (m, u) in enumerate(problem.active):
-        own, part = problem.features[m].numpy(), slice(a * count, (a + 1) * count)
-        variance = np.einsum("sk,kl,sl->s", own, spread[part, part], own)
+        features, columns = problem.features[m].numpy(), slice(a * count, (a + 1) * count)
+        variance = np.einsum("sk,kl,sl->s", features, spread[columns, columns], features)
         size = {"percent": outputs[m, :, u] ** 2, "deviation_percent": variance}
         result.setdefault(str(problem.measurement.rotor.bearing_nodes[m]), {})[unknowns.names[u]] = {
-            name: float(100 * np.sqrt(of.mean())) for name, of in size.items()
+            name: float(100 * np.sqrt(squares.mean())) for name, squares in size.items()
         }
     return result

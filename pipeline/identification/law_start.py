@@ -58,11 +58,11 @@ def start_laws(training: Measurement, basis: Basis, plane_scale: float) -> LawSt
     judged = _spread(problem)
     order = problem.loss(judged)[1:, 0].nan_to_num(float("inf")).argsort()[:_FITTED]
     starts = torch.cat([judged[:1], judged[1:][order]])
-    found = levenberg_marquardt(problem, starts, section, until_still(_STILL), by_diagonal=True)
-    losses = problem.loss(found)[:, 0].nan_to_num(float("inf"))
+    fitted = levenberg_marquardt(problem, starts, section, until_still(_STILL), by_diagonal=True)
+    losses = problem.loss(fitted)[:, 0].nan_to_num(float("inf"))
     best = int(losses.argmin())
     same = int((losses < losses[best] * (1 + _SAME)).sum())
-    return LawStart(problem.theta(found)[best].numpy(), len(found), same)
+    return LawStart(problem.theta(fitted)[best].numpy(), len(fitted), same)
 
 
 def _spread(problem: OutputError) -> torch.Tensor:
@@ -98,10 +98,19 @@ def scale_by_laws(problem: OutputError, theta: np.ndarray) -> tuple[tuple[float,
     median = values[0].abs().median(dim=1).values.numpy()  # (M, U)
     names = problem.measurement.unknowns.names
     rows = []
-    for own in median:
-        direct = {kind: [v for v, n in zip(own, names, strict=True) if n[0] == kind and is_direct(n)] for kind in "kc"}
-        mean = {kind: float(np.exp(np.mean(np.log(of)))) for kind, of in direct.items() if of and min(of) > 0}
-        sizes = [float(v) if is_direct(n) else mean.get(n[0], float(v)) for v, n in zip(own, names, strict=True)]
+    for sizes_by_law in median:
+        direct = {
+            kind: [v for v, n in zip(sizes_by_law, names, strict=True) if n[0] == kind and is_direct(n)]
+            for kind in "kc"
+        }
+        mean = {
+            kind: float(np.exp(np.mean(np.log(kind_values))))
+            for kind, kind_values in direct.items()
+            if kind_values and min(kind_values) > 0
+        }
+        sizes = [
+            float(v) if is_direct(n) else mean.get(n[0], float(v)) for v, n in zip(sizes_by_law, names, strict=True)
+        ]
         rows.append(tuple(v if v > 0 else 1.0 for v in sizes))
     return tuple(rows)
 

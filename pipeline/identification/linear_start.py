@@ -46,8 +46,8 @@ def _combine(white: LinearResidual, features: np.ndarray, scale: np.ndarray) -> 
         for _ in range(_ROUNDS):
             rows = np.einsum("sru,sk->sruk", matrix * weight[..., None], features[m])
             flat = rows.reshape(-1, rows.shape[2] * rows.shape[3])
-            found = np.linalg.lstsq(flat, -(white.offset[m] * weight).ravel(), rcond=_NEGLIGIBLE)[0]
-            outputs = features[m] @ found.reshape(rows.shape[2], rows.shape[3]).T
+            solution = np.linalg.lstsq(flat, -(white.offset[m] * weight).ravel(), rcond=_NEGLIGIBLE)[0]
+            outputs = features[m] @ solution.reshape(rows.shape[2], rows.shape[3]).T
             rest = np.einsum("sru,su->sr", matrix, outputs) + white.offset[m]
             size = _OUTLIER * max(np.median(np.abs(rest)) / _MEDIAN_OF_NORMAL, _TINY)
             weight = np.sqrt(np.minimum(1.0, size / np.maximum(np.abs(rest), _TINY)))

@@ -95,16 +95,16 @@ class ResidualLoss:
 
         training = prepare_residual(measurement, setup)
         start = initial_parameters(training, setup, setup.seed)
-        found = minimise(training.problem, start, setup, held_out=training.held_out, progress=progress)
-        model = training.identified(found.parameters[0])
+        minimum = minimise(training.problem, start, setup, held_out=training.held_out, progress=progress)
+        model = training.identified(minimum.parameters[0])
         return Fit(
             model=model,
-            outcome=found.outcomes[0],
-            loss=float(found.loss[0]),
-            held_out_loss=None if found.held_out_loss is None else float(found.held_out_loss[0]),
-            steps=found.steps,
-            seconds=found.seconds,
-            history=found.history,
+            outcome=minimum.outcomes[0],
+            loss=float(minimum.loss[0]),
+            held_out_loss=None if minimum.held_out_loss is None else float(minimum.held_out_loss[0]),
+            steps=minimum.steps,
+            seconds=minimum.seconds,
+            history=minimum.history,
             uncertainty=None,
             quality=residual_quality(measurement, model),
         )

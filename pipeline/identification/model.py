@@ -256,8 +256,8 @@ class CoefficientModel:
         fed = first.expand(len(parameters), *first.shape)
         for weight, bias in self._layers(parameters)[:-1]:
             fed = activate(self.activation, fed @ weight + bias)[0]
-        one = self._one(inputs).expand(len(parameters), len(inputs), 1)
-        return one if self.hidden is None else torch.cat([self._with_trend(fed, inputs), one], dim=-1)
+        bias_input = self._one(inputs).expand(len(parameters), len(inputs), 1)
+        return bias_input if self.hidden is None else torch.cat([self._with_trend(fed, inputs), bias_input], dim=-1)
 
     def with_output_at(self, parameters: torch.Tensor, inputs: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
         """Parameters (M, Q) whose last layer is fitted, by linear least squares, to give ``values`` (M, S, U).

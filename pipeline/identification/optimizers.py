@@ -156,9 +156,9 @@ def levenberg_marquardt(
     damping = torch.full_like(squared, config.initial_damping)
     over = torch.zeros(len(current), dtype=torch.bool)
     for _ in range(config.steps):
-        own = torch.nonzero(~over)[:, 0]
-        current[own], squared[own], damping[own] = _damped_step(
-            problem, current[own], squared[own], damping[own], by_diagonal
+        active = torch.nonzero(~over)[:, 0]
+        current[active], squared[active], damping[active] = _damped_step(
+            problem, current[active], squared[active], damping[active], by_diagonal
         )
         over |= monitor(current, problem.loss(current)).all(dim=1)
         if over.all():

@@ -152,11 +152,11 @@ def fit_from(
     steps, seconds = 0, 0.0
     approach = -len(_LESS_EXACT) if problem.places.n_parameters and not near else 0
     for turn in range(approach, _ROUNDS):
-        found = minimise(_less_exact(problem, turn) if turn < 0 else problem, weights, setup, progress=progress)
-        weights = found.parameters
-        history += [dict(row) | {"step": steps + int(row["step"])} for row in found.history]
-        steps, seconds = steps + found.steps, seconds + found.seconds
-        if found.outcomes[0] is Outcome.INTERRUPTED:
+        minimum = minimise(_less_exact(problem, turn) if turn < 0 else problem, weights, setup, progress=progress)
+        weights = minimum.parameters
+        history += [dict(row) | {"step": steps + int(row["step"])} for row in minimum.history]
+        steps, seconds = steps + minimum.steps, seconds + minimum.seconds
+        if minimum.outcomes[0] is Outcome.INTERRUPTED:
             shares = tuple(np.ones(precision.shape[1:]) for precision in problem.readings.precision)
             break
         if turn < 0:
@@ -172,15 +172,15 @@ def fit_from(
             problem, weights = weigh_by_evidence(problem, weights)
         selects = problem.measurement.laws is None and not start.by_evidence
         if turn == _CHOICE and not start.from_guess and selects:
-            chosen, from_there = drop_features(problem, weights, invert_information(problem, weights)[0])
+            chosen, restart = drop_features(problem, weights, invert_information(problem, weights)[0])
             # The choice takes the minimum for quadratic: where there is none yet, it may lead anywhere, or to NaN.
-            if float(chosen.loss(from_there)) <= _NO_WORSE * float(problem.loss(weights)):
-                problem, weights = chosen, from_there
+            if float(chosen.loss(restart)) <= _NO_WORSE * float(problem.loss(weights)):
+                problem, weights = chosen, restart
         if turn == _CHOICE and selects:
             problem = problem.with_prior(setup.loss.beyond_trend)
         if turn > _CHOICE and _change(problem, before) < _SETTLED:
             break
-    whole = replace(found, history=tuple(history), steps=steps, seconds=seconds)
+    whole = replace(minimum, history=tuple(history), steps=steps, seconds=seconds)
     return OutputErrorFit(start=start, problem=problem, minimum=whole, shares=shares, factor=factor)
 
 
@@ -230,9 +230,9 @@ def _weigh_conditions(problem: OutputError) -> tuple[OutputError, tuple[np.ndarr
 
     drift = problem.measurement.drift
     assert drift is not None
-    own = drift.deviation()
-    share = np.minimum(drift.weights, 1.0) * np.ones(own.shape)
-    precision = torch.as_tensor(np.sqrt(2.0 * share) / own)[None]
+    deviation = drift.deviation()
+    share = np.minimum(drift.weights, 1.0) * np.ones(deviation.shape)
+    precision = torch.as_tensor(np.sqrt(2.0 * share) / deviation)[None]
     return replace(problem, readings=replace(problem.readings, precision=(precision,))), (share,)
 
 

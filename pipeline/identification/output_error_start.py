@@ -159,7 +159,7 @@ def align_weights(measurement: Measurement) -> Measurement:
     guess = guess * [name in ("kxx", "kyy", "cxx", "cyy") for name in unknowns.names]
     expected = measurement.response.predict(measurement.table(guess)) / measurement.deviation
     shown = measurement.dataset.displacement / measurement.deviation
-    turned = [one - one.mean(axis=2, keepdims=True) for one in (expected, shown)]
+    turned = [run - run.mean(axis=2, keepdims=True) for run in (expected, shown)]
     angle = np.angle(np.vdot(turned[0], turned[1]))
     values = measurement.parameter_values
     values[at[0]] += angle / measurement.parameters[at[0]].deviation
@@ -198,8 +198,8 @@ _LEAST_SETTLED = 0.5
 
 def _scaled_by(model: CoefficientModel, values: np.ndarray) -> CoefficientModel:
     """The model with the sizes of unknowns (M, S, U) found in the data in place of guessed ones."""
-    found = np.median(np.abs(values), axis=1)
-    return replace(model, scale=tuple(map(tuple, np.where(found > 0, found, model.scale).tolist())))
+    medians = np.median(np.abs(values), axis=1)
+    return replace(model, scale=tuple(map(tuple, np.where(medians > 0, medians, model.scale).tolist())))
 
 
 def _plane_scale(measurement: Measurement) -> float:
@@ -221,9 +221,11 @@ def start_at(problem: OutputError, values: np.ndarray) -> torch.Tensor:
     import torch
 
     raw = _raw(problem, values)
-    own = torch.stack([problem.features[m].T @ raw[m, :, u] for m, u in problem.active]) * problem.kept  # (A, K)
-    weights = torch.zeros(1, 1, problem.size, dtype=own.dtype)
-    weights[..., problem.places.coefficients] = own.flatten()
+    coordinates = (
+        torch.stack([problem.features[m].T @ raw[m, :, u] for m, u in problem.active]) * problem.kept
+    )  # (A, K)
+    weights = torch.zeros(1, 1, problem.size, dtype=coordinates.dtype)
+    weights[..., problem.places.coefficients] = coordinates.flatten()
     weights[..., problem.places.parameters] = problem.solved_at
     return weights
 

@@ -264,11 +264,11 @@ class OutputError:
 
     def deviations(self, weights: torch.Tensor) -> list[torch.Tensor]:
         """(G, S, P, R) complex of every block, whitened: predicted minus measured, of unit variance in each part."""
-        readings, found = self.readings, []
+        readings, whitened = self.readings, []
         for b, predicted in enumerate(self.predicted(weights)):
             off = readings.subtract_from(b, predicted)[..., None]
-            found.append(readings.mix(b, readings.whiten(b, off))[..., 0])
-        return found
+            whitened.append(readings.mix(b, readings.whiten(b, off))[..., 0])
+        return whitened
 
     def _local(self, state: Machine, b: int) -> torch.Tensor:
         """(G, S, P, R, A + Th + 2 N + T + 1) complex rows of block b: derivatives of the readings over their own noise

@@ -85,7 +85,7 @@ def finite(value: float) -> float | None:
 def output_error_quality(fit: OutputErrorFit) -> Quality:
     """Chi-square, whiteness, held-out speeds and runs, and the readings far off."""
     plain, inconsistent = _plain_deviations(fit), _list_inconsistent(fit)
-    value, readings = chi_square(plain), sum(one.size for one in plain)
+    value, readings = chi_square(plain), sum(block.size for block in plain)
     if fit.problem.measurement.dataset.present is not None:
         readings = fit.problem.measurement.dataset.n_readings
     posterior = fit.model_parameters()
@@ -104,7 +104,7 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
     # With levels, the model's own error is common to all conditions: its size and order are no draws of a noise.
     levels = fit.problem.measurement.drift is not None
     stated = np.allclose(fit.factor, 1.0) and not levels
-    square = 2 * value + sum(one.value**2 for one in posterior)
+    square = 2 * value + sum(block.value**2 for block in posterior)
     # A guess of a law's number is no reading: that it was off speaks against nothing.
     told_before = by_prior[: fit.problem.places.numbers.stop].sum()
     freedom = 2 * readings + len(posterior) - fit.problem.n_fitted + told_before
@@ -123,12 +123,12 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
         whole |= describe_laws(fit)
     if posterior:
         whole["model_parameters"] = {
-            one.parameter.name: {
-                "prior_deviation": one.parameter.deviation,
-                "value": one.value * one.parameter.deviation,
-                "deviation": one.deviation * one.parameter.deviation,
+            block.parameter.name: {
+                "prior_deviation": block.parameter.deviation,
+                "value": block.value * block.parameter.deviation,
+                "deviation": block.deviation * block.parameter.deviation,
             }
-            for one in posterior
+            for block in posterior
         }
     return Quality(whole, bad, variance_inflation(correlation), posterior)
 
@@ -195,14 +195,14 @@ def _held_out(fit: OutputErrorFit, other: OutputError) -> dict[str, float]:
 
 
 def _bad_points(fit: OutputErrorFit, plain: list[np.ndarray]) -> tuple[BadPoint, ...]:
-    dataset, found = fit.problem.measurement.dataset, []
+    dataset, points = fit.problem.measurement.dataset, []
     for block, off in zip(fit.problem.readings.blocks, plain, strict=True):
         for s, p, r in np.argwhere(np.abs(off) > BAD_POINT):
             node, angle = dataset.channels[p]
             run, size = dataset.runs[block.runs[r]], float(np.abs(off[s, p, r]))
             beside = {name: float(values[s]) for name, values in dataset.operating.items()}
-            found.append(BadPoint(run, float(dataset.speeds[s]), node, name_direction(angle), size, beside))
-    return tuple(found)
+            points.append(BadPoint(run, float(dataset.speeds[s]), node, name_direction(angle), size, beside))
+    return tuple(points)
 
 
 def chi_square(deviations: Sequence[np.ndarray]) -> float:

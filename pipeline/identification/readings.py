@@ -95,8 +95,8 @@ class Readings:
         import torch
 
         noise = [
-            split_noise(self.measurement, block.runs, one.numpy(), factor)
-            for block, one in zip(self.blocks, predicted, strict=True)
+            split_noise(self.measurement, block.runs, expected.numpy(), factor)
+            for block, expected in zip(self.blocks, predicted, strict=True)
         ]
         precision = [
             np.sqrt(2.0) / torch.as_tensor(alone) * share.sqrt() * self.present(b)

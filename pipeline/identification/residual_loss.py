@@ -86,10 +86,10 @@ class ResidualProblem:
 
     def members(self) -> tuple[ResidualProblem, ...]:
         """The problem of each member by itself."""
-        own = [slice(m, m + 1) for m in range(len(self.scale))]
+        places = [slice(m, m + 1) for m in range(len(self.scale))]
         return tuple(
             ResidualProblem(self.model, self.inputs, self.matrix[m], self.offset[m], self.rest[m], self.scale[m])
-            for m in own
+            for m in places
         )
 
     def per_speed(self, regularisation: float) -> tuple[np.ndarray, np.ndarray]:
@@ -169,8 +169,8 @@ def data_scale(residual: LinearResidual) -> np.ndarray:
     """(M, U) a size for every coefficient, from the data: bearing force over what a unit coefficient gives."""
     force = np.linalg.norm(residual.offset, axis=2)[..., None]  # (B, S, 1)
     unit = np.linalg.norm(residual.matrix, axis=2)  # (B, S, U)
-    there = unit > 0  # a bearing may lack an unknown
-    size = np.median(np.where(there, force / np.where(there, unit, 1.0), 1.0), axis=1)
+    present = unit > 0  # a bearing may lack an unknown
+    size = np.median(np.where(present, force / np.where(present, unit, 1.0), 1.0), axis=1)
     return size.mean(axis=0, keepdims=True) if residual.unknowns.shared else size
 
 

@@ -77,7 +77,7 @@ def add_features(start: OutputErrorStart, config: LevenbergMarquardtConfig) -> t
     for order in dict.fromkeys([1, *range(problem.basis.n_trend, last + 1)]):
         limited = problem.truncated(order)
         tried = problem.truncated(before).with_features(weights, order)
-        tried = torch.cat([tried, *(limited.revived(one[None]) for one in tried)])
+        tried = torch.cat([tried, *(limited.revived(weights_tried[None]) for weights_tried in tried)])
         if start.filtered is not None:
             tried = torch.cat([robust_start(limited, start.filtered), tried])
         tried = levenberg_marquardt(limited, tried, config, until_still(_NEARLY), by_diagonal=True)

@@ -118,18 +118,18 @@ class Senses:
     def sentence(self) -> str:
         """What the data choose, and by how much."""
         best, rest = self.trials[0], [trial for trial in self.trials if trial not in self.open]
-        others = [one for one in self.open[1:] if one.sense != best.sense.twin]
+        others = [trial for trial in self.open[1:] if trial.sense != best.sense.twin]
         if others:
-            text = f"the data do not tell {best.sense.words} from {'; '.join(one.sense.words for one in others)}"
+            text = f"the data do not tell {best.sense.words} from {'; '.join(trial.sense.words for trial in others)}"
             text += ": a run with a weight at another angle would" if self.gained < DECISIVE else ""
         else:
             text = f"the data choose {best.sense.words}"
             text += "" if best.sense == Sense() else " (not all as they are written)"
         if rest and not others:
-            other = next((one for one in rest if one.sense != best.sense.twin), rest[0])
+            other = next((trial for trial in rest if trial.sense != best.sense.twin), rest[0])
             text += f"; chi-square of the next machine ({other.sense.words}) is {other.chi_square:.3g} larger"
             text += f" (odds of {_describe_odds(other.chi_square)} to one)"
-        if any(one.sense == best.sense.twin for one in self.open):
+        if any(trial.sense == best.sense.twin for trial in self.open):
             text += (
                 f". The same machine mirrored ({best.sense.twin.words}) fits as well: only the sign of damping differs,"
                 " and these readings do not tell it. Stiffness is the same in both"
@@ -169,30 +169,33 @@ def try_senses(measurement: Measurement, setup: FitSetup, tell: Callable[[Sense]
         raise ConfigError(
             f"stage=senses must have loss=response, which weighs the readings by their noise, but got {setup.loss.kind}"
         )
-    found: dict[Sense, list[OutputErrorFit]] = {}
+    fits: dict[Sense, list[OutputErrorFit]] = {}
     refused: dict[Sense, str] = {}
     for sense in SENSES:
         if tell is not None:
             tell(sense)
         try:
-            found[sense] = _fit(sense.read(measurement), setup)
+            fits[sense] = _fit(sense.read(measurement), setup)
         except ConfigError as error:
             refused[sense] = str(error)
-    if not any(found.values()):
+    if not any(fits.values()):
         why = next(iter(refused.values()), "every fit ran away")
         raise ConfigError(f"the data must have a fit in one sense at least, but {why}")
-    factors = [one.factor for several in found.values() for one in several]
-    factor = min(factors, key=lambda of: float(np.median(of)))
-    first = {sense: min((_square(one, factor) for one in of), default=math.inf) for sense, of in found.items()}
+    factors = [fit.factor for several in fits.values() for fit in several]
+    factor = min(factors, key=lambda channel_factors: float(np.median(channel_factors)))
+    first = {
+        sense: min((_square(fit, factor) for fit in channel_factors), default=math.inf)
+        for sense, channel_factors in fits.items()
+    }
     squares: dict[Sense, float] = {}
     for sense in SENSES[: len(SENSES) // 2]:
-        squares |= _compare(sense, found, factor, setup)
+        squares |= _compare(sense, fits, factor, setup)
     least, count = min(squares.values()), 2 * measurement.dataset.displacement.size
     wider = max(1.0, least / count)
     beyond = {sense: (square - least) / wider for sense, square in squares.items()}
-    trials = [Trial(one, beyond.get(one, math.inf), refused.get(one, "")) for one in SENSES]
+    trials = [Trial(fit, beyond.get(fit, math.inf), refused.get(fit, "")) for fit in SENSES]
     best = SENSES[find_least({SENSES.index(sense): square for sense, square in squares.items()})]
-    ranked = tuple(trials[i] for i in rank_indices(-squares.get(one, math.inf) for one in SENSES))
+    ranked = tuple(trials[i] for i in rank_indices(-squares.get(fit, math.inf) for fit in SENSES))
     return Senses(ranked, float(count), float(least), (first[best] - least) / wider)
 
 
@@ -221,11 +224,11 @@ def _compare(
     for _ in range(_RESTARTS):
         if not waiting:
             break
-        _, of, fit = waiting.pop(0)
-        again = _start_at(found[of.twin][0], fit, setup)
-        if again is not None and (square := _square(again, factor)) < best[of.twin] - _SAME:
-            best[of.twin] = square
-            waiting.append((square, of.twin, again))
+        _, twin, fit = waiting.pop(0)
+        again = _start_at(found[twin.twin][0], fit, setup)
+        if again is not None and (square := _square(again, factor)) < best[twin.twin] - _SAME:
+            best[twin.twin] = square
+            waiting.append((square, twin.twin, again))
     return best
 
 
@@ -236,22 +239,22 @@ _SAME = 0.1
 
 def _start_at(fit: OutputErrorFit, twin: OutputErrorFit, setup: FitSetup) -> OutputErrorFit | None:
     """The fit once more, from the same machine mirrored, its damping as it is; None where that runs away."""
-    own, other, unknowns = fit.start, twin.problem, twin.start.measurement.unknowns
+    start, other, unknowns = fit.start, twin.problem, twin.start.measurement.unknowns
     values = unknowns.from_active(other.unknowns(twin.weights)[0][0].numpy())
     turned = values * [-1.0 if name in ("kxy", "kyx") else 1.0 for name in unknowns.names]
-    weights = start_at(own.problem, turned)
+    weights = start_at(start.problem, turned)
     rest = twin.weights[..., other.places.n_coefficients :].clone()
     planes = 2 * other.places.n_planes
-    rest[..., :planes] *= other.plane_scale / own.problem.plane_scale
+    rest[..., :planes] *= other.plane_scale / start.problem.plane_scale
     rest[..., 1:planes:2] *= -1.0  # imaginary parts
     for t, parameter in enumerate(other.measurement.parameters):
         if parameter.kind in _ANGLES or parameter.detail == "imaginary":
             rest[..., planes + t] *= -1.0
-    weights[..., own.problem.places.n_coefficients :] = rest
-    found = fit_from(
-        replace(own, problem=own.problem.update(weights), weights=weights, from_guess=False), setup, near=True
+    weights[..., start.problem.places.n_coefficients :] = rest
+    restarted = fit_from(
+        replace(start, problem=start.problem.update(weights), weights=weights, from_guess=False), setup, near=True
     )
-    return found if np.isfinite(found.weights.numpy()).all() else None
+    return restarted if np.isfinite(restarted.weights.numpy()).all() else None
 
 
 _ANGLES = ("probe_angle", "unbalance_phase", "weight_angle")

@@ -135,7 +135,7 @@ class _Judge:
         better = score < self.score
         self.best = torch.where(better[..., None], numbers, self.best)
         self.score = torch.where(better, score, self.score)
-        loss, held_out = (float(one.square().mean().sqrt()) for one in (losses, score))
+        loss, held_out = (float(squares.square().mean().sqrt()) for squares in (losses, score))
         self.history.append({"step": len(self.history), "phase": "trained", "loss": loss, "held_out_loss": held_out})
         if self.progress is not None:
             self.progress("trained", len(self.history), self.total, loss)
@@ -197,12 +197,14 @@ def _mean(fit: OutputErrorFit, training: TrainedNetworks, watch: _Judge, interru
     speeds = before.measurement.dataset.speeds
     alone = before.basis.model.inputs == (SPEED,)
     over = torch.linspace(-1, 1, _POINTS, dtype=numbers.dtype)[:, None] if alone else training.inputs
-    basis, along = _span(before.basis.model, training.networks(numbers), over)
-    own = torch.stack([along[:, m, :, u] for m, u in before.active], dim=1).flatten(1)
-    each = torch.cat([own, numbers[:, 0, training.places.n_coefficients :]], dim=-1)  # (G, Z)
+    basis, coordinates = _span(before.basis.model, training.networks(numbers), over)
+    weights = torch.stack([coordinates[:, m, :, u] for m, u in before.active], dim=1).flatten(1)
+    each = torch.cat([weights, numbers[:, 0, training.places.n_coefficients :]], dim=-1)  # (G, Z)
     # A half is fitted too well by as much as the other, which lacks the two ends, is predicted too badly.
-    own_square, predicted = training.loss(numbers).square(), watch.score.square() * len(speeds) / (len(speeds) - 2)
-    spent = min(max(float((predicted - own_square).mean()) * before.readings.size / 4, 0.0), float(numbers.shape[-1]))
+    fitted_square, predicted = training.loss(numbers).square(), watch.score.square() * len(speeds) / (len(speeds) - 2)
+    spent = min(
+        max(float((predicted - fitted_square).mean()) * before.readings.size / 4, 0.0), float(numbers.shape[-1])
+    )
 
     def of(other: OutputError) -> _Mean:
         at = basis.at(other.measurement.dataset.points)
@@ -222,10 +224,10 @@ def _mean(fit: OutputErrorFit, training: TrainedNetworks, watch: _Judge, interru
 
     problem, answer = of(before), each.mean(dim=0)
     # Where a combination is nearly free the networks lie along a curved valley, and their mean beside it.
-    if float(problem.loss(answer[None, None]).square()) > float(((own_square + predicted) / 2).min()):
+    if float(problem.loss(answer[None, None]).square()) > float(((fitted_square + predicted) / 2).min()):
         answer = each[int(watch.score[:, 0].argmin())]
     off = (each - answer).numpy() * _student(len(each) // 2)  # the networks come in pairs
-    held_out = (None if one is None else of(one) for one in (start.held_out_speeds, start.held_out_runs))
+    held_out = (None if other is None else of(other) for other in (start.held_out_speeds, start.held_out_runs))
     steps = fit.minimum.steps
     history = (*fit.minimum.history, *(row | {"step": steps + i} for i, row in enumerate(watch.history)))
     return TrainedFit(
@@ -263,11 +265,11 @@ def _span(model: CoefficientModel, networks: torch.Tensor, inputs: torch.Tensor)
     whole, hidden = _join(model, networks)
     count, (n_in, n_out) = len(networks), model.sizes[-1]
     width = n_in - model.n_trend
-    own = networks[..., -(n_in + 1) * n_out :].unflatten(-1, (n_in + 1, n_out))  # (G, M, n_in + 1, U)
+    output_layers = networks[..., -(n_in + 1) * n_out :].unflatten(-1, (n_in + 1, n_out))  # (G, M, n_in + 1, U)
     output = torch.zeros(networks.shape[1], count * width + n_in + 1 - width, count, n_out, dtype=networks.dtype)
     for g in range(count):
-        output[:, g * width : (g + 1) * width, g] = own[g, :, :width]
-        output[:, count * width :, g] = own[g, :, width:]
+        output[:, g * width : (g + 1) * width, g] = output_layers[g, :, :width]
+        output[:, count * width :, g] = output_layers[g, :, width:]
     columns = whole.features(hidden, inputs) @ output.flatten(2)
     size = columns.norm(dim=1, keepdim=True).clamp(min=_TINY)
     left, singular, right = torch.linalg.svd(columns / size, full_matrices=False)
@@ -276,8 +278,8 @@ def _span(model: CoefficientModel, networks: torch.Tensor, inputs: torch.Tensor)
         kept[:, None], (output.flatten(2) / size) @ right.mT / singular.clamp(min=_TINY)[:, None], 0.0
     )
     most = int(kept.any(dim=0).sum())
-    along = torch.where(kept[..., None], left.mT @ model.raw(networks, inputs), 0.0)
-    return Basis(whole, hidden, weights[..., :most], 0), along[:, :, :most]
+    coordinates = torch.where(kept[..., None], left.mT @ model.raw(networks, inputs), 0.0)
+    return Basis(whole, hidden, weights[..., :most], 0), coordinates[:, :, :most]
 
 
 _POINTS, _NEGLIGIBLE, _TINY = 400, 1e-8, 1e-300

@@ -79,5 +79,5 @@ class TrainedNetworks(OutputError):
 
 def trained_networks(problem: OutputError, inputs: torch.Tensor, aims: torch.Tensor) -> TrainedNetworks:
     """The networks of the problem's model, at its readings, with ``inputs`` (S, 1) and ``aims`` (G, T)."""
-    parts = {part.name: getattr(problem, part.name) for part in fields(OutputError)}
+    parts = {entry.name: getattr(problem, entry.name) for entry in fields(OutputError)}
     return TrainedNetworks(**parts, inputs=inputs, aims=aims)

@@ -65,11 +65,11 @@ class Uncertainty:
         outer = len(self.active) * count
         result = np.zeros((n_bearings, basis.shape[1], len(COEFFICIENTS), outer + by_theta.shape[-1]))
         for a, (m, u) in enumerate(self.active):
-            moved = slope[m, :, u, None] * basis[m]  # (S, K)
+            by_weights = slope[m, :, u, None] * basis[m]  # (S, K)
             for b in range(n_bearings):
                 if len(basis) == 1 or b == m:
                     signs = identified.unknowns.expansion[b, :, u]
-                    result[b, :, :, a * count : (a + 1) * count] = signs[None, :, None] * moved[:, None]
+                    result[b, :, :, a * count : (a + 1) * count] = signs[None, :, None] * by_weights[:, None]
                     result[b, :, :, outer:] += signs[None, :, None] * by_theta[m, :, u][:, None]
         return result
 
@@ -82,25 +82,25 @@ class Uncertainty:
         has the upper end of the log-normal one. The two differ where the coefficient is known to a few tens of percent.
         """
         with np.errstate(over="ignore", invalid="ignore"):  # of coefficients that ran away
-            moved = self.sensitivity(identified, speeds, operating)
-            outer = moved.shape[-1]
-            variance = np.einsum("bscz,zy,bscy->bsc", moved, self.covariance[:outer, :outer], moved, optimize=True)
-            deviation = np.sqrt(np.maximum(variance, 0.0))
-            unknowns, own = identified.unknowns, identified.values(speeds, operating)
-            values = np.abs(unknowns.expand(own[: unknowns.n_members], np.zeros_like(deviation)))
-            share = np.minimum(deviation / np.where(values > 0, values, np.inf), _WIDEST)
-            of_positive = np.abs(unknowns.expansion[..., list(identified.model.positive)]).sum(axis=-1)  # (B, 8)
-            deviation = np.where(
-                of_positive[:, None] > 0, values * np.expm1(NOMINAL_95 * share) / NOMINAL_95, deviation
+            by_weights = self.sensitivity(identified, speeds, operating)
+            outer = by_weights.shape[-1]
+            variance = np.einsum(
+                "bscz,zy,bscy->bsc", by_weights, self.covariance[:outer, :outer], by_weights, optimize=True
             )
+            deviation = np.sqrt(np.maximum(variance, 0.0))
+            unknowns, identified_values = identified.unknowns, identified.values(speeds, operating)
+            values = np.abs(unknowns.expand(identified_values[: unknowns.n_members], np.zeros_like(deviation)))
+            share = np.minimum(deviation / np.where(values > 0, values, np.inf), _WIDEST)
+            positive = np.abs(unknowns.expansion[..., list(identified.model.positive)]).sum(axis=-1)  # (B, 8)
+            deviation = np.where(positive[:, None] > 0, values * np.expm1(NOMINAL_95 * share) / NOMINAL_95, deviation)
         return np.where(unknowns.identified[:, None], deviation, np.nan)
 
     @property
     def of_machine(self) -> np.ndarray:
         """Covariance of what coefficients follow from (A (K + L) + Th) and of model parameters (T), without planes."""
         last = len(self.covariance) - len(self.parameters)
-        own = np.r_[: last - 2 * len(self.planes), last : len(self.covariance)]
-        return np.asarray(self.covariance[np.ix_(own, own)])
+        places = np.r_[: last - 2 * len(self.planes), last : len(self.covariance)]
+        return np.asarray(self.covariance[np.ix_(places, places)])
 
     def unbalance_deviation(self) -> np.ndarray:
         """(N,) standard deviation of the residual unbalance's magnitude, kg m: the mean one of its two parts."""
@@ -133,7 +133,7 @@ def save_uncertainty(folder: Path, uncertainty: Uncertainty | None) -> Path:
     from safetensors.numpy import save
 
     parts = {} if uncertainty is None else _parts(uncertainty)
-    content = save({name: np.ascontiguousarray(part) for name, part in parts.items()})
+    content = save({name: np.ascontiguousarray(array) for name, array in parts.items()})
     return write_beside(folder / UNCERTAINTY, lambda beside: _write(beside, content))
 
 

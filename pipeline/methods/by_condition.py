@@ -28,27 +28,27 @@ def solve_each(solve: Callable[[Measurement], Estimate], measurement: Measuremen
         for _, points in split_states(data.speeds, data.operating)
         for rows in group_rows(np.ones((len(points), 1)) if data.present is None else data.present[points])
     ]
-    found = [(points, solve(_alone(measurement, points))) for points in states]
-    deviations = [answer.deviation for _, answer in found]
+    answers = [(points, solve(_alone(measurement, points))) for points in states]
+    deviations = [answer.deviation for _, answer in answers]
     together = None if any(deviation is None for deviation in deviations) else np.full(values.shape, np.nan)
-    for points, answer in found:
+    for points, answer in answers:
         values[:, points] = answer.coefficients.values
         if together is not None and answer.deviation is not None:
             together[:, points] = answer.deviation
-    looked_at = [len(points) if of.n_speeds is None else of.n_speeds for points, of in found]
+    looked_at = [len(points) if of.n_speeds is None else of.n_speeds for points, of in answers]
     return replace(
-        found[0][1],
+        answers[0][1],
         coefficients=replace(measurement.known, values=values),
         deviation=together,
-        words=f"each of {len(states)} conditions by itself; the first: {found[0][1].words}",
-        doubt=next((answer.doubt for _, answer in found if answer.doubt), ""),
-        n_speeds=None if all(of.n_speeds is None for _, of in found) else sum(looked_at),
+        words=f"each of {len(states)} conditions by itself; the first: {answers[0][1].words}",
+        doubt=next((answer.doubt for _, answer in answers if answer.doubt), ""),
+        n_speeds=None if all(of.n_speeds is None for _, of in answers) else sum(looked_at),
     )
 
 
 def _alone(measurement: Measurement, points: np.ndarray) -> Measurement:
     """The measurement at the ``points`` (indices) in the runs that have them, as if it had no operating conditions."""
     present = measurement.dataset.present
-    part = measurement.select(points, None if present is None else np.flatnonzero(present[points[0]]))
-    data = replace(part.dataset, operating={}, present=None)
-    return replace(part, dataset=data, known=replace(part.known, operating={}))
+    state = measurement.select(points, None if present is None else np.flatnonzero(present[points[0]]))
+    data = replace(state.dataset, operating={}, present=None)
+    return replace(state, dataset=data, known=replace(state.known, operating={}))

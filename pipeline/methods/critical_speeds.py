@@ -105,7 +105,10 @@ def _model_machines(
     stiffness = np.exp(generator.uniform(bounds[0], bounds[1], (MODELLED, len(data.unknowns.names))))
     shape = (data.unknowns.n_members, len(data.dataset.speeds), stiffness.shape[1])
     speeds = np.array(
-        [_find_crossings(data, equations.predict(data.table(np.broadcast_to(own, shape))), places) for own in stiffness]
+        [
+            _find_crossings(data, equations.predict(data.table(np.broadcast_to(values, shape))), places)
+            for values in stiffness
+        ]
     )
     seen = ~np.isnan(speeds).any(axis=1)
     return speeds[seen], stiffness[seen]

@@ -32,9 +32,9 @@ def fit_by(section: Callable[[MethodOptions], FitConfig]) -> Callable[[Measureme
 
     def identify(data: Measurement, options: MethodOptions) -> Estimate:
         """Fit the measurement. Raises Refusal as the residual's methods do."""
-        own = section(options)
-        setup = FitSetup(own.model, own.loss, own.optimizer, own.training, options.seed)
-        loss = loss_of(own.loss)
+        chosen = section(options)
+        setup = FitSetup(chosen.model, chosen.loss, chosen.optimizer, chosen.training, options.seed)
+        loss = loss_of(chosen.loss)
         if not loss.weighs_noise:
             require_residual(data, options)
         diagnosis = loss.diagnose(data, setup)

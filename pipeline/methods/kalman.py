@@ -40,23 +40,23 @@ def _propagate_noise(data: Measurement, values: np.ndarray) -> np.ndarray:
     """(M, S, U): a fixed point ``p = T(p, z)`` moves with the readings by ``(I - T_p)^-1 T_z``."""
     problem, active, measured = BearingFilter(data), data.unknowns.active, data.dataset.displacement
 
-    def updated(of: np.ndarray, readings: np.ndarray) -> np.ndarray:
+    def updated(state: np.ndarray, readings: np.ndarray) -> np.ndarray:
         """(S, A) after one more update."""
-        found = problem.update(of, readings)
-        return np.stack([found[m, :, u] for m, u in active], axis=1)
+        estimate = problem.update(state, readings)
+        return np.stack([estimate[m, :, u] for m, u in active], axis=1)
 
     base, by_value = updated(values, measured), []
     for m, u in active:
         step = np.zeros_like(values)
         step[m, :, u] = _DIFFERENCE * np.maximum(np.abs(values[m, :, u]), 1.0)
         by_value.append((updated(values + step, measured) - base) / step[m, :, u, None])
-    own = np.linalg.pinv(np.eye(len(active)) - np.stack(by_value, axis=2))
+    inverse = np.linalg.pinv(np.eye(len(active)) - np.stack(by_value, axis=2))
     variance = np.zeros_like(base)
     for p, r in np.ndindex(measured.shape[1:]):
         size = _DIFFERENCE * np.abs(measured[:, p, r])
         for unit in (1.0, 1j):
             other = measured.copy()
             other[:, p, r] += unit * size
-            moved = (own @ ((updated(values, other) - base) / size[:, None])[..., None])[..., 0]
-            variance += (moved * data.deviation[:, p, r, None]) ** 2 / 2
+            change = (inverse @ ((updated(values, other) - base) / size[:, None])[..., None])[..., 0]
+            variance += (change * data.deviation[:, p, r, None]) ** 2 / 2
     return data.unknowns.from_active(np.sqrt(variance))

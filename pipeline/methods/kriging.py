@@ -64,10 +64,10 @@ def identify_by_kriging(data: Measurement, options: MethodOptions) -> Estimate:
     groups = [chosen] if options.constant else [np.array([s]) for s in chosen]
     generator = np.random.default_rng(options.seed)
     parts = [data.select(group) for group in groups]
-    x = np.stack([_match(part, options.settings.prior, generator) for part in parts])  # (groups, A)
-    left_over = sum(_sum_squares(part, own) for part, own in zip(parts, x, strict=True))
+    x = np.stack([_match(group, options.settings.prior, generator) for group in parts])  # (groups, A)
+    left_over = sum(_sum_squares(group, answer) for group, answer in zip(parts, x, strict=True))
     readings = 2 * len(chosen) * data.dataset.displacement[0].size - x.size
-    deviation = np.stack([_bound_deviation(part, own) for part, own in zip(parts, x, strict=True)])
+    deviation = np.stack([_bound_deviation(group, answer) for group, answer in zip(parts, x, strict=True)])
     if options.constant:
         x, deviation = np.repeat(x, len(speeds), axis=0), np.repeat(deviation, len(speeds), axis=0)
     else:
@@ -147,8 +147,12 @@ def _find_nearest(
         points = np.concatenate([points, (start + candidate * (end - start))[None]])
         misfits = np.append((rows**2).sum(axis=1), (deviations(points[-1]) ** 2).sum())
         if misfits.min() < least:
-            moved, best, least = np.abs(points[misfits.argmin()] - best), points[misfits.argmin()], float(misfits.min())
-            side = np.where(moved < _NEAR * side, _SHRINK * side, side)
+            distance, best, least = (
+                np.abs(points[misfits.argmin()] - best),
+                points[misfits.argmin()],
+                float(misfits.min()),
+            )
+            side = np.where(distance < _NEAR * side, _SHRINK * side, side)
         else:
             side = _SHRINK * side
     return best
@@ -176,7 +180,7 @@ def _evolve(cube: np.ndarray, rows: np.ndarray, generator: np.random.Generator) 
         predicted = surrogate.predict(np.atleast_2d(x.T)).reshape(-1, count) * size + inside
         return np.asarray((predicted**2).sum(axis=1)) if x.ndim > 1 else (predicted**2).sum()
 
-    found = differential_evolution(
+    evolved = differential_evolution(
         misfit,
         [(0.0, 1.0)] * cube.shape[1],
         maxiter=_GENERATIONS,
@@ -187,7 +191,7 @@ def _evolve(cube: np.ndarray, rows: np.ndarray, generator: np.random.Generator) 
         updating="deferred",
         polish=True,
     )
-    return np.asarray(found.x)
+    return np.asarray(evolved.x)
 
 
 def _bound_deviation(measurement: Measurement, x: np.ndarray) -> np.ndarray:

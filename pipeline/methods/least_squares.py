@@ -70,14 +70,14 @@ def solve_expanded(data: Measurement, options: MethodOptions) -> Estimate:
     (:func:`pipeline.problem.expansion.expand`); the rows of the residual are weighted by the noise that is left in
     them.
     """
-    found = expand(data.response, data.dataset.displacement, data.deviation)
-    if found is None:
+    expansion = expand(data.response, data.dataset.displacement, data.deviation)
+    if expansion is None:
         raise Refusal(Reason.FORCES_NOT_SEEN, f"they are at {describe_sensors(data)}")
-    residual = linear_residual(found.equations, data.unknowns, data.known)
-    refuse_undetermined(judge_identifiability(found.equations, residual, options.constant))
+    residual = linear_residual(expansion.equations, data.unknowns, data.known)
+    refuse_undetermined(judge_identifiability(expansion.equations, residual, options.constant))
     values, _ = per_speed_least_squares(residual)
     for _ in range(2):
-        white = whiten(residual, found.residual_covariance(data.response, data.table(values)))
+        white = whiten(residual, expansion.residual_covariance(data.response, data.table(values)))
         values, _ = per_speed_least_squares(white)
     return make_estimate(data, values, least_squares_deviation(white))
 
@@ -139,8 +139,8 @@ def _propagate_noise(data: Measurement, values: np.ndarray, inverse: np.ndarray)
     covariance = _estimate_covariance(data, values)
     return np.array(
         [
-            linear_deviation(own, covariance[:, :, rows[:, None], rows])
-            for own, rows in zip(inverse, member_rows(data.unknowns), strict=True)
+            linear_deviation(weights, covariance[:, :, rows[:, None], rows])
+            for weights, rows in zip(inverse, member_rows(data.unknowns), strict=True)
         ]
     )
 
@@ -162,9 +162,9 @@ def _solve(data: Measurement, white: LinearResidual, derivative: np.ndarray, cov
     for m, member in enumerate(members):
         present = np.append(white.unknowns.present[m], True)
         factor = np.linalg.cholesky(covariance[:, :, member[:, None], member])
-        moved = (derivative[:, :, member][:, :, :, present] * noise).reshape(*factor.shape[:3], -1)
-        moved = np.linalg.solve(factor, moved).reshape(*factor.shape[:3], int(present.sum()), -1)
-        spread = np.einsum("sriup,srivp->suv", moved.conj(), moved, optimize=True).real
+        errors = (derivative[:, :, member][:, :, :, present] * noise).reshape(*factor.shape[:3], -1)
+        errors = np.linalg.solve(factor, errors).reshape(*factor.shape[:3], int(present.sum()), -1)
+        spread = np.einsum("sriup,srivp->suv", errors.conj(), errors, optimize=True).real
         matrix = np.concatenate([white.matrix[m], white.offset[m][..., None]], axis=-1)[..., present]
         size = np.sqrt(np.einsum("suu->su", spread))
         upper = np.linalg.cholesky(spread / size[:, :, None] / size[:, None, :]).swapaxes(1, 2)

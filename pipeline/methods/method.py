@@ -98,7 +98,7 @@ class Method:
         """
         used = measurement if self.takes_planes else drop_unbalance(measurement)
         if used.dataset.operating and not self.takes_conditions:
-            return solve_each(lambda part: self.solve(part, options), used)
+            return solve_each(lambda state: self.solve(state, options), used)
         return self.solve(used, options)
 
 
@@ -163,14 +163,14 @@ def drop_unbalance(measurement: Measurement) -> Measurement:
     keep = np.flatnonzero(~measurement.synchronous())
     if not len(keep):
         raise Refusal(Reason.RESIDUAL_UNBALANCE, "every run turns with the rotor")
-    part = measurement.select(None, keep)
-    vars(part).pop("response", None)  # it has planes
-    return replace(part, unknowns=replace(part.unknowns, planes=()))
+    forced = measurement.select(None, keep)
+    vars(forced).pop("response", None)  # it has planes
+    return replace(forced, unknowns=replace(forced.unknowns, planes=()))
 
 
-def describe_unbalance(planes: tuple[int, ...], found: np.ndarray) -> str:
+def describe_unbalance(planes: tuple[int, ...], unbalance: np.ndarray) -> str:
     """Name the residual unbalance (N,) complex, kg m, of the planes; no words where there are none."""
-    sizes = (f"{1e6 * abs(u):.3g} g mm at node {node}" for node, u in zip(planes, found, strict=True))
+    sizes = (f"{1e6 * abs(u):.3g} g mm at node {node}" for node, u in zip(planes, unbalance, strict=True))
     return f", residual unbalance {', '.join(sizes)}" if planes else ""
 
 

@@ -55,8 +55,8 @@ def identify_by_frequencies(measurement: Measurement, options: MethodOptions) ->
     text = f"{min(frequencies)} frequencies a speed"
     if planes:
         pairs = answer[:, len(unknowns.active) :].reshape(len(answer), -1, 2)
-        found = np.median(pairs, axis=0) @ np.array([1.0, 1j])
-        text += describe_unbalance(planes, found)
+        median = np.median(pairs, axis=0) @ np.array([1.0, 1j])
+        text += describe_unbalance(planes, median)
     return make_estimate(data, values, deviation, text)
 
 

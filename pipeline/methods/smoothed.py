@@ -25,19 +25,19 @@ _LEAST_WEIGHT = 1e-12
 
 def solve_smoothed(data: Measurement, options: MethodOptions) -> Estimate:
     """Weighted means where the coefficients are known to be constant, else smoothing splines. Raises Refusal."""
-    found, unknowns = solve_expanded(data, options), data.unknowns
-    assert found.deviation is not None
-    values = unknowns.leading(found.coefficients.values)
-    spread = unknowns.leading(found.deviation)
+    estimate, unknowns = solve_expanded(data, options), data.unknowns
+    assert estimate.deviation is not None
+    values = unknowns.leading(estimate.coefficients.values)
+    spread = unknowns.leading(estimate.deviation)
     smooth, deviation = np.zeros_like(values), np.zeros_like(values)
     for m, u in unknowns.active:
-        answer, own = values[m, :, u], spread[m, :, u]
+        answer, deviations = values[m, :, u], spread[m, :, u]
         if options.constant:
-            smooth[m, :, u], deviation[m, :, u] = _average(answer, own)
+            smooth[m, :, u], deviation[m, :, u] = _average(answer, deviations)
         elif len(answer) >= _FEWEST:
-            smooth[m, :, u], deviation[m, :, u] = smooth_over_speed(data.dataset.speeds, answer, own)
+            smooth[m, :, u], deviation[m, :, u] = smooth_over_speed(data.dataset.speeds, answer, deviations)
         else:
-            smooth[m, :, u], deviation[m, :, u] = answer, own
+            smooth[m, :, u], deviation[m, :, u] = answer, deviations
     return make_estimate(data, smooth, deviation)
 
 
@@ -53,8 +53,8 @@ def smooth_over_speed(speeds: np.ndarray, values: np.ndarray, deviation: np.ndar
     weight = np.where(usable, np.abs(values) / np.where(usable, deviation, 1.0), 0.0)
     size = np.abs(np.where(usable, values, 1.0))
     law = np.exp(np.polyval(np.polyfit(place, np.log(size), 1, w=np.minimum(weight, np.median(weight))), place))
-    ratio, own = np.where(usable, values, 0.0) / law, np.where(usable, deviation, np.inf) / law
-    weight = 1 / own**2
+    ratio, relative = np.where(usable, values, 0.0) / law, np.where(usable, deviation, np.inf) / law
+    weight = 1 / relative**2
     weight = np.maximum(weight, _LEAST_WEIGHT * weight.max())
     smooth, variance = smooth_by_cross_validation(place, ratio, weight)
     return smooth * law, np.sqrt(variance) * law

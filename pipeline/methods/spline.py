@@ -108,14 +108,14 @@ def _list_starts(task: Measurement, options: MethodOptions) -> tuple[Parameters,
     """Constants (S, A) to begin with: the medians of a linear answer, or the guess in several sizes."""
     n_speeds = len(task.dataset.speeds)
     try:
-        found = task.unknowns.leading(solve_total(drop_unbalance(task), options).coefficients.values)
+        linear = task.unknowns.leading(solve_total(drop_unbalance(task), options).coefficients.values)
     except (Refusal, np.linalg.LinAlgError):
         parameters = make_parameters(task)
         guess = np.repeat(task.guess.sizes(task.unknowns)[:, None], n_speeds, axis=1)
         return parameters, [
             np.where(parameters.positive, parameters.from_values(size * guess), 0.0) for size in GUESSES
         ]
-    middle = np.median(found, axis=1)
+    middle = np.median(linear, axis=1)
     parameters = make_parameters(task, np.where(middle != 0, np.abs(middle), 1.0))
     return parameters, [np.repeat(parameters.from_values(middle[:, None]), n_speeds, axis=0)]
 
@@ -144,7 +144,7 @@ def _improve(problem: SplineProblem, count: int, start: np.ndarray, pairs: np.nd
     gone = problem.parameters.positive & (np.median(x, axis=0) < np.log(_VANISHED))
     if not gone.any():
         return fit
-    return min(fit, _fit(problem, count, np.where(gone, 0.0, x), fit.pairs), key=lambda one: one.chi_square)
+    return min(fit, _fit(problem, count, np.where(gone, 0.0, x), fit.pairs), key=lambda tried: tried.chi_square)
 
 
 def _fit(problem: SplineProblem, count: int, start: np.ndarray, pairs: np.ndarray) -> _Fit:
@@ -167,7 +167,7 @@ def _fit(problem: SplineProblem, count: int, start: np.ndarray, pairs: np.ndarra
         return _make_sparse(by_x, basis, by_pairs) if large else _make_dense(by_x, basis, by_pairs)
 
     with np.errstate(over="ignore", invalid="ignore"):  # a step too far is taken back
-        found = least_squares(
+        solution = least_squares(
             residual,
             np.concatenate([first.ravel(), pairs]),
             jacobian,
@@ -178,27 +178,27 @@ def _fit(problem: SplineProblem, count: int, start: np.ndarray, pairs: np.ndarra
             max_nfev=_MOST_EVALUATIONS,
             tr_solver="lsmr" if large else "exact",
         )
-    z, rest = np.split(found.x, [first.size])
-    return _Fit(basis, z.reshape(first.shape), rest, 2 * float(found.cost))
+    z, rest = np.split(solution.x, [first.size])
+    return _Fit(basis, z.reshape(first.shape), rest, 2 * float(solution.cost))
 
 
-def _make_dense(by_x: np.ndarray, own: np.ndarray, by_pairs: np.ndarray) -> np.ndarray:
+def _make_dense(by_x: np.ndarray, basis: np.ndarray, by_pairs: np.ndarray) -> np.ndarray:
     """(S rows, K A + 2 N) derivative by the spline's coefficients and the unbalance."""
     n_rows = by_x.shape[0] * by_x.shape[1]
-    spread = np.einsum("sra,sk->srka", by_x, own).reshape(n_rows, -1)
+    spread = np.einsum("sra,sk->srka", by_x, basis).reshape(n_rows, -1)
     return np.concatenate([spread, by_pairs.reshape(n_rows, -1)], axis=1)
 
 
-def _make_sparse(by_x: np.ndarray, own: np.ndarray, by_pairs: np.ndarray) -> Any:
+def _make_sparse(by_x: np.ndarray, basis: np.ndarray, by_pairs: np.ndarray) -> Any:
     """:func:`_make_dense`, without its zeros."""
     from scipy.sparse import csr_array, hstack
 
     n_speeds, n_rows, n_active = by_x.shape
-    speed, place = np.nonzero(own)
-    data = by_x[speed] * own[speed, place][:, None, None]
+    speed, place = np.nonzero(basis)
+    data = by_x[speed] * basis[speed, place][:, None, None]
     row = np.broadcast_to((speed[:, None] * n_rows + np.arange(n_rows))[..., None], data.shape)
     column = np.broadcast_to((place[:, None] * n_active + np.arange(n_active))[:, None], data.shape)
-    shape = (n_speeds * n_rows, own.shape[1] * n_active)
+    shape = (n_speeds * n_rows, basis.shape[1] * n_active)
     spread = csr_array((data.ravel(), (row.ravel(), column.ravel())), shape=shape)
     if not by_pairs.shape[2]:
         return spread
@@ -213,10 +213,10 @@ def _bound_deviation(problem: SplineProblem, fit: _Fit) -> np.ndarray:
     by_x, across = local[:, :active, :active], local[:, :active, active:]
     by_pairs = local[:, active:, active:].sum(axis=0)
     if count == len(fit.basis):  # every speed for itself
-        own = np.linalg.pinv(by_x, hermitian=True)
-        carried = own @ across
+        inverse = np.linalg.pinv(by_x, hermitian=True)
+        carried = inverse @ across
         rest = np.linalg.pinv(by_pairs - (across.swapaxes(1, 2) @ carried).sum(axis=0), hermitian=True)
-        spread = own + carried @ rest @ carried.swapaxes(1, 2)
+        spread = inverse + carried @ rest @ carried.swapaxes(1, 2)
         return np.sqrt(np.maximum(np.einsum("saa->sa", spread), 0.0))
     basis = fit.basis
     outer = np.einsum("sk,sab,sl->kalb", basis, by_x, basis, optimize=True).reshape(fit.z.size, fit.z.size)

@@ -34,8 +34,8 @@ class Parameters:
         """(S, A) from unknowns (M, S, U); what must be positive is kept above a thousandth of its size."""
         columns = []
         for a, (m, u) in enumerate(self.task.unknowns.active):
-            own = values[m, :, u] / self.size[a]
-            columns.append(np.log(np.maximum(own, _SMALLEST)) if self.positive[a] else own)
+            relative = values[m, :, u] / self.size[a]
+            columns.append(np.log(np.maximum(relative, _SMALLEST)) if self.positive[a] else relative)
         return np.stack(columns, axis=1)
 
     def slope(self, x: np.ndarray) -> np.ndarray:
@@ -61,10 +61,10 @@ class Parameters:
 
 def make_parameters(task: Measurement, size: np.ndarray | None = None) -> Parameters:
     """The free numbers, with sizes (M, U) of the unknowns or the configured guesses."""
-    of = task.guess.sizes(task.unknowns) if size is None else size
+    sizes = task.guess.sizes(task.unknowns) if size is None else size
     return Parameters(
         task,
-        np.array([of[m, u] for m, u in task.unknowns.active]),
+        np.array([sizes[m, u] for m, u in task.unknowns.active]),
         np.array([is_direct(task.unknowns.names[u]) for _, u in task.unknowns.active]),
     )
 

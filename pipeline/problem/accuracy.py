@@ -41,8 +41,8 @@ class RunInformation:
         """(S, A) relative standard deviation of the unknowns at all speeds, from ``runs`` at each ``every``-th one."""
         spread = np.linalg.inv(self._information(runs, every))
         count, n_active = self.functions.shape[1], len(self.names)
-        own = np.stack([spread[a * count : (a + 1) * count, a * count : (a + 1) * count] for a in range(n_active)])
-        return np.asarray(np.sqrt(np.einsum("sk,akl,sl->sa", self.functions, own, self.functions, optimize=True)))
+        blocks = np.stack([spread[a * count : (a + 1) * count, a * count : (a + 1) * count] for a in range(n_active)])
+        return np.asarray(np.sqrt(np.einsum("sk,akl,sl->sa", self.functions, blocks, self.functions, optimize=True)))
 
     def _information(self, runs: Sequence[int], every: int) -> np.ndarray:
         """(Z, Z), of the priors too."""
@@ -110,8 +110,8 @@ def reach(information: RunInformation, accuracy: float, most_runs: int, steps: S
     runs: tuple[int, ...] = ()
     for count in range(1, min(most_runs, len(information.rows)) + 1):
         every_way = (partial(_merit, information), information.worst)
-        found = [exchange(of, len(information.rows), count) for of in every_way]
-        runs = find_least({of: information.worst(of) for of in found})
+        sets = [exchange(merit, len(information.rows), count) for merit in every_way]
+        runs = find_least({merit: information.worst(merit) for merit in sets})
         if information.worst(runs) <= accuracy:
             enough = [every for every in steps if information.worst(runs, every) <= accuracy]
             return Plan(runs, max(enough, default=1), True)

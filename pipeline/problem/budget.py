@@ -30,10 +30,10 @@ def systematic_shifts(measurement: Measurement, bearings: BearingTable) -> np.nd
         by_parameters = derive_by_parameters(variation, respond(block, change), change[None], None)
         by_model[:, :, block.runs] += by_parameters[0]
     scaled = [
-        (part / measurement.deviation[..., None]).reshape(len(part), -1, part.shape[-1])
-        for part in (by_unknown, by_model)
+        (slopes / measurement.deviation[..., None]).reshape(len(slopes), -1, slopes.shape[-1])
+        for slopes in (by_unknown, by_model)
     ]
-    unknown, model = (np.concatenate([part.real, part.imag], axis=1) for part in scaled)
+    unknown, model = (np.concatenate([slopes.real, slopes.imag], axis=1) for slopes in scaled)
     size = np.linalg.norm(unknown, axis=1, keepdims=True)
     if unknown.shape[1] < unknown.shape[2] or not size.all():
         return None
@@ -49,9 +49,9 @@ def budget_percent(measurement: Measurement, bearings: BearingTable) -> dict[str
     if shifts is None:
         return None
     values = measurement.unknowns.leading(bearings.values)  # (M, S, U)
-    own = np.stack([values[m, :, u] for m, u in measurement.unknowns.active], axis=-1)  # (S, A)
+    sizes = np.stack([values[m, :, u] for m, u in measurement.unknowns.active], axis=-1)  # (S, A)
     kinds = np.array([parameter.kind for parameter in measurement.parameters])
     return {
-        kind: 100 * np.median(np.sqrt((shifts[..., kinds == kind] ** 2).sum(axis=-1)) / np.abs(own), axis=0)
+        kind: 100 * np.median(np.sqrt((shifts[..., kinds == kind] ** 2).sum(axis=-1)) / np.abs(sizes), axis=0)
         for kind in dict.fromkeys(kinds.tolist())
     }

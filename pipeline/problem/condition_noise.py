@@ -131,5 +131,5 @@ def to_dataset(conditions: Conditions) -> VibrationDataset:
         for node, u in zip(conditions.planes, loads, strict=True)
     )
     displacement = conditions.displacement.transpose(1, 2, 0)
-    own = conditions.own_speeds.T
-    return VibrationDataset(conditions.speeds, conditions.names, conditions.channels, displacement, acting, own)
+    speeds = conditions.own_speeds.T
+    return VibrationDataset(conditions.speeds, conditions.names, conditions.channels, displacement, acting, speeds)

@@ -44,12 +44,12 @@ def merit(information: np.ndarray, present: np.ndarray, criterion: Criterion) ->
     A: logarithm of the mean variance; D: of the volume of the confidence region; means over speeds and bearings.
     """
     total = 0.0
-    for m, there in enumerate(present):
-        own = information[m][:, there][:, :, there] + np.eye(int(there.sum())) / PRIOR_DEVIATION**2
+    for m, unknowns in enumerate(present):
+        determined = information[m][:, unknowns][:, :, unknowns] + np.eye(int(unknowns.sum())) / PRIOR_DEVIATION**2
         if criterion == "D":
-            total -= float(np.linalg.slogdet(own)[1].mean()) / there.sum()
+            total -= float(np.linalg.slogdet(determined)[1].mean()) / unknowns.sum()
         else:
-            total += float(np.log(np.trace(np.linalg.inv(own), axis1=1, axis2=2) / there.sum()).mean())
+            total += float(np.log(np.trace(np.linalg.inv(determined), axis1=1, axis2=2) / unknowns.sum()).mean())
     return total / len(present)
 
 

@@ -68,54 +68,54 @@ class Deviations:
         """A verdict on each coefficient that is identified, bearing by bearing."""
         size = np.abs(self.table.values)
         relative = np.divide(self.values, size, out=np.full(size.shape, np.inf), where=size > 0)
-        found = []
+        judged = []
         for b, c in np.argwhere(~np.isnan(self.values).all(axis=1)):
-            own = relative[b, :, c]
-            lost = float(np.mean(~(own < WEAKLY_BELOW)))
-            found.append(Determined(self.table.nodes[b], COEFFICIENTS[c], float(np.median(own)), lost))
-        return tuple(found)
+            share = relative[b, :, c]
+            lost = float(np.mean(~(share < WEAKLY_BELOW)))
+            judged.append(Determined(self.table.nodes[b], COEFFICIENTS[c], float(np.median(share)), lost))
+        return tuple(judged)
 
 
 def describe_determined(judged: Sequence[Determined]) -> str:
     """The verdicts in words: the best first, each with its worst coefficient, and nodes where there are several."""
     several, parts = len({one.node for one in judged}) > 1, []
     for verdict in Determination:
-        own = [one for one in judged if one.verdict is verdict]
-        if not own:
+        alike = [one for one in judged if one.verdict is verdict]
+        if not alike:
             continue
-        names = [f"{one.name} at node {one.node}" if several else one.name for one in own]
-        worst = rank_indices(one.deviation for one in own)[0]
-        size = f"+- {100 * own[worst].deviation:.2g} %" if np.isfinite(own[worst].deviation) else "no limit"
-        which = f"{len(own)} of {len(judged)}" if len(own) > _NAMED else ", ".join(names)
-        which = "all" if len(own) == len(judged) > 1 else which
-        parts.append(f"{which} {verdict.value} ({f'{names[worst]} ' if len(own) > 1 else ''}{size})")
+        names = [f"{one.name} at node {one.node}" if several else one.name for one in alike]
+        worst = rank_indices(one.deviation for one in alike)[0]
+        size = f"+- {100 * alike[worst].deviation:.2g} %" if np.isfinite(alike[worst].deviation) else "no limit"
+        which = f"{len(alike)} of {len(judged)}" if len(alike) > _NAMED else ", ".join(names)
+        which = "all" if len(alike) == len(judged) > 1 else which
+        parts.append(f"{which} {verdict.value} ({f'{names[worst]} ' if len(alike) > 1 else ''}{size})")
     partly = [one for one in judged if one.lost and one.verdict is not Determination.NOT]
     if partly:
-        one = partly[rank_indices(one.lost for one in partly)[0]]
-        where = f" at node {one.node}" if several else ""
-        parts.append(f"{one.name}{where} not at {100 * one.lost:.2g} % of the speeds")
+        coefficient = partly[rank_indices(one.lost for one in partly)[0]]
+        where = f" at node {coefficient.node}" if several else ""
+        parts.append(f"{coefficient.name}{where} not at {100 * coefficient.lost:.2g} % of the speeds")
     return "; ".join(parts)
 
 
 def summarize_determined(judged: Sequence[Determined]) -> dict[str, dict[str, dict[str, object]]]:
     """Node -> coefficient -> verdict and deviation in percent (null where there is no limit), for JSON."""
     result: dict[str, dict[str, dict[str, object]]] = {}
-    for one in judged:
-        percent = float(100 * one.deviation) if np.isfinite(one.deviation) else None
-        result.setdefault(str(one.node), {})[one.name] = {
-            "verdict": one.verdict.value,
+    for coefficient in judged:
+        percent = float(100 * coefficient.deviation) if np.isfinite(coefficient.deviation) else None
+        result.setdefault(str(coefficient.node), {})[coefficient.name] = {
+            "verdict": coefficient.verdict.value,
             "deviation_percent": percent,
-            "not_determined_at_percent_of_speeds": 100 * one.lost,
+            "not_determined_at_percent_of_speeds": 100 * coefficient.lost,
         }
     return result
 
 
 def read_determined(summary: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> list[Determined]:
     """What :func:`summarize_determined` wrote."""
-    found = []
-    for node, own in summary.items():
-        for name, of in own.items():
-            percent = of["deviation_percent"]
+    judged = []
+    for node, coefficients in summary.items():
+        for name, entry in coefficients.items():
+            percent = entry["deviation_percent"]
             deviation = np.inf if percent is None else percent / 100
-            found.append(Determined(int(node), name, deviation, of["not_determined_at_percent_of_speeds"] / 100))
-    return found
+            judged.append(Determined(int(node), name, deviation, entry["not_determined_at_percent_of_speeds"] / 100))
+    return judged

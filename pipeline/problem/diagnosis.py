@@ -54,8 +54,8 @@ class Diagnosis:
     @property
     def deviations(self) -> Deviations:
         """The same, to be judged."""
-        of = "each speed by itself" if self.by_least_squares else "smooth functions over all speeds"
-        return Deviations(self.answer, self.deviation, of)
+        origin = "each speed by itself" if self.by_least_squares else "smooth functions over all speeds"
+        return Deviations(self.answer, self.deviation, origin)
 
     def relative(self, node: int) -> dict[str, np.ndarray]:
         """Coefficient -> (S,) standard deviation over size."""
@@ -185,9 +185,9 @@ def _smooth_deviation(rows: np.ndarray, features: np.ndarray) -> np.ndarray:
     triangle = np.linalg.qr(stacked / size, mode="r")
     deviation = np.empty((n_speeds, n_active))
     for a in range(n_active):
-        own = np.zeros((n_active, count, n_speeds))
-        own[a] = features[a].T
-        carried = solve_triangular(triangle, own.reshape(-1, n_speeds) / size[:, None], trans="T")
+        slopes = np.zeros((n_active, count, n_speeds))
+        slopes[a] = features[a].T
+        carried = solve_triangular(triangle, slopes.reshape(-1, n_speeds) / size[:, None], trans="T")
         deviation[:, a] = np.linalg.norm(carried, axis=0)
     return deviation
 

@@ -50,7 +50,7 @@ def expand(equations: ResponseEquations, displacement: np.ndarray, deviation: np
     if n_channels < count:
         return None
     force = np.empty((n_speeds, count, n_runs), dtype=complex)
-    moved, receptance = np.empty_like(force), np.empty((n_speeds, n_runs, count, count), dtype=complex)
+    displacements, receptance = np.empty_like(force), np.empty((n_speeds, n_runs, count, count), dtype=complex)
     covariance = np.empty_like(receptance)
     for block in equations.blocks:
         for i, run in enumerate(block.runs):
@@ -61,19 +61,23 @@ def expand(equations: ResponseEquations, displacement: np.ndarray, deviation: np
             if (np.linalg.svd(matrix / length, compute_uv=False)[:, -1] < _DEPENDENT).any():
                 return None
             inverse = np.linalg.pinv(matrix / length) / length.swapaxes(1, 2)
-            found = inverse @ ((displacement[:, :, run] - block.forced_sensors[:, :, i]) * weight)[..., None]
-            force[..., run] = found[..., 0]
-            moved[..., run] = block.forced_bearings[..., i] + (block.receptance_bearings @ found)[..., 0]
+            solved = inverse @ ((displacement[:, :, run] - block.forced_sensors[:, :, i]) * weight)[..., None]
+            force[..., run] = solved[..., 0]
+            displacements[..., run] = block.forced_bearings[..., i] + (block.receptance_bearings @ solved)[..., 0]
             covariance[:, run] = inverse @ inverse.conj().swapaxes(1, 2)
             receptance[:, run] = block.receptance_bearings
-            force[~here, :, run], moved[~here, :, run] = 0.0, 0.0
+            force[~here, :, run], displacements[~here, :, run] = 0.0, 0.0
             covariance[~here, run] = UNMEASURED * np.eye(count)
     return Expansion(
-        bearing_equations_of(equations, force - equations.reference * moved, moved), receptance, covariance
+        bearing_equations_of(equations, force - equations.reference * displacements, displacements),
+        receptance,
+        covariance,
     )
 
 
-def bearing_equations_of(equations: ResponseEquations, force: np.ndarray, moved: np.ndarray) -> BearingEquations:
+def bearing_equations_of(
+    equations: ResponseEquations, force: np.ndarray, displacements: np.ndarray
+) -> BearingEquations:
     """The residual ``r = force + H q`` from forces and displacements at the bearings, (S, 2 B, R) each."""
     shape = (len(force), len(equations.bearing_nodes), 2, force.shape[2])
     return BearingEquations(
@@ -81,7 +85,7 @@ def bearing_equations_of(equations: ResponseEquations, force: np.ndarray, moved:
         equations.speeds,
         equations.frequencies,
         force.reshape(shape).swapaxes(0, 1),
-        moved.reshape(shape).swapaxes(0, 1),
+        displacements.reshape(shape).swapaxes(0, 1),
     )
 
 

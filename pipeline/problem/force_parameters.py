@@ -38,8 +38,8 @@ def update_excitations(
 ) -> VibrationDataset:
     """The data set with the weights at parameters ``values`` (T,)."""
     shifts = _shifts(parameters, values)
-    moved = [_vector(one, _effective(one, i, shifts)) for i, one in number_excitations(dataset.excitations)]
-    return replace(dataset, excitations=tuple(moved)) if shifts else dataset
+    updated = [_vector(weight, _effective(weight, i, shifts)) for i, weight in number_excitations(dataset.excitations)]
+    return replace(dataset, excitations=tuple(updated)) if shifts else dataset
 
 
 def force_change(
@@ -52,15 +52,15 @@ def force_change(
     parameter, shifts = parameters[t], _shifts(parameters, values)
     if parameter.kind not in (*OF_WEIGHT, *OF_ALL_WEIGHTS):
         return None
-    moved = []
-    for i, one in number_excitations(dataset.excitations):
+    changes = []
+    for i, weight in number_excitations(dataset.excitations):
         if parameter.kind in OF_WEIGHT:
-            acts = (one.run, i) == (parameter.detail, parameter.place)
+            acts = (weight.run, i) == (parameter.detail, parameter.place)
         else:
-            acts = one.kind == "unbalance"
+            acts = weight.kind == "unbalance"
         if acts:
-            moved.append(_vector(one, parameter.deviation * _derive(one, i, shifts, parameter)))
-    return assemble_forces(rotor, tuple(moved), dataset.runs, dataset.frequencies) if moved else None
+            changes.append(_vector(weight, parameter.deviation * _derive(weight, i, shifts, parameter)))
+    return assemble_forces(rotor, tuple(changes), dataset.runs, dataset.frequencies) if changes else None
 
 
 _Shifts = Mapping[tuple[str, str, int], float]
@@ -77,7 +77,7 @@ def _parts(excitation: Excitation, i: int, shifts: _Shifts) -> tuple[float, comp
     """Magnitude and turn of a weight, and the a of ``U (1 + a |U|)``."""
     law = 0j
     if excitation.kind == "unbalance":
-        law = sum((part * shifts.get(("weight_law", name, 0), 0.0) for name, part in PARTS.items()), 0j)
+        law = sum((unit * shifts.get(("weight_law", name, 0), 0.0) for name, unit in PARTS.items()), 0j)
     common = shifts.get(("weight_angle", "", 0), 0.0) if excitation.kind == "unbalance" else 0.0
     turn = excitation.phase + common + shifts.get(("unbalance_phase", excitation.run, i), 0.0)
     size = excitation.magnitude * (1 + shifts.get(("unbalance_magnitude", excitation.run, i), 0.0))

@@ -110,7 +110,7 @@ def _judge(
     equations: BearingEquations, members: LinearResidual, m: int, bearings: tuple[int, ...], constant: bool
 ) -> Identifiability:
     present = members.unknowns.present[m]
-    names = tuple(name for name, there in zip(members.unknowns.names, present, strict=True) if there)
+    names = tuple(name for name, identified in zip(members.unknowns.names, present, strict=True) if identified)
     columns = unit_columns(members.matrix[m][..., present])
     singular, free = decompose(columns)
     rank = count_determined(singular)

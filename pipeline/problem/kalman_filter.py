@@ -59,7 +59,7 @@ class BearingFilter:
         data = self.measurement
         table, equations = data.table(values), data.response
         force = np.empty((len(table.speeds), 2 * len(table.nodes), measured.shape[2]), dtype=complex)
-        moved = np.empty_like(force)  # at the bearings; the force is that of the bearings on the shaft
+        displacements = np.empty_like(force)  # at the bearings; the force is that of the bearings on the shaft
         for block in equations.blocks:
             response = respond(block, equations.change(table, block))
             impedance = table.impedance(block.frequencies)  # (B, S, 2, 2)
@@ -69,10 +69,10 @@ class BearingFilter:
                 gain = _gain(response.receptance_sensors, prior, data.deviation[:, :, run])
                 unknown = gain @ (measured[:, :, run] - response.sensors[:, :, i])[..., None]
                 motion = response.bearings[:, :, [i]] + response.receptance_bearings @ unknown
-                moved[..., run] = motion[..., 0]
+                displacements[..., run] = motion[..., 0]
                 force[..., run] = (unknown - _product(impedance, motion))[..., 0]
-        found = bearing_equations_of(equations, force, moved)
-        return per_speed_least_squares(linear_residual(found, data.unknowns, data.known))[0]
+        equations_at = bearing_equations_of(equations, force, displacements)
+        return per_speed_least_squares(linear_residual(equations_at, data.unknowns, data.known))[0]
 
 
 def filter_bearings(measurement: Measurement) -> tuple[np.ndarray, np.ndarray]:
@@ -86,9 +86,9 @@ def filter_bearings(measurement: Measurement) -> tuple[np.ndarray, np.ndarray]:
         todo = np.flatnonzero(~(settled & (least <= _EXPLAINED)))
         if not len(todo):
             break
-        part = problem.at(todo)
-        values, still = _settle(part, size * start[:, todo], direct)
-        left_over = np.where(still, part.mean_square(values), np.inf)
+        waiting = problem.at(todo)
+        values, still = _settle(waiting, size * start[:, todo], direct)
+        left_over = np.where(still, waiting.mean_square(values), np.inf)
         better = left_over < least[todo]
         best[:, todo[better]], least[todo[better]] = values[:, better], left_over[better]
         settled[todo[better]] = True
@@ -105,14 +105,14 @@ def _settle(problem: BearingFilter, values: np.ndarray, direct: np.ndarray) -> t
             todo = np.flatnonzero(~still)
             if not len(todo):
                 break
-            part, own = problem.at(todo), values[:, todo]
+            waiting, estimates = problem.at(todo), values[:, todo]
             for _ in range(_ROUNDS_AT_ONCE):
-                new = part.update(own, part.measurement.dataset.displacement)
-                new = np.where(direct, np.clip(new, own / _STEP, own * _STEP), new)
-                new = np.where(np.isfinite(new), new, own)
-                change = np.abs(new - own) <= _SETTLED * np.maximum(np.abs(new), np.abs(own))
-                own = new
-            values[:, todo], still[todo] = own, np.all(change, axis=(0, 2))
+                new = waiting.update(estimates, waiting.measurement.dataset.displacement)
+                new = np.where(direct, np.clip(new, estimates / _STEP, estimates * _STEP), new)
+                new = np.where(np.isfinite(new), new, estimates)
+                change = np.abs(new - estimates) <= _SETTLED * np.maximum(np.abs(new), np.abs(estimates))
+                estimates = new
+            values[:, todo], still[todo] = estimates, np.all(change, axis=(0, 2))
     return values, still
 
 

@@ -40,8 +40,8 @@ class LawCandidates:
 
     def merit(self, states: Sequence[int], runs: Sequence[int]) -> float:
         """Smaller is better."""
-        own = self.with_runs(states, runs).deviation[self.wanted]
-        return float(own.max() + _MEAN * own.mean())
+        deviation = self.with_runs(states, runs).deviation[self.wanted]
+        return float(deviation.max() + _MEAN * deviation.mean())
 
 
 @dataclass(frozen=True)
@@ -75,13 +75,17 @@ def _choose_states(candidates: LawCandidates, count: int) -> tuple[int, ...]:
         return candidates.merit(states, range(n_runs))
 
     sets = list(itertools.islice(itertools.combinations(range(n_states), count), _MOST_SETS + 1))
-    return exchange(merit, n_states, count) if len(sets) > _MOST_SETS else find_least({of: merit(of) for of in sets})
+    return (
+        exchange(merit, n_states, count)
+        if len(sets) > _MOST_SETS
+        else find_least({chosen: merit(chosen) for chosen in sets})
+    )
 
 
 def _choose_runs(candidates: LawCandidates, states: tuple[int, ...], most: int, accuracy: float) -> LawPlan:
     n_runs, plan = candidates.readings.shape[1], LawPlan(states, (), np.inf)
     for count in range(1, most + 1):
-        runs = exchange(lambda of: candidates.merit(states, of), n_runs, count)
+        runs = exchange(lambda chosen: candidates.merit(states, chosen), n_runs, count)
         plan = LawPlan(states, runs, candidates.worst(states, runs))
         if plan.worst <= accuracy:
             break

@@ -92,14 +92,14 @@ class LawInformation:
         if not count:
             return ()
         first = _choose_leaders(open_)
-        found = []
+        combinations = []
         for direction in np.linalg.solve(open_[first].T, open_.T):
             shares = direction / np.linalg.norm(direction)
             by_name = {parameter.name: float(share) for parameter, share in zip(self.parameters, shares, strict=True)}
             order = rank({name: abs(share) for name, share in by_name.items()})
             sign = np.sign(by_name[order[0]])
-            found.append({name: sign * by_name[name] for name in order if abs(by_name[name]) >= _LEADING})
-        return tuple(found)
+            combinations.append({name: sign * by_name[name] for name in order if abs(by_name[name]) >= _LEADING})
+        return tuple(combinations)
 
 
 def _choose_leaders(directions: np.ndarray) -> list[int]:
@@ -107,8 +107,8 @@ def _choose_leaders(directions: np.ndarray) -> list[int]:
     rest, chosen = directions.copy(), []
     for _ in range(directions.shape[1]):
         chosen.append(rank_indices((rest**2).sum(axis=1))[0])
-        along = rest[chosen[-1]] / np.linalg.norm(rest[chosen[-1]])
-        rest = rest - np.outer(rest @ along, along)
+        unit = rest[chosen[-1]] / np.linalg.norm(rest[chosen[-1]])
+        rest = rest - np.outer(rest @ unit, unit)
     return sorted(chosen)
 
 
@@ -150,14 +150,14 @@ def at_state(measurement: Measurement, operating: Mapping[str, np.ndarray]) -> M
     """The same runs at other ``operating`` conditions (S,), read as the laws at their guesses foretell."""
     data = replace(measurement.dataset, operating=dict(operating))
     known = replace(measurement.known, operating=dict(operating))
-    moved = replace(measurement, dataset=data, known=known)
-    vars(moved)["response"] = measurement.response
-    shown = measurement.response.predict(moved.table(_evaluate(moved)[0]))
+    measured = replace(measurement, dataset=data, known=known)
+    vars(measured)["response"] = measurement.response
+    shown = measurement.response.predict(measured.table(_evaluate(measured)[0]))
     present = data.present
     shown = shown if present is None else np.where(present[:, None], shown, 0.0)
-    moved = replace(moved, dataset=replace(data, displacement=shown))
-    vars(moved)["response"] = measurement.response
-    return moved
+    measured = replace(measured, dataset=replace(data, displacement=shown))
+    vars(measured)["response"] = measurement.response
+    return measured
 
 
 def try_warmer(measurement: Measurement) -> tuple[np.ndarray, LawInformation] | None:
@@ -169,10 +169,10 @@ def try_warmer(measurement: Measurement) -> tuple[np.ndarray, LawInformation] | 
     if OIL_TEMPERATURE not in _laws_of(measurement).inputs:
         return None
     lines = [points for _, points in split_states(data.speeds, data.operating)]
-    points = np.sort(max(lines, key=lambda of: float(data.operating[OIL_TEMPERATURE][of].mean())))
-    part = measurement.select(points)
-    warmer = part.dataset.operating[OIL_TEMPERATURE] + FURTHER
-    more = law_rows(at_state(part, {**part.dataset.operating, OIL_TEMPERATURE: warmer}))
+    points = np.sort(max(lines, key=lambda line: float(data.operating[OIL_TEMPERATURE][line].mean())))
+    warmest = measurement.select(points)
+    warmer = warmest.dataset.operating[OIL_TEMPERATURE] + FURTHER
+    more = law_rows(at_state(warmest, {**warmest.dataset.operating, OIL_TEMPERATURE: warmer}))
     return warmer, inform(measurement).plus(add_rows(more))
 
 
@@ -180,19 +180,19 @@ def require_temperatures(laws: LawSet, operating: Mapping[str, np.ndarray]) -> N
     """Raise IdentifiabilityError where the oil temperatures (S,) in K leave a number of the oil unread."""
     import torch
 
-    own = [i for i, parameter in enumerate(laws.parameters) if parameter.name.startswith("oil.")]
-    if laws.oil is None or not laws.oil.needs_temperature or not own or OIL_TEMPERATURE not in operating:
+    oil = [i for i, parameter in enumerate(laws.parameters) if parameter.name.startswith("oil.")]
+    if laws.oil is None or not laws.oil.needs_temperature or not oil or OIL_TEMPERATURE not in operating:
         return
     temperature = np.asarray(operating[OIL_TEMPERATURE], dtype=float)
     theta = torch.zeros(1, len(laws.parameters), dtype=torch.float64)
-    slopes = laws.oil.log_viscosity(theta, torch.from_numpy(temperature.copy()))[1][0, :, own].numpy()
+    slopes = laws.oil.log_viscosity(theta, torch.from_numpy(temperature.copy()))[1][0, :, oil].numpy()
     singular = np.linalg.svd(slopes / np.sqrt(len(slopes)), compute_uv=False)
-    if len(singular) == len(own) and singular[-1] >= _SAME_OIL:
+    if len(singular) == len(oil) and singular[-1] >= _SAME_OIL:
         return
-    names = [laws.parameters[i].name for i in own]
+    names = [laws.parameters[i].name for i in oil]
     low, high = temperature.min() - _ZERO_CELSIUS, temperature.max() - _ZERO_CELSIUS
     came = f"all readings are at {low:.4g} degC" if high - low < 1 else f"they are at {low:.4g} to {high:.4g} degC"
-    needed = "two" if len(own) < 3 else "three"
+    needed = "two" if len(oil) < 3 else "three"
     raise IdentifiabilityError(
         f"{' and '.join(names)} must be read from {needed} oil temperatures or more, but {came}: measure at a further "
         f"oil temperature, {FURTHER:g} K apart, or give {names[-1]} in machine.laws as a known number (force=true fits "

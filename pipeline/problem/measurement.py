@@ -111,8 +111,8 @@ class Measurement:
         else:
             path = Path(known or "known_coefficients.csv")
             table = read_coefficients(path, nodes, dataset.speeds, dict.fromkeys(nodes, others), dataset.operating)
-        found = unknown_set(dict.fromkeys(nodes, asked), shared, tuple(unbalance_planes))
-        return cls(model, dataset, table, noise, found, guess)
+        unknown = unknown_set(dict.fromkeys(nodes, asked), shared, tuple(unbalance_planes))
+        return cls(model, dataset, table, noise, unknown, guess)
 
     @cached_property
     def deviation(self) -> np.ndarray:
@@ -152,9 +152,9 @@ class Measurement:
             data = update_excitations(data, self.parameters, self.parameter_values)
             sensors = sensor_matrix(data, rotor, self.parameters, self.parameter_values)
             bow = bow_force(self.parameters, self.parameter_values, self.rotor)
-        found = response_equations(rotor, data, self.guess.stiffness, self.unknowns.planes, sensors, bow)
+        solved = response_equations(rotor, data, self.guess.stiffness, self.unknowns.planes, sensors, bow)
         shown = runout(self.parameters, self.parameter_values, len(data.channels))
-        return found.shifted(shown[:, None] * self.synchronous()) if shown.any() else found
+        return solved.shifted(shown[:, None] * self.synchronous()) if shown.any() else solved
 
     @cached_property
     def variations(self) -> tuple[ResponseBlock, ...]:
@@ -204,22 +204,22 @@ class Measurement:
         """The same at the ``speeds`` (mask or index) and for the ``runs`` (ascending indices); None for all."""
         keep = np.arange(len(self.dataset.speeds)) if speeds is None else speeds
         dataset = self.dataset.at(keep)
-        part = replace(
+        selected = replace(
             self,
             dataset=dataset if runs is None else dataset.of_runs(runs),
             known=self.known.at(keep),
             drift=None if self.drift is None else self.drift.select(keep, runs),
         )
         if "response" in vars(self):  # what is solved once is not solved again for a part of it
-            vars(part)["response"] = self.response.at(keep, runs)
-        return part
+            vars(selected)["response"] = self.response.at(keep, runs)
+        return selected
 
     def without_laws(self) -> Measurement:
         """The same for a model of curves."""
-        part = replace(self, laws=None)
+        curves = replace(self, laws=None)
         if "response" in vars(self):
-            vars(part)["response"] = self.response
-        return part
+            vars(curves)["response"] = self.response
+        return curves
 
     def table(self, values: np.ndarray) -> BearingTable:
         """All eight coefficients, from unknowns (M, S, U) and the known ones."""
@@ -237,9 +237,9 @@ class Measurement:
         unknowns, data = replace(self.unknowns, planes=()), self.dataset
         turning = next((b.runs for b in self.response.blocks if b.unit_sensors.shape[-1] and len(b.runs) > 1), None)
         if turning is None:
-            part = replace(self, unknowns=unknowns, parameters=(), values=())
-            vars(part)["response"] = replace(self.response, planes=())
-            return part
+            subtracted = replace(self, unknowns=unknowns, parameters=(), values=())
+            vars(subtracted)["response"] = replace(self.response, planes=())
+            return subtracted
         first = turning[0]
         rest = np.delete(np.arange(len(data.runs)), first)
         turns = np.isin(rest, turning)
@@ -248,7 +248,7 @@ class Measurement:
         less = data.of_runs(rest)
         # Of two runs with the same baseline the readings themselves differ: the baseline cancels with its noise.
         read = np.where(turns, before[..., [first]] + data.displacement[..., [first]], before[..., rest])
-        part = replace(
+        subtracted = replace(
             self,
             dataset=replace(less, displacement=less.displacement - taken, subtracted=read),
             drift=None if self.drift is None else self.drift.select(np.arange(len(data.speeds)), rest),
@@ -257,8 +257,8 @@ class Measurement:
             values=(),
         )
         blocks = [_less_first(block, first, rest) for block in self.response.blocks]
-        vars(part)["response"] = replace(self.response, planes=(), blocks=tuple(b for b in blocks if len(b.runs)))
-        return part
+        vars(subtracted)["response"] = replace(self.response, planes=(), blocks=tuple(b for b in blocks if len(b.runs)))
+        return subtracted
 
 
 def _less_first(block: ResponseBlock, first: int, rest: np.ndarray) -> ResponseBlock:

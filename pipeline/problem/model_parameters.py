@@ -46,7 +46,9 @@ def model_parameters(
     """
     parameters: list[ModelParameter] = []
     for kind, deviation in deviations.items():
-        own = [ModelParameter(kind, deviation, *place) for place in _places(kind, rotor, dataset, known, unknowns)]
+        kind_parameters = [
+            ModelParameter(kind, deviation, *place) for place in _places(kind, rotor, dataset, known, unknowns)
+        ]
         if kind in OF_COUPLING:
             if not coupling_node < rotor.n_nodes:
                 raise ConfigError(
@@ -58,15 +60,15 @@ def model_parameters(
                     "identify.coupling_node must be a node without a bearing, since no vibration tells a coupling from "
                     f"the bearing beside it, but got the bearing node {coupling_node}"
                 )
-            own = [ModelParameter(kind, deviation, f"node {coupling_node}", coupling_node)]
+            kind_parameters = [ModelParameter(kind, deviation, f"node {coupling_node}", coupling_node)]
         if kind in _ALONG_SHAFT:
-            _require_on_shaft(own, rotor, dataset)
-        if not own:
+            _require_on_shaft(kind_parameters, rotor, dataset)
+        if not kind_parameters:
             raise ConfigError(
                 f"identify.model_parameters.{kind} must belong to something that the machine has, but it has "
                 f"{_MISSING[kind]}: leave it out"
             )
-        parameters += own
+        parameters += kind_parameters
     return tuple(parameters)
 
 
@@ -84,14 +86,20 @@ _ALONG_SHAFT = ("bearing_position", "probe_position")
 def _require_on_shaft(parameters: Sequence[ModelParameter], rotor: RotorModel, dataset: VibrationDataset) -> None:
     """Raise ConfigError where one deviation along the shaft leaves it."""
     first, last = float(rotor.positions[0]), float(rotor.positions[-1])
-    for one in parameters:
-        node = rotor.bearing_nodes[one.place] if one.kind == "bearing_position" else dataset.channels[one.place][0]
+    for parameter in parameters:
+        node = (
+            rotor.bearing_nodes[parameter.place]
+            if parameter.kind == "bearing_position"
+            else dataset.channels[parameter.place][0]
+        )
         place = float(rotor.positions[node])
-        room = max(place - first, last - place) if one.kind == "probe_position" else min(place - first, last - place)
-        if one.deviation > room:
+        room = (
+            max(place - first, last - place) if parameter.kind == "probe_position" else min(place - first, last - place)
+        )
+        if parameter.deviation > room:
             raise ConfigError(
-                f"identify.model_parameters.{one.kind} must leave node {node} on the shaft, whose end is "
-                f"{1e3 * room:g} mm from it, but got {1e3 * one.deviation:g} mm: state less, or model the shaft's end"
+                f"identify.model_parameters.{parameter.kind} must leave node {node} on the shaft, whose end is "
+                f"{1e3 * room:g} mm from it, but got {1e3 * parameter.deviation:g} mm: state less, or model the shaft's end"
             )
 
 
@@ -105,14 +113,14 @@ def _places(
         for node in dict.fromkeys(rotor.disc_nodes):
             yield f"node {node}", node, ""
     if kind in OF_WEIGHT:
-        for i, one in number_excitations(dataset.excitations):
-            if one.kind == "unbalance":
-                yield f"{one.run} node {one.node}", i, one.run
+        for i, weight in number_excitations(dataset.excitations):
+            if weight.kind == "unbalance":
+                yield f"{weight.run} node {weight.node}", i, weight.run
     if kind == "weight_angle" and any(excitation.kind == "unbalance" for excitation in dataset.excitations):
         yield "", 0, ""
     if kind == "weight_law" and any(excitation.kind == "unbalance" for excitation in dataset.excitations):
-        for part in PARTS:
-            yield part, 0, part
+        for component in PARTS:
+            yield component, 0, component
     if kind == "bearing_position":
         for b, node in enumerate(rotor.bearing_nodes):
             yield f"node {node}", b, ""
@@ -120,15 +128,15 @@ def _places(
     if kind == "bow" and shown and len(rotor.bearing_nodes) > 1:
         for node in dict.fromkeys(rotor.disc_nodes):
             if node not in rotor.bearing_nodes:
-                for part in PARTS:
-                    yield f"node {node} {part}", node, part
+                for component in PARTS:
+                    yield f"node {node} {component}", node, component
     if kind in OF_PROBE:
         for p, (node, angle) in enumerate(dataset.channels):
             yield f"node {node} {name_direction(angle)}", p, ""
     if kind == "runout" and shown:
         for p, (node, angle) in enumerate(dataset.channels):
-            for part in PARTS:
-                yield f"node {node} {name_direction(angle)} {part}", p, part
+            for component in PARTS:
+                yield f"node {node} {name_direction(angle)} {component}", p, component
     if kind == "known_coefficients":
         for b, c in np.argwhere(~unknowns.identified & known.values.any(axis=1)):
             yield f"{COEFFICIENTS[c]} node {known.nodes[b]}", int(b), COEFFICIENTS[c]
@@ -186,12 +194,12 @@ def runout(parameters: Sequence[ModelParameter], values: np.ndarray, n_channels:
 
 def _probe(parameters: Sequence[ModelParameter], values: np.ndarray, channel: int) -> dict[str, float]:
     """Shifts of a channel's gain, angle and position along the shaft."""
-    own = [
+    shifts = [
         (p.kind, p.deviation * float(v))
         for p, v in zip(parameters, values, strict=True)
         if p.kind in OF_PROBE and p.place == channel
     ]
-    return dict.fromkeys(OF_PROBE, 0.0) | dict(own)
+    return dict.fromkeys(OF_PROBE, 0.0) | dict(shifts)
 
 
 def _channel(

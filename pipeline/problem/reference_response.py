@@ -63,20 +63,20 @@ def _solved(
         forces = forces + bow[:, None] * turns_with_rotor(dataset)
     system = banded(rotor)
     for runs, w in _group_alike(dataset):
-        own_planes = list(planes) if synchronous(w, speeds).all() else []
-        width = len(runs) + len(own_planes) + loads.shape[1]
+        turning_planes = list(planes) if synchronous(w, speeds).all() else []
+        width = len(runs) + len(turning_planes) + loads.shape[1]
         right = np.zeros((len(speeds), rotor.n_dof, width), dtype=complex)
         right[..., : len(runs)] = forces[..., runs]
-        for n, node in enumerate(own_planes):
+        for n, node in enumerate(turning_planes):
             right[:, translation_dof(node, 0), len(runs) + n] = w**2
             right[:, translation_dof(node, 1), len(runs) + n] = -1j * w**2
-        right[..., len(runs) + len(own_planes) :] = loads
+        right[..., len(runs) + len(turning_planes) :] = loads
         response = solve(system, w, speeds, right, impedance, places.dof)
         for i, run in enumerate(runs):
-            own = dataset.frequencies[:, run]
-            if (own != w).any():
-                response[..., [i]] = solve(system, own, speeds, right[..., [i]], impedance, places.dof)
-        yield _Solved(runs=runs, frequencies=w, planes=len(own_planes), response=response)
+            frequencies = dataset.frequencies[:, run]
+            if (frequencies != w).any():
+                response[..., [i]] = solve(system, frequencies, speeds, right[..., [i]], impedance, places.dof)
+        yield _Solved(runs=runs, frequencies=w, planes=len(turning_planes), response=response)
 
 
 def _group_alike(dataset: VibrationDataset) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -120,7 +120,7 @@ def response_equations(
     places, reference = bearing_places(rotor), stiffness * (1 + 1j * REFERENCE_LOSS)
     seen = dataset.sensor_matrix(rotor.n_dof) if sensors is None else sensors
     solved = _solved(rotor, dataset, reference, planes, bow)
-    blocks = tuple(one.block(places.show(one.response), seen @ one.response) for one in solved)
+    blocks = tuple(group.block(places.show(group.response), seen @ group.response) for group in solved)
     return ResponseEquations(rotor.bearing_nodes, dataset.speeds, reference, tuple(planes), blocks)
 
 
@@ -136,36 +136,36 @@ def response_variations(
 
     ``rotor`` and ``dataset`` are the stated ones. Bearings are not varied here: they follow from their coefficients.
     """
-    moved, data = update_rotor(rotor, parameters, values), update_excitations(dataset, parameters, values)
-    sensors, bow = sensor_matrix(dataset, moved, parameters, values), bow_force(parameters, values, rotor)
-    places, everything, system = bearing_places(moved), np.arange(rotor.n_dof), banded(moved)
+    updated, data = update_rotor(rotor, parameters, values), update_excitations(dataset, parameters, values)
+    sensors, bow = sensor_matrix(dataset, updated, parameters, values), bow_force(parameters, values, rotor)
+    places, everything, system = bearing_places(updated), np.arange(rotor.n_dof), banded(updated)
     reference, speeds, turns = stiffness * (1 + 1j * REFERENCE_LOSS), dataset.speeds, turns_with_rotor(dataset)
-    impedance, blocks = _impedance(moved, len(speeds), reference), []
-    for one in _solved(moved, data, reference, planes, bow):
-        at_bearings, at_sensors, own = [], [], slice(0, len(one.runs))
+    impedance, blocks = _impedance(updated, len(speeds), reference), []
+    for group in _solved(updated, data, reference, planes, bow):
+        at_bearings, at_sensors, forced = [], [], slice(0, len(group.runs))
         for t, parameter in enumerate(parameters):
-            right, beside = np.zeros_like(one.response), np.zeros((1, 1))
+            right, beside = np.zeros_like(group.response), np.zeros((1, 1))
             if (change := rotor_change(parameter, rotor)) is not None:
-                right -= apply(change, everything, everything, one.frequencies, speeds, one.response)
+                right -= apply(change, everything, everything, group.frequencies, speeds, group.response)
             if (force := force_change(t, parameters, values, rotor, dataset)) is not None:
-                right[..., own] += force[..., one.runs]
+                right[..., forced] += force[..., group.runs]
             if (bent := bow_change(parameter, rotor)) is not None:
-                right[..., own] += bent[:, None] * turns[one.runs]
+                right[..., forced] += bent[:, None] * turns[group.runs]
             if parameter.kind == "bearing_position":
-                tilted, beside = _tilt(moved, parameter, reference, one.response)
+                tilted, beside = _tilt(updated, parameter, reference, group.response)
                 right += tilted
             response = right
             if right.any():  # the probes and the known coefficients move nothing on the reference bearings
-                response = solve(system, one.frequencies, speeds, right, impedance, places.dof)
+                response = solve(system, group.frequencies, speeds, right, impedance, places.dof)
             shown = sensors @ response
-            if (seen := sensor_change(parameter, dataset, moved, parameters, values)) is not None:
-                shown = shown + seen @ one.response
+            if (seen := sensor_change(parameter, dataset, updated, parameters, values)) is not None:
+                shown = shown + seen @ group.response
             if parameter.kind == "runout":  # what the sensors show besides is none of the rotor's
                 vector = runout([parameter], np.ones(1), len(dataset.channels))
-                shown[..., own] += vector[:, None] * turns[one.runs]
+                shown[..., forced] += vector[:, None] * turns[group.runs]
             at_bearings.append(places.show(response) + beside)
             at_sensors.append(shown)
-        blocks.append(one.block(np.stack(at_bearings), np.stack(at_sensors)))
+        blocks.append(group.block(np.stack(at_bearings), np.stack(at_sensors)))
     return tuple(blocks)
 
 
@@ -181,8 +181,8 @@ def _tilt(
     rows, slopes = (shaft_rows(rotor, node, shift, slope) for slope in (False, True))
     slopes = parameter.deviation * slopes
     right = -reference * (slopes.T @ (rows @ response) + rows.T @ (slopes @ response))
-    own = slice(TRANSLATIONS * b, TRANSLATIONS * (b + 1))
-    right[..., response.shape[-1] - count :][..., own] += slopes.T
-    moved = np.zeros((len(response), count, response.shape[-1]), dtype=complex)
-    moved[:, own] = slopes @ response
-    return right, moved
+    translations = slice(TRANSLATIONS * b, TRANSLATIONS * (b + 1))
+    right[..., response.shape[-1] - count :][..., translations] += slopes.T
+    displaced = np.zeros((len(response), count, response.shape[-1]), dtype=complex)
+    displaced[:, translations] = slopes @ response
+    return right, displaced

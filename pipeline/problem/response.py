@@ -63,12 +63,12 @@ class ResponseBlock:
     def at(self, keep: np.ndarray, runs: np.ndarray) -> ResponseBlock:
         """The same at the speeds ``keep`` (mask or index), for those of the ``runs`` that it has, numbered anew."""
         mine = np.isin(self.runs, runs)
-        part = self.converted(lambda array: array[keep])
+        selected = self.converted(lambda array: array[keep])
         return replace(
-            part,
+            selected,
             runs=np.searchsorted(runs, self.runs[mine]),
-            forced_sensors=part.forced_sensors[..., mine],
-            forced_bearings=part.forced_bearings[..., mine],
+            forced_sensors=selected.forced_sensors[..., mine],
+            forced_bearings=selected.forced_bearings[..., mine],
         )
 
     def converted(self, convert: Callable[[Array], Array]) -> ResponseBlock:
@@ -82,13 +82,13 @@ class ResponseBlock:
         ``variation`` has the derivatives by the parameters, leading with T.
         """
         library, kept = _library(shift), ("runs", "frequencies")
-        moved = {
+        varied = {
             f.name: getattr(self, f.name)
             + library.tensordot(shift + 0j, getattr(variation, f.name), 1)  # (G, T) and (T, ..)
             for f in fields(self)
             if f.name not in kept
         }
-        return replace(self, **moved)
+        return replace(self, **varied)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,27 +127,27 @@ def respond(
     joined = library.concatenate(right, axis=-1)
     solved = _solve(system, library.broadcast_to(joined, (*change.shape[:-2], *joined.shape[-2:])))
     carried = block.receptance_sensors @ change
-    moved = solved[..., :n_runs]
-    sensors = block.forced_sensors - carried @ moved
+    displacements = solved[..., :n_runs]
+    sensors = block.forced_sensors - carried @ displacements
     units = block.unit_sensors - carried @ solved[..., n_runs : n_runs + n_units]
     if n_units and unbalance is not None:
         residual = unbalance[..., None, :, None]
         sensors = sensors + units @ residual
-        moved = moved + solved[..., n_runs : n_runs + n_units] @ residual
+        displacements = displacements + solved[..., n_runs : n_runs + n_units] @ residual
     if not derivative:
-        return BlockResponse(sensors, moved, units, None, None)
+        return BlockResponse(sensors, displacements, units, None, None)
     at_bearings = solved[..., n_runs + n_units :]
-    return BlockResponse(sensors, moved, units, block.receptance_sensors - carried @ at_bearings, at_bearings)
+    return BlockResponse(sensors, displacements, units, block.receptance_sensors - carried @ at_bearings, at_bearings)
 
 
 def derive(block: ResponseBlock, response: BlockResponse) -> Array:
     """(.., S, P, R, B, 8) derivative of the displacements at the sensors by the coefficients, m over N/m and N s/m."""
     library = _library(response.sensors)
-    through, moved = response.receptance_sensors, response.bearings
+    through, displacements = response.receptance_sensors, response.bearings
     n_bearings = through.shape[-1] // 2
     through = through.reshape(*through.shape[:-1], n_bearings, 2)
-    moved = moved.reshape(*moved.shape[:-2], n_bearings, 2, moved.shape[-1])
-    pairs = -library.einsum("...spbi,...sbjr->...sprbij", through, moved)
+    displacements = displacements.reshape(*displacements.shape[:-2], n_bearings, 2, displacements.shape[-1])
+    pairs = -library.einsum("...spbi,...sbjr->...sprbij", through, displacements)
     by_stiffness = pairs.reshape(*pairs.shape[:-2], 4)
     by_damping = 1j * block.frequencies[:, None, None, None, None] * by_stiffness
     return library.concatenate([by_stiffness, by_damping], axis=-1)

@@ -173,13 +173,13 @@ def ljung_box(residual: np.ndarray, fitted: np.ndarray) -> float | None:
 
     total, freedom = 0.0, 0
     for p, r in np.ndindex(residual.shape[1:]):
-        own = residual[fitted[:, p, r], p, r]
-        n = len(own)
+        series = residual[fitted[:, p, r], p, r]
+        n = len(series)
         lags = min(10, n // 5)
         if lags < 1:
             continue
-        for part in (own.real, own.imag):
-            centred = part - part.mean()
+        for component in (series.real, series.imag):
+            centred = component - component.mean()
             power = float(centred @ centred)
             if power > 0:
                 shares = [float(centred[k:] @ centred[:-k]) / power for k in range(1, lags + 1)]
@@ -201,7 +201,7 @@ def compare_superposed(measurement: Measurement, factor: np.ndarray | None) -> d
     noise = measurement.deviation_of(data.displacement, data.subtracted, factor)
     free = bool(measurement.unknowns.planes) or any(parameter.kind == "bow" for parameter in measurement.parameters)
     whole = slice(None) if data.present is None else data.present.all(axis=1)  # points that every run was measured at
-    found = {}
+    squares = {}
     for r, run in enumerate(data.runs):
         others = [o for o in range(len(data.runs)) if o != r]
         told = superpose_with_noise(data, others, data.excitation_of(r), data.frequencies[:, r], free, noise)
@@ -209,8 +209,8 @@ def compare_superposed(measurement: Measurement, factor: np.ndarray | None) -> d
             summed, spread = told
             off = np.abs(summed - data.displacement[..., r]) ** 2 / (spread**2 + noise[..., r] ** 2)
             if off[whole].size:
-                found[run] = float(off[whole].mean())
-    return found
+                squares[run] = float(off[whole].mean())
+    return squares
 
 
 def _list_priors(measurement: Measurement, uncertainty: Uncertainty) -> dict[str, tuple[float, float]]:

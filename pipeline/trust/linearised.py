@@ -71,16 +71,16 @@ class LinearisedFit:
 
         The variance of that move is what the variance grows by (Hausman 1978).
         """
-        moved = self._without(mask) - self.solve(self.right)
+        step = self._without(mask) - self.solve(self.right)
         spread = np.linalg.inv(self._information(mask)) - np.linalg.inv(self._information(None))
         variance = np.einsum("bscz,zy,bscy->bsc", self.coefficients, spread, self.coefficients, optimize=True)
-        return self.coefficients @ moved, np.sqrt(np.maximum(variance, 0.0))
+        return self.coefficients @ step, np.sqrt(np.maximum(variance, 0.0))
 
     def predict_without(self, mask: np.ndarray) -> float:
         """Mean square error of the readings of ``mask``, predicted from the others, over what noise explains."""
-        moved = self._without(mask)
+        step = self._without(mask)
         chosen = self.by_weight[mask]
-        left = self.residual[mask] - chosen @ moved
+        left = self.residual[mask] - chosen @ step
         spread = np.linalg.inv(self._information(mask))
         expected = 1.0 + np.einsum("nz,zy,ny->n", chosen.conj(), spread, chosen, optimize=True).real
         return float(np.mean(np.abs(left) ** 2 / expected))
@@ -96,34 +96,34 @@ class LinearisedFit:
             return np.zeros(self.coefficients.shape[:3]), {}
         change = np.concatenate(list(self.by_tolerance.values()), axis=-1) * self.fitted[..., None]
         seen = _cross(self.seen, change)
-        moved = -self.coefficients @ self.solve(seen)  # (B, S, 8, T) of readings that the model lacks
+        moves = -self.coefficients @ self.solve(seen)  # (B, S, 8, T) of readings that the model lacks
         room = _cross(change, change) - seen.T @ self.solve(seen)
         asked = _right(change, self.residual) - seen.T @ self.solve(self.right)
         spread = np.linalg.inv(np.eye(len(room)) + room / misfit)
         mean = spread @ asked / misfit
         second = spread + np.outer(mean, mean)
         by_kind, start = {}, 0
-        for kind, own in self.by_tolerance.items():
-            part = slice(start, start := start + own.shape[-1])
-            by_kind[kind] = _quadratic(moved[..., part], second[part, part])
-        return _quadratic(moved, second), by_kind
+        for kind, columns in self.by_tolerance.items():
+            places = slice(start, start := start + columns.shape[-1])
+            by_kind[kind] = _quadratic(moves[..., places], second[places, places])
+        return _quadratic(moves, second), by_kind
 
     def _without(self, mask: np.ndarray) -> np.ndarray:
         """(Z,) the weights' step of a fit without the readings of ``mask``."""
-        own = mask[..., None] * self.seen
-        return self.solve(self.right - _right(own, self.residual), mask)
+        left_out = mask[..., None] * self.seen
+        return self.solve(self.right - _right(left_out, self.residual), mask)
 
     def _information(self, without: np.ndarray | None) -> np.ndarray:
         if without is None:
             return self.normal
-        own = without[..., None] * self.seen
-        return self.normal - _cross(own, own)
+        left_out = without[..., None] * self.seen
+        return self.normal - _cross(left_out, left_out)
 
 
-def _quadratic(moved: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+def _quadratic(slopes: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """(B, S, 8) root of ``m' C m``."""
-    found = np.einsum("bsct,tu,bscu->bsc", moved, covariance, moved, optimize=True)
-    return np.asarray(np.sqrt(np.maximum(found, 0.0)))
+    variance = np.einsum("bsct,tu,bscu->bsc", slopes, covariance, slopes, optimize=True)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
 def _cross(rows: np.ndarray, others: np.ndarray) -> np.ndarray:
@@ -171,13 +171,13 @@ def linearise(
         parts.append(_by_parameters(measurement, answer, by_coefficient, noise))
         priors.append(np.ones(len(names)))
     joined = np.concatenate(parts, axis=-1)
-    moved = np.zeros((*by_number.shape[:3], joined.shape[-1]))
-    moved[..., : by_number.shape[-1]] = by_number
+    by_weight = np.zeros((*by_number.shape[:3], joined.shape[-1]))
+    by_weight[..., : by_number.shape[-1]] = by_number
     return LinearisedFit(
         residual,
         joined,
         _by_tolerances(measurement, answer, by_coefficient, noise) if tolerances else {},
-        moved,
+        by_weight,
         np.concatenate(priors),
         fitted,
     )
@@ -218,31 +218,31 @@ def _by_parameters(
     measurement: Measurement, answer: BearingTable, by_coefficient: np.ndarray, noise: np.ndarray
 ) -> np.ndarray:
     """(S, P, R, T) derivative of the readings over the noise by the measurement's parameters."""
-    found = np.einsum("sprbc,sbct->sprt", by_coefficient, measurement.known_variation).astype(complex)
+    slopes = np.einsum("sprbc,sbct->sprt", by_coefficient, measurement.known_variation).astype(complex)
     for block, variation in zip(measurement.response.blocks, measurement.variations, strict=True):
         change = measurement.response.change(answer, block)
-        own = derive_by_parameters(variation, respond(block, change), change[None], None)[0]
-        found[:, :, block.runs] += own / noise[:, :, block.runs, None]
-    return found
+        block_slopes = derive_by_parameters(variation, respond(block, change), change[None], None)[0]
+        slopes[:, :, block.runs] += block_slopes / noise[:, :, block.runs, None]
+    return slopes
 
 
 def _by_tolerances(
     measurement: Measurement, answer: BearingTable, by_coefficient: np.ndarray, noise: np.ndarray
 ) -> dict[str, np.ndarray]:
     """The tolerances that the fit does not have among its parameters, by kind."""
-    stated, found = {parameter.kind for parameter in measurement.parameters}, {}
+    stated, by_kind = {parameter.kind for parameter in measurement.parameters}, {}
     for kind, size in TOLERANCES.items():
         if kind in stated:
             continue
         try:
-            own = model_parameters(
+            parameters = model_parameters(
                 {kind: size}, measurement.rotor, measurement.dataset, measurement.known, measurement.unknowns
             )
         except ConfigError:  # the machine has none of this kind
             continue
-        data = replace(measurement, parameters=own, values=(), rotor=measurement.updated_rotor)
-        found[kind] = _by_parameters(data, answer, by_coefficient, noise)
-    return found
+        data = replace(measurement, parameters=parameters, values=(), rotor=measurement.updated_rotor)
+        by_kind[kind] = _by_parameters(data, answer, by_coefficient, noise)
+    return by_kind
 
 
 def name_channels(measurement: Measurement) -> list[str]:

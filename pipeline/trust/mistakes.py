@@ -62,17 +62,17 @@ def find_mistakes(
         constant: whether they are the same at all speeds.
         probes: those that the channels x and y were made of; none where channels are probes.
     """
-    own = _as_probes(measurement, probes)
-    names = [probe.name for probe in probes] or [_call(*channel) for channel in own.dataset.channels]
-    base = _Trial(own, values, MOST_SPEEDS, 1 if constant else _TERMS).fit(None)
+    as_probes = _as_probes(measurement, probes)
+    names = [probe.name for probe in probes] or [_call(*channel) for channel in as_probes.dataset.channels]
+    base = _Trial(as_probes, values, MOST_SPEEDS, 1 if constant else _TERMS).fit(None)
     if base.mean_square < WORTH_TRYING:
         return []
-    first = _Trial(own, values, _FIRST_SPEEDS, 1 if constant else _FIRST_TERMS)
+    first = _Trial(as_probes, values, _FIRST_SPEEDS, 1 if constant else _FIRST_TERMS)
     screened = sorted(
         (first.fit(mistake, _FIRST_ROUNDS).mean_square, i) for i, mistake in enumerate(list_mistakes(first.part, names))
     )
     kept = {i for _, i in screened[:_REFINED]}
-    trial = _Trial(own, values, MOST_SPEEDS, 1 if constant else _TERMS)
+    trial = _Trial(as_probes, values, MOST_SPEEDS, 1 if constant else _TERMS)
     tried = [(mistake, trial.fit(mistake)) for i, mistake in enumerate(list_mistakes(trial.part, names)) if i in kept]
     tried.sort(key=lambda pair: pair[1].mean_square * (1.0 if pair[0].extra is None else _LEAVES_FREE))
     best = min(fit.mean_square for _, fit in tried)
@@ -118,14 +118,14 @@ class _Trial:
         """What the readings leave over without the mistake, its penalty included."""
         if mistake is None:
             return quick_fit(self.part, self.start, self.terms)
-        found = quick_fit(mistake.measurement, self.start, self.terms, mistake.extra, rounds)
+        best = quick_fit(mistake.measurement, self.start, self.terms, mistake.extra, rounds)
         if mistake.extra is not None and self.best is not None:
             again = quick_fit(mistake.measurement, self.best.values, self.terms, mistake.extra, rounds)
-            found = min(found, again, key=lambda one: one.mean_square)
-        found = replace(found, mean_square=found.mean_square * mistake.penalty)
-        if self.best is None or found.mean_square < self.best.mean_square:
-            self.best = found
-        return found
+            best = min(best, again, key=lambda fitted: fitted.mean_square)
+        best = replace(best, mean_square=best.mean_square * mistake.penalty)
+        if self.best is None or best.mean_square < self.best.mean_square:
+            self.best = best
+        return best
 
 
 _SMALL = 0.3

@@ -37,10 +37,8 @@ def of_all_readings(measurement: Measurement) -> Iterator[Mistake]:
         "conventions.phase, and the sense of rotation",
         change(measurement, data.displacement.conj(), measurement.deviation),
     )
-    for factor, words in _FACTORS.items():
-        yield Mistake(
-            f"all readings are {_call_factor(factor)}: {words}", "the conventions", scale(measurement, factor)
-        )
+    for factor, text in _FACTORS.items():
+        yield Mistake(f"all readings are {_call_factor(factor)}: {text}", "the conventions", scale(measurement, factor))
     for degrees in (90, 180, 270):
         yield Mistake(
             f"all phases are turned by {degrees} deg: the tacho at the other edge or angle, or all weights",
@@ -80,11 +78,11 @@ def of_probes(measurement: Measurement, names: Sequence[str]) -> Iterator[Mistak
             f"the wiring, the sign of the scale and the angle of '{names[p]}'",
             scale(measurement, sign),
         )
-        for factor, words in _FACTORS.items():
+        for factor, text in _FACTORS.items():
             gain = np.ones((1, count, 1))
             gain[0, p] = factor
             yield Mistake(
-                f"the readings of probe '{names[p]}' are {_call_factor(factor)} (as {words})",
+                f"the readings of probe '{names[p]}' are {_call_factor(factor)} (as {text})",
                 f"the scale of '{names[p]}'",
                 scale(measurement, gain),
             )
@@ -124,8 +122,8 @@ def of_probes(measurement: Measurement, names: Sequence[str]) -> Iterator[Mistak
 
 def _probe_gain(probe: int, count: int) -> Extra:
     def columns(predicted: np.ndarray) -> np.ndarray:
-        own = predicted * (np.arange(count) == probe)[:, None]
-        return np.stack([own, 1j * own], axis=-1)
+        column = predicted * (np.arange(count) == probe)[:, None]
+        return np.stack([column, 1j * column], axis=-1)
 
     return columns
 
@@ -151,11 +149,13 @@ def _of_bearings(measurement: Measurement) -> Iterator[Mistake]:
     data = measurement.dataset
     nodes = list(dict.fromkeys(node for node, _ in data.channels))
     for a, b in itertools.combinations(nodes, 2):
-        of = {node: [p for p, (own, _) in enumerate(data.channels) if own == node] for node in (a, b)}
-        if len(of[a]) != len(of[b]):
+        channels = {
+            node: [p for p, (measured_node, _) in enumerate(data.channels) if measured_node == node] for node in (a, b)
+        }
+        if len(channels[a]) != len(channels[b]):
             continue
         order = list(range(len(data.channels)))
-        for i, j in zip(of[a], of[b], strict=True):
+        for i, j in zip(channels[a], channels[b], strict=True):
             order[i], order[j] = j, i
         yield Mistake(
             f"the probes of node {a} and those of node {b} are exchanged",

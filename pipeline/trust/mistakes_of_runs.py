@@ -30,12 +30,12 @@ def of_runs(measurement: Measurement) -> Iterator[Mistake]:
                 exchange(measurement, order, 2),
             )
     for r, run in enumerate(data.runs):
-        own = data.displacement.copy()
-        own[..., r] = own[..., r].conj()
+        displacement = data.displacement.copy()
+        displacement[..., r] = displacement[..., r].conj()
         yield Mistake(
             f"the phases of run '{run}' have the wrong sign (lag for lead)",
             f"the phase convention of run '{run}'",
-            change(measurement, own, measurement.deviation),
+            change(measurement, displacement, measurement.deviation),
         )
         for degrees in (90, 180, 270):
             turn = np.ones((1, 1, len(data.runs)), dtype=complex)
@@ -64,8 +64,8 @@ def of_runs(measurement: Measurement) -> Iterator[Mistake]:
 
 def _run_gain(run: int, count: int) -> Extra:
     def columns(predicted: np.ndarray) -> np.ndarray:
-        own = predicted * (np.arange(count) == run)
-        return np.stack([own, 1j * own], axis=-1)
+        column = predicted * (np.arange(count) == run)
+        return np.stack([column, 1j * column], axis=-1)
 
     return columns
 
@@ -76,19 +76,19 @@ def of_weights(measurement: Measurement) -> Iterator[Mistake]:
     weights = [i for i, excitation in enumerate(data.excitations) if excitation.kind == "unbalance"]
     planes = dict.fromkeys([*rotor.disc_nodes, *(data.excitations[i].node for i in weights)])
     for i in weights:
-        one = data.excitations[i]
+        weight = data.excitations[i]
         for node in planes:
-            if node != one.node:
+            if node != weight.node:
                 yield Mistake(
-                    f"the weight of run '{one.run}' at node {one.node} is at node {node}",
-                    f"the plane of the weight of run '{one.run}'",
-                    _with_weights(data, measurement, {i: replace(one, node=node)}),
+                    f"the weight of run '{weight.run}' at node {weight.node} is at node {node}",
+                    f"the plane of the weight of run '{weight.run}'",
+                    _with_weights(data, measurement, {i: replace(weight, node=node)}),
                 )
-        if len([e for e in data.excitations if e.run == one.run]) > 1 or abs(np.sin(one.phase)) > _STRAIGHT:
+        if len([e for e in data.excitations if e.run == weight.run]) > 1 or abs(np.sin(weight.phase)) > _STRAIGHT:
             yield Mistake(
-                f"the weight of run '{one.run}' at node {one.node} has the wrong sign of its angle",
+                f"the weight of run '{weight.run}' at node {weight.node} has the wrong sign of its angle",
                 "whether angles on the shaft count with the rotation (shaft_angle)",
-                _with_weights(data, measurement, {i: replace(one, phase=-one.phase)}),
+                _with_weights(data, measurement, {i: replace(weight, phase=-weight.phase)}),
             )
     if any(abs(np.sin(data.excitations[i].phase)) > _STRAIGHT for i in weights):
         mirrored = {i: replace(data.excitations[i], phase=-data.excitations[i].phase) for i in weights}

@@ -48,12 +48,12 @@ def weigh_candidates(
 ) -> Gains:
     """Every candidate beside the runs that there are; ``measurement`` is at the fitted model parameters."""
     nodes = measurement.rotor.n_nodes
-    able = tuple(acting for acting in candidates if all(one.node < nodes for one in acting))
+    able = tuple(acting for acting in candidates if all(weight.node < nodes for weight in acting))
     before = _spread(linear, np.linalg.inv(linear.normal))
     if not able:
         return Gains((), np.empty((0, *before.shape)), before)
     data = measurement.dataset
-    excitations = tuple(replace(one, run=f"candidate {i}") for i, acting in enumerate(able) for one in acting)
+    excitations = tuple(replace(weight, run=f"candidate {i}") for i, acting in enumerate(able) for weight in acting)
     shape = (*data.displacement.shape[:2], len(able))
     plan = replace(
         data,
@@ -66,29 +66,29 @@ def weigh_candidates(
     )
     planned = replace(measurement, dataset=plan, drift=None)  # its runs are conditions of their own
     seen = linearise(planned, identified, uncertainty, np.ones(shape, dtype=bool), factor, tolerances=False).by_weight
-    found = []
+    gains = []
     for i in range(len(able)):
         rows = seen[:, :, i]
         added = 2.0 * np.einsum("spz,spy->zy", rows.conj(), rows, optimize=True).real
-        found.append(_spread(linear, np.linalg.inv(linear.normal + added)))
-    return Gains(able, np.array(found), before)
+        gains.append(_spread(linear, np.linalg.inv(linear.normal + added)))
+    return Gains(able, np.array(gains), before)
 
 
 def _spread(linear: LinearisedFit, covariance: np.ndarray) -> np.ndarray:
-    moved = linear.coefficients
-    variance = np.einsum("bscz,zy,bscy->bsc", moved, covariance, moved, optimize=True)
+    slopes = linear.coefficients
+    variance = np.einsum("bscz,zy,bscy->bsc", slopes, covariance, slopes, optimize=True)
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
 def describe_run(acting: Sequence[Excitation]) -> str:
     """In words: weights and forces with their nodes and angles."""
     phrases = []
-    for one in acting:
-        if one.kind == "unbalance":
-            what = f"a weight of {1e6 * one.magnitude:.3g} g mm at node {one.node}"
+    for weight in acting:
+        if weight.kind == "unbalance":
+            what = f"a weight of {1e6 * weight.magnitude:.3g} g mm at node {weight.node}"
         else:
-            what = f"a {one.whirl} rotating force of {one.magnitude:.3g} N at node {one.node}"
+            what = f"a {weight.whirl} rotating force of {weight.magnitude:.3g} N at node {weight.node}"
         if len(acting) > 1:
-            what += f" at {np.degrees(one.phase):.0f} deg"
+            what += f" at {np.degrees(weight.phase):.0f} deg"
         phrases.append(what)
     return " and ".join(phrases)

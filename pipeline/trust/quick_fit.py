@@ -50,8 +50,8 @@ def quick_fit(
         linear = None
     if linear is not None and np.isfinite(linear).all():
         begins.append(linear)
-    found = [_minimise(measurement, begin, scale, functions, extra, rounds) for begin in begins]
-    return min(found, key=lambda one: one.mean_square)
+    fits = [_minimise(measurement, begin, scale, functions, extra, rounds) for begin in begins]
+    return min(fits, key=lambda fitted: fitted.mean_square)
 
 
 def _within_reason(measurement: Measurement, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -101,8 +101,8 @@ def _minimise(
             if damping > _GIVE_UP:
                 break
     count = measurement.dataset.displacement.size
-    n_own = len(weights) - problem.n_extra
-    return QuickFit(loss / count, problem.values(weights), weights[n_own:])
+    n_coefficients = len(weights) - problem.n_extra
+    return QuickFit(loss / count, problem.values(weights), weights[n_coefficients:])
 
 
 _LONGEST, _STILL, _GIVE_UP = 1.0, 1e-3, 1e8
@@ -121,11 +121,11 @@ class _Problem:
 
     def weights_of(self, values: np.ndarray) -> np.ndarray:
         """(A K + E,) nearest to unknowns (M, S, U)."""
-        own = np.stack([values[m, :, u] for m, u in self.measurement.unknowns.active], axis=1) / self.scale
-        positive = np.log(np.maximum(own, _LEAST))
-        raw = np.where(self.positive, positive, own)
-        found = np.linalg.lstsq(self.functions, raw, rcond=None)[0].T
-        return np.concatenate([found.ravel(), np.zeros(self.n_extra)])
+        relative = np.stack([values[m, :, u] for m, u in self.measurement.unknowns.active], axis=1) / self.scale
+        positive = np.log(np.maximum(relative, _LEAST))
+        raw = np.where(self.positive, positive, relative)
+        solution = np.linalg.lstsq(self.functions, raw, rcond=None)[0].T
+        return np.concatenate([solution.ravel(), np.zeros(self.n_extra)])
 
     def _outputs(self, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(S, A) unknowns and their slope by the raw outputs."""
@@ -144,12 +144,14 @@ class _Problem:
     def normal(self, weights: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """Sum of squares over the noise, its normal matrix and right-hand side."""
         measurement, unknowns = self.measurement, self.measurement.unknowns
-        own, slope = self._outputs(weights)
-        bearings = measurement.table(unknowns.from_active(own))
+        coefficients, slope = self._outputs(weights)
+        bearings = measurement.table(unknowns.from_active(coefficients))
         with np.errstate(all="ignore"):
             predicted = measurement.response.predict(bearings)
-            moved = measurement.response.sensitivity(bearings)
-        by_unknown = np.einsum("sprbc,bca->spra", moved, unknowns.influence, optimize=True) * slope[:, None, None]
+            by_coefficient = measurement.response.sensitivity(bearings)
+        by_unknown = (
+            np.einsum("sprbc,bca->spra", by_coefficient, unknowns.influence, optimize=True) * slope[:, None, None]
+        )
         rows = np.einsum("spra,sk->sprak", by_unknown, self.functions).reshape(*predicted.shape, -1)
         if self.extra is not None:
             more = self.extra(predicted)

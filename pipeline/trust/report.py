@@ -24,20 +24,20 @@ def judge(evidence: Evidence, gains: Gains | None, mistakes: Sequence[Reason] = 
         mistakes: single mistakes that would explain the readings.
     """
     common, nodes = [*mistakes, *judge_machine(evidence)], evidence.answer.nodes
-    found = []
+    verdicts = []
     for b, c in np.argwhere(evidence.identified):
-        own, checks = judge_coefficient(evidence, int(b), int(c))
-        own = [_with_next(one, gains, int(b), int(c)) for one in own]
-        found.append(
+        reasons, checks = judge_coefficient(evidence, int(b), int(c))
+        reasons = [_with_next(judged, gains, int(b), int(c)) for judged in reasons]
+        verdicts.append(
             CoefficientVerdict(
-                int(b) + 1, nodes[b], COEFFICIENTS[c], tuple(_sort([*common, *own])), checks | _common(evidence)
+                int(b) + 1, nodes[b], COEFFICIENTS[c], tuple(_sort([*common, *reasons])), checks | _common(evidence)
             )
         )
-    bearings = [_judge_bearing(node, [one for one in found if one.node == node]) for node in nodes]
+    bearings = [_judge_bearing(node, [judged for judged in verdicts if judged.node == node]) for node in nodes]
     return {
-        "verdicts": [_to_json(one) for one in found],
+        "verdicts": [_to_json(judged) for judged in verdicts],
         "bearings": bearings,
-        "machine": _judge_whole(common, found),
+        "machine": _judge_whole(common, verdicts),
     }
 
 
@@ -48,14 +48,14 @@ def refuse_without_deviations(nodes: Sequence[int], coefficients: Sequence[Seque
         "This loss weighs no noise, so nobody knows how far its answer may be off.",
         "Train with loss=response, which states deviations, and ask again.",
     )
-    found = [
+    verdicts = [
         CoefficientVerdict(b + 1, node, name, (reason,)) for b, node in enumerate(nodes) for name in coefficients[b]
     ]
-    bearings = [_judge_bearing(node, [one for one in found if one.node == node]) for node in nodes]
+    bearings = [_judge_bearing(node, [judged for judged in verdicts if judged.node == node]) for node in nodes]
     return {
-        "verdicts": [_to_json(one) for one in found],
+        "verdicts": [_to_json(judged) for judged in verdicts],
         "bearings": bearings,
-        "machine": _judge_whole([reason], found),
+        "machine": _judge_whole([reason], verdicts),
     }
 
 
@@ -84,7 +84,7 @@ def _common(evidence: Evidence) -> dict[str, Any]:
         for name in ("held_out_speeds", "held_out_runs")
         if name in evidence.fit
     }
-    moved = max(evidence.priors.items(), key=lambda item: abs(item[1][0]), default=None)
+    prior = max(evidence.priors.items(), key=lambda item: abs(item[1][0]), default=None)
     return {
         "mismatch": {
             "chi_square_over_expected": square["value"] / max(square["expected"], 1.0),
@@ -94,7 +94,7 @@ def _common(evidence: Evidence) -> dict[str, Any]:
         "held_out": held_out,
         "predicted_from_other_runs_over_noise": dict(evidence.predicted),
         "superposition_over_noise": dict(evidence.superposed),
-        "model_parameters": None if moved is None else {"most_moved": moved[0], "prior_deviations": moved[1][0]},
+        "model_parameters": None if prior is None else {"most_moved": prior[0], "prior_deviations": prior[1][0]},
         "stability": {"largest_growth": evidence.growth, "unstable_from_rpm": evidence.unstable_rpm},
         "speeds": {"first_rpm": _rpm(evidence, 0), "last_rpm": _rpm(evidence, -1)},
     }
@@ -127,11 +127,11 @@ def _praise(verdict: CoefficientVerdict) -> str:
 
 
 def _judge_bearing(node: int, verdicts: Sequence[CoefficientVerdict]) -> dict[str, Any]:
-    good = [one.coefficient for one in verdicts if one.verdict is Verdict.GOOD]
-    verdict = worst([one.verdict for one in verdicts])
-    if verdict is Verdict.NO and any(one.verdict is not Verdict.NO for one in verdicts):
+    good = [judged.coefficient for judged in verdicts if judged.verdict is Verdict.GOOD]
+    verdict = worst([judged.verdict for judged in verdicts])
+    if verdict is Verdict.NO and any(judged.verdict is not Verdict.NO for judged in verdicts):
         verdict = Verdict.WITH_CARE
-    bad = max(verdicts, key=lambda one: list(Verdict).index(one.verdict), default=None)
+    bad = max(verdicts, key=lambda judged: list(Verdict).index(judged.verdict), default=None)
     if bad is None or bad.verdict is Verdict.GOOD:
         sentence = f"All {len(verdicts)} coefficients are good."
     else:
@@ -140,12 +140,12 @@ def _judge_bearing(node: int, verdicts: Sequence[CoefficientVerdict]) -> dict[st
 
 
 def _judge_whole(common: Sequence[Reason], verdicts: Sequence[CoefficientVerdict]) -> dict[str, Any]:
-    good = sum(one.verdict is Verdict.GOOD for one in verdicts)
-    verdict = worst([one.verdict for one in verdicts])
-    if verdict is Verdict.NO and any(one.verdict is not Verdict.NO for one in verdicts):
+    good = sum(judged.verdict is Verdict.GOOD for judged in verdicts)
+    verdict = worst([judged.verdict for judged in verdicts])
+    if verdict is Verdict.NO and any(judged.verdict is not Verdict.NO for judged in verdicts):
         verdict = Verdict.WITH_CARE
     head = f"{good} of {len(verdicts)} coefficients are good."
-    bad = max(verdicts, key=lambda one: list(Verdict).index(one.verdict), default=None)
+    bad = max(verdicts, key=lambda judged: list(Verdict).index(judged.verdict), default=None)
     reasons = list(common) or ([] if bad is None else list(bad.reasons))
     first = max(reasons, key=lambda reason: list(Verdict).index(reason.verdict), default=None)
     return {
@@ -158,7 +158,7 @@ def _judge_whole(common: Sequence[Reason], verdicts: Sequence[CoefficientVerdict
 def _finite(value: Any) -> Any:
     """JSON has no infinity."""
     if isinstance(value, dict):
-        return {key: _finite(of) for key, of in value.items()}
+        return {key: _finite(entry) for key, entry in value.items()}
     if isinstance(value, float | np.floating):
         return float(value) if np.isfinite(value) else None
     return value

@@ -89,8 +89,8 @@ def judge_mistakes(mistakes: Sequence[Found]) -> list[Reason]:
     if not mistakes:
         return []
     best = mistakes[0]
-    text = "; or ".join(one.sentence for one in mistakes)
-    checks = ", or ".join(dict.fromkeys(one.check for one in mistakes))
+    text = "; or ".join(mistake.sentence for mistake in mistakes)
+    checks = ", or ".join(dict.fromkeys(mistake.check for mistake in mistakes))
     return [
         Reason(
             Verdict.NO if best.gross else Verdict.WITH_CARE,
@@ -100,9 +100,9 @@ def judge_mistakes(mistakes: Sequence[Found]) -> list[Reason]:
     ]
 
 
-def judge_law(found: tuple[str, str] | None) -> list[Reason]:
+def judge_law(contradiction: tuple[str, str] | None) -> list[Reason]:
     """What contradicts the bearing law of the fit, and the next step; nothing for None."""
-    return [] if found is None else [Reason(Verdict.WITH_CARE, *found)]
+    return [] if contradiction is None else [Reason(Verdict.WITH_CARE, *contradiction)]
 
 
 def judge_machine(evidence: Evidence) -> list[Reason]:
@@ -147,8 +147,8 @@ def _judge_misfit(evidence: Evidence) -> list[Reason]:
         ]
     probability = fit["mismatch"]["probability"]
     misfit, white = evidence.misfit, evidence.ljung_box
-    found = min(p for p in (probability, white, 1.0) if p is not None)
-    if found >= SIGNIFICANT or misfit < SMALL_MISFIT:
+    least = min(p for p in (probability, white, 1.0) if p is not None)
+    if least >= SIGNIFICANT or misfit < SMALL_MISFIT:
         return []
     return [
         Reason(
@@ -164,11 +164,11 @@ def _judge_misfit(evidence: Evidence) -> list[Reason]:
 def _judge_runs(evidence: Evidence) -> list[Reason]:
     """Whether the runs agree with each other."""
     reasons = []
-    for what, found in (
+    for what, squares in (
         ("the sum of other runs", evidence.superposed),
         ("the fit of the other runs", evidence.predicted),
     ):
-        bad = {run: size for run, size in found.items() if size / max(1.0, evidence.misfit) > CONTRADICTION}
+        bad = {run: size for run, size in squares.items() if size / max(1.0, evidence.misfit) > CONTRADICTION}
         if bad:
             run = rank(bad)[0]
             reasons.append(
@@ -189,14 +189,14 @@ def _judge_priors(evidence: Evidence) -> list[Reason]:
     if not evidence.priors:
         return []
     limit = max(2.0, float(norm.isf(0.025 / len(evidence.priors))))
-    moved = {name: value for name, (value, _) in evidence.priors.items() if abs(value) > limit}
-    if not moved:
+    shifted = {name: value for name, (value, _) in evidence.priors.items() if abs(value) > limit}
+    if not shifted:
         return []
-    name = rank({one: abs(value) for one, value in moved.items()})[0]
+    name = rank({other: abs(value) for other, value in shifted.items()})[0]
     return [
         Reason(
             Verdict.WITH_CARE,
-            f"The data ask for a {name.replace('_', ' ')} that is {abs(moved[name]):.1f} tolerances away from the "
+            f"The data ask for a {name.replace('_', ' ')} that is {abs(shifted[name]):.1f} tolerances away from the "
             "stated one.",
             f"Measure {name.replace('_', ' ')} again, or state a wider tolerance if it was a guess.",
         )
@@ -268,23 +268,23 @@ def _judge_band(which: str, fit: float, band: float, lost: float, tolerances: di
 
 def _find_move(evidence: Evidence, b: int, c: int) -> tuple[str | None, float, float]:
     """The run or probe without which a coefficient would move most: its name, the move over the band, over noise."""
-    found: tuple[str | None, float, float] = (None, 0.0, 0.0)
+    largest: tuple[str | None, float, float] = (None, 0.0, 0.0)
     for name, (move, spread) in evidence.moves.items():
         with np.errstate(divide="ignore", invalid="ignore"):
             share = _median(np.abs(move[b, :, c]) / evidence.band[b, :, c])
             explained = _median(np.abs(move[b, :, c]) / spread[b, :, c])
         # A band that is wider by a misfit explains a larger move.
         explained /= np.sqrt(max(1.0, evidence.misfit))
-        if np.isfinite(share) and explained > MOVE_EXPLAINED and share > found[1]:
-            found = (name, share, explained)
-    return found
+        if np.isfinite(share) and explained > MOVE_EXPLAINED and share > largest[1]:
+            largest = (name, share, explained)
+    return largest
 
 
 def _median(values: np.ndarray) -> float:
     """Not a number where it is undefined."""
     with np.errstate(invalid="ignore"):
-        found = np.median(np.where(np.isnan(values), np.inf, values))
-    return float(found)
+        median = np.median(np.where(np.isnan(values), np.inf, values))
+    return float(median)
 
 
 def _percent(share: float) -> str:
