@@ -147,20 +147,20 @@ def _locate_jobs(job: Job, jobs: list[list[str]]) -> dict[str, str]:
     """What is a job's own -> its folder. Raises ConfigError where two would write the same files."""
     from pipeline.config.compose import compose_stages
 
-    stages_of: dict[str, set[str]] = {}
+    stages_by_folder: dict[str, set[str]] = {}
     folders: dict[str, str] = {}
     for overrides in jobs:
         configs = compose_stages(overrides)
         folder, stages = job.folder(configs[0].output, overrides), {config.stage for config in configs}
-        if stages & stages_of.setdefault(folder, set()):
+        if stages & stages_by_folder.setdefault(folder, set()):
             raise ConfigError(
                 f"the jobs of a multirun must write to folders of their own, but two have '{folder}'; "
                 "give each value once, and leave output out or give 'output=FOLDER/${name}'"
             )
-        stages_of[folder] |= stages
+        stages_by_folder[folder] |= stages
         folders[" ".join(o for o in overrides if job.is_own(o) and _parse_key(o) != "stage")] = folder
     parallel = any(o.startswith("hydra/launcher=") and o != "hydra/launcher=basic" for o in jobs[0])
-    if parallel and any(len(stages) > 1 for stages in stages_of.values()):
+    if parallel and any(len(stages) > 1 for stages in stages_by_folder.values()):
         raise ConfigError(
             "the stages of one experiment must run one after the other, but a parallel launcher got several; "
             "give the stages in separate commands, or leave hydra/launcher out"

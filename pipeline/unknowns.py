@@ -100,15 +100,15 @@ class UnknownSet:
         """(B, 8, A) which coefficients each active unknown moves, and with what sign."""
         result = np.zeros((*self.expansion.shape[:2], len(self.active)))
         for a, (m, u) in enumerate(self.active):
-            own = slice(None) if self.shared else slice(m, m + 1)
-            result[own, :, a] = self.expansion[own, :, u]
+            members = slice(None) if self.shared else slice(m, m + 1)
+            result[members, :, a] = self.expansion[members, :, u]
         return result
 
     def expand(self, values: np.ndarray, known: np.ndarray) -> np.ndarray:
         """(B, S, 8) coefficients from unknowns (M, S, U) and, where nothing is identified, ``known`` (B, S, 8)."""
         every = np.broadcast_to(values, (len(self.expansion), *values.shape[1:]))
-        found = np.einsum("bcu,bsu->bsc", self.expansion, every)
-        return np.where(self.identified[:, None], found, known)
+        expanded = np.einsum("bcu,bsu->bsc", self.expansion, every)
+        return np.where(self.identified[:, None], expanded, known)
 
     def expand_deviation(self, deviation: np.ndarray) -> np.ndarray:
         """(B, S, 8) standard deviations from those of the unknowns (M, S, U); NaN where nothing is identified."""

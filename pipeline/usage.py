@@ -82,8 +82,8 @@ def _description(experiment: str) -> str:
     from pipeline.config.loader import CONF
 
     text = (CONF / "experiment" / f"{experiment}.yaml").read_text(encoding="utf-8")
-    found = re.search(r"^description: *[>|]?-?\s*(.+)$", text, re.MULTILINE)
-    return found[1].strip().strip("'\"") if found else ""
+    match = re.search(r"^description: *[>|]?-?\s*(.+)$", text, re.MULTILINE)
+    return match[1].strip().strip("'\"") if match else ""
 
 
 _SWITCHES = (("--multirun", "-m"), ("--run", "-r"), ("--resolve",), ("--shell-completion", "-sc"), ("--hydra-help",))

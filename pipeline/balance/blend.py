@@ -64,8 +64,8 @@ class Blend:
     def influence_at(self, unbalance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Derivative (D, N) m/(kg m) by the weights at ``unbalance`` (N,), and the baseline (D,) m."""
         slope, baseline = self.physical.influence_at(unbalance)
-        own = self.correction / self.scale[:, None]
-        return slope + own[1:].T, baseline + own[0]
+        shrunk = self.correction / self.scale[:, None]
+        return slope + shrunk[1:].T, baseline + shrunk[0]
 
 
 def blend(

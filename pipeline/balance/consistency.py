@@ -75,15 +75,15 @@ def find_contradictions(
             named = len(removed)
     kept = [c for c in range(n) if c not in removed[:named]]
     model = fit_influence(conditions.of(kept), law=law)
-    found = [_explain(conditions.of([c]), model, min(chances[k:named])) for k, c in enumerate(removed[:named])]
-    return found, model
+    contradictions = [_explain(conditions.of([c]), model, min(chances[k:named])) for k, c in enumerate(removed[:named])]
+    return contradictions, model
 
 
 def _explain(conditions: Conditions, model: Influence, chance: float) -> Contradiction:
     """What the model of the others makes of a condition."""
     label, vector, count = conditions.unbalance[0], conditions.vectors[0], int(conditions.counts[0])
-    mean, own = model.predict(label[None])
-    total = own[0] + model.noise.covariance(np.array([count]))[0]
+    mean, noise = model.predict(label[None])
+    total = noise[0] + model.noise.covariance(np.array([count]))[0]
     residual = vector - mean[0]
     reading = estimate_unbalance(model, vector, count)
     n_speeds, n_channels = conditions.displacement.shape[1:]
@@ -118,8 +118,8 @@ def _explain(conditions: Conditions, model: Influence, chance: float) -> Contrad
 
 def _fits(conditions: Conditions, model: Influence, unbalance: np.ndarray) -> bool:
     """Whether a condition reads like these weights."""
-    mean, own = model.predict(unbalance[None])
-    total = own[0] + model.noise.covariance(conditions.counts)[0]
+    mean, noise = model.predict(unbalance[None])
+    total = noise[0] + model.noise.covariance(conditions.counts)[0]
     return _chance(_squared(conditions.vectors[0] - mean[0], total), len(total), model) > _EXPLAINED
 
 

@@ -66,13 +66,13 @@ class Correction:
     remaining: np.ndarray  # (M,) complex, A c + b
 
 
-def choose_weights(acting: np.ndarray, there: np.ndarray, planes: Sequence[Holes]) -> Correction:
+def choose_weights(acting: np.ndarray, read: np.ndarray, planes: Sequence[Holes]) -> Correction:
     """The weights whose ``acting @ c + there`` has the least norm.
 
     ``acting`` (M, N) complex with M >= N, ``there`` (M,) complex; all planes have masses of a list, or all have any.
     Raises ConfigError where there are too many choices, or two planes act alike.
     """
-    wanted, triangle = _reduce(acting, there)
+    wanted, triangle = _reduce(acting, read)
     if planes[0].masses is not None:
         choices = [_list_choices(plane) for plane in planes]
         chosen = [choice.weights(k) for choice, k in zip(choices, _search(triangle, wanted, choices), strict=True)]
@@ -80,9 +80,11 @@ def choose_weights(acting: np.ndarray, there: np.ndarray, planes: Sequence[Holes
         chosen = [split_vector(complex(c), plane) for c, plane in zip(wanted, planes, strict=True)]
     else:
         chosen = _choose_holes(triangle, wanted, planes)
-    made = [sum(w.mass * plane.unit[w.hole - 1] for w in of) for of, plane in zip(chosen, planes, strict=True)]
+    made = [
+        sum(w.mass * plane.unit[w.hole - 1] for w in weights) for weights, plane in zip(chosen, planes, strict=True)
+    ]
     unbalance = np.array(made, dtype=complex)
-    return Correction(tuple(chosen), unbalance, acting @ unbalance + there)
+    return Correction(tuple(chosen), unbalance, acting @ unbalance + read)
 
 
 def split_vector(unbalance: complex, holes: Holes) -> tuple[Weight, ...]:
@@ -96,11 +98,11 @@ def split_vector(unbalance: complex, holes: Holes) -> tuple[Weight, ...]:
     pair = [int(turns.argmax()), int(turns.argmin())]  # the last one before it, the first one from it on
     matrix = np.array([holes.unit[pair].real, holes.unit[pair].imag])
     masses = np.linalg.solve(matrix, [unbalance.real, unbalance.imag])
-    found = (Weight(hole + 1, float(mass)) for hole, mass in zip(pair, masses, strict=True))
-    return tuple(weight for weight in found if weight.mass > _SAME * masses.max())
+    weights = (Weight(hole + 1, float(mass)) for hole, mass in zip(pair, masses, strict=True))
+    return tuple(weight for weight in weights if weight.mass > _SAME * masses.max())
 
 
-def _reduce(acting: np.ndarray, there: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _reduce(acting: np.ndarray, read: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(N,) the unbalance that would leave least, and (N, N) a triangle: the cost is ``|triangle (c - wanted)|^2`` and a
     constant."""
     q, triangle = np.linalg.qr(acting)
@@ -110,7 +112,7 @@ def _reduce(acting: np.ndarray, there: np.ndarray) -> tuple[np.ndarray, np.ndarr
             "machine.balance.planes must act differently on the vibration, but two of them act alike at these probes "
             "and speeds: leave one of them out, or balance at more speeds (balance.speeds_rpm)"
         )
-    return np.linalg.solve(triangle, -q.conj().T @ there), triangle
+    return np.linalg.solve(triangle, -q.conj().T @ read), triangle
 
 
 # --- masses of a list --------------------------------------------------------------------------------
@@ -150,19 +152,19 @@ def _list_choices(holes: Holes) -> _Choices:
             f"a plane must have at most {MOST_CHOICES} choices of weights, but {count} holes, {len(listed)} masses and "
             f"up to {most} weights make {total}: give fewer masses, or a smaller machine.balance.most"
         )
-    at, of = np.full((1, most), -1), np.zeros((1, most))
+    at, chosen = np.full((1, most), -1), np.zeros((1, most))
     for k in range(1, most + 1):
         places = np.array(list(combinations(range(count), k)))
         sizes = np.array(list(product(listed, repeat=k)))
         blank = ((0, 0), (0, most - k))
         at = np.concatenate([at, np.pad(np.repeat(places, len(sizes), axis=0), blank, constant_values=-1)])
-        of = np.concatenate([of, np.pad(np.tile(sizes, (len(places), 1)), blank)])
-    made = (holes.unit[at] * of).sum(axis=1)
-    order = np.lexsort((of.sum(axis=1), (at >= 0).sum(axis=1)))
+        chosen = np.concatenate([chosen, np.pad(np.tile(sizes, (len(places), 1)), blank)])
+    made = (holes.unit[at] * chosen).sum(axis=1)
+    order = np.lexsort((chosen.sum(axis=1), (at >= 0).sum(axis=1)))
     grid = np.round(_as_points(made[order]) / (_SAME * np.abs(made).max()))
     _, first = np.unique(grid, axis=0, return_index=True)
     kept = order[np.sort(first)]
-    return _Choices(made[kept], at[kept], of[kept])
+    return _Choices(made[kept], at[kept], chosen[kept])
 
 
 def _search(triangle: np.ndarray, wanted: np.ndarray, choices: Sequence[_Choices]) -> list[int]:

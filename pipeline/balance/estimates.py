@@ -33,12 +33,12 @@ class Estimates:
     @property
     def unbalance(self) -> np.ndarray:
         """(C, N) complex kg m."""
-        return np.array([one.value for one in self.found])
+        return np.array([estimate.value for estimate in self.found])
 
     @property
     def radius(self) -> np.ndarray:
         """(C, N) kg m, of the circle about each vector that holds 95 %."""
-        return np.array([circle_radius(np.diag(one.covariance).real, one.freedom) for one in self.found])
+        return np.array([circle_radius(np.diag(estimate.covariance).real, estimate.freedom) for estimate in self.found])
 
     @property
     def inconsistent(self) -> np.ndarray:
@@ -56,7 +56,7 @@ class Estimates:
 
 def estimate_all(readings: Readings, models: Sequence[LinearVibration]) -> Estimates:
     """The unbalance of each condition by its model of ``models`` (C). Raises DataError where too little was read."""
-    found, chance, labels = [], [], []
+    estimates, chance, labels = [], [], []
     for c, vector in enumerate(readings.displacement.reshape(len(readings.names), -1)):
         model, counts = models[c], readings.counts[c]
         if not (counts > 0).any():
@@ -65,11 +65,11 @@ def estimate_all(readings: Readings, models: Sequence[LinearVibration]) -> Estim
         away = readings.unbalance[c] - unbalance.value
         known = not np.isnan(away).any()
         squared = float((away.conj() @ np.linalg.solve(unbalance.covariance, away)).real) if known else np.nan
-        found.append(unbalance)
+        estimates.append(unbalance)
         chance.append(_judge_rest(unbalance, int((counts > 0).sum()) - len(away), model.noise))
         labels.append(judge_distance(squared, len(away), unbalance.freedom))
     return Estimates(
-        readings=readings, found=tuple(found), chance=np.array(chance), label_chance=np.array(labels, dtype=float)
+        readings=readings, found=tuple(estimates), chance=np.array(chance), label_chance=np.array(labels, dtype=float)
     )
 
 

@@ -53,7 +53,7 @@ def judge(
         for method, peer in peers.items():
             parts: tuple[list[Forward], list[Inverse]] = ([], [])
             refusal = ""
-            for split in (one for one in splits if one.task == task):
+            for split in (candidate for candidate in splits if candidate.task == task):
                 train = gather_conditions(select(dataset, [names[c] for c in split.train]), planes)
                 tested = select(dataset, [names[c] for c in split.test])
                 about = gather_conditions(tested, planes).at(split.test_speeds)
@@ -70,14 +70,14 @@ def judge(
 
 def select(dataset: VibrationDataset, names: Collection[str]) -> VibrationDataset:
     """The runs of these conditions."""
-    of = dataset.conditions or dataset.runs
-    return dataset.of_runs(np.array([r for r, name in enumerate(of) if name in names]))
+    labels = dataset.conditions or dataset.runs
+    return dataset.of_runs(np.array([r for r, name in enumerate(labels) if name in names]))
 
 
 def list_records(dataset: VibrationDataset, names: Sequence[str], speeds: np.ndarray) -> list[np.ndarray]:
     """(records, S, P) m of each condition, at the speeds of these indices."""
-    of = np.array(dataset.conditions or dataset.runs, dtype=object)
-    return [dataset.displacement[speeds][..., of == name].transpose(2, 0, 1) for name in names]
+    labels = np.array(dataset.conditions or dataset.runs, dtype=object)
+    return [dataset.displacement[speeds][..., labels == name].transpose(2, 0, 1) for name in names]
 
 
 def score(judged: Judged, without: Sequence[str] = ()) -> dict[str, dict[str, float]]:

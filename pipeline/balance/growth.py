@@ -36,9 +36,11 @@ def fit_growth(vectors: np.ndarray, design: np.ndarray, unbalance: np.ndarray) -
     if not unbalance.any():
         return 0.0, 1.0
     unit = 1 / np.mean((abs(unbalance) ** 2).sum(1))
-    found = _likelihood(vectors, design, np.array([inflation(unbalance, k) for k in unit * _GROWTHS]))
-    best = int(np.argmax(found))
-    return float(unit * _GROWTHS[best]), float(stats.chi2.sf(2 * (found[best] - found[0]), 1)) if best else 1.0
+    likelihoods = _likelihood(vectors, design, np.array([inflation(unbalance, k) for k in unit * _GROWTHS]))
+    best = int(np.argmax(likelihoods))
+    return float(unit * _GROWTHS[best]), float(
+        stats.chi2.sf(2 * (likelihoods[best] - likelihoods[0]), 1)
+    ) if best else 1.0
 
 
 def _likelihood(vectors: np.ndarray, design: np.ndarray, inflated: np.ndarray) -> np.ndarray:

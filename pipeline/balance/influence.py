@@ -61,8 +61,8 @@ class Influence:
         covariance = leverage[:, None, None] * self.noise.covariance(np.ones(1))
         covariance = covariance + grown[:, None, None] * self.noise.condition
         if self.law_variance:
-            along = bend(unbalance) @ self.coefficients[1:] - design @ self.shift
-            covariance = covariance + self.law_variance * along[:, :, None] * along[:, None].conj()
+            bent = bend(unbalance) @ self.coefficients[1:] - design @ self.shift
+            covariance = covariance + self.law_variance * bent[:, :, None] * bent[:, None].conj()
         return design @ self.coefficients, covariance
 
     def influence_at(self, unbalance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -179,10 +179,10 @@ def _step(conditions: Conditions, model: Influence) -> tuple[complex, float]:
     """The Gauss-Newton step of a, and its variance."""
     design = design_of(conditions.unbalance, model.law)
     bent = bend(conditions.unbalance) @ model.coefficients[1:]
-    along = bent - design @ solve_weighted(bent, design, model.weights)
+    projected = bent - design @ solve_weighted(bent, design, model.weights)
     residual = conditions.vectors - design @ model.coefficients
-    whitened = np.linalg.solve(model.noise.covariance(conditions.counts), along[..., None])[..., 0]  # (C, D)
-    power = float((model.weights * (along.conj() * whitened).sum(1).real).sum())
+    whitened = np.linalg.solve(model.noise.covariance(conditions.counts), projected[..., None])[..., 0]  # (C, D)
+    power = float((model.weights * (projected.conj() * whitened).sum(1).real).sum())
     return complex((model.weights * (whitened.conj() * residual).sum(1)).sum() / power), 1 / power
 
 

@@ -70,9 +70,9 @@ def estimate_unbalance(
     noise = model.noise.covariance(np.array([count]))[0]
     value = np.zeros(n_planes, dtype=complex)
     for _ in range(_STEPS):
-        mean, own = model.predict(value[None])
+        mean, spread = model.predict(value[None])
         slope = model.influence_at(value)[0][kept]
-        total = (noise + own[0])[np.ix_(kept, kept)]
+        total = (noise + spread[0])[np.ix_(kept, kept)]
         residual = (vector - mean[0])[kept]
         whitened = np.linalg.solve(total, slope)
         information = slope.conj().T @ whitened

@@ -54,10 +54,10 @@ class Physical:
         weights = np.atleast_2d(unbalance)
         rows, slopes = self._parts
         acting = np.concatenate([np.ones((len(weights), 1)), self._act(weights)], axis=1)  # (C, 1 + N)
-        along = np.tensordot(acting, slopes, 1)  # (C, D, Z)
+        by_number = np.tensordot(acting, slopes, 1)  # (C, D, Z)
         for z, change in self._law_changes(weights):
-            along[..., z] += change @ rows[1:]
-        covariance = along @ self.covariance @ along.conj().swapaxes(1, 2)
+            by_number[..., z] += change @ rows[1:]
+        covariance = by_number @ self.covariance @ by_number.conj().swapaxes(1, 2)
         return acting @ rows, covariance
 
     def influence_at(self, unbalance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -117,9 +117,9 @@ class Physical:
                 "speeds, but they do: give them as values"
             )
         table = BearingTable(self.measurement.known.nodes, speeds, np.repeat(values[:, :1], len(speeds), axis=1))
-        moved = replace(self, speeds=speeds, measurement=replace(self.measurement, known=table))
-        here, there = (np.abs(one.influence_at(np.zeros(len(self.planes)))[0]) for one in (self, moved))
-        return replace(moved, noise=_carry(self.noise, self.speeds, speeds, here, there))
+        interpolated = replace(self, speeds=speeds, measurement=replace(self.measurement, known=table))
+        here, asked = (np.abs(model.influence_at(np.zeros(len(self.planes)))[0]) for model in (self, interpolated))
+        return replace(interpolated, noise=_carry(self.noise, self.speeds, speeds, here, asked))
 
     def _problem(self, unbalance: np.ndarray) -> OutputError:
         """The problem of conditions with these weights (C, N), with rows in m."""
@@ -134,12 +134,12 @@ class Physical:
 
 
 def _carry(
-    noise: NoiseLevels, fitted: np.ndarray, speeds: np.ndarray, here: np.ndarray, there: np.ndarray
+    noise: NoiseLevels, fitted: np.ndarray, speeds: np.ndarray, here: np.ndarray, asked: np.ndarray
 ) -> NoiseLevels:
     """The noise at ``speeds``, of that at the ``fitted`` ones; ``here`` and ``there`` (D, N) are the influences."""
     nearest = np.abs(speeds[:, None] - fitted).argmin(axis=1)
     n_channels = noise.record.shape[1]
-    power = [(one.reshape(len(s), -1) ** 2).sum(1) for one, s in ((here, fitted), (there, speeds))]
+    power = [(influence.reshape(len(s), -1) ** 2).sum(1) for influence, s in ((here, fitted), (asked, speeds))]
     blocks = [noise.condition[s * n_channels :, s * n_channels :][:n_channels, :n_channels] for s in nearest]
     ratio = power[1] / power[0][nearest]
     condition = spread_blocks(np.stack([r * block for r, block in zip(ratio, blocks, strict=True)]))
@@ -173,10 +173,10 @@ def restore_physical(
     """
     import torch
 
-    moved = measurement.update(uncertainty.parameters)
+    updated = measurement.update(uncertainty.parameters)
     speeds, sizes = measurement.dataset.speeds, measurement.guess.sizes(measurement.unknowns)
-    basis = replace(drawn_basis(setup, moved, moved.dataset.points, sizes), model=identified.model)
-    problem = output_error(moved, basis, uncertainty.plane_scale)
+    basis = replace(drawn_basis(setup, updated, updated.dataset.points, sizes), model=identified.model)
+    problem = output_error(updated, basis, uncertainty.plane_scale)
     values = identified.values(speeds)[: measurement.unknowns.n_members]
     weights = start_at(problem, values)
     residual = uncertainty.residual_unbalance / uncertainty.plane_scale
@@ -204,7 +204,7 @@ def _physical(
         noise = follow_residuals(measurement.drift, rest, problem.n_fitted).levels
     else:
         variance = (measurement.deviation**2).mean(axis=2)  # (S, P)
-        level = spread_blocks(np.stack([np.diag(own).astype(complex) for own in variance]))
+        level = spread_blocks(np.stack([np.diag(speed_variance).astype(complex) for speed_variance in variance]))
         noise = NoiseLevels(conditions.record_covariance, level, np.inf)
     return Physical(
         measurement=measurement,

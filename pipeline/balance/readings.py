@@ -44,22 +44,25 @@ def average_records(records: Records, vibration: LinearVibration) -> Readings:
     """
     at = match_speeds(records.speeds, vibration.speeds, records.source)
     names = tuple(dict.fromkeys(records.conditions))
-    of = np.array([names.index(name) for name in records.conditions])
+    conditions = np.array([names.index(name) for name in records.conditions])
     channels = [records.channels.index(channel) for channel in vibration.channels]
     read = records.displacement[:, channels]
-    there = ~np.isnan(read)
-    if not there.any():
+    present = ~np.isnan(read)
+    if not present.any():
         raise DataError(
             f"{records.source} must have the vibration of at least one probe, but no column of "
             f"{', '.join(records.probes)} has a number: give its columns as machine.recordings.probes names them"
         )
     shape = (len(names), len(vibration.speeds), len(channels))
     total, counts = np.zeros(shape, dtype=complex), np.zeros(shape, dtype=int)
-    np.add.at(total, (of, at), np.where(there, read, 0.0))
-    np.add.at(counts, (of, at), there)
+    np.add.at(total, (conditions, at), np.where(present, read, 0.0))
+    np.add.at(counts, (conditions, at), present)
     mean = np.where(counts > 0, total / np.maximum(counts, 1), np.nan)
     return Readings(
-        names=names, displacement=mean, counts=counts, unbalance=_gather_known(records, names, of, vibration.planes)
+        names=names,
+        displacement=mean,
+        counts=counts,
+        unbalance=_gather_known(records, names, conditions, vibration.planes),
     )
 
 
@@ -71,7 +74,7 @@ def match_speeds(speeds: np.ndarray, nominal: np.ndarray, source: str) -> np.nda
     at = np.abs(speeds[:, None] / nominal - 1).argmin(axis=1)
     off = np.abs(speeds / nominal[at] - 1)
     if off.max(initial=0.0) > SYNCHRONOUS:
-        known = ", ".join(format_rpm(one) for one in nominal)
+        known = ", ".join(format_rpm(speed) for speed in nominal)
         raise DataError(
             f"{source} must have speeds within {100 * SYNCHRONOUS:g} % of those that influence coefficients are known "
             f"at ({known} rpm), but got {format_rpm(speeds[off.argmax()])} rpm: leave these records out, or use the "
@@ -80,12 +83,12 @@ def match_speeds(speeds: np.ndarray, nominal: np.ndarray, source: str) -> np.nda
     return at
 
 
-def _gather_known(records: Records, names: Sequence[str], of: np.ndarray, planes: Sequence[int]) -> np.ndarray:
+def _gather_known(records: Records, names: Sequence[str], conditions: np.ndarray, planes: Sequence[int]) -> np.ndarray:
     """(C, N) kg m, NaN where a condition's records do not say it."""
     columns = [records.planes.index(node) for node in planes]
     known = np.full((len(names), len(planes)), np.nan, dtype=complex)
     for c, name in enumerate(names):
-        given = records.unbalance[of == c][:, columns]
+        given = records.unbalance[conditions == c][:, columns]
         given = given[~np.isnan(given).any(axis=1)]
         if len(given) and not np.allclose(given, given[0], rtol=1e-6, atol=1e-12):
             raise DataError(f"{records.source} must have one set of weights a condition, but '{name}' has several")

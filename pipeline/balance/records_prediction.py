@@ -54,11 +54,11 @@ def predict_records(records: Records, vibration: LinearVibration) -> PredictedRe
         )
     at = match_speeds(records.speeds, vibration.speeds, records.source)
     channels = [vibration.channels.index(channel) for channel in records.channels]
-    distinct, of = np.unique(weights, axis=0, return_inverse=True)
+    distinct, groups = np.unique(weights, axis=0, return_inverse=True)
     mean, covariance = vibration.predict(distinct)
     variance = np.einsum("cdd->cd", covariance).real + np.diag(vibration.noise.covariance(np.ones(1))[0]).real
     place = at[:, None] * len(vibration.channels) + np.array(channels)
-    rows = of.reshape(-1)[:, None]
+    rows = groups.reshape(-1)[:, None]
     predicted = mean[rows, place]
     return PredictedRecords(
         mean=predicted,

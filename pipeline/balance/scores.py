@@ -56,8 +56,8 @@ def predict_records(
     """``records`` are those of each tested condition, (records, S, P) m; ``baseline`` (S, P) m is the mean of the
     condition that the response is counted from."""
     shape = tested.displacement.shape[1:]
-    mean, own = model.predict(tested.unbalance)
-    variance = np.einsum("cii->ci", own + model.noise.covariance(np.ones(len(mean)))).real
+    mean, noise = model.predict(tested.unbalance)
+    variance = np.einsum("cii->ci", noise + model.noise.covariance(np.ones(len(mean)))).real
     width = model.noise.half_width(variance)
     counts, measured = [len(record) for record in records], np.concatenate(records)
     return Forward(
@@ -70,26 +70,26 @@ def predict_records(
 
 def read_weights(model: LinearVibration, tested: Conditions) -> Inverse:
     """From the means of the conditions' records."""
-    found = [
+    estimates = [
         estimate_unbalance(model, vector, int(count))
         for vector, count in zip(tested.vectors, tested.counts, strict=True)
     ]
     return Inverse(
         tested.names,
         tested.unbalance,
-        np.array([one.value for one in found]),
-        np.array([one.half_width() for one in found]),
-        np.array([one.magnitude_interval() for one in found]),
-        np.array([one.angle_half_width() for one in found]),
+        np.array([estimate.value for estimate in estimates]),
+        np.array([estimate.half_width() for estimate in estimates]),
+        np.array([estimate.magnitude_interval() for estimate in estimates]),
+        np.array([estimate.angle_half_width() for estimate in estimates]),
     )
 
 
 def score_forward(parts: Sequence[Forward], without: Sequence[str] = ()) -> dict[str, float]:
     """Scores of all parts, ``without`` these conditions."""
-    names = np.array([name for part in parts for name in part.names], dtype=object)
+    names = np.array([name for fold in parts for name in fold.names], dtype=object)
     kept = ~np.isin(names, list(without))
     response, error, width = (
-        np.concatenate([getattr(part, name) for part in parts])[kept] for name in ("response", "error", "half_width")
+        np.concatenate([getattr(fold, name) for fold in parts])[kept] for name in ("response", "error", "half_width")
     )
     names = names[kept]
     size = np.maximum(np.linalg.norm(response, axis=2), np.finfo(float).tiny)
@@ -106,9 +106,9 @@ def score_forward(parts: Sequence[Forward], without: Sequence[str] = ()) -> dict
 
 def score_inverse(parts: Sequence[Inverse], without: Sequence[str] = ()) -> dict[str, float]:
     """Scores of all parts, ``without`` these conditions; errors of loaded planes in kg m and degrees."""
-    kept = ~np.isin(np.array([name for part in parts for name in part.names], dtype=object), list(without))
+    kept = ~np.isin(np.array([name for fold in parts for name in fold.names], dtype=object), list(without))
     true, read, width, magnitude, angle = (
-        np.concatenate([getattr(part, name) for part in parts])[kept]
+        np.concatenate([getattr(fold, name) for fold in parts])[kept]
         for name in ("true", "read", "half_width", "magnitude", "angle")
     )
     loaded, phased = (abs(true) >= limit * (1 - _TOLERANCE) for limit in (LOADED, PHASED))
@@ -131,8 +131,8 @@ def score_inverse(parts: Sequence[Inverse], without: Sequence[str] = ()) -> dict
     return scores
 
 
-def _r2(error: np.ndarray, of: np.ndarray) -> float:
-    return float(1 - (abs(error) ** 2).sum() / (abs(of - of.mean(0)) ** 2).sum())
+def _r2(error: np.ndarray, values: np.ndarray) -> float:
+    return float(1 - (abs(error) ** 2).sum() / (abs(values - values.mean(0)) ** 2).sum())
 
 
 def floor_of_drift(

@@ -67,8 +67,8 @@ def propose_weights(
 
     Raises ConfigError where there are too many choices, or the vibration does not tell the planes apart.
     """
-    of_speed = np.repeat(np.arange(len(vibration.speeds)), len(vibration.channels))
-    read = ~np.isnan(state.shown) & (np.isin(of_speed, speeds) if len(speeds) else True)
+    speed_index = np.repeat(np.arange(len(vibration.speeds)), len(vibration.channels))
+    read = ~np.isnan(state.shown) & (np.isin(speed_index, speeds) if len(speeds) else True)
     covariance = _cover_record(vibration, state.weights)
     inside = covariance[np.ix_(read, read)]
     start = predict_one(vibration, state.weights)
@@ -78,9 +78,9 @@ def propose_weights(
     for _ in range(_PASSES):
         influence = vibration.influence_at(state.weights + correction)[0][read]
         change = (predict_one(vibration, state.weights + correction) - start)[read]
-        there = state.remove[read] + change - influence @ correction
+        remaining = state.remove[read] + change - influence @ correction
         inverse, spread = _invert(influence, inside)
-        acting, left = (np.eye(len(holes)), inverse @ there) if minimise == "unbalance" else (influence, there)
+        acting, left = (np.eye(len(holes)), inverse @ remaining) if minimise == "unbalance" else (influence, remaining)
         found = choose_weights(acting[:, active], left, given)
         if chosen is not None and found.weights == chosen.weights:
             break

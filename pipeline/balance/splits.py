@@ -38,8 +38,8 @@ def list_splits(
     def split(task: str, test: np.ndarray, train: np.ndarray) -> Split:
         return Split(task, train, test, speeds, speeds)
 
-    of = np.random.default_rng(seed).permutation(len(tested)) % folds
-    drawn = [split("folds", tested[of == k], np.setdiff1d(every, tested[of == k])) for k in range(folds)]
+    fold = np.random.default_rng(seed).permutation(len(tested)) % folds
+    drawn = [split("folds", tested[fold == k], np.setdiff1d(every, tested[fold == k])) for k in range(folds)]
     few = [split("calibration_alone", tested, every[fixed])] if fixed.any() else []
     kinds = np.array([name_configuration(u) for u in conditions.unbalance])
     apart = [
@@ -50,7 +50,11 @@ def list_splits(
     limit = np.inf if heavy is None else heavy * (1 - 1e-9)
     light = [split("heavier", tested[total[tested] >= limit], every[total < limit])]
     other = [Split("other_speed", every, tested, speeds[[s]], np.delete(speeds, s)) for s in speeds if len(speeds) > 1]
-    return [one for one in [*drawn, *few, *apart, *light, *other] if len(one.test) and len(one.train)]
+    return [
+        candidate
+        for candidate in [*drawn, *few, *apart, *light, *other]
+        if len(candidate.test) and len(candidate.train)
+    ]
 
 
 def name_configuration(unbalance: np.ndarray) -> str:

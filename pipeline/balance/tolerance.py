@@ -56,8 +56,8 @@ def share_tolerance(rotor: RotorModel, planes: Sequence[int], permissible: float
 
 def find_centre(rotor: RotorModel) -> float:
     """m along the shaft, the centre of mass: the first moment that the mass matrix has of a rigid tilt."""
-    moved, tilted = np.zeros(rotor.n_dof), np.zeros(rotor.n_dof)
-    moved[::DOF_PER_NODE] = 1.0
+    shifted, tilted = np.zeros(rotor.n_dof), np.zeros(rotor.n_dof)
+    shifted[::DOF_PER_NODE] = 1.0
     tilted[::DOF_PER_NODE] = rotor.positions
     tilted[3::DOF_PER_NODE] = 1.0  # beta = dx/dz
-    return float(moved @ rotor.mass @ tilted / (moved @ rotor.mass @ moved))
+    return float(shifted @ rotor.mass @ tilted / (shifted @ rotor.mass @ shifted))

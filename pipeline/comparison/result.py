@@ -60,8 +60,8 @@ class Result(BaseModel):
 
     def error(self, name: str) -> float:
         """Median error over speed of a coefficient in percent, mean over the bearings that have it; NaN without one."""
-        of = [coefficient[name].median_error for coefficient in self.coefficients.values() if name in coefficient]
-        return float(np.mean(of)) if of else float("nan")
+        errors = [coefficient[name].median_error for coefficient in self.coefficients.values() if name in coefficient]
+        return float(np.mean(errors)) if errors else float("nan")
 
 
 ANSWERED = "answered"
@@ -73,7 +73,7 @@ def judge_method(
     """Let a method identify a case. The truth is looked at when it has answered."""
     data = take_measurement(machine, case, identify, settings)
     started = time.process_time()
-    answer, outcome, words = _ask(method, data, MethodOptions(settings, seed, machine.laws))
+    answer, outcome, reason = _ask(method, data, MethodOptions(settings, seed, machine.laws))
     seconds = time.process_time() - started  # of the processor: what else runs does not count
     errors: dict[str, dict[str, CoefficientResult]] = {}
     if answer is not None and np.isfinite(answer.coefficients.values).all():
@@ -86,7 +86,7 @@ def judge_method(
         **asdict(case),
         method=method,
         outcome=outcome,
-        words=words,
+        words=reason,
         doubt=doubt,
         seconds=seconds,
         used_speeds=None if answer is None else answer.n_speeds,

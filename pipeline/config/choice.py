@@ -56,9 +56,9 @@ def choose(parsed: Sequence[Override], loader: ConfigLoader) -> list[Override]:
     if experiment is None:
         more = [*_choose_experiment(_compose(rest, loader)), f"name={name}"]
     else:
-        own = str(machine.value()) not in list_options("machine") and isinstance(experiment.value(), str)
+        has_machine = str(machine.value()) not in list_options("machine") and isinstance(experiment.value(), str)
         given = str(experiment.value())
-        more = [f"name={name}_{given}"] if own and not given.startswith(DEFAULTS) else []
+        more = [f"name={name}_{given}"] if has_machine and not given.startswith(DEFAULTS) else []
     keys = {override.key_or_group for override in parsed}
     more = [text for text in more if not is_overridden(text.partition("=")[0], keys)]
     return [*rest, *parse_overrides(more, loader)]
@@ -114,18 +114,18 @@ def _find_kind(override: Override) -> tuple[str, str, Any, str] | None:
 def _look_up(composed: Mapping[str, Any], key: str) -> Mapping[str, Any]:
     """Return the section at a dotted key such as ``machine.bearings.nodes.21``; empty where there is none."""
     node: Any = composed
-    for part in key.split("."):
+    for word in key.split("."):
         inside = node if isinstance(node, Mapping) else {}
-        node = inside.get(part, inside.get(int(part)) if part.isdigit() else None)
+        node = inside.get(word, inside.get(int(word)) if word.isdigit() else None)
     return node if isinstance(node, Mapping) else {}
 
 
 def _compose(parsed: Sequence[Override], loader: ConfigLoader) -> Mapping[str, Any]:
     """Compose machine and data alone. A mistake gives an empty mapping: it is told when the whole is composed."""
     keys = ("machine", "experiment", "data")
-    of_machine = [o for o in parsed if o.key_or_group.partition(".")[0] in keys and not o.is_sweep_override()]
+    machine_overrides = [o for o in parsed if o.key_or_group.partition(".")[0] in keys and not o.is_sweep_override()]
     try:
-        composed = compose(of_machine, loader)
+        composed = compose(machine_overrides, loader)
     except ConfigError:
         return {}
     return composed if isinstance(composed.get("machine"), Mapping) else {}
@@ -137,7 +137,7 @@ def _choose_experiment(composed: Mapping[str, Any]) -> list[str]:
         _look_up(composed, f"machine.{key}") for key in ("bearings", "recordings", "probes")
     )
     each = [bearings, *_look_up(composed, "machine.bearings.nodes").values()]
-    kinds = {one.get("kind") for one in each if isinstance(one, Mapping)}
+    kinds = {section.get("kind") for section in each if isinstance(section, Mapping)}
     saved = not bearings and bool(_look_up(composed, "machine.rotor").get("file"))
     option = "fluid_film" if kinds & _CHANGING or saved else "rolling"
     if _look_up(composed, "data").get("vibration") or recordings.get("format", "none") != "none":

@@ -74,7 +74,7 @@ def _identify(overrides: Sequence[str], folder: Path | None) -> str | None:
         return None
     if "$" in "".join(overrides) or any(b"$" in files[path] for path in outside):  # the environment resolves it
         return None
-    contents = (part for path, content in files.items() for part in (str(path), content))
+    contents = (content_bytes for path, content in files.items() for content_bytes in (str(path), content))
     return hash_parts(*contents, *map(importlib.metadata.version, _PACKAGES), json.dumps(list(overrides)))
 
 

@@ -86,8 +86,10 @@ class IdentifyConfig(Section):
 
     def at(self, node: int) -> BearingUnknowns:
         """Return what is unknown at the bearing of ``node``. Raises ValueError where half of a structure is known."""
-        one = self.bearings.get(node, OneBearingConfig())
-        return BearingUnknowns(self.unknowns if one.unknowns is None else one.unknowns, one.structure or self.structure)
+        bearing = self.bearings.get(node, OneBearingConfig())
+        return BearingUnknowns(
+            self.unknowns if bearing.unknowns is None else bearing.unknowns, bearing.structure or self.structure
+        )
 
     def unknowns_of(self, nodes: Sequence[int]) -> UnknownSet:
         """Return what is unknown at the bearings of these nodes."""

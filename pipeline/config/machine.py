@@ -109,7 +109,7 @@ class MachineConfig(Section):
         first = next(iter(_list_weights(info.data["runs"]).values()), ())
         if not first:
             raise ValueError("must be given where no run has an unbalance, but is missing")
-        turned = tuple(one.model_copy(update={"phase": one.phase + math.pi / 2}) for one in first)
+        turned = tuple(weight.model_copy(update={"phase": weight.phase + math.pi / 2}) for weight in first)
         rpm = info.data["speeds"].rpm()
         at = {"node": first[0].node, "speed_rpm": rpm[len(rpm) // 2], "unbalances": turned}
         return PredictionConfig.model_validate(at | dict(value or {}))
@@ -119,7 +119,7 @@ class MachineConfig(Section):
     def _weights_of_the_runs(cls, value: Any, info: ValidationInfo) -> Any:
         if value is not None or "runs" not in info.data:
             return value or CandidateConfig(unbalance_nodes=(0,), unbalance=1.0, **_NO_FORCE)
-        weights = [one for run in _list_weights(info.data["runs"]).values() for one in run]
+        weights = [weight for run in _list_weights(info.data["runs"]).values() for weight in run]
         if not weights:
             raise ValueError("must be given where no run has an unbalance, but is missing")
         nodes = tuple(sorted({weight.node for weight in weights}))
@@ -134,8 +134,8 @@ class MachineConfig(Section):
         if self.rotor.file is not None and (built.refinement > 1 or built.beam):
             key = "refinement" if built.refinement > 1 else next(iter(built.beam))
             raise ValueError(f"as_built.{key} must be left out for a rotor of a file, whose elements are its own")
-        elements = sum(one.elements for one in self.rotor.shaft)
-        if built.shaft is not None and (count := sum(one.elements for one in built.shaft)) != elements:
+        elements = sum(section.elements for section in self.rotor.shaft)
+        if built.shaft is not None and (count := sum(section.elements for section in built.shaft)) != elements:
             raise ValueError(f"as_built.shaft must have the {elements} elements of the model's shaft, but got {count}")
         alone = "method=time" if built.in_time else "pedestal_stiffness" if built.pedestal_stiffness else ""
         if alone and any(run.frequency_hz or run.frequency_ratio for run in self.runs):

@@ -255,7 +255,7 @@ class MeasuredConfig(Section):
         """Raise ValueError for what runs, probes and tacho must have together."""
         names = [run.name for run in runs]
         for run in runs:
-            _check_repeated([one for one in runs if one.name == run.name])
+            _check_repeated([other for other in runs if other.name == run.name])
         if self.baseline is not None and self.baseline not in names:
             raise ValueError(f"must have the baseline among its runs {names}, but baseline is '{self.baseline}'")
         for run in runs:

@@ -39,14 +39,14 @@ def explain_schema_errors(error: ValidationError, mapping: Mapping[str, Any], mo
 
 def suggest(name: str, candidates: Iterable[str]) -> str:
     """:func:`pipeline.errors.nearest` with the mark that joins it to the sentence before."""
-    words = nearest(name, candidates)
-    return f" {words}" if words.startswith("(") else f"; {words}"
+    matches = nearest(name, candidates)
+    return f" {matches}" if matches.startswith("(") else f"; {matches}"
 
 
 def quote_value(value: Any) -> str:
     """``value`` as it would be written in a config, shortened."""
-    words = {None: "null", True: "true", False: "false"}
-    text = words[value] if value is None or isinstance(value, bool) else repr(value)
+    literals = {None: "null", True: "true", False: "false"}
+    text = literals[value] if value is None or isinstance(value, bool) else repr(value)
     return text if len(text) <= _LONGEST_SHOWN else text[: _LONGEST_SHOWN - 3] + "..."
 
 
@@ -96,26 +96,26 @@ def _locate(loc: Sequence[int | str], mapping: Any) -> tuple[list[str], Any]:
     """The path and the value as the user wrote them: pydantic's ``loc`` also names union tags."""
     path: list[str] = []
     node = mapping
-    for position, part in enumerate(loc):
-        is_key = isinstance(node, Mapping) and part in node
-        is_item = isinstance(node, (list, tuple)) and isinstance(part, int) and part < len(node)
+    for position, step in enumerate(loc):
+        is_key = isinstance(node, Mapping) and step in node
+        is_item = isinstance(node, (list, tuple)) and isinstance(step, int) and step < len(node)
         if is_key or is_item:
-            node = node[part]
-            path.append(str(part))
+            node = node[step]
+            path.append(str(step))
         elif position == len(loc) - 1:
-            path.append(str(part))
+            path.append(str(step))
     return path, node
 
 
 def _list_fields(loc: Sequence[int | str], model: type[BaseModel]) -> set[str]:
     """Names of the fields that may stand where ``loc`` ends."""
     models = {model}
-    for part in loc[:-1]:
-        if isinstance(part, int):
+    for step in loc[:-1]:
+        if isinstance(step, int):
             continue
-        fields = [owner.model_fields[part] for owner in models if part in owner.model_fields]
+        fields = [owner.model_fields[step] for owner in models if step in owner.model_fields]
         inner = {inside for field in fields for inside in _list_models(field.annotation)}
-        tagged = {m for m in models if any(part in get_args(field.annotation) for field in m.model_fields.values())}
+        tagged = {m for m in models if any(step in get_args(field.annotation) for field in m.model_fields.values())}
         models = inner or tagged or models
     return {name for owner in models for name in owner.model_fields}
 
@@ -169,12 +169,12 @@ def explain_key(key: str, tree: Any) -> str:
     law = "an override must name a key of the configuration, but "
     path: list[str] = []
     node = tree
-    for part in re.findall(r"[^.\[\]]+", key):
+    for step in re.findall(r"[^.\[\]]+", key):
         owner = ".".join(path)
-        if isinstance(node, dict) and part in node:
-            node = node[part]
-        elif isinstance(node, list) and part.isdigit() and int(part) < len(node):
-            node = node[int(part)]
+        if isinstance(node, dict) and step in node:
+            node = node[step]
+        elif isinstance(node, list) and step.isdigit() and int(step) < len(node):
+            node = node[int(step)]
         elif isinstance(node, dict):
             places = [place for place in list_paths(tree) if place.endswith(f".{key}")]
             if places:
@@ -182,13 +182,13 @@ def explain_key(key: str, tree: Any) -> str:
                 near = [place for place in places if place.count(".") == depth]
                 return f"{law}there is no '{key}'; did you mean {' or '.join(map(repr, near[:3]))}?"
             names = (str(name) for name in node if owner or name != "hydra")
-            return f"{law}{owner or 'it'} has no '{part}'{suggest(part, names)}"
+            return f"{law}{owner or 'it'} has no '{step}'{suggest(step, names)}"
         elif isinstance(node, list):
             items = f"the items 0 to {len(node) - 1}" if node else "no items"
-            return f"{law}{owner} has {items}, not '{part}'"
+            return f"{law}{owner} has {items}, not '{step}'"
         else:
             return f"{law}{owner} is a single value; give {owner}=VALUE instead of '{key}'"
-        path.append(part)
+        path.append(step)
     return ""
 
 

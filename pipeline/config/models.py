@@ -95,5 +95,5 @@ ModelConfig = Annotated[
 def model_fields(kind: str) -> tuple[str, ...]:
     """The keys of a model of this kind; none where there is no such kind."""
     kinds = get_args(get_args(ModelConfig)[0])
-    found = (one.model_fields for one in kinds if kind in get_args(one.model_fields["kind"].annotation))
-    return tuple(next(found, {}))
+    sections = (section.model_fields for section in kinds if kind in get_args(section.model_fields["kind"].annotation))
+    return tuple(next(sections, {}))

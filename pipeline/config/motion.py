@@ -31,9 +31,9 @@ _NAME = re.compile(r"[^\W\d_]+( ?/ ?(s|sec)(2|²|\^2|\*\*2)?)?")
 
 def find_motion(unit: str) -> tuple[int, float] | None:
     """Order and size (m, m/s, m/s^2) of a unit such as um, mm/s or g; None where it is none of these."""
-    for order, of in enumerate(_SI):
+    for order, units in enumerate(_SI):
         with contextlib.suppress(ValueError):
-            return order, to_si(f"1 {_spell(unit)}", of, "um")
+            return order, to_si(f"1 {_spell(unit)}", units, "um")
     return None
 
 
@@ -57,9 +57,9 @@ def to_motion(unit: str, scale: str | None) -> tuple[int, float]:
 
 def _find_sensitivity(scale: str) -> tuple[int, float]:
     """Order, and V s^k/m. Raises ValueError."""
-    for order, of in enumerate(_SI):
+    for order, units in enumerate(_SI):
         with contextlib.suppress(ValueError):
-            return order, to_si(_spell(scale), f"V / ({of})", "7.87 V/mm")
+            return order, to_si(_spell(scale), f"V / ({units})", "7.87 V/mm")
     raise ValueError(f"must be a voltage per length, velocity or acceleration (such as {_SCALES}), but got {scale!r}")
 
 

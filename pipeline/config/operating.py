@@ -61,8 +61,8 @@ class ConditionColumn:
 
     def to_si(self, values: np.ndarray) -> np.ndarray:
         """Values of the column in SI, temperatures in K."""
-        found: np.ndarray = to_base(values.astype(float), self.unit)
-        return found
+        base: np.ndarray = to_base(values.astype(float), self.unit)
+        return base
 
     def from_si(self, values: np.ndarray) -> np.ndarray:
         """Values in SI in the unit of the column, of so many digits that 45 degC is written as 45."""
@@ -102,13 +102,13 @@ def find_columns(columns: Iterable[str], others: Sequence[str] = ()) -> dict[str
     """
     found: dict[str, ConditionColumn] = {}
     for column in columns:
-        one = None if column in others else find_column(column)
-        if one is not None and one.name in found:
+        condition = None if column in others else find_column(column)
+        if condition is not None and condition.name in found:
             raise ValueError(
-                f"must have each condition once, but {one.name} is in '{found[one.name].column}' and '{column}': leave "
-                "one out"
+                f"must have each condition once, but {condition.name} is in '{found[condition.name].column}' and "
+                f"'{column}': leave one out"
             )
-        found |= {} if one is None else {one.name: one}
+        found |= {} if condition is None else {condition.name: condition}
     return found
 
 
@@ -147,15 +147,15 @@ def to_quantity(name: str, value: Any, difference: bool = False) -> float:
             right = False
         if parts is None or not right:
             raise ValueError(f"{name} must be a quantity with a unit of its kind ({example}), but got {value!r}")
-        found = float(to_base(float(parts[1]), given))
+        number = float(to_base(float(parts[1]), given))
     else:
-        found = float(value)
-        if warm and not difference and 0 < found < _COLDEST:
+        number = float(value)
+        if warm and not difference and 0 < number < _COLDEST:
             raise ValueError(f"{name} must carry its unit ({example}): a number alone is in K, but got {value}")
-    if not math.isfinite(found) or (difference and found < 0) or (warm and not difference and found <= 0):
+    if not math.isfinite(number) or (difference and number < 0) or (warm and not difference and number <= 0):
         law = "zero or more" if difference else "above absolute zero" if warm else "finite"
         raise ValueError(f"{name} must be {law} ({example}), but got {value!r}")
-    return found
+    return number
 
 
 def _read_mapping(value: Any) -> dict[str, Any]:
@@ -163,17 +163,17 @@ def _read_mapping(value: Any) -> dict[str, Any]:
         return {}
     if not isinstance(value, Mapping):
         raise ValueError(f"must be conditions by name, such as {{oil_temperature: 45 degC}}, but got {value!r}")
-    return {str(name): of for name, of in value.items()}
+    return {str(name): entry for name, entry in value.items()}
 
 
 def _read_states(value: Any) -> dict[str, tuple[float, ...]]:
-    found = {}
+    states = {}
     for name, given in _read_mapping(value).items():
         several = given if isinstance(given, (list, tuple)) else [given]
-        found[name] = tuple(to_quantity(name, one) for one in several)
-        if not several or len(set(found[name])) < len(several):
+        states[name] = tuple(to_quantity(name, level) for level in several)
+        if not several or len(set(states[name])) < len(several):
             raise ValueError(f"{name} must have values that differ from each other, but got {list(several)}")
-    return found
+    return states
 
 
 def _read_one(value: Any) -> dict[str, float]:

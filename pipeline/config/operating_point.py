@@ -15,7 +15,7 @@ def _convert(value: Any) -> Any:
         return {}
     if not isinstance(value, Mapping):
         raise ValueError(f"must name conditions with values, such as {{oil_temperature: 70 degC}}, but got {value!r}")
-    return {str(name): to_quantity(str(name), of) for name, of in value.items()}
+    return {str(name): to_quantity(str(name), level) for name, level in value.items()}
 
 
 OperatingPoint = Annotated[dict[str, float], BeforeValidator(_convert)]

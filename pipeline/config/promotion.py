@@ -51,8 +51,8 @@ def apply_values(config: Config, values: Mapping[str, Value], source: str) -> Co
     for key, value in values.items():
         *path, last = key.split(".")
         place: Any = mapping
-        for part in path:
-            place = place.get(part) if isinstance(place, dict) else None
+        for step in path:
+            place = place.get(step) if isinstance(place, dict) else None
         if not isinstance(place, dict) or last not in place:
             raise ConfigError(f"{source} must name keys of the configuration, but '{key}' is not one of {config.name}")
         place[last] = value
@@ -67,13 +67,13 @@ def apply_values(config: Config, values: Mapping[str, Value], source: str) -> Co
 def get_value(config: Config, key: str) -> Any:
     """Return the value of a dotted key. Raises ConfigError where there is none."""
     place: Any = config
-    for part in key.split("."):
-        if not hasattr(place, part):
+    for step in key.split("."):
+        if not hasattr(place, step):
             raise ConfigError(
                 f"tuning.space must name keys of the configuration, but '{key}' is not one of {config.name}: "
                 "choose another search space, such as tuning=network or tuning=constant"
             )
-        place = getattr(place, part)
+        place = getattr(place, step)
     return place
 
 

@@ -32,7 +32,7 @@ def build_rotor(rotor: RotorConfig, built: AsBuiltConfig) -> RotorModel:
     if n > 1:
         fine = fine.model_copy(
             update={
-                "shaft": tuple(one.model_copy(update={"elements": n * one.elements}) for one in fine.shaft),
+                "shaft": tuple(section.model_copy(update={"elements": n * section.elements}) for section in fine.shaft),
                 "discs": tuple(disc.model_copy(update={"node": n * disc.node}) for disc in rotor.discs),
                 "bearing_nodes": tuple(n * node for node in rotor.bearing_nodes),
             }
@@ -73,11 +73,11 @@ def simulate_as_built(
     """
     n, angle = built.refinement, built.unbalance_phase or 0.0
     acting = list(refine_nodes(excitations, built))
-    for i, one in enumerate(acting):
-        if one.kind == "unbalance":
+    for i, weight in enumerate(acting):
+        if weight.kind == "unbalance":
             size, turn = generator.standard_normal(2)
-            magnitude = one.magnitude * (1 + built.unbalance_magnitude * size)
-            acting[i] = replace(one, magnitude=magnitude, phase=one.phase + angle * turn)
+            magnitude = weight.magnitude * (1 + built.unbalance_magnitude * size)
+            acting[i] = replace(weight, magnitude=magnitude, phase=weight.phase + angle * turn)
     felt = stand_on_pedestals(bearings, built)
     if built.in_time:
         simulated = integrate(rotor, felt, tuple(acting))

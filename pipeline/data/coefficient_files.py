@@ -94,8 +94,8 @@ def read_coefficients(
                 f"'{path}' must have every speed of the data, but {len(missing)} are missing for the bearing at node "
                 f"{node} (the first: {wanted[missing[0], 0]:g} rpm{describe_point(used, missing[0], ', ')})"
             )
-        for name, of_name in zip(names, columns[1:], strict=True):
-            values[b, :, COEFFICIENTS.index(name)] = of_name
+        for name, column in zip(names, columns[1:], strict=True):
+            values[b, :, COEFFICIENTS.index(name)] = column
     return BearingTable(tuple(nodes), speeds, values, operating)
 
 

@@ -73,11 +73,11 @@ def gather_conditions(dataset: VibrationDataset, planes: tuple[int, ...] | None 
             "records of conditions, and what is balanced by them, must be of one operating state, but the data have "
             f"{', '.join(dataset.operating)}: give the rows of one state, without these columns"
         )
-    of = dataset.conditions or dataset.runs
-    names = tuple(dict.fromkeys(of))
+    labels = dataset.conditions or dataset.runs
+    names = tuple(dict.fromkeys(labels))
     planes = tuple(sorted({e.node for e in dataset.excitations})) if planes is None else planes
     loads = _read_unbalance(dataset, planes)
-    rows = [np.array([r for r, name in enumerate(of) if name == condition]) for condition in names]
+    rows = [np.array([r for r, name in enumerate(labels) if name == condition]) for condition in names]
     for condition, runs in zip(names, rows, strict=True):
         differing = [r for r in runs if not np.array_equal(loads[r], loads[runs[0]])]
         if differing:
@@ -86,8 +86,10 @@ def gather_conditions(dataset: VibrationDataset, planes: tuple[int, ...] | None 
                 f"'{dataset.runs[runs[0]]}' of condition '{condition}' differ: give one of them a condition of its own"
             )
     mean = np.stack([dataset.displacement[..., runs].mean(-1) for runs in rows])
-    deviation = np.stack([dataset.displacement[..., r] - mean[names.index(of[r])] for r in range(len(of))])  # (R, S, P)
-    freedom = len(of) - len(names)
+    deviation = np.stack(
+        [dataset.displacement[..., r] - mean[names.index(labels[r])] for r in range(len(labels))]
+    )  # (R, S, P)
+    freedom = len(labels) - len(names)
     scatter = np.einsum("rsp,rsq->spq", deviation, deviation.conj())
     return Conditions(
         names=names,

@@ -138,14 +138,14 @@ class VibrationDataset:
         """
         dof, rows = [], []
         for node in dict.fromkeys(node for node, _ in self.channels):
-            own = [p for p, (n, _) in enumerate(self.channels) if n == node]
-            cosines = np.array([project_direction(self.channels[p][1]) for p in own])
+            probes = [p for p, (n, _) in enumerate(self.channels) if n == node]
+            cosines = np.array([project_direction(self.channels[p][1]) for p in probes])
             inverse = np.linalg.pinv(cosines, rcond=_SPAN)
             for direction in range(2):
                 if abs(inverse[direction] @ cosines[:, direction] - 1) < _SPAN:
                     dof.append(translation_dof(node, direction))
                     rows.append(np.zeros(len(self.channels)))
-                    rows[-1][own] = inverse[direction]
+                    rows[-1][probes] = inverse[direction]
         return np.array(dof, dtype=int), np.array(rows).reshape(len(dof), len(self.channels))
 
 
@@ -163,7 +163,7 @@ def project_direction(angle: float) -> tuple[float, float]:
 
 def name_direction(angle: float) -> str:
     """``x``, ``y``, or the angle in degrees."""
-    return next((name for name, of in DIRECTIONS.items() if of == angle), f"{angle:g}")
+    return next((name for name, other in DIRECTIONS.items() if other == angle), f"{angle:g}")
 
 
 def synchronous(frequencies: np.ndarray, speeds: np.ndarray) -> np.ndarray:
@@ -214,9 +214,9 @@ def group_runs(frequencies: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray
     if (frequencies == frequencies[:, :1]).all():  # as of unbalance; sorting them would take a while
         yield np.arange(frequencies.shape[1]), frequencies[:, 0]
         return
-    columns, of = np.unique(frequencies, axis=1, return_inverse=True)
+    columns, group = np.unique(frequencies, axis=1, return_inverse=True)
     for i in range(columns.shape[1]):
-        yield np.flatnonzero(of.ravel() == i), columns[:, i]
+        yield np.flatnonzero(group.ravel() == i), columns[:, i]
 
 
 def assemble_forces(

@@ -35,9 +35,9 @@ def list_variables(path: Path) -> dict[str, Any]:
             return dict(_walk(_open_hdf5(path)))
         return dict(_walk(loadmat(path, simplify_cells=True)))
     except Exception as error:  # scipy and h5py raise many kinds for a damaged file
-        words = (str(error).splitlines() or [type(error).__name__])[0][:200]
+        reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
         raise DataError(
-            f"'{path}' must be a complete MAT file, but it can't be read as one ({words}): copy it again"
+            f"'{path}' must be a complete MAT file, but it can't be read as one ({reason}): copy it again"
         ) from None
 
 
@@ -52,8 +52,8 @@ def _walk(content: Mapping[str, Any], before: str = "") -> Iterable[tuple[str, A
 
 
 def _take(path: Path, every: Mapping[str, Any], name: str) -> np.ndarray:
-    found = _COLUMN.fullmatch(name)
-    asked, column = (found[1], int(found[2])) if found else (name, None)
+    match = _COLUMN.fullmatch(name)
+    asked, column = (match[1], int(match[2])) if match else (name, None)
     if asked not in every:
         raise DataError(
             f"'{path}' must have the variable '{asked}', but it has not: {nearest(asked, every)}; a table or "
@@ -87,7 +87,7 @@ def _open_hdf5(path: Path) -> dict[str, Any]:
             if kind == b"char":
                 return "".join(chr(code) for code in np.asarray(values).T.reshape(-1))
             if kind == b"cell":
-                return np.array([read(file[one]) for one in np.asarray(values).T.reshape(-1)], dtype=object)
+                return np.array([read(file[reference]) for reference in np.asarray(values).T.reshape(-1)], dtype=object)
             return np.asarray(values).T  # MATLAB counts down the columns
 
         content: dict[str, Any] = read(file)

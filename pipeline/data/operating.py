@@ -31,18 +31,18 @@ def split_states(speeds: np.ndarray, operating: Mapping[str, np.ndarray]) -> lis
     """
     if not operating:
         return [("", np.arange(len(speeds)))]
-    values = np.stack([np.asarray(of, dtype=float) for of in operating.values()], axis=1)  # (S, conditions)
+    values = np.stack([np.asarray(level, dtype=float) for level in operating.values()], axis=1)  # (S, conditions)
     unique, conditions = np.unique(values, axis=0, return_inverse=True)
     conditions = conditions.ravel()
     repeated = any(len(np.unique(speeds[conditions == i])) < (conditions == i).sum() for i in range(len(unique)))
     if repeated or np.bincount(conditions).min() < 2:
         conditions = _rank_conditions(speeds, values)
-    found = []
+    states = []
     for i in range(conditions.max() + 1):
         points = np.flatnonzero(conditions == i)
         points = points[np.argsort(speeds[points], kind="stable")]
-        found.append((name_state({name: of_all[points] for name, of_all in operating.items()}), points))
-    return found
+        states.append((name_state({name: levels[points] for name, levels in operating.items()}), points))
+    return states
 
 
 def find_nearest(

@@ -28,24 +28,24 @@ def read_with_conditions(
 
     Raises DataError also for a condition without a unit, with one of another dimension, or below absolute zero.
     """
-    own = dict(columns) | dict(optional or {})
-    found: dict[str, ConditionColumn] = {}
+    declared = dict(columns) | dict(optional or {})
+    conditions: dict[str, ConditionColumn] = {}
 
     def list_further(names: list[str]) -> dict[str, str]:
         try:
-            found.update(find_columns(names, tuple(own)))
+            conditions.update(find_columns(names, tuple(declared)))
         except ValueError as error:
             raise DataError(f"'{path}' {error}") from None
-        return dict(optional or {}) | {one.column: "number or blank" for one in found.values()}
+        return dict(optional or {}) | {one.column: "number or blank" for one in conditions.values()}
 
     table = read_table(path, columns, list_further, text)
-    operating = {name: one.to_si(table.pop(one.column)) for name, one in found.items()}
-    for name, one in found.items():
+    operating = {name: one.to_si(table.pop(one.column)) for name, one in conditions.items()}
+    for name, condition in conditions.items():
         cold = np.flatnonzero(operating[name] <= 0)
         if len(cold) and column_of(name).unit in ("degC", "degF"):
             raise DataError(
-                f"'{path}' must have temperatures above absolute zero in the column '{one.column}', but row "
-                f"{cold[0] + 1} has {one.from_si(operating[name][cold[:1]])[0]:g}"
+                f"'{path}' must have temperatures above absolute zero in the column '{condition.column}', but row "
+                f"{cold[0] + 1} has {condition.from_si(operating[name][cold[:1]])[0]:g}"
             )
     return table, operating
 

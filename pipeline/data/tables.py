@@ -62,7 +62,7 @@ def read_table(
             raise DataError(f"'{path}' must have the column '{name}', but it has not: {nearest(name, names)}")
     if not table or not len(table[0]):
         raise DataError(f"'{path}' must have at least one row, but it has none")
-    found: Columns = {}
+    columns_read: Columns = {}
     further = optional(names) if callable(optional) else optional
     for name, kind in (dict(columns) | dict(further or {})).items():
         if counts[name] > 1:
@@ -72,10 +72,10 @@ def read_table(
         if name in counts:
             column = table[names.index(name)]
             if kind == "text":
-                found[name] = np.array(["" if value is None else str(value) for value in column], dtype=object)
+                columns_read[name] = np.array(["" if value is None else str(value) for value in column], dtype=object)
             else:
-                found[name] = _to_numbers(path, name, column, kind, text.decimal)
-    return found
+                columns_read[name] = _to_numbers(path, name, column, kind, text.decimal)
+    return columns_read
 
 
 def list_columns(path: Path, text: TextFormat = PLAIN) -> list[str]:
@@ -140,8 +140,8 @@ def _read_csv(path: Path, text: TextFormat) -> tuple[list[str], Sequence[Sequenc
             if any("\0" in field for field in row):
                 raise ValueError(f"row {i} has bytes that are no text")
     except (OSError, ValueError, IndexError, csv.Error) as error:
-        words = "it is empty" if isinstance(error, IndexError) else _first_line(error)
-        raise DataError(f"'{path}' must be a CSV table, but it can't be read as one ({words})") from None
+        reason = "it is empty" if isinstance(error, IndexError) else _first_line(error)
+        raise DataError(f"'{path}' must be a CSV table, but it can't be read as one ({reason})") from None
     return header, [column[1:] for column in zip_longest(*rows, fillvalue="")]
 
 
@@ -201,13 +201,13 @@ def _to_array(column: Any) -> Sequence[Any] | np.ndarray:
     """NaN for a number that is null. By DLPack: pyarrow's own way to numpy imports pandas."""
     import pyarrow as pa
 
-    of = column.type
-    if pa.types.is_integer(of) and not column.null_count:
+    kind = column.type
+    if pa.types.is_integer(kind) and not column.null_count:
         return np.array(np.from_dlpack(column.combine_chunks()))
-    if pa.types.is_integer(of) or pa.types.is_floating(of) or pa.types.is_decimal(of):
+    if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind):
         array = column.combine_chunks().cast("float64")
         return np.array(np.from_dlpack(array.fill_null(float("nan")) if array.null_count else array))
-    if (pa.types.is_string(of) or pa.types.is_large_string(of)) and not column.null_count:
+    if (pa.types.is_string(kind) or pa.types.is_large_string(kind)) and not column.null_count:
         coded = column.combine_chunks().dictionary_encode()  # a few texts, many times each
         return np.array(coded.dictionary.to_pylist(), dtype=object)[np.from_dlpack(coded.indices)]
     values: list[Any] = column.to_pylist()

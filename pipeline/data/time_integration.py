@@ -82,15 +82,15 @@ def _one_step(rotor: RotorModel, bearings: BearingTable, s: int, h: float) -> tu
         damping[np.ix_(rows, rows)] += four[1]
     mass = rotor.mass.copy()
     for block, rows in zip(rotor.seals.matrices(bearings.speeds[[s]])[:, 0], seal_dof(rotor), strict=True):
-        for matrix, part in zip((stiffness, damping, mass), block, strict=True):
-            matrix[np.ix_(rows, rows)] += part
+        for matrix, stacked in zip((stiffness, damping, mass), block, strict=True):
+            matrix[np.ix_(rows, rows)] += stacked
     beta, gamma, more = (1 - _ALPHA) ** 2 / 4, (1 - 2 * _ALPHA) / 2, 1 + _ALPHA
     k, c = h**2 * stiffness, h * damping
     system = mass + more * (gamma * c + beta * k)
     now = np.hstack([k, c + more * k, more * ((1 - gamma) * c + (0.5 - beta) * k)])
     last = np.linalg.solve(system, np.hstack([-now, h**2 * np.eye(n)]))
     bent, load = last[:, : 3 * n], last[:, 3 * n :]
-    one, none = np.eye(n), np.zeros((n, n))
-    first = np.hstack([one, one, (0.5 - beta) * one]) + beta * bent
-    second = np.hstack([none, one, (1 - gamma) * one]) + gamma * bent
+    identity, none = np.eye(n), np.zeros((n, n))
+    first = np.hstack([identity, identity, (0.5 - beta) * identity]) + beta * bent
+    second = np.hstack([none, identity, (1 - gamma) * identity]) + gamma * bent
     return np.vstack([first, second, bent]), np.vstack([beta * load, gamma * load, load])

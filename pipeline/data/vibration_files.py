@@ -190,8 +190,8 @@ def _assemble(
 ) -> VibrationDataset:
     """The data set of rows at ``points`` (see :func:`find_points`, in rpm) and ``places`` (nodes and angles)."""
     rpm, operating, at_point = points
-    found, at_channel = np.unique(np.stack(places, axis=1), axis=0, return_inverse=True)
-    pairs = [(int(node), float(angle)) for node, angle in found]
+    channels_read, at_channel = np.unique(np.stack(places, axis=1), axis=0, return_inverse=True)
+    pairs = [(int(node), float(angle)) for node, angle in channels_read]
     order = {run: r for r, run in enumerate(runs)}
     at_run = np.array([order[run] for run in table["run"].tolist()])
     shape = (len(rpm), len(pairs), len(runs))
@@ -238,14 +238,14 @@ def _assemble(
 
 def _read_conditions(table: Columns, path: Path, runs: tuple[str, ...]) -> tuple[str, ...]:
     """(R,) the condition of each run."""
-    found: dict[str, str] = {}
+    labels: dict[str, str] = {}
     for run, condition in zip(table["run"].tolist(), table[_CONDITION].tolist(), strict=True):
-        if found.setdefault(run, condition) != condition or not condition:
+        if labels.setdefault(run, condition) != condition or not condition:
             raise DataError(
-                f"'{path}' must have one condition for all rows of a run, but run '{run}' has '{found[run]}' and "
+                f"'{path}' must have one condition for all rows of a run, but run '{run}' has '{labels[run]}' and "
                 f"'{condition}'"
             )
-    return tuple(found[run] for run in runs)
+    return tuple(labels[run] for run in runs)
 
 
 def _read_frequencies(
@@ -271,8 +271,8 @@ def _read_frequencies(
 def _check_synchronous(dataset: VibrationDataset, path: Path) -> None:
     """An unbalance turns with the rotor."""
     for excitation in dataset.excitations:
-        own = dataset.frequencies[:, dataset.runs.index(excitation.run)]
-        if excitation.kind == "unbalance" and not synchronous(own, dataset.speeds).all():
+        frequencies = dataset.frequencies[:, dataset.runs.index(excitation.run)]
+        if excitation.kind == "unbalance" and not synchronous(frequencies, dataset.speeds).all():
             raise DataError(
                 f"'{path}' must have the rotor's frequency in runs with an unbalance, but run '{excitation.run}' has "
                 "another: give its force as kind 'force', or leave the frequency out"
@@ -281,14 +281,14 @@ def _check_synchronous(dataset: VibrationDataset, path: Path) -> None:
 
 def _read_angles(directions: np.ndarray, path: Path) -> np.ndarray:
     """Degrees from x towards y, 0 to 360."""
-    found = {direction: _read_angle(direction) for direction in set(directions.tolist())}
+    angles = {direction: _read_angle(direction) for direction in set(directions.tolist())}
     for direction in directions.tolist():
-        if not np.isfinite(found[direction]):
+        if not np.isfinite(angles[direction]):
             raise DataError(
                 f"'{path}' must have 'x', 'y' or an angle in degrees (from x towards y) in the column 'direction', but "
                 f"got {direction!r}"
             )
-    return np.array([found[direction] for direction in directions.tolist()])
+    return np.array([angles[direction] for direction in directions.tolist()])
 
 
 def _read_angle(direction: str) -> float:

@@ -26,4 +26,4 @@ def find_contradiction(about: Mapping[str, Any], kind: str) -> tuple[str, str] |
 
 def list_contradicted(correction: Mapping[str, Mapping[str, float]]) -> list[str]:
     """The coefficients of a bearing whose ``correction`` by a network stands out of its own deviation."""
-    return [name for name, one in correction.items() if one["percent"] > STANDS_OUT * one["deviation_percent"]]
+    return [name for name, entry in correction.items() if entry["percent"] > STANDS_OUT * entry["deviation_percent"]]

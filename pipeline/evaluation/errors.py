@@ -31,9 +31,9 @@ CoefficientErrors = dict[int, dict[str, CoefficientError]]
 
 def measure_relative_errors(identified: BearingTable, modelled: BearingTable, name: str) -> np.ndarray:
     """(B, S) |identified - modelled| / |modelled| in percent; NaN where the modelled value is zero."""
-    found, true = identified.coefficient(name), modelled.coefficient(name)
+    value, true = identified.coefficient(name), modelled.coefficient(name)
     size = np.where(true == 0.0, np.nan, np.abs(true))
-    return 100.0 * np.abs(found - true) / size
+    return 100.0 * np.abs(value - true) / size
 
 
 def measure_errors(
@@ -44,20 +44,20 @@ def measure_errors(
     for b, node in enumerate(identified.nodes):
         for name in names[b]:
             relative = measure_relative_errors(identified, modelled, name)[b]
-            of = relative[~np.isnan(relative)]
-            if len(of):
-                found, true = identified.coefficient(name)[b], modelled.coefficient(name)[b]
-                l2 = 100.0 * np.linalg.norm(found - true) / np.linalg.norm(true)
-                median, p95 = np.percentile(of, (50.0, 95.0))
+            errors = relative[~np.isnan(relative)]
+            if len(errors):
+                value, true = identified.coefficient(name)[b], modelled.coefficient(name)[b]
+                l2 = 100.0 * np.linalg.norm(value - true) / np.linalg.norm(true)
+                median, p95 = np.percentile(errors, (50.0, 95.0))
                 result[node][name] = CoefficientError(
-                    float(of.mean()), float(median), float(p95), float(of.max()), float(l2)
+                    float(errors.mean()), float(median), float(p95), float(errors.max()), float(l2)
                 )
     return result
 
 
 def list_metrics(errors: CoefficientErrors) -> dict[str, dict[str, dict[str, float]]]:
     """The ``coefficients`` part of ``metrics.json``."""
-    return {str(node): {name: asdict(error) for name, error in of.items()} for node, of in errors.items()}
+    return {str(node): {name: asdict(error) for name, error in by_name.items()} for node, by_name in errors.items()}
 
 
 def find_worst_mean(errors: CoefficientErrors, name: str) -> float:

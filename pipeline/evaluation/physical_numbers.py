@@ -48,15 +48,15 @@ def find_true_numbers(machine: MachineConfig) -> dict[str, float]:
     if laws is None:
         return {}
     per_node = bearings.nodes if isinstance(bearings, PerNodeBearingConfig) else dict.fromkeys(laws.bearings, bearings)
-    found: dict[str, float] = {}
+    numbers: dict[str, float] = {}
     for node, law in laws.bearings.items():
         modelled = per_node.get(node)
         for name in type(law).model_fields:
             value = getattr(modelled, _MODELLED_AS.get(name, name), None)
             if isinstance(value, float):
-                found[f"{node}.{name}"] = value
-        found |= _find_oil(laws, getattr(modelled, "oil_viscosity", None))
-    return found
+                numbers[f"{node}.{name}"] = value
+        numbers |= _find_oil(laws, getattr(modelled, "oil_viscosity", None))
+    return numbers
 
 
 def _find_oil(laws: LawsConfig, modelled: float | OilConfig | None) -> dict[str, float]:

@@ -71,8 +71,8 @@ class Check:
         if self.committed is None or self.value is None or not math.isfinite(self.value):
             return self.committed is not None
         limit = self.rule.max if self.rule.max is not None else self.rule.min
-        moved = abs(self.value - self.committed)
-        return moved > share * abs(self.committed) and moved > _OF_LIMIT * abs(limit or 0.0)
+        change = abs(self.value - self.committed)
+        return change > share * abs(self.committed) and change > _OF_LIMIT * abs(limit or 0.0)
 
 
 _OF_LIMIT = 0.01
@@ -112,12 +112,12 @@ def read_committed(path: Path) -> Committed:
 
 def tabulate_committed(checks: Sequence[Check]) -> dict[str, list[Any]]:
     """The columns of ``committed.csv``; four digits say enough."""
-    found = [(c, c.value) for c in checks if c.value is not None]
+    values = [(c, c.value) for c in checks if c.value is not None]
     return {
-        "experiment": [c.experiment for c, _ in found],
-        "file": [c.rule.file for c, _ in found],
-        "metric": [c.metric for c, _ in found],
-        "value": [f"{value:.4g}" for _, value in found],
+        "experiment": [c.experiment for c, _ in values],
+        "file": [c.rule.file for c, _ in values],
+        "metric": [c.metric for c, _ in values],
+        "value": [f"{value:.4g}" for _, value in values],
     }
 
 
@@ -125,12 +125,12 @@ def check_experiment(experiment: str, rules: list[Rule], folder: Path, committed
     """Every rule against the files in ``folder``. A missing file or metric fails its rule."""
     checks = []
     for rule in rules:
-        found: list[tuple[str, float | None]] = []
+        values: list[tuple[str, float | None]] = []
         with suppress(DataError):
-            found += _select(read_json(folder / rule.file), rule.metric.split("."))
+            values += _select(read_json(folder / rule.file), rule.metric.split("."))
         checks += [
             Check(experiment, name, value, rule, committed.get((experiment, rule.file, name)))
-            for name, value in found or [(rule.metric, None)]
+            for name, value in values or [(rule.metric, None)]
         ]
     return checks
 

@@ -103,7 +103,7 @@ def tabulate(*states: Exported) -> dict[str, Any]:
     takes for SI. Conditions have columns of their own, such as ``oil_temperature_degC``.
     """
     parts = [_tabulate(state) for state in states]
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    return {name: np.concatenate([columns[name] for columns in parts]) for name in parts[0]}
 
 
 def _tabulate(exported: Exported) -> dict[str, np.ndarray]:
@@ -115,10 +115,10 @@ def _tabulate(exported: Exported) -> dict[str, np.ndarray]:
     }
     count = n_bearings * n_speeds
     columns |= list_columns({name: np.full(count, value) for name, value in exported.operating.items()})
-    for part, ending in ((exported.values, ""), (exported.deviations, "_std")):
-        for c, name in enumerate(COEFFICIENTS if part is not None else ()):
-            assert part is not None
-            columns[f"{name}{suffix[is_stiffness(name)]}{ending}"] = part[..., c].ravel()
+    for values, ending in ((exported.values, ""), (exported.deviations, "_std")):
+        for c, name in enumerate(COEFFICIENTS if values is not None else ()):
+            assert values is not None
+            columns[f"{name}{suffix[is_stiffness(name)]}{ending}"] = values[..., c].ravel()
     return columns
 
 
@@ -181,7 +181,7 @@ def document(*states: Exported, numbers: Sequence[Number] = ()) -> Document:
 def _list_bearings(exported: Exported) -> list[Bearing]:
     deviations, bearings = exported.deviations, []
     beside = list_columns({name: np.array([value]) for name, value in exported.operating.items()})
-    operating = {name: float(of[0]) for name, of in beside.items()}
+    operating = {name: float(levels[0]) for name, levels in beside.items()}
     for b, node in enumerate(exported.table.nodes):
         found = {}
         for c, name in enumerate(COEFFICIENTS):

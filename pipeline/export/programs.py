@@ -51,14 +51,14 @@ def write_ansys_file(exported: Exported, b: int) -> str:
     lines = [title[:80] for title in titles] + [f"{len(exported.rpm):10d}{0:10d}{1:10d}"]
     for i, (rpm, row) in enumerate(zip(exported.rpm, exported.values[b], strict=True), start=1):
         lines.append(f"{i:10d}{rpm:10.2f}")
-        lines += ["".join(f"{value:15.7E}" for value in part) for part in (row[:4], row[4:])]
+        lines += ["".join(f"{value:15.7E}" for value in half) for half in (row[:4], row[4:])]
     return "\n".join(lines) + "\n"
 
 
 def write_apdl(exported: Exported, b: int) -> str:
     """APDL input: COMBI214 in the XY plane, not symmetric, with tables over the rotational velocity (OMEGS, rad/s)."""
     node = exported.table.nodes[b]
-    lines = [f"! {words}" for words in exported.conventions()]
+    lines = [f"! {sentence}" for sentence in exported.conventions()]
     lines.append(f"! bearing at node {node}; /INPUT this in PREP7; type and real constant set are {node + 1}")
     lines += [f"ET,{node + 1},COMBI214", f"KEYOPT,{node + 1},2,0", f"KEYOPT,{node + 1},3,1"]
     several = len(exported.rpm) > 1
@@ -107,8 +107,8 @@ def _add_sheets(book: Any, exported: Exported, number: int) -> None:
         name = f"node {node}" + (f", {exported.state}" if exported.operating else "")
         if len(name) > _LONGEST - len(" deviations"):
             name = f"node {node}, state {number}"
-        for title, part in ((name, exported.values), (f"{name} deviations", deviations)):
-            if part is None:
+        for title, table in ((name, exported.values), (f"{name} deviations", deviations)):
+            if table is None:
                 continue
             sheet = book.create_sheet(title)
             sheet.append([f"{exported.title}, bearing at node {node}; the sheet 'conventions' has axes and signs"])
@@ -116,5 +116,5 @@ def _add_sheets(book: Any, exported: Exported, number: int) -> None:
                 sheet.append([None])
             sheet.append(["Speed", *(name.capitalize() for name in COEFFICIENTS)])
             sheet.append(["rpm", *map(exported.unit, COEFFICIENTS)])
-            for rpm, row in zip(exported.rpm, part[b], strict=True):
+            for rpm, row in zip(exported.rpm, table[b], strict=True):
                 sheet.append([float(rpm), *(None if np.isnan(value) else float(value) for value in row)])

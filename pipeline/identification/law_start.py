@@ -77,7 +77,7 @@ def _spread(problem: OutputError) -> torch.Tensor:
     drawn = qmc.Sobol(law.n_numbers, scramble=False).random(_JUDGED + 1)[1:]
     places = torch.as_tensor(_SPREAD * (2 * drawn - 1)) * deviation
     weights[1:, 0, problem.places.numbers] = places
-    weights[..., problem.places.parameters] = problem.solved_at
+    weights[..., problem.places.parameters] = problem.sensors.solved_at
     return weights
 
 
@@ -121,7 +121,7 @@ def first_weights(problem: OutputError, theta: np.ndarray) -> torch.Tensor:
 
     weights = torch.zeros(1, 1, problem.size, dtype=torch.float64)
     weights[0, 0, problem.places.numbers] = torch.as_tensor(theta)
-    weights[..., problem.places.parameters] = problem.solved_at
+    weights[..., problem.places.parameters] = problem.sensors.solved_at
     return weights
 
 

@@ -260,14 +260,14 @@ def estimate_by_repeats(problem: OutputError, weights: torch.Tensor) -> np.ndarr
     """
     squares = []
     for b, predicted in enumerate(problem.predicted(weights)):
-        block, measured = problem.readings.blocks[b], problem.readings.measured[b][0].numpy()
+        runs, measured = problem.readings.runs[b], problem.readings.measured[b][0].numpy()
         subtracted = problem.measurement.dataset.subtracted
         # All runs had the same baseline taken off: its noise cancels.
-        read = predicted[0].numpy() + (0.0 if subtracted is None else subtracted[..., block.runs])
+        read = predicted[0].numpy() + (0.0 if subtracted is None else subtracted[..., runs])
         deviation = problem.measurement.deviation_of(read)
         here = np.broadcast_to(problem.readings.present(b).numpy() > 0, (len(read), 1, read.shape[2]))
         last: dict[tuple[Excitation, ...], int] = {}
-        for r, run in enumerate(block.runs):
+        for r, run in enumerate(runs):
             # By what is stated: a fitted weight of one run is not that of another.
             before = last.get(key := problem.measurement.dataset.excitation_of(int(run)))
             if before is not None:

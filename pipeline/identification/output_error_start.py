@@ -226,7 +226,7 @@ def start_at(problem: OutputError, values: np.ndarray) -> torch.Tensor:
     )  # (A, K)
     weights = torch.zeros(1, 1, problem.size, dtype=coordinates.dtype)
     weights[..., problem.places.coefficients] = coordinates.flatten()
-    weights[..., problem.places.parameters] = problem.solved_at
+    weights[..., problem.places.parameters] = problem.sensors.solved_at
     return weights
 
 

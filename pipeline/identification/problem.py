@@ -35,21 +35,11 @@ from pipeline.identification.blocks import Places, Prior
 from pipeline.identification.law_term import LawTerm, law_term
 from pipeline.identification.model import CoefficientModel
 from pipeline.identification.readings import Readings, gather_readings
+from pipeline.identification.sensor_model import SensorModel, sensor_model
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.response import (
-    BlockResponse,
-    ResponseBlock,
-    derive,
-    derive_by_parameters,
-    impedance_change,
-    respond,
-)
 
 if TYPE_CHECKING:
     import torch
-
-COLLAPSED = 0.02
-"""Below this fraction of its initial guess a coefficient counts as collapsed."""
 
 
 class Machine(NamedTuple):
@@ -65,6 +55,7 @@ class Machine(NamedTuple):
 class OutputError:
     """Least squares of the weights z, (G, 1, Z), at the speeds and runs of a measurement."""
 
+    sensors: SensorModel
     readings: Readings
     basis: Basis
     features: torch.Tensor  # (M, S, K) at the speeds of the measurement
@@ -77,7 +68,7 @@ class OutputError:
     @property
     def measurement(self) -> Measurement:
         """Where the readings are from."""
-        return self.readings.measurement
+        return self.sensors.measurement
 
     @property
     def model(self) -> CoefficientModel:
@@ -208,59 +199,10 @@ class OutputError:
 
     # --- from the machine to the sensors -------------------------------------------------------------
 
-    @cached_property
-    def _influence(self) -> torch.Tensor:
-        """(8 B, A) which coefficients each active unknown moves."""
-        import torch
-
-        influence = self.measurement.unknowns.influence
-        return torch.as_tensor(influence.reshape(influence.shape[0] * influence.shape[1], -1))
-
-    @cached_property
-    def _known(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """(S, 8 B) N/m and N s/m, the other coefficients, zero where identified; (S, 8 B, T) their derivative."""
-        import torch
-
-        measurement, n_speeds = self.measurement, len(self.measurement.dataset.speeds)
-        others = np.where(measurement.unknowns.identified[:, None], 0.0, measurement.updated_known.values)  # (B, S, 8)
-        slopes = measurement.known_variation.reshape(n_speeds, len(self._influence), self.places.n_parameters)
-        return torch.as_tensor(others.swapaxes(0, 1).reshape(n_speeds, -1)), torch.as_tensor(slopes)
-
-    @cached_property
-    def _variations(self) -> tuple[ResponseBlock, ...]:
-        """The blocks' derivatives by the model parameters; none where there are none."""
-        import torch
-
-        return tuple(block.converted(torch.as_tensor) for block in self.measurement.variations)
-
-    @cached_property
-    def solved_at(self) -> torch.Tensor:
-        """(T,) the model parameters at which the response was solved; it is of first order beyond."""
-        import torch
-
-        return torch.as_tensor(self.measurement.parameter_values)
-
-    def _bearings(self, state: Machine, block: ResponseBlock) -> torch.Tensor:
-        """dH, (G, S, 2 B, 2 B) N/m."""
-        known, by_parameters = self._known
-        known = known + (by_parameters @ (state.parameters - self.solved_at)[:, None, :, None])[..., 0]
-        eight = (self._unknowns(state)[0] @ self._influence.T + known).unflatten(-1, (-1, 8))  # (G, S, B, 8)
-        change: torch.Tensor = impedance_change(eight, block.frequencies, self.measurement.response.reference)
-        return change
-
-    def _block(self, state: Machine, b: int) -> ResponseBlock:
-        """Block b at the state's model parameters."""
-        if not self.places.n_parameters:
-            return self.readings.blocks[b]
-        return self.readings.blocks[b].vary(self._variations[b], state.parameters - self.solved_at)
-
     def predicted(self, weights: torch.Tensor) -> list[torch.Tensor]:
         """(G, S, P, R) m of every block."""
-        return self._predicted(self.state(weights))
-
-    def _predicted(self, state: Machine) -> list[torch.Tensor]:
-        blocks = [self._block(state, b) for b in range(len(self.readings.blocks))]
-        return [respond(block, self._bearings(state, block), state.unbalance, False).sensors for block in blocks]
+        state = self.state(weights)
+        return self.sensors.predict(self._unknowns(state)[0], state.unbalance, state.parameters)
 
     def deviations(self, weights: torch.Tensor) -> list[torch.Tensor]:
         """(G, S, P, R) complex of every block, whitened: predicted minus measured, of unit variance in each part."""
@@ -276,31 +218,14 @@ class OutputError:
         """
         import torch
 
-        block, precision = self._block(state, b), self.readings.precision[b][..., None]
-        change = self._bearings(state, block)
-        response = respond(block, change, state.unbalance)
-        by_coefficient = derive(block, response).flatten(-2)  # (G, S, P, R, 8 B)
-        _, slope, by_numbers = self._unknowns(state)
-        by_unknowns = by_coefficient @ self._influence.to(by_coefficient.dtype)  # (G, S, P, R, A)
-        by_outputs = by_unknowns * slope[:, :, None, None]
-        by_theta = by_unknowns @ by_numbers.to(by_unknowns.dtype)[:, :, None]
-        columns = [by_outputs * precision, by_theta * precision, self._by_planes(response, precision)]
-        if self.places.n_parameters:
-            by_known = by_coefficient @ self._known[1].to(by_coefficient.dtype)[:, None]
-            by_model = derive_by_parameters(self._variations[b], response, change, state.unbalance)
-            columns.append((by_model + by_known) * precision)
-        columns.append(self.readings.subtract_from(b, response.sensors)[..., None])
-        return self.readings.whiten(b, torch.cat(columns, dim=-1))
-
-    def _by_planes(self, response: BlockResponse, precision: torch.Tensor) -> torch.Tensor:
-        """(G, S, P, R, 2 N) derivative by the weights of the residual unbalance, over the noise."""
-        import torch
-
-        alone = torch.zeros(*response.sensors.shape, self.places.n_planes, dtype=response.sensors.dtype)
-        if response.unit_sensors.shape[-1]:
-            alone = response.unit_sensors[:, :, :, None, :].expand(alone.shape) * precision
-        alone = self.plane_scale * alone
-        return torch.stack([alone, 1j * alone], dim=-1).flatten(-2)
+        precision = self.readings.precision[b][..., None]
+        values, slope, by_numbers = self._unknowns(state)
+        told = self.sensors.derive(b, values, state.unbalance, state.parameters)
+        by_planes = self.plane_scale * torch.stack([told.by_planes, 1j * told.by_planes], dim=-1).flatten(-2)
+        by_theta = told.by_unknowns @ by_numbers.to(told.by_unknowns.dtype)[:, :, None]
+        columns = [told.by_unknowns * slope[:, :, None, None], by_theta, by_planes, told.by_parameters]
+        deviations = self.readings.subtract_from(b, told.readings)[..., None]
+        return self.readings.whiten(b, torch.cat([*(column * precision for column in columns), deviations], dim=-1))
 
     # --- what is minimised ----------------------------------------------------------------------------
 
@@ -348,7 +273,7 @@ class OutputError:
 
         state = self.state(weights)
         products = []
-        for b in range(len(self.readings.blocks)):
+        for b in range(len(self.readings.runs)):
             local = self._local(state, b).flatten(2, 3)
             parts = torch.cat([local.real, local.imag], dim=2)
             products.append(parts.mT @ parts)
@@ -379,14 +304,14 @@ class OutputError:
         """(G, rows, Z + 1) derivative of the readings' rows by the weights, and the rows themselves: large."""
         import torch
 
-        state, found = self.state(weights), []
-        for b in range(len(self.readings.blocks)):
+        state, blocks = self.state(weights), []
+        for b in range(len(self.readings.runs)):
             local = self._local(state, b)
             by_output, rest = local[..., : len(self.active)], local[..., len(self.active) :]
             spread = torch.einsum("gspra,ask->gsprak", by_output, self._carrier.to(local.dtype)).flatten(-2)
             mixed = self.readings.mix(b, torch.cat([spread, rest], dim=-1))
-            found.append(torch.view_as_real(mixed).movedim(-1, -2).flatten(1, 4))  # (G, S, P, R, 2, Z + 1)
-        return torch.cat(found, dim=1)
+            blocks.append(torch.view_as_real(mixed).movedim(-1, -2).flatten(1, 4))  # (G, S, P, R, 2, Z + 1)
+        return torch.cat(blocks, dim=1)
 
     def jacobian(self, weights: torch.Tensor) -> torch.Tensor:
         """(G, 1, rows + N, Z) derivative of :meth:`rows`, as it orders them: large, :meth:`normal` does without it."""
@@ -410,21 +335,6 @@ class OutputError:
         padded = torch.nn.functional.pad(alone, (0, order - alone.shape[-1])).flatten(-2)
         return torch.cat([padded, weights[..., self.places.n_coefficients :]], dim=-1)
 
-    def revived(self, weights: torch.Tensor) -> torch.Tensor:
-        """(0 or 1, 1, Z) the weights (1, 1, Z) with collapsed unknowns put back to their guess; none is collapsed: 0.
-
-        What must be positive is an exponential: once it has all but vanished, nothing draws it back.
-        """
-        import torch
-
-        values = self.unknowns(weights)[0][0].abs().median(dim=0).values  # (A,)
-        positive = torch.tensor([self.model.positive[u] for _, u in self.active])
-        gone = positive & (values < COLLAPSED * torch.stack([self.scale[m, 0, u] for m, u in self.active]))
-        if not gone.any():
-            return weights[:0]
-        alone = weights[0, 0, self.places.coefficients].unflatten(-1, (len(self.active), -1)) * ~gone[:, None]
-        return torch.cat([alone.flatten(), weights[0, 0, self.places.n_coefficients :]])[None, None]
-
     # --- other data ----------------------------------------------------------------------------------
 
     def with_prior(self, beyond_trend: float) -> OutputError:
@@ -437,11 +347,8 @@ class OutputError:
         """
         if not self.places.n_parameters:
             return self
-        import torch
-
-        measurement = self.measurement.update(self.model_parameters(weights)[0].numpy())
-        blocks = tuple(block.converted(torch.as_tensor) for block in measurement.response.blocks)
-        return replace(self, readings=replace(self.readings, measurement=measurement, blocks=blocks))
+        values = self.model_parameters(weights)[0].numpy()
+        return replace(self, sensors=sensor_model(self.measurement.update(values)))
 
 
 def output_error(measurement: Measurement, basis: Basis, plane_scale: float) -> OutputError:
@@ -450,6 +357,7 @@ def output_error(measurement: Measurement, basis: Basis, plane_scale: float) -> 
 
     laws, points = measurement.laws, measurement.dataset.points
     return OutputError(
+        sensors=sensor_model(measurement),
         readings=gather_readings(measurement),
         basis=basis,
         features=basis.at(points),

@@ -196,10 +196,10 @@ def _held_out(fit: OutputErrorFit, other: OutputError) -> dict[str, float]:
 
 def _bad_points(fit: OutputErrorFit, plain: list[np.ndarray]) -> tuple[BadPoint, ...]:
     dataset, points = fit.problem.measurement.dataset, []
-    for block, off in zip(fit.problem.readings.blocks, plain, strict=True):
+    for runs, off in zip(fit.problem.readings.runs, plain, strict=True):
         for s, p, r in np.argwhere(np.abs(off) > BAD_POINT):
             node, angle = dataset.channels[p]
-            run, size = dataset.runs[block.runs[r]], float(np.abs(off[s, p, r]))
+            run, size = dataset.runs[runs[r]], float(np.abs(off[s, p, r]))
             beside = {name: float(values[s]) for name, values in dataset.operating.items()}
             points.append(BadPoint(run, float(dataset.speeds[s]), node, name_direction(angle), size, beside))
     return tuple(points)

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.response import ResponseBlock
 
 if TYPE_CHECKING:
     import torch
@@ -25,7 +24,7 @@ class Readings:
     """The readings of a measurement, with the precisions that count at the moment."""
 
     measurement: Measurement
-    blocks: tuple[ResponseBlock, ...]
+    runs: tuple[np.ndarray, ...]  # of each block
     measured: tuple[torch.Tensor, ...]  # (G or 1, S, P, R) m
     precision: tuple[torch.Tensor, ...]  # likewise, 1/m: root of 2 over the reading's own deviation: both parts count
     common: tuple[torch.Tensor, ...]  # likewise, a subtracted baseline's deviation over the own one; none without
@@ -79,12 +78,12 @@ class Readings:
     def deviation(self, b: int, predicted: np.ndarray, factor: np.ndarray | None = None) -> np.ndarray:
         """(.., S, P, R) m of the ``predicted`` readings of block b; ``factor`` (P,) over the stated noise."""
         subtracted = self.measurement.dataset.subtracted
-        taken = None if subtracted is None else subtracted[..., self.blocks[b].runs]
+        taken = None if subtracted is None else subtracted[..., self.runs[b]]
         return self.measurement.deviation_of(predicted, taken, factor)
 
     def present(self, b: int) -> torch.Tensor:
         """(S or 1, 1, R) one where a run of block b was measured, zero elsewhere."""
-        return _weigh_present(self.measurement, self.blocks[b].runs)
+        return _weigh_present(self.measurement, self.runs[b])
 
     def follow(self, predicted: list[torch.Tensor], factor: np.ndarray, shares: list[torch.Tensor]) -> Readings:
         """The same with the noise of ``predicted`` readings, of which ``shares`` count, by block.
@@ -95,8 +94,8 @@ class Readings:
         import torch
 
         noise = [
-            split_noise(self.measurement, block.runs, expected.numpy(), factor)
-            for block, expected in zip(self.blocks, predicted, strict=True)
+            split_noise(self.measurement, runs, expected.numpy(), factor)
+            for runs, expected in zip(self.runs, predicted, strict=True)
         ]
         precision = [
             np.sqrt(2.0) / torch.as_tensor(alone) * share.sqrt() * self.present(b)
@@ -111,19 +110,19 @@ def gather_readings(measurement: Measurement) -> Readings:
     import torch
 
     displacement = measurement.dataset.displacement
-    blocks = tuple(block.converted(torch.as_tensor) for block in measurement.response.blocks)
-    noise = [split_noise(measurement, block.runs, displacement[None][..., block.runs]) for block in blocks]
+    every = tuple(np.asarray(block.runs) for block in measurement.response.blocks)
+    noise = [split_noise(measurement, runs, displacement[None][..., runs]) for runs in every]
     mixing = () if measurement.drift is None else (torch.as_tensor(measurement.drift.mixing()),)
     return Readings(
         measurement=measurement,
-        blocks=blocks,
-        measured=tuple(torch.as_tensor(displacement[None][..., block.runs]) for block in blocks),
+        runs=every,
+        measured=tuple(torch.as_tensor(displacement[None][..., runs]) for runs in every),
         precision=tuple(
-            torch.as_tensor(np.sqrt(2.0) / alone) * _weigh_present(measurement, block.runs)
-            for (alone, _), block in zip(noise, blocks, strict=True)
+            torch.as_tensor(np.sqrt(2.0) / alone) * _weigh_present(measurement, runs)
+            for (alone, _), runs in zip(noise, every, strict=True)
         ),
         common=tuple(torch.as_tensor(shared) for _, shared in noise if shared is not None),
-        mixing=tuple(every[torch.as_tensor(block.runs)] for every in mixing for block in blocks),
+        mixing=tuple(levels[torch.as_tensor(runs)] for levels in mixing for runs in every),
     )
 
 

@@ -23,6 +23,8 @@ from pipeline.identification.problem import OutputError
 if TYPE_CHECKING:
     import torch
 
+COLLAPSED = 0.02
+"""Below this fraction of its initial guess a coefficient counts as collapsed."""
 AKAIKE = 2.0
 """A weight must lower chi-square by this in his criterion; a superfluous one lowers it by 1 on average."""
 TIE = 0.01
@@ -77,7 +79,7 @@ def add_features(start: OutputErrorStart, config: LevenbergMarquardtConfig) -> t
     for order in dict.fromkeys([1, *range(problem.basis.n_trend, last + 1)]):
         limited = problem.truncated(order)
         tried = problem.truncated(before).with_features(weights, order)
-        tried = torch.cat([tried, *(limited.revived(weights_tried[None]) for weights_tried in tried)])
+        tried = torch.cat([tried, *(revive(limited, start[None]) for start in tried)])
         if start.filtered is not None:
             tried = torch.cat([robust_start(limited, start.filtered), tried])
         tried = levenberg_marquardt(limited, tried, config, until_still(_NEARLY), by_diagonal=True)
@@ -92,6 +94,23 @@ def add_features(start: OutputErrorStart, config: LevenbergMarquardtConfig) -> t
         return problem, best[2]
     kept = (torch.arange(count) < best[1]).repeat(len(problem.active), 1)
     return replace(problem, kept=kept), best[2]
+
+
+def revive(problem: OutputError, weights: torch.Tensor) -> torch.Tensor:
+    """(0 or 1, 1, Z) the weights (1, 1, Z) with collapsed unknowns put back to their guess; none is collapsed: 0.
+
+    What must be positive is an exponential: once it has all but vanished, nothing draws it back.
+    """
+    import torch
+
+    values, active = problem.unknowns(weights)[0][0].abs().median(dim=0).values, problem.active  # (A,)
+    positive = torch.tensor([problem.model.positive[u] for _, u in active])
+    gone = positive & (values < COLLAPSED * torch.stack([problem.scale[m, 0, u] for m, u in active]))
+    if not gone.any():
+        return weights[:0]
+    revived, outer = weights.clone(), problem.places.coefficients
+    revived[..., outer] = (weights[0, 0, outer].unflatten(-1, (len(active), -1)) * ~gone[:, None]).flatten()
+    return revived
 
 
 def _distinct(losses: list[float]) -> list[int]:

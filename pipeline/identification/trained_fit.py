@@ -211,6 +211,7 @@ def _mean(fit: OutputErrorFit, training: TrainedNetworks, watch: _Judge, interru
         kept = torch.ones(len(before.active), basis.n_features, dtype=torch.bool)
         none = torch.zeros(basis.n_features, dtype=torch.float64)
         return _Mean(
+            sensors=other.sensors,
             readings=other.readings,
             basis=basis,
             features=at,

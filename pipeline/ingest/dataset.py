@@ -74,9 +74,9 @@ def read_measured_runs(config: AnyRecordingsConfig) -> MeasuredRuns:
     conditions = find_conditions(config, runs, speeds)
     labels = name_recordings(config, conditions)
     acting = [
-        replace(one, run=label)
+        replace(excitation, run=label)
         for label, run in zip(labels, config.runs, strict=True)
-        for one in _list_acting(config, run)
+        for excitation in _list_acting(config, run)
     ]
     recorded = VibrationDataset(
         speeds,
@@ -138,7 +138,7 @@ def remove_runout(run: RunTracks, slow_roll: SlowRollConfig) -> RunTracks:
 def list_excitations(config: AnyRecordingsConfig) -> tuple[Excitation, ...]:
     """What excited the runs; the phases of unbalances as angles from x at the pulse."""
     runs = {run.name: run for run in config.runs}  # recordings of one run have the same
-    return tuple(one for run in runs.values() for one in _list_acting(config, run))
+    return tuple(excitation for run in runs.values() for excitation in _list_acting(config, run))
 
 
 def _list_acting(config: AnyRecordingsConfig, run: MeasuredRunConfig) -> list[Excitation]:

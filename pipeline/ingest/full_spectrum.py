@@ -49,13 +49,13 @@ def measure_full_spectra(signals: Signals, probes: Mapping[str, ProbeConfig], no
     orders = np.fft.fftshift(np.fft.fftfreq(len(step), 1 / _PER_TURN))
     keep = np.abs(orders) <= _HIGHEST
     speeds, spectra, centres = [], [], []
-    for part in shown:
-        at = np.interp(turns[0] + part * _TURNS + step, turns, record.time)
+    for shown_component in shown:
+        at = np.interp(turns[0] + shown_component * _TURNS + step, turns, record.time)
         xy = inverse @ np.stack([np.interp(at, record.time, record.values[:, p]) for p in columns])
         centre = xy.mean(axis=1)
         moving = (xy[0] - centre[0]) + 1j * (xy[1] - centre[1])
-        found = np.abs(np.fft.fftshift(np.fft.fft(moving * window))) / window.sum()
+        spectrum_lines = np.abs(np.fft.fftshift(np.fft.fft(moving * window))) / window.sum()
         speeds.append(2 * np.pi * _TURNS / (at[-1] - at[0]) * (len(step) - 1) / len(step))
-        spectra.append(found[keep])
+        spectra.append(spectrum_lines[keep])
         centres.append(centre)
     return FullSpectra(np.array(speeds), orders[keep], np.array(spectra), np.array(centres))

@@ -30,23 +30,23 @@ def find_conditions(config: AnyRecordingsConfig, runs: Sequence[RunTracks], spee
     Raises DataError for a condition that some recordings lack, and for speeds or times that the file does not cover.
     """
     logged = _read_log(config)
-    found = []
+    conditions = []
     for run, tracks in zip(config.runs, runs, strict=True):
-        own = {name: np.interp(speeds, *condition) for name, condition in tracks.conditions.items()}
+        levels = {name: np.interp(speeds, *condition) for name, condition in tracks.conditions.items()}
         if logged is not None:
-            own |= _look_up(logged, run, tracks, speeds, f"'{config.conditions_file}'")
-        own |= {name: np.full(len(speeds), value) for name, value in run.operating.items()}
-        found.append(own)
-    names = list(dict.fromkeys(name for own in found for name in own))
+            levels |= _look_up(logged, run, tracks, speeds, f"'{config.conditions_file}'")
+        levels |= {name: np.full(len(speeds), value) for name, value in run.operating.items()}
+        conditions.append(levels)
+    names = list(dict.fromkeys(name for own in conditions for name in own))
     for name in names:
-        without = [run.name for run, own in zip(config.runs, found, strict=True) if name not in own]
+        without = [run.name for run, own in zip(config.runs, conditions, strict=True) if name not in own]
         if without:
             raise DataError(
                 f"every run must have every operating condition, but run '{without[0]}' has no {name} "
-                f"({len(without)} of {len(found)} runs): give it as operating={{{name}: ..}} of the run, or in "
+                f"({len(without)} of {len(conditions)} runs): give it as operating={{{name}: ..}} of the run, or in "
                 "machine.recordings.conditions_file"
             )
-    return {name: np.stack([own[name] for own in found], axis=1) for name in names}
+    return {name: np.stack([own[name] for own in conditions], axis=1) for name in names}
 
 
 def _read_log(config: AnyRecordingsConfig) -> tuple[Columns, Conditions] | None:
@@ -151,12 +151,12 @@ def to_points(
         )
     displacement = np.zeros((len(speeds), len(recorded.channels), len(runs)), dtype=complex)
     present = np.zeros((len(speeds), len(runs)), dtype=bool)
-    own = np.repeat(speeds[:, None], len(runs), axis=1)
+    run_speeds = np.repeat(speeds[:, None], len(runs), axis=1)
     for g, group in enumerate(groups):
         for r in group:
             displacement[place[:, r], :, g] = recorded.displacement[..., r]
             present[place[:, r], g] = True
-            own[place[:, r], g] = recorded.frequencies[:, r]
+            run_speeds[place[:, r], g] = recorded.frequencies[:, r]
     acting = tuple(
         replace(excitation, run=run)
         for run, group in zip(runs, groups, strict=True)
@@ -175,13 +175,13 @@ def to_points(
         runs=runs,
         displacement=displacement,
         excitations=acting,
-        own_frequencies=None if recorded.own_frequencies is None else own,
+        own_frequencies=None if recorded.own_frequencies is None else run_speeds,
         operating=operating,
         present=None if present.all() else present,
     )
     return made, notes
 
 
-def _acts_alike(recorded: VibrationDataset, one: int, other: int) -> bool:
-    same = np.array_equal(recorded.frequencies[:, one], recorded.frequencies[:, other])
-    return same and recorded.excitation_of(one) == recorded.excitation_of(other)
+def _acts_alike(recorded: VibrationDataset, first: int, other: int) -> bool:
+    same = np.array_equal(recorded.frequencies[:, first], recorded.frequencies[:, other])
+    return same and recorded.excitation_of(first) == recorded.excitation_of(other)

@@ -80,8 +80,8 @@ class _Basis:
         harmonic = np.ones_like(turning)
         for degree in self.degrees[1:]:
             harmonic = harmonic * turning
-            for part in (harmonic.real, harmonic.imag):
-                parts.append(part[:, None] * powers[:, : degree + 1])
+            for component in (harmonic.real, harmonic.imag):
+                parts.append(component[:, None] * powers[:, : degree + 1])
         return np.concatenate(parts, axis=1)
 
 
@@ -125,11 +125,11 @@ def fit_sweep(signals: Signals, speeds: np.ndarray, settings: OrderTrackingConfi
     turning = np.exp(1j * signals.angle.angle(signals.time))
     degree = 6 if settings.degree is None else settings.degree
     basis = _Basis((_OTHER_DEGREE, degree, *[min(_OTHER_DEGREE, degree)] * (settings.orders - 1)))
-    found = []
+    fits = []
     for centre, speed in zip(centres, speeds, strict=True):
         halves = _list_windows(signals, float(centre), float(speed), settings)
-        found.append(_choose(_fit_each(signals, turning, float(centre), halves, basis)))
-    return np.array(found)
+        fits.append(_choose(_fit_each(signals, turning, float(centre), halves, basis)))
+    return np.array(fits)
 
 
 def find_range(signals: Signals, settings: OrderTrackingConfig) -> tuple[float, float]:
@@ -208,17 +208,17 @@ def _fit_each(
         # A hair wider: a sample on the edge belongs to the window.
         wide = half * (1 + 1e-9)
         first, last = np.searchsorted(time, [centre - wide, centre + wide])
-        for part in (slice(first, begin), slice(end, last)):
-            columns = basis.columns((time[part] - centre) / halves[-1], turning[part])
+        for side in (slice(first, begin), slice(end, last)):
+            columns = basis.columns((time[side] - centre) / halves[-1], turning[side])
             gram = gram + columns.T @ columns
-            right = right + columns.T @ values[part]
-            squares = squares + (values[part] ** 2).sum(axis=0)
+            right = right + columns.T @ values[side]
+            squares = squares + (values[side] ** 2).sum(axis=0)
         begin, end = int(first), int(last)
         inverse = _invert(np.asarray(gram), signals.where)
-        found = inverse @ right
-        freedom = max(end - begin - len(found), 1)
-        noise = np.maximum(squares - (found * right).sum(axis=0), 0.0) / freedom
-        yield _Answer(found[a] - 1j * found[b], noise * (inverse[a, a] + inverse[b, b]))
+        solution = inverse @ right
+        freedom = max(end - begin - len(solution), 1)
+        noise = np.maximum(squares - (solution * right).sum(axis=0), 0.0) / freedom
+        yield _Answer(solution[a] - 1j * solution[b], noise * (inverse[a, a] + inverse[b, b]))
 
 
 def _invert(gram: np.ndarray, where: str) -> np.ndarray:

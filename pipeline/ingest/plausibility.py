@@ -101,17 +101,17 @@ def note_clipping(where: str, signals: Mapping[str, np.ndarray]) -> list[str]:
 
 def note_casing(probes: Mapping[str, ProbeConfig], nodes: Sequence[int]) -> list[str]:
     """A sentence for the probes on a casing. Raises ConfigError for one that is at none of the bearing ``nodes``."""
-    there = {name: probe.node for name, probe in probes.items() if probe.mounted == "casing"}
-    for name, node in there.items():
+    casing = {name: probe.node for name, probe in probes.items() if probe.mounted == "casing"}
+    for name, node in casing.items():
         if node not in nodes:
             raise ConfigError(
                 f"machine.recordings.probes.{name} must be at a bearing ({', '.join(map(str, nodes))}) where it "
                 f"has mounted: casing, but it is at node {node}: no casing is in the model, leave the probe out"
             )
-    if not there:
+    if not casing:
         return []
     return [
-        f"probes on the casing ({', '.join(there)}) are taken for the shaft's motion: that holds where the bearing is "
+        f"probes on the casing ({', '.join(casing)}) are taken for the shaft's motion: that holds where the bearing is "
         "much stiffer than what it stands on, and the coefficients are then those of the support; elsewhere the "
         "shaft moves by the film's deflection more"
     ]

@@ -56,7 +56,7 @@ def read_records(config: RecordsConfig, file: str | Path | None = None) -> Recor
     """
     path, named = Path(file or config.file or ""), config.columns
     probes = [probe.columns for probe in config.probes.values()]
-    pairs = [(one.real, one.imaginary) for one in (*probes, *(weight.columns for weight in config.weights))]
+    pairs = [(columns.real, columns.imaginary) for columns in (*probes, *(weight.columns for weight in config.weights))]
     kinds = {named.speed: "number", named.condition: "text", named.record: "text"}
     optional = {name: "number or blank" for pair in pairs for name in pair}
     table = read_table(path, kinds, optional, read_format(config.csv))
@@ -81,7 +81,7 @@ def read_records(config: RecordsConfig, file: str | Path | None = None) -> Recor
         numbers=tuple(table[named.record].tolist()),
         speeds=speeds,
         probes=tuple(config.probes),
-        channels=tuple((one.node, float(np.degrees(one.angle)) % 360.0) for one in config.probes.values()),
+        channels=tuple((columns.node, float(np.degrees(columns.angle)) % 360.0) for columns in config.probes.values()),
         displacement=displacement,
         planes=tuple(weight.node for weight in config.weights),
         unbalance=_read_weights(config, values[:, n_probes:]),
@@ -102,17 +102,17 @@ def find_speeds(speeds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     ordered = np.sort(speeds)
     starts = np.flatnonzero(np.diff(ordered, prepend=-np.inf) > SYNCHRONOUS * ordered)
-    of = np.searchsorted(ordered[starts], speeds, side="right") - 1
-    nominal = np.array([speeds[of == s].mean() for s in range(len(starts))])
-    off = np.abs(speeds / nominal[of] - 1)
+    group = np.searchsorted(ordered[starts], speeds, side="right") - 1
+    nominal = np.array([speeds[group == s].mean() for s in range(len(starts))])
+    off = np.abs(speeds / nominal[group] - 1)
     if off.max() > SYNCHRONOUS:
         worst = int(off.argmax())
         raise DataError(
-            f"the records of a nominal speed must be within {100 * SYNCHRONOUS:g} % of it, but one at "
-            f"{format_rpm(speeds[worst])} rpm is {100 * off[worst]:.2g} % from {format_rpm(nominal[of][worst])} rpm: a "
-            "run-up is no table of records"
+            f"the records of a nominal speed must be within {100 * SYNCHRONOUS:g} % of it, but one "
+            f"at {format_rpm(speeds[worst])} rpm is {100 * off[worst]:.2g} % from "
+            f"{format_rpm(nominal[group][worst])} rpm: a run-up is no table of records"
         )
-    return nominal, of
+    return nominal, group
 
 
 def to_dataset(records: Records) -> VibrationDataset:
@@ -122,13 +122,13 @@ def to_dataset(records: Records) -> VibrationDataset:
     two different weights.
     """
     _require_complete(records)
-    nominal, of = find_speeds(records.speeds)
+    nominal, group = find_speeds(records.speeds)
     names = [f"{c}.{r}" for c, r in zip(records.conditions, records.numbers, strict=True)]
     runs = tuple(dict.fromkeys(names))
     place = {run: r for r, run in enumerate(runs)}
     at_run = np.array([place[name] for name in names])
     counts = np.zeros((len(nominal), len(runs)), dtype=int)
-    np.add.at(counts, (of, at_run), 1)
+    np.add.at(counts, (group, at_run), 1)
     if (counts != 1).any():
         s, r = np.argwhere(counts != 1)[0]
         raise DataError(
@@ -136,9 +136,9 @@ def to_dataset(records: Records) -> VibrationDataset:
             f"{counts[s, r]} times near {format_rpm(nominal[s])} rpm"
         )
     displacement = np.empty((len(nominal), len(records.channels), len(runs)), dtype=complex)
-    own = np.empty(counts.shape)
-    displacement[of, :, at_run] = records.displacement
-    own[of, at_run] = records.speeds
+    run_speeds = np.empty(counts.shape)
+    displacement[group, :, at_run] = records.displacement
+    run_speeds[group, at_run] = records.speeds
     first = {name: i for i, name in reversed(list(enumerate(names)))}
     conditions = tuple(records.conditions[first[run]] for run in runs)
     excitations = tuple(
@@ -146,7 +146,9 @@ def to_dataset(records: Records) -> VibrationDataset:
         for run in runs
         for node, u in zip(records.planes, records.unbalance[first[run]], strict=True)
     )
-    return VibrationDataset(nominal, runs, records.channels, displacement, excitations, own, conditions=conditions)
+    return VibrationDataset(
+        nominal, runs, records.channels, displacement, excitations, run_speeds, conditions=conditions
+    )
 
 
 def _require_complete(records: Records) -> None:

@@ -51,8 +51,8 @@ def read_ross_runs(config: RossRecordingsConfig, excitations: Sequence[Excitatio
                     "nodes: is it of another rotor?"
                 )
             x, y = response[_DOF * probe.node], response[_DOF * probe.node + 1]
-            along = project_direction(float(np.round(np.degrees(probe.angle), 9)))
-            tracks[name] = sort_track(speeds, x * along[0] + y * along[1], f"'{path}', probe '{name}',")
+            direction = project_direction(float(np.round(np.degrees(probe.angle), 9)))
+            tracks[name] = sort_track(speeds, x * direction[0] + y * direction[1], f"'{path}', probe '{name}',")
         runs.append(RunTracks(run.name, f"'{path}'", tracks, tracks))
     return tuple(runs)
 
@@ -67,10 +67,10 @@ def _load(path: Path) -> dict[str, Any]:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise DataError(f"'{path}' must be a response that ROSS saved, but it is no TOML file ({error})") from None
     if not {"forced_resp", "speed_range"} <= content.get(_KIND, {}).keys():
-        words = ", ".join(content) or "nothing"
-        raise DataError(f"'{path}' must have {_KIND} of ROSS, but it has {words[:100]}: {_NEXT}")
-    found: dict[str, Any] = content[_KIND]
-    return found
+        listed = ", ".join(content) or "nothing"
+        raise DataError(f"'{path}' must have {_KIND} of ROSS, but it has {listed[:100]}: {_NEXT}")
+    section: dict[str, Any] = content[_KIND]
+    return section
 
 
 def _to_complex(path: Path, rows: Any) -> np.ndarray:
@@ -88,8 +88,8 @@ def _check_unbalances(path: Path, stated: Any, acting: Sequence[Excitation]) -> 
     """Raise DataError where the file says other unbalances than the configuration."""
     if stated is None:
         return
-    theirs = sorted(tuple(float(part) for part in one) for one in zip(*stated, strict=True))
-    ours = sorted((float(one.node), one.magnitude, one.phase) for one in acting if one.kind == "unbalance")
+    theirs = sorted(tuple(float(entry) for entry in row) for row in zip(*stated, strict=True))
+    ours = sorted((float(row.node), row.magnitude, row.phase) for row in acting if row.kind == "unbalance")
     same = len(theirs) == len(ours) and all(
         a[0] == b[0] and abs(a[1] * np.exp(1j * a[2]) - b[1] * np.exp(1j * b[2])) <= 1e-6 * abs(a[1])
         for a, b in zip(theirs, ours, strict=True)

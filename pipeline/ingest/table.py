@@ -95,7 +95,7 @@ def _read_long(config: TableRecordingsConfig, run: TableRunConfig, path: Path) -
             f"'{path}' must have rows of run '{run.name}' in the column '{names.run}', but it has "
             f"{nearest(run.name, set(table[names.run]))}"
         )
-    found = {}
+    runs_read = {}
     for name, probe in config.probes.items():
         label = probe.label or name
         rows = _select(mine, names.probe, label)
@@ -105,8 +105,8 @@ def _read_long(config: TableRecordingsConfig, run: TableRunConfig, path: Path) -
                 f"{nearest(label, set(mine[names.probe]))}"
             )
         where = f"'{path}', run '{run.name}', probe '{label}',"
-        found[name] = _take_rows(rows, names.speed, names.amplitude, names.phase, where)
-    return found
+        runs_read[name] = _take_rows(rows, names.speed, names.amplitude, names.phase, where)
+    return runs_read
 
 
 def _select(table: Columns, name: str, value: str) -> Columns:
@@ -146,9 +146,9 @@ def _note_unit(phases: np.ndarray, unit: str, path: Path) -> tuple[str, ...]:
     return (f"'{path}' has phases from {span} that are said to be {said}: are they in {other}?",)
 
 
-def _check_runs(config: TableRecordingsConfig, there: Sequence[str], path: Path) -> None:
+def _check_runs(config: TableRecordingsConfig, present: Sequence[str], path: Path) -> None:
     named = {run.name for run in config.runs} | set(config.leave_out)
-    strange = [name for name in there if name not in named]
+    strange = [name for name in present if name not in named]
     if strange:
         raise DataError(
             f"machine.recordings.runs must name every run of '{path}' with what excited it, but '{strange[0]}' is not "

@@ -125,11 +125,11 @@ def _check_regular(pulses: np.ndarray, where: str) -> None:
         )
 
 
-def _find_mark(found: np.ndarray, where: str) -> float:
+def _find_mark(marks: np.ndarray, where: str) -> float:
     """The place of the mark in a revolution, from where its pulses fall."""
-    if not len(found):
+    if not len(marks):
         raise DataError(f"{where} must have a pulse in tacho.mark_channel within the record, but there is none")
-    mean = np.exp(1j * _TURN * found).mean()
+    mean = np.exp(1j * _TURN * marks).mean()
     if abs(mean) < 0.9:
         raise DataError(
             f"{where} must have its marks at one angle of the shaft, but they are spread over the revolution: check "

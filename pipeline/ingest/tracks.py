@@ -127,7 +127,9 @@ def _interpolate(run: RunTracks, probe: str, track: Track, speeds: np.ndarray, k
     steps = np.diff(track.speeds)
     # A cubic through noise between two speeds that are nearly one would swing far out.
     if kind == "linear" or len(track.speeds) < 4 or steps.min() < np.median(steps) / 5:
-        real, imaginary = (np.interp(inside, track.speeds, part) for part in (track.vectors.real, track.vectors.imag))
+        real, imaginary = (
+            np.interp(inside, track.speeds, component) for component in (track.vectors.real, track.vectors.imag)
+        )
         return real + 1j * imaginary
     from scipy.interpolate import CubicSpline
 

@@ -62,13 +62,13 @@ class UffFile:
 def read_uff(path: Path) -> UffFile:
     """Read a universal file. Raises DataError for a missing, damaged or truncated one, or one without datasets 58."""
     sets = _read_sets(path)
-    records = tuple(_make_record(path, one) for one in sets if one.get("type") == 58)
+    records = tuple(_make_record(path, content) for content in sets if content.get("type") == 58)
     if not records:
         raise DataError(
             f"'{path}' must have datasets 58 (functions at nodal DOF), but it has "
-            + (f"datasets {', '.join(str(one.get('type')) for one in sets[:10])}" if sets else "no dataset")
+            + (f"datasets {', '.join(str(content.get('type')) for content in sets[:10])}" if sets else "no dataset")
         )
-    units = [one for one in sets if one.get("type") == 164]
+    units = [content for content in sets if content.get("type") == 164]
     factor = float(units[0].get("length", 0.0)) if units else 0.0
     return UffFile(path, records, 1 / factor if factor > 0 else None)
 
@@ -179,8 +179,8 @@ def _note_contradictions(record: UffRecord, file: UffFile, said: VectorConventio
 def _read_unit(label: str) -> float | None:
     """Size in SI units of what a label names; None where it names nothing that a probe measures."""
     label = re.sub(r"(?i)\s*(pk-?pk|p-?p|0-?p|pk|rms)$", "", label.strip())
-    found = find_motion(label) if re.fullmatch(r"[^\W\d_][^\d_]*\^?2?", label) else None
-    return None if found is None else found[1]
+    motion = find_motion(label) if re.fullmatch(r"[^\W\d_][^\d_]*\^?2?", label) else None
+    return None if motion is None else motion[1]
 
 
 def _read_sets(path: Path) -> list[dict[str, Any]]:
@@ -195,20 +195,20 @@ def _read_sets(path: Path) -> list[dict[str, Any]]:
         return [file.read_sets(i) for i in range(count)]
 
 
-def _make_record(path: Path, one: dict[str, Any]) -> UffRecord:
-    texts = [str(one.get(key, "")).strip() for key in ("id1", "id2", "id3", "id4", "id5", "rsp_ent_name")]
+def _make_record(path: Path, content: dict[str, Any]) -> UffRecord:
+    texts = [str(content.get(key, "")).strip() for key in ("id1", "id2", "id3", "id4", "id5", "rsp_ent_name")]
     record = UffRecord(
         texts=tuple(text for text in texts if text not in ("", "NONE")),
-        response=(int(one["rsp_node"]), int(one["rsp_dir"])),
-        abscissa=np.asarray(one["x"], dtype=float),
-        values=np.asarray(one["data"]),
-        abscissa_type=int(one.get("abscissa_spec_data_type", 0)),
-        abscissa_label=str(one.get("abscissa_axis_units_lab", "")),
-        ordinate_type=int(one.get("ordinate_spec_data_type", 0)),
-        ordinate_label=str(one.get("ordinate_axis_units_lab", "")),
-        denominator_type=int(one.get("orddenom_spec_data_type", 0)),
+        response=(int(content["rsp_node"]), int(content["rsp_dir"])),
+        abscissa=np.asarray(content["x"], dtype=float),
+        values=np.asarray(content["data"]),
+        abscissa_type=int(content.get("abscissa_spec_data_type", 0)),
+        abscissa_label=str(content.get("abscissa_axis_units_lab", "")),
+        ordinate_type=int(content.get("ordinate_spec_data_type", 0)),
+        ordinate_label=str(content.get("ordinate_axis_units_lab", "")),
+        denominator_type=int(content.get("orddenom_spec_data_type", 0)),
     )
-    n = int(one["num_pts"])
+    n = int(content["num_pts"])
     if not n == len(record.values) == len(record.abscissa) or n == 0:
         raise DataError(
             f"'{path}' must have {n} values in record {record.name}, as its header says, but it has "

@@ -74,9 +74,9 @@ def _fit_records(config: SignalRecordingsConfig, name: str, source: str, records
     vectors: list[np.ndarray] = []
     notes: list[str] = []
     for record in records:
-        speed, found = fit_steady(record.signals, config.tracking)
+        speed, steady = fit_steady(record.signals, config.tracking)
         speeds.append(speed)
-        vectors.append(found)
+        vectors.append(steady)
         notes += record.notes
         error = speed * record.pulses.locked_error()
         if error > _SEEN_ERROR:

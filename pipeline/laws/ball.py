@@ -46,10 +46,10 @@ class BallLaw:
         angle = self.contact_angle.of(theta)
         cosine = torch.cos(angle).clamp(min=_FLATTEST)
         third = (self.ball_diameter.log(theta) + self.load.log(theta)) / 3
-        along = _STIFFNESS * self.n_balls ** (2 / 3) * torch.exp(third + 5 / 3 * cosine.log())
+        axial = _STIFFNESS * self.n_balls ** (2 / 3) * torch.exp(third + 5 / 3 * cosine.log())
         ratio = np.polyval(np.polyfit(_BALLS, _ACROSS, 2), self.n_balls)
         shape = turn_axes(self.load_angle) @ [1, 0, 0, ratio, _DAMPING, 0, 0, _DAMPING * ratio]
-        values = (along * torch.from_numpy(shape))[:, None].expand(-1, len(points.speeds), -1)
+        values = (axial * torch.from_numpy(shape))[:, None].expand(-1, len(points.speeds), -1)
         slopes = values.new_zeros(*values.shape, theta.shape[1])
         add_slope(slopes, self.ball_diameter, values / 3)
         add_slope(slopes, self.load, values / 3)

@@ -70,14 +70,16 @@ def make_film_table(rows: np.ndarray | Sequence[Sequence[float]], name: str) -> 
     if len(preloads) > 1 and not (preloads[0] >= 0 and preloads[-1] < 1):
         raise ConfigError(f"a bearing's table must have preloads from 0 to below 1, but '{name}' has others")
     for preload in preloads if len(rows) else [0.0]:
-        part = rows[own == preload]
+        same_preload = rows[own == preload]
         where = f" at the preload {preload:g}" if len(preloads) > 1 else ""
-        if len(part) < _FEWEST:
-            raise ConfigError(f"a bearing's table must have {_FEWEST} rows{where}, but '{name}' has {len(part)}")
-        if part[0, 0] <= 0 or (np.diff(part[:, 0]) <= 0).any():
+        if len(same_preload) < _FEWEST:
+            raise ConfigError(
+                f"a bearing's table must have {_FEWEST} rows{where}, but '{name}' has {len(same_preload)}"
+            )
+        if same_preload[0, 0] <= 0 or (np.diff(same_preload[:, 0]) <= 0).any():
             raise ConfigError(
                 f"a bearing's table must have ascending Sommerfeld numbers above zero{where}, but '{name}' has not: "
                 "sort its rows by S"
             )
-        curves.append(Curve(np.log(part[:, 0]), part[:, 1 : len(COLUMNS)]))
+        curves.append(Curve(np.log(same_preload[:, 0]), same_preload[:, 1 : len(COLUMNS)]))
     return FilmTable(preloads, tuple(curves))

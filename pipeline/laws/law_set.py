@@ -98,10 +98,10 @@ class LawSet:
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> LawSet:
         """The laws of :meth:`to_record`."""
-        laws = (BallLaw if one["kind"] == "ball" else JournalLaw for one in record["laws"])
+        laws = (BallLaw if entry["kind"] == "ball" else JournalLaw for entry in record["laws"])
         return cls(
             nodes=tuple(record["nodes"]),
-            laws=tuple(law.from_record(one) for law, one in zip(laws, record["laws"], strict=True)),
+            laws=tuple(law.from_record(entry) for law, entry in zip(laws, record["laws"], strict=True)),
             oil=None if record["oil"] is None else Oil.from_record(record["oil"]),
-            parameters=tuple(LawParameter(**one) for one in record["parameters"]),
+            parameters=tuple(LawParameter(**entry) for entry in record["parameters"]),
         )

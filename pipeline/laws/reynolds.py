@@ -54,16 +54,16 @@ class PadBearing:
     def bulge(self, place: np.ndarray, pad: int) -> float:
         """How far the film of a pad is thinnest in its middle; a pad that pivots there carries nothing below 0."""
         centre = self.centres[pad]
-        moved = float(place[0] * np.cos(centre) + place[1] * np.sin(centre))
-        return self.preload / (1 - self.preload) + moved
+        shift = float(place[0] * np.cos(centre) + place[1] * np.sin(centre))
+        return self.preload / (1 - self.preload) + shift
 
     def motions(self, angles: np.ndarray, pad: int) -> np.ndarray:
         """(q, ..) g = -dH/dq at ``angles`` of a pad."""
-        found = np.zeros((self.n_coordinates, *angles.shape))
-        found[0], found[1] = np.cos(angles), np.sin(angles)
+        directions = np.zeros((self.n_coordinates, *angles.shape))
+        directions[0], directions[1] = np.cos(angles), np.sin(angles)
         if self.tilting:
-            found[2 + pad] = np.sin(angles - self.centres[pad])
-        return found
+            directions[2 + pad] = np.sin(angles - self.centres[pad])
+        return directions
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,10 +97,10 @@ class _Pad:
         from scipy.sparse import diags_array, eye_array, kron
 
         c = at_half / self.step**2
-        along = diags_array([-c[1:-1], c[:-1] + c[1:], -c[1:-1]], offsets=[-1, 0, 1])
+        axial = diags_array([-c[1:-1], c[:-1] + c[1:], -c[1:-1]], offsets=[-1, 0, 1])
         m = self.bearing.elements[1]
         ratio = self.bearing.length_ratio**-2
-        return (kron(along, eye_array(m)) + kron(diags_array(ratio * at_nodes), self.across)).tocsc()
+        return (kron(axial, eye_array(m)) + kron(diags_array(ratio * at_nodes), self.across)).tocsc()
 
     def weights(self) -> np.ndarray:
         """(m,) of the integral over the angle and the whole length."""
@@ -138,8 +138,8 @@ def film_forces(bearing: PadBearing, place: np.ndarray) -> tuple[np.ndarray, np.
         if bearing.tilting and bearing.bulge(place, index) <= _FLAT:
             stiffness[2 + index, 2 + index] = 1.0  # it carries nothing at any tilt: it keeps the one that it has
             continue
-        own = _pad_forces(_Pad(bearing, index), place)
-        force, stiffness, damping = force + own[0], stiffness + own[1], damping + own[2]
+        pad_forces = _pad_forces(_Pad(bearing, index), place)
+        force, stiffness, damping = force + pad_forces[0], stiffness + pad_forces[1], damping + pad_forces[2]
     return force, stiffness, damping
 
 
@@ -162,12 +162,12 @@ def _pad_forces(pad: _Pad, place: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
             raise ArithmeticError("a pad carries nothing: it may have any tilt")
         return np.zeros(q), np.zeros((q, q)), np.zeros((q, q))
     shown = np.kron(g, weights)  # what a pressure counts in each force
-    moved = [pad.operator(3 * h_half**2 * one_half, 3 * h**2 * one) for one_half, one in zip(g_half, g, strict=True)]
+    slopes = [pad.operator(3 * h_half**2 * gap_half, 3 * h**2 * gap) for gap_half, gap in zip(g_half, g, strict=True)]
     by_place = [
-        np.kron(np.diff(one_half) / pad.step, across) + change @ pressure
-        for one_half, change in zip(g_half, moved, strict=True)
+        np.kron(np.diff(gap_half) / pad.step, across) + change @ pressure
+        for gap_half, change in zip(g_half, slopes, strict=True)
     ]
-    by_speed = [2 * np.kron(one, across) for one in g]
+    by_speed = [2 * np.kron(gap, across) for gap in g]
     # Where the film breaks, the pressure's derivative is zero: the edge moves, but counts in the second order alone.
     solution = splu(matrix[full][:, full]).solve(np.stack([*by_place, *by_speed], axis=1)[full])
     both = shown[:, full] @ solution

@@ -93,8 +93,8 @@ class FilmTable:
         if not self.has_preload:
             value, slope = self.curves[0].evaluate(log_s)
             return value, slope, torch.zeros_like(value)
-        found = [curve.evaluate(log_s) for curve in self.curves]
-        values, slopes = (torch.stack(parts) for parts in zip(*found, strict=True))
+        evaluated = [curve.evaluate(log_s) for curve in self.curves]
+        values, slopes = (torch.stack(parts) for parts in zip(*evaluated, strict=True))
         weights, turns = self._shares.evaluate(preload[:, 0])
         return (
             torch.einsum("gj,jgsk->gsk", weights, values),
@@ -111,18 +111,20 @@ class FilmTable:
         """(S, 8) at ``log_s`` (S,) within the rows, without torch."""
         from scipy.interpolate import CubicSpline
 
-        found = np.stack([CubicSpline(curve.nodes, curve.columns)(log_s) for curve in self.curves])
+        columns = np.stack([CubicSpline(curve.nodes, curve.columns)(log_s) for curve in self.curves])
         if not self.has_preload:
-            return np.asarray(found[0])
-        return np.asarray(np.tensordot(CubicSpline(self.preloads, np.eye(len(self.preloads)))(preload), found, axes=1))
+            return np.asarray(columns[0])
+        return np.asarray(
+            np.tensordot(CubicSpline(self.preloads, np.eye(len(self.preloads)))(preload), columns, axes=1)
+        )
 
     def outside(self, log_s: np.ndarray, preload: np.ndarray) -> np.ndarray:
         """(G, S) True where ``log_s`` (G, S) or ``preload`` (G, 1) lies beyond the rows."""
         low, high = self.span
-        found = (log_s < low - _ROOM) | (log_s > high + _ROOM)
+        beyond = (log_s < low - _ROOM) | (log_s > high + _ROOM)
         if self.has_preload:
-            found |= (preload < self.preloads[0] - _ROOM) | (preload > self.preloads[-1] + _ROOM)
-        return np.asarray(found)
+            beyond |= (preload < self.preloads[0] - _ROOM) | (preload > self.preloads[-1] + _ROOM)
+        return np.asarray(beyond)
 
     def to_record(self) -> list[dict[str, Any]]:
         """A JSON-able twin."""
@@ -134,5 +136,5 @@ class FilmTable:
     @classmethod
     def from_record(cls, record: Sequence[dict[str, Any]]) -> FilmTable:
         """The table of :meth:`to_record`."""
-        curves = tuple(Curve(np.array(one["log_s"]), np.array(one["columns"])) for one in record)
-        return cls(np.array([one["preload"] for one in record]), curves)
+        curves = tuple(Curve(np.array(entry["log_s"]), np.array(entry["columns"])) for entry in record)
+        return cls(np.array([entry["preload"] for entry in record]), curves)

@@ -35,14 +35,14 @@ def solve_each(solve: Callable[[Measurement], Estimate], measurement: Measuremen
         values[:, points] = answer.coefficients.values
         if together is not None and answer.deviation is not None:
             together[:, points] = answer.deviation
-    looked_at = [len(points) if of.n_speeds is None else of.n_speeds for points, of in answers]
+    looked_at = [len(points) if estimate.n_speeds is None else estimate.n_speeds for points, estimate in answers]
     return replace(
         answers[0][1],
         coefficients=replace(measurement.known, values=values),
         deviation=together,
         words=f"each of {len(states)} conditions by itself; the first: {answers[0][1].words}",
         doubt=next((answer.doubt for _, answer in answers if answer.doubt), ""),
-        n_speeds=None if all(of.n_speeds is None for _, of in answers) else sum(looked_at),
+        n_speeds=None if all(estimate.n_speeds is None for _, estimate in answers) else sum(looked_at),
     )
 
 

@@ -78,8 +78,8 @@ def _join(data: Measurement, equations: BearingEquations) -> tuple[np.ndarray, n
         columns.append((residual.matrix[..., u] * mine).swapaxes(0, 1).reshape(n_speeds, -1))
     for node in data.unknowns.planes:
         force = _excite_unit(data, node).swapaxes(0, 1)  # (S, B, 2, R)
-        for part in (force, 1j * force):
-            flat = part.reshape(n_speeds, n_bearings, -1)
+        for component in (force, 1j * force):
+            flat = component.reshape(n_speeds, n_bearings, -1)
             columns.append(np.concatenate([flat.real, flat.imag], axis=2).reshape(n_speeds, n_bearings * n_rows))
     return np.stack(columns, axis=-1), residual.offset.swapaxes(0, 1).reshape(n_speeds, -1)
 

@@ -53,8 +53,8 @@ class RunInformation:
 
     def medians(self, runs: Sequence[int], every: int = 1) -> dict[str, float]:
         """Relative standard deviation of each unknown, median over the speed."""
-        found = np.median(self.deviation(runs, every), axis=0)
-        return {name: float(value) for name, value in zip(self.names, found, strict=True)}
+        median = np.median(self.deviation(runs, every), axis=0)
+        return {name: float(value) for name, value in zip(self.names, median, strict=True)}
 
     def worst(self, runs: Sequence[int], every: int = 1) -> float:
         """The largest of :meth:`medians`."""

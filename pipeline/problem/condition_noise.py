@@ -39,8 +39,8 @@ class ConditionNoise:
     def mixing(self) -> np.ndarray:
         """(R, D, D): it makes readings over their own deviations independent."""
         covariance = self.covariance()
-        own = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).real)
-        correlation = covariance / own[:, :, None] / own[:, None, :]
+        spread = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).real)
+        correlation = covariance / spread[:, :, None] / spread[:, None, :]
         return np.asarray(np.linalg.inv(np.linalg.cholesky(correlation)))
 
     def conjugated(self) -> ConditionNoise:

@@ -78,20 +78,20 @@ class Deviations:
 
 def describe_determined(judged: Sequence[Determined]) -> str:
     """The verdicts in words: the best first, each with its worst coefficient, and nodes where there are several."""
-    several, parts = len({one.node for one in judged}) > 1, []
+    several, parts = len({judgement.node for judgement in judged}) > 1, []
     for verdict in Determination:
-        alike = [one for one in judged if one.verdict is verdict]
+        alike = [judgement for judgement in judged if judgement.verdict is verdict]
         if not alike:
             continue
-        names = [f"{one.name} at node {one.node}" if several else one.name for one in alike]
-        worst = rank_indices(one.deviation for one in alike)[0]
+        names = [f"{judgement.name} at node {judgement.node}" if several else judgement.name for judgement in alike]
+        worst = rank_indices(judgement.deviation for judgement in alike)[0]
         size = f"+- {100 * alike[worst].deviation:.2g} %" if np.isfinite(alike[worst].deviation) else "no limit"
         which = f"{len(alike)} of {len(judged)}" if len(alike) > _NAMED else ", ".join(names)
         which = "all" if len(alike) == len(judged) > 1 else which
         parts.append(f"{which} {verdict.value} ({f'{names[worst]} ' if len(alike) > 1 else ''}{size})")
-    partly = [one for one in judged if one.lost and one.verdict is not Determination.NOT]
+    partly = [judgement for judgement in judged if judgement.lost and judgement.verdict is not Determination.NOT]
     if partly:
-        coefficient = partly[rank_indices(one.lost for one in partly)[0]]
+        coefficient = partly[rank_indices(judgement.lost for judgement in partly)[0]]
         where = f" at node {coefficient.node}" if several else ""
         parts.append(f"{coefficient.name}{where} not at {100 * coefficient.lost:.2g} % of the speeds")
     return "; ".join(parts)

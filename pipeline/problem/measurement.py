@@ -121,9 +121,9 @@ class Measurement:
         """
         if self.drift is not None:
             return self.drift.deviation()
-        own = self.deviation_of(self.dataset.displacement, self.dataset.subtracted)
+        stated = self.deviation_of(self.dataset.displacement, self.dataset.subtracted)
         present = self.dataset.present
-        return own if present is None else np.where(present[:, None], own, np.inf)
+        return stated if present is None else np.where(present[:, None], stated, np.inf)
 
     def deviation_of(
         self, displacement: np.ndarray, subtracted: np.ndarray | None = None, factor: np.ndarray | None = None

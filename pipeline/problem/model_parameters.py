@@ -99,7 +99,8 @@ def _require_on_shaft(parameters: Sequence[ModelParameter], rotor: RotorModel, d
         if parameter.deviation > room:
             raise ConfigError(
                 f"identify.model_parameters.{parameter.kind} must leave node {node} on the shaft, whose end is "
-                f"{1e3 * room:g} mm from it, but got {1e3 * parameter.deviation:g} mm: state less, or model the shaft's end"
+                f"{1e3 * room:g} mm from it, but got {1e3 * parameter.deviation:g} mm: state less, or "
+                "model the shaft's end"
             )
 
 

@@ -30,12 +30,12 @@ def tabulate_estimates(
 ) -> list[dict[str, Any]]:
     """Rows of ``balance.csv``: one a method, condition and plane. Angles are those of the recordings."""
     rows: list[dict[str, Any]] = []
-    for method, of in by_method.items():
-        values, given = source.weights(of.unbalance), source.weights(of.readings.unbalance)
-        radius = of.radius / GRAM_MILLIMETRE
-        for c, (name, one) in enumerate(zip(of.readings.names, of.found, strict=True)):
-            sizes, angle = one.magnitude_interval() / GRAM_MILLIMETRE, np.degrees(one.angle_half_width())
-            half, known = one.half_width() / GRAM_MILLIMETRE, of.readings.unbalance[c]
+    for method, estimates in by_method.items():
+        values, given = source.weights(estimates.unbalance), source.weights(estimates.readings.unbalance)
+        radius = estimates.radius / GRAM_MILLIMETRE
+        for c, (name, unbalance) in enumerate(zip(estimates.readings.names, estimates.found, strict=True)):
+            sizes, angle = unbalance.magnitude_interval() / GRAM_MILLIMETRE, np.degrees(unbalance.angle_half_width())
+            half, known = unbalance.half_width() / GRAM_MILLIMETRE, estimates.readings.unbalance[c]
             for n, node in enumerate(planes):
                 row: dict[str, Any] = {"method": method, "condition": name, "node": node}
                 row |= _show_complex("unbalance", values[c, n])
@@ -48,13 +48,13 @@ def tabulate_estimates(
                 }
                 if not np.isnan(known[n]):
                     row |= _show_complex("known", given[c, n])
-                    row["known_within_95"] = int(abs(known[n] - one.value[n]) <= of.radius[c, n])
+                    row["known_within_95"] = int(abs(known[n] - unbalance.value[n]) <= estimates.radius[c, n])
                 row |= {
-                    "chance": _blank(of.chance[c]),
-                    "inconsistent": int(of.inconsistent[c]),
-                    "label_chance": _blank(of.label_chance[c]),
-                    "contradicted": int(of.contradicted[c]),
-                    "vectors": int((of.readings.counts[c] > 0).sum()),
+                    "chance": _blank(estimates.chance[c]),
+                    "inconsistent": int(estimates.inconsistent[c]),
+                    "label_chance": _blank(estimates.label_chance[c]),
+                    "contradicted": int(estimates.contradicted[c]),
+                    "vectors": int((estimates.readings.counts[c] > 0).sum()),
                 }
                 rows.append({key: _blank(value) if isinstance(value, float) else value for key, value in row.items()})
     return rows
@@ -87,9 +87,9 @@ def print_estimates(name: str, method: str, estimates: Estimates, planes: Sequen
 
 
 def _show_condition(estimates: Estimates, c: int, source: SourceUnits) -> list[str]:
-    one, cells = estimates.found[c], []
-    values, known = source.weights(one.value), source.weights(estimates.readings.unbalance[c])
-    half, angle = one.half_width() / GRAM_MILLIMETRE, np.degrees(one.angle_half_width())
+    unbalance, cells = estimates.found[c], []
+    values, known = source.weights(unbalance.value), source.weights(estimates.readings.unbalance[c])
+    half, angle = unbalance.half_width() / GRAM_MILLIMETRE, np.degrees(unbalance.angle_half_width())
     for n, value in enumerate(values):
         known_to = _blank(half[n])
         cells.append(_show_size(abs(value)) if known_to is None else format_deviation(float(abs(value)), known_to))
@@ -138,19 +138,22 @@ def print_sheet(
 ) -> None:
     """Which mass goes into which hole, what remains in each plane, and whether the tolerance holds."""
     rows = []
-    for of in describe_sheet(sheet, planes, source, tolerance)["planes"]:
-        weights = ", ".join(f"{w['mass_g']:.4g} g in hole {w['hole']}" for w in of["weights"]) or "no weight"
-        vectors = [f"{_show_size(of[f'{one}_g_mm'])} at {of[f'{one}_angle_deg'] % 360:.0f} deg" for one in _VECTORS]
-        bounds = [_show_bound(of[key]) for key in ("circle_g_mm", "remaining_at_most_g_mm")]
-        rows.append([f"node {of['node']}", weights, *vectors, *bounds])
+    for plane in describe_sheet(sheet, planes, source, tolerance)["planes"]:
+        weights = ", ".join(f"{w['mass_g']:.4g} g in hole {w['hole']}" for w in plane["weights"]) or "no weight"
+        vectors = [
+            f"{_show_size(plane[f'{vector}_g_mm'])} at {plane[f'{vector}_angle_deg'] % 360:.0f} deg"
+            for vector in _VECTORS
+        ]
+        bounds = [_show_bound(plane[key]) for key in ("circle_g_mm", "remaining_at_most_g_mm")]
+        rows.append([f"node {plane['node']}", weights, *vectors, *bounds])
     header = ["plane", "put in", "unbalance, g mm", "remains, g mm", "+- (95 % circle)", "at most (95 %)"]
     table(title, header, rows)
-    for of in judge_tolerance(sheet, tolerance):
-        words = {"met": "is met", "not met": "is not met", "open": "may or may not be met"}[of["verdict"]]
+    for plane in judge_tolerance(sheet, tolerance):
+        verdict = {"met": "is met", "not met": "is not met", "open": "may or may not be met"}[plane["verdict"]]
         say(
-            f"bearing at node {of['node']}: {_show_size(of['remaining_g_mm'])} g mm remain "
-            f"(at most {_show_bound(of['at_most_g_mm'])}, 95 %), permissible are {of['permissible_g_mm']:.3g}: "
-            f"the tolerance {words}"
+            f"bearing at node {plane['node']}: {_show_size(plane['remaining_g_mm'])} g mm remain "
+            f"(at most {_show_bound(plane['at_most_g_mm'])}, 95 %), permissible are {plane['permissible_g_mm']:.3g}: "
+            f"the tolerance {verdict}"
         )
 
 
@@ -200,7 +203,9 @@ def tabulate_vibration_change(
     """Rows of expected vibration before and after, one a speed and probe, in the unit of the recordings."""
     shape = (len(speeds), len(channels))
     sizes = np.abs(source.sizes(speeds)) + np.zeros(shape)
-    before, after, half = (np.abs(one).reshape(shape) / sizes for one in (sheet.before, sheet.after, sheet.half_width))
+    before, after, half = (
+        np.abs(vibration).reshape(shape) / sizes for vibration in (sheet.before, sheet.after, sheet.half_width)
+    )
     names = source.probes or tuple(f"node {node}, {angle:g} deg" for node, angle in channels)
     return [
         {
@@ -219,19 +224,19 @@ def tabulate_vibration_change(
 def print_vibration_change(rows: Sequence[Mapping[str, Any]], unit: str) -> None:
     """Amplitudes before and after, of many speeds a few that are evenly spread."""
     read = [row for row in rows if row["before"] is not None]
-    speeds = sorted({one["speed_rpm"] for one in read})
+    speeds = sorted({row["speed_rpm"] for row in read})
     every = max(1, -(-len(speeds) // _SPEEDS))
     shown = speeds[::-every]
     header = ["probe", "rpm", f"before, {unit}", f"after, {unit}"]
     lines = [
         [
-            one["probe"],
-            f"{one['speed_rpm']:.0f}",
-            f"{one['before']:.3g}",
-            format_deviation(one["after"], one["band_95"]),
+            row["probe"],
+            f"{row['speed_rpm']:.0f}",
+            f"{row['before']:.3g}",
+            format_deviation(row["after"], row["band_95"]),
         ]
-        for one in read
-        if one["speed_rpm"] in shown
+        for row in read
+        if row["speed_rpm"] in shown
     ]
     table("vibration, zero-to-peak as the recordings have it (+- 95 % of one record)", header, lines)
     if len(shown) < len(speeds):
@@ -264,18 +269,20 @@ def tabulate_predicted(
     the circle that holds 95 % of such vectors; where it was measured, what it departs by, and whether that lies in the
     circle.
     """
-    mean, off = (source.vectors(one, records.speeds) for one in (predicted.mean, predicted.off))
+    mean, off = (source.vectors(vibration, records.speeds) for vibration in (predicted.mean, predicted.off))
     sizes = np.abs(source.sizes(records.speeds))
-    std, half, circle = (one / sizes for one in (predicted.deviation, predicted.half_width, predicted.circle))
+    std, half, circle = (
+        vibration / sizes for vibration in (predicted.deviation, predicted.half_width, predicted.circle)
+    )
     table_of: dict[str, Any] = dict(identity) | {"method": np.full(len(records.speeds), method, dtype=object)}
     for p, (real, imaginary) in enumerate(columns):
-        there = predicted.measured[:, p]
+        measured = predicted.measured[:, p]
         table_of[real], table_of[imaginary] = mean[:, p].real, mean[:, p].imag
         table_of[f"{real}_std"] = table_of[f"{imaginary}_std"] = std[:, p]
         table_of[f"{real}_band"] = table_of[f"{imaginary}_band"] = half[:, p]
         table_of[f"{records.probes[p]}_circle"] = circle[:, p]
-        if there.any():
+        if measured.any():
             table_of[f"{real}_off"], table_of[f"{imaginary}_off"] = off[:, p].real, off[:, p].imag
-            inside = [int(w) if t else None for w, t in zip(predicted.within[:, p], there, strict=True)]
+            inside = [int(w) if t else None for w, t in zip(predicted.within[:, p], measured, strict=True)]
             table_of[f"{records.probes[p]}_within_95"] = np.array(inside, dtype=object)
     return table_of

@@ -38,7 +38,10 @@ def summarize_combinations(combinations: Combinations) -> dict[str, Any]:
         more = {"run": run.run, "speed_rpm": run.speed / RAD_S_PER_RPM, "deviation_percent": 100 * run.deviation}
     return {
         "sentence": describe_combinations(combinations),
-        **{name: {"deviation_percent": 100 * one.deviation, "shares": dict(one.shares)} for name, one in ends},
+        **{
+            name: {"deviation_percent": 100 * combination.deviation, "shares": dict(combination.shares)}
+            for name, combination in ends
+        },
         "posterior_over_prior": {kind: list(span) for kind, span in combinations.parameters.items()},
         "next_run": more,
     }

@@ -26,7 +26,7 @@ def draw_comparison(path: Path, comparison: Comparison) -> Path:
     panels: list[tuple[str, list[Case], str]] = []
     noise = comparison.along("noise")
     for case in comparison.along("sensors"):
-        cases = [Case(one.noise, case.sensors, case.speeds) for one in noise]
+        cases = [Case(level.noise, case.sensors, case.speeds) for level in noise]
         panels.append((f"sensors: {SENSOR_TEXT[case.sensors]}, {case.speeds} speeds", cases, "noise"))
     main = comparison.main
     text = f"sensors: {SENSOR_TEXT[main.sensors]}, {100 * main.noise:g} % noise"
@@ -64,8 +64,8 @@ def _draw_panel(ax: Any, comparison: Comparison, methods: Sequence[str], cases: 
             fill = "white" if error < _LEAST else colour
             ax.plot(max(error, _LEAST), m, ls="", marker=marker, ms=7, color=colour, mfc=fill, clip_on=False)
     for case, (colour, marker) in zip(cases, _NOISE_LOOKS, strict=False):
-        words = describe_case(case, key) + (" noise" if key == "noise" else "")
-        ax.plot([], [], ls="", marker=marker, color=colour, label=words)
+        text = describe_case(case, key) + (" noise" if key == "noise" else "")
+        ax.plot([], [], ls="", marker=marker, color=colour, label=text)
     ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=len(cases), fontsize=8, handletextpad=0.1)
     ax.set(xscale="log", yticks=range(len(methods)), ylim=(len(methods) - 0.5, -0.5))
     ax.set_yticklabels([METHODS[method].label for method in methods], fontsize=9)

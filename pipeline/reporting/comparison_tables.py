@@ -43,18 +43,18 @@ class Comparison:
         """
         names = [name] if name else self.names
         rows = [r for r in self.of(method, case) if r.answered]
-        errors = {r.data_set: [r.error(one) for one in names] for r in rows}
-        return {i: float(np.nanmax(of)) for i, of in errors.items() if not np.isnan(of).all()}
+        errors = {r.data_set: [r.error(coefficient) for coefficient in names] for r in rows}
+        return {i: float(np.nanmax(values)) for i, values in errors.items() if not np.isnan(values).all()}
 
     def error(self, method: str, case: Case, name: str | None = None) -> float:
         """The mean of the :meth:`entries`; NaN where there is no answer."""
-        found = self.entries(method, case, name)
-        return float(np.mean(list(found.values()))) if found else float("nan")
+        errors = self.entries(method, case, name)
+        return float(np.mean(list(errors.values()))) if errors else float("nan")
 
     def spread(self, method: str, case: Case, name: str | None = None) -> float:
         """The standard deviation of the :meth:`entries`; NaN where there are fewer than two."""
-        found = self.entries(method, case, name)
-        return float(np.std(list(found.values()), ddof=1)) if len(found) > 1 else float("nan")
+        errors = self.entries(method, case, name)
+        return float(np.std(list(errors.values()), ddof=1)) if len(errors) > 1 else float("nan")
 
     def differs(self, method: str, other: str, case: Case, name: str | None = None) -> bool:
         """Whether the errors of two methods differ beyond their spread: Student's test of the paired differences, 5 %.
@@ -95,11 +95,11 @@ class Comparison:
     def coverage(self, method: str, case: Case) -> float | None:
         """Percent of speeds inside the nominal 95 % interval, mean over all; None where no deviation is stated."""
         shares = [
-            of.within_interval
+            held.within_interval
             for r in self.of(method, case)
             for coefficient in r.coefficients.values()
-            for of in coefficient.values()
-            if of.within_interval is not None
+            for held in coefficient.values()
+            if held.within_interval is not None
         ]
         return float(np.mean(shares)) if shares else None
 
@@ -108,10 +108,10 @@ class Comparison:
         rows = self.of(method, case)
         if not rows:
             return ""
-        found = self.entries(method, case)
-        if not found:
+        errors = self.entries(method, case)
+        if not errors:
             return rows[0].outcome.replace("_", " ")
-        silent = f" ({len(found)} of {len(rows)} answer)" if len(found) < len(rows) else ""
+        silent = f" ({len(errors)} of {len(rows)} answer)" if len(errors) < len(rows) else ""
         return self.format_entry(method, case) + silent + (" ?" if any(r.doubt for r in rows) else "")
 
     def format_entry(self, method: str, case: Case, name: str | None = None) -> str:
@@ -126,7 +126,7 @@ class Comparison:
         """The method's name, and what it sees less of than the others."""
         made = [(case, self.of(method, case)) for case in cases if case.noise]
         seen = [(r.used_speeds, case.speeds) for case in cases for r in self.of(method, case)]
-        used = [count for count, there in seen if count is not None and count < there]
+        used = [count for count, measured in seen if count is not None and count < measured]
         notes = [f"{min(used)} speeds"] if used else []
         most = {case: max(len(self.of(m, case)) for m in self.methods) for case, _ in made}
         if fewer := {len(rows) for case, rows in made if 0 < len(rows) < most[case]}:
@@ -208,14 +208,14 @@ def make_tables(comparison: Comparison) -> list[Table]:
     made = [first]
     others = [case for case in comparison.along("sensors") if case.sensors != main.sensors]
     if others:
-        pairs = [replace(case, noise=one.noise) for case in others for one in noise]
+        pairs = [replace(case, noise=level.noise) for case in others for level in noise]
         columns = [(case, describe_case(case, "sensors", "noise")) for case in pairs]
         names = " or ".join(SENSOR_TEXT[case.sensors] for case in others)
         made.append(_make_table(comparison, f"sensors: {names}, {describe_case(main, 'speeds')}", columns))
     each = []
     for m in comparison.methods:
-        found = comparison.by_coefficient(m)
-        cells = [comparison.format_entry(m, main, name) if name in found else "" for name in comparison.names]
+        errors = comparison.by_coefficient(m)
+        cells = [comparison.format_entry(m, main, name) if name in errors else "" for name in comparison.names]
         each.append([comparison.label(m, [main]), *cells])
     made.append(
         (f"each coefficient; {describe_case(main, 'noise', 'sensors', 'speeds')}", ["method", *comparison.names], each)
@@ -252,20 +252,20 @@ def tabulate(comparison: Comparison) -> list[dict[str, object]]:
     rows: list[dict[str, object]] = []
     keys = dict.fromkeys((r.method, replace(r.case, data_set=0)) for r in comparison.results)
     for method, case in keys:
-        found = comparison.of(method, case)
-        answered = [r for r in found if r.answered]
+        results = comparison.of(method, case)
+        answered = [r for r in results if r.answered]
         about: dict[str, object] = {
             "method": method,
             "noise": case.noise,
             "sensors": case.sensors,
             "speeds": case.speeds,
-            "used_speeds": found[0].used_speeds or case.speeds,
-            "data_sets": len(found),
+            "used_speeds": results[0].used_speeds or case.speeds,
+            "data_sets": len(results),
             "answered": len(answered),
-            "outcome": (answered or found)[0].outcome,
-            "words": (answered or found)[0].words,
-            "doubt": next((r.doubt for r in found if r.doubt), ""),
-            "seconds": float(np.median([r.seconds for r in found])),
+            "outcome": (answered or results)[0].outcome,
+            "words": (answered or results)[0].words,
+            "doubt": next((r.doubt for r in results if r.doubt), ""),
+            "seconds": float(np.median([r.seconds for r in results])),
         }
         places = dict.fromkeys(
             (node, name) for r in answered for node, coefficient in r.coefficients.items() for name in coefficient
@@ -278,14 +278,14 @@ def tabulate(comparison: Comparison) -> list[dict[str, object]]:
 
 def _summarize(answered: Sequence[Result], node: str, name: str) -> dict[str, object]:
     """Over the data sets; None for what none of them has."""
-    of = [r.coefficients[node][name] for r in answered if name in r.coefficients.get(node, {})]
-    errors = np.array([one.median_error for one in of])
-    several = {"std": lambda e: np.std(e, ddof=1)} if len(of) > 1 else {}
-    several |= {"median": np.median, "min": np.min, "max": np.max} if len(of) else {}
-    result: dict[str, object] = {"median_error_percent": float(errors.mean()) if len(of) else None}
+    answers = [r.coefficients[node][name] for r in answered if name in r.coefficients.get(node, {})]
+    errors = np.array([answer.median_error for answer in answers])
+    several = {"std": lambda e: np.std(e, ddof=1)} if len(answers) > 1 else {}
+    several |= {"median": np.median, "min": np.min, "max": np.max} if len(answers) else {}
+    result: dict[str, object] = {"median_error_percent": float(errors.mean()) if len(answers) else None}
     for key in ("std", "median", "min", "max"):
         result[f"median_error_percent_{key}"] = float(several[key](errors)) if key in several else None
     for key in ("p95_error", "median_deviation", "within_interval"):
-        values = [value for one in of if (value := getattr(one, key)) is not None]
+        values = [value for answer in answers if (value := getattr(answer, key)) is not None]
         result[f"{key}_percent"] = float(np.mean(values)) if values else None
     return result

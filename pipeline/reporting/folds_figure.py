@@ -27,10 +27,15 @@ def draw_folds(path: Path, rows: Sequence[dict[str, Any]], floor: Sequence[float
         for ax, (key, label) in zip(axes[0], _PANELS.items(), strict=True):
             for m, (method, (colour, marker)) in enumerate(zip(methods, LOOKS, strict=False)):
                 for chosen, face in (("all", "none"), ("consistent", colour)):
-                    own = [row for row in rows if row["method"] == method and row["conditions"] == chosen]
-                    places = [tasks.index(row["task"]) + 0.12 * (m - (len(methods) - 1) / 2) for row in own]
+                    chosen_rows = [row for row in rows if row["method"] == method and row["conditions"] == chosen]
+                    places = [tasks.index(row["task"]) + 0.12 * (m - (len(methods) - 1) / 2) for row in chosen_rows]
                     look = {"marker": marker, "mec": colour, "mfc": face, "ls": "", "ms": 7}
-                    ax.plot(places, [row[key] for row in own], label=method if chosen == "consistent" else None, **look)
+                    ax.plot(
+                        places,
+                        [row[key] for row in chosen_rows],
+                        label=method if chosen == "consistent" else None,
+                        **look,
+                    )
             ax.set_xticks(np.arange(len(tasks)), [task.replace("_", "\n") for task in tasks])
             ax.set_yscale("log")
             ax.set_ylabel(label)

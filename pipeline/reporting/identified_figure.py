@@ -52,9 +52,9 @@ def _draw(
     b: int,
     name: str,
     look: tuple[str, str],
-    of: tuple[BearingTable, BearingTable | None, np.ndarray | None],
+    tables: tuple[BearingTable, BearingTable | None, np.ndarray | None],
 ) -> None:
-    identified, modelled, deviation = of
+    identified, modelled, deviation = tables
     c, scale, rpm = COEFFICIENTS.index(name), UNITS[name[0]][0], to_rpm(identified.speeds)
     values = scale * identified.values[b, :, c]
     if modelled is not None:

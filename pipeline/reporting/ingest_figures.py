@@ -43,15 +43,15 @@ def _list_curves(dataset: VibrationDataset, baseline: str | None) -> list[tuple[
     colours, curves = colour_states(len(states)), []
     for r, look in enumerate(looks):
         for (label, points), colour in zip(states, colours, strict=True):
-            own = points if dataset.present is None else points[dataset.present[points, r]]
-            of_state = {"color": colour, "label": f"{look['label']}, {label}"} if len(states) > 1 else {}
-            if len(own):
-                curves.append((r, own, look | of_state))
+            measured = points if dataset.present is None else points[dataset.present[points, r]]
+            state_look = {"color": colour, "label": f"{look['label']}, {label}"} if len(states) > 1 else {}
+            if len(measured):
+                curves.append((r, measured, look | state_look))
     return curves
 
 
 def _place_legend(drawn: Any, axes: np.ndarray) -> None:
-    every = {label: one for ax in axes.flat for one, label in zip(*ax.get_legend_handles_labels(), strict=True)}
+    every = {label: handle for ax in axes.flat for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
     drawn.legend(every.values(), every.keys(), loc="outside upper center", ncols=min(4, len(every)))
 
 

@@ -17,11 +17,11 @@ from pipeline.rotor.parameters import UNITS
 def print_parameters(name: str, fitted: Sequence[FittedParameter]) -> None:
     """Stated tolerance and fitted value of every model parameter."""
     rows = []
-    for one in fitted:
-        kind, prior = one.parameter.kind, one.parameter.deviation
-        told = "" if one.deviation < TOLD else "as stated: the data do not tell"
-        found = f"{_format(kind, one.value * prior)} +- {_format(kind, one.deviation * prior)}"
-        rows.append([one.parameter.name, f"0 +- {_format(kind, prior)}", found, told])
+    for parameter in fitted:
+        kind, prior = parameter.parameter.kind, parameter.parameter.deviation
+        told = "" if parameter.deviation < TOLD else "as stated: the data do not tell"
+        text = f"{_format(kind, parameter.value * prior)} +- {_format(kind, parameter.deviation * prior)}"
+        rows.append([parameter.parameter.name, f"0 +- {_format(kind, prior)}", text, told])
     table(f"{name}: model parameters, against what is stated", ["parameter", "stated", "found", ""], rows)
 
 

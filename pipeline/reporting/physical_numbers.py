@@ -52,15 +52,17 @@ def list_numbers(found: Mapping[str, Mapping[str, Any]], config: Config) -> list
     oil = None if config.machine.laws is None else config.machine.laws.oil
     reference = getattr(oil, "reference", None)
     numbers = []
-    for name, of in found.items():
+    for name, number in found.items():
         where, _, what = name.partition(".")
-        unit, factor, shift = _UNITS.get(what, (of["unit"].replace(" * ", " ").replace(" / ", "/"), 1.0, 0.0))
+        unit, factor, shift = _UNITS.get(what, (number["unit"].replace(" * ", " ").replace(" / ", "/"), 1.0, 0.0))
         place = where if where == "oil" else f"node {where}"
         label = f"{place} {what.replace('_', ' ')}"
         if what == "viscosity" and reference is not None:
             label += f" at {write_condition('oil_temperature', reference)}"
-        value, guess = (factor * of[key] + shift for key in ("value", "guess"))
-        numbers.append(EngineersNumber(name, label, value, factor * of["deviation"], unit, guess, of["determined"]))
+        value, guess = (factor * number[key] + shift for key in ("value", "guess"))
+        numbers.append(
+            EngineersNumber(name, label, value, factor * number["deviation"], unit, guess, number["determined"])
+        )
     return numbers
 
 
@@ -93,7 +95,7 @@ def describe_law(quality: Mapping[str, Any], kind: str) -> list[str]:
     """Sentences for and against the bearing laws of a fit of model ``kind``; empty without any."""
     contradiction = find_contradiction(quality, kind)
     phrases = [] if contradiction is None else [" ".join(contradiction)]
-    phrases += [_describe_correction(node, of) for node, of in quality.get("correction", {}).items()]
+    phrases += [_describe_correction(node, correction) for node, correction in quality.get("correction", {}).items()]
     law = quality.get("law", {})
     for node, share in law.get("outside_table", {}).items():
         if share > 0:
@@ -112,11 +114,13 @@ _NOTHING = 0.01
 """Percent."""
 
 
-def _describe_correction(node: str, of: Mapping[str, Mapping[str, float]]) -> str:
+def _describe_correction(node: str, coefficients: Mapping[str, Mapping[str, float]]) -> str:
     """How much a network corrects the law of a bearing: what stands out of its own deviation speaks against the law."""
-    if all(one["percent"] < _NOTHING and one["deviation_percent"] < _NOTHING for one in of.values()):
+    if all(entry["percent"] < _NOTHING and entry["deviation_percent"] < _NOTHING for entry in coefficients.values()):
         return f"The network corrects nothing of the law of node {node}: the readings do not ask for it."
-    shown = ", ".join(f"{name} {one['percent']:.2g} +- {one['deviation_percent']:.2g} %" for name, one in of.items())
-    out = list_contradicted(of)
+    shown = ", ".join(
+        f"{name} {entry['percent']:.2g} +- {entry['deviation_percent']:.2g} %" for name, entry in coefficients.items()
+    )
+    out = list_contradicted(coefficients)
     against = f"That of {', '.join(out)} speaks against the law" if out else "None of it speaks against the law"
     return f"The network corrects the law of node {node} by {shown} (root mean square). {against}."

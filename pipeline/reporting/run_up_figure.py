@@ -16,12 +16,12 @@ def draw_run_up(path: Path, run_up: RunUp, fit: ModalFit, steady: np.ndarray, pr
     """Write the figure: markers are measured, the line is the model of the ramp, dashes are its ``steady`` (S,)."""
     rpm = to_rpm(run_up.speeds)
     ratios = {"height_ratios": [1.6, 1.0]}
-    modes = " and ".join(f"{one:.4g} rpm" for one in to_rpm(fit.frequencies))
+    modes = " and ".join(f"{speed:.4g} rpm" for speed in to_rpm(fit.frequencies))
     with open_figure(path, 2, 1, 9.5, 6.6, sharex=True, gridspec_kw=ratios) as axes:
-        for ax, of in ((axes[0, 0], _size), (axes[1, 0], _lag)):
-            ax.plot(rpm, of(run_up.vectors), ls="", marker="o", ms=3.5, mfc="none", mec=BLACK, label="measured")
-            ax.plot(rpm, of(fit.fitted), color=BLUE, lw=1.6, label=f"ramp modelled, {modes}")
-            ax.plot(rpm, of(steady), color=ORANGE, lw=1.4, ls="--", label="the same modes at constant speeds")
+        for ax, quantity in ((axes[0, 0], _size), (axes[1, 0], _lag)):
+            ax.plot(rpm, quantity(run_up.vectors), ls="", marker="o", ms=3.5, mfc="none", mec=BLACK, label="measured")
+            ax.plot(rpm, quantity(fit.fitted), color=BLUE, lw=1.6, label=f"ramp modelled, {modes}")
+            ax.plot(rpm, quantity(steady), color=ORANGE, lw=1.4, ls="--", label="the same modes at constant speeds")
         axes[0, 0].set_title(f"{probe}, {run_up.rate / RAD_S_PER_RPM:.4g} rpm/s", loc="left")
         axes[0, 0].set_ylabel("amplitude (µm, zero to peak)")
         axes[1, 0].set_ylabel("phase lag (deg)")

@@ -91,16 +91,16 @@ def draw_states(
     return path
 
 
-def _draw_values(ax: Any, of: _Drawn, b: int, name: str, title: str) -> None:
+def _draw_values(ax: Any, drawn: _Drawn, b: int, name: str, title: str) -> None:
     c, (scale, unit) = COEFFICIENTS.index(name), UNITS[name[0]]
-    rpm = to_rpm(of.identified.speeds)
-    for (_, points), colour in zip(of.states, of.colours, strict=True):
-        values = scale * of.identified.values[b, points, c]
-        if of.deviation is not None:
-            reach = NOMINAL_95 * scale * of.deviation[b, points, c]
+    rpm = to_rpm(drawn.identified.speeds)
+    for (_, points), colour in zip(drawn.states, drawn.colours, strict=True):
+        values = scale * drawn.identified.values[b, points, c]
+        if drawn.deviation is not None:
+            reach = NOMINAL_95 * scale * drawn.deviation[b, points, c]
             ax.fill_between(rpm[points], values - reach, values + reach, color=colour, alpha=0.3, lw=0)
-        if of.modelled is not None:
-            ax.plot(rpm[points], scale * of.modelled.values[b, points, c], color=BLACK, lw=0.8)
+        if drawn.modelled is not None:
+            ax.plot(rpm[points], scale * drawn.modelled.values[b, points, c], color=BLACK, lw=0.8)
             draw_markers(ax, rpm[points], values, colour, count=_MARKERS)
         else:
             ax.plot(rpm[points], values, color=colour, lw=1.6, marker="o" if len(points) == 1 else None)
@@ -108,33 +108,33 @@ def _draw_values(ax: Any, of: _Drawn, b: int, name: str, title: str) -> None:
     ax.set_ylabel(f"{name} ({unit})")
 
 
-def _draw_error(ax: Any, of: _Drawn, b: int, name: str) -> None:
+def _draw_error(ax: Any, drawn: _Drawn, b: int, name: str) -> None:
     """The error in percent, and dotted the nominal 95 % interval."""
-    assert of.modelled is not None
-    c, rpm = COEFFICIENTS.index(name), to_rpm(of.identified.speeds)
-    for (_, points), colour in zip(of.states, of.colours, strict=True):
-        true = of.modelled.values[b, points, c]
+    assert drawn.modelled is not None
+    c, rpm = COEFFICIENTS.index(name), to_rpm(drawn.identified.speeds)
+    for (_, points), colour in zip(drawn.states, drawn.colours, strict=True):
+        true = drawn.modelled.values[b, points, c]
         with np.errstate(divide="ignore", invalid="ignore"):
-            error = 100.0 * np.abs(of.identified.values[b, points, c] / true - 1.0)
+            error = 100.0 * np.abs(drawn.identified.values[b, points, c] / true - 1.0)
             ax.semilogy(rpm[points], np.maximum(error, 1e-14), color=colour, lw=1.1)
-            if of.deviation is not None:
-                stated = 100.0 * NOMINAL_95 * of.deviation[b, points, c] / np.abs(true)
+            if drawn.deviation is not None:
+                stated = 100.0 * NOMINAL_95 * drawn.deviation[b, points, c] / np.abs(true)
                 ax.semilogy(rpm[points], stated, color=colour, lw=1.0, ls=":")
     ax.set_ylabel("error (%)")
 
 
-def _place_legend(axes: np.ndarray, of: _Drawn) -> None:
+def _place_legend(axes: np.ndarray, drawn: _Drawn) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    marked = of.modelled is not None
+    marked = drawn.modelled is not None
     look: dict[str, Any] = {"ls": "", "marker": "o", "mfc": "none"} if marked else {"lw": 1.6}
-    handles: list[Any] = [Line2D([], [], color=colour, **look) for colour in of.colours]
-    labels = [label for label, _ in of.states]
+    handles: list[Any] = [Line2D([], [], color=colour, **look) for colour in drawn.colours]
+    labels = [label for label, _ in drawn.states]
     if marked:
         handles.append(Line2D([], [], color=BLACK, lw=0.8))
         labels.append("modelled")
-    if of.deviation is not None:
+    if drawn.deviation is not None:
         handles.append(Patch(facecolor=BLACK, alpha=0.2))
         labels.append("nominal 95 %")
     axes[0, 0].figure.legend(handles, labels, loc="outside upper center", ncols=6)

@@ -112,8 +112,8 @@ def _draw_slices(path: Path, trials: Sequence[TrialSummary], space: Mapping[str,
             _set_ticks(ax, choices, getattr(space[name], "log", False))
         for ax in axes[:, 0]:
             ax.set_ylabel("held-out loss")
-        found = {line.get_label(): line for ax in axes.flat for line in ax.lines}
-        axes[0, 0].figure.legend(found.values(), found.keys(), loc="outside upper left", ncols=4)
+        handles = {line.get_label(): line for ax in axes.flat for line in ax.lines}
+        axes[0, 0].figure.legend(handles.values(), handles.keys(), loc="outside upper left", ncols=4)
     return path
 
 
@@ -166,8 +166,8 @@ def _draw_parallel(path: Path, trials: Sequence[TrialSummary], space: Mapping[st
             if trial.number == 0:
                 style = {"color": GREEN, "lw": 2.4, "ls": "--", "zorder": 5, "label": "the configured default"}
             ax.plot(line, marker=".", ms=5, **style)
-        found = {line.get_label(): line for line in ax.lines if not str(line.get_label()).startswith("_")}
-        ax.figure.legend(found.values(), found.keys(), loc="outside upper left", ncols=3)
+        handles = {line.get_label(): line for line in ax.lines if not str(line.get_label()).startswith("_")}
+        ax.figure.legend(handles.values(), handles.keys(), loc="outside upper left", ncols=3)
         ax.set_xticks(range(len(names)), [name.replace("_", "\n") for name in names], fontsize=9)
         ax.set(yticks=[], ylim=(-0.08, 1.08), xlim=(-0.2, len(names) - 0.3))
         ax.grid(visible=False)

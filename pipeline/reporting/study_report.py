@@ -53,7 +53,8 @@ class StudyReport:
             return {}
         errors = {f.trial: [self._errors(model) for model in f.models] for f in self.finalists}
         return {
-            trial: {name: np.array([of[name] for of in each]) for name in each[0]} for trial, each in errors.items()
+            trial: {name: np.array([error[name] for error in each]) for name in each[0]}
+            for trial, each in errors.items()
         }
 
     @cached_property
@@ -181,11 +182,11 @@ def write_report(report: StudyReport) -> str:
         command += f" tuning.study={tuning.study} (and what else was overridden when the study was begun)"
     missing = {
         name
-        for name, there in (
+        for name, present in (
             ("importance", report.importances),
             ("learning_curves", any(trial.curve for trial in report.trials)),
         )
-        if not there
+        if not present
     }
     parts = [
         f"# Study `{tuning.study}`",
@@ -205,7 +206,7 @@ def write_report(report: StudyReport) -> str:
         "`trials.csv` has every trial, `finalists.csv` every finalist and seed, `best.yaml` what training uses.",
         *(f"![{_FIGURES[name]}](figures/{name}.png)" for name in _FIGURES if name not in missing),
     ]
-    return "\n\n".join(part for part in parts if part) + "\n"
+    return "\n\n".join(paragraph for paragraph in parts if paragraph) + "\n"
 
 
 _FIGURES = {

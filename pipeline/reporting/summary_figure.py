@@ -102,9 +102,11 @@ def _explain(ax: Any, results: Results) -> None:
 def _draw_run(ax: Any, results: Results) -> None:
     """Draw the amplitude of one run at the probe that moves most: measured as markers, predicted as a line."""
     shown, rpm = results.shown, to_rpm(results.dataset.speeds)
-    there = shown.measured.any(axis=1)  # points that the run was measured at
-    rpm = rpm[there]
-    measured, predicted = (MICROMETRES * np.abs(of[there, shown.probe]) for of in (shown.measured, shown.predicted))
+    measured_at = shown.measured.any(axis=1)  # points that the run was measured at
+    rpm = rpm[measured_at]
+    measured, predicted = (
+        MICROMETRES * np.abs(vibration[measured_at, shown.probe]) for vibration in (shown.measured, shown.predicted)
+    )
     label = "measured" if results.modelled is None else "measured (modelled data)"
     draw_markers(ax, rpm, measured, BLUE, label, count=2 * MARKERS)
     ax.plot(rpm, predicted, color=ORANGE, lw=1.4, label="predicted from the identified coefficients")
@@ -116,8 +118,8 @@ def _draw_run(ax: Any, results: Results) -> None:
 
 def _draw_response(ax: Any, results: Results) -> None:
     """Draw the response to the unbalance that no run has, and the critical speeds."""
-    found, modelled, rpm = results.vibration["identified"], results.vibration.get("modelled"), results.rpm
-    size = MICROMETRES * np.abs(found.displacement)
+    identified, modelled, rpm = results.vibration["identified"], results.vibration.get("modelled"), results.rpm
+    size = MICROMETRES * np.abs(identified.displacement)
     for d, (direction, colour) in enumerate(zip("xy", (BLUE, ORANGE), strict=True)):
         if modelled is None:
             ax.plot(rpm, size[:, d], color=colour, ls=("-", "--")[d], lw=1.4, label=f"{direction} predicted")
@@ -125,12 +127,12 @@ def _draw_response(ax: Any, results: Results) -> None:
             true = MICROMETRES * np.abs(modelled.displacement[:, d])
             ax.plot(rpm, true, color=colour, lw=1.4, label=f"{direction} modelled")
             draw_markers(ax, rpm, size[:, d], colour, f"{direction} predicted", "os"[d])
-        if found.deviation is not None:
-            draw_band(ax, rpm, size[:, d], MICROMETRES * found.deviation[:, d], colour, 1e-3 * size[:, d])
-    for i, one in enumerate(results.behaviour.critical):
+        if identified.deviation is not None:
+            draw_band(ax, rpm, size[:, d], MICROMETRES * identified.deviation[:, d], colour, 1e-3 * size[:, d])
+    for i, critical in enumerate(results.behaviour.critical):
         label = "critical speed" if i == 0 else None
-        ax.axvline(one.speed / RAD_S_PER_RPM, color=GREY, ls=":", lw=1.2, label=label)
-    ax.set_title(f"predicted: node {found.node} under an unbalance that no run has{results.state}")
+        ax.axvline(critical.speed / RAD_S_PER_RPM, color=GREY, ls=":", lw=1.2, label=label)
+    ax.set_title(f"predicted: node {identified.node} under an unbalance that no run has{results.state}")
     _scale_amplitudes(ax)
     ax.legend(fontsize="small")
 

@@ -106,7 +106,7 @@ def write_summary(config: Config, results: Results, picture: Path) -> str:
         *_wrap_entry("critical", _list_critical_speeds(results)),
         *_wrap_entry("stability", _describe_stability(results.behaviour)),
         *_wrap_entry("prediction", _describe_prediction(config, results)),
-        *[line for words in results.beyond for line in _wrap_entry("beyond", f"{words}: the bands grow there")],
+        *[line for text in results.beyond for line in _wrap_entry("beyond", f"{text}: the bands grow there")],
         f"{'picture':<{len(_INDENT)}}{picture}",
     ]
     return "\n".join([*head, "", *parts]) + "\n"
@@ -208,13 +208,15 @@ def _describe_run(results: Results) -> str:
 
 
 def _list_critical_speeds(results: Results) -> str:
-    rpm, of = results.rpm, results.behaviour
-    found = []
-    for one in of.critical:
-        known_to = (None, None) if of.deviations is None else of.deviations.of_critical(one)
-        speed = format_deviation(one.speed / RAD_S_PER_RPM, known_to[0] and known_to[0] / RAD_S_PER_RPM)
-        found.append(f"{speed} rpm (logarithmic decrement {format_deviation(one.logarithmic_decrement, known_to[1])})")
-    return f"{_join(found)}, between {rpm[0]:g} and {rpm[-1]:g} rpm{results.state}"
+    rpm, behaviour = results.rpm, results.behaviour
+    listed = []
+    for critical in behaviour.critical:
+        known_to = (None, None) if behaviour.deviations is None else behaviour.deviations.of_critical(critical)
+        speed = format_deviation(critical.speed / RAD_S_PER_RPM, known_to[0] and known_to[0] / RAD_S_PER_RPM)
+        listed.append(
+            f"{speed} rpm (logarithmic decrement {format_deviation(critical.logarithmic_decrement, known_to[1])})"
+        )
+    return f"{_join(listed)}, between {rpm[0]:g} and {rpm[-1]:g} rpm{results.state}"
 
 
 def _describe_stability(behaviour: Behaviour) -> str:
@@ -232,20 +234,20 @@ def _describe_stability(behaviour: Behaviour) -> str:
 
 def _describe_prediction(config: Config, results: Results) -> str:
     """The vibration at the prediction's speed, and the largest of all speeds."""
-    found = results.vibration["identified"]
-    rpm, size = to_rpm(found.speeds), 1e6 * np.abs(found.displacement)
+    identified = results.vibration["identified"]
+    rpm, size = to_rpm(identified.speeds), 1e6 * np.abs(identified.displacement)
     acting = _join(
         f"{1e6 * unbalance.magnitude:g} g mm at node {unbalance.node}"
         for unbalance in config.machine.prediction.unbalances
     )
     phrases = []
     for d, direction in enumerate("xy"):
-        deviation = None if found.deviation is None else float(1e6 * found.deviation[results.at, d])
+        deviation = None if identified.deviation is None else float(1e6 * identified.deviation[results.at, d])
         phrases.append(f"{direction} {format_deviation(float(size[results.at, d]), deviation)} um")
     s, d = np.unravel_index(size.argmax(), size.shape)
     return (
-        f"node {found.node} at {rpm[results.at]:g} rpm{results.state}: {', '.join(phrases)} (zero-to-peak); at most "
-        f"{size[s, d]:.4g} um in {'xy'[d]} at {rpm[s]:g} rpm; under {acting}"
+        f"node {identified.node} at {rpm[results.at]:g} rpm{results.state}: {', '.join(phrases)} (zero-to-peak); "
+        f"at most {size[s, d]:.4g} um in {'xy'[d]} at {rpm[s]:g} rpm; under {acting}"
     )
 
 

@@ -70,21 +70,21 @@ def draw_orbit(path: Path, vibration: Mapping[str, PredictedVibration], at: int,
 def draw_response(path: Path, vibration: Mapping[str, PredictedVibration], state: str = "") -> Path:
     """Amplitude and phase over all speeds, and the error of the prediction; ``state`` names the conditions."""
     rows = 1 + len(vibration)
-    found = vibration["identified"]
-    rpm = to_rpm(found.speeds)
+    identified = vibration["identified"]
+    rpm = to_rpm(identified.speeds)
     with open_figure(path, rows, 2, 10.5, 2.4 * rows, sharex=True) as axes:
         for d, (direction, colour) in enumerate(zip("xy", (BLUE, ORANGE), strict=True)):
             for name, predicted in vibration.items():
                 q = predicted.displacement[:, d]
                 _draw(axes[0, d], name, rpm, MICROMETRES * np.abs(q), colour)
                 _draw(axes[1, d], name, rpm, np.degrees(np.unwrap(np.angle(q))), colour)
-            if found.deviation is not None:
-                size = MICROMETRES * np.abs(found.displacement[:, d])
-                draw_band(axes[0, d], rpm, size, MICROMETRES * found.deviation[:, d], colour, 1e-12)
+            if identified.deviation is not None:
+                size = MICROMETRES * np.abs(identified.displacement[:, d])
+                draw_band(axes[0, d], rpm, size, MICROMETRES * identified.deviation[:, d], colour, 1e-12)
             if "modelled" in vibration:
-                error = found.error_percent(vibration["modelled"])[:, d]
+                error = identified.error_percent(vibration["modelled"])[:, d]
                 axes[2, d].semilogy(rpm, np.maximum(error, 1e-14), color=GREY, lw=1.2)
-            axes[0, d].set(title=f"{direction} of node {found.node}{_beside(state)}", yscale="log")
+            axes[0, d].set(title=f"{direction} of node {identified.node}{_beside(state)}", yscale="log")
             axes[-1, d].set_xlabel("rotor speed (rpm)")
         for row, label in zip(axes, ("amplitude (µm)", "phase (deg)", "error (%)"), strict=False):
             row[0].set_ylabel(label)
@@ -105,8 +105,8 @@ def draw_campbell(path: Path, behaviour: Mapping[str, Behaviour], state: str = "
         synchronous = modes.speeds / RAD_S_PER_HERTZ
         frequencies.plot(rpm, synchronous, color=GREY, ls="--", lw=1.2, label="rotor speed (1X)")
         decrements.axhline(0.0, color=GREY, ls="--", lw=1.2)
-        for name, of in behaviour.items():
-            _draw_modes(axes[:, 0], name, of, top)
+        for name, machine in behaviour.items():
+            _draw_modes(axes[:, 0], name, machine, top)
         frequencies.set(ylabel="damped natural frequency (Hz)", ylim=(0.0, top), title=state)
         decrements.set(xlabel="rotor speed (rpm)", ylabel="logarithmic decrement (stable above 0)")
         decrements.set_yscale("symlog", linthresh=0.1)
@@ -134,8 +134,8 @@ def _draw_modes(axes: Any, name: str, behaviour: Behaviour, top: float) -> None:
             )
             draw_band(axes[1], rpm, lines[1][:, k], follow(behaviour.deviations.logarithmic_decrement)[:, k], colour)
     if name == "identified":
-        for one in behaviour.critical:
-            speed = one.speed / RAD_S_PER_HERTZ
+        for critical in behaviour.critical:
+            speed = critical.speed / RAD_S_PER_HERTZ
             axes[0].plot(60.0 * speed, speed, "k*", ms=11, label="critical speed")
 
 

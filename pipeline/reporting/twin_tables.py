@@ -41,12 +41,14 @@ def summarize_modes(behaviour: Behaviour, running_rpm: float) -> dict[str, objec
 
 
 def _summarize_critical(behaviour: Behaviour, i: int, running_rpm: float) -> dict[str, float | None]:
-    one = behaviour.critical[i]
-    rpm, decrement = one.speed / RAD_S_PER_RPM, one.logarithmic_decrement
-    speed_std, decrement_std = (0.0, 0.0) if behaviour.deviations is None else behaviour.deviations.of_critical(one)
+    critical = behaviour.critical[i]
+    rpm, decrement = critical.speed / RAD_S_PER_RPM, critical.logarithmic_decrement
+    speed_std, decrement_std = (
+        (0.0, 0.0) if behaviour.deviations is None else behaviour.deviations.of_critical(critical)
+    )
     amplified = amplify(decrement, decrement_std)
     factor, factor_std = (None, None) if amplified is None else amplified
-    found: dict[str, float | None] = {
+    entry: dict[str, float | None] = {
         "rpm": rpm,
         "logarithmic_decrement": decrement,
         "amplification_factor": factor,
@@ -54,13 +56,13 @@ def _summarize_critical(behaviour: Behaviour, i: int, running_rpm: float) -> dic
         "separation_margin_required_percent": require_separation(factor, rpm > running_rpm),
     }
     if behaviour.deviations is not None:
-        found |= {
+        entry |= {
             "rpm_std": speed_std / RAD_S_PER_RPM,
             "logarithmic_decrement_std": decrement_std,
             "amplification_factor_std": factor_std,
             "separation_margin_percent_std": 100.0 * speed_std / RAD_S_PER_RPM / running_rpm,
         }
-    return found
+    return entry
 
 
 def tabulate_modes(behaviour: Mapping[str, Behaviour], operating: Mapping[str, float]) -> dict[str, Any]:
@@ -69,23 +71,23 @@ def tabulate_modes(behaviour: Mapping[str, Behaviour], operating: Mapping[str, f
     ``operating`` are the conditions (SI) of all rows.
     """
     columns: dict[str, list[Any]] = {}
-    for name, of in behaviour.items():
-        there = ~np.isnan(of.modes.frequency)
-        speed, mode = np.nonzero(there)
-        part = {
+    for name, machine in behaviour.items():
+        present = ~np.isnan(machine.modes.frequency)
+        speed, mode = np.nonzero(present)
+        rows = {
             "system": np.full(len(speed), name, dtype=object),
-            "speed_rpm": to_rpm(of.modes.speeds)[speed],
+            "speed_rpm": to_rpm(machine.modes.speeds)[speed],
             "mode": mode + 1,
-            "frequency_hz": of.modes.frequency[there] / RAD_S_PER_HERTZ,
-            "logarithmic_decrement": of.modes.logarithmic_decrement[there],
+            "frequency_hz": machine.modes.frequency[present] / RAD_S_PER_HERTZ,
+            "logarithmic_decrement": machine.modes.logarithmic_decrement[present],
             "frequency_std_hz": np.full(len(speed), np.nan),
             "logarithmic_decrement_std": np.full(len(speed), np.nan),
         }
-        if of.deviations is not None:
-            part["frequency_std_hz"] = of.deviations.frequency[there] / RAD_S_PER_HERTZ
-            part["logarithmic_decrement_std"] = of.deviations.logarithmic_decrement[there]
-        part |= _repeat_conditions(operating, len(speed))
-        for key, values in part.items():
+        if machine.deviations is not None:
+            rows["frequency_std_hz"] = machine.deviations.frequency[present] / RAD_S_PER_HERTZ
+            rows["logarithmic_decrement_std"] = machine.deviations.logarithmic_decrement[present]
+        rows |= _repeat_conditions(operating, len(speed))
+        for key, values in rows.items():
             columns.setdefault(key, []).extend(values)
     return columns
 
@@ -129,10 +131,10 @@ def print_twin(
         known_to = [None, None] if predicted.deviation is None else list(1e6 * predicted.deviation[at])
         shown = [format_deviation(float(s), d) for s, d in zip(size, known_to, strict=True)]
         rows.append([name, *shown, _show(summary[name]["stability"], "smallest_logarithmic_decrement")])
-        for one in summary[name]["critical_speeds"].values():
+        for critical in summary[name]["critical_speeds"].values():
             keys = ("rpm", "logarithmic_decrement", "amplification_factor", "separation_margin_percent")
-            asked = f"{one['separation_margin_required_percent']:.0f}"
-            criticals.append([name, *(_show(one, key) for key in keys), asked])
+            asked = f"{critical['separation_margin_required_percent']:.0f}"
+            criticals.append([name, *(_show(critical, key) for key in keys), asked])
     header = ["system", f"x at {rpm:g} rpm, um", f"y at {rpm:g} rpm, um", "smallest log decrement"]
     title = f"{config.name}: node {prediction.node} under an unbalance never seen{state} (+- standard deviation)"
     table(title, header, rows)
@@ -149,6 +151,6 @@ def print_twin(
         say(f"error of the displacement over all speeds: {'; '.join(errors)}")
 
 
-def _show(of: Mapping[str, Any], key: str) -> str:
+def _show(entry: Mapping[str, Any], key: str) -> str:
     """A number with its deviation; "none" where there is none."""
-    return "none" if of[key] is None else format_deviation(of[key], of.get(f"{key}_std"))
+    return "none" if entry[key] is None else format_deviation(entry[key], entry.get(f"{key}_std"))

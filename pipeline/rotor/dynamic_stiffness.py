@@ -48,8 +48,8 @@ def banded(rotor: RotorModel, dof: np.ndarray | None = None) -> BandedStiffness:
 
 def _locate(wanted: np.ndarray, dof: np.ndarray) -> np.ndarray:
     """Positions of the ``wanted`` (T, 2) within ``dof`` (m,); -1 where they are not."""
-    positions = {int(one): i for i, one in enumerate(dof)}
-    return np.array([[positions.get(int(one), -1) for one in pair] for pair in wanted], dtype=int).reshape(-1, 2)
+    positions = {int(index): i for i, index in enumerate(dof)}
+    return np.array([[positions.get(int(index), -1) for index in pair] for pair in wanted], dtype=int).reshape(-1, 2)
 
 
 def _columns(matrix: np.ndarray, bandwidth: int) -> np.ndarray:

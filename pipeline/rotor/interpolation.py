@@ -95,11 +95,11 @@ def bearing_places(rotor: RotorModel) -> BearingPlaces:
     nodes, dof = rotor.bearing_nodes, bearing_dof(rotor)
     if not any(rotor.bearing_shifts):
         return BearingPlaces(dof, np.broadcast_to(np.eye(TRANSLATIONS), (len(nodes), TRANSLATIONS, TRANSLATIONS)))
-    found = []
+    rows = []
     for node, shift in zip(nodes, rotor.bearing_shifts, strict=True):
-        own = _element(rotor, node, shift)[0]
-        found.append((own, shaft_rows(rotor, node, shift)[:, own]))
-    return BearingPlaces(np.stack([own for own, _ in found]), np.stack([shares for _, shares in found]))
+        element = _element(rotor, node, shift)[0]
+        rows.append((element, shaft_rows(rotor, node, shift)[:, element]))
+    return BearingPlaces(np.stack([own for own, _ in rows]), np.stack([shares for _, shares in rows]))
 
 
 def move_bearing(rotor: RotorModel, bearing: int, shift: float) -> RotorModel:

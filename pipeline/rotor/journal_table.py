@@ -148,7 +148,11 @@ def short_bearing_coefficients(
 
 def table_bytes(bearing: Any) -> bytes:
     """What the file of a bearing's table holds; nothing where it has none, or there is no such file."""
-    named = [one.table for one in getattr(bearing, "nodes", {0: bearing}).values() if getattr(one, "table", None)]
+    named = [
+        bearing_at.table
+        for bearing_at in getattr(bearing, "nodes", {0: bearing}).values()
+        if getattr(bearing_at, "table", None)
+    ]
     paths = [packaged_file(name) or Path(name) for name in named]
     return b"".join(path.read_bytes() for path in paths if path.is_file())
 

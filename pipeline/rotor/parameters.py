@@ -84,9 +84,9 @@ def rotor_change(parameter: ModelParameter, rotor: RotorModel) -> RotorModel | N
         change |= {"mass": size * rotor.shaft_mass, "gyroscopic": size * rotor.shaft_gyroscopic}
     elif parameter.kind in OF_DISC:
         turning = parameter.kind == "disc_inertia"
-        own = slice(first + TRANSLATIONS, first + DOF_PER_NODE) if turning else slice(first, first + TRANSLATIONS)
+        places = slice(first + TRANSLATIONS, first + DOF_PER_NODE) if turning else slice(first, first + TRANSLATIONS)
         kept = np.zeros_like(nothing)
-        kept[own, own] = size
+        kept[places, places] = size
         change |= {
             "mass": kept * (rotor.mass - rotor.shaft_mass),
             "gyroscopic": kept * (rotor.gyroscopic - rotor.shaft_gyroscopic),

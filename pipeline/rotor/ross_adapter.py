@@ -163,12 +163,12 @@ def _tabulate_at(bearing: BearingConfig, speeds: np.ndarray, operating: Operatin
     if table is not None:
         return table
     if isinstance(bearing, BallBearingConfig) and bearing.static_load == CONDITION:
-        loads, of = np.unique(pick_condition(operating, LOAD, len(speeds)), return_inverse=True)
+        loads, group = np.unique(pick_condition(operating, LOAD, len(speeds)), return_inverse=True)
         given = [bearing.model_copy(update={"static_load": float(load)}) for load in loads]
-        return np.stack([_tabulate_at(one, speeds[:1], {}, share)[0] for one in given])[of]
-    ascending, of = np.unique(speeds, return_inverse=True)  # ROSS's splines over the speed ask for that
+        return np.stack([_tabulate_at(load, speeds[:1], {}, share)[0] for load in given])[group]
+    ascending, group = np.unique(speeds, return_inverse=True)  # ROSS's splines over the speed ask for that
     element = _make_element(bearing, 0, ascending, share)
-    return np.array([_flatten(element.K(speed), element.C(speed)) for speed in ascending])[of]
+    return np.array([_flatten(element.K(speed), element.C(speed)) for speed in ascending])[group]
 
 
 def _select(bearing: BearingConfig, node: int) -> BearingConfig:

@@ -24,23 +24,23 @@ def export_rotor(
     a bearing element of its own. Raises ConfigError where the rotor file can't be read.
     """
     rs, base = ross(), make_rotor(config)
-    moved = {
+    shifted = {
         (parameter.kind, parameter.place): float(value) * parameter.deviation  # ROSS writes numbers of numpy as texts
         for parameter, value in zip(parameters, values, strict=True)
         if parameter.kind not in ("known_coefficients", "runout")
     }
-    young, density = 1.0 + moved.get(("youngs_modulus", 0), 0.0), 1.0 + moved.get(("density", 0), 0.0)
+    young, density = 1.0 + shifted.get(("youngs_modulus", 0), 0.0), 1.0 + shifted.get(("density", 0), 0.0)
     shaft = [_change_material(one, young, density) for one in base.shaft_elements]
     discs = []
     for element in base.disk_elements:
-        mass, inertia = (1.0 + moved.get((kind, element.n), 0.0) for kind in ("disc_mass", "disc_inertia"))
+        mass, inertia = (1.0 + shifted.get((kind, element.n), 0.0) for kind in ("disc_mass", "disc_inertia"))
         discs.append(
             rs.DiskElement(element.n, mass * element.m, inertia * element.Id, inertia * element.Ip, tag=element.tag)
         )
     last = len(base.nodes) - 1
     masses = [one for one in base.point_mass_elements if one.n <= last]
     standing = [*make_bearings(bearings), *(one for one in base.bearing_elements if isinstance(one, rs.SealElement))]
-    coupling = {kind: (n, value) for (kind, n), value in moved.items() if kind in OF_COUPLING}
+    coupling = {kind: (n, value) for (kind, n), value in shifted.items() if kind in OF_COUPLING}
     if coupling:
         node = next(iter(coupling.values()))[0]
         stiffness, mass = (float(coupling.get(kind, (node, 0.0))[1]) for kind in OF_COUPLING)
@@ -85,5 +85,5 @@ def _change_material(element: Any, young: float, density: float) -> Any:
     old = element.material
     changed = {"rho": density * float(old.rho), "E": young * float(old.E), "G_s": young * float(old.G_s)}
     loads = {name: young * given[name] for name in ("axial_force", "torque")}
-    own = {"alpha": element.alpha / density, "beta": element.beta / young}
-    return type(element)(**given | loads | own | {"material": ross().Material(old.name, **changed)})
+    damping = {"alpha": element.alpha / density, "beta": element.beta / young}
+    return type(element)(**given | loads | damping | {"material": ross().Material(old.name, **changed)})

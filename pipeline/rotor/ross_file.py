@@ -51,20 +51,24 @@ def read_rotor_file(ross: Any, file: Path) -> Any:
 def _find_class(ross: Any, name: str, content: Any, file: Path) -> Any:
     """The class that reads an element that is called CLASS_TAG in the file: the simplest that has its matrices."""
     word = name.partition("_")[0]
-    found = getattr(ross, word, None)
+    ross_class = getattr(ross, word, None)
     kinds = (ross.ShaftElement, ross.DiskElement, ross.BearingElement, ross.PointMass)
-    if not isinstance(found, type) or not issubclass(found, kinds):
-        known = sorted(name for name, one in vars(ross).items() if isinstance(one, type) and issubclass(one, kinds))
+    if not isinstance(ross_class, type) or not issubclass(ross_class, kinds):
+        known = sorted(
+            name
+            for name, candidate in vars(ross).items()
+            if isinstance(candidate, type) and issubclass(candidate, kinds)
+        )
         raise ConfigError(
             f"machine.rotor.file must have elements that ROSS {ross.__version__} knows, but '{file}' has a '{word}': "
             f"{nearest(word, known)}; put a DiskElement, BearingElement or ShaftElement of its values in its place"
         )
-    if issubclass(found, ross.DiskElement) and "m" in content:
+    if issubclass(ross_class, ross.DiskElement) and "m" in content:
         return ross.DiskElement
     count, speeds = len(content.get("kxx") or []), len(content.get("frequency") or [])
-    if issubclass(found, ross.BearingElement) and count in (1, speeds):
-        return ross.SealElement if issubclass(found, ross.SealElement) else ross.BearingElement
-    return found
+    if issubclass(ross_class, ross.BearingElement) and count in (1, speeds):
+        return ross.SealElement if issubclass(ross_class, ross.SealElement) else ross.BearingElement
+    return ross_class
 
 
 def _check_shaft(starts: list[Any], file: Path) -> None:

@@ -31,8 +31,8 @@ class Seals:
 
     def matrices(self, speeds: np.ndarray) -> np.ndarray:
         """(T, S, 3, 2, 2) stiffness, damping and mass at the rotor ``speeds`` (S,) rad/s."""
-        found = [_interpolate(rows[:, 2], rows[:, 3:], speeds) for rows in self._by_seal]
-        return np.array(found).reshape(len(found), len(speeds), 3, 2, 2)
+        interpolated = [_interpolate(rows[:, 2], rows[:, 3:], speeds) for rows in self._by_seal]
+        return np.array(interpolated).reshape(len(interpolated), len(speeds), 3, 2, 2)
 
     def impedance(self, frequencies: np.ndarray, speeds: np.ndarray) -> np.ndarray:
         """(T, S, 2, 2) complex ``K + j w C - w^2 M`` in N/m at ``frequencies`` w (S,) and rotor ``speeds`` (S,)."""

@@ -77,9 +77,9 @@ def load_modelled_bearings(
     bearings give no finite coefficients.
     """
     speeds, operating = np.ascontiguousarray(speeds, dtype=float), operating or {}
-    states = [part for name, values in operating.items() for part in (name, np.array(values, dtype=float).tobytes())]
-    made_of = (bearing.model_dump_json(), table_bytes(bearing))
-    key = hash_parts(hash_rotor(config), *made_of, speeds.tobytes(), *states)
+    states = [entry for name, values in operating.items() for entry in (name, np.array(values, dtype=float).tobytes())]
+    ingredients = (bearing.model_dump_json(), table_bytes(bearing))
+    key = hash_parts(hash_rotor(config), *ingredients, speeds.tobytes(), *states)
     kept = _look_up(_BEARINGS, key, {"nodes", "values"})
     if kept is not None:
         return BearingTable(tuple(kept["nodes"].astype(int).tolist()), speeds, kept["values"], operating)

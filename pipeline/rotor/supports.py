@@ -79,11 +79,11 @@ def find_stands(elements: Iterable[Any], masses: Sequence[Any], last: int, seal_
         joined, found = {node}, []
         rest = list(bearings)
         # From the shaft's node through the supports; another node of the shaft ends the way.
-        while grown := [one for one in rest if _ends(one) & joined]:
-            rest = [one for one in rest if one not in grown]
+        while grown := [element for element in rest if _ends(element) & joined]:
+            rest = [element for element in rest if element not in grown]
             found += grown
-            joined |= {end for one in grown for end in _ends(one) if end > last}
-            both = sorted({end for one in grown for end in _ends(one) if end <= last} | {node})
+            joined |= {end for element in grown for end in _ends(element) if end > last}
+            both = sorted({end for element in grown for end in _ends(element) if end <= last} | {node})
             if len(both) > 1:
                 raise ConfigError(
                     "machine.rotor.file must hold each bearing node of the shaft by itself, but "
@@ -99,16 +99,16 @@ def find_seals(elements: Iterable[Any], last: int, seal_class: type) -> Seals:
     """The seals of a rotor. Raises ConfigError for one on a support, and one beside the shaft."""
     rows: list[list[float]] = []
     seals: list[Any] = [element for element in elements if isinstance(element, seal_class)]
-    for seal, one in enumerate(seals):
-        if one.n_link is not None or one.n > last:
+    for seal, spring in enumerate(seals):
+        if spring.n_link is not None or spring.n > last:
             raise ConfigError(
-                f"machine.rotor.file must have seals between shaft and ground, but '{one.tag}' at node {one.n} stands "
-                "on a support: leave out its n_link"
+                f"machine.rotor.file must have seals between shaft and ground, but '{spring.tag}' at node {spring.n} "
+                "stands on a support: leave out its n_link"
             )
-        constant = one.frequency is None or len(one.kxx) == 1
-        speeds = np.array([np.nan]) if constant else np.array(one.frequency, dtype=float)
-        columns = np.array([np.asarray(getattr(one, name), dtype=float) for name in COLUMNS])
-        rows += [[seal, one.n, speed, *values] for speed, values in zip(speeds, columns.T, strict=True)]
+        constant = spring.frequency is None or len(spring.kxx) == 1
+        speeds = np.array([np.nan]) if constant else np.array(spring.frequency, dtype=float)
+        columns = np.array([np.asarray(getattr(spring, name), dtype=float) for name in COLUMNS])
+        rows += [[seal, spring.n, speed, *values] for speed, values in zip(speeds, columns.T, strict=True)]
     return Seals(np.array(rows)) if rows else NO_SEALS
 
 

@@ -21,8 +21,8 @@ def run_stage(config: Config) -> None:
     """
     from pipeline.stages.execution import execute
 
-    own = config.stage == "predict" and config.predict.records is not None
-    name = "given_records" if own else config.stage
+    given_records = config.stage == "predict" and config.predict.records is not None
+    name = "given_records" if given_records else config.stage
     execute(config, importlib.import_module(f"pipeline.stages.{name}").run)
 
 

@@ -44,18 +44,18 @@ class Designer:
     def limit(self, runs: Runs) -> Runs:
         """The runs, made smaller where an orbit would leave its share of the clearance."""
         complete = simulate(self.rotor, self.prior, tuple(itertools.chain.from_iterable(runs)))
-        moved = project(complete, list_directions(self.rotor.bearing_nodes)).displacement
-        orbits = moved.reshape(len(moved), -1, 2, len(runs))
+        motion = project(complete, list_directions(self.rotor.bearing_nodes)).displacement
+        orbits = motion.reshape(len(motion), -1, 2, len(runs))
         scale = scale_to_limits(orbits, self.config.design.clearance * self._clearances())
         return scale_runs(runs, scale)
 
     def _clearances(self) -> np.ndarray:
         """(B,) m, infinite for a bearing that states none."""
         spec = self.config.machine.bearings
-        own = [
+        bearings = [
             spec.nodes[node] if isinstance(spec, PerNodeBearingConfig) else spec for node in self.rotor.bearing_nodes
         ]
-        return np.array([getattr(one, "radial_clearance", np.inf) for one in own])
+        return np.array([getattr(bearing, "radial_clearance", np.inf) for bearing in bearings])
 
     def measure(self, runs: Runs) -> Measurement:
         """What the probes would read of the runs, without noise."""
@@ -80,21 +80,21 @@ def reach_accuracy(config: Config, accuracy: float) -> StageOutput:
     speeds = np.array(machine.speeds.rpm()) * RAD_S_PER_RPM
     designer = Designer(config, rotor, load_modelled_bearings(machine.rotor, machine.bearings, speeds))
     possible = list_candidates(can)
-    require_nodes(rotor, "machine.candidates", [one.node for acting in possible for one in acting])
+    require_nodes(rotor, "machine.candidates", [weight.node for acting in possible for weight in acting])
     allowed = designer.limit(possible)
     plan = designer.measure(allowed)
     information = designer.inform(plan)
     best = reach(information, accuracy, config.design.runs, designer.steps())
     chosen, predicted = [allowed[c] for c in best.runs], information.medians(best.runs, best.every)
-    found = machine.speeds.model_copy(update={"step_rpm": best.every * machine.speeds.step_rpm})
+    plan_speeds = machine.speeds.model_copy(update={"step_rpm": best.every * machine.speeds.step_rpm})
     cures = {} if best.reached else _try_cures(designer, allowed, plan)
     numbers = {"accuracy": accuracy, "reached": best.reached, "predicted": predicted, "cures": cures}
-    _print(config, numbers, chosen, best, found.rpm())
+    _print(config, numbers, chosen, best, plan_speeds.rpm())
     folder = locate_files(config).folder
-    about = {"runs": [acting[0].run for acting in chosen], "speeds": found.model_dump()}
+    about = {"runs": [acting[0].run for acting in chosen], "speeds": plan_speeds.model_dump()}
     about["stated_noise"] = config.stated_noise.model_dump()
     written = [
-        write_text(folder / "designed_excitation.yaml", format_runs(config, chosen, found)),
+        write_text(folder / "designed_excitation.yaml", format_runs(config, chosen, plan_speeds)),
         write_json(folder / "design.json", numbers | about),
     ]
     say(
@@ -107,7 +107,7 @@ def reach_accuracy(config: Config, accuracy: float) -> StageOutput:
 
 def _superfluous(config: Config, chosen: Sequence[Sequence[Excitation]]) -> list[str]:
     """The tolerances that a fit of these runs would refuse, as none has a weight."""
-    weighed = any(one.kind == "unbalance" for acting in chosen for one in acting)
+    weighed = any(weight.kind == "unbalance" for acting in chosen for weight in acting)
     return [] if weighed else [kind for kind in config.identify.model_parameters.deviations if kind in OF_WEIGHT]
 
 
@@ -145,23 +145,23 @@ def _print(
     assert isinstance(predicted, dict)
     assert isinstance(cures, dict)
     assert isinstance(accuracy, float)
-    rows = [[key, f"{100 * of:.2g}", "" if of <= accuracy else "not reached"] for key, of in predicted.items()]
+    rows = [[key, f"{100 * share:.2g}", "" if share <= accuracy else "not reached"] for key, share in predicted.items()]
     title = f"{config.name}: predicted standard deviation at {describe_noise(config)}, % of the coefficient (median)"
     table(title, ["bearing and unknown", "designed runs", f"at most {100 * accuracy:g}"], rows)
     acting = "; ".join(
-        f"{one[0].run}: " + ", ".join(f"{e.magnitude:.3g} {'kg m' if e.kind == 'unbalance' else 'N'}" for e in one)
-        for one in chosen
+        f"{run[0].run}: " + ", ".join(f"{e.magnitude:.3g} {'kg m' if e.kind == 'unbalance' else 'N'}" for e in run)
+        for run in chosen
     )
     say(f"{config.name}: {len(chosen)} runs ({acting}) at {len(rpm)} speeds from {rpm[0]:g} to {rpm[-1]:g} rpm")
     if best.reached:
         say(f"every coefficient is predicted to {100 * accuracy:g} % or better")
         return
-    short = {key: of for key, of in predicted.items() if of > accuracy}
+    short = {key: share for key, share in predicted.items() if share > accuracy}
     worst = rank(short)[0]
     say(
         f"{100 * accuracy:g} % can't be reached with {len(chosen)} runs for {len(short)} of {len(predicted)} "
         f"coefficients; the worst, {worst}, is known to {100 * short[worst]:.2g} % at best"
     )
     for name in reversed(rank(cures)):
-        of = cures[name]
-        say(f"with {name} the worst is {100 * of:.2g} %" + (" (enough)" if of <= accuracy else ""))
+        deviation = cures[name]
+        say(f"with {name} the worst is {100 * deviation:.2g} %" + (" (enough)" if deviation <= accuracy else ""))

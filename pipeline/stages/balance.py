@@ -65,7 +65,10 @@ def run(config: Config) -> StageOutput:
         if config.balance.records is None and not can_leave_out(fitted, name):
             say(f"{config.name}: {name} was fitted to these conditions themselves; stage=folds tries it on unseen ones")
     planes = models[method].planes
-    summary: dict[str, Any] = {"methods": {name: _summarize(of) for name, of in by_method.items()}, "sheet": None}
+    summary: dict[str, Any] = {
+        "methods": {name: _summarize(estimates) for name, estimates in by_method.items()},
+        "sheet": None,
+    }
     if config.machine.balance is None:
         say(f"{config.name}: no correction weights, since machine.balance does not say where there are holes")
     else:
@@ -84,8 +87,8 @@ def _read(config: Config, file: str, model: LinearVibration) -> Readings:
     readings = average_records(records, model)
     missing = list_missing(records)
     without = f" without {', '.join(missing)}" if missing else ""
-    there = np.flatnonzero((readings.counts > 0).any(axis=(0, 2)))
-    rpm = ", ".join(f"{speed / RAD_S_PER_RPM:.0f}" for speed in model.speeds[there])
+    measured = np.flatnonzero((readings.counts > 0).any(axis=(0, 2)))
+    rpm = ", ".join(f"{speed / RAD_S_PER_RPM:.0f}" for speed in model.speeds[measured])
     say(f"{config.name}: {len(readings.names)} conditions of '{file}' at {rpm} rpm{without}")
     return readings
 
@@ -144,7 +147,7 @@ def _correct(
 
 def _place_holes(given: WeightsConfig, node: int, source: SourceUnits) -> Holes | None:
     """The holes of the plane at a node; None where it has none."""
-    plane = next((one for one in given.planes if one.node == node), None)
+    plane = next((given_plane for given_plane in given.planes if given_plane.node == node), None)
     if plane is None:
         return None
     sense = 1 if plane.numbering == "with_rotation" else -1
@@ -156,14 +159,14 @@ def _place_holes(given: WeightsConfig, node: int, source: SourceUnits) -> Holes 
 def _find_state(config: Config, model: LinearVibration, readings: Readings) -> State:
     """What the machine shows, and which part of it is to be taken away."""
     nothing = np.zeros(len(model.planes), dtype=complex)
-    own, asked = predict_one(model, nothing), config.balance
+    vibration, asked = predict_one(model, nothing), config.balance
     if asked.remove != "condition" and config.data.baseline is not None:
         raise ConfigError(
             f"the machine's own unbalance must be in the data, but its vibration (data.baseline={config.data.baseline})"
             " was subtracted: name a condition to correct (balance.condition, balance.remove=condition)"
         )
     if asked.remove == "residual":
-        return State(shown=own, remove=own, weights=nothing)
+        return State(shown=vibration, remove=vibration, weights=nothing)
     if asked.condition not in readings.names:
         raise ConfigError(
             f"balance.condition must be a condition of the records, but got '{asked.condition}': "
@@ -172,7 +175,7 @@ def _find_state(config: Config, model: LinearVibration, readings: Readings) -> S
     c = readings.names.index(asked.condition)
     shown, known = readings.displacement[c].ravel(), readings.unbalance[c]
     weights = nothing if np.isnan(known).any() else known
-    return State(shown=shown, remove=shown - own if asked.remove == "condition" else shown, weights=weights)
+    return State(shown=shown, remove=shown - vibration if asked.remove == "condition" else shown, weights=weights)
 
 
 def _find_tolerance(given: WeightsConfig, rotor: RotorModel, planes: Sequence[int]) -> Tolerance | None:

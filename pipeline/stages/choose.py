@@ -33,11 +33,14 @@ def run(config: Config) -> StageOutput:
     chosen = choose(judged)
     _print(config, judged, chosen)
     folder = locate_files(config).folder
-    summary = {"chosen": chosen.name, "models": {one.name: asdict(one) | {"rejected": one.rejected} for one in judged}}
+    summary = {
+        "chosen": chosen.name,
+        "models": {model.name: asdict(model) | {"rejected": model.rejected} for model in judged},
+    }
     rows = [
-        {"model": one.name, "probability": one.probability, "criterion": one.criterion, "numbers": one.numbers}
-        | {f"held_out_{label.replace(' ', '_')}": square for label, square in one.held_out.items()}
-        for one in judged
+        {"model": model.name, "probability": model.probability, "criterion": model.criterion, "numbers": model.numbers}
+        | {f"held_out_{label.replace(' ', '_')}": square for label, square in model.held_out.items()}
+        for model in judged
     ]
     return StageOutput(
         {"choice": summary},
@@ -54,18 +57,18 @@ def _print(config: Config, judged: tuple[Judged, ...], chosen: Judged) -> None:
         header,
         [
             [
-                one.name,
-                "-" if one.probability is None else f"{one.probability:.2g}",
-                f"{one.criterion - min(other.criterion for other in judged):.0f}",
-                f"{one.numbers:.0f}",
-                *(f"{one.held_out[label]:.3g}" for label in labels),
+                candidate.name,
+                "-" if candidate.probability is None else f"{candidate.probability:.2g}",
+                f"{candidate.criterion - min(other.criterion for other in judged):.0f}",
+                f"{candidate.numbers:.0f}",
+                *(f"{candidate.held_out[label]:.3g}" for label in labels),
             ]
-            for one in judged
+            for candidate in judged
         ],
     )
-    for one in judged:
-        if one.rejected:
-            say(f"{config.name}: the readings contradict {one.name} (probability {one.probability:.2g})")
+    for model in judged:
+        if model.rejected:
+            say(f"{config.name}: the readings contradict {model.name} (probability {model.probability:.2g})")
     text = "the simplest that is not contradicted and predicts as well as the best"
     if chosen.rejected:
         text = "it predicts best, but the readings contradict every model: check rotor, probes and weights"

@@ -18,7 +18,7 @@ def run(config: Config) -> StageOutput:
     settings = TrackingSettings(True, config.tracking.uri, config.tracking.timeout_seconds)
     shown = gather_studies(config.tuning, _list_files(config), find_trial_pages(settings))
     storage = without_password(config.tuning.storage)
-    rows = [[one.name, str(one.trials), str(one.linked)] for one in shown]
+    rows = [[study.name, str(study.trials), str(study.linked)] for study in shown]
     table(f"studies in {storage}", ["study", "trials", "of these with a run in MLflow"], rows)
     say(f"look at them with: optuna-dashboard {storage}")
     return StageOutput()

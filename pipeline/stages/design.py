@@ -48,15 +48,15 @@ def run(config: Config) -> StageOutput:
         return reach_accuracy(config, config.design.accuracy)
     design, rotor = config.design, load_rotor(config.machine.rotor)
     possible = list_candidates(config.machine.candidates)
-    require_nodes(rotor, "machine.candidates", [one.node for acting in possible for one in acting])
+    require_nodes(rotor, "machine.candidates", [weight.node for acting in possible for weight in acting])
     if design.runs > len(possible):
         raise ConfigError(f"design.runs must be at most the {len(possible)} candidates, but got {design.runs}")
     every = np.array(config.machine.speeds.rpm()) * RAD_S_PER_RPM
     speeds = every[np.unique(np.linspace(0, len(every) - 1, min(design.speeds, len(every))).round().astype(int))]
     prior = load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
 
-    def plan(acting: Sequence[Excitation], own: np.ndarray | None = None) -> Measurement:
-        return build_measurement(config, rotor, simulate(rotor, prior, tuple(acting), own), prior)
+    def plan(acting: Sequence[Excitation], run_speeds: np.ndarray | None = None) -> Measurement:
+        return build_measurement(config, rotor, simulate(rotor, prior, tuple(acting), run_speeds), prior)
 
     everything = plan(list(itertools.chain.from_iterable(possible)))
     white = whiten_plan(everything, everything.dataset, plan_covariance(everything))
@@ -87,7 +87,7 @@ def _summarize(config: Config, plans: Mapping[str, Measurement]) -> dict[str, ob
         "stated_noise": config.stated_noise.model_dump(),
         "predicted": _to_json(predicted),
     }
-    summary["worst"] = {name: finite(max(of.values())) for name, of in predicted.items()}
+    summary["worst"] = {name: finite(max(deviations.values())) for name, deviations in predicted.items()}
     summary["gain"] = finite(max(predicted["configured"].values()) / max(predicted["designed"].values()))
     if config.design.simulations > 1:
         generator = np.random.default_rng(config.seed)
@@ -100,7 +100,7 @@ def _summarize(config: Config, plans: Mapping[str, Measurement]) -> dict[str, ob
 
 
 def _to_json(values: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float | None]]:
-    return {name: {key: finite(value) for key, value in of.items()} for name, of in values.items()}
+    return {name: {key: finite(value) for key, value in entries.items()} for name, entries in values.items()}
 
 
 def _print(config: Config, summary: Mapping[str, object], names: Sequence[str]) -> None:

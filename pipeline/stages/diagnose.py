@@ -97,10 +97,10 @@ def say_diagnosis(config: Config, measurement: Measurement) -> tuple[Diagnosis, 
     for report in diagnosis.reports:
         text = report.sentence
         if report.verdict is not Verdict.NOT_IDENTIFIABLE:
-            own = [one for one in judged if one.node in report.nodes]
+            members = [coefficient for coefficient in judged if coefficient.node in report.nodes]
             text += (
                 f"; condition number {np.median(report.condition):.2g} (worst {report.condition.max():.2g}); at "
-                f"{describe_noise(config)}, {expected.of}: {describe_determined(own)}"
+                f"{describe_noise(config)}, {expected.of}: {describe_determined(members)}"
             )
         say(f"{config.name}: {text}")
     return diagnosis, expected
@@ -165,7 +165,11 @@ def _tabulate(
             columns |= {
                 f"{name}_std": diagnosis.deviation[b, :, COEFFICIENTS.index(name)] for name in diagnosis.relative(node)
             }
-            verdicts = {f"{one.name}_verdict": one.verdict.value for one in judged if one.node == node}
+            verdicts = {
+                f"{coefficient.name}_verdict": coefficient.verdict.value
+                for coefficient in judged
+                if coefficient.node == node
+            }
             names, values = list(columns), [column.tolist() for column in columns.values()]
             every = zip(*values, strict=True)
             rows += [{"bearing_node": node, **dict(zip(names, row, strict=True)), **verdicts} for row in every]
@@ -174,9 +178,12 @@ def _tabulate(
 
 def _print_verdicts(config: Config, expected: Deviations, judged: Sequence[Determined]) -> None:
     nodes = expected.table.nodes
-    names = list(dict.fromkeys(one.name for one in judged))
-    found = {(one.node, one.name): f"+- {100 * one.deviation:.2g} %, {one.verdict.value}" for one in judged}
-    rows = [[name, *(found.get((node, name), "") for node in nodes)] for name in names]
+    names = list(dict.fromkeys(coefficient.name for coefficient in judged))
+    cells = {
+        (coefficient.node, coefficient.name): f"+- {100 * coefficient.deviation:.2g} %, {coefficient.verdict.value}"
+        for coefficient in judged
+    }
+    rows = [[name, *(cells.get((node, name), "") for node in nodes)] for name in names]
     header = ["coefficient", *(f"bearing at node {node}" for node in nodes)]
     table(f"{config.name}: each coefficient at {describe_noise(config)}, {expected.of} (medians)", header, rows)
 

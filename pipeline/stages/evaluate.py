@@ -75,8 +75,8 @@ def run(config: Config) -> StageOutput:
     if modelled is None or loss.weighs_noise:
         say(f"{config.name}: {describe_quality(quality)}")
     print_numbers(config.name, list_numbers(quality.get("physical_numbers", {}), config))
-    for words in describe_law(quality, config.model.kind):
-        say(f"{config.name}: {words}")
+    for text in describe_law(quality, config.model.kind):
+        say(f"{config.name}: {text}")
     if "physical_numbers" in quality:
         metrics["physical_numbers"] = judge_numbers(config, quality["physical_numbers"])
     metrics |= judge_beyond(config, identified, measurement.dataset.speeds)
@@ -118,15 +118,20 @@ def _judge_held_out(
     """What no fit saw, beside what superposition and interpolation make of it without a bearing model."""
     unbalance = None if uncertainty is None else uncertainty.residual_unbalance
     summary: dict[str, dict[str, object]] = {}
-    for one in compare_held_out(measurement, answer, unbalance, config.training):
-        rpm = to_rpm(one.speeds)
-        what = f"{'range of ' if one.together else ''}speeds, {rpm.min():g} to {rpm.max():g} rpm"
-        if one.state:
-            what = f"conditions, {one.state}"
-        what, rival = (what, "interpolation") if one.run is None else (f"run {one.run}", "influence coefficients")
-        said = "no answer" if one.rival is None else f"{one.rival:.3g} %"
-        say(f"{config.name}: held-out {what}: predicted to {one.model:.3g} % (root mean square); by {rival}: {said}")
-        summary[what] = {"model_error_percent": one.model, "rival": rival, "rival_error_percent": one.rival}
+    for held_out in compare_held_out(measurement, answer, unbalance, config.training):
+        rpm = to_rpm(held_out.speeds)
+        what = f"{'range of ' if held_out.together else ''}speeds, {rpm.min():g} to {rpm.max():g} rpm"
+        if held_out.state:
+            what = f"conditions, {held_out.state}"
+        what, rival = (
+            (what, "interpolation") if held_out.run is None else (f"run {held_out.run}", "influence coefficients")
+        )
+        said = "no answer" if held_out.rival is None else f"{held_out.rival:.3g} %"
+        say(
+            f"{config.name}: held-out {what}: predicted to {held_out.model:.3g} % (root mean square); "
+            f"by {rival}: {said}"
+        )
+        summary[what] = {"model_error_percent": held_out.model, "rival": rival, "rival_error_percent": held_out.rival}
     return summary
 
 

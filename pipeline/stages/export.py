@@ -41,8 +41,10 @@ def run(config: Config) -> StageOutput:
     states = [
         _export_at(config, updated, model, uncertainty, state) for state in list_states(config, measurement.dataset)
     ]
-    found = list_numbers(read_json(work.training).get("physical_numbers", {}), config)
-    numbers = [Number(name=one.label, value=one.value, std=one.deviation, unit=one.unit) for one in found]
+    physical = list_numbers(read_json(work.training).get("physical_numbers", {}), config)
+    numbers = [
+        Number(name=number.label, value=number.value, std=number.deviation, unit=number.unit) for number in physical
+    ]
     notes: list[str] = []
     folder = write_folder(
         work.folder / "export", lambda beside: notes.extend(_write(beside, config, updated, states, numbers))
@@ -141,5 +143,5 @@ def _write_ross(folder: Path, config: Config, updated: Measurement, states: Sequ
 def _compare(config: Config, updated: Measurement, table: BearingTable, smoothed: BearingTable) -> float:
     """The largest difference of the two responses at the prediction's node, percent."""
     unseen, node = list_unseen(config), config.machine.prediction.node
-    found, other = (predict(updated.updated_rotor, one, unseen, node) for one in (table, smoothed))
-    return float(np.max(other.error_percent(found)))
+    predicted, other = (predict(updated.updated_rotor, bearings, unseen, node) for bearings in (table, smoothed))
+    return float(np.max(other.error_percent(predicted)))

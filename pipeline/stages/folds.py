@@ -38,21 +38,21 @@ def run(config: Config) -> StageOutput:
     planes = tuple(config.identify.unbalance_planes) or None
     conditions = gather_conditions(dataset, planes)
     _require_names(config, conditions)
-    found, model = find_contradictions(conditions, config.folds.false_alarm_rate)
-    named = [one.name for one in found]
+    contradictions, model = find_contradictions(conditions, config.folds.false_alarm_rate)
+    named = [odd.name for odd in contradictions]
     kept = conditions.without(named)
-    for one in found:
-        say(f"{config.name}: {describe_contradiction(config, conditions, one)}")
+    for contradiction in contradictions:
+        say(f"{config.name}: {describe_contradiction(config, conditions, contradiction)}")
     calibration = config.folds.calibration
     splits = list_splits(conditions, calibration, config.folds.count, config.folds.heavy, config.seed)
     baseline = conditions.displacement[conditions.names.index(calibration[0])]
     peers = list_peers(config, load_measurement(config))
     judged = []
-    for one_task in judge(dataset, conditions.planes, splits, peers, baseline):
-        judged.append(one_task)
-        say(f"{config.name}: {one_task.task}, {one_task.method}: {one_task.refusal or 'done'}")
+    for task in judge(dataset, conditions.planes, splits, peers, baseline):
+        judged.append(task)
+        say(f"{config.name}: {task.task}, {task.method}: {task.refusal or 'done'}")
     summary: dict[str, Any] = {
-        "contradictions": [tell_contradiction(config, conditions, one) for one in found],
+        "contradictions": [tell_contradiction(config, conditions, odd) for odd in contradictions],
         "noise": _tell_noise(kept, model),
         "floor": _floors(config, kept, model, baseline),
         "tasks": _scores(judged, named),
@@ -73,15 +73,15 @@ def run(config: Config) -> StageOutput:
 def list_peers(config: Config, measurement: Measurement) -> dict[str, Peer]:
     """The methods that are tried."""
     rate = config.folds.false_alarm_rate
-    own = influence_peers(config.folds.calibration, rate)
-    return own | physical_peers(measurement, setup_of(config), rate)
+    peers = influence_peers(config.folds.calibration, rate)
+    return peers | physical_peers(measurement, setup_of(config), rate)
 
 
 def _require_names(config: Config, conditions: Conditions) -> None:
     """Raise ConfigError where the calibration is not of these conditions, or not led by one without weights."""
     calibration = config.folds.calibration
     if not calibration:
-        bare = [name for name, own in zip(conditions.names, conditions.unbalance, strict=True) if not own.any()]
+        bare = [name for name, weights in zip(conditions.names, conditions.unbalance, strict=True) if not weights.any()]
         step = f"give it, such as folds.calibration=[{bare[0]}]" if bare else "measure the machine without weights, too"
         raise ConfigError(
             "folds.calibration must name the condition without weights, from which the response counts, and those that "
@@ -123,30 +123,30 @@ def _tell_noise(kept: Conditions, model: Influence) -> dict[str, Any]:
 
 def _floors(config: Config, kept: Conditions, model: Influence, baseline: np.ndarray) -> dict[str, Any]:
     """What drift alone leaves: of a model that is exactly right, and of influence coefficients of the calibration."""
-    rng, of = (
+    rng, spread = (
         np.random.default_rng(config.seed),
         [c for c, name in enumerate(kept.names) if name in config.folds.calibration],
     )
     columns = len(model.coefficients)
     residual = kept.vectors - model.predict(kept.unbalance)[0]
     residual = residual * np.sqrt(len(residual) / (len(residual) - columns))
-    tested = kept.of([c for c in range(len(kept.names)) if c not in of])
+    tested = kept.of([c for c in range(len(kept.names)) if c not in spread])
     floors = {"folds": floor_of_drift(kept, residual, tested, baseline, rng)}
-    if len(of) == columns:
-        floors["calibration_alone"] = floor_of_drift(kept, residual, tested, baseline, rng, kept.of(of))
+    if len(spread) == columns:
+        floors["calibration_alone"] = floor_of_drift(kept, residual, tested, baseline, rng, kept.of(spread))
     return floors
 
 
 def _scores(judged: Sequence[Judged], named: Sequence[str]) -> dict[str, Any]:
     """By task, method, and whether all conditions are scored or those that contradict nothing; or a refusal."""
     scores: dict[str, Any] = {}
-    for one in judged:
-        own = (
-            {"refusal": one.refusal}
-            if one.refusal
-            else {"all": _in_gram(score(one)), "consistent": _in_gram(score(one, named))}
+    for judged_fold in judged:
+        methods = (
+            {"refusal": judged_fold.refusal}
+            if judged_fold.refusal
+            else {"all": _in_gram(score(judged_fold)), "consistent": _in_gram(score(judged_fold, named))}
         )
-        scores.setdefault(one.task, {})[one.method] = own
+        scores.setdefault(judged_fold.task, {})[judged_fold.method] = methods
     return scores
 
 
@@ -159,10 +159,10 @@ def list_rows(tasks: dict[str, Any]) -> list[dict[str, Any]]:
     """A row a task, method and choice of conditions that has scores."""
     return [
         {"task": task, "method": method, "conditions": chosen}
-        | {f"{way}_{key}": value for way in ("forward", "inverse") for key, value in of[chosen][way].items()}
+        | {f"{way}_{key}": value for way in ("forward", "inverse") for key, value in scores[chosen][way].items()}
         for task, methods in tasks.items()
-        for method, of in methods.items()
-        if "refusal" not in of
+        for method, scores in methods.items()
+        if "refusal" not in scores
         for chosen in ("all", "consistent")
     ]
 

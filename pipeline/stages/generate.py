@@ -121,7 +121,7 @@ def find_idle(bearings: BearingTable) -> list[str]:
     """The operating conditions that take several values and change no coefficient."""
     idle = []
     for name, values in bearings.operating.items():
-        others = [bearings.speeds, *(of for other, of in bearings.operating.items() if other != name)]
+        others = [bearings.speeds, *(levels for other, levels in bearings.operating.items() if other != name)]
         changes = any(np.ptp(bearings.values[:, rows], axis=1).any() for rows in group_rows(np.stack(others, axis=1)))
         if np.ptp(values) > 0 and not changes:
             idle.append(name)
@@ -153,9 +153,9 @@ def _configure_residual(config: Config) -> tuple[Excitation, ...]:
     """The configured residual unbalance, in every run that turns with the rotor."""
     turning = [run for run in config.machine.runs if not run.frequency_hz and not run.frequency_ratio]
     return tuple(
-        Excitation(run.name, "unbalance", one.node, one.magnitude, one.phase)
+        Excitation(run.name, "unbalance", weight.node, weight.magnitude, weight.phase)
         for run in turning
-        for one in config.machine.residual_unbalance
+        for weight in config.machine.residual_unbalance
     )
 
 

@@ -35,17 +35,17 @@ def run(config: Config) -> StageOutput:
     source = SourceUnits(recordings)
     table = tabulate_predicted(read_table(Path(file), kept, text=text), records, predicted, source, pairs, method)
     path = write_table(locate_files(config).folder / "predicted_records.csv", table)
-    there, metrics = predicted.measured, {}
-    words = f"{config.name}: {len(records.speeds)} records of '{file}' predicted by {method} in '{path}'"
-    if there.any():
-        off, size = predicted.off[there], (predicted.mean + predicted.off)[there]
+    measured, metrics = predicted.measured, {}
+    message = f"{config.name}: {len(records.speeds)} records of '{file}' predicted by {method} in '{path}'"
+    if measured.any():
+        off, size = predicted.off[measured], (predicted.mean + predicted.off)[measured]
         metrics = {
             "error_percent": float(100 * np.linalg.norm(off) / np.linalg.norm(size)),
-            "within_95_percent": float(100 * predicted.within[there].mean()),
+            "within_95_percent": float(100 * predicted.within[measured].mean()),
         }
-        words += f"; measured vectors depart by {metrics['error_percent']:.2g} % (root mean square), "
-        words += f"{metrics['within_95_percent']:.0f} % of them lie in their 95 % circles"
+        message += f"; measured vectors depart by {metrics['error_percent']:.2g} % (root mean square), "
+        message += f"{metrics['within_95_percent']:.0f} % of them lie in their 95 % circles"
         if missing := list_missing(records):
-            words += f"; not measured: {', '.join(missing)}"
-    say(words)
+            message += f"; not measured: {', '.join(missing)}"
+    say(message)
     return StageOutput(metrics, {"data_fingerprint": fitted.fingerprint}, [path])

@@ -31,18 +31,18 @@ def compare_identified(config: Config, run_up: Mapping[str, Any]) -> dict[str, A
     if uncertainty is None:
         return {}
     speeds = run_up["natural_frequency"]["rpm"] * _AROUND * RAD_S_PER_RPM
-    found = expect_criticals(update_measurement(measurement, uncertainty), identified, uncertainty, speeds)
-    if not found:
+    expected = expect_criticals(update_measurement(measurement, uncertainty), identified, uncertainty, speeds)
+    if not expected:
         return {}
-    first = found[0]
+    first = expected[0]
     compared = compare_natural_frequency(run_up, first.speed / RAD_S_PER_RPM, first.deviation / RAD_S_PER_RPM)
     every = [
         {
-            "rpm": one.speed / RAD_S_PER_RPM,
-            "deviation_rpm": one.deviation / RAD_S_PER_RPM,
-            "logarithmic_decrement": one.logarithmic_decrement,
-            "deviation_logarithmic_decrement": one.decrement_deviation,
+            "rpm": critical.speed / RAD_S_PER_RPM,
+            "deviation_rpm": critical.deviation / RAD_S_PER_RPM,
+            "logarithmic_decrement": critical.logarithmic_decrement,
+            "deviation_logarithmic_decrement": critical.decrement_deviation,
         }
-        for one in found
+        for critical in expected
     ]
     return {"first": compared | {"critical_speeds": every}}

@@ -178,7 +178,7 @@ def _report(config: Config, ingest: AnyRecordingsConfig, measured: MeasuredRuns,
     for i, run in enumerate(measured.runs):
         summary, name = _summarize_run(measured, i), measured.recorded.runs[i]
         acting = [e for e in measured.recorded.excitations if e.run == name]
-        words = ", ".join(f"{e.kind} at node {e.node}" for e in acting) or "nothing (baseline)"
+        text = ", ".join(f"{e.kind} at node {e.node}" for e in acting) or "nothing (baseline)"
         rows.append(
             [
                 name,
@@ -186,7 +186,7 @@ def _report(config: Config, ingest: AnyRecordingsConfig, measured: MeasuredRuns,
                 str(summary["speeds"]),
                 f"{summary['first_rpm']:g} to {summary['last_rpm']:g}",
                 f"{summary['largest_um']:.3g}",
-                words,
+                text,
             ]
         )
     header = ["run", "file", "speeds", "rpm", "largest, um", "excited by"]

@@ -68,13 +68,13 @@ def _describe(ingest: RecordsConfig) -> str:
 def _report(config: Config, ingest: RecordsConfig, dataset: VibrationDataset, work: Workspace) -> None:
     rows = []
     for s, rpm in enumerate(to_rpm(dataset.speeds)):
-        own = to_rpm(dataset.frequencies[s])
+        record_rpm = to_rpm(dataset.frequencies[s])
         for p, (name, probe) in enumerate(ingest.probes.items()):
             amplitude = 1e6 * np.abs(dataset.displacement[s, p])
             rows.append(
                 [
                     f"{rpm:.1f}",
-                    f"{own.min():.1f} to {own.max():.1f}",
+                    f"{record_rpm.min():.1f} to {record_rpm.max():.1f}",
                     name,
                     f"node {probe.node}, {np.degrees(probe.angle):g} deg",
                     f"{np.median(amplitude):.3g}",

@@ -23,21 +23,23 @@ def compare_jobs(jobs: Mapping[str, str], since: float) -> None:
 
     Nothing where fewer than two jobs have a training.
     """
-    found = {job: _read_job(Path(folder), since) for job, folder in jobs.items()}
-    if sum("outcome" in one for one in found.values()) < 2:
+    summaries = {job: _read_job(Path(folder), since) for job, folder in jobs.items()}
+    if sum("outcome" in job_summary for job_summary in summaries.values()) < 2:
         return
     from pipeline.data.tables import write_table
     from pipeline.reporting.console import say, table
     from pipeline.reporting.jobs_figure import draw_jobs
     from pipeline.reporting.write_numbers import write_value
 
-    shown = [name for name in COLUMNS if any(name in one for one in found.values())]
-    rows = [[job, *(write_value(one.get(name, "-")) for name in shown)] for job, one in found.items()]
+    shown = [name for name in COLUMNS if any(name in job_summary for job_summary in summaries.values())]
+    rows = [
+        [job, *(write_value(job_summary.get(name, "-")) for name in shown)] for job, job_summary in summaries.items()
+    ]
     table("the jobs of this command", ["job", *(name.replace("_", " ") for name in shown)], rows)
     folder = Path(os.path.commonpath(list(jobs.values())))
-    columns: dict[str, list[Any]] = {"job": list(found), "folder": list(jobs.values())}
-    columns |= {name: [one.get(name) for one in found.values()] for name in shown}
-    written = [write_table(folder / JOBS, columns), draw_jobs(folder / "jobs.png", found)]
+    columns: dict[str, list[Any]] = {"job": list(summaries), "folder": list(jobs.values())}
+    columns |= {name: [job_summary.get(name) for job_summary in summaries.values()] for name in shown}
+    written = [write_table(folder / JOBS, columns), draw_jobs(folder / "jobs.png", summaries)]
     say(f"side by side in '{written[0]}' and '{written[1]}'")
 
 
@@ -53,6 +55,6 @@ def _read_job(folder: Path, since: float) -> dict[str, Any]:
     metrics = folder / "metrics.json"
     if metrics.exists() and metrics.stat().st_mtime >= since:
         with suppress(DataError, KeyError, ValueError, AttributeError):
-            of = read_json(metrics)["coefficients"].values()
-            job["worst_mean_error_percent"] = max(c["mean_error_percent"] for node in of for c in node.values())
+            bearings = read_json(metrics)["coefficients"].values()
+            job["worst_mean_error_percent"] = max(c["mean_error_percent"] for node in bearings for c in node.values())
     return job

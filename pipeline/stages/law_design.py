@@ -68,9 +68,9 @@ class LawDesigner:
         for state in states:
             prior = guess_table(self.laws, *self.bearings(state))
             complete = simulate(self.rotor, prior, tuple(itertools.chain.from_iterable(runs)))
-            moved = project(complete, list_directions(self.rotor.bearing_nodes)).displacement
+            motion = project(complete, list_directions(self.rotor.bearing_nodes)).displacement
             limits = self.config.design.clearance * np.array(clearance)
-            scales.append(scale_to_limits(moved.reshape(len(moved), -1, 2, len(runs)), limits))
+            scales.append(scale_to_limits(motion.reshape(len(motion), -1, 2, len(runs)), limits))
         return scale_runs(runs, np.min(scales, axis=0))
 
 
@@ -88,7 +88,7 @@ def reach_numbers(config: Config) -> StageOutput:
         )
     designer = LawDesigner(config, rotor, make_laws(machine.laws, rotor.bearing_nodes))
     states, possible = _list_states(config, designer.laws), list_candidates(machine.candidates)
-    require_nodes(rotor, "machine.candidates", [one.node for acting in possible for one in acting])
+    require_nodes(rotor, "machine.candidates", [weight.node for acting in possible for weight in acting])
     allowed = designer.limit(possible, states)
     candidates = _inform(config, designer, allowed, states)
     plans = plan_by_states(candidates, len(states), config.design.runs, accuracy)
@@ -164,7 +164,7 @@ def _print(
     ]
     title = f"{config.name}: the number that is known least, % (one standard deviation, at {describe_noise(config)})"
     table(title, ["states", "which", "runs", "worst, %"], rows)
-    found, before = candidates.with_runs(best.states, best.runs).deviation, candidates.nothing.deviation
+    deviation, before = candidates.with_runs(best.states, best.runs).deviation, candidates.nothing.deviation
     header = ["number", "before, %", "with this plan, %", f"at most {100 * accuracy:g}"]
     table(
         f"{config.name}: numbers of the bearing laws with {runs} at {where}",
@@ -176,7 +176,9 @@ def _print(
                 f"{100 * b:.2g}",
                 "" if b <= accuracy else "not reached" if w else "not asked",
             ]
-            for parameter, a, b, w in zip(candidates.nothing.parameters, before, found, candidates.wanted, strict=True)
+            for parameter, a, b, w in zip(
+                candidates.nothing.parameters, before, deviation, candidates.wanted, strict=True
+            )
         ],
     )
     if best.worst <= accuracy:
@@ -198,10 +200,12 @@ def _name(plan: LawPlan, states: Sequence[State]) -> str:
 def _override_states(states: Sequence[State]) -> str:
     """The states as an override, where they are every combination of some values."""
     values = {name: list(dict.fromkeys(state[name] for state in states)) for name in states[0]} if states[0] else {}
-    if not values or np.prod([len(of) for of in values.values()]) != len(states):
+    if not values or np.prod([len(levels) for levels in values.values()]) != len(states):
         return ""
     parts = []
     for name, value in values.items():
         column = column_of(name)
-        parts.append(f"{name}: [{', '.join(f'{of:g} {column.unit}' for of in column.from_si(np.array(value)))}]")
+        parts.append(
+            f"{name}: [{', '.join(f'{levels:g} {column.unit}' for levels in column.from_si(np.array(value)))}]"
+        )
     return " " + shlex.quote(f"machine.operating={{{', '.join(parts)}}}")

@@ -24,25 +24,25 @@ def diagnose_laws(config: Config, measurement: Measurement, noise: str) -> dict[
     """
     if measurement.laws is None or config.model.kind not in ("law", "hybrid"):
         return {}
-    found, warmer = inform(measurement), try_warmer(measurement)
+    information, warmer = inform(measurement), try_warmer(measurement)
     header, further = ["number", "guess", "known to, %", "with these data, %"], None
     if warmer is not None:
         further = 100 * warmer[1].deviation
         header.append(f"with {write_condition(OIL_TEMPERATURE, warmer[0])} as well, %")
-    columns = [100 * found.prior, 100 * found.deviation, *([] if further is None else [further])]
-    summary, rows = summarize_numbers(found, further), []
+    columns = [100 * information.prior, 100 * information.deviation, *([] if further is None else [further])]
+    summary, rows = summarize_numbers(information, further), []
     for i, number in enumerate(list_numbers(summary, config)):
         shown = [number.name, f"{number.guess:.4g} {number.unit}".strip(), *(f"{column[i]:.2g}" for column in columns)]
         rows.append([*shown, "" if number.determined else "not told by these data"])
     title = f"{config.name}: numbers of the bearing laws at their guesses, at {noise} (one standard deviation)"
     table(title, [*header, ""], rows)
-    for sentence in describe_open(found):
+    for sentence in describe_open(information):
         say(f"{config.name}: {sentence}")
     try:
         require_temperatures(measurement.laws, measurement.dataset.operating)
     except IdentifiabilityError as error:
         warn(f"{config.name}: {error}")
-    return {"physical_numbers": summary, "free_combinations": list(found.free)}
+    return {"physical_numbers": summary, "free_combinations": list(information.free)}
 
 
 def summarize_numbers(information: LawInformation, further: np.ndarray | None) -> dict[str, dict[str, Any]]:
@@ -68,9 +68,9 @@ def describe_open(information: LawInformation) -> list[str]:
     said = []
     for free in information.free:
         with_, against = ([name for name, share in free.items() if (share > 0) == same] for same in (True, False))
-        words = _join(with_) + (f", against {_join(against)}" if against else " together" if len(with_) > 1 else "")
+        text = _join(with_) + (f", against {_join(against)}" if against else " together" if len(with_) > 1 else "")
         cure = "it" if len(free) == 1 else "one of them"
-        said.append(f"these data do not tell {words}: give {cure} as a known number, or measure what tells it")
+        said.append(f"these data do not tell {text}: give {cure} as a known number, or measure what tells it")
     return said
 
 

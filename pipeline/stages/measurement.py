@@ -49,8 +49,8 @@ def load_measurement(config: Config) -> Measurement:
     files = locate_files(config)
     if files.own:
         source = "generate" if config.machine.recordings.format == "none" else "ingest"
-        own_known = [files.known] if config.data.known is None else []
-        make_missing(config, source, files.vibration, files.excitation, *own_known)
+        known_files = [files.known] if config.data.known is None else []
+        make_missing(config, source, files.vibration, files.excitation, *known_files)
         _require_generated_from(config, files)
     # A rotor file says itself how many nodes there are, and where the bearings stand.
     n_nodes = config.machine.rotor.n_nodes if config.machine.rotor.file is None else None
@@ -176,13 +176,13 @@ def update_measurement(measurement: Measurement, uncertainty: Uncertainty | None
 
 
 def _list_priors(about: Mapping[str, Any]) -> list[list[Any]]:
-    return [[name, of["prior_deviation"]] for name, of in about.get("model_parameters", {}).items()]
+    return [[name, entry["prior_deviation"]] for name, entry in about.get("model_parameters", {}).items()]
 
 
 def _match_unknowns(config: Config, identified: IdentifiedModel) -> bool:
-    wanted, found = config.identify.unknowns_of(identified.bearing_nodes), identified.unknowns
-    order = [found.names.index(name) for name in wanted.names] if set(wanted.names) == set(found.names) else []
-    return bool(order) and np.array_equal(wanted.expansion, found.expansion[..., order])
+    wanted, trained = config.identify.unknowns_of(identified.bearing_nodes), identified.unknowns
+    order = [trained.names.index(name) for name in wanted.names] if set(wanted.names) == set(trained.names) else []
+    return bool(order) and np.array_equal(wanted.expansion, trained.expansion[..., order])
 
 
 QUALITY = ("fit", "residual", "condition_number", "determined", "physical_numbers", "law", "correction")
@@ -193,10 +193,10 @@ def load_quality(config: Config) -> dict[str, Any]:
     """Read how well the fit explains its readings. Raises DataError where ``training.json`` does not say it."""
     path = locate_files(config).training
     written = read_json(path, "train again with stage=train")
-    found = {name: written[name] for name in QUALITY if name in written}
-    if not found:
+    quality = {name: written[name] for name in QUALITY if name in written}
+    if not quality:
         raise DataError(f"'{path}' must say how well the fit explains its readings, but it does not: train again")
-    return found
+    return quality
 
 
 def load_modelled(config: Config, measurement: Measurement) -> BearingTable | None:

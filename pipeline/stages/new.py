@@ -43,13 +43,13 @@ def fill_template(path: Path, bearings: str, data: str) -> str:
 
     In ``machine_file.yaml``, a line such as ``#: simulated fluid_film`` begins a part of files that are all of that.
     """
-    of_data = {
+    sections = {
         "simulated": {"simulated", "planned"},
         "processed": {"processed", "planned", "measured"},
         "recordings": {"recordings", "recorded", "measured"},
         "tables": {"tables", "recorded", "measured"},
     }
-    tags = {bearings} | of_data[data]
+    tags = {bearings} | sections[data]
     lines, wanted = [], True
     for line in TEMPLATE.read_text(encoding="utf-8").splitlines(keepends=True):
         if line.startswith("#:"):

@@ -37,7 +37,7 @@ Runs = tuple[tuple[Excitation, ...], ...]
 def scale_runs(runs: Runs, scale: np.ndarray) -> Runs:
     """The runs with all that acts in each times its ``scale`` (R,)."""
     return tuple(
-        tuple(replace(one, magnitude=one.magnitude * float(s)) for one in acting)
+        tuple(replace(weight, magnitude=weight.magnitude * float(s)) for weight in acting)
         for acting, s in zip(runs, scale, strict=True)
     )
 
@@ -50,9 +50,9 @@ def format_runs(config: Config, chosen: Sequence[Sequence[Excitation]], speeds: 
     for acting in chosen:
         run: dict[str, object] = {"name": acting[0].run}
         for key, kind in (("unbalances", "unbalance"), ("forces", "force")):
-            of_kind = [one for one in acting if one.kind == kind]
-            if of_kind:
-                run[key] = [_format_source(one) for one in of_kind]
+            alike = [excitation for excitation in acting if excitation.kind == kind]
+            if alike:
+                run[key] = [_format_source(excitation) for excitation in alike]
         runs.append(run)
     content = {"speeds": speeds.model_dump(), "runs": runs}
     head = f"# Chosen by: python -m pipeline stage=design {config.chosen}\n"

@@ -61,7 +61,7 @@ def build_twin(config: Config, measurement: Measurement) -> Twin:
     uncertainty = load_uncertainty(locate_files(config).folder, model)
     operating = choose_operating(config, measurement.dataset)
     updated = update_measurement(measurement, uncertainty)
-    there, identified = evaluate_at(model, updated, operating, OPERATING)
+    points, identified = evaluate_at(model, updated, operating, OPERATING)
     modelled = load_truth(config, measurement, operating)
     nodes = [config.machine.prediction.node, *(unbalance.node for unbalance in config.machine.prediction.unbalances)]
     require_nodes(measurement.rotor, "machine.prediction", nodes)
@@ -73,18 +73,18 @@ def build_twin(config: Config, measurement: Measurement) -> Twin:
         )
     node, built = config.machine.prediction.node, config.machine.as_built
     systems = {"identified": identified} if modelled is None else {"modelled": modelled, "identified": identified}
-    rotors = {"modelled": measurement.rotor, "identified": there.updated_rotor}
+    rotors = {"modelled": measurement.rotor, "identified": points.updated_rotor}
     vibration = {name: predict(rotors[name], system, unseen, node) for name, system in systems.items()}
     if modelled is not None and built is not None:  # the truth has nodes of its own
         rotors["modelled"] = build_rotor(config.machine.rotor, built)
         systems["modelled"], acting = stand_on_pedestals(modelled, built), refine_nodes(unseen, built)
         vibration["modelled"] = predict(rotors["modelled"], systems["modelled"], acting, built.refinement * node)
     if uncertainty is not None:
-        vibration["identified"] = add_deviation(vibration["identified"], there, identified, unseen, model, uncertainty)
+        vibration["identified"] = add_deviation(vibration["identified"], points, identified, unseen, model, uncertainty)
     behaviour = {name: describe_modes(find_modes(rotors[name], system)) for name, system in systems.items()}
     if uncertainty is not None:
         modes = behaviour["identified"].modes
-        known_to = deviate_modes(modes, there, identified, model, uncertainty)
+        known_to = deviate_modes(modes, points, identified, model, uncertainty)
         behaviour["identified"] = describe_modes(modes, known_to)
     return Twin(model, uncertainty, systems, vibration, behaviour, at, operating)
 
@@ -109,9 +109,9 @@ def load_truth(config: Config, measurement: Measurement, operating: Mapping[str,
     modelled, dataset = load_modelled(config, measurement), measurement.dataset
     if modelled is None or not dataset.operating:
         return modelled
-    there = mask_state(dataset.operating, operating)
+    mask = mask_state(dataset.operating, operating)
     speeds = np.unique(dataset.speeds)
-    if np.array_equal(np.unique(dataset.speeds[there]), speeds):
+    if np.array_equal(np.unique(dataset.speeds[mask]), speeds):
         return table_at(modelled, operating, OPERATING)
     if config.machine.recordings.format != "none":
         return None
@@ -125,12 +125,12 @@ def run(config: Config) -> StageOutput:
     twin = build_twin(config, measurement)
     vibration, at = dict(twin.vibration), twin.at
     running = config.machine.prediction.speed_rpm
-    summary: dict[str, Any] = {name: summarize_modes(of, running) for name, of in twin.behaviour.items()}
+    summary: dict[str, Any] = {name: summarize_modes(behaviour, running) for name, behaviour in twin.behaviour.items()}
     beyond = say_beyond(measurement.dataset.operating, twin.operating)
     if twin.operating:
         summary |= {"operating": dict(twin.operating), "outside_measured": beyond}
-    for words in beyond:
-        warn(f"{config.name}: {words}: the bands grow there, and rest on the model of the coefficients alone")
+    for text in beyond:
+        warn(f"{config.name}: {text}: the bands grow there, and rest on the model of the coefficients alone")
     if "modelled" in vibration:
         error = vibration["identified"].error_percent(vibration["modelled"])
         summary["displacement"] = {
@@ -165,11 +165,11 @@ def superpose_unseen(config: Config, measurement: Measurement, operating: Mappin
     """
     dataset, node = measurement.dataset, config.machine.prediction.node
     if dataset.operating:
-        there = mask_state(dataset.operating, operating)
-        there &= True if dataset.present is None else dataset.present.all(axis=1)
-        if not np.array_equal(dataset.speeds[there], np.unique(dataset.speeds)):
+        mask = mask_state(dataset.operating, operating)
+        mask &= True if dataset.present is None else dataset.present.all(axis=1)
+        if not np.array_equal(dataset.speeds[mask], np.unique(dataset.speeds)):
             return None
-        dataset = dataset.at(there)
+        dataset = dataset.at(mask)
     dof, resolution = dataset.resolution()
     rows = [np.flatnonzero(dof == translation_dof(node, direction)) for direction in range(2)]
     runs = range(len(dataset.runs))

@@ -27,11 +27,11 @@ def run(config: Config) -> StageOutput:
             f"a study must have ended before it is promoted, but there is no '{source / BEST}': run stage=tune with "
             f"tuning.study={config.tuning.study}, or name another (make promote STUDY=NAME EXPERIMENT=NAME)"
         )
-    of = read_json(source / SUMMARY, AGAIN).get("experiment")
-    if of != config.name:
+    owner = read_json(source / SUMMARY, AGAIN).get("experiment")
+    if owner != config.name:
         raise ConfigError(
-            f"a study must be promoted for the experiment that it is of, but '{source}' is of {of}, not of "
-            f"{config.name}: give experiment={of} (make promote STUDY={config.tuning.study} EXPERIMENT={of})"
+            f"a study must be promoted for the experiment that it is of, but '{source}' is of {owner}, not of "
+            f"{config.name}: give experiment={owner} (make promote STUDY={config.tuning.study} EXPERIMENT={owner})"
         )
     apply_values(config, promoted.values, f"'{source / BEST}'")
     files = [path.relative_to(source) for path in sorted(source.rglob("*")) if _is_report(path)]
@@ -71,6 +71,15 @@ def _compare(new: Path, old: Path) -> str:
 
 def _say_values(config: Config, before: Mapping[str, object], after: Mapping[str, object]) -> None:
     keys = [key for key in dict.fromkeys([*before, *after]) if before.get(key) != after.get(key)]
-    shown = [[key, *(write_value(of[key]) if key in of else "as configured" for of in (before, after))] for key in keys]
+    shown = [
+        [
+            key,
+            *(
+                write_value(promoted_values[key]) if key in promoted_values else "as configured"
+                for promoted_values in (before, after)
+            ),
+        ]
+        for key in keys
+    ]
     if shown:
         table(f"{config.name}: values that training uses", ["value", "now", "then"], shown)

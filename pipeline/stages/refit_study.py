@@ -96,7 +96,9 @@ def refit(config: Config, seed: int) -> Refit:
         unmeasured={}
         if elsewhere is None
         else measure_unmeasured(identified.table(elsewhere), elsewhere, unknowns.by_bearing),
-        numbers=measure_numbers({one.name: (one.value, one.deviation) for one in sensors.numbers()}, config.machine),
+        numbers=measure_numbers(
+            {number.name: (number.value, number.deviation) for number in sensors.numbers()}, config.machine
+        ),
     )
 
 
@@ -111,8 +113,8 @@ def run(config: Config) -> StageOutput:
             + (f"the loss is {config.loss.kind}" if config.machine.recordings.format == "none" else "data are measured")
             + ": use robustness=seeds loss=residual"
         )
-    found = list(_refit_all(config))
-    rows, summary = _tabulate(found), _summarize(found)
+    refits = list(_refit_all(config))
+    rows, summary = _tabulate(refits), _summarize(refits)
     _print(config, summary)
     work = locate_files(config)
     written = [
@@ -130,9 +132,9 @@ def _refit_all(config: Config) -> Iterator[Refit]:
         count_progress(config.name, count, "data sets") as progress,
         open_pool(config.robustness.workers, config.threads) as each,
     ):
-        for done, found in enumerate(each(partial(refit, config), range(count)), start=1):
+        for done, refitted in enumerate(each(partial(refit, config), range(count)), start=1):
             progress(done)
-            yield found
+            yield refitted
 
 
 def _tabulate(refits: list[Refit]) -> pd.DataFrame:
@@ -143,20 +145,20 @@ def _tabulate(refits: list[Refit]) -> pd.DataFrame:
             "data_set": g,
             "bearing_node": node,
             "coefficient": name,
-            "median_error_percent": of.error[a],
-            "within_95_percent_interval": of.within[a],
-            "probability": of.probability,
-            "chi_square_over_expected": of.misfit,
+            "median_error_percent": refitted.error[a],
+            "within_95_percent_interval": refitted.within[a],
+            "probability": refitted.probability,
+            "chi_square_over_expected": refitted.misfit,
         }
-        for g, of in enumerate(refits)
-        for a, (node, name) in enumerate(of.names)
+        for g, refitted in enumerate(refits)
+        for a, (node, name) in enumerate(refitted.names)
     )
 
 
 def _summarize(refits: list[Refit]) -> dict[str, object]:
     coefficients: dict[str, dict[str, dict[str, float]]] = {}
-    error, within = (np.array([getattr(of, name) for of in refits]) for name in ("error", "within"))
-    over_bound = np.array([of.over_bound for of in refits])  # (data sets, S, A)
+    error, within = (np.array([getattr(refitted, name) for refitted in refits]) for name in ("error", "within"))
+    over_bound = np.array([refitted.over_bound for refitted in refits])  # (data sets, S, A)
     for a, (node, name) in enumerate(refits[0].names):
         coefficients.setdefault(str(node), {})[name] = {
             "median_error_percent": float(np.median(error[:, a])),
@@ -165,15 +167,15 @@ def _summarize(refits: list[Refit]) -> dict[str, object]:
             # Each speed has a bound of its own: the mean of the squared ratio over speeds and data sets.
             "rmse_over_bound": float(np.sqrt((over_bound[..., a] ** 2).mean())),
             "bias_over_bound": float(np.sqrt((over_bound[..., a].mean(axis=0) ** 2).mean())),
-            "median_bound_percent": float(np.median([of.bound[a] for of in refits])),
+            "median_bound_percent": float(np.median([refitted.bound[a] for refitted in refits])),
         }
-    rejected = [of.probability is not None and of.probability < MISMATCH for of in refits]
+    rejected = [refitted.probability is not None and refitted.probability < MISMATCH for refitted in refits]
     return {
         "data_sets": len(refits),
         "median_error_percent": float(np.median(error)),
         "within_95_percent_interval": float(within.mean()),
         "rejected_percent": 100.0 * float(np.mean(rejected)),
-        "chi_square_over_expected": float(np.median([of.misfit for of in refits])),
+        "chi_square_over_expected": float(np.median([refitted.misfit for refitted in refits])),
         "coefficients": coefficients,
         **_summarize_physics(refits),
     }
@@ -183,25 +185,29 @@ def _summarize_physics(refits: list[Refit]) -> dict[str, object]:
     """Errors at conditions that no run has, and of the numbers of the bearing laws; nothing where there are none."""
     unmeasured: dict[str, dict[str, dict[str, dict[str, float]]]] = {}
     together = {}
-    for words, bearings in refits[0].unmeasured.items():
+    for state, bearings in refits[0].unmeasured.items():
         for node, names in bearings.items():
             for name in names:
-                median = [of.unmeasured[words][node][name].median_error_percent for of in refits]
-                unmeasured.setdefault(words, {}).setdefault(str(node), {})[name] = {
+                median = [refitted.unmeasured[state][node][name].median_error_percent for refitted in refits]
+                unmeasured.setdefault(state, {}).setdefault(str(node), {})[name] = {
                     "median_error_percent": float(np.median(median)),
                     "worst_median_error_percent": float(np.max(median)),
                 }
-        medians = [of["median_error_percent"] for names in unmeasured[words].values() for of in names.values()]
-        together[words] = {"median_error_percent": float(np.median(medians))}
+        medians = [
+            refitted["median_error_percent"] for names in unmeasured[state].values() for refitted in names.values()
+        ]
+        together[state] = {"median_error_percent": float(np.median(medians))}
     numbers = {}
     for name in refits[0].numbers:
-        every = [of.numbers[name] for of in refits]
+        every = [refitted.numbers[name] for refitted in refits]
         numbers[name] = {
             "true": every[0].true,
-            "median_error_percent": float(np.median([of.error_percent for of in every])),
-            "worst_error_percent": float(np.max([of.error_percent for of in every])),
-            "median_deviation_percent": float(np.median([100.0 * of.deviation / of.value for of in every])),
-            "within_95_percent_interval": 100.0 * float(np.mean([of.within for of in every])),
+            "median_error_percent": float(np.median([refitted.error_percent for refitted in every])),
+            "worst_error_percent": float(np.max([refitted.error_percent for refitted in every])),
+            "median_deviation_percent": float(
+                np.median([100.0 * refitted.deviation / refitted.value for refitted in every])
+            ),
+            "within_95_percent_interval": 100.0 * float(np.mean([refitted.within for refitted in every])),
         }
     elsewhere = {"unmeasured": unmeasured, "all_unmeasured": together} if unmeasured else {}
     return elsewhere | ({"numbers": numbers} if numbers else {})
@@ -230,12 +236,13 @@ def _print(config: Config, summary: Mapping[str, Any]) -> None:
         f"{summary['within_95_percent_interval']:.1f} % inside the 95 % interval; the model is rejected in "
         f"{summary['rejected_percent']:.0f} % of the data sets"
     )
-    for words, bearings in summary.get("unmeasured", {}).items():
-        worst = max(of["median_error_percent"] for names in bearings.values() for of in names.values())
-        typical = summary["all_unmeasured"][words]["median_error_percent"]
-        say(f"at {words}, which no run has: median error {typical:.3g} %, of the worst coefficient {worst:.3g} %")
-    for name, of in summary.get("numbers", {}).items():
+    for state, bearings in summary.get("unmeasured", {}).items():
+        worst = max(entry["median_error_percent"] for names in bearings.values() for entry in names.values())
+        typical = summary["all_unmeasured"][state]["median_error_percent"]
+        say(f"at {state}, which no run has: median error {typical:.3g} %, of the worst coefficient {worst:.3g} %")
+    for name, error in summary.get("numbers", {}).items():
         say(
-            f"{name}: error {of['median_error_percent']:.3g} %, typically, {of['worst_error_percent']:.3g} % at worst; "
-            f"{of['within_95_percent_interval']:.0f} % inside the 95 % interval"
+            f"{name}: error {error['median_error_percent']:.3g} %, typically, "
+            f"{error['worst_error_percent']:.3g} % at worst; "
+            f"{error['within_95_percent_interval']:.0f} % inside the 95 % interval"
         )

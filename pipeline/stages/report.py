@@ -79,15 +79,15 @@ def collect_content(config: Config) -> ReportContent:
     fit = _read_fit(config, measurement)
     _make_current(config, work, fit)
     names = {"ingest", "diagnosis"} | ({"training", "metrics", "prediction", "verdicts"} if fit else set())
-    found = {name: work.folder / f"{name}.json" for name in names}
-    if fit is not None and _is_older(found["verdicts"], work.training):
-        del found["verdicts"]
+    contents = {name: work.folder / f"{name}.json" for name in names}
+    if fit is not None and _is_older(contents["verdicts"], work.training):
+        del contents["verdicts"]
     return ReportContent(
         config=config,
         measurement=measurement,
         fit=fit,
         waveforms=_read_waveforms(config),
-        files={name: read_json(path) for name, path in found.items() if path.exists()},
+        files={name: read_json(path) for name, path in contents.items() if path.exists()},
         tables={} if fit is None else _read_tables(work),
         reference=reference,
         origin=_describe_origin(config, work, measurement),
@@ -134,8 +134,8 @@ def _read_fit(config: Config, measurement: Measurement) -> FitContent | None:
     updated = update_measurement(measurement, uncertainty)
     bearings, operating = identified.table(updated.updated_known), choose_operating(config, data)
     at_conditions = evaluate_at(identified, updated, operating, OPERATING)[1]
-    found = read_json(work.training).get("fit", {}).get("noise_factor")
-    factor = np.array(list(found.values())) if found and len(found) == len(data.channels) else None
+    factors = read_json(work.training).get("fit", {}).get("noise_factor")
+    factor = np.array(list(factors.values())) if factors and len(factors) == len(data.channels) else None
     every, chosen = (
         None if uncertainty is None else uncertainty.deviation(identified, at.speeds, at.operating)
         for at in (bearings, at_conditions)
@@ -158,12 +158,12 @@ def _read_fit(config: Config, measurement: Measurement) -> FitContent | None:
 
 def _read_tables(work: Workspace) -> dict[str, Mapping[str, np.ndarray]]:
     """The tables of the experiment that are there and have a row."""
-    found: dict[str, Mapping[str, np.ndarray]] = {}
+    tables: dict[str, Mapping[str, np.ndarray]] = {}
     for name, (columns, optional) in _TABLES.items():
         path = work.folder / f"{name}.csv"
         if path.exists() and path.read_text(encoding="utf-8").count("\n") > 1:
-            found[name] = read_table(path, columns, optional)
-    return found
+            tables[name] = read_table(path, columns, optional)
+    return tables
 
 
 def _read_reference(path: Path) -> dict[str, np.ndarray]:
@@ -218,7 +218,7 @@ def _describe_origin(config: Config, work: Workspace, measurement: Measurement) 
             origin[path.name] = f"sha256 {hash_file(path)}"
     if not isinstance(recordings, NoRecordingsConfig):
         for source in dict.fromkeys(
-            s for one in recordings.runs for s in one.sources(getattr(recordings, "file", None))
+            s for measured in recordings.runs for s in measured.sources(getattr(recordings, "file", None))
         ):
             origin[str(source)] = f"sha256 {hash_file(Path(source)) or 'not at hand'}"
     if config.report.reference is not None:

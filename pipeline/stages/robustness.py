@@ -58,7 +58,7 @@ def run(config: Config) -> StageOutput:
     say_diagnosis(config, measurement)
     starts = choose_starts(config)
     with training_progress(f"{config.name}: {len(starts)} at once") as progress:
-        found = minimise(
+        minimum = minimise(
             training.problem,
             _start(config, training, setup, starts),
             setup,
@@ -68,21 +68,21 @@ def run(config: Config) -> StageOutput:
         )
     modelled = load_modelled(config, measurement)  # read when training is over
     work = locate_files(config)
-    answers = [training.identified(parameter).table(measurement.known) for parameter in found.parameters]
-    rows = _tabulate(config, found, answers, starts, modelled, measurement)
-    summary = _summarize(found, rows)
+    answers = [training.identified(parameter).table(measurement.known) for parameter in minimum.parameters]
+    rows = _tabulate(config, minimum, answers, starts, modelled, measurement)
+    summary = _summarize(minimum, rows)
     error = None if modelled is None else _measure_displacement(config, measurement, answers, modelled)
     if error is not None:
         summary["displacement"] = {"worst_mean_error_percent": error}
-    _print(config, summary, found)
+    _print(config, summary, minimum)
     written = [
         write_json(work.folder / "robustness.json", summary),
         write_table(work.folder / "robustness.csv", rows),
-        draw_robustness(work.figure("robustness"), training, found, config.robustness.over, rows, modelled),
+        draw_robustness(work.figure("robustness"), training, minimum, config.robustness.over, rows, modelled),
     ]
-    exit_code = 130 if Outcome.INTERRUPTED in found.outcomes else 0
+    exit_code = 130 if Outcome.INTERRUPTED in minimum.outcomes else 0
     return StageOutput(
-        summary | {"seconds": found.seconds},
+        summary | {"seconds": minimum.seconds},
         {"data_fingerprint": measurement.dataset.fingerprint},
         written,
         exit_code=exit_code,
@@ -131,8 +131,8 @@ def _tabulate(
 
 
 def _get_error(errors: CoefficientErrors | None, node: int, name: str, kind: str) -> float:
-    found = None if errors is None else errors[node].get(name)
-    return float("nan") if found is None else float(getattr(found, f"{kind}_error_percent"))
+    error = None if errors is None else errors[node].get(name)
+    return float("nan") if error is None else float(getattr(error, f"{kind}_error_percent"))
 
 
 def _summarize(minimum: Minimum, rows: pd.DataFrame) -> dict[str, Any]:
@@ -191,8 +191,8 @@ def _print(config: Config, summary: Mapping[str, Any], minimum: Minimum) -> None
             f"{values['worst_mean_error_percent']:.2g}",
             f"{values['median_mean_error_percent']:.2g}",
         ]
-        for node, of in summary["coefficients"].items()
-        for name, values in of.items()
+        for node, entry in summary["coefficients"].items()
+        for name, values in entry.items()
     ]
     if rows:
         table(

@@ -70,21 +70,21 @@ def run(config: Config) -> StageOutput:
             "runup must have a run-up to fit, but machine.run_up is missing: give its file and what its numbers mean "
             "(docs/run_up.md)"
         )
-    found = _analyse(settings)
-    summary = _summarize(settings, found)
+    analysis = _analyse(settings)
+    summary = _summarize(settings, analysis)
     work = locate_files(config)
     if work.training.exists():
         summary["identified"] = compare_identified(config, summary)
-    steady = respond_as_steady(found.run_up, found.chosen)
+    steady = respond_as_steady(analysis.run_up, analysis.chosen)
     written = [
         write_json(work.folder / "run_up.json", summary),
-        write_table(work.folder / "run_up.csv", _tabulate(found, steady)),
-        draw_run_up(work.figure("run_up"), found.run_up, found.chosen, steady, settings.probe),
+        write_table(work.folder / "run_up.csv", _tabulate(analysis, steady)),
+        draw_run_up(work.figure("run_up"), analysis.run_up, analysis.chosen, steady, settings.probe),
     ]
-    _say(config.name, settings, found)
-    for one in summary.get("identified", {}).values():
-        say(f"{config.name}: {one['sentence']}")
-    shown = {"natural_frequency_rpm": summary["natural_frequency"]["rpm"], "misfit": found.chosen.misfit}
+    _say(config.name, settings, analysis)
+    for mode in summary.get("identified", {}).values():
+        say(f"{config.name}: {mode['sentence']}")
+    shown = {"natural_frequency_rpm": summary["natural_frequency"]["rpm"], "misfit": analysis.chosen.misfit}
     return StageOutput(metrics={"runup": shown}, files=written)
 
 
@@ -93,8 +93,8 @@ def _analyse(settings: RunUpConfig) -> _Found:
     sense = str(settings.phase or "")
     if not sense:
         run_up, sense, _ = choose_sense(run_up)
-    one, two, count = choose_modes(run_up, settings.background_degree)
-    chosen = (one, two)[count - 1]
+    single, two, count = choose_modes(run_up, settings.background_degree)
+    chosen = (single, two)[count - 1]
     decay = fit_decay(run_up, float(chosen.frequencies[0]), settings.background_degree)
     frequency, damping = _combine(chosen, decay)
     return _Found(
@@ -102,7 +102,7 @@ def _analyse(settings: RunUpConfig) -> _Found:
         measured=measured,
         sense=sense,
         steady=read_smoothed_peak(run_up, settings.steady_rows),
-        fits=(one, two),
+        fits=(single, two),
         count=count,
         decay=decay,
         frequency=frequency,
@@ -116,7 +116,7 @@ def _combine(chosen: ModalFit, decay: ModalFit | None) -> tuple[Reading, Reading
     readings = [_read(chosen, 0)]
     if decay is not None and int(np.argmin(np.abs(chosen.frequencies - decay.frequencies[0]))) == 0:
         readings.append(_read(decay, 0))
-    return combine([one for one, _ in readings]), combine([other for _, other in readings])
+    return combine([vector for vector, _ in readings]), combine([other for _, other in readings])
 
 
 def _read(fit: ModalFit, mode: int) -> tuple[Reading, Reading]:
@@ -127,10 +127,10 @@ def _read(fit: ModalFit, mode: int) -> tuple[Reading, Reading]:
     )
 
 
-def _summarize(settings: RunUpConfig, found: _Found) -> dict[str, Any]:
-    run_up, bias = found.run_up, found.bias
+def _summarize(settings: RunUpConfig, analysis: _Found) -> dict[str, Any]:
+    run_up, bias = analysis.run_up, analysis.bias
     rpm = to_rpm(run_up.speeds)
-    steady = found.steady
+    steady = analysis.steady
     return {
         "file": settings.file,
         "probe": settings.probe,
@@ -138,9 +138,9 @@ def _summarize(settings: RunUpConfig, found: _Found) -> dict[str, Any]:
         "first_rpm": float(rpm[0]),
         "last_rpm": float(rpm[-1]),
         "rate_rpm_per_s": run_up.rate / RAD_S_PER_RPM,
-        "rate_deviation_rpm_per_s": None if found.measured is None else found.measured.deviation / RAD_S_PER_RPM,
-        "largest_departure_rpm": None if found.measured is None else found.measured.departure / RAD_S_PER_RPM,
-        "phase": found.sense,
+        "rate_deviation_rpm_per_s": None if analysis.measured is None else analysis.measured.deviation / RAD_S_PER_RPM,
+        "largest_departure_rpm": None if analysis.measured is None else analysis.measured.departure / RAD_S_PER_RPM,
+        "phase": analysis.sense,
         "steady_reading": None
         if steady is None
         else {
@@ -149,16 +149,16 @@ def _summarize(settings: RunUpConfig, found: _Found) -> dict[str, Any]:
             "amplification": steady.amplification,
             "rows": settings.steady_rows,
         },
-        "one_mode": _describe(found.fits[0]),
-        "two_modes": _describe(found.fits[1]),
-        "modes": found.count,
-        "criterion_gain": found.fits[0].criterion - found.fits[1].criterion,
-        "decay": None if found.decay is None else _describe(found.decay),
+        "one_mode": _describe(analysis.fits[0]),
+        "two_modes": _describe(analysis.fits[1]),
+        "modes": analysis.count,
+        "criterion_gain": analysis.fits[0].criterion - analysis.fits[1].criterion,
+        "decay": None if analysis.decay is None else _describe(analysis.decay),
         "natural_frequency": {
-            "rpm": found.frequency.value / RAD_S_PER_RPM,
-            "deviation_rpm": found.frequency.deviation / RAD_S_PER_RPM,
+            "rpm": analysis.frequency.value / RAD_S_PER_RPM,
+            "deviation_rpm": analysis.frequency.deviation / RAD_S_PER_RPM,
         },
-        "damping_ratio": {"value": found.damping.value, "deviation": found.damping.deviation},
+        "damping_ratio": {"value": analysis.damping.value, "deviation": analysis.damping.deviation},
         "sweep": {
             "peak_shift_percent": 100 * bias.peak_shift,
             "damping_factor": bias.damping_factor,
@@ -181,28 +181,32 @@ def _describe(fit: ModalFit) -> dict[str, Any]:
     }
 
 
-def _tabulate(found: _Found, steady: np.ndarray) -> dict[str, np.ndarray]:
+def _tabulate(analysis: _Found, steady: np.ndarray) -> dict[str, np.ndarray]:
     """A row a row of the ramp; phases are leads."""
-    columns: dict[str, np.ndarray] = {"rpm": to_rpm(found.run_up.speeds)}
-    of: Mapping[str, np.ndarray] = {"measured": found.run_up.vectors, "ramp": found.chosen.fitted, "steady": steady}
+    columns: dict[str, np.ndarray] = {"rpm": to_rpm(analysis.run_up.speeds)}
+    of: Mapping[str, np.ndarray] = {
+        "measured": analysis.run_up.vectors,
+        "ramp": analysis.chosen.fitted,
+        "steady": steady,
+    }
     for name, vectors in of.items():
         columns[f"{name}_um"] = _MICROMETRES * np.abs(vectors)
         columns[f"{name}_lead_deg"] = np.degrees(np.angle(vectors))
     return columns
 
 
-def _say(name: str, settings: RunUpConfig, found: _Found) -> None:
+def _say(name: str, settings: RunUpConfig, analysis: _Found) -> None:
     rows = []
-    if found.steady is not None:
-        steady = found.steady
+    if analysis.steady is not None:
+        steady = analysis.steady
         what = f"steady: peak of the mean of {settings.steady_rows} rows, half-power width"
         rows.append([what, f"{steady.frequency / RAD_S_PER_RPM:.5g}", "", f"{steady.damping:.3g}", "", ""])
-    for count, fit in enumerate(found.fits, 1):
+    for count, fit in enumerate(analysis.fits, 1):
         for mode in range(count):
             rows.append(_row(f"ramp, {count} mode{'s' * (count > 1)}: {'first' if not mode else 'second'}", fit, mode))
-    if found.decay is not None:
-        rows.append(_row("free decay behind the peak", found.decay, 0))
-    frequency, damping = found.frequency, found.damping
+    if analysis.decay is not None:
+        rows.append(_row("free decay behind the peak", analysis.decay, 0))
+    frequency, damping = analysis.frequency, analysis.damping
     rows.append(
         [
             "first natural frequency",
@@ -213,20 +217,20 @@ def _say(name: str, settings: RunUpConfig, found: _Found) -> None:
             "",
         ]
     )
-    title = f"{name}: run-up of {settings.probe}, {len(found.run_up.speeds)} rows of '{settings.file}'"
+    title = f"{name}: run-up of {settings.probe}, {len(analysis.run_up.speeds)} rows of '{settings.file}'"
     table(title, ["reading", "rpm", "+- (95 %)", "damping ratio", "+- (95 %)", "left over, %"], rows)
-    gain = found.fits[0].criterion - found.fits[1].criterion
+    gain = analysis.fits[0].criterion - analysis.fits[1].criterion
     say(
-        f"{name}: rate {found.run_up.rate / RAD_S_PER_RPM:.4g} rpm/s, phase a {found.sense}; "
-        f"{'two modes' if found.count == 2 else 'one mode'} (Schwarz's criterion {abs(gain):.3g} better)"
+        f"{name}: rate {analysis.run_up.rate / RAD_S_PER_RPM:.4g} rpm/s, phase a {analysis.sense}; "
+        f"{'two modes' if analysis.count == 2 else 'one mode'} (Schwarz's criterion {abs(gain):.3g} better)"
     )
-    if found.chosen.misfit > _POOR:
+    if analysis.chosen.misfit > _POOR:
         warn(
-            f"the modes leave {100 * found.chosen.misfit:.2g} % of '{settings.file}' over: check its columns, the "
+            f"the modes leave {100 * analysis.chosen.misfit:.2g} % of '{settings.file}' over: check its columns, the "
             "sense and unit of the phase, and the range of the ramp (from_rpm, to_rpm)"
         )
-    if abs(found.bias.peak_shift) > settings.most_lag:
-        warn(f"the peak is no steady one: {describe_bias(found.bias)}")
+    if abs(analysis.bias.peak_shift) > settings.most_lag:
+        warn(f"the peak is no steady one: {describe_bias(analysis.bias)}")
 
 
 def _row(what: str, fit: ModalFit, mode: int) -> list[str]:

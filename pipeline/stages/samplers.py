@@ -29,8 +29,8 @@ def run(config: Config) -> StageOutput:
         for seed in spec.seeds:
             for sampler in spec.samplers:
                 with study_progress(f"{config.name}: {sampler}, seed {seed}", config.tuning.n_trials) as shown:
-                    one = replace_sampler(problem, sampler, seed)
-                    study, sentences = run_study(one, follow_progress(shown, config.tuning.n_trials))
+                    replaced = replace_sampler(problem, sampler, seed)
+                    study, sentences = run_study(replaced, follow_progress(shown, config.tuning.n_trials))
                 for sentence in sentences:
                     warn(sentence)
                 trials = summarize(study)

@@ -72,9 +72,12 @@ def _choose_run(
     held_out = config.training.holdout_runs if loss_of(config.loss).weighs_noise else ()
     r = data.runs.index(held_out[0] if held_out else data.runs[0])
     updated = update_measurement(measurement, uncertainty).select(None, np.array([r]))
-    found = None if uncertainty is None else uncertainty.residual_unbalance
-    reached, one = updated.response.predict(bearings, found)[..., 0], data.displacement[..., r]  # (S, P) complex, m
+    unbalance = None if uncertainty is None else uncertainty.residual_unbalance
+    reached, measured = (
+        updated.response.predict(bearings, unbalance)[..., 0],
+        data.displacement[..., r],
+    )  # (S, P) complex, m
     if data.present is not None:
         reached = np.where(data.present[:, [r]], reached, 0.0)
-    probe = int(np.abs(one).max(axis=0).argmax())
-    return ShownRun(data.runs[r], bool(held_out), probe, one, reached)
+    probe = int(np.abs(measured).max(axis=0).argmax())
+    return ShownRun(data.runs[r], bool(held_out), probe, measured, reached)

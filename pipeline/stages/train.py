@@ -110,112 +110,112 @@ def run(config: Config) -> StageOutput:
     )
 
 
-def _deviations(config: Config, measurement: Measurement, found: Fit) -> Deviations | None:
+def _deviations(config: Config, measurement: Measurement, fitted: Fit) -> Deviations | None:
     """Posterior ones, of a loss that states them."""
     data = measurement.dataset
-    values = found.deviation(data.speeds, data.operating)
+    values = fitted.deviation(data.speeds, data.operating)
     if values is None:
         return None
     noise = "the noise that was found" if config.loss.noise == "estimated" else describe_noise(config)
-    updated = update_measurement(measurement, found.uncertainty)
-    return Deviations(found.table(updated.updated_known), values, f"by this fit at {noise}")
+    updated = update_measurement(measurement, fitted.uncertainty)
+    return Deviations(fitted.table(updated.updated_known), values, f"by this fit at {noise}")
 
 
-def _summarize(found: Fit) -> dict[str, object]:
+def _summarize(fitted: Fit) -> dict[str, object]:
     # A loss that overflowed is no JSON number.
-    summary: dict[str, object] = {"loss": finite(found.loss), "steps": found.steps}
-    if found.held_out_loss is not None:
-        summary["held_out_loss"] = finite(found.held_out_loss)
-    return summary | dict(found.quality.summary)
+    summary: dict[str, object] = {"loss": finite(fitted.loss), "steps": fitted.steps}
+    if fitted.held_out_loss is not None:
+        summary["held_out_loss"] = finite(fitted.held_out_loss)
+    return summary | dict(fitted.quality.summary)
 
 
-def _write(config: Config, measurement: Measurement, found: Fit, summary: Mapping[str, object]) -> list[Path]:
+def _write(config: Config, measurement: Measurement, fitted: Fit, summary: Mapping[str, object]) -> list[Path]:
     """Every file of the fit; tables without a row where the loss says nothing of them. Raises StorageError."""
     work, data = locate_files(config), measurement.dataset
-    model = [*save_model(work.folder, found.model), save_uncertainty(work.folder, found.uncertainty)]
+    model = [*save_model(work.folder, fitted.model), save_uncertainty(work.folder, fitted.uncertainty)]
     about = {
-        "outcome": found.outcome.label,
+        "outcome": fitted.outcome.label,
         "data_fingerprint": measurement.dataset.fingerprint,
         "seed": config.seed,
         "model": " ".join(hash_file(path) for path in model),
     }
-    updated = update_measurement(measurement, found.uncertainty)
-    table, deviation = found.table(updated.updated_known), found.deviation(data.speeds, data.operating)
+    updated = update_measurement(measurement, fitted.uncertainty)
+    table, deviation = fitted.table(updated.updated_known), fitted.deviation(data.speeds, data.operating)
     return [
         *model,
         write_coefficients(work.identified, table, deviation=deviation),
-        write_table(work.folder / "bad_points.csv", _tabulate_bad_points(found)),
-        write_table(work.folder / "residual_unbalance.csv", _tabulate_unbalance(found.uncertainty)),
-        write_table(work.folder / "model_parameters.csv", _tabulate_parameters(found)),
-        write_table(work.history, [{k: v for k, v in row.items() if k != "seconds"} for row in found.history]),
+        write_table(work.folder / "bad_points.csv", _tabulate_bad_points(fitted)),
+        write_table(work.folder / "residual_unbalance.csv", _tabulate_unbalance(fitted.uncertainty)),
+        write_table(work.folder / "model_parameters.csv", _tabulate_parameters(fitted)),
+        write_table(work.history, [{k: v for k, v in row.items() if k != "seconds"} for row in fitted.history]),
         write_json(work.training, about | dict(summary)),
     ]
 
 
-def _tabulate_bad_points(found: Fit) -> dict[str, list[Any]]:
+def _tabulate_bad_points(fitted: Fit) -> dict[str, list[Any]]:
     """Readings, and how many deviations they are off."""
-    every = found.quality.bad_points
+    every = fitted.quality.bad_points
     columns: dict[str, list[Any]] = {
-        "run": [one.run for one in every],
-        "speed_rpm": to_rpm(np.array([one.speed for one in every])).tolist(),
+        "run": [point.run for point in every],
+        "speed_rpm": to_rpm(np.array([point.speed for point in every])).tolist(),
     }
     conditions = {
-        name: np.array([one.operating[name] for one in every]) for name in (every[0].operating if every else ())
+        name: np.array([point.operating[name] for point in every]) for name in (every[0].operating if every else ())
     }
     columns |= {name: values.tolist() for name, values in list_columns(conditions).items()}
-    return columns | {name: [getattr(one, name) for one in every] for name in ("node", "direction", "deviations")}
+    return columns | {name: [getattr(point, name) for point in every] for name in ("node", "direction", "deviations")}
 
 
 def _tabulate_unbalance(uncertainty: Uncertainty | None) -> dict[str, Any]:
     """kg m and degrees."""
-    found = np.zeros(0, dtype=complex) if uncertainty is None else uncertainty.residual_unbalance
+    unbalance = np.zeros(0, dtype=complex) if uncertainty is None else uncertainty.residual_unbalance
     return {
         "node": [] if uncertainty is None else uncertainty.planes,
-        "magnitude": np.abs(found),
-        "phase_deg": np.degrees(np.angle(found)),
+        "magnitude": np.abs(unbalance),
+        "phase_deg": np.degrees(np.angle(unbalance)),
         "magnitude_std": [] if uncertainty is None else uncertainty.unbalance_deviation(),
     }
 
 
-def _tabulate_parameters(found: Fit) -> dict[str, list[Any]]:
+def _tabulate_parameters(fitted: Fit) -> dict[str, list[Any]]:
     """Prior deviation, and what the fit made of it: a share of the stated value, or in the unit."""
-    every = found.quality.model_parameters
+    every = fitted.quality.model_parameters
     return {
-        "kind": [one.parameter.kind for one in every],
-        "of": [one.parameter.label for one in every],
-        "unit": [UNITS[one.parameter.kind] for one in every],
-        "prior_std": [one.parameter.deviation for one in every],
-        "value": [one.value * one.parameter.deviation for one in every],
-        "std": [one.deviation * one.parameter.deviation for one in every],
+        "kind": [number.parameter.kind for number in every],
+        "of": [number.parameter.label for number in every],
+        "unit": [UNITS[number.parameter.kind] for number in every],
+        "prior_std": [number.parameter.deviation for number in every],
+        "value": [number.value * number.parameter.deviation for number in every],
+        "std": [number.deviation * number.parameter.deviation for number in every],
     }
 
 
-def _describe_misfit(found: Fit) -> str:
+def _describe_misfit(fitted: Fit) -> str:
     """The loss in words."""
-    if found.quality.misfit is None:
-        held_out = "" if found.held_out_loss is None else f", on held-out speeds {found.held_out_loss:.3g}"
-        return f"residual {found.loss:.3g} of the bearing force{held_out}"
-    square, bad = found.quality.summary["fit"]["chi_square"], len(found.quality.bad_points)
+    if fitted.quality.misfit is None:
+        held_out = "" if fitted.held_out_loss is None else f", on held-out speeds {fitted.held_out_loss:.3g}"
+        return f"residual {fitted.loss:.3g} of the bearing force{held_out}"
+    square, bad = fitted.quality.summary["fit"]["chi_square"], len(fitted.quality.bad_points)
     left = (
         f"chi-square {square['value']:.0f}, where {square['expected']:.0f} is expected of {square['readings']} readings"
     )
     return left + (f" ({bad} of them far off, in 'bad_points.csv')" if bad else "")
 
 
-def _report(config: Config, found: Fit) -> None:
+def _report(config: Config, fitted: Fit) -> None:
     say(
-        f"{config.name}: {found.outcome.value}\n"
-        f"{_describe_misfit(found)}, "
-        f"{found.steps} steps in {found.seconds:.1f} s\n"
+        f"{config.name}: {fitted.outcome.value}\n"
+        f"{_describe_misfit(fitted)}, "
+        f"{fitted.steps} steps in {fitted.seconds:.1f} s\n"
         f"coefficients in '{locate_files(config).identified}'"
     )
-    if found.quality.model_parameters:
-        print_parameters(config.name, found.quality.model_parameters)
-    summary = found.quality.summary
+    if fitted.quality.model_parameters:
+        print_parameters(config.name, fitted.quality.model_parameters)
+    summary = fitted.quality.summary
     print_numbers(config.name, list_numbers(summary.get("physical_numbers", {}), config))
-    for words in describe_law(summary, config.model.kind):
-        say(f"{config.name}: {words}")
-    misfit = found.quality.misfit
+    for text in describe_law(summary, config.model.kind):
+        say(f"{config.name}: {text}")
+    misfit = fitted.quality.misfit
     # NaN compares false.
     if misfit is not None and not misfit < FAR_FROM_EXPECTED:
         warn(
@@ -223,5 +223,5 @@ def _report(config: Config, found: Fit) -> None:
             "the fit as their noise; state the noise as it is (stated_noise.additive is its floor), or check units, "
             "conventions, rotor and excitation"
         )
-    if found.outcome in (Outcome.DIVERGED, Outcome.BUDGET_SPENT):
-        warn(f"{config.name}: training {found.outcome.label}")
+    if fitted.outcome in (Outcome.DIVERGED, Outcome.BUDGET_SPENT):
+        warn(f"{config.name}: training {fitted.outcome.label}")

@@ -38,7 +38,7 @@ def measure_unmeasured(
 ) -> dict[str, CoefficientErrors]:
     """Errors at each condition, by its words such as ``40 degC``."""
     states = split_states(modelled.speeds, modelled.operating)
-    return {words: measure_errors(answer.at(points), modelled.at(points), names) for words, points in states}
+    return {state: measure_errors(answer.at(points), modelled.at(points), names) for state, points in states}
 
 
 def judge_beyond(config: Config, identified: IdentifiedModel, speeds: np.ndarray) -> dict[str, Any]:
@@ -47,16 +47,18 @@ def judge_beyond(config: Config, identified: IdentifiedModel, speeds: np.ndarray
     if modelled is None:
         return {}
     errors = measure_unmeasured(identified.table(modelled), modelled, identified.unknowns.by_bearing)
-    for words, error in errors.items():
+    for state, error in errors.items():
         worst = max(name.median_error_percent for names in error.values() for name in names.values())
-        say(f"{config.name}: at {words}, which no run has, the worst coefficient is off by {worst:.3g} % (median)")
-    return {"unmeasured": {words: list_metrics(of) for words, of in errors.items()}}
+        say(f"{config.name}: at {state}, which no run has, the worst coefficient is off by {worst:.3g} % (median)")
+    return {"unmeasured": {label: list_metrics(errors_by_node) for label, errors_by_node in errors.items()}}
 
 
-def judge_numbers(config: Config, found: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+def judge_numbers(config: Config, numbers: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     """The ``physical_numbers`` of a fit with their true values and errors, of a modelled machine."""
     if config.machine.recordings.format != "none":
-        return dict(found)
-    errors = measure_numbers({name: (of["value"], of["deviation"]) for name, of in found.items()}, config.machine)
+        return dict(numbers)
+    errors = measure_numbers(
+        {name: (number["value"], number["deviation"]) for name, number in numbers.items()}, config.machine
+    )
     more = {name: {"true": error.true, "error_percent": error.error_percent} for name, error in errors.items()}
-    return {name: {**of, **more.get(name, {})} for name, of in found.items()}
+    return {name: {**number, **more.get(name, {})} for name, number in numbers.items()}

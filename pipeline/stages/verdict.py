@@ -33,16 +33,18 @@ from pipeline.trust.verdict import SIGNIFICANT, judge_law, judge_mistakes
 def run(config: Config) -> StageOutput:
     """``verdicts.json`` and ``verdicts.csv``; no modelled coefficient is read."""
     work, measurement = locate_files(config), load_measurement(config)
-    found = judge_measurement(config, measurement)
+    judged = judge_measurement(config, measurement)
     written = [
-        write_json(work.folder / "verdicts.json", found),
-        write_table(work.folder / "verdicts.csv", _tabulate(found)),
+        write_json(work.folder / "verdicts.json", judged),
+        write_table(work.folder / "verdicts.csv", _tabulate(judged)),
     ]
-    _print(config, found)
-    counts = {name: sum(one["verdict"] == name for one in found["verdicts"]) for name in ("good", "with care", "no")}
+    _print(config, judged)
+    counts = {
+        name: sum(entry["verdict"] == name for entry in judged["verdicts"]) for name in ("good", "with care", "no")
+    }
     return StageOutput(
         {"verdicts": {name.replace(" ", "_"): float(count) for name, count in counts.items()}},
-        {"data_fingerprint": measurement.dataset.fingerprint, "verdict": found["machine"]["verdict"]},
+        {"data_fingerprint": measurement.dataset.fingerprint, "verdict": judged["machine"]["verdict"]},
         written,
     )
 
@@ -104,27 +106,27 @@ def mark_fitted(config: Config, measurement: Measurement) -> np.ndarray:
     return fitted if data.present is None else fitted & data.present[:, None]
 
 
-def _tabulate(found: Mapping[str, Any]) -> dict[str, list[Any]]:
+def _tabulate(judged: Mapping[str, Any]) -> dict[str, list[Any]]:
     """A row a coefficient."""
-    every = found["verdicts"]
-    columns: dict[str, list[Any]] = {key: [one[key] for one in every] for key in ("bearing", "node", "coefficient")}
-    bands = [one["checks"].get("band", {}).get("percent") for one in every]
+    every = judged["verdicts"]
+    columns: dict[str, list[Any]] = {key: [entry[key] for entry in every] for key in ("bearing", "node", "coefficient")}
+    bands = [entry["checks"].get("band", {}).get("percent") for entry in every]
     return columns | {
-        "verdict": [one["verdict"] for one in every],
+        "verdict": [entry["verdict"] for entry in every],
         "band_percent": [np.nan if band is None else band for band in bands],
-        "reason": [" ".join(one["reasons"]) for one in every],
-        "next": [one["next"] or "" for one in every],
+        "reason": [" ".join(entry["reasons"]) for entry in every],
+        "next": [entry["next"] or "" for entry in every],
     }
 
 
-def _print(config: Config, found: Mapping[str, Any]) -> None:
+def _print(config: Config, judged: Mapping[str, Any]) -> None:
     rows = []
-    for one in found["verdicts"]:
-        band = one["checks"].get("band", {}).get("percent")
+    for entry in judged["verdicts"]:
+        band = entry["checks"].get("band", {}).get("percent")
         shown = "" if band is None else f"{band:.2g}"
-        rows.append([f"node {one['node']} {one['coefficient']}", one["verdict"], shown, one["reasons"][0]])
+        rows.append([f"node {entry['node']} {entry['coefficient']}", entry["verdict"], shown, entry["reasons"][0]])
     table(f"{config.name}: can it be trusted?", ["coefficient", "verdict", "+- % (95 %)", "why"], rows)
-    for one in found["bearings"]:
-        say(f"{config.name}: bearing at node {one['node']}: {one['verdict']}. {one['reason']}")
-    whole = found["machine"]
+    for entry in judged["bearings"]:
+        say(f"{config.name}: bearing at node {entry['node']}: {entry['verdict']}. {entry['reason']}")
+    whole = judged["machine"]
     say(f"{config.name}: {whole['verdict']}. {whole['reason']}" + (f"\nnext: {whole['next']}" if whole["next"] else ""))

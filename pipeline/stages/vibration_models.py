@@ -76,9 +76,9 @@ def _fit_influence(config: Config, dataset: VibrationDataset) -> Fitted:
     except IdentifiabilityError:  # too few conditions to judge one by the others
         return Fitted(conditions, conditions, {"influence": fit_influence(conditions)}, dataset.fingerprint)
     if bad:
-        names = ", ".join(one.name for one in bad)
+        names = ", ".join(contradiction.name for contradiction in bad)
         say(f"{config.name}: influence coefficients without {names}, which contradict their labels")
-    sound = conditions.without([one.name for one in bad])
+    sound = conditions.without([contradiction.name for contradiction in bad])
     return Fitted(conditions, sound, {"influence": influence}, dataset.fingerprint)
 
 

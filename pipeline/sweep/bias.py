@@ -140,8 +140,8 @@ def find_mode(reading: SteadyReading, rate: float) -> tuple[float, float]:
     least = np.log([0.5 * reading.frequency, _LEAST_DAMPING])
     most = np.log([1.5 * reading.frequency, _MOST_DAMPING])
     start = np.log([reading.frequency, min(max(0.5 * reading.damping, 2 * _LEAST_DAMPING), 0.4)])
-    found = least_squares(differ, start, bounds=(least, most), diff_step=1e-3, x_scale=[0.01, 0.3])
-    return float(np.exp(found.x[0])), float(np.exp(found.x[1]))
+    fitted = least_squares(differ, start, bounds=(least, most), diff_step=1e-3, x_scale=[0.01, 0.3])
+    return float(np.exp(fitted.x[0])), float(np.exp(fitted.x[1]))
 
 
 def describe_bias(bias: SweepBias) -> str:

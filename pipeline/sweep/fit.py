@@ -131,8 +131,8 @@ def respond_as_steady(run_up: RunUp, fit: ModalFit) -> np.ndarray:
     """(S,) complex, the modes and the background of a fit at constant speeds."""
     x = np.log(np.stack([fit.frequencies, fit.dampings], axis=1)).reshape(-1)
     problem = _Problem(run_up, len(fit.frequencies), len(fit.background) - 1, respond_in_steps)
-    found: np.ndarray = problem.columns(x) @ np.concatenate([fit.amplitudes, fit.background])
-    return found
+    response: np.ndarray = problem.columns(x) @ np.concatenate([fit.amplitudes, fit.background])
+    return response
 
 
 def respond_in_steps(frequency: float, damping: float, speeds: np.ndarray, rate: float) -> np.ndarray:
@@ -142,9 +142,9 @@ def respond_in_steps(frequency: float, damping: float, speeds: np.ndarray, rate:
 
 
 def _fit(problem: _Problem, starts: list[np.ndarray]) -> ModalFit:
-    found = min((problem.solve(start) for start in starts), key=lambda one: float(one.cost))
-    order = np.argsort(found.x[::2])
-    best = found.x.reshape(-1, 2)[order].reshape(-1)
+    solution = min((problem.solve(start) for start in starts), key=lambda tried: float(tried.cost))
+    order = np.argsort(solution.x[::2])
+    best = solution.x.reshape(-1, 2)[order].reshape(-1)
     columns, linear = problem.project(best)
     vectors = problem.run_up.vectors
     residual = vectors - columns @ linear
@@ -167,10 +167,10 @@ def choose_modes(run_up: RunUp, degree: int = 2) -> tuple[ModalFit, ModalFit, in
 
     Both are weighed with the correlation of the better residual: what one mode leaves over is no noise.
     """
-    one, two = fit_modes(run_up, 1, degree), fit_modes(run_up, 2, degree)
-    residual = run_up.vectors - one.fitted
-    one = replace(one, criterion=_weigh(residual, 4 + 2 * (degree + 1), two.correlation))
-    return one, two, 2 if two.criterion < one.criterion else 1
+    single, two = fit_modes(run_up, 1, degree), fit_modes(run_up, 2, degree)
+    residual = run_up.vectors - single.fitted
+    single = replace(single, criterion=_weigh(residual, 4 + 2 * (degree + 1), two.correlation))
+    return single, two, 2 if two.criterion < single.criterion else 1
 
 
 def choose_sense(run_up: RunUp) -> tuple[RunUp, str, float]:
@@ -179,7 +179,7 @@ def choose_sense(run_up: RunUp) -> tuple[RunUp, str, float]:
     Phases that are taken with the wrong sign go the wrong way through the resonance.
     """
     other = replace(run_up, vectors=run_up.vectors.conj())
-    left = [fit_modes(one, 1).misfit for one in (run_up, other)]
+    left = [fit_modes(run, 1).misfit for run in (run_up, other)]
     if left[0] <= left[1]:
         return run_up, "lead", left[1] / left[0]
     return other, "lag", left[0] / left[1]
@@ -245,7 +245,7 @@ def _list_starts(run_up: RunUp, degree: int, count: int) -> list[np.ndarray]:
     if count == 1:
         return first
     problem = _Problem(run_up, 1, degree)
-    single = min((problem.solve(start) for start in first), key=lambda one: one.cost).x
+    single = min((problem.solve(start) for start in first), key=lambda tried: tried.cost).x
     return [np.concatenate([single, [single[0] + np.log(factor), single[1]]]) for factor in _APART]
 
 
@@ -258,8 +258,8 @@ def _jackknife(problem: _Problem, best: np.ndarray) -> np.ndarray:
         answers.append(problem.solve(best).x)
     problem.keep[:] = True
     apart = np.array(answers) - np.mean(answers, axis=0)
-    found: np.ndarray = (_BLOCKS - 1) / _BLOCKS * apart.T @ apart
-    return found
+    covariance: np.ndarray = (_BLOCKS - 1) / _BLOCKS * apart.T @ apart
+    return covariance
 
 
 def _measure_correlation(residual: np.ndarray) -> float:
@@ -283,8 +283,8 @@ def _weigh(residual: np.ndarray, parameters: int, tau: float) -> float:
 def _average(values: np.ndarray, rows: int) -> np.ndarray:
     """(S,) the mean of ``rows`` rows around each; at the ends of those that there are."""
     counts = np.convolve(np.ones(len(values)), np.ones(rows), "same")
-    found: np.ndarray = np.convolve(values, np.ones(rows), "same") / counts
-    return found
+    average: np.ndarray = np.convolve(values, np.ones(rows), "same") / counts
+    return average
 
 
 def read_smoothed_peak(run_up: RunUp, rows: int) -> SteadyReading | None:

@@ -25,7 +25,7 @@ MetricValue = tuple[str, float, int, int]
 def clean_name(text: str) -> str:
     """``text`` as a name MLflow accepts: other characters become ``_``, at most 250 are kept."""
     # "/" makes folders of names, which must not be empty, "." or "..", nor start at the root.
-    parts = [part for part in _FORBIDDEN_IN_NAME.sub("_", text).split("/") if part not in ("", ".", "..")]
+    parts = [word for word in _FORBIDDEN_IN_NAME.sub("_", text).split("/") if word not in ("", ".", "..")]
     return "/".join(parts)[:NAME_LENGTH] or "_"
 
 

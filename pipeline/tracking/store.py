@@ -131,7 +131,7 @@ def _probe(path: Path, timeout_seconds: float) -> None:
     """Lock the database for writing once: MLflow itself would retry for minutes where that can't be done."""
     with closing(sqlite3.connect(path, timeout=timeout_seconds, isolation_level=None)) as connection:
         connection.execute("BEGIN IMMEDIATE")
-        found = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
         connection.execute("ROLLBACK")
-    if not {"alembic_version", "experiments", "runs"} <= found:
+    if not {"alembic_version", "experiments", "runs"} <= tables:
         raise DatabaseProblem(f"{path} is a database, but not MLflow's; move it away or give another tracking.uri")

@@ -77,14 +77,14 @@ def _judge_by_residual(measurement: Measurement, setup: FitSetup, step: Step) ->
         step(phase, number, total, known)
 
     start = initial_parameters(training, setup, setup.seed)
-    found = minimise(training.problem, start, setup, held_out=training.held_out, watch=watch)
+    minimum = minimise(training.problem, start, setup, held_out=training.held_out, watch=watch)
     return Judged(
-        loss=float(training.per_speed_held_out_loss(found.parameters)[0]),
-        outcome=found.outcomes[0],
-        steps=found.steps,
-        seconds=found.seconds,
-        training_loss=float(found.loss[0]),
-        model=training.identified(found.parameters[0]),
+        loss=float(training.per_speed_held_out_loss(minimum.parameters)[0]),
+        outcome=minimum.outcomes[0],
+        steps=minimum.steps,
+        seconds=minimum.seconds,
+        training_loss=float(minimum.loss[0]),
+        model=training.identified(minimum.parameters[0]),
     )
 
 

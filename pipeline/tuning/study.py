@@ -121,11 +121,11 @@ def open_study(problem: StudyProblem) -> optuna.Study:
 def _list_changes(then: Mapping[str, Mapping[str, str]], now: Mapping[str, Mapping[str, str]]) -> str:
     """The parts that differ, with their pieces; empty where none does."""
     sentences = []
-    for part in dict.fromkeys([*now, *then]):
-        before, after = then.get(part, {}), now.get(part, {})
+    for key in dict.fromkeys([*now, *then]):
+        before, after = then.get(key, {}), now.get(key, {})
         pieces = [name for name in dict.fromkeys([*before, *after]) if before.get(name) != after.get(name)]
         if pieces:
-            sentences.append(f"{part} changed ({', '.join(pieces)})")
+            sentences.append(f"{key} changed ({', '.join(pieces)})")
     return "; ".join(sentences)
 
 

@@ -89,7 +89,7 @@ def _make(line: dict[str, Any]) -> FrozenTrial:
         state=TrialState[line["state"]],
         value=line["value"],
         params=line["parameters"],
-        distributions={name: json_to_distribution(json.dumps(one)) for name, one in line["ranges"].items()},
+        distributions={name: json_to_distribution(json.dumps(span)) for name, span in line["ranges"].items()},
         user_attrs=line["attributes"],
         intermediate_values={int(step): value for step, value in line["curve"].items()},
     )

@@ -56,15 +56,15 @@ def mask_state(measured: Mapping[str, np.ndarray], wanted: Mapping[str, float]) 
 
 def say_beyond(measured: Mapping[str, np.ndarray], wanted: Mapping[str, float]) -> list[str]:
     """A sentence a condition that lies outside the data."""
-    found = []
+    sentences = []
     for name, values in measured.items():
         low, high, at = float(values.min()), float(values.max()), wanted[name]
         slack = _SAME * abs(at)
         if not low - slack <= at <= high + slack:
             span = write_condition(name, values)
             where = f"is not the measured {span}" if low == high else f"lies outside the measured {span}"
-            found.append(f"{name.replace('_', ' ')}: {write_condition(name, at)} {where}")
-    return found
+            sentences.append(f"{name.replace('_', ' ')}: {write_condition(name, at)} {where}")
+    return sentences
 
 
 def table_at(table: BearingTable, wanted: Mapping[str, float], key: str) -> BearingTable:
@@ -75,16 +75,16 @@ def table_at(table: BearingTable, wanted: Mapping[str, float], key: str) -> Bear
     """
     if not table.operating:
         return table
-    there, speeds, picked = mask_state(table.operating, wanted), np.unique(table.speeds), []
+    mask, speeds, picked = mask_state(table.operating, wanted), np.unique(table.speeds), []
     for speed in speeds:
-        own = np.flatnonzero(table.speeds == speed)
-        exact = own[there[own]]
-        if not len(exact) and np.ptp(table.values[:, own], axis=1).any():
+        rows = np.flatnonzero(table.speeds == speed)
+        exact = rows[mask[rows]]
+        if not len(exact) and np.ptp(table.values[:, rows], axis=1).any():
             raise ConfigError(
                 f"{key} must be conditions of the data where a known coefficient depends on them, but got "
                 f"{name_state(wanted)}: take measured ones, or identify all eight coefficients"
             )
-        picked.append(int(exact[0] if len(exact) else own[0]))
+        picked.append(int(exact[0] if len(exact) else rows[0]))
     operating = {name: np.full(len(speeds), wanted[name]) for name in table.operating}
     return BearingTable(table.nodes, speeds, table.values[:, picked], operating)
 
@@ -97,11 +97,11 @@ def evaluate_at(
     Raises ConfigError as that, and where a coefficient leaves all bounds: functions that were fitted at a few states
     may do anything between and beyond these.
     """
-    there = measurement_at(updated, wanted, key)
-    table = identified.table(there.updated_known)
+    machine = measurement_at(updated, wanted, key)
+    table = identified.table(machine.updated_known)
     if wanted:
         _require_bounded(identified.table(updated.updated_known), table, key, name_state(wanted))
-    return there, table
+    return machine, table
 
 
 _FAR = 1e3
@@ -110,13 +110,13 @@ _FAR = 1e3
 
 def _require_bounded(data: BearingTable, table: BearingTable, key: str, state: str) -> None:
     for b, c in np.ndindex(len(data.nodes), len(COEFFICIENTS)):
-        name, found, size = COEFFICIENTS[c], np.abs(table.values[b, :, c]), np.abs(data.values[b, :, c])
-        lost = is_direct(name) and bool((found < size.min() / _FAR).any())
-        if np.isfinite(found).all() and found.max() <= _FAR * size.max() and not lost:
+        name, sizes, size = COEFFICIENTS[c], np.abs(table.values[b, :, c]), np.abs(data.values[b, :, c])
+        lost = is_direct(name) and bool((sizes < size.min() / _FAR).any())
+        if np.isfinite(sizes).all() and sizes.max() <= _FAR * size.max() and not lost:
             continue
         raise ConfigError(
             f"{key} must be conditions that the fitted functions can be continued to, but at {state} {name} of node "
-            f"{data.nodes[b]} leaves all bounds ({found.min():.2g} to {found.max():.2g} {unit(name)}; at the data "
+            f"{data.nodes[b]} leaves all bounds ({sizes.min():.2g} to {sizes.max():.2g} {unit(name)}; at the data "
             f"{size.min():.2g} to {size.max():.2g}): take a measured state, measure there, or fit model=law or "
             "model=hybrid, which physics continues"
         )

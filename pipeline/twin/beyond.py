@@ -43,9 +43,12 @@ def expect_criticals(
             "model=constant and known values, or measure there"
         )
     table = BearingTable(known.nodes, speeds, np.repeat(known.values[:, :1], len(speeds), axis=1))
-    there = replace(measurement, known=table)
+    updated = replace(measurement, known=table)
     bearings = identified.table(table)
-    modes = find_modes(there.updated_rotor, bearings)
-    deviations = deviate_modes(modes, there, bearings, identified, uncertainty)
-    found = [(speed, deviations.of_critical(speed)) for speed in find_critical_speeds(modes)]
-    return [ExpectedCritical(c.speed, of_speed, c.logarithmic_decrement, of_dec) for c, (of_speed, of_dec) in found]
+    modes = find_modes(updated.updated_rotor, bearings)
+    deviations = deviate_modes(modes, updated, bearings, identified, uncertainty)
+    criticals = [(speed, deviations.of_critical(speed)) for speed in find_critical_speeds(modes)]
+    return [
+        ExpectedCritical(c.speed, speed_deviation, c.logarithmic_decrement, of_dec)
+        for c, (speed_deviation, of_dec) in criticals
+    ]

@@ -63,10 +63,10 @@ class ModeDeviations:
         lines = (modes.frequency, modes.logarithmic_decrement)
         slope = [float(line[s + 1, k] - line[s, k]) / step for line in lines]
         ends = [self._derive(at, k) for at in (s, s + 1)]
-        moved = [(1.0 - share) * left + share * right for left, right in zip(*ends, strict=True)]
+        slopes = [(1.0 - share) * left + share * right for left, right in zip(*ends, strict=True)]
         # The crossing runs along its line until frequency and speed are equal again.
-        speed = moved[0] / (1.0 - slope[0])
-        first, second = deviate(np.stack([speed, moved[1] + slope[1] * speed]), self.covariance)
+        speed = slopes[0] / (1.0 - slope[0])
+        first, second = deviate(np.stack([speed, slopes[1] + slope[1] * speed]), self.covariance)
         return float(first), float(second)
 
     def of_margin(self, margin: StabilityMargin) -> tuple[float, float | None]:
@@ -87,8 +87,8 @@ class ModeDeviations:
         by_decrement = _derive_decrement(
             self.by_number, modes.frequency[..., None], modes.logarithmic_decrement[..., None]
         )
-        moved = modes.logarithmic_decrement[..., None] + by_decrement @ drawn
-        smallest = moved[find_reached(modes)].min(axis=0)
+        drawn_decrement = modes.logarithmic_decrement[..., None] + by_decrement @ drawn
+        smallest = drawn_decrement[find_reached(modes)].min(axis=0)
         return growth, math.sqrt(((smallest - margin.smallest_logarithmic_decrement) ** 2).mean())
 
     def _derive(self, s: int, k: int) -> tuple[np.ndarray, np.ndarray]:
@@ -97,14 +97,14 @@ class ModeDeviations:
         return moved.imag, _derive_decrement(moved, modes.frequency[s, k], modes.logarithmic_decrement[s, k])
 
 
-def deviate(moved: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+def deviate(slopes: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """(..) standard deviations, from derivatives (.., Z) and the covariance of the numbers."""
-    return np.sqrt(np.maximum(((moved @ covariance) * moved).sum(axis=-1), 0.0))
+    return np.sqrt(np.maximum(((slopes @ covariance) * slopes).sum(axis=-1), 0.0))
 
 
-def _derive_decrement(moved: np.ndarray, frequency: np.ndarray, decrement: np.ndarray) -> np.ndarray:
+def _derive_decrement(slopes: np.ndarray, frequency: np.ndarray, decrement: np.ndarray) -> np.ndarray:
     """The derivative of ``d = -2 pi re / im`` from that of the eigenvalue."""
-    return np.asarray((-2.0 * math.pi * moved.real - decrement * moved.imag) / frequency)
+    return np.asarray((-2.0 * math.pi * slopes.real - decrement * slopes.imag) / frequency)
 
 
 def deviate_modes(
@@ -121,24 +121,24 @@ def deviate_modes(
     by_number = uncertainty.sensitivity(identified, bearings.speeds, bearings.operating)  # (B, S, 8, A (K + L))
     count, covariance = by_number.shape[-1], uncertainty.of_machine
     changes = [rotor_change(parameter, measurement.rotor) for parameter in measurement.parameters]
-    along = [t for t, parameter in enumerate(measurement.parameters) if parameter.kind == "bearing_position"]
+    positions = [t for t, parameter in enumerate(measurement.parameters) if parameter.kind == "bearing_position"]
     values = np.concatenate([modes.eigenvalues, (modes.growth + 1j * modes.growing)[:, None]], axis=1)
     rotor = measurement.updated_rotor
     stiffness, damping = assemble_systems(rotor, bearings)
     mass = np.broadcast_to(assemble_mass(rotor, bearings.speeds), stiffness.shape)
-    moved = np.full((*values.shape, len(covariance)), np.nan, dtype=complex)  # (S, K + 1, Z)
+    slopes = np.full((*values.shape, len(covariance)), np.nan, dtype=complex)  # (S, K + 1, Z)
     for s, value in enumerate(values):
-        there = np.flatnonzero(~np.isnan(value))
+        present = np.flatnonzero(~np.isnan(value))
         system = System(mass[s], stiffness[s], damping[s], float(bearings.speeds[s]), bearing_places(rotor))
-        moves = {t: derive_place(rotor, measurement.parameters[t], bearings.values[:, s]) for t in along}
+        moves = {t: derive_place(rotor, measurement.parameters[t], bearings.values[:, s]) for t in positions}
         by_coefficient, by_rotor = system.derive(
-            value[there], [moves.get(t, change) for t, change in enumerate(changes)]
+            value[present], [moves.get(t, change) for t, change in enumerate(changes)]
         )
-        moved[s, there, :count] = np.einsum("kbc,bcz->kz", by_coefficient, by_number[:, s], optimize=True)
+        slopes[s, present, :count] = np.einsum("kbc,bcz->kz", by_coefficient, by_number[:, s], optimize=True)
         if changes:
             by_known = np.einsum("kbc,bct->kt", by_coefficient, measurement.known_variation[s])
-            moved[s, there, count:] = by_rotor + by_known
-    modal, growing = moved[:, :-1], moved[:, -1].real
+            slopes[s, present, count:] = by_rotor + by_known
+    modal, growing = slopes[:, :-1], slopes[:, -1].real
     by_decrement = _derive_decrement(modal, modes.frequency[..., None], modes.logarithmic_decrement[..., None])
     return ModeDeviations(
         modes,
@@ -192,20 +192,22 @@ class System:
         By the coefficients, (K, B, 8) 1/s over N/m and N s/m, and by ``changes`` of the rotor, (K, T) 1/s.
         """
         mass, places = self.mass, self.places
-        of = values[:, None, None]
-        shifted = of * (1.0 + _OFF) + _OFF
+        eigenvalues = values[:, None, None]
+        shifted = eigenvalues * (1.0 + _OFF) + _OFF
         system = shifted**2 * mass + shifted * self.damping + self.stiffness  # (K, n, n)
         right, left = _find_null(system), _find_null(system.swapaxes(1, 2))
-        left = left / _multiply(left, 2.0 * of * mass + self.damping, right)[:, None]
+        left = left / _multiply(left, 2.0 * eigenvalues * mass + self.damping, right)[:, None]
         shown = [places.show(vector[..., None]).reshape(len(values), -1, 2) for vector in (left, right)]  # (K, B, 2)
         by_stiffness = -shown[0][..., None] * shown[1][:, :, None]  # (K, B, 2, 2)
         by_stiffness = by_stiffness.reshape(*by_stiffness.shape[:2], 4)
-        by_coefficient = np.concatenate([by_stiffness, of * by_stiffness], axis=-1)
+        by_coefficient = np.concatenate([by_stiffness, eigenvalues * by_stiffness], axis=-1)
         by_rotor = np.zeros((len(values), len(changes)), dtype=complex)
         for t, change in enumerate(changes):
             if change is not None:
                 turned = change.damping + self.speed * change.gyroscopic
-                by_rotor[:, t] = -_multiply(left, of**2 * change.mass + of * turned + change.stiffness, right)
+                by_rotor[:, t] = -_multiply(
+                    left, eigenvalues**2 * change.mass + eigenvalues * turned + change.stiffness, right
+                )
         return by_coefficient, by_rotor
 
 
@@ -216,8 +218,8 @@ def _multiply(left: np.ndarray, matrix: np.ndarray, right: np.ndarray) -> np.nda
 
 def _find_null(system: np.ndarray) -> np.ndarray:
     """(K, n) the vector that each nearly singular matrix (K, n, n) takes to nearly zero, by inverse iteration."""
-    found = np.broadcast_to(np.linspace(1.0, 2.0, system.shape[-1]), system.shape[:2])
+    vectors = np.broadcast_to(np.linspace(1.0, 2.0, system.shape[-1]), system.shape[:2])
     for _ in range(2):
-        found = np.linalg.solve(system, found[..., None])[..., 0]
-        found = found / np.linalg.norm(found, axis=1, keepdims=True)
-    return found
+        vectors = np.linalg.solve(system, vectors[..., None])[..., 0]
+        vectors = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    return vectors

@@ -183,11 +183,11 @@ def measure_stability(modes: WhirlModes) -> StabilityMargin:
     """
     within = np.where(find_reached(modes), modes.logarithmic_decrement, np.inf)
     s, k = np.unravel_index(within.argmin(), within.shape)
-    found = np.isfinite(within[s, k])
+    exists = np.isfinite(within[s, k])
     return StabilityMargin(
         bool((modes.growth <= 0).all()),
         float(modes.growth.max()),
-        float(within[s, k]) if found else None,
-        float(modes.speeds[s]) if found else None,
-        (int(s), int(k)) if found else None,
+        float(within[s, k]) if exists else None,
+        float(modes.speeds[s]) if exists else None,
+        (int(s), int(k)) if exists else None,
     )

@@ -61,7 +61,7 @@ def add_deviation(
     equations = response_equations(measurement.updated_rotor, dataset, stiffness)
     by_coefficient = equations.sensitivity(bearings)[:, :, 0]  # (S, 2, B, 8)
     by_number = uncertainty.sensitivity(identified, bearings.speeds, bearings.operating)  # (B, S, 8, A (K + L))
-    moved = np.einsum("sdbc,bscz->sdz", by_coefficient, by_number)
+    slopes = np.einsum("sdbc,bscz->sdz", by_coefficient, by_number)
     if measurement.parameters:
         rotor, parameters = measurement.rotor, of_machine_alone(measurement.parameters)
         values = measurement.parameter_values
@@ -70,10 +70,10 @@ def add_deviation(
         response = respond(equations.blocks[0], change)
         by_model = derive_by_parameters(variation, response, change[None], None)[0, :, :, 0]  # (S, 2, T)
         by_model = by_model + np.einsum("sdbc,sbct->sdt", by_coefficient, measurement.known_variation)
-        moved = np.concatenate([moved, by_model], axis=-1)
+        slopes = np.concatenate([slopes, by_model], axis=-1)
     direction = predicted.displacement.conj() / np.abs(predicted.displacement)
-    along = (direction[..., None] * moved).real
-    variance = np.einsum("sdz,zy,sdy->sd", along, uncertainty.of_machine, along, optimize=True)
+    in_phase = (direction[..., None] * slopes).real
+    variance = np.einsum("sdz,zy,sdy->sd", in_phase, uncertainty.of_machine, in_phase, optimize=True)
     return replace(predicted, deviation=np.sqrt(np.maximum(variance, 0.0)))
 
 

@@ -67,11 +67,11 @@ def _find_shares(
     if not same:
         return None
     seen = [_amplitudes(dataset.excitation_of(r)) for r in same]
-    aim = _amplitudes([replace(one, run="") for one in wanted])
-    keys = list(dict.fromkeys(key for one in (*seen, aim) for key in one))
-    matrix = np.array([[one.get(key, 0.0) for one in seen] for key in keys]).reshape(len(keys), len(same))
+    aim = _amplitudes([replace(weight, run="") for weight in wanted])
+    keys = list(dict.fromkeys(key for weight in (*seen, aim) for key in weight))
+    matrix = np.array([[weight.get(key, 0.0) for weight in seen] for key in keys]).reshape(len(keys), len(same))
     right = np.array([aim.get(key, 0.0) for key in keys])
-    size = np.array([max(abs(aim.get(key, 0.0)), *(abs(one.get(key, 0.0)) for one in seen)) for key in keys])
+    size = np.array([max(abs(aim.get(key, 0.0)), *(abs(weight.get(key, 0.0)) for weight in seen)) for key in keys])
     matrix, right = matrix / size[:, None], right / size
     if residual_unbalance:
         matrix, right = np.concatenate([matrix, np.ones((1, len(same)))]), np.append(right, 1.0)
@@ -136,14 +136,14 @@ def compare_held_out(
     predicted = np.where(present[:, None], measurement.response.predict(bearings, unbalance), 0.0)
     measured, out = dataset.displacement, held_out_runs(measurement, training)
     fitted = np.setdiff1d(np.arange(len(dataset.runs)), out)
-    found = []
+    compared = []
     for r in out:
         acting, planes = dataset.excitation_of(int(r)), measurement.unknowns.planes
         summed = superpose(dataset, fitted.tolist(), acting, dataset.frequencies[:, r], bool(planes))
         beside = present[:, r] & present[:, fitted].all(axis=1)
         error = error_percent(summed[beside], measured[beside, :, r]) if summed is not None and beside.any() else None
         model = error_percent(predicted[..., r], measured[..., r])
-        found.append(HeldOut(dataset.runs[r], dataset.speeds, True, model, error))
+        compared.append(HeldOut(dataset.runs[r], dataset.speeds, True, model, error))
     every = held_out_speeds(len(dataset.speeds), training.holdout_every)
     together = held_out_range(dataset.speeds, training)
     away = held_out_conditions(dataset.operating, training, len(dataset.speeds))
@@ -151,17 +151,17 @@ def compare_held_out(
     for mask in (every & ~together & ~away, together & ~away):
         if not mask.any():
             continue
-        part = dataset.at(known | mask).of_runs(fitted)
-        drawn = interpolate_response(part, known[known | mask])
+        fitted_runs = dataset.at(known | mask).of_runs(fitted)
+        drawn = interpolate_response(fitted_runs, known[known | mask])
         aim = measured[mask][..., fitted]
         error = None if drawn is None else error_percent(drawn, aim)
         model = error_percent(predicted[mask][..., fitted], aim)
-        found.append(HeldOut(None, dataset.speeds[mask], bool((mask & together).any()), model, error))
+        compared.append(HeldOut(None, dataset.speeds[mask], bool((mask & together).any()), model, error))
     if away.any():
         state = name_state({name: values[away] for name, values in dataset.operating.items()})
         model = error_percent(predicted[away][..., fitted], measured[away][..., fitted])
-        found.append(HeldOut(None, dataset.speeds[away], True, model, None, state))
-    return found
+        compared.append(HeldOut(None, dataset.speeds[away], True, model, None, state))
+    return compared
 
 
 def error_percent(predicted: np.ndarray, measured: np.ndarray) -> float:

@@ -88,10 +88,10 @@ def test_the_rows_have_the_covariance_of_the_noise(rotor_of: Machine) -> None:
     found = fit_output_error(measurement, setup_of(CONFIG))
     whole, _ = reweigh(found.problem, found.weights, found.factor, robust=False)
     turned = 0
-    for b, block in enumerate(whole.readings.blocks):
+    for b, runs in enumerate(whole.readings.runs):
         import torch
 
-        count, floor = len(block.runs), measurement.noise.additive
+        count, floor = len(runs), measurement.noise.additive
         unit = torch.eye(count, dtype=torch.float64).expand(1, *whole.readings.precision[b].shape[1:3], -1, -1)
         root = whole.readings.whiten(b, unit * whole.readings.precision[b][..., None])[0, 0, 0].numpy()
         shared = 1.0 if count == 3 else 0.0

@@ -17,6 +17,7 @@ from pipeline.errors import ConfigError, IdentifiabilityError
 from pipeline.identification.fit import fit
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
 from pipeline.identification.output_error_start import start_at
+from pipeline.identification.selection import revive
 from pipeline.identification.training import setup_of
 from pipeline.problem.expansion import expand
 from pipeline.problem.reference_response import response_equations
@@ -326,9 +327,9 @@ def test_an_unknown_that_vanished_is_put_back(rotor_of: Machine) -> None:
     problem = fit_of(rotor_of, noisy(rotor_of, 0.01, 0), 0.01).problem
     values = np.full((2, len(rotor_of.speeds), 2), 2e7)
     healthy = start_at(problem, values)
-    assert len(problem.revived(healthy)) == 0
+    assert len(revive(problem, healthy)) == 0
     values[1, :, 1] = 1e4
-    again = problem.revived(start_at(problem, values))
+    again = revive(problem, start_at(problem, values))
     found = problem.unknowns(again)[0][0].median(dim=0).values.numpy()
     np.testing.assert_allclose(found[:3], 2e7, rtol=1e-9)
     assert found[3] > 2e6

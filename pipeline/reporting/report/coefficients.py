@@ -62,9 +62,9 @@ def _draw(content: ReportContent, fit: FitContent, letter: str) -> Figure:
 
 
 def _draw_one(
-    content: ReportContent, fit: FitContent, of: tuple[int, str], look: tuple[str, str], scale: float
+    content: ReportContent, fit: FitContent, coefficient: tuple[int, str], look: tuple[str, str], scale: float
 ) -> list[Curve]:
-    b, name = of
+    b, name = coefficient
     c, colour, rpm = COEFFICIENTS.index(name), look[0], content.rpm
     values = fit.bearings.values[b, :, c] * scale
     identified = name in fit.unknowns[b]
@@ -122,8 +122,8 @@ def _compare(content: ReportContent, fit: FitContent) -> list[Table]:
             if name not in reference or not inside.any():
                 continue
             c, speeds = COEFFICIENTS.index(name), reference["speed_rpm"][inside]
-            found, given = np.interp(speeds, rpm, bearings.values[b, :, c]), reference[name][inside]
-            off = found - given
+            identified, given = np.interp(speeds, rpm, bearings.values[b, :, c]), reference[name][inside]
+            off = identified - given
             with np.errstate(divide="ignore", invalid="ignore"):
                 percent = float(np.nanmedian(100 * off / np.abs(given)))
             cells = [f"node {fit.bearings.nodes[b]} {name}", f"{len(speeds)}", write_number(percent, digits=3)]

@@ -105,13 +105,13 @@ class ReportContent:
             return tuple(
                 Probe(name_channel(channel), channel[0], channel[1], unit[p]) for p, channel in enumerate(data.channels)
             )
-        found = []
+        listed = []
         for name, probe in recordings.probes.items():
             weights, angle = np.zeros(len(data.channels)), float(np.degrees(probe.angle))
             for cosine, direction in zip(project_direction(angle), (0.0, 90.0), strict=True):
                 weights[data.channels.index((probe.node, direction))] = cosine
-            found.append(Probe(name, probe.node, angle, weights))
-        return tuple(found)
+            listed.append(Probe(name, probe.node, angle, weights))
+        return tuple(listed)
 
     @property
     def config_owns_data(self) -> bool:
@@ -152,13 +152,13 @@ class ReportContent:
         """
         data, look = self.dataset, self.look(run)
         states = pick_states(data.speeds, data.operating)
-        found = []
+        listed = []
         for (label, points), colour in zip(states, colour_states(len(states)), strict=True):
-            own = points if data.present is None else points[data.present[points, run]]
-            of_state = {"colour": colour, "label": f"{look['label']}, {label}"} if len(states) > 1 else {}
-            if len(own):
-                found.append((own, look | of_state))
-        return found
+            measured = points if data.present is None else points[data.present[points, run]]
+            state_look = {"colour": colour, "label": f"{look['label']}, {label}"} if len(states) > 1 else {}
+            if len(measured):
+                listed.append((measured, look | state_look))
+        return listed
 
     def name_point(self, point: int) -> str:
         """Its speed, and its conditions where there are any, such as ``3000 rpm, 45 degC``."""

@@ -9,24 +9,24 @@ from pipeline.reporting.report.section import Paragraph, Section, Table, write_n
 
 def describe_diagnosis(content: ReportContent) -> Section | None:
     """Rank, condition number and predicted deviations of each bearing; None where nothing was diagnosed."""
-    found = content.files.get("diagnosis")
-    if not found:
+    diagnosis = content.files.get("diagnosis")
+    if not diagnosis:
         return None
-    noise = found["stated_noise"]
+    noise = diagnosis["stated_noise"]
     rows, blocks = [], []
-    for node, one in found["bearings"].items():
-        rank, condition = one["rank"], one["condition_number"]
+    for node, bearing in diagnosis["bearings"].items():
+        rank, condition = bearing["rank"], bearing["condition_number"]
         rows.append(
             [
                 f"node {node}",
-                one["verdict"],
-                f"{_describe_range(rank['least'], rank['most'])} of {one['unknowns']}",
+                bearing["verdict"],
+                f"{_describe_range(rank['least'], rank['most'])} of {bearing['unknowns']}",
                 f"{write_number(condition['median'], digits=3)}, worst {write_number(condition['max'], digits=3)}",
-                one["least_determined"],
+                bearing["least_determined"],
             ]
         )
-        if one["reason"]:
-            blocks.append(Paragraph(f"Bearing at node {node}: {one['reason']}", warning=True))
+        if bearing["reason"]:
+            blocks.append(Paragraph(f"Bearing at node {node}: {bearing['reason']}", warning=True))
     text = (
         f"At each speed by itself, at {100 * noise['multiplicative']:g} % and {1e6 * noise['additive']:g} µm noise "
         "(root mean square, zero-to-peak). A fit over all speeds does better: its own deviations follow below."

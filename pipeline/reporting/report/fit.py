@@ -27,10 +27,15 @@ def describe_held_out(content: ReportContent) -> Section | None:
     fit = content.fit
     if fit is None:
         return None
-    found = content.files.get("metrics", {}).get("held_out", {})
+    held_out = content.files.get("metrics", {}).get("held_out", {})
     rows = [
-        [what, f"{one['model_error_percent']:.3g}", one["rival"], write_number(one["rival_error_percent"], digits=3)]
-        for what, one in found.items()
+        [
+            what,
+            f"{entry['model_error_percent']:.3g}",
+            entry["rival"],
+            write_number(entry["rival_error_percent"], digits=3),
+        ]
+        for what, entry in held_out.items()
     ]
     held = [r for r in content.shown_runs if content.held_out(r)]
     if not rows and not held:
@@ -45,13 +50,13 @@ def describe_held_out(content: ReportContent) -> Section | None:
 
 def _write_quality(content: ReportContent) -> str:
     training = content.files.get("training", {})
-    found = training.get("fit")
+    quality = training.get("fit")
     outcome = f"The fit ended as: {str(training.get('outcome', 'unknown')).replace('_', ' ')}."
-    if not found:
+    if not quality:
         residual = training.get("residual", {}).get("mean_over_bearing_force")
         said = "" if residual is None else f" It leaves {100 * residual:.2g} % of the bearing forces over (mean)."
         return f"{outcome}{said} Its loss weighs no noise, so there is no chi-square."
-    square, white, chance = found["chi_square"], found["whiteness"], found["mismatch"]["probability"]
+    square, white, chance = quality["chi_square"], quality["whiteness"], quality["mismatch"]["probability"]
     ratio = float(np.sqrt(square["value"] / square["expected"]))
     text = (
         f"{outcome} Chi-square is {square['value']:.0f}, where {square['expected']:.0f} is expected: the readings lie "
@@ -65,7 +70,7 @@ def _write_quality(content: ReportContent) -> str:
         else "The model does not explain the readings to their noise: what is left is systematic, and the "
         "deviations are too small."
     )
-    return text + f"{explained} {count(found['bad_points'], 'reading')} lie beyond 4 deviations."
+    return text + f"{explained} {count(quality['bad_points'], 'reading')} lie beyond 4 deviations."
 
 
 def _list_probes(content: ReportContent, fit: FitContent) -> Table:
@@ -76,11 +81,11 @@ def _list_probes(content: ReportContent, fit: FitContent) -> Table:
     for probe in content.shown_probes:
         measured = content.dataset.displacement[..., ~held].transpose(0, 2, 1) @ probe.weights
         rest = measured - fit.predicted[..., ~held].transpose(0, 2, 1) @ probe.weights
-        there = np.ones(rest.shape, dtype=bool) if present is None else present[:, ~held]
-        percent = 100 * np.linalg.norm(rest[there]) / np.linalg.norm(measured)
+        mask = np.ones(rest.shape, dtype=bool) if present is None else present[:, ~held]
+        percent = 100 * np.linalg.norm(rest[mask]) / np.linalg.norm(measured)
         cells = [probe.name, f"{percent:.3g}"]
         if stated:
-            cells.append(f"{np.sqrt((np.abs(rest / _noise(fit, probe)[:, ~held])[there] ** 2).mean()):.3g}")
+            cells.append(f"{np.sqrt((np.abs(rest / _noise(fit, probe)[:, ~held])[mask] ** 2).mean()):.3g}")
         rows.append(cells)
     header = ["probe", "residual, % of the readings", *(["residual over its noise"] if stated else [])]
     return Table("Fitted runs, root mean square over speeds and runs", header, rows)
@@ -132,7 +137,7 @@ def _list_parameters(content: ReportContent) -> list[Table]:
             unit = "deg"
         elif unit == "m":
             value, before, after, unit = 1e6 * value, 1e6 * before, 1e6 * after, "µm"
-        of = f"{str(kind).replace('_', ' ')} {table['of'][i]}".strip()
-        rows.append([of, unit, f"± {before:.3g}", write_number(value, after), f"{value / before:.2f}"])
+        label = f"{str(kind).replace('_', ' ')} {table['of'][i]}".strip()
+        rows.append([label, unit, f"± {before:.3g}", write_number(value, after), f"{value / before:.2f}"])
     header = ["parameter", "unit", "before the fit", "found", "found over its tolerance"]
     return [Table("Uncertain numbers of the model, change against what was stated", header, rows)]

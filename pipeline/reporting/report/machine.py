@@ -19,14 +19,14 @@ def describe_machine(content: ReportContent) -> Section:
     """Sketch, bearings, probes and runs."""
     rotor = content.measurement.rotor
     source = content.config.machine.rotor.file
-    words = (
+    text = (
         f"Rotor of {rotor.total_mass:.4g} kg, {count(rotor.n_nodes, 'node')} over {rotor.positions[-1]:.4g} m"
         + (f", from the file {source}" if source else "")
         + f"; {count(len(rotor.bearing_nodes), 'bearing')}, {count(len(rotor.disc_nodes), 'disc')}, "
         f"{count(len(content.probes), 'probe')}. Node numbers start at 0."
     )
     return Section(
-        "machine", "Machine", (Paragraph(words), _draw_sketch(content), _list_probes(content), _list_runs(content))
+        "machine", "Machine", (Paragraph(text), _draw_sketch(content), _list_probes(content), _list_runs(content))
     )
 
 
@@ -36,9 +36,9 @@ def _draw_sketch(content: ReportContent) -> Figure:
     curves = [*_draw_shaft(content), *_draw_discs(content)]
     curves.append(Curve(x, np.zeros(len(x)), "node", BLACK, "none", ".", named=False))
     bearings = x[list(rotor.bearing_nodes)]
-    words = tuple(f"node {node}" for node in rotor.bearing_nodes)
+    labels = tuple(f"node {node}" for node in rotor.bearing_nodes)
     for side in (-1, 1):
-        label, said = ("bearing", words) if side < 0 else ("", ())
+        label, said = ("bearing", labels) if side < 0 else ("", ())
         curves.append(
             Curve(
                 bearings,
@@ -78,8 +78,8 @@ def _draw_shaft(content: ReportContent) -> list[Curve]:
     for i, segment in enumerate(shaft):
         ends = segment.outer_diameter / largest, (segment.end_diameter or segment.outer_diameter) / largest
         outline = np.array([ends[0], ends[1], -ends[1], -ends[0], ends[0]])
-        along = start + segment.length * np.array([0, 1, 1, 0, 0])
-        curves.append(Curve(along, outline, "shaft", GREY, filled=True, named=i == 0, width=1.0))
+        places = start + segment.length * np.array([0, 1, 1, 0, 0])
+        curves.append(Curve(places, outline, "shaft", GREY, filled=True, named=i == 0, width=1.0))
         start += segment.length
     return curves
 

@@ -72,10 +72,10 @@ def _draw_bode(content: ReportContent) -> Figure:
         above, below = [], []
         drawn: list[tuple[np.ndarray, np.ndarray, dict[str, Any]]] = []
         if baseline is not None:
-            found: dict[str, Any] = {"colour": GREY, "dash": "dot", "width": 1.2}
-            found["label"] = f"{content.config.data.baseline} (as found)"
+            style: dict[str, Any] = {"colour": GREY, "dash": "dot", "width": 1.2}
+            style["label"] = f"{content.config.data.baseline} (as found)"
             states = split_states(content.dataset.speeds, content.dataset.operating)
-            drawn += [(points, (baseline @ probe.weights)[points], found) for _, points in states]
+            drawn += [(points, (baseline @ probe.weights)[points], style) for _, points in states]
         for r in content.shown_runs:
             vectors = vectors_of(content, probe, r)
             drawn += [(points, vectors[points], look | {"marker": few}) for points, look in content.traces(r)]
@@ -109,10 +109,10 @@ def _draw_polar(content: ReportContent) -> Figure:
                 if len(curves) > 1:
                     continue
                 ticks = _space_evenly(vectors)
-                words = tuple(f"{content.rpm[s]:.0f}" for s in points[ticks])
+                labels = tuple(f"{content.rpm[s]:.0f}" for s in points[ticks])
                 at = vectors[ticks]
                 curves.append(
-                    Curve(-np.degrees(np.angle(at)), np.abs(at), "", BLACK, "none", ".", words=words, named=False)
+                    Curve(-np.degrees(np.angle(at)), np.abs(at), "", BLACK, "none", ".", words=labels, named=False)
                 )
         panels.append(Panel(_title(probe), "", (Axes(tuple(curves), AMPLITUDE, amplitude=True),), polar=probe.angle))
     caption = (
@@ -162,9 +162,9 @@ def _draw_orbit(vector: np.ndarray, look: dict[str, Any], reach: float) -> list[
     x, y = ((v * turn).real for v in vector)
     colour = look["colour"]
     tangent, place = np.array([x[31] - x[29], y[31] - y[29]]), np.array([x[30], y[30]])
-    along = tangent / (np.linalg.norm(tangent) or 1.0) * 0.07 * reach
-    across = np.array([-along[1], along[0]]) * 0.6
-    head = np.stack([place - along + across, place + along, place - along - across, place - along + across])
+    arrow = tangent / (np.linalg.norm(tangent) or 1.0) * 0.07 * reach
+    across = np.array([-arrow[1], arrow[0]]) * 0.6
+    head = np.stack([place - arrow + across, place + arrow, place - arrow - across, place - arrow + across])
     return [
         Curve(x, y, **look),
         Curve(head[:, 0], head[:, 1], "", colour, filled=True, named=False),
@@ -182,10 +182,10 @@ def _draw_waveforms(content: ReportContent) -> list[Figure]:
         "ones against it. Levels are powers of ten of the amplitude in µm pk-pk."
     )
     figures = [Figure("spectra", caption, panels)]
-    moved = [waveform for waveform in content.waveforms if np.ptp(waveform.centre, axis=0).max() > _LEAST_MOVE]
-    if moved:
+    centrelines = [waveform for waveform in content.waveforms if np.ptp(waveform.centre, axis=0).max() > _LEAST_MOVE]
+    if centrelines:
         caption = "Mean position of the shaft from the DC part of the probes, against the lowest speed (square)."
-        figures.append(Figure("centreline", caption, tuple(_draw_centreline(one) for one in moved)))
+        figures.append(Figure("centreline", caption, tuple(_draw_centreline(waveform) for waveform in centrelines)))
     return figures
 
 

@@ -26,10 +26,10 @@ _RPM, _HERTZ = "rotor speed (rpm)", "frequency_std_hz"
 
 def describe_modes(content: ReportContent) -> Section | None:
     """Critical speeds, Campbell diagram and stability map; None without a fit."""
-    fit, found = content.fit, content.files.get("prediction", {}).get("identified")
-    if fit is None or found is None:
+    fit, identified = content.fit, content.files.get("prediction", {}).get("identified")
+    if fit is None or identified is None:
         return None
-    stability, rpm = found["stability"], to_rpm(fit.modes.speeds)
+    stability, rpm = identified["stability"], to_rpm(fit.modes.speeds)
     said = "stable" if stability["stable"] else "UNSTABLE"
     known = stability.get("largest_growth_std")  # of a machine at rest in a mode: rounding
     growth = write_number(stability["largest_growth"], known if known and known > _ROUNDING else None, 3)
@@ -50,45 +50,45 @@ def describe_modes(content: ReportContent) -> Section | None:
     running = content.config.machine.prediction.speed_rpm
     text += f"Separation margins are from {running:.6g} rpm (machine.prediction.speed_rpm), in percent of it."
     blocks: list[Block] = [Paragraph(text, warning=not stability["stable"]), *_warn_beyond(fit)]
-    blocks.append(_list_critical_speeds(rpm, found))
-    figures = () if len(rpm) < 2 else (_draw_campbell(content, fit, found), _draw_stability(content, fit))
+    blocks.append(_list_critical_speeds(rpm, identified))
+    figures = () if len(rpm) < 2 else (_draw_campbell(content, fit, identified), _draw_stability(content, fit))
     return Section("modes", "Critical speeds and stability", (*blocks, *figures))
 
 
 def _warn_beyond(fit: FitContent) -> list[Paragraph]:
     """What lies outside the measured conditions."""
     rest = "the bands grow there, and rest on the model of the coefficients alone."
-    return [Paragraph(f"{words[0].upper()}{words[1:]}: {rest}", warning=True) for words in fit.beyond]
+    return [Paragraph(f"{text[0].upper()}{text[1:]}: {rest}", warning=True) for text in fit.beyond]
 
 
-def _list_critical_speeds(rpm: np.ndarray, found: Mapping[str, Any]) -> Table | Paragraph:
-    critical = found["critical_speeds"]
+def _list_critical_speeds(rpm: np.ndarray, identified: Mapping[str, Any]) -> Table | Paragraph:
+    critical = identified["critical_speeds"]
     if not critical:
         return Paragraph(
             f"No damped natural frequency equals the rotor speed between {rpm[0]:.6g} and {rpm[-1]:.6g} rpm."
         )
     rows = []
-    for number, one in critical.items():
-        decrement, known = one["logarithmic_decrement"], one.get("logarithmic_decrement_std")
-        factor, factor_known = one.get("amplification_factor"), one.get("amplification_factor_std")
+    for number, mode in critical.items():
+        decrement, known = mode["logarithmic_decrement"], mode.get("logarithmic_decrement_std")
+        factor, factor_known = mode.get("amplification_factor"), mode.get("amplification_factor_std")
         if factor is None and decrement > 0:
             factor, factor_known = np.pi / decrement, None if known is None else np.pi * known / decrement**2
-        margin, margin_known = one.get("separation_margin_percent"), one.get("separation_margin_percent_std")
+        margin, margin_known = mode.get("separation_margin_percent"), mode.get("separation_margin_percent_std")
         rows.append(
             [
                 number,
-                write_number(one["rpm"], one.get("rpm_std"), 6),
+                write_number(mode["rpm"], mode.get("rpm_std"), 6),
                 write_number(decrement, known),
                 write_number(factor, factor_known, 3),
                 write_number(margin, margin_known, 3),
-                write_number(one.get("separation_margin_required_percent"), digits=3),
+                write_number(mode.get("separation_margin_required_percent"), digits=3),
             ]
         )
     header = ["critical speed", "rpm", "log decrement", "amplification factor", "separation margin, %", "required, %"]
     return Table("Damped critical speeds", header, rows)
 
 
-def _draw_campbell(content: ReportContent, fit: FitContent, found: Mapping[str, Any]) -> Figure:
+def _draw_campbell(content: ReportContent, fit: FitContent, identified: Mapping[str, Any]) -> Figure:
     rpm = to_rpm(fit.modes.speeds)
     frequency = fit.modes.frequency / RAD_S_PER_RPM
     shown = np.nanmin(frequency, axis=0, initial=np.inf) <= 2.2 * rpm[-1]
@@ -104,7 +104,7 @@ def _draw_campbell(content: ReportContent, fit: FitContent, found: Mapping[str, 
         for i, k in enumerate(np.flatnonzero(shown))
     ]
     curves.append(Curve(rpm, rpm, "1X", BLACK, "solid", width=1.0))
-    crossings = np.array([one["rpm"] for one in found["critical_speeds"].values()])
+    crossings = np.array([mode["rpm"] for mode in identified["critical_speeds"].values()])
     if len(crossings):
         curves.append(Curve(crossings, crossings, "critical speed", BLACK, "none", "o"))
     axes = Axes(tuple(curves), "frequency (cycles/min)", y_range=(0.0, 2.2 * float(rpm[-1])))

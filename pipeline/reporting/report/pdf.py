@@ -164,7 +164,7 @@ def _draw_panel(drawing: Any, panel: Panel, box: tuple[float, float, float, floa
         ax = drawing.add_axes(box, projection="polar")
         ax.set_theta_offset(np.radians(panel.polar))
         ax.set_theta_direction(-1)
-        for curve in (one.thin() for one in panel.axes[0].curves):
+        for curve in (thick.thin() for thick in panel.axes[0].curves):
             _draw_curve(ax, curve, np.radians(curve.x), MICROMETRES_PEAK_TO_PEAK * curve.y)
         ax.set_title(panel.title, fontsize=8, loc="left", x=-0.3, y=1.04)
         ax.tick_params(labelsize=6)
@@ -173,9 +173,9 @@ def _draw_panel(drawing: Any, panel: Panel, box: tuple[float, float, float, floa
     shares = [1.7, *([1.0] * (len(panel.axes) - 1))]
     top = bottom + height
     for i, axes in enumerate(panel.axes):
-        part = (height - 0.03 * (len(shares) - 1)) * shares[i] / sum(shares)
-        ax = drawing.add_axes((left, top - part, width, part))
-        top -= part + 0.03
+        share = (height - 0.03 * (len(shares) - 1)) * shares[i] / sum(shares)
+        ax = drawing.add_axes((left, top - share, width, share))
+        top -= share + 0.03
         if panel.heat is not None:
             _draw_heat(drawing, ax, panel.heat)
         _draw_axes(ax, axes, panel)
@@ -192,7 +192,7 @@ def _draw_axes(ax: Any, axes: Axes, panel: Panel) -> None:
     scale_y = scale_x if panel.equal else MICROMETRES_PEAK_TO_PEAK if axes.amplitude else 1.0
     if axes.log:
         ax.set_yscale("log")
-    for curve in (one.thin() for one in axes.curves):
+    for curve in (thick.thin() for thick in axes.curves):
         _draw_curve(ax, curve, scale_x * curve.x, scale_y * curve.y, scale_y)
     ax.set_ylabel(axes.y_title, labelpad=2)
     if axes.y_range is not None:

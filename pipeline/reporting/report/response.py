@@ -51,7 +51,7 @@ def _verify(content: ReportContent) -> list[Paragraph | Table]:
     assert fit is not None
     turning = [r for r in content.shown_runs if synchronous(data.frequencies[:, r], data.speeds).all()]
     for r in turning:
-        if any(one.kind != "unbalance" for one in data.excitation_of(r)):
+        if any(excitation.kind != "unbalance" for excitation in data.excitation_of(r)):
             continue
         for probe, (points, look) in itertools.product(content.shown_probes, content.traces(r)):
             rpm = content.rpm[points]

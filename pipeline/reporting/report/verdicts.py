@@ -11,29 +11,34 @@ from pipeline.reporting.report.section import Cell, Mark, Paragraph, Section, Ta
 
 def describe_verdicts(content: ReportContent) -> Section:
     """What can be trusted, why, and what to do next; one sentence where nothing has judged."""
-    found = content.files.get("verdicts")
+    judged = content.files.get("verdicts")
     title = "Can this be trusted?"
-    if not found:
+    if not judged:
         return Section("verdicts", title, (Paragraph("No verdicts were written: stage=verdict makes them."),))
     blocks: list[Paragraph | Table] = []
-    machine = found.get("machine")
+    machine = judged.get("machine")
     if machine:
         said = f"The machine as a whole: {machine['verdict']}. {_join(machine)}"
         blocks.append(Paragraph(said, warning=machine["verdict"] != "good"))
     bearings: list[list[Cell]] = [
-        [f"node {one['node']}", Mark(one["verdict"], one["verdict"]), one.get("reason") or "", one.get("next") or ""]
-        for one in found.get("bearings", [])
+        [
+            f"node {bearing['node']}",
+            Mark(bearing["verdict"], bearing["verdict"]),
+            bearing.get("reason") or "",
+            bearing.get("next") or "",
+        ]
+        for bearing in judged.get("bearings", [])
     ]
     if bearings:
         blocks.append(_make_table("Bearings", ["bearing", "verdict", "why", "next step"], bearings))
     rows: list[list[Cell]] = [
         [
-            f"node {one['node']} {one['coefficient']}",
-            Mark(one["verdict"], one["verdict"]),
-            " ".join(one.get("reasons", [])),
-            one.get("next") or "",
+            f"node {bearing['node']} {bearing['coefficient']}",
+            Mark(bearing["verdict"], bearing["verdict"]),
+            " ".join(bearing.get("reasons", [])),
+            bearing.get("next") or "",
         ]
-        for one in found.get("verdicts", [])
+        for bearing in judged.get("verdicts", [])
     ]
     blocks.append(_make_table("Coefficients", ["coefficient", "verdict", "why", "next step"], rows))
     return Section("verdicts", title, tuple(blocks))
@@ -45,5 +50,5 @@ def _make_table(caption: str, header: list[str], rows: list[list[Cell]]) -> Tabl
     return Table(caption, header[:last], [row[:last] for row in rows])
 
 
-def _join(one: Mapping[str, Any]) -> str:
-    return " ".join(text for text in (one.get("reason"), one.get("next")) if text)
+def _join(entry: Mapping[str, Any]) -> str:
+    return " ".join(text for text in (entry.get("reason"), entry.get("next")) if text)
