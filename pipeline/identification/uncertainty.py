@@ -21,6 +21,7 @@ from pipeline.data.noise import NOMINAL_95
 from pipeline.errors import DataError
 from pipeline.files import write_beside
 from pipeline.identification.basis_error import evaluate_local
+from pipeline.identification.blocks import Places
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.inputs import points_of
 
@@ -96,21 +97,27 @@ class Uncertainty:
         return np.where(unknowns.identified[:, None], deviation, np.nan)
 
     @property
+    def places(self) -> Places:
+        """Where the blocks lie among the weights, local functions among those of the coefficients."""
+        coefficients = len(self.active) * (self.weights.shape[-1] + self.n_local)
+        n_planes, n_parameters = len(self.planes), len(self.parameters)
+        numbers = len(self.covariance) - coefficients - 2 * n_planes - n_parameters
+        return Places(coefficients, numbers, n_planes, n_parameters)
+
+    @property
     def of_machine(self) -> np.ndarray:
         """Covariance of what coefficients follow from (A (K + L) + Th) and of model parameters (T), without planes."""
-        last = len(self.covariance) - len(self.parameters)
-        places = np.r_[: last - 2 * len(self.planes), last : len(self.covariance)]
+        places = np.r_[: self.places.numbers.stop, self.places.parameters]
         return np.asarray(self.covariance[np.ix_(places, places)])
 
     def unbalance_deviation(self) -> np.ndarray:
         """(N,) standard deviation of the residual unbalance's magnitude, kg m: the mean one of its two parts."""
-        last = len(self.covariance) - len(self.parameters)
-        variance = np.diag(self.covariance)[last - 2 * len(self.planes) : last].reshape(-1, 2).mean(axis=1)
+        variance = np.diag(self.covariance)[self.places.planes].reshape(-1, 2).mean(axis=1)
         return np.asarray(self.plane_scale * np.sqrt(variance))
 
     def parameter_deviation(self) -> np.ndarray:
         """(T,) posterior standard deviation of the model parameters, in prior ones."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)[len(self.covariance) - len(self.parameters) :]))
+        return np.asarray(np.sqrt(np.diag(self.covariance)[self.places.parameters]))
 
 
 def uncertainty_of(fit: OutputErrorFit, inflation: float = 1.0) -> Uncertainty:
