@@ -60,7 +60,9 @@ class IdentifyConfig(Section):
     ``bearings`` has exceptions by node; ``shared`` makes all bearings alike. With ``unbalance_planes`` a residual
     unbalance at these nodes is identified too, with ``model_parameters`` uncertain numbers of rotor, weights and probes
     (loss ``response``); a coupling that they name acts at ``coupling_node``. ``known_within`` is a factor: so near to
-    their initial guess coefficients are expected, one standard deviation of the logarithm (loss ``response``).
+    their initial guess coefficients are expected, one standard deviation of the logarithm (loss ``response``). With
+    ``usual_tolerances`` what is never known exactly of shaft, weights and probes, and is not among the model
+    parameters, widens all deviations.
     """
 
     unknowns: tuple[CoefficientName, ...] = Field(min_length=1)
@@ -69,6 +71,7 @@ class IdentifyConfig(Section):
     unbalance_planes: tuple[NonNegativeInt, ...] = ()
     model_parameters: ModelParametersConfig = ModelParametersConfig()
     coupling_node: NonNegativeInt = 0
+    usual_tolerances: bool = True
     known_within: Annotated[float, Field(gt=1)] | None = None
     bearings: dict[NonNegativeInt, OneBearingConfig] = Field(default_factory=dict)
 

@@ -53,6 +53,7 @@ class MeanSquareError:
 
     matrix: np.ndarray  # (Z + A L, Z + A L)
     places: Places  # of the blocks in it, local functions among the coefficients'
+    fitted: np.ndarray  # (Z,) where the weights of the fit lie in it
     n_local: int  # L
     deviation: np.ndarray  # (A,) tau
 
@@ -87,21 +88,21 @@ def measure_error(problem: OutputError, weights: torch.Tensor, covariance: np.nd
     count = count_local(problem.basis.model, len(np.unique(points[SPEED])))
     n_active = len(problem.kept)
     if not count:
-        return MeanSquareError(covariance, problem.places, 0, np.zeros(n_active))
+        return MeanSquareError(covariance, problem.places, np.arange(problem.size), 0, np.zeros(n_active))
     gradient, matrix, local = _expand(problem, weights, evaluate_local(problem.basis.model, points, count))
     by_fit = covariance @ matrix[np.ix_(~local, local)]  # (Z, A L): how the fitted weights follow the local ones
     information = matrix[np.ix_(local, local)] - matrix[np.ix_(local, ~local)] @ by_fit
     score = -(gradient[local] - by_fit.T @ gradient[~local])
     variance, moment = _maximise_likelihood(information, score, n_active)
     if problem.measurement.laws is not None and _is_chance(information, score, variance):
-        return MeanSquareError(covariance, problem.places, 0, np.zeros(n_active))
+        return MeanSquareError(covariance, problem.places, np.arange(problem.size), 0, np.zeros(n_active))
     error = np.zeros_like(matrix)
     error[np.ix_(~local, ~local)] = covariance + by_fit @ moment @ by_fit.T
     error[np.ix_(~local, local)] = by_fit @ moment
     error[np.ix_(local, ~local)] = (by_fit @ moment).T
     error[np.ix_(local, local)] = moment
     wider = replace(problem.places, n_coefficients=problem.places.n_coefficients + n_active * count)
-    return MeanSquareError(error, wider, count, np.sqrt(variance))
+    return MeanSquareError(error, wider, np.flatnonzero(~local), count, np.sqrt(variance))
 
 
 def _expand(

@@ -14,6 +14,7 @@ from pipeline.identification.law_term import Corrected, law_term
 from pipeline.identification.model import CoefficientModel
 from pipeline.identification.outcome import Outcome
 from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.parameters import ModelParameter
 from pipeline.unknowns import UnknownSet
 
 if TYPE_CHECKING:
@@ -93,6 +94,15 @@ class PhysicalNumber:
         return self.share < 0.5 * float(np.log(self.within))
 
 
+@dataclass(frozen=True)
+class FittedParameter:
+    """An uncertain number of the model after the fit, in prior standard deviations."""
+
+    parameter: ModelParameter
+    value: float  # 0 is what was stated
+    deviation: float  # posterior; 1 where the data tell nothing of it
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Fit:
     """The answer of a fit, of whatever loss."""
@@ -107,6 +117,7 @@ class Fit:
     uncertainty: Uncertainty | None  # None for a loss that states no deviations
     quality: Quality
     numbers: tuple[PhysicalNumber, ...] = ()  # of the bearing laws
+    parameters: tuple[FittedParameter, ...] = ()  # uncertain ones of the model
 
     def table(self, known: BearingTable) -> BearingTable:
         """All eight coefficients at the speeds of ``known``, N/m and N s/m."""

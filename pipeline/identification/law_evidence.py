@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from pipeline.identification.identified import PhysicalNumber
 
 if TYPE_CHECKING:
     from pipeline.identification.output_error_fit import OutputErrorFit
 
 
-def describe_laws(fit: OutputErrorFit) -> dict[str, Any]:
+def describe_laws(fit: OutputErrorFit, numbers: Sequence[PhysicalNumber]) -> dict[str, Any]:
     """Parts of ``metrics.json`` and ``training.json``; SI.
 
     ``physical_numbers`` by name; ``law`` says how many guesses were tried and how many ended at this answer, and the
@@ -31,7 +34,7 @@ def describe_laws(fit: OutputErrorFit) -> dict[str, Any]:
                 "guess": number.guess,
                 "determined": number.determined,
             }
-            for number in fit.numbers()
+            for number in numbers
         },
         "law": {"outside_table": {str(node): float(share) for node, share in zip(laws.nodes, outside, strict=True)}},
     }

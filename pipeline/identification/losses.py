@@ -155,28 +155,14 @@ class OutputErrorLoss:
         diagnosis: Diagnosis | None = None,
     ) -> Fit:
         """The fit by its rounds of precisions."""
-        from pipeline.identification.quality import output_error_quality
-        from pipeline.identification.uncertainty import uncertainty_of
+        from pipeline.identification.answer import conclude
 
         measurement = for_model(measurement, setup)
         if not setup.force and measurement.laws is not None:
             require_temperatures(measurement.laws, measurement.dataset.operating)
         elif not setup.force:
             require_identifiable((diagnosis or self.diagnose(measurement, setup)).reports)
-        sensors = fit_sensors(measurement, setup, progress)
-        quality = output_error_quality(sensors)
-        return Fit(
-            model=sensors.identified,
-            outcome=sensors.minimum.outcomes[0],
-            loss=float(sensors.problem.loss(sensors.weights)),
-            held_out_loss=None,
-            steps=sensors.minimum.steps,
-            seconds=sensors.minimum.seconds,
-            history=sensors.minimum.history,
-            uncertainty=uncertainty_of(sensors, quality.inflation if setup.loss.noise == "estimated" else 1.0),
-            quality=quality,
-            numbers=sensors.numbers(),
-        )
+        return conclude(fit_sensors(measurement, setup, progress))
 
 
 def fit_sensors(measurement: Measurement, setup: FitSetup, progress: Progress | None = None) -> OutputErrorFit:

@@ -18,7 +18,7 @@ from pipeline.data.dataset import Excitation
 from pipeline.errors import ConfigError
 from pipeline.identification.basis_error import MeanSquareError, measure_error
 from pipeline.identification.evidence_prior import weigh_by_evidence, with_sigma
-from pipeline.identification.identified import IdentifiedModel, PhysicalNumber
+from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.information import invert_information
 from pipeline.identification.outcome import Outcome
 from pipeline.identification.output_error_start import OutputErrorStart, prepare_output_error
@@ -26,7 +26,6 @@ from pipeline.identification.problem import OutputError
 from pipeline.identification.selection import add_features, drop_features
 from pipeline.identification.training import FitSetup, Minimum, Progress, minimise
 from pipeline.problem.measurement import Measurement
-from pipeline.rotor.parameters import ModelParameter
 
 if TYPE_CHECKING:
     import torch
@@ -39,15 +38,6 @@ _CHOICE = 1
 """The round after which superfluous features are dropped: the precisions are nearly right by then."""
 _NO_WORSE = 2.0
 """So many times the loss before, dropping them may raise it to."""
-
-
-@dataclass(frozen=True)
-class FittedParameter:
-    """An uncertain number of the model after the fit, in prior standard deviations."""
-
-    parameter: ModelParameter
-    value: float  # 0 is what was stated
-    deviation: float  # posterior; 1 where the data tell nothing of it
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -81,31 +71,6 @@ class OutputErrorFit:
     def error(self) -> MeanSquareError:
         """What the weights are off by: their covariance, and what the functions of the speed can't follow."""
         return measure_error(self.problem, self.weights, self.covariance())
-
-    def numbers(self) -> tuple[PhysicalNumber, ...]:
-        """The numbers of the bearing laws; none without laws."""
-        laws = self.problem.measurement.laws
-        if laws is None:
-            return ()
-        spread = np.sqrt(np.diag(self.error.matrix)[self.error.places.numbers])
-        values = laws.numbers(self.problem.theta(self.weights)[0].numpy())
-        return tuple(
-            PhysicalNumber(
-                parameter.name, float(value), float(value * share), parameter.unit, parameter.guess, parameter.within
-            )
-            for parameter, value, share in zip(laws.parameters, values, spread, strict=True)
-        )
-
-    def model_parameters(self) -> tuple[FittedParameter, ...]:
-        """T, each with its posterior."""
-        values = self.problem.model_parameters(self.weights)[0].numpy()
-        variance = np.diag(self.error.matrix)[self.error.places.parameters]
-        every = zip(self.problem.measurement.parameters, values, np.sqrt(variance), strict=True)
-        return tuple(FittedParameter(parameter, float(value), float(spread)) for parameter, value, spread in every)
-
-    def residual_unbalance(self) -> np.ndarray:
-        """(N,) complex, kg m."""
-        return np.asarray(self.problem.unbalance(self.weights)[0].numpy())
 
 
 def fit_output_error(measurement: Measurement, setup: FitSetup, progress: Progress | None = None) -> OutputErrorFit:

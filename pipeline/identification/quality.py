@@ -16,8 +16,7 @@ import numpy as np
 
 from pipeline.data.dataset import name_direction
 from pipeline.identification.identified import IdentifiedModel
-from pipeline.identification.law_evidence import describe_laws
-from pipeline.identification.output_error_fit import FittedParameter, OutputErrorFit
+from pipeline.identification.output_error_fit import OutputErrorFit
 from pipeline.identification.problem import OutputError
 from pipeline.problem.condition_noise import NAMED
 from pipeline.problem.measurement import Measurement
@@ -49,8 +48,7 @@ class Quality:
 
     summary: Mapping[str, Any]  # part of metrics.json
     bad_points: tuple[BadPoint, ...] = field(default=())
-    inflation: float = 1.0  # of the variances, where neighbouring speeds deviate together
-    model_parameters: tuple[FittedParameter, ...] = ()
+    inflation: float = 1.0  # of the variances, by the deviations' size and their correlation over the speed
 
     @property
     def misfit(self) -> float | None:
@@ -88,7 +86,7 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
     value, readings = chi_square(plain), sum(block.size for block in plain)
     if fit.problem.measurement.dataset.present is not None:
         readings = fit.problem.measurement.dataset.n_readings
-    posterior = fit.model_parameters()
+    parameters = fit.problem.model_parameters(fit.weights)[0]
     # What the data do not tell of a weight its prior does: it takes no reading away.
     by_prior = np.einsum("zy,yz->z", fit.covariance(), fit.problem.prior.information().numpy())
     used = fit.problem.n_fitted - float(by_prior.sum())
@@ -104,10 +102,10 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
     # With levels, the model's own error is common to all conditions: its size and order are no draws of a noise.
     levels = fit.problem.measurement.drift is not None
     stated = np.allclose(fit.factor, 1.0) and not levels
-    square = 2 * value + sum(block.value**2 for block in posterior)
+    square = 2 * value + float(parameters.square().sum())
     # A guess of a law's number is no reading: that it was off speaks against nothing.
     told_before = by_prior[: fit.problem.places.numbers.stop].sum()
-    freedom = 2 * readings + len(posterior) - fit.problem.n_fitted + told_before
+    freedom = 2 * readings + len(parameters) - fit.problem.n_fitted + told_before
     summary["mismatch"] = mismatch(square if stated else None, freedom, np.nan if levels else significance)
     for name, other in (("held_out_speeds", fit.start.held_out_speeds), ("held_out_runs", fit.start.held_out_runs)):
         if other is not None:
@@ -118,19 +116,29 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
             f"node {node} {name_direction(angle)}": float(f)
             for (node, angle), f in zip(channels, fit.factor, strict=True)
         }
-    whole: dict[str, object] = {"fit": summary}
-    if fit.problem.measurement.laws is not None:
-        whole |= describe_laws(fit)
-    if posterior:
-        whole["model_parameters"] = {
-            block.parameter.name: {
-                "prior_deviation": block.parameter.deviation,
-                "value": block.value * block.parameter.deviation,
-                "deviation": block.deviation * block.parameter.deviation,
-            }
-            for block in posterior
-        }
-    return Quality(whole, bad, variance_inflation(correlation), posterior)
+    estimated = not np.allclose(fit.factor, 1.0)
+    return Quality({"fit": summary}, bad, inflation_of(summary, estimated))
+
+
+def inflation_of(fit: Mapping[str, Any], estimated: bool) -> float:
+    """How much larger the variances are than the fit says: by its deviations' size (Birge 1932) and their correlation.
+
+    Correlated deviations of the stated size are noise that wanders; larger ones are a model that does not fit. Where
+    the noise is ``estimated``, their size is in it already.
+    """
+    square, whiteness = fit["chi_square"], fit["whiteness"]
+    correlated = variance_inflation(whiteness["autocorrelation"])
+    if estimated:
+        return correlated
+    ratio = max(1.0, square["value"] / max(square["expected"], 1.0))
+    white = whiteness["over_its_deviation"] < _SIGNIFICANT
+    return float(ratio if white or ratio > SMALL_MISFIT else ratio * correlated)
+
+
+SMALL_MISFIT = 1.5
+"""Chi-square over what is expected: what is left over is then below the noise, and the bands are wider by it."""
+_SIGNIFICANT = 1.645
+"""Deviations of a normal value, on one side, that 5 of 100 exceed."""
 
 
 def mismatch(square: float | None, freedom: float, whiteness: float) -> dict[str, float | None]:

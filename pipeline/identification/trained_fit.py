@@ -72,7 +72,9 @@ class TrainedFit(OutputErrorFit):
     @property
     def error(self) -> MeanSquareError:
         """The scatter: networks of their own follow what the mean can't."""
-        return MeanSquareError(self.scatter, self.problem.places, 0, np.zeros(len(self.problem.active)))
+        return MeanSquareError(
+            self.scatter, self.problem.places, np.arange(self.problem.size), 0, np.zeros(len(self.problem.active))
+        )
 
 
 def train_hidden(fit: OutputErrorFit, setup: FitSetup, progress: Progress | None = None) -> TrainedFit:

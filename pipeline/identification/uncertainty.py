@@ -23,7 +23,10 @@ from pipeline.files import write_beside
 from pipeline.identification.basis_error import evaluate_local
 from pipeline.identification.blocks import Places
 from pipeline.identification.identified import IdentifiedModel
+from pipeline.identification.information import invert_information
 from pipeline.identification.inputs import points_of
+from pipeline.identification.quality import Quality
+from pipeline.identification.tolerances import Unfitted, measure_tolerances
 
 if TYPE_CHECKING:
     from pipeline.identification.output_error_fit import OutputErrorFit
@@ -45,6 +48,7 @@ class Uncertainty:
     plane_scale: float  # kg m of a weight of 1
     parameters: np.ndarray  # (T,) model parameters, in prior deviations
     n_local: int  # L
+    unfitted: Unfitted  # the part of the covariance that is of tolerances
 
     def sensitivity(
         self, identified: IdentifiedModel, speeds: np.ndarray, operating: Mapping[str, np.ndarray] | None = None
@@ -75,19 +79,23 @@ class Uncertainty:
         return result
 
     def deviation(
-        self, identified: IdentifiedModel, speeds: np.ndarray, operating: Mapping[str, np.ndarray] | None = None
+        self,
+        identified: IdentifiedModel,
+        speeds: np.ndarray,
+        operating: Mapping[str, np.ndarray] | None = None,
+        covariance: np.ndarray | None = None,
     ) -> np.ndarray:
         """(B, S, 8) standard deviations, N/m and N s/m; NaN for coefficients that were not identified.
 
         A coefficient that is an exponential has a log-normal error: its deviation is that whose nominal 95 % interval
         has the upper end of the log-normal one. The two differ where the coefficient is known to a few tens of percent.
+        ``covariance`` (Z, Z) is a part of the whole one, which is the default.
         """
+        whole = self.covariance if covariance is None else covariance
         with np.errstate(over="ignore", invalid="ignore"):  # of coefficients that ran away
             by_weights = self.sensitivity(identified, speeds, operating)
             outer = by_weights.shape[-1]
-            variance = np.einsum(
-                "bscz,zy,bscy->bsc", by_weights, self.covariance[:outer, :outer], by_weights, optimize=True
-            )
+            variance = np.einsum("bscz,zy,bscy->bsc", by_weights, whole[:outer, :outer], by_weights, optimize=True)
             deviation = np.sqrt(np.maximum(variance, 0.0))
             unknowns, identified_values = identified.unknowns, identified.values(speeds, operating)
             values = np.abs(unknowns.expand(identified_values[: unknowns.n_members], np.zeros_like(deviation)))
@@ -95,6 +103,11 @@ class Uncertainty:
             positive = np.abs(unknowns.expansion[..., list(identified.model.positive)]).sum(axis=-1)  # (B, 8)
             deviation = np.where(positive[:, None] > 0, values * np.expm1(NOMINAL_95 * share) / NOMINAL_95, deviation)
         return np.where(unknowns.identified[:, None], deviation, np.nan)
+
+    @property
+    def of_fit(self) -> np.ndarray:
+        """(Z, Z) covariance without the tolerances: noise, misfit, and what the functions of the speed can't follow."""
+        return np.asarray(self.covariance - self.unfitted.covariance())
 
     @property
     def places(self) -> Places:
@@ -120,18 +133,22 @@ class Uncertainty:
         return np.asarray(np.sqrt(np.diag(self.covariance)[self.places.parameters]))
 
 
-def uncertainty_of(fit: OutputErrorFit, inflation: float = 1.0) -> Uncertainty:
-    """The uncertainty of a fit; ``inflation`` of the variances is for readings that do not deviate independently."""
-    problem = fit.problem
+def uncertainty_of(fit: OutputErrorFit, quality: Quality) -> Uncertainty:
+    """The uncertainty of a fit: of noise and functions, as much wider as its deviations say, and of the tolerances."""
+    problem, error = fit.problem, fit.error
+    misfit = 1.0 if quality.misfit is None else max(1.0, quality.misfit)
+    inverse = invert_information(problem, fit.weights)[0]
+    unfitted = measure_tolerances(problem, fit.weights, inverse, misfit, error.fitted, len(error.matrix))
     return Uncertainty(
         problem.basis.weights.numpy(),
         np.array(problem.active, dtype=np.int64).reshape(-1, 2),
-        inflation * fit.error.matrix,
-        fit.residual_unbalance(),
+        quality.inflation * error.matrix + unfitted.covariance(),
+        np.asarray(problem.unbalance(fit.weights)[0].numpy()),
         np.array(problem.measurement.unknowns.planes, dtype=np.int64),
         problem.plane_scale,
         problem.model_parameters(fit.weights)[0].numpy(),
-        fit.error.n_local,
+        error.n_local,
+        unfitted,
     )
 
 
@@ -154,6 +171,9 @@ def _parts(uncertainty: Uncertainty) -> dict[str, np.ndarray]:
         "plane_scale": np.array([uncertainty.plane_scale]),
         "parameters": uncertainty.parameters,
         "n_local": np.array([uncertainty.n_local]),
+        "tolerance_kinds": uncertainty.unfitted.kinds,
+        "tolerance_moves": uncertainty.unfitted.moves,
+        "tolerances": uncertainty.unfitted.second,
     }
 
 
@@ -181,6 +201,7 @@ def load_uncertainty(folder: Path, identified: IdentifiedModel) -> Uncertainty |
             float(parts["plane_scale"][0]),
             parts["parameters"],
             int(parts["n_local"][0]),
+            Unfitted(parts["tolerance_kinds"], parts["tolerance_moves"], parts["tolerances"]),
         )
         size = (
             len(uncertainty.active) * (uncertainty.weights.shape[-1] + uncertainty.n_local)
@@ -188,7 +209,11 @@ def load_uncertainty(folder: Path, identified: IdentifiedModel) -> Uncertainty |
             + 2 * len(uncertainty.planes)
             + len(uncertainty.parameters)
         )
-        if uncertainty.covariance.shape != (size, size) or len(uncertainty.weights) != len(identified.parameters):
+        if (
+            uncertainty.covariance.shape != (size, size)
+            or len(uncertainty.unfitted.moves) != size
+            or len(uncertainty.weights) != len(identified.parameters)
+        ):
             raise ValueError("its numbers do not fit the model")
     except (OSError, SafetensorError, KeyError, IndexError, ValueError) as error:
         raise DataError(

@@ -59,6 +59,7 @@ class Measurement:
     _: KW_ONLY
     parameters: tuple[ModelParameter, ...] = ()  # T, uncertain numbers of the model
     values: tuple[float, ...] = ()  # of them, in prior deviations, where the response is evaluated; none for all zero
+    tolerances: tuple[ModelParameter, ...] = ()  # further ones that are not fitted, but widen what is known
     drift: ConditionNoise | None = None  # noise in levels, of runs that are means of records; None for ``noise``
     laws: LawSet | None = None  # of the bearings, for models that are made of them
 
@@ -192,13 +193,18 @@ class Measurement:
         """The same with the response at other ``values`` (T,) of the model parameters, in prior deviations."""
         return replace(self, values=tuple(map(float, values)))
 
+    def with_tolerances(self) -> Measurement:
+        """The same with its :attr:`tolerances` among the model parameters, at what is stated of them."""
+        values = (*self.parameter_values.tolist(), *(0.0 for _ in self.tolerances))
+        return replace(self, parameters=(*self.parameters, *self.tolerances), values=values, tolerances=())
+
     def as_stated(self) -> Measurement:
         """The same with rotor and weights at the :attr:`values` of the model parameters, as if they were stated so."""
         if not self.parameters:
             return self
         data = update_excitations(self.dataset, self.parameters, self.parameter_values)
         rotor, known = self.updated_rotor, self.updated_known
-        return replace(self, rotor=rotor, dataset=data, known=known, parameters=(), values=())
+        return replace(self, rotor=rotor, dataset=data, known=known, parameters=(), values=(), tolerances=())
 
     def select(self, speeds: np.ndarray | None = None, runs: np.ndarray | None = None) -> Measurement:
         """The same at the ``speeds`` (mask or index) and for the ``runs`` (ascending indices); None for all."""

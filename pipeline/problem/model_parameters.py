@@ -8,7 +8,7 @@ Legend: T parameters, S speeds, P channels, R runs, B bearings, n lateral DOF. S
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -70,6 +70,30 @@ def model_parameters(
             )
         parameters += kind_parameters
     return tuple(parameters)
+
+
+USUAL = {
+    "youngs_modulus": 0.01,
+    "density": 0.005,
+    "unbalance_magnitude": 0.02,
+    "unbalance_phase": float(np.radians(2.0)),
+    "probe_gain": 0.02,
+    "probe_angle": float(np.radians(1.0)),
+}
+"""Standard deviations of what is never known exactly, where the configuration states none: steel varies by 1 %, a trial
+weight and its place are off by 2 % and 2 degrees (docs/model_error.md), the scale of a proximity probe by 5 % at most
+(API 670)."""
+
+
+def usual_tolerances(
+    stated: Collection[str], rotor: RotorModel, dataset: VibrationDataset, known: BearingTable, unknowns: UnknownSet
+) -> tuple[ModelParameter, ...]:
+    """The numbers of :data:`USUAL` that the machine has and whose kinds are not ``stated``."""
+    found = []
+    for kind, deviation in USUAL.items():
+        places = () if kind in stated else _places(kind, rotor, dataset, known, unknowns)
+        found += [ModelParameter(kind, deviation, *place) for place in places]
+    return tuple(found)
 
 
 _MISSING = {

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.identification.output_error_fit import FittedParameter
+from pipeline.identification.identified import FittedParameter
 from pipeline.reporting.console import table
 from pipeline.reporting.figures import open_figure
 from pipeline.rotor.parameters import UNITS

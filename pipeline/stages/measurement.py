@@ -23,7 +23,7 @@ from pipeline.laws.build import make_laws
 from pipeline.laws.law_set import LawSet
 from pipeline.problem.condition_noise import condition_noise, suffices, to_dataset
 from pipeline.problem.measurement import Guess, Measurement
-from pipeline.problem.model_parameters import model_parameters
+from pipeline.problem.model_parameters import model_parameters, usual_tolerances
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_rotor
@@ -98,7 +98,7 @@ def build_measurement(config: Config, rotor: RotorModel, dataset: VibrationDatas
         else:
             stated = stated.with_drift()
         dataset = to_dataset(conditions)
-    unknowns = identify.unknowns_of(rotor.bearing_nodes)
+    unknowns, stated_numbers = identify.unknowns_of(rotor.bearing_nodes), identify.model_parameters.deviations
     return Measurement(
         rotor,
         dataset,
@@ -108,9 +108,10 @@ def build_measurement(config: Config, rotor: RotorModel, dataset: VibrationDatas
         Guess(model.initial_stiffness, model.initial_damping, identify.known_within),
         drift=drift,
         laws=_laws_of(config, rotor),
-        parameters=model_parameters(
-            identify.model_parameters.deviations, rotor, dataset, known, unknowns, identify.coupling_node
-        ),
+        parameters=model_parameters(stated_numbers, rotor, dataset, known, unknowns, identify.coupling_node),
+        tolerances=usual_tolerances(stated_numbers, rotor, dataset, known, unknowns)
+        if identify.usual_tolerances
+        else (),
     )
 
 

@@ -23,12 +23,12 @@ from pipeline.errors import ConfigError
 from pipeline.evaluation.errors import CoefficientErrors, measure_coverage
 from pipeline.evaluation.physical_numbers import NumberError, measure_numbers
 from pipeline.files import write_json
+from pipeline.identification.answer import conclude
 from pipeline.identification.information import unknown_deviation
 from pipeline.identification.losses import fit_sensors, loss_of
 from pipeline.identification.output_error_start import start_at
-from pipeline.identification.quality import MISMATCH, output_error_quality
+from pipeline.identification.quality import MISMATCH
 from pipeline.identification.training import setup_of
-from pipeline.identification.uncertainty import uncertainty_of
 from pipeline.processes import open_pool
 from pipeline.reporting.console import count_progress, say, table
 from pipeline.reporting.figures import draw_refits
@@ -66,8 +66,9 @@ def refit(config: Config, seed: int) -> Refit:
     known = replace(truth, values=np.where(asked, 0.0, truth.values))  # the fit sees nothing of what it is to find
     measurement = build_measurement(config, rotor, read_probes(config, rotor, complete, seed), known)
     sensors = fit_sensors(measurement, setup_of(config))
-    quality, identified, unknowns = output_error_quality(sensors), sensors.identified, measurement.unknowns
-    uncertainty = uncertainty_of(sensors, quality.inflation if config.loss.noise == "estimated" else 1.0)
+    fitted, unknowns = conclude(sensors), measurement.unknowns
+    quality, identified, uncertainty = fitted.quality, fitted.model, fitted.uncertainty
+    assert uncertainty is not None
     answer = identified.table(update_measurement(measurement, uncertainty).updated_known)
     deviation = np.nan_to_num(uncertainty.deviation(identified, truth.speeds, truth.operating))
     elsewhere = model_unmeasured(config, truth.speeds)
@@ -97,7 +98,7 @@ def refit(config: Config, seed: int) -> Refit:
         if elsewhere is None
         else measure_unmeasured(identified.table(elsewhere), elsewhere, unknowns.by_bearing),
         numbers=measure_numbers(
-            {number.name: (number.value, number.deviation) for number in sensors.numbers()}, config.machine
+            {number.name: (number.value, number.deviation) for number in fitted.numbers}, config.machine
         ),
     )
 

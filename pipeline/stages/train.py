@@ -179,7 +179,7 @@ def _tabulate_unbalance(uncertainty: Uncertainty | None) -> dict[str, Any]:
 
 def _tabulate_parameters(fitted: Fit) -> dict[str, list[Any]]:
     """Prior deviation, and what the fit made of it: a share of the stated value, or in the unit."""
-    every = fitted.quality.model_parameters
+    every = fitted.parameters
     return {
         "kind": [number.parameter.kind for number in every],
         "of": [number.parameter.label for number in every],
@@ -209,8 +209,8 @@ def _report(config: Config, fitted: Fit) -> None:
         f"{fitted.steps} steps in {fitted.seconds:.1f} s\n"
         f"coefficients in '{locate_files(config).identified}'"
     )
-    if fitted.quality.model_parameters:
-        print_parameters(config.name, fitted.quality.model_parameters)
+    if fitted.parameters:
+        print_parameters(config.name, fitted.parameters)
     summary = fitted.quality.summary
     print_numbers(config.name, list_numbers(summary.get("physical_numbers", {}), config))
     for text in describe_law(summary, config.model.kind):

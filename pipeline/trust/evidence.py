@@ -13,7 +13,6 @@ import numpy as np
 
 from pipeline.data.noise import NOMINAL_95
 from pipeline.identification.identified import IdentifiedModel
-from pipeline.identification.quality import variance_inflation
 from pipeline.identification.uncertainty import Uncertainty
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
@@ -27,9 +26,9 @@ class Evidence:
 
     answer: BearingTable
     identified: np.ndarray  # (B, 8) mask of the coefficients that were identified
-    deviation: np.ndarray  # (B, S, 8) of the fit, wider where its residuals say so, N/m and N s/m
-    unfitted: np.ndarray  # (B, S, 8) one deviation of all that has a tolerance and was not fitted
-    tolerances: Mapping[str, np.ndarray]  # kind -> (B, S, 8) the same of each kind by itself
+    deviation: np.ndarray  # (B, S, 8) of the answer, N/m and N s/m: of noise, misfit and functions, and of tolerances
+    by_fit: np.ndarray  # (B, S, 8) the same without tolerances
+    tolerances: Mapping[str, np.ndarray]  # kind -> (B, S, 8) of each kind of tolerances by itself
     moves: Mapping[
         str, tuple[np.ndarray, np.ndarray]
     ]  # run or probe left out -> (B, S, 8) move, and what noise explains
@@ -45,8 +44,8 @@ class Evidence:
 
     @property
     def band(self) -> np.ndarray:
-        """(B, S, 8) half the 95 % interval, with the tolerances of what was not fitted."""
-        return np.asarray(NOMINAL_95 * np.hypot(self.deviation, self.unfitted))
+        """(B, S, 8) half the 95 % interval."""
+        return np.asarray(NOMINAL_95 * self.deviation)
 
     @property
     def misfit(self) -> float:
@@ -86,9 +85,11 @@ def gather(
     linear = linearise(measurement, identified, uncertainty, fitted, factor)
     answer = identified.table(measurement.updated_known)
     growth, unstable = find_growth(measurement, answer)
-    deviation = uncertainty.deviation(identified, answer.speeds, answer.operating)
-    left = float(np.mean(np.abs(linear.residual[fitted]) ** 2))
-    unfitted, tolerances = linear.tolerances(max(1.0, left))
+    unfitted = uncertainty.unfitted
+
+    def deviate(covariance: np.ndarray | None = None) -> np.ndarray:
+        return uncertainty.deviation(identified, answer.speeds, answer.operating, covariance)
+
     runs = measurement.dataset.runs
     used = [r for r in range(len(runs)) if fitted[..., r].any()]
     several, pairs = len(used) > 1, fitted.shape[1] > 2 * len(answer.nodes) - 1
@@ -96,9 +97,9 @@ def gather(
     return Evidence(
         answer=answer,
         identified=measurement.unknowns.identified,
-        deviation=deviation * np.sqrt(inflation_of(fit, estimated_noise)),
-        unfitted=unfitted,
-        tolerances=tolerances,
+        deviation=deviate(),
+        by_fit=deviate(uncertainty.of_fit),
+        tolerances={name: deviate(unfitted.of_kind(name).covariance()) for name in unfitted.names},
         moves={
             name: linear.leave_out(mask)
             for name, mask in (
@@ -127,26 +128,6 @@ def _of_probe(fitted: np.ndarray, probe: int) -> np.ndarray:
     mask = np.zeros_like(fitted)
     mask[:, probe] = fitted[:, probe]
     return mask
-
-
-def inflation_of(fit: Mapping[str, Any], estimated_noise: bool) -> float:
-    """How much larger the variances are than the fit says: by its residuals' size (Birge 1932) and their correlation.
-
-    Correlated residuals of the stated size are noise that wanders; larger ones are a model that does not fit, and the
-    deviations of the fit know of that already. A fit that estimates the noise has both in its deviations.
-    """
-    if estimated_noise:
-        return 1.0
-    square, whiteness = fit["chi_square"], fit["whiteness"]
-    ratio = max(1.0, square["value"] / max(square["expected"], 1.0))
-    white = whiteness["over_its_deviation"] < _SIGNIFICANT
-    return float(ratio if white or ratio > SMALL_MISFIT else ratio * variance_inflation(whiteness["autocorrelation"]))
-
-
-SMALL_MISFIT = 1.5
-"""Chi-square over what is expected: what is left over is then below the noise, and the bands are wider by it."""
-_SIGNIFICANT = 1.645
-"""Deviations of a normal value, on one side, that 5 of 100 exceed."""
 
 
 def find_growth(measurement: Measurement, answer: BearingTable) -> tuple[float, float | None]:

@@ -1,39 +1,24 @@
-"""A fit by the output error, linear about its answer: what a run, a probe or a tolerance does to each coefficient.
+"""A fit by the output error, linear about its answer: what a run or a probe does to each coefficient.
 
 With readings ``e`` over their noise that the fit leaves, and its derivative ``J`` by the weights z of the coefficients,
-leaving a run out moves the weights by ``(N - N_r)^-1 (b - b_r)`` with ``N = 2 Re J^H J`` and ``b = 2 Re J^H e``, and a
-machine that is one tolerance off, so that readings differ by ``V``, moves them by ``N^-1 2 Re J^H V``.
+leaving a run out moves the weights by ``(N - N_r)^-1 (b - b_r)`` with ``N = 2 Re J^H J`` and ``b = 2 Re J^H e``.
 
 Legend: S speeds, P channels, R runs, B bearings, Z weights, T parameters. SI units.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from pipeline.data.dataset import name_direction
-from pipeline.errors import ConfigError
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.uncertainty import Uncertainty
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.model_parameters import model_parameters
 from pipeline.problem.response import derive_by_parameters, respond
 from pipeline.rotor.bearing_table import BearingTable
-
-TOLERANCES = {
-    "youngs_modulus": 0.01,
-    "density": 0.005,
-    "unbalance_magnitude": 0.02,
-    "unbalance_phase": float(np.radians(2.0)),
-    "probe_gain": 0.02,
-    "probe_angle": float(np.radians(1.0)),
-}
-"""Standard deviations of what is never known exactly, where the configuration states none: steel varies by 1 %, a trial
-weight and its place are off by 2 % and 2 degrees (docs/model_error.md), the scale of a proximity probe by 5 % at most
-(API 670)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +27,6 @@ class LinearisedFit:
 
     residual: np.ndarray  # e, (S, P, R) complex, measured less predicted over the noise
     by_weight: np.ndarray  # J, (S, P, R, Z) complex, of the predicted readings over the noise
-    by_tolerance: dict[str, np.ndarray]  # V by kind, (S, P, R, T) complex, of one tolerance each
     coefficients: np.ndarray  # (B, S, 8, Z) derivative of the coefficients by the weights
     prior: np.ndarray  # (Z,) precision that the fit has without any reading
     fitted: np.ndarray  # (S, P, R) mask of the readings that were fitted
@@ -85,29 +69,6 @@ class LinearisedFit:
         expected = 1.0 + np.einsum("nz,zy,ny->n", chosen.conj(), spread, chosen, optimize=True).real
         return float(np.mean(np.abs(left) ** 2 / expected))
 
-    def tolerances(self, misfit: float) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """(B, S, 8) by how much the tolerances move the coefficients, and the same of each kind by itself.
-
-        Readings that a tolerance would change as no coefficient can leave it less room. It is as if all of them were
-        fitted, with the posterior ``(1 + V'PV)^-1`` and its mean, where P takes away what the weights can follow.
-        ``misfit`` is the mean square of the residuals, which the readings' precision is divided by.
-        """
-        if not self.by_tolerance:
-            return np.zeros(self.coefficients.shape[:3]), {}
-        change = np.concatenate(list(self.by_tolerance.values()), axis=-1) * self.fitted[..., None]
-        seen = _cross(self.seen, change)
-        moves = -self.coefficients @ self.solve(seen)  # (B, S, 8, T) of readings that the model lacks
-        room = _cross(change, change) - seen.T @ self.solve(seen)
-        asked = _right(change, self.residual) - seen.T @ self.solve(self.right)
-        spread = np.linalg.inv(np.eye(len(room)) + room / misfit)
-        mean = spread @ asked / misfit
-        second = spread + np.outer(mean, mean)
-        by_kind, start = {}, 0
-        for kind, columns in self.by_tolerance.items():
-            places = slice(start, start := start + columns.shape[-1])
-            by_kind[kind] = _quadratic(moves[..., places], second[places, places])
-        return _quadratic(moves, second), by_kind
-
     def _without(self, mask: np.ndarray) -> np.ndarray:
         """(Z,) the weights' step of a fit without the readings of ``mask``."""
         left_out = mask[..., None] * self.seen
@@ -118,12 +79,6 @@ class LinearisedFit:
             return self.normal
         left_out = without[..., None] * self.seen
         return self.normal - _cross(left_out, left_out)
-
-
-def _quadratic(slopes: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """(B, S, 8) root of ``m' C m``."""
-    variance = np.einsum("bsct,tu,bscu->bsc", slopes, covariance, slopes, optimize=True)
-    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
 def _cross(rows: np.ndarray, others: np.ndarray) -> np.ndarray:
@@ -141,14 +96,12 @@ def linearise(
     uncertainty: Uncertainty,
     fitted: np.ndarray,
     factor: np.ndarray | None = None,
-    tolerances: bool = True,
 ) -> LinearisedFit:
     """The fit of ``measurement``, at its fitted model parameters.
 
     Args:
         fitted: (S, P, R) mask of the readings that were fitted, not held out.
         factor: (P,) noise of each channel over the stated one; None for the stated one.
-        tolerances: whether to work out what unfitted tolerances do.
     """
     unbalance = uncertainty.residual_unbalance
     answer = identified.table(measurement.updated_known)
@@ -176,7 +129,6 @@ def linearise(
     return LinearisedFit(
         residual,
         joined,
-        _by_tolerances(measurement, answer, by_coefficient, noise) if tolerances else {},
         by_weight,
         np.concatenate(priors),
         fitted,
@@ -224,25 +176,6 @@ def _by_parameters(
         block_slopes = derive_by_parameters(variation, respond(block, change), change[None], None)[0]
         slopes[:, :, block.runs] += block_slopes / noise[:, :, block.runs, None]
     return slopes
-
-
-def _by_tolerances(
-    measurement: Measurement, answer: BearingTable, by_coefficient: np.ndarray, noise: np.ndarray
-) -> dict[str, np.ndarray]:
-    """The tolerances that the fit does not have among its parameters, by kind."""
-    stated, by_kind = {parameter.kind for parameter in measurement.parameters}, {}
-    for kind, size in TOLERANCES.items():
-        if kind in stated:
-            continue
-        try:
-            parameters = model_parameters(
-                {kind: size}, measurement.rotor, measurement.dataset, measurement.known, measurement.unknowns
-            )
-        except ConfigError:  # the machine has none of this kind
-            continue
-        data = replace(measurement, parameters=parameters, values=(), rotor=measurement.updated_rotor)
-        by_kind[kind] = _by_parameters(data, answer, by_coefficient, noise)
-    return by_kind
 
 
 def name_channels(measurement: Measurement) -> list[str]:

@@ -65,7 +65,7 @@ def weigh_candidates(
         present=None,
     )
     planned = replace(measurement, dataset=plan, drift=None)  # its runs are conditions of their own
-    seen = linearise(planned, identified, uncertainty, np.ones(shape, dtype=bool), factor, tolerances=False).by_weight
+    seen = linearise(planned, identified, uncertainty, np.ones(shape, dtype=bool), factor).by_weight
     gains = []
     for i in range(len(able)):
         rows = seen[:, :, i]

@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
+from pipeline.identification.quality import SMALL_MISFIT
 from pipeline.problem.determination import WEAKLY_BELOW, WELL_BELOW
 from pipeline.problem.ranking import rank
-from pipeline.trust.evidence import SMALL_MISFIT, Evidence
+from pipeline.trust.evidence import Evidence
 from pipeline.trust.mistakes import Found
 
 GOOD_BAND = 0.20
@@ -208,9 +209,9 @@ def judge_coefficient(evidence: Evidence, b: int, c: int) -> tuple[list[Reason],
     name, node = COEFFICIENTS[c], evidence.answer.nodes[b]
     value = evidence.answer.values[b, :, c]
     size = np.where(value != 0, np.abs(value), np.nan)
-    fit = _median(evidence.deviation[b, :, c] / size)
+    fit = _median(evidence.by_fit[b, :, c] / size)
     band = _median(evidence.band[b, :, c] / size)
-    lost = float(np.mean(~(evidence.deviation[b, :, c] / size < WEAKLY_BELOW)))
+    lost = float(np.mean(~(evidence.by_fit[b, :, c] / size < WEAKLY_BELOW)))
     tolerances = {kind: _median(tolerance[b, :, c] / size) for kind, tolerance in evidence.tolerances.items()}
     reasons = _judge_band(f"{name} at node {node}", fit, band, lost, tolerances)
     if name in _DIRECT and (wrong := float(np.mean(value <= 0))) > 0.0:
