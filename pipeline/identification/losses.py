@@ -130,10 +130,11 @@ class OutputErrorLoss:
 
     def expect(self, measurement: Measurement, setup: FitSetup, diagnosis: Diagnosis) -> Deviations:
         """The Cramer-Rao bound of the fit that will be made, at its linear start, for all functions of the model, with
-        residual unbalance and model parameters. The fit drops superfluous functions, so it may know more.
+        residual unbalance, model parameters and usual tolerances. The fit drops superfluous functions: it may know more.
         """
         from pipeline.identification.information import unknown_deviation
         from pipeline.identification.output_error_start import prepare_output_error
+        from pipeline.identification.tolerances import widen
 
         measurement = for_model(measurement, setup)
         solvable = all(report.verdict is not Verdict.NOT_IDENTIFIABLE for report in diagnosis.reports)
@@ -142,7 +143,7 @@ class OutputErrorLoss:
         start = prepare_output_error(measurement, setup)
         problem, unknowns = start.problem, measurement.unknowns
         values = unknowns.from_active(problem.unknowns(start.weights)[0][0].numpy())
-        spread = unknowns.expand_deviation(unknowns.from_active(unknown_deviation(problem, start.weights)[0]))
+        spread = unknowns.expand_deviation(unknowns.from_active(unknown_deviation(*widen(problem, start.weights))[0]))
         kind = "constants over all speeds" if setup.constant else "smooth functions over all speeds"
         kind = kind if measurement.laws is None else "bearing laws of few numbers"
         return Deviations(problem.measurement.table(values), spread, kind)

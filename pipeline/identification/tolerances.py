@@ -45,6 +45,17 @@ class Unfitted:
         return [name for k, name in enumerate(USUAL) if (self.kinds == k).any()]
 
 
+def widen(problem: OutputError, weights: torch.Tensor) -> tuple[OutputError, torch.Tensor]:
+    """The problem with the tolerances among the model parameters, and its weights (1, 1, Z + T)."""
+    import torch
+
+    count = len(problem.measurement.tolerances)
+    if not count:
+        return problem, weights
+    wider = replace(problem, sensors=sensor_model(problem.measurement.with_tolerances()))
+    return wider, torch.nn.functional.pad(weights, (0, count))
+
+
 def measure_tolerances(
     problem: OutputError, weights: torch.Tensor, covariance: np.ndarray, misfit: float, places: np.ndarray, size: int
 ) -> Unfitted:
@@ -55,16 +66,13 @@ def measure_tolerances(
         misfit: mean square of the deviations, which the readings' precision is divided by; 1 or more.
         places: (Z,) where the weights lie among the ``size`` ones of the answer.
     """
-    import torch
-
     tolerances, count = problem.measurement.tolerances, problem.size
     kinds = np.array([list(USUAL).index(tolerance.kind) for tolerance in tolerances], dtype=np.int64)
     moves = np.zeros((size, len(tolerances)))
     if not tolerances:
         return Unfitted(kinds, moves, np.zeros((0, 0)))
-    wider = replace(problem, sensors=sensor_model(problem.measurement.with_tolerances()))
-    at = torch.nn.functional.pad(weights, (0, len(tolerances)))
-    gradient, matrix = (array[0, 0].numpy() for array in wider.normal(at))
+    wider, padded = widen(problem, weights)
+    gradient, matrix = (array[0, 0].numpy() for array in wider.normal(padded))
     identity = np.eye(len(tolerances))
     by_fit = covariance @ matrix[:count, count:]
     room = matrix[count:, count:] - identity - matrix[count:, :count] @ by_fit  # the prior is in the matrix

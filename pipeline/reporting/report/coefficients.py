@@ -30,8 +30,8 @@ def describe_coefficients(content: ReportContent) -> Section | None:
         text += " The loss of this fit states no deviations, so there are no bands: loss=response has them."
     else:
         text += (
-            " Numbers are given with one standard deviation, bands are nominal 95 % intervals. They count the noise and"
-            " what is fitted of the model; the verdicts above add usual tolerances of rotor, weights and probes."
+            " Numbers are given with one standard deviation, bands are nominal 95 % intervals. They count the noise,"
+            " what is fitted of the model, and the usual tolerances of rotor, weights and probes, as the verdicts do."
         )
     if fit.modelled is not None:
         text += " The data were modelled, so that the true coefficients are known; the fit did not read them."

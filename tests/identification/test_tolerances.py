@@ -1,0 +1,83 @@
+"""What tolerances that are not fitted do to the deviations, held to fits that have them among their parameters."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from running import composed
+from small_rotor import FITTED, small_machine
+
+from pipeline.identification.fit import fit
+from pipeline.identification.training import setup_of
+from pipeline.problem.measurement import Measurement
+from pipeline.problem.model_parameters import USUAL, usual_tolerances
+
+DIRECT = (2e6, 0.0, 0.0, 1.2e6, 900.0, 0.0, 0.0, 600.0)
+SETUP = setup_of(composed(*FITTED))
+SPEEDS = np.linspace(60.0, 300.0, 9)
+
+
+def tolerant(stated: tuple[str, ...] = ()) -> Measurement:
+    """A machine whose shaft, weights and probes are known as well as they usually are."""
+    measurement, _ = small_machine(DIRECT, (0.3, 0.3), SPEEDS)
+    data = measurement.dataset
+    given = usual_tolerances(stated, measurement.rotor, data, measurement.known, measurement.unknowns)
+    return replace(measurement, tolerances=given)
+
+
+def deviation_of(measurement: Measurement) -> np.ndarray:
+    found = fit(measurement, SETUP)
+    assert found.deviation(SPEEDS) is not None
+    return np.asarray(found.deviation(SPEEDS))[:, 0, [0, 3, 4, 7]]
+
+
+def test_a_coefficient_is_known_as_well_as_if_they_were_fitted() -> None:
+    """The same information is inverted; what the readings tell of a tolerance is told in both ways."""
+    measurement = tolerant()
+    alone = deviation_of(replace(measurement, tolerances=()))
+    unfitted = deviation_of(measurement)
+    together = deviation_of(replace(measurement, parameters=measurement.tolerances, tolerances=()))
+    assert (unfitted > 1.5 * alone).all()
+    np.testing.assert_allclose(unfitted, together, rtol=0.3)
+
+
+def test_the_answer_stays_as_it_is() -> None:
+    measurement = tolerant()
+    exact, wide = (fit(one, SETUP).model.values(SPEEDS) for one in (replace(measurement, tolerances=()), measurement))
+    np.testing.assert_array_equal(exact, wide)
+
+
+def test_each_kind_is_a_part_of_the_whole() -> None:
+    """One kind alone is that of a machine where no other is uncertain."""
+    measurement = tolerant()
+    whole = fit(measurement, SETUP)
+    assert whole.uncertainty is not None
+    assert whole.uncertainty.unfitted.names == list(USUAL)
+    kind = "probe_gain"
+    part = whole.uncertainty.unfitted.of_kind(kind)
+    assert len(part.kinds) == len(measurement.dataset.channels)
+    assert np.linalg.eigvalsh(whole.uncertainty.of_fit).min() > -1e-9 * np.abs(whole.uncertainty.of_fit).max()
+
+
+def test_what_is_stated_is_not_counted_twice() -> None:
+    assert {one.kind for one in tolerant(("density", "probe_gain")).tolerances} == USUAL.keys() - {
+        "density",
+        "probe_gain",
+    }
+    assert tolerant(tuple(USUAL)).tolerances == ()
+
+
+@pytest.mark.parametrize("share", [0.5, 2.0])
+def test_wider_tolerances_move_in_proportion_where_the_readings_tell_nothing(share: float) -> None:
+    """Density hardly shows: its part of the deviation grows as it does."""
+    measurement = tolerant(tuple(name for name in USUAL if name != "density"))
+    tiny = replace(measurement.tolerances[0], deviation=1e-5)
+    parts = []
+    for one in (tiny, replace(tiny, deviation=1e-5 * share)):
+        found = fit(replace(measurement, tolerances=(one,)), SETUP)
+        assert found.uncertainty is not None
+        covariance = found.uncertainty.unfitted.covariance()
+        parts.append(found.uncertainty.deviation(found.model, SPEEDS, covariance=covariance)[:, 0, [0, 3]])
+    np.testing.assert_allclose(parts[1], share * parts[0], rtol=1e-3)
