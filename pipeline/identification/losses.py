@@ -130,7 +130,8 @@ class OutputErrorLoss:
 
     def expect(self, measurement: Measurement, setup: FitSetup, diagnosis: Diagnosis) -> Deviations:
         """The Cramer-Rao bound of the fit that will be made, at its linear start, for all functions of the model, with
-        residual unbalance, model parameters and usual tolerances. The fit drops superfluous functions: it may know more.
+        residual unbalance, model parameters and usual tolerances. The fit drops superfluous functions, so it may know
+        more.
         """
         from pipeline.identification.information import unknown_deviation
         from pipeline.identification.output_error_start import prepare_output_error
