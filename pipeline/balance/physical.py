@@ -17,9 +17,9 @@ import numpy as np
 
 from pipeline.data.conditions import Conditions
 from pipeline.errors import DataError
+from pipeline.identification.answer import restore
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
-from pipeline.identification.output_error_start import drawn_basis, start_at
 from pipeline.identification.problem import OutputError, output_error
 from pipeline.identification.training import FitSetup
 from pipeline.identification.uncertainty import Uncertainty
@@ -91,10 +91,10 @@ class Physical:
         trial = np.concatenate([np.zeros((1, len(self.planes))), _TRIAL * np.eye(len(self.planes))])
         problem = self._problem(trial)
         (mean,) = problem.predicted(self.weights)
-        n_speeds, n_channels, n_runs = mean.shape[1:]
-        slope = problem.columns(self.weights)[0, :, :-1].numpy()
-        pairs = slope.reshape(n_speeds, n_channels, n_runs, 2, -1)
-        slopes = (pairs[..., 0, :] + 1j * pairs[..., 1, :]).transpose(2, 0, 1, 3).reshape(n_runs, -1, slope.shape[-1])
+        n_runs = mean.shape[-1]
+        (columns,) = problem.columns_of_blocks(self.weights)
+        slope = columns[0, ..., :-1].numpy()
+        slopes = slope.transpose(2, 0, 1, 3).reshape(n_runs, -1, slope.shape[-1])
         rows = mean[0].numpy().reshape(-1, n_runs).T.copy()
         acting = np.diag(self._act(trial[1:]))
         rows[1:] = (rows[1:] - rows[0]) / acting[:, None]
@@ -164,23 +164,13 @@ def fit_physical(template: Measurement, setup: FitSetup, conditions: Conditions)
 
 
 def restore_physical(
-    measurement: Measurement, setup: FitSetup, identified: IdentifiedModel, uncertainty: Uncertainty, planes: Conditions
+    measurement: Measurement, identified: IdentifiedModel, uncertainty: Uncertainty, planes: Conditions
 ) -> Physical:
     """The predictor of a fit that was stored, with constant coefficients; ``planes`` are the conditions it was of.
 
     Raises as :func:`fit_physical`.
     """
-    import torch
-
-    updated = measurement.update(uncertainty.parameters)
-    speeds, sizes = measurement.dataset.speeds, measurement.guess.sizes(measurement.unknowns)
-    basis = replace(drawn_basis(setup, updated, updated.dataset.points, sizes), model=identified.model)
-    problem = output_error(updated, basis, uncertainty.plane_scale)
-    values = identified.values(speeds)[: measurement.unknowns.n_members]
-    weights = start_at(problem, values)
-    residual = uncertainty.residual_unbalance / uncertainty.plane_scale
-    pairs = torch.as_tensor(np.stack([residual.real, residual.imag], axis=-1).ravel())
-    weights[0, 0, problem.places.planes] = pairs
+    problem, weights = restore(measurement.update(uncertainty.parameters), identified, uncertainty)
     return _physical(problem, weights, uncertainty.covariance, planes)
 
 

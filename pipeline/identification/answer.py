@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.identification.identified import Fit, FittedParameter, PhysicalNumber
+from pipeline.identification.basis import Basis
+from pipeline.identification.identified import Fit, FittedParameter, IdentifiedModel, PhysicalNumber
 from pipeline.identification.law_evidence import describe_laws
 from pipeline.identification.output_error_fit import OutputErrorFit
+from pipeline.identification.problem import OutputError, output_error
 from pipeline.identification.quality import output_error_quality
 from pipeline.identification.uncertainty import Uncertainty, uncertainty_of
+from pipeline.problem.measurement import Measurement
+
+if TYPE_CHECKING:
+    import torch
 
 
 def conclude(fit: OutputErrorFit) -> Fit:
@@ -44,6 +50,36 @@ def conclude(fit: OutputErrorFit) -> Fit:
         numbers=numbers,
         parameters=parameters,
     )
+
+
+def restore(
+    measurement: Measurement, identified: IdentifiedModel, uncertainty: Uncertainty
+) -> tuple[OutputError, torch.Tensor]:
+    """The problem of a fit at the readings of ``measurement``, and the fit's weights (1, 1, Z).
+
+    ``measurement`` is at the fitted model parameters; it may have other speeds and runs than the fit.
+    """
+    import torch
+
+    to_features = torch.as_tensor(uncertainty.weights)  # (M, F, K)
+    basis = Basis(identified.model, identified.parameters, to_features, 0)
+    made = output_error(measurement, basis, uncertainty.plane_scale)
+    places, (member, unknown) = uncertainty.places, uncertainty.active.T.tolist()
+    count = to_features.shape[-1]
+    told = np.diag(uncertainty.covariance)[places.coefficients].reshape(len(member), -1)[:, :count] > 0
+    kept, precision = torch.as_tensor(told), torch.as_tensor(uncertainty.precision)
+    problem = replace(made, kept=kept, precision=precision)
+    output = identified.parameters[:, -to_features.shape[1] * len(identified.unknowns.names) :]
+    output = output.unflatten(-1, (to_features.shape[1], -1))  # (M, F, U)
+    coordinates = (torch.linalg.pinv(to_features) @ output)[member, :, unknown] * kept
+    weights = torch.zeros(1, 1, problem.size, dtype=torch.float64)
+    weights[0, 0, problem.places.coefficients] = coordinates.flatten()
+    if identified.theta is not None:
+        weights[0, 0, problem.places.numbers] = identified.theta
+    unbalance = torch.as_tensor(uncertainty.residual_unbalance / uncertainty.plane_scale)
+    weights[0, 0, problem.places.planes] = torch.view_as_real(unbalance).flatten()
+    weights[0, 0, problem.places.parameters] = torch.as_tensor(uncertainty.parameters)
+    return problem, weights
 
 
 def _list_numbers(fit: OutputErrorFit, uncertainty: Uncertainty) -> tuple[PhysicalNumber, ...]:

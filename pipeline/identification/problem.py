@@ -304,14 +304,21 @@ class OutputError:
         """(G, rows, Z + 1) derivative of the readings' rows by the weights, and the rows themselves: large."""
         import torch
 
+        # (G, S, P, R, 2, Z + 1): both parts of a reading, as in the rows
+        every = [torch.view_as_real(block).movedim(-1, -2).flatten(1, 4) for block in self.columns_of_blocks(weights)]
+        return torch.cat(every, dim=1)
+
+    def columns_of_blocks(self, weights: torch.Tensor) -> list[torch.Tensor]:
+        """(G, S, P, R, Z + 1) complex of every block, as :meth:`columns`."""
+        import torch
+
         state, blocks = self.state(weights), []
         for b in range(len(self.readings.runs)):
             local = self._local(state, b)
             by_output, rest = local[..., : len(self.active)], local[..., len(self.active) :]
             spread = torch.einsum("gspra,ask->gsprak", by_output, self._carrier.to(local.dtype)).flatten(-2)
-            mixed = self.readings.mix(b, torch.cat([spread, rest], dim=-1))
-            blocks.append(torch.view_as_real(mixed).movedim(-1, -2).flatten(1, 4))  # (G, S, P, R, 2, Z + 1)
-        return torch.cat(blocks, dim=1)
+            blocks.append(self.readings.mix(b, torch.cat([spread, rest], dim=-1)))
+        return blocks
 
     def jacobian(self, weights: torch.Tensor) -> torch.Tensor:
         """(G, 1, rows + N, Z) derivative of :meth:`rows`, as it orders them: large, :meth:`normal` does without it."""

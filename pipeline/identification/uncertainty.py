@@ -43,6 +43,7 @@ class Uncertainty:
     weights: np.ndarray  # (M, F, K) output weights of an orthonormal basis
     active: np.ndarray  # (A, 2) of (member, unknown)
     covariance: np.ndarray  # (Z, Z)
+    precision: np.ndarray  # (A, K) of the weights before the data
     residual_unbalance: np.ndarray  # (N,) complex, kg m
     planes: np.ndarray  # (N,) nodes
     plane_scale: float  # kg m of a weight of 1
@@ -143,6 +144,7 @@ def uncertainty_of(fit: OutputErrorFit, quality: Quality) -> Uncertainty:
         problem.basis.weights.numpy(),
         np.array(problem.active, dtype=np.int64).reshape(-1, 2),
         quality.inflation * error.matrix + unfitted.covariance(),
+        np.asarray((problem.precision * problem.kept).numpy()),
         np.asarray(problem.unbalance(fit.weights)[0].numpy()),
         np.array(problem.measurement.unknowns.planes, dtype=np.int64),
         problem.plane_scale,
@@ -166,6 +168,7 @@ def _parts(uncertainty: Uncertainty) -> dict[str, np.ndarray]:
         "weights": uncertainty.weights,
         "active": uncertainty.active,
         "covariance": uncertainty.covariance,
+        "precision": uncertainty.precision,
         "residual_unbalance": np.stack([uncertainty.residual_unbalance.real, uncertainty.residual_unbalance.imag]),
         "planes": uncertainty.planes,
         "plane_scale": np.array([uncertainty.plane_scale]),
@@ -196,6 +199,7 @@ def load_uncertainty(folder: Path, identified: IdentifiedModel) -> Uncertainty |
             parts["weights"],
             parts["active"],
             parts["covariance"],
+            parts["precision"],
             unbalance,
             parts["planes"],
             float(parts["plane_scale"][0]),

@@ -17,7 +17,6 @@ from pipeline.config.schema import Config
 from pipeline.data.conditions import Conditions, gather_conditions
 from pipeline.data.dataset import VibrationDataset
 from pipeline.errors import ConfigError, IdentifiabilityError, nearest
-from pipeline.identification.training import setup_of
 from pipeline.identification.uncertainty import load_uncertainty
 from pipeline.ingest.records import Records, read_records
 from pipeline.reporting.console import say
@@ -66,7 +65,7 @@ def _load_physical(config: Config, fitted: Fitted) -> Physical | None:
     uncertainty = load_uncertainty(work.folder, identified)
     if uncertainty is None or measurement.drift is None:
         return None
-    return restore_physical(measurement, setup_of(config), identified, uncertainty, fitted.conditions)
+    return restore_physical(measurement, identified, uncertainty, fitted.conditions)
 
 
 def _fit_influence(config: Config, dataset: VibrationDataset) -> Fitted:

@@ -8,17 +8,16 @@ Legend: S speeds, P channels, R runs, B bearings, Z weights, T parameters. SI un
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from pipeline.data.dataset import name_direction
+from pipeline.identification.answer import restore
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.uncertainty import Uncertainty
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.response import derive_by_parameters, respond
-from pipeline.rotor.bearing_table import BearingTable
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +27,7 @@ class LinearisedFit:
     residual: np.ndarray  # e, (S, P, R) complex, measured less predicted over the noise
     by_weight: np.ndarray  # J, (S, P, R, Z) complex, of the predicted readings over the noise
     coefficients: np.ndarray  # (B, S, 8, Z) derivative of the coefficients by the weights
-    prior: np.ndarray  # (Z,) precision that the fit has without any reading
+    prior: np.ndarray  # (Z, Z) information that the fit has without any reading
     fitted: np.ndarray  # (S, P, R) mask of the readings that were fitted
 
     @cached_property
@@ -39,7 +38,7 @@ class LinearisedFit:
     @cached_property
     def normal(self) -> np.ndarray:
         """N, (Z, Z) of the fitted readings and the priors."""
-        return _cross(self.seen, self.seen) + np.diag(self.prior)
+        return _cross(self.seen, self.seen) + self.prior
 
     @cached_property
     def right(self) -> np.ndarray:
@@ -103,79 +102,27 @@ def linearise(
         fitted: (S, P, R) mask of the readings that were fitted, not held out.
         factor: (P,) noise of each channel over the stated one; None for the stated one.
     """
-    unbalance = uncertainty.residual_unbalance
-    answer = identified.table(measurement.updated_known)
-    predicted = measurement.response.predict(answer, unbalance)
-    noise = measurement.deviation_of(predicted, measurement.dataset.subtracted, factor)
-    residual = (measurement.dataset.displacement - predicted) / noise
-    by_coefficient = measurement.response.sensitivity(answer, unbalance) / noise[..., None, None]
-    by_number = uncertainty.sensitivity(identified, answer.speeds, answer.operating)  # (B, S, 8, A (K + L) + Th)
-    kept = _mask_fitted(identified, uncertainty)
-    by_number = by_number[..., kept]
-    parts = [np.einsum("sprbc,bscz->sprz", by_coefficient, by_number, optimize=True)]
-    seen = fitted[..., None] * parts[0]
-    priors = [_weigh_before(identified, uncertainty, kept, _cross(seen, seen), len(answer.speeds))]
-    if unbalance.size:
-        by_plane = measurement.response.derive_by_unbalance(answer) * uncertainty.plane_scale / noise[..., None]
-        parts += [by_plane, 1j * by_plane]
-        priors.append(np.full(2 * unbalance.size, _NO_PRIOR))
-    names = [parameter.kind for parameter in measurement.parameters]
-    if names:
-        parts.append(_by_parameters(measurement, answer, by_coefficient, noise))
-        priors.append(np.ones(len(names)))
-    joined = np.concatenate(parts, axis=-1)
-    by_weight = np.zeros((*by_number.shape[:3], joined.shape[-1]))
-    by_weight[..., : by_number.shape[-1]] = by_number
-    return LinearisedFit(
-        residual,
-        joined,
-        by_weight,
-        np.concatenate(priors),
-        fitted,
-    )
+    import torch
 
-
-_NO_PRIOR = 1e-12
-
-
-def _mask_fitted(identified: IdentifiedModel, uncertainty: Uncertainty) -> np.ndarray:
-    """(A (K + L) + Th,) mask of the weights that the fit had: not what it dropped, nor the local functions."""
-    count = len(uncertainty.active) * (uncertainty.weights.shape[-1] + uncertainty.n_local)
-    each = count // max(len(uncertainty.active), 1)
-    local = np.tile(np.arange(each) >= each - uncertainty.n_local, len(uncertainty.active))
-    numbers = 0 if identified.theta is None else len(identified.theta)
-    kept = np.diag(uncertainty.covariance)[: count + numbers] > 0
-    kept[:count] &= ~local
-    return np.asarray(kept)
-
-
-def _weigh_before(
-    identified: IdentifiedModel, uncertainty: Uncertainty, kept: np.ndarray, told: np.ndarray, n_speeds: int
-) -> np.ndarray:
-    """(Z,) precision that the ``kept`` weights and numbers have without the readings, of information ``told`` (Z, Z).
-
-    Features are orthonormal over the speeds: an output of 1 at every speed is a weight of their root. A correction of
-    laws has the precision that its fit found: what its covariance knows beyond the readings.
-    """
-    if identified.laws is None:
-        return np.full(int(kept.sum()), 1.0 / n_speeds)
-    whole = np.linalg.inv(uncertainty.covariance[: len(kept), : len(kept)][np.ix_(kept, kept)])
-    before = np.maximum(np.diag(whole) - np.diag(told), _NO_PRIOR)
-    numbers = [1.0 / parameter.deviation**2 for parameter in identified.laws.parameters]
-    before[len(before) - len(numbers) :] = numbers
-    return np.asarray(before)
-
-
-def _by_parameters(
-    measurement: Measurement, answer: BearingTable, by_coefficient: np.ndarray, noise: np.ndarray
-) -> np.ndarray:
-    """(S, P, R, T) derivative of the readings over the noise by the measurement's parameters."""
-    slopes = np.einsum("sprbc,sbct->sprt", by_coefficient, measurement.known_variation).astype(complex)
-    for block, variation in zip(measurement.response.blocks, measurement.variations, strict=True):
-        change = measurement.response.change(answer, block)
-        block_slopes = derive_by_parameters(variation, respond(block, change), change[None], None)[0]
-        slopes[:, :, block.runs] += block_slopes / noise[:, :, block.runs, None]
-    return slopes
+    problem, weights = restore(measurement, identified, uncertainty)
+    data = measurement.dataset
+    # What one run does is asked of each reading by itself: noise that they share would tie runs together.
+    readings = problem.readings
+    noise = [readings.deviation(b, block.numpy(), factor) for b, block in enumerate(problem.predicted(weights))]
+    alone = tuple(torch.as_tensor(np.sqrt(2.0) / block) for block in noise)
+    problem = replace(problem, readings=replace(readings, precision=alone, common=(), mixing=()))
+    kept = problem.fitted().numpy()
+    columns = np.zeros((*data.displacement.shape, int(kept.sum()) + 1), dtype=complex)
+    for runs, block in zip(problem.readings.runs, problem.columns_of_blocks(weights), strict=True):
+        columns[:, :, runs] = block[0].numpy()[..., np.append(kept, True)] / np.sqrt(2.0)
+    by_number = uncertainty.sensitivity(identified, data.speeds, data.operating)  # (B, S, 8, A (K + L) + Th)
+    count, (n_active, n_features) = by_number.shape[-1], problem.kept.shape
+    local = np.arange(n_features + uncertainty.n_local) >= n_features
+    outer = ~np.append(np.tile(local, n_active), np.zeros(count - n_active * len(local), dtype=bool))
+    coefficients = np.zeros((*by_number.shape[:3], len(kept)))
+    coefficients[..., : problem.places.numbers.stop] = by_number[..., outer]
+    prior = problem.prior.information().numpy()[np.ix_(kept, kept)]
+    return LinearisedFit(-columns[..., -1], columns[..., :-1], coefficients[..., kept], prior, fitted)
 
 
 def name_channels(measurement: Measurement) -> list[str]:
