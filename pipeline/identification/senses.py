@@ -183,19 +183,16 @@ def try_senses(measurement: Measurement, setup: FitSetup, tell: Callable[[Sense]
         raise ConfigError(f"the data must have a fit in one sense at least, but {why}")
     factors = [fit.factor for several in fits.values() for fit in several]
     factor = min(factors, key=lambda channel_factors: float(np.median(channel_factors)))
-    first = {
-        sense: min((_square(fit, factor) for fit in channel_factors), default=math.inf)
-        for sense, channel_factors in fits.items()
-    }
+    first = {sense: min((_square(fit, factor) for fit in several), default=math.inf) for sense, several in fits.items()}
     squares: dict[Sense, float] = {}
     for sense in SENSES[: len(SENSES) // 2]:
         squares |= _compare(sense, fits, factor, setup)
     least, count = min(squares.values()), 2 * measurement.dataset.displacement.size
     wider = max(1.0, least / count)
     beyond = {sense: (square - least) / wider for sense, square in squares.items()}
-    trials = [Trial(fit, beyond.get(fit, math.inf), refused.get(fit, "")) for fit in SENSES]
+    trials = [Trial(sense, beyond.get(sense, math.inf), refused.get(sense, "")) for sense in SENSES]
     best = SENSES[find_least({SENSES.index(sense): square for sense, square in squares.items()})]
-    ranked = tuple(trials[i] for i in rank_indices(-squares.get(fit, math.inf) for fit in SENSES))
+    ranked = tuple(trials[i] for i in rank_indices(-squares.get(sense, math.inf) for sense in SENSES))
     return Senses(ranked, float(count), float(least), (first[best] - least) / wider)
 
 

@@ -89,7 +89,9 @@ def _check_unbalances(path: Path, stated: Any, acting: Sequence[Excitation]) -> 
     if stated is None:
         return
     theirs = sorted(tuple(float(entry) for entry in row) for row in zip(*stated, strict=True))
-    ours = sorted((float(row.node), row.magnitude, row.phase) for row in acting if row.kind == "unbalance")
+    ours = sorted(
+        (float(weight.node), weight.magnitude, weight.phase) for weight in acting if weight.kind == "unbalance"
+    )
     same = len(theirs) == len(ours) and all(
         a[0] == b[0] and abs(a[1] * np.exp(1j * a[2]) - b[1] * np.exp(1j * b[2])) <= 1e-6 * abs(a[1])
         for a, b in zip(theirs, ours, strict=True)

@@ -103,5 +103,5 @@ class LawSet:
             nodes=tuple(record["nodes"]),
             laws=tuple(law.from_record(entry) for law, entry in zip(laws, record["laws"], strict=True)),
             oil=None if record["oil"] is None else Oil.from_record(record["oil"]),
-            parameters=tuple(LawParameter(**entry) for entry in record["parameters"]),
+            parameters=tuple(LawParameter(**parameter) for parameter in record["parameters"]),
         )

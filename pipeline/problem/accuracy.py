@@ -111,7 +111,7 @@ def reach(information: RunInformation, accuracy: float, most_runs: int, steps: S
     for count in range(1, min(most_runs, len(information.rows)) + 1):
         every_way = (partial(_merit, information), information.worst)
         sets = [exchange(merit, len(information.rows), count) for merit in every_way]
-        runs = find_least({merit: information.worst(merit) for merit in sets})
+        runs = find_least({runs_tried: information.worst(runs_tried) for runs_tried in sets})
         if information.worst(runs) <= accuracy:
             enough = [every for every in steps if information.worst(runs, every) <= accuracy]
             return Plan(runs, max(enough, default=1), True)

@@ -165,7 +165,7 @@ def _tabulate_at(bearing: BearingConfig, speeds: np.ndarray, operating: Operatin
     if isinstance(bearing, BallBearingConfig) and bearing.static_load == CONDITION:
         loads, group = np.unique(pick_condition(operating, LOAD, len(speeds)), return_inverse=True)
         given = [bearing.model_copy(update={"static_load": float(load)}) for load in loads]
-        return np.stack([_tabulate_at(load, speeds[:1], {}, share)[0] for load in given])[group]
+        return np.stack([_tabulate_at(loaded, speeds[:1], {}, share)[0] for loaded in given])[group]
     ascending, group = np.unique(speeds, return_inverse=True)  # ROSS's splines over the speed ask for that
     element = _make_element(bearing, 0, ascending, share)
     return np.array([_flatten(element.K(speed), element.C(speed)) for speed in ascending])[group]

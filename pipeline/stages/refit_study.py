@@ -194,21 +194,17 @@ def _summarize_physics(refits: list[Refit]) -> dict[str, object]:
                     "median_error_percent": float(np.median(median)),
                     "worst_median_error_percent": float(np.max(median)),
                 }
-        medians = [
-            refitted["median_error_percent"] for names in unmeasured[state].values() for refitted in names.values()
-        ]
+        medians = [error["median_error_percent"] for names in unmeasured[state].values() for error in names.values()]
         together[state] = {"median_error_percent": float(np.median(medians))}
     numbers = {}
     for name in refits[0].numbers:
         every = [refitted.numbers[name] for refitted in refits]
         numbers[name] = {
             "true": every[0].true,
-            "median_error_percent": float(np.median([refitted.error_percent for refitted in every])),
-            "worst_error_percent": float(np.max([refitted.error_percent for refitted in every])),
-            "median_deviation_percent": float(
-                np.median([100.0 * refitted.deviation / refitted.value for refitted in every])
-            ),
-            "within_95_percent_interval": 100.0 * float(np.mean([refitted.within for refitted in every])),
+            "median_error_percent": float(np.median([number.error_percent for number in every])),
+            "worst_error_percent": float(np.max([number.error_percent for number in every])),
+            "median_deviation_percent": float(np.median([100.0 * number.deviation / number.value for number in every])),
+            "within_95_percent_interval": 100.0 * float(np.mean([number.within for number in every])),
         }
     elsewhere = {"unmeasured": unmeasured, "all_unmeasured": together} if unmeasured else {}
     return elsewhere | ({"numbers": numbers} if numbers else {})

@@ -68,10 +68,10 @@ def _find_shares(
         return None
     seen = [_amplitudes(dataset.excitation_of(r)) for r in same]
     aim = _amplitudes([replace(weight, run="") for weight in wanted])
-    keys = list(dict.fromkeys(key for weight in (*seen, aim) for key in weight))
-    matrix = np.array([[weight.get(key, 0.0) for weight in seen] for key in keys]).reshape(len(keys), len(same))
+    keys = list(dict.fromkeys(key for shares in (*seen, aim) for key in shares))
+    matrix = np.array([[shares.get(key, 0.0) for shares in seen] for key in keys]).reshape(len(keys), len(same))
     right = np.array([aim.get(key, 0.0) for key in keys])
-    size = np.array([max(abs(aim.get(key, 0.0)), *(abs(weight.get(key, 0.0)) for weight in seen)) for key in keys])
+    size = np.array([max(abs(aim.get(key, 0.0)), *(abs(shares.get(key, 0.0)) for shares in seen)) for key in keys])
     matrix, right = matrix / size[:, None], right / size
     if residual_unbalance:
         matrix, right = np.concatenate([matrix, np.ones((1, len(same)))]), np.append(right, 1.0)

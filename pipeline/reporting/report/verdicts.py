@@ -33,12 +33,12 @@ def describe_verdicts(content: ReportContent) -> Section:
         blocks.append(_make_table("Bearings", ["bearing", "verdict", "why", "next step"], bearings))
     rows: list[list[Cell]] = [
         [
-            f"node {bearing['node']} {bearing['coefficient']}",
-            Mark(bearing["verdict"], bearing["verdict"]),
-            " ".join(bearing.get("reasons", [])),
-            bearing.get("next") or "",
+            f"node {entry['node']} {entry['coefficient']}",
+            Mark(entry["verdict"], entry["verdict"]),
+            " ".join(entry.get("reasons", [])),
+            entry.get("next") or "",
         ]
-        for bearing in judged.get("verdicts", [])
+        for entry in judged.get("verdicts", [])
     ]
     blocks.append(_make_table("Coefficients", ["coefficient", "verdict", "why", "next step"], rows))
     return Section("verdicts", title, tuple(blocks))
