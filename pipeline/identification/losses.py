@@ -18,7 +18,7 @@ from pipeline.identification.outcome import Outcome
 from pipeline.identification.training import FitSetup, Progress, minimise
 from pipeline.problem.determination import Deviations
 from pipeline.problem.diagnosis import Diagnosis, diagnose_residual, diagnose_response
-from pipeline.problem.identifiability import Verdict, require_identifiable
+from pipeline.problem.identifiability import Solvability, require_identifiable
 from pipeline.problem.law_information import require_temperatures
 from pipeline.problem.measurement import Guess, Measurement
 
@@ -138,7 +138,7 @@ class OutputErrorLoss:
         from pipeline.identification.tolerances import widen
 
         measurement = for_model(measurement, setup)
-        solvable = all(report.verdict is not Verdict.NOT_IDENTIFIABLE for report in diagnosis.reports)
+        solvable = all(report.verdict is not Solvability.NOT_IDENTIFIABLE for report in diagnosis.reports)
         if measurement.laws is None and not (solvable and diagnosis.by_least_squares):
             return diagnosis.deviations
         start = prepare_output_error(measurement, setup)

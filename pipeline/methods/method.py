@@ -18,7 +18,7 @@ from pipeline.identification.quality import FAR_FROM_EXPECTED
 from pipeline.laws.law_set import LawSet
 from pipeline.methods.by_condition import solve_each
 from pipeline.problem.diagnosis import determines, sensor_rows
-from pipeline.problem.identifiability import Identifiability, Verdict, judge_identifiability
+from pipeline.problem.identifiability import Identifiability, Solvability, judge_identifiability
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.residual import BearingEquations, LinearResidual
 from pipeline.rotor.bearing_table import BearingTable
@@ -128,7 +128,7 @@ def require_residual(measurement: Measurement, options: MethodOptions) -> Linear
 def refuse_undetermined(reports: tuple[Identifiability, ...]) -> None:
     """Raise Refusal for a bearing whose unknowns the runs determine at no speed."""
     for report in reports:
-        if report.verdict is Verdict.NOT_IDENTIFIABLE:
+        if report.verdict is Solvability.NOT_IDENTIFIABLE:
             raise Refusal(Reason.NOT_DETERMINED, report.reason)
 
 

@@ -20,7 +20,7 @@ from pipeline.problem.determination import Deviations
 from pipeline.problem.expansion import expand
 from pipeline.problem.identifiability import (
     Identifiability,
-    Verdict,
+    Solvability,
     count_determined,
     decompose,
     judge_identifiability,
@@ -194,21 +194,21 @@ def _smooth_deviation(rows: np.ndarray, features: np.ndarray) -> np.ndarray:
 
 def _judge_few_sensors(
     labels: tuple[str, ...], rank: np.ndarray, relative: np.ndarray, n_channels: int
-) -> tuple[Verdict, str]:
+) -> tuple[Solvability, str]:
     wanted = len(labels)
     if (rank == wanted).all():
-        return Verdict.IDENTIFIABLE, ""
+        return Solvability.IDENTIFIABLE, ""
     sensors = "the only sensor does" if n_channels == 1 else f"the {n_channels} sensors do"
     missing = int((rank < wanted).sum())
     unknown = [label for label, deviation in zip(labels, relative, strict=True) if deviation > _LEARNT]
     if not unknown:
         return (
-            Verdict.ACROSS_SPEEDS,
+            Solvability.ACROSS_SPEEDS,
             f"at {missing} of {len(rank)} speeds by themselves {sensors} not determine all {wanted} unknowns, but as "
             "smooth functions of the speed they are determined",
         )
     return (
-        Verdict.NOT_IDENTIFIABLE,
+        Solvability.NOT_IDENTIFIABLE,
         f"{sensors} not determine more than {int(rank.max())} of {wanted} unknowns at a speed, and over all speeds "
         f"not {'one of them' if len(unknown) == wanted else ', '.join(unknown)}; add sensors, a run of another whirl "
         "or frequency, or a structure (identify.structure)",

@@ -21,7 +21,7 @@ from pipeline.problem.ranking import rank
 from pipeline.problem.residual import BearingEquations, LinearResidual
 
 
-class Verdict(Enum):
+class Solvability(Enum):
     """What can be said of a bearing."""
 
     IDENTIFIABLE = "identifiable"
@@ -38,7 +38,7 @@ class Identifiability:
     speeds: np.ndarray  # (S,) rad/s
     singular_values: np.ndarray  # (S, U), of A with columns of unit length
     free: np.ndarray  # (S, U) the combination that the data determine least, in shares of the bearing force
-    verdict: Verdict
+    verdict: Solvability
     reason: str  # why not, and what to add; empty where identifiable
     orbits: tuple[np.ndarray, np.ndarray] | None = None  # rank, of 2, and condition number (S,); None where unknown
     together: str = "which share their coefficients"  # why several bearings are judged together
@@ -73,7 +73,7 @@ class Identifiability:
     @property
     def sentence(self) -> str:
         """The verdict in words. Rank knows of no noise; :mod:`pipeline.problem.determination` does."""
-        without_noise = " without noise" if self.verdict is Verdict.IDENTIFIABLE else ""
+        without_noise = " without noise" if self.verdict is Solvability.IDENTIFIABLE else ""
         return f"{self.where}: {self.verdict.value}{without_noise}" + (
             f", because {self.reason}" if self.reason else ""
         )
@@ -117,13 +117,13 @@ def _judge(
     at_every_speed = (rank == len(names)).all()
     orbit_rank, orbit_condition = _orbits(equations, bearings)
     if at_every_speed:
-        verdict, reason = Verdict.IDENTIFIABLE, ""
+        verdict, reason = Solvability.IDENTIFIABLE, ""
     elif (rank == len(names)).any() or (constant and _rank_over_speeds(members.matrix[m][..., present]) == len(names)):
         missing = int((rank < len(names)).sum())
-        verdict = Verdict.ACROSS_SPEEDS
+        verdict = Solvability.ACROSS_SPEEDS
         reason = f"at {missing} of {len(rank)} speeds by themselves the runs do not determine {', '.join(names)}"
     else:
-        verdict, reason = Verdict.NOT_IDENTIFIABLE, _reason(names, rank, orbit_rank, equations)
+        verdict, reason = Solvability.NOT_IDENTIFIABLE, _reason(names, rank, orbit_rank, equations)
     return Identifiability(
         nodes=tuple(equations.bearing_nodes[b] for b in bearings),
         unknowns=names,
@@ -194,5 +194,5 @@ def _reason(names: tuple[str, ...], rank: np.ndarray, orbit_rank: np.ndarray, eq
 def require_identifiable(reports: tuple[Identifiability, ...]) -> None:
     """Raise IdentifiabilityError for a bearing whose unknowns the runs determine at no speed."""
     for report in reports:
-        if report.verdict is Verdict.NOT_IDENTIFIABLE:
+        if report.verdict is Solvability.NOT_IDENTIFIABLE:
             raise IdentifiabilityError(f"{report.sentence}. force=true trains all the same")

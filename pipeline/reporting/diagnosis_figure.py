@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.data.vibration_files import to_rpm
 from pipeline.problem.determination import WEAKLY_BELOW, WELL_BELOW
-from pipeline.problem.identifiability import Identifiability, Verdict
+from pipeline.problem.identifiability import Identifiability, Solvability
 from pipeline.reporting.figures import BLUE, GREEN, GREY, LOOKS, ORANGE, YELLOW, open_figure
 
 _LARGEST_CONDITION = 1e16
@@ -36,7 +36,7 @@ def draw_diagnosis(
         for above, below, report in zip(*axes, reports, strict=True):
             speeds, groups = np.unique(report.speeds, return_inverse=True)
             rpm, several = to_rpm(speeds), len(speeds) < len(groups)
-            known = " without noise" if report.verdict is not Verdict.NOT_IDENTIFIABLE else ""
+            known = " without noise" if report.verdict is not Solvability.NOT_IDENTIFIABLE else ""
             above.set_title(f"{report.where}:\n{report.verdict.value}{known}")
             for name, values in relative(report.nodes[0]).items():
                 colour = LOOKS[COEFFICIENTS.index(name) % 4][0]

@@ -21,7 +21,7 @@ from pipeline.identification.training import setup_of
 from pipeline.problem.budget import budget_percent
 from pipeline.problem.determination import Determined, Deviations, describe_determined, summarize_determined
 from pipeline.problem.diagnosis import Diagnosis
-from pipeline.problem.identifiability import Verdict
+from pipeline.problem.identifiability import Solvability
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.combinations import describe_combinations, summarize_combinations
 from pipeline.reporting.console import say, table
@@ -50,7 +50,7 @@ def run(config: Config) -> StageOutput:
         "determined": {"by": expected.of, "coefficients": summarize_determined(judged)},
     }
     summary |= numbers
-    solvable = all(report.verdict is not Verdict.NOT_IDENTIFIABLE for report in diagnosis.reports)
+    solvable = all(report.verdict is not Solvability.NOT_IDENTIFIABLE for report in diagnosis.reports)
     if solvable and diagnosis.by_least_squares and loss_of(config.loss).weighs_noise:
         combined = combine(measurement, setup_of(config))
         if combined is not None:
@@ -96,7 +96,7 @@ def say_diagnosis(config: Config, measurement: Measurement) -> tuple[Diagnosis, 
     judged = expected.judge()
     for report in diagnosis.reports:
         text = report.sentence
-        if report.verdict is not Verdict.NOT_IDENTIFIABLE:
+        if report.verdict is not Solvability.NOT_IDENTIFIABLE:
             members = [coefficient for coefficient in judged if coefficient.node in report.nodes]
             text += (
                 f"; condition number {np.median(report.condition):.2g} (worst {report.condition.max():.2g}); at "

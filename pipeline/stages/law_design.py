@@ -205,7 +205,5 @@ def _override_states(states: Sequence[State]) -> str:
     parts = []
     for name, value in values.items():
         column = column_of(name)
-        parts.append(
-            f"{name}: [{', '.join(f'{levels:g} {column.unit}' for levels in column.from_si(np.array(value)))}]"
-        )
+        parts.append(f"{name}: [{', '.join(f'{level:g} {column.unit}' for level in column.from_si(np.array(value)))}]")
     return " " + shlex.quote(f"machine.operating={{{', '.join(parts)}}}")

@@ -23,7 +23,7 @@ from pipeline.identification.fit import fit
 from pipeline.identification.residual_loss import ResidualTraining, initial_parameters, prepare_residual
 from pipeline.identification.training import setup_of
 from pipeline.problem.design import choose, merit
-from pipeline.problem.identifiability import Identifiability, Verdict, judge_identifiability
+from pipeline.problem.identifiability import Identifiability, Solvability, judge_identifiability
 from pipeline.problem.noise import least_squares_deviation, residual_covariance, whiten
 from pipeline.problem.residual import (
     BearingEquations,
@@ -117,7 +117,7 @@ def test_one_backward_run_adds_a_dimension(rotor_of: Machine, bearings: tuple[di
     for account in accounts_of(rotor_of, table_of(rotor_of, *bearings), (*UNBALANCES, BACKWARD)):
         assert set(account.orbit_rank) == {2}
         assert set(account.rank) == {8}
-        assert account.verdict is Verdict.IDENTIFIABLE
+        assert account.verdict is Solvability.IDENTIFIABLE
 
 
 def test_condition_numbers_of_the_papers_rotor(rotor_of: Machine) -> None:
@@ -125,7 +125,7 @@ def test_condition_numbers_of_the_papers_rotor(rotor_of: Machine) -> None:
     modelled, acting = rotor_of.bearings, rotor_of.excitations
     for account in accounts_of(rotor_of, modelled, acting):
         assert 5e2 < np.median(account.orbit_condition) < 2e3
-        assert account.verdict is Verdict.IDENTIFIABLE
+        assert account.verdict is Solvability.IDENTIFIABLE
     for account in accounts_of(rotor_of, modelled, (*acting, BACKWARD)):
         assert np.median(account.orbit_condition) < 4
 
@@ -167,14 +167,14 @@ def test_verdicts_of_the_compressor(machine: MachineFactory) -> None:
     assert prepare_residual(made.measurement, replace(setup, force=True))
     journal, isotropic = reports_of(made)
     assert (set(journal.rank), set(journal.orbit_rank)) == ({4}, {1})
-    assert isotropic.verdict is Verdict.IDENTIFIABLE
+    assert isotropic.verdict is Solvability.IDENTIFIABLE
     cured = machine(
         "experiment=compressor_journal_and_isotropic",
         "machine=compressor_journal_and_isotropic_backward",
         "machine.speeds.step_rpm=200",
     )
     for account in reports_of(cured):
-        assert account.verdict is Verdict.IDENTIFIABLE
+        assert account.verdict is Solvability.IDENTIFIABLE
 
 
 def test_a_constant_is_identifiable_across_speeds(rotor_of: Machine) -> None:
@@ -184,8 +184,8 @@ def test_a_constant_is_identifiable_across_speeds(rotor_of: Machine) -> None:
     system = linear_residual(equations, everything(table.nodes), table)
     constant = judge_identifiability(equations, system, constant=True)
     free = judge_identifiability(equations, system, constant=False)
-    assert [one.verdict for one in constant] == [Verdict.ACROSS_SPEEDS] * 2
-    assert [one.verdict for one in free] == [Verdict.NOT_IDENTIFIABLE] * 2
+    assert [one.verdict for one in constant] == [Solvability.ACROSS_SPEEDS] * 2
+    assert [one.verdict for one in free] == [Solvability.NOT_IDENTIFIABLE] * 2
     assert "2 real equations" in free[0].reason
 
 

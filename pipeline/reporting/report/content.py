@@ -30,7 +30,7 @@ MOST_PROBES, MOST_RUNS = 8, 6
 
 
 @dataclass(frozen=True, eq=False)
-class Probe:
+class View:
     """A direction in which a node was seen: its vectors are ``displacement @ weights``."""
 
     name: str
@@ -97,20 +97,20 @@ class ReportContent:
         return to_rpm(self.dataset.speeds)
 
     @cached_property
-    def probes(self) -> tuple[Probe, ...]:
+    def probes(self) -> tuple[View, ...]:
         """Every probe: those that recorded, or the channels of the data where these are all that is known."""
         data, recordings = self.dataset, self.config.machine.recordings
         if isinstance(recordings, NoRecordingsConfig) or not self.config_owns_data:
             unit = np.eye(len(data.channels))
             return tuple(
-                Probe(name_channel(channel), channel[0], channel[1], unit[p]) for p, channel in enumerate(data.channels)
+                View(name_channel(channel), channel[0], channel[1], unit[p]) for p, channel in enumerate(data.channels)
             )
         listed = []
         for name, probe in recordings.probes.items():
             weights, angle = np.zeros(len(data.channels)), float(np.degrees(probe.angle))
             for cosine, direction in zip(project_direction(angle), (0.0, 90.0), strict=True):
                 weights[data.channels.index((probe.node, direction))] = cosine
-            listed.append(Probe(name, probe.node, angle, weights))
+            listed.append(View(name, probe.node, angle, weights))
         return tuple(listed)
 
     @property
@@ -119,11 +119,11 @@ class ReportContent:
         return self.config.data.vibration is None
 
     @cached_property
-    def shown_probes(self) -> tuple[Probe, ...]:
+    def shown_probes(self) -> tuple[View, ...]:
         """Those that are drawn: at bearings first, then at discs, then others."""
         rotor = self.measurement.rotor
 
-        def rank(probe: Probe) -> tuple[int, int]:
+        def rank(probe: View) -> tuple[int, int]:
             return (0 if probe.node in rotor.bearing_nodes else 1 if probe.node in rotor.disc_nodes else 2), probe.node
 
         return tuple(sorted(self.probes, key=rank)[:MOST_PROBES])

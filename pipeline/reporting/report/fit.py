@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.reporting.report.content import FitContent, Probe, ReportContent, count
+from pipeline.reporting.report.content import FitContent, ReportContent, View, count
 from pipeline.reporting.report.figure import Axes, Curve, Figure, Panel
 from pipeline.reporting.report.measured import AMPLITUDE, RPM, vectors_of
 from pipeline.reporting.report.section import Block, Paragraph, Section, Table, write_number
@@ -91,7 +91,7 @@ def _list_probes(content: ReportContent, fit: FitContent) -> Table:
     return Table("Fitted runs, root mean square over speeds and runs", header, rows)
 
 
-def _noise(fit: FitContent, probe: Probe) -> np.ndarray:
+def _noise(fit: FitContent, probe: View) -> np.ndarray:
     """(S, R) m, root mean square of the noise of a probe's vector."""
     return np.asarray(np.sqrt(fit.noise.transpose(0, 2, 1) ** 2 @ probe.weights**2))
 

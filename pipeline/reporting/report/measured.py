@@ -9,7 +9,7 @@ import numpy as np
 from pipeline.data.operating import split_states
 from pipeline.reporting.figures import BLACK, GREY
 from pipeline.reporting.ingest_figures import find_lag, pick_speeds
-from pipeline.reporting.report.content import Probe, ReportContent, Waveforms
+from pipeline.reporting.report.content import ReportContent, View, Waveforms
 from pipeline.reporting.report.figure import Axes, Curve, Figure, HeatMap, Panel
 from pipeline.reporting.report.section import Amplitude, Block, Cell, Paragraph, Section, Table
 
@@ -59,7 +59,7 @@ def _list_peaks(content: ReportContent) -> Table:
     return Table("Largest 1X amplitude of each probe (µm pk-pk)", ["probe", "amplitude", "at", "run"], rows)
 
 
-def vectors_of(content: ReportContent, probe: Probe, run: int) -> np.ndarray:
+def vectors_of(content: ReportContent, probe: View, run: int) -> np.ndarray:
     """(S,) complex, m: what a probe read in a run."""
     return np.asarray(content.dataset.displacement[..., run] @ probe.weights)
 
@@ -94,7 +94,7 @@ def _draw_bode(content: ReportContent) -> Figure:
     return Figure("bode", caption, tuple(panels))
 
 
-def _title(probe: Probe) -> str:
+def _title(probe: View) -> str:
     return probe.name if probe.name.startswith("node") else f"{probe.name} (node {probe.node}, {probe.angle:g}°)"
 
 
