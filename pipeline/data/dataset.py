@@ -15,7 +15,7 @@ import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -28,6 +28,8 @@ DIRECTIONS = {"x": 0.0, "y": 90.0}
 SYNCHRONOUS = 0.01
 """A run turns with the rotor where its frequency is within this share of the nominal speed: a speed is never held
 exactly, and each record has its own."""
+EVERYWHERE = np.ones((1, 1), dtype=bool)
+"""Every run was measured at every point."""
 Kind = Literal["unbalance", "force"]
 Whirl = Literal["forward", "backward"]
 
@@ -57,7 +59,17 @@ class VibrationDataset:
     subtracted: np.ndarray | None = None  # (S, P, R) m, the baseline that was taken off; its noise is still there
     conditions: tuple[str, ...] | None = None  # (R,) the condition that a run repeats; None where each is its own
     operating: Mapping[str, np.ndarray] = field(default_factory=dict)  # name -> (S,) SI, temperatures in K
-    present: np.ndarray | None = None  # (S, R) bool: which runs were measured where; None for all, everywhere
+    present: np.ndarray = field(default_factory=lambda: EVERYWHERE)  # (S, R) bool: which runs were measured where
+
+    def __post_init__(self) -> None:
+        shape = (len(self.speeds), len(self.runs))
+        mask = EVERYWHERE if np.all(self.present) else self.present
+        object.__setattr__(self, "present", np.broadcast_to(mask, shape))
+
+    @property
+    def complete(self) -> bool:
+        """Whether every run was measured everywhere."""
+        return bool(self.present.all())
 
     @cached_property
     def frequencies(self) -> np.ndarray:
@@ -74,7 +86,7 @@ class VibrationDataset:
             digest.update(repr(self.conditions).encode())
         digest.update(np.ascontiguousarray(self.speeds).tobytes())
         digest.update(np.ascontiguousarray(self.displacement).tobytes())
-        for more in (self.own_frequencies, self.subtracted, self.present):
+        for more in (self.own_frequencies, self.subtracted, None if self.complete else self.present):
             if more is not None:
                 digest.update(np.ascontiguousarray(more).tobytes())
         for name, values in self.operating.items():
@@ -90,18 +102,19 @@ class VibrationDataset:
         names = tuple(self.runs[r] for r in runs)
         acting = tuple(excitation for excitation in self.excitations if excitation.run in names)
         repeated = None if self.conditions is None else tuple(self.conditions[r] for r in runs)
-        return replace(self._select(slice(None), runs), runs=names, excitations=acting, conditions=repeated)
+        return self._select(slice(None), runs, runs=names, excitations=acting, conditions=repeated)
 
-    def _select(self, speeds: np.ndarray | slice, runs: np.ndarray | slice) -> VibrationDataset:
-        own, subtracted, present = self.own_frequencies, self.subtracted, self.present
+    def _select(self, speeds: np.ndarray | slice, where: np.ndarray | slice, **beside: Any) -> VibrationDataset:
+        own, subtracted = self.own_frequencies, self.subtracted
         return replace(
             self,
             speeds=self.speeds[speeds],
-            displacement=self.displacement[speeds][..., runs],
-            own_frequencies=None if own is None else own[speeds][:, runs],
-            subtracted=None if subtracted is None else subtracted[speeds][..., runs],
+            displacement=self.displacement[speeds][..., where],
+            own_frequencies=None if own is None else own[speeds][:, where],
+            subtracted=None if subtracted is None else subtracted[speeds][..., where],
             operating={name: values[speeds] for name, values in self.operating.items()},
-            present=None if present is None else present[speeds][:, runs],
+            present=self.present[speeds][:, where],
+            **beside,
         )
 
     @property
@@ -112,7 +125,7 @@ class VibrationDataset:
     @property
     def n_readings(self) -> int:
         """How many complex numbers were measured."""
-        return self.displacement.size if self.present is None else int(self.present.sum()) * len(self.channels)
+        return int(self.present.sum()) * len(self.channels)
 
     def excitation_of(self, run: int) -> tuple[Excitation, ...]:
         """What acts in the run of this index, without its name: equal for runs that repeat each other."""
@@ -187,24 +200,20 @@ def subtract_baseline(dataset: VibrationDataset, baseline: str) -> VibrationData
     Raises DataError where another run was measured at a point and the baseline was not.
     """
     b = dataset.runs.index(baseline)
-    if dataset.present is not None:
-        alone = np.argwhere(dataset.present & ~dataset.present[:, [b]])
-        if len(alone):
-            rpm = dataset.speeds[alone[0][0]] / RAD_S_PER_RPM
-            raise DataError(
-                f"the baseline '{baseline}' must be measured at the operating conditions of the other runs, but at "
-                f"{len(alone)} points it was not (the first: run '{dataset.runs[alone[0][1]]}', {rpm:g} rpm): say in "
-                "same_conditions by how much conditions may differ, or leave the baseline out and identify the "
-                "residual unbalance (identify.unbalance_planes)"
-            )
-        present = np.delete(dataset.present, b, axis=1)
-        dataset = dataset.at(np.flatnonzero(present.any(axis=1)))
-        if dataset.present is not None and dataset.present.all():
-            dataset = replace(dataset, present=None)
+    alone = np.argwhere(dataset.present & ~dataset.present[:, [b]])
+    if len(alone):
+        rpm = dataset.speeds[alone[0][0]] / RAD_S_PER_RPM
+        raise DataError(
+            f"the baseline '{baseline}' must be measured at the operating conditions of the other runs, but at "
+            f"{len(alone)} points it was not (the first: run '{dataset.runs[alone[0][1]]}', {rpm:g} rpm): say in "
+            "same_conditions by how much conditions may differ, or leave the baseline out and identify the "
+            "residual unbalance (identify.unbalance_planes)"
+        )
+    others = np.delete(dataset.present, b, axis=1)
+    if not dataset.complete:
+        dataset = dataset.at(np.flatnonzero(others.any(axis=1)))
     rest = dataset.of_runs(np.delete(np.arange(len(dataset.runs)), b))
-    turning = synchronous(rest.frequencies, rest.speeds[:, None])  # (S, R)
-    if rest.present is not None:
-        turning &= rest.present
+    turning = synchronous(rest.frequencies, rest.speeds[:, None]) & rest.present  # (S, R)
     subtracted = dataset.displacement[..., [b]] * turning[:, None]
     return replace(rest, displacement=rest.displacement - subtracted, subtracted=subtracted)
 

@@ -78,7 +78,7 @@ def write_vibration(path: Path, dataset: VibrationDataset, marks: Mapping[str, s
         columns[_FREQUENCY] = np.repeat(dataset.own_frequencies.T.ravel() / (2 * np.pi), n_channels)
     if dataset.conditions is not None:
         columns[_CONDITION] = np.repeat(np.array(dataset.conditions, dtype=object), n_speeds * n_channels)
-    if dataset.present is not None:
+    if not dataset.complete:
         rows = np.repeat(dataset.present.T.ravel(), n_channels)
         columns = {name: values[rows] for name, values in columns.items()}
     return write_table(path, columns, marks)
@@ -232,7 +232,7 @@ def _assemble(
         frequencies,
         conditions=_read_conditions(table, path, runs) if _CONDITION in table else None,
         operating=operating,
-        present=None if present.all() else present,
+        present=present,
     )
 
 

@@ -83,9 +83,8 @@ def finite(value: float) -> float | None:
 def output_error_quality(fit: OutputErrorFit) -> Quality:
     """Chi-square, whiteness, held-out speeds and runs, and the readings far off."""
     plain, inconsistent = _plain_deviations(fit), _list_inconsistent(fit)
-    value, readings = chi_square(plain), sum(block.size for block in plain)
-    if fit.problem.measurement.dataset.present is not None:
-        readings = fit.problem.measurement.dataset.n_readings
+    # What was not measured has a precision of zero.
+    value, readings = chi_square(plain), sum(int((block != 0).sum()) for block in plain)
     parameters = fit.problem.model_parameters(fit.weights)[0]
     # What the data do not tell of a weight its prior does: it takes no reading away.
     by_prior = np.einsum("zy,yz->z", fit.covariance(), fit.problem.prior.information().numpy())

@@ -82,7 +82,7 @@ class Readings:
         return self.measurement.deviation_of(predicted, taken, factor)
 
     def present(self, b: int) -> torch.Tensor:
-        """(S or 1, 1, R) one where a run of block b was measured, zero elsewhere."""
+        """(S, 1, R) one where a run of block b was measured, zero elsewhere."""
         return _weigh_present(self.measurement, self.runs[b])
 
     def follow(self, predicted: list[torch.Tensor], factor: np.ndarray, shares: list[torch.Tensor]) -> Readings:
@@ -129,10 +129,7 @@ def gather_readings(measurement: Measurement) -> Readings:
 def _weigh_present(measurement: Measurement, runs: np.ndarray) -> torch.Tensor:
     import torch
 
-    present = measurement.dataset.present
-    if present is None:
-        return torch.ones(1, 1, 1, dtype=torch.float64)
-    return torch.as_tensor(present[:, np.asarray(runs)], dtype=torch.float64)[:, None]
+    return torch.as_tensor(measurement.dataset.present[:, runs], dtype=torch.float64)[:, None]
 
 
 def split_noise(

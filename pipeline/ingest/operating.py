@@ -177,7 +177,7 @@ def to_points(
         excitations=acting,
         own_frequencies=None if recorded.own_frequencies is None else run_speeds,
         operating=operating,
-        present=None if present.all() else present,
+        present=present,
     )
     return made, notes
 

@@ -26,7 +26,7 @@ def solve_each(solve: Callable[[Measurement], Estimate], measurement: Measuremen
     states = [
         points[rows]
         for _, points in split_states(data.speeds, data.operating)
-        for rows in group_rows(np.ones((len(points), 1)) if data.present is None else data.present[points])
+        for rows in group_rows(data.present[points])
     ]
     answers = [(points, solve(_alone(measurement, points))) for points in states]
     deviations = [answer.deviation for _, answer in answers]
@@ -48,7 +48,6 @@ def solve_each(solve: Callable[[Measurement], Estimate], measurement: Measuremen
 
 def _alone(measurement: Measurement, points: np.ndarray) -> Measurement:
     """The measurement at the ``points`` (indices) in the runs that have them, as if it had no operating conditions."""
-    present = measurement.dataset.present
-    state = measurement.select(points, None if present is None else np.flatnonzero(present[points[0]]))
-    data = replace(state.dataset, operating={}, present=None)
+    state = measurement.select(points, np.flatnonzero(measurement.dataset.present[points[0]]))
+    data = replace(state.dataset, operating={})
     return replace(state, dataset=data, known=replace(state.known, operating={}))

@@ -153,8 +153,7 @@ def at_state(measurement: Measurement, operating: Mapping[str, np.ndarray]) -> M
     measured = replace(measurement, dataset=data, known=known)
     vars(measured)["response"] = measurement.response
     shown = measurement.response.predict(measured.table(_evaluate(measured)[0]))
-    present = data.present
-    shown = shown if present is None else np.where(present[:, None], shown, 0.0)
+    shown = np.where(data.present[:, None], shown, 0.0)
     measured = replace(measured, dataset=replace(data, displacement=shown))
     vars(measured)["response"] = measurement.response
     return measured

@@ -123,8 +123,7 @@ class Measurement:
         if self.drift is not None:
             return self.drift.deviation()
         stated = self.deviation_of(self.dataset.displacement, self.dataset.subtracted)
-        present = self.dataset.present
-        return stated if present is None else np.where(present[:, None], stated, np.inf)
+        return np.where(self.dataset.present[:, None], stated, np.inf)
 
     def deviation_of(
         self, displacement: np.ndarray, subtracted: np.ndarray | None = None, factor: np.ndarray | None = None

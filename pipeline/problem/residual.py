@@ -66,8 +66,7 @@ def bearing_equations(rotor: RotorModel, dataset: VibrationDataset) -> BearingEq
     displacement = resolution @ dataset.displacement
     speeds = dataset.speeds
     forces = assemble_forces(rotor, dataset.excitations, dataset.runs, dataset.frequencies)
-    if dataset.present is not None:  # where a run was not measured, its equations say nothing: 0 = 0
-        forces = forces * dataset.present[:, None]
+    forces = forces * dataset.present[:, None]  # where a run was not measured, its equations say nothing: 0 = 0
     everything = np.arange(rotor.n_dof)
     unmeasured = np.setdiff1d(everything, measured)
     response = np.zeros((len(speeds), rotor.n_dof, len(dataset.runs)), dtype=complex)

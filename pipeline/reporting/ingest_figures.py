@@ -43,7 +43,7 @@ def _list_curves(dataset: VibrationDataset, baseline: str | None) -> list[tuple[
     colours, curves = colour_states(len(states)), []
     for r, look in enumerate(looks):
         for (label, points), colour in zip(states, colours, strict=True):
-            measured = points if dataset.present is None else points[dataset.present[points, r]]
+            measured = points[dataset.present[points, r]]
             state_look = {"color": colour, "label": f"{look['label']}, {label}"} if len(states) > 1 else {}
             if len(measured):
                 curves.append((r, measured, look | state_look))
@@ -106,7 +106,7 @@ def draw_measured_orbits(path: Path, dataset: VibrationDataset, baseline: str | 
             for s, at in enumerate(picked):
                 ax = axes[n, s]
                 for r, look in enumerate(_choose_looks(dataset, baseline)):
-                    if dataset.present is not None and not dataset.present[at, r]:
+                    if not dataset.present[at, r]:
                         continue
                     x, y = (MICROMETRES * (dataset.displacement[at, place, r] * turn).real for place in places)
                     ax.plot(x, y, **look)

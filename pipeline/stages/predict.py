@@ -166,7 +166,7 @@ def superpose_unseen(config: Config, measurement: Measurement, operating: Mappin
     dataset, node = measurement.dataset, config.machine.prediction.node
     if dataset.operating:
         mask = mask_state(dataset.operating, operating)
-        mask &= True if dataset.present is None else dataset.present.all(axis=1)
+        mask &= dataset.present.all(axis=1)
         if not np.array_equal(dataset.speeds[mask], np.unique(dataset.speeds)):
             return None
         dataset = dataset.at(mask)

@@ -73,11 +73,7 @@ def _choose_run(
     r = data.runs.index(held_out[0] if held_out else data.runs[0])
     updated = update_measurement(measurement, uncertainty).select(None, np.array([r]))
     unbalance = None if uncertainty is None else uncertainty.residual_unbalance
-    reached, measured = (
-        updated.response.predict(bearings, unbalance)[..., 0],
-        data.displacement[..., r],
-    )  # (S, P) complex, m
-    if data.present is not None:
-        reached = np.where(data.present[:, [r]], reached, 0.0)
+    reached = np.where(data.present[:, [r]], updated.response.predict(bearings, unbalance)[..., 0], 0.0)  # (S, P), m
+    measured = data.displacement[..., r]
     probe = int(np.abs(measured).max(axis=0).argmax())
     return ShownRun(data.runs[r], bool(held_out), probe, measured, reached)

@@ -103,7 +103,7 @@ def mark_fitted(config: Config, measurement: Measurement) -> np.ndarray:
     fitted = np.broadcast_to(keep[:, None, None], data.displacement.shape).copy()
     if loss_of(config.loss).weighs_noise:
         fitted[..., held_out_runs(measurement, training)] = False
-    return fitted if data.present is None else fitted & data.present[:, None]
+    return fitted & data.present[:, None]
 
 
 def _tabulate(judged: Mapping[str, Any]) -> dict[str, list[Any]]:

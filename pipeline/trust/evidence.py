@@ -181,7 +181,7 @@ def compare_superposed(measurement: Measurement, factor: np.ndarray | None) -> d
         data = update_excitations(data, measurement.parameters, measurement.parameter_values)
     noise = measurement.deviation_of(data.displacement, data.subtracted, factor)
     free = bool(measurement.unknowns.planes) or any(parameter.kind == "bow" for parameter in measurement.parameters)
-    whole = slice(None) if data.present is None else data.present.all(axis=1)  # points that every run was measured at
+    whole = data.present.all(axis=1)  # points that every run was measured at
     squares = {}
     for r, run in enumerate(data.runs):
         others = [o for o in range(len(data.runs)) if o != r]

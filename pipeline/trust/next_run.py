@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.data.dataset import Excitation
+from pipeline.data.dataset import EVERYWHERE, Excitation
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.uncertainty import Uncertainty
 from pipeline.problem.measurement import Measurement
@@ -62,7 +62,7 @@ def weigh_candidates(
         excitations=excitations,
         own_frequencies=None,
         subtracted=None,
-        present=None,
+        present=EVERYWHERE,
     )
     planned = replace(measurement, dataset=plan, drift=None)  # its runs are conditions of their own
     seen = linearise(planned, identified, uncertainty, np.ones(shape, dtype=bool), factor).by_weight

@@ -98,7 +98,7 @@ def interpolate_response(dataset: VibrationDataset, seen: np.ndarray) -> np.ndar
     """
     from scipy.interpolate import CubicSpline
 
-    if dataset.present is not None and not dataset.present.all():
+    if not dataset.complete:
         return None
     drawn = np.zeros_like(dataset.displacement)
     for _, points in split_states(dataset.speeds, dataset.operating):
@@ -132,15 +132,14 @@ def compare_held_out(
     ``measurement`` is at the fitted model parameters, ``bearings`` and the residual ``unbalance`` (N,) kg m are fitted.
     """
     dataset = measurement.dataset
-    present = np.ones(dataset.displacement.shape[::2], dtype=bool) if dataset.present is None else dataset.present
-    predicted = np.where(present[:, None], measurement.response.predict(bearings, unbalance), 0.0)
+    predicted = np.where(dataset.present[:, None], measurement.response.predict(bearings, unbalance), 0.0)
     measured, out = dataset.displacement, held_out_runs(measurement, training)
     fitted = np.setdiff1d(np.arange(len(dataset.runs)), out)
     compared = []
     for r in out:
         acting, planes = dataset.excitation_of(int(r)), measurement.unknowns.planes
         summed = superpose(dataset, fitted.tolist(), acting, dataset.frequencies[:, r], bool(planes))
-        beside = present[:, r] & present[:, fitted].all(axis=1)
+        beside = dataset.present[:, r] & dataset.present[:, fitted].all(axis=1)
         error = error_percent(summed[beside], measured[beside, :, r]) if summed is not None and beside.any() else None
         model = error_percent(predicted[..., r], measured[..., r])
         compared.append(HeldOut(dataset.runs[r], dataset.speeds, True, model, error))

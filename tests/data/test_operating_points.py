@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.data.coefficient_files import read_coefficients, read_known, write_coefficients
-from pipeline.data.dataset import Excitation, VibrationDataset
+from pipeline.data.dataset import EVERYWHERE, Excitation, VibrationDataset
 from pipeline.data.excitation_files import write_excitation
 from pipeline.data.operating_points import join, spread_states
 from pipeline.data.vibration_files import read_measured, write_vibration
@@ -27,14 +27,13 @@ KELVIN, LOADS = (318.15, 328.15), (500.0, 750.0)
 
 
 def dataset_at(
-    speeds: np.ndarray, operating: dict[str, np.ndarray], present: np.ndarray | None = None
+    speeds: np.ndarray, operating: dict[str, np.ndarray], present: np.ndarray = EVERYWHERE
 ) -> VibrationDataset:
     """Readings that tell their points apart."""
     random = np.random.default_rng(len(speeds))
     shape = (len(speeds), len(CHANNELS), len(RUNS))
     values = 1e-6 * (random.normal(size=shape) + 1j * random.normal(size=shape))
-    if present is not None:
-        values = values * present[:, None]
+    values = values * present[:, None]
     return VibrationDataset(speeds, RUNS, CHANNELS, values, ACTING, operating=operating, present=present)
 
 
@@ -84,7 +83,7 @@ def test_what_is_written_is_read_in_the_same_order_whatever_the_order_of_the_row
     present = random.random((len(speeds), 2)) < 0.7
     present[np.flatnonzero(~present.any(axis=1)), 0] = True
     present[0] = True  # both runs were measured somewhere
-    before = dataset_at(speeds, operating, None if present.all() else present)
+    before = dataset_at(speeds, operating, present)
     write_excitation(folder / "excitation.csv", before)
     found = read_measured(write_vibration(folder / f"vibration.{ending}", before), folder / "excitation.csv")
     np.testing.assert_allclose(found.speeds, speeds, rtol=1e-12)
@@ -92,8 +91,7 @@ def test_what_is_written_is_read_in_the_same_order_whatever_the_order_of_the_row
     assert tuple(found.operating) == ("oil_temperature", "oil_supply_pressure")
     for name, values in operating.items():
         np.testing.assert_allclose(found.operating[name], values, rtol=1e-11)
-    assert (found.present is None) == (before.present is None)
-    assert found.present is None or (found.present == present).all()
+    assert (found.present == present).all()
     if ending == "csv":
         header, *rows = csv.reader((folder / "vibration.csv").read_text().splitlines())
         again = read(folder, [header, *(rows[i] for i in random.permutation(len(rows)))])
@@ -149,7 +147,7 @@ def test_a_temperature_below_absolute_zero_is_no_reading(tmp_path: Path) -> None
 def test_a_run_may_lack_points_but_not_channels_and_no_point_of_a_single_state(tmp_path: Path) -> None:
     _, (header, *rows) = rows_of(grid(), tmp_path)
     found = read(tmp_path, [header, *rows[2:]])
-    assert found.present is not None
+    assert not found.complete
     assert found.present.tolist() == [[False, True], *[[True, True]] * 7]
     assert (found.displacement[0, :, 0] == 0).all()
     with refused("every channel at every speed of every run", "run 'a', 100 rpm, 45 degC, 500 N, node 0 x"):
@@ -171,9 +169,9 @@ def test_conditions_within_the_tolerance_are_one_point_with_their_mean(tmp_path:
     rows = [[*row[:2], str(float(row[2]) + 0.3 * (row[0] == "b")), *row[3:]] for row in rows]
     apart = read(tmp_path, [header, *rows])
     joined = read(tmp_path, [header, *rows], same={"oil_temperature": 0.31})
-    assert apart.present is not None
+    assert not apart.complete
     assert (len(apart.speeds), apart.present.sum()) == (16, 16)
-    assert joined.present is None
+    assert joined.complete
     np.testing.assert_allclose(np.unique(joined.operating["oil_temperature"]), [318.3, 328.3])
     np.testing.assert_allclose(joined.displacement, grid().displacement, rtol=1e-9)
 
@@ -203,7 +201,7 @@ def test_the_baseline_must_be_measured_where_the_others_are(tmp_path: Path) -> N
     found = read(tmp_path, [header, *of_a[2:], *of_b], baseline="b")  # 'b' alone was measured at the first point
     assert found.runs == ("a",)
     assert len(found.speeds) == 7
-    assert found.present is None
+    assert found.complete
     assert found.subtracted is not None
     with refused("the baseline 'b' must be measured at the operating conditions of the other runs", "run 'a', 100 rpm"):
         read(tmp_path, [header, *of_a, *of_b[2:]], baseline="b")

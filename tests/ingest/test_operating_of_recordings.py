@@ -39,7 +39,7 @@ def recordings(folder: Path, name: str = "{run} at {celsius:g}") -> list[dict[st
 
 def check_states(found: VibrationDataset, runs: tuple[str, ...]) -> None:
     assert found.runs == runs
-    assert found.present is None
+    assert found.complete
     np.testing.assert_allclose(found.speeds, np.tile(GRID * RPM, 2))
     np.testing.assert_allclose(found.operating["oil_temperature"], np.repeat(KELVIN, len(GRID)))
     for r, turn in enumerate((0.0, 1.1)):
@@ -67,11 +67,11 @@ def test_runs_of_other_excitation_need_not_share_conditions(tmp_path: Path) -> N
     runs = [run for i, run in enumerate(recordings(tmp_path)) if i in (0, 3)]
     found = read(table_config(runs))
     assert found.runs == ("one at 45", "two at 65")
-    assert found.present is not None
+    assert not found.complete
     assert found.present.tolist() == [[True, False]] * len(GRID) + [[False, True]] * len(GRID)
     close = [runs[0], runs[1] | at(45.2)]
     joined = read(table_config(close, same_conditions={"oil_temperature": "0.5 K"}))
-    assert joined.present is None
+    assert joined.complete
     assert joined.operating["oil_temperature"] == pytest.approx(np.full(len(GRID), 318.25))
 
 
@@ -80,7 +80,7 @@ def test_a_baseline_may_be_measured_at_every_state(tmp_path: Path) -> None:
     bare = [{key: value for key, value in run.items() if key != "unbalances"} | {"name": "found"} for run in runs[:2]]
     found = read(table_config([*runs, *bare], baseline="found"))
     assert found.runs == ("one", "two", "found")
-    assert found.present is None
+    assert found.complete
 
 
 def test_oil_that_warms_during_a_run_up_by_speed_and_by_time(tmp_path: Path) -> None:
@@ -90,7 +90,7 @@ def test_oil_that_warms_during_a_run_up_by_speed_and_by_time(tmp_path: Path) -> 
     log.write_text("run,speed_rpm,oil_temperature_degC\none,500,40\none,3000,50\ntwo,3000,55\ntwo,400,45\n")
     found = read(table_config(runs, conditions_file=str(log)))
     warm = 40 + 10 * (GRID - 500) / 2500
-    assert found.present is not None
+    assert not found.complete
     at_one = found.present[:, 0]
     order = np.argsort(found.speeds[at_one])
     np.testing.assert_allclose(found.operating["oil_temperature"][at_one][order], warm + 273.15)

@@ -91,7 +91,7 @@ def test_a_fit_reads_points_runs_and_known_coefficients_of_own_files(own: Path) 
     files = [f"data.{name}={own / file}" for name, file in (("vibration", "vibration.parquet"), ("known", "known.csv"))]
     config = composed(*BASE, *files, f"data.excitation={own / 'excitation.csv'}")
     found = load_measurement(config)
-    assert found.dataset.present is not None
+    assert not found.dataset.complete
     assert found.known.operating.keys() == {"oil_temperature", "load"}
     absent = ~found.dataset.present[:, 0]
     assert (found.dataset.operating["load"][absent] == 700.0).all()

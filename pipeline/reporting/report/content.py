@@ -154,7 +154,7 @@ class ReportContent:
         states = pick_states(data.speeds, data.operating)
         listed = []
         for (label, points), colour in zip(states, colour_states(len(states)), strict=True):
-            measured = points if data.present is None else points[data.present[points, run]]
+            measured = points[data.present[points, run]]
             state_look = {"colour": colour, "label": f"{look['label']}, {label}"} if len(states) > 1 else {}
             if len(measured):
                 listed.append((measured, look | state_look))

@@ -81,7 +81,7 @@ def _list_probes(content: ReportContent, fit: FitContent) -> Table:
     for probe in content.shown_probes:
         measured = content.dataset.displacement[..., ~held].transpose(0, 2, 1) @ probe.weights
         rest = measured - fit.predicted[..., ~held].transpose(0, 2, 1) @ probe.weights
-        mask = np.ones(rest.shape, dtype=bool) if present is None else present[:, ~held]
+        mask = present[:, ~held]
         percent = 100 * np.linalg.norm(rest[mask]) / np.linalg.norm(measured)
         cells = [probe.name, f"{percent:.3g}"]
         if stated:

@@ -144,7 +144,7 @@ def _draw_orbits(content: ReportContent) -> Figure | None:
             curves: list[Curve] = []
             reach = float(np.abs(rows @ data.displacement[s][:, list(content.shown_runs)]).max())
             for r in content.shown_runs:
-                if data.present is None or data.present[s, r]:
+                if data.present[s, r]:
                     curves += _draw_orbit(rows @ data.displacement[s, :, r], content.look(r), reach)
             axes = Axes(tuple(curves), "y (µm)", amplitude=True)
             panels.append(Panel(f"node {node}, {content.name_point(s)}", "x (µm)", (axes,), equal=True))
