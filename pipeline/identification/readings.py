@@ -58,8 +58,8 @@ class Readings:
 
         if not self.mixing:
             return rows
-        mixed: torch.Tensor = torch.einsum("rij,gjrn->girn", self.mixing[b], rows.flatten(1, 2))
-        return mixed.unflatten(1, rows.shape[1:3])
+        mixed = torch.einsum("rij,gjrn->girn", self.mixing[b], rows.flatten(1, 2))
+        return torch.unflatten(mixed, 1, rows.shape[1:3])
 
     def rounding(self) -> torch.Tensor:
         """(1,) the loss that the readings round to: their size over their noise, times their precision."""

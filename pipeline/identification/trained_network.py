@@ -45,7 +45,9 @@ class TrainedNetworks(OutputError):
 
     def networks(self, numbers: torch.Tensor) -> torch.Tensor:
         """(G, M, Q) parameters of the coefficient model."""
-        return numbers[:, 0, self.places.coefficients].unflatten(-1, (len(self.scale), -1))
+        import torch
+
+        return torch.unflatten(numbers[:, 0, self.places.coefficients], -1, (len(self.scale), -1))
 
     def outputs(self, weights: torch.Tensor) -> torch.Tensor:
         """(G, M, S, U) outputs of the networks."""
