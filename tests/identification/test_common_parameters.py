@@ -13,6 +13,7 @@ from small_rotor import FITTED, NOISE, small_machine
 from pipeline.config.identification import ModelParametersConfig
 from pipeline.data.dataset import Excitation
 from pipeline.data.simulate import add_noise
+from pipeline.identification.answer import conclude
 from pipeline.identification.output_error_fit import fit_output_error
 from pipeline.identification.training import setup_of
 from pipeline.problem.model_parameters import model_parameters
@@ -52,7 +53,7 @@ def test_a_fit_finds_what_all_weights_have_in_common_and_the_bow() -> None:
     exact = replace(data, displacement=stated.update(truth).response.predict(bearings))
     read = add_noise(exact, np.full(shape, NOISE), np.random.default_rng(3))
     found = fit_output_error(replace(stated, dataset=read), setup_of(composed(*FITTED)))
-    for one, value in zip(found.model_parameters(), truth, strict=True):
+    for one, value in zip(conclude(found).parameters, truth, strict=True):
         assert abs(one.value - value) < 4 * one.deviation, one.parameter.name
         if one.parameter.kind != "bearing_position":
             assert one.deviation < 0.3, one.parameter.name

@@ -14,6 +14,7 @@ from pipeline.config.as_built import AsBuiltConfig
 from pipeline.config.compose import compose_config
 from pipeline.data.as_built import build_rotor, simulate_as_built
 from pipeline.data.sensors import measure
+from pipeline.identification.answer import conclude
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
 from pipeline.identification.output_error_start import prepare_output_error
 from pipeline.identification.problem import OutputError
@@ -109,7 +110,7 @@ def test_what_the_model_is_wrong_in_is_found(kind: str, built: dict[str, float])
     """By one prior deviation; without it the coefficients are wrong, and the mismatch test says so."""
     data, truth = measured(EXACT.model_copy(update=built))
     wrong, right = (fit_output_error(only(data, *kinds), SETUP) for kinds in ((), (kind,)))
-    for one in right.model_parameters():
+    for one in conclude(right).parameters:
         assert abs(one.value - 1.0) <= 4 * one.deviation, one.parameter.name
         assert one.deviation < 0.15
     assert worst_error(right, truth) < worst_error(wrong, truth)
@@ -123,7 +124,7 @@ def test_what_slow_roll_leaves_of_the_runout_is_found() -> None:
     without = measured(EXACT)[0].dataset.displacement
     wrong, right = (fit_output_error(only(data, *kinds), SETUP) for kinds in ((), ("runout",)))
     left = (data.dataset.displacement - without)[..., :3].mean(axis=(0, 2))  # (P,) the noise is that of both
-    for one in right.model_parameters():
+    for one in conclude(right).parameters:
         part = getattr(left[one.parameter.place], {"real": "real", "imaginary": "imag"}[one.parameter.detail])
         assert abs(one.value * one.parameter.deviation - part) < 3e-8, one.parameter.name
         assert one.deviation < 0.3
@@ -135,7 +136,7 @@ def test_what_the_data_do_not_tell_stays_at_its_prior() -> None:
     """A prior far narrower than what the data could tell leaves value and deviation as they were."""
     data, _ = measured(EXACT)
     narrow = ModelParameter("density", 1e-9, "")
-    (one,) = fit_output_error(replace(data, parameters=(narrow,)), SETUP).model_parameters()
+    (one,) = conclude(fit_output_error(replace(data, parameters=(narrow,)), SETUP)).parameters
     assert one.deviation == pytest.approx(1.0, abs=1e-6)
     assert abs(one.value) < 1e-5
 

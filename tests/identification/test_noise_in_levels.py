@@ -15,6 +15,7 @@ from running import composed
 from small_rig import SIZE, SmallRig, small_rig, with_noise
 from small_rotor import FITTED
 
+from pipeline.identification.answer import conclude
 from pipeline.identification.information import invert_information, unknown_deviation
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
 from pipeline.identification.output_error_start import align_weights, drawn_basis, start_at
@@ -124,7 +125,7 @@ def test_weights_turned_by_any_angle_end_at_the_same_answer(degrees: int) -> Non
     """Nobody wrote down where the tacho stands: bearings and loss are the same, whatever the angle."""
     rig, setup = turned_rig(), setup_of(composed(*FITTED))
     fits = [fit_output_error(turn(with_noise(rig), np.radians(d)), setup) for d in (0, degrees)]
-    (here,), (there,) = (fit.model_parameters() for fit in fits)
+    (here,), (there,) = (conclude(fit).parameters for fit in fits)
     apart = WIDE * (there.value - here.value) - np.radians(degrees)
     assert abs(np.angle(np.exp(1j * apart))) < 0.2 * WIDE * here.deviation
     values = [fit.problem.unknowns(fit.weights)[0][0, 0].numpy() for fit in fits]

@@ -14,6 +14,7 @@ from pipeline.data.noise import NoiseModel
 from pipeline.data.sensors import Sensors, list_directions, measure, project
 from pipeline.data.simulate import simulate
 from pipeline.errors import ConfigError, IdentifiabilityError
+from pipeline.identification.answer import conclude
 from pipeline.identification.fit import fit
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
 from pipeline.identification.output_error_start import start_at
@@ -151,7 +152,7 @@ def test_a_residual_unbalance_is_found_with_the_coefficients(rotor_of: Machine) 
     sensors = Sensors(list_directions(rotor_of.rotor.bearing_nodes), multiplicative=1e-3)
     dataset = measure(replace(complete, excitations=rotor_of.excitations), sensors, np.random.default_rng(0))
     with_plane = fit_of(rotor_of, dataset, 1e-3, "identify.unbalance_planes=[4]")
-    found = with_plane.residual_unbalance()[0]
+    found = conclude(with_plane).uncertainty.residual_unbalance[0]
     assert abs(found - 3e-5 * np.exp(1j)) < 1e-3 * 3e-5
     assert np.median(relative_errors(rotor_of, with_plane, ("kxx", "kyy")), axis=-1).max() < 0.0025
     without = fit_of(rotor_of, dataset, 1e-3)
@@ -288,7 +289,7 @@ def test_an_odd_number_of_outputs_before_the_planes(rotor_of: Machine, planes: s
     only = ("identify.shared=true", "identify.unknowns=[kxx]", f"identify.unbalance_planes={planes}")
     fit = fit_of(rotor_of, dataset, 0.01, *only, "model.width=4")
     assert fit.problem.size % 2 == 1
-    assert np.isfinite(fit.residual_unbalance()).all()
+    assert np.isfinite(conclude(fit).uncertainty.residual_unbalance).all()
     assert np.median(relative_errors(rotor_of, fit, ("kxx",))) < 0.009
 
 

@@ -11,6 +11,7 @@ from comparing import machine, task
 from pipeline.comparison.cases import Case
 from pipeline.config.compose import compose_config
 from pipeline.errors import ConfigError
+from pipeline.identification.answer import conclude
 from pipeline.identification.fit import fit
 from pipeline.identification.identified import Fit
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
@@ -95,7 +96,7 @@ def test_the_scatter_has_every_number_and_is_no_linearised_covariance(trained: T
     covariance = trained.covariance()
     assert covariance.shape == (trained.problem.size,) * 2
     assert np.linalg.matrix_rank(covariance) <= 4  # of four networks
-    (modulus,) = trained.model_parameters()
+    (modulus,) = conclude(trained).parameters
     assert modulus.deviation > 0
     square = output_error_quality(trained).summary["fit"]["chi_square"]
     assert 0 <= square["numbers"] < 100
