@@ -13,7 +13,7 @@ from pipeline.identification.law_evidence import describe_laws
 from pipeline.identification.output_error_fit import OutputErrorFit
 from pipeline.identification.problem import OutputError, output_error
 from pipeline.identification.quality import output_error_quality
-from pipeline.identification.uncertainty import Uncertainty, uncertainty_of
+from pipeline.identification.uncertainty import Uncertainty, measure_uncertainty
 from pipeline.problem.measurement import Measurement
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 def conclude(fit: OutputErrorFit) -> Fit:
     """The model, how well it explains the readings, and how well everything in it is known."""
     quality = output_error_quality(fit)
-    uncertainty = uncertainty_of(fit, quality)
+    uncertainty = measure_uncertainty(fit, quality)
     numbers, parameters = _list_numbers(fit, uncertainty), _list_parameters(fit, uncertainty)
     summary: dict[str, Any] = dict(quality.summary)
     if numbers:

@@ -116,10 +116,10 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
             for (node, angle), f in zip(channels, fit.factor, strict=True)
         }
     estimated = not np.allclose(fit.factor, 1.0)
-    return Quality({"fit": summary}, bad, inflation_of(summary, estimated))
+    return Quality({"fit": summary}, bad, measure_inflation(summary, estimated))
 
 
-def inflation_of(fit: Mapping[str, Any], estimated: bool) -> float:
+def measure_inflation(fit: Mapping[str, Any], estimated: bool) -> float:
     """How much larger the variances are than the fit says: by its deviations' size (Birge 1932) and their correlation.
 
     Correlated deviations of the stated size are noise that wanders; larger ones are a model that does not fit. Where

@@ -93,11 +93,11 @@ class SensorModel:
             unbalance: (G, N) complex, kg m.
             parameters: (G, T) in prior deviations.
         """
-        shift, found = parameters - self.solved_at, []
+        shift, readings = parameters - self.solved_at, []
         for b in range(len(self.blocks)):
             block = self._block(b, shift)
-            found.append(respond(block, self._bearings(values, shift, block), unbalance, False).sensors)
-        return found
+            readings.append(respond(block, self._bearings(values, shift, block), unbalance, False).sensors)
+        return readings
 
     def derive(self, b: int, values: torch.Tensor, unbalance: torch.Tensor, parameters: torch.Tensor) -> Derivatives:
         """Readings of block b, and their derivatives, by what :meth:`predict` takes."""

@@ -34,7 +34,7 @@ class Unfitted:
         """(Z + A L, Z + A L) mean square of what they move."""
         return np.asarray(self.moves @ self.second @ self.moves.T)
 
-    def of_kind(self, name: str) -> Unfitted:
+    def select(self, name: str) -> Unfitted:
         """Those of one kind."""
         chosen = self.kinds == list(USUAL).index(name)
         return Unfitted(self.kinds[chosen], self.moves[:, chosen], self.second[np.ix_(chosen, chosen)])

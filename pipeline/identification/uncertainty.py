@@ -106,7 +106,7 @@ class Uncertainty:
         return np.where(unknowns.identified[:, None], deviation, np.nan)
 
     @property
-    def of_fit(self) -> np.ndarray:
+    def without_tolerances(self) -> np.ndarray:
         """(Z, Z) covariance without the tolerances: noise, misfit, and what the functions of the speed can't follow."""
         return np.asarray(self.covariance - self.unfitted.covariance())
 
@@ -119,7 +119,7 @@ class Uncertainty:
         return Places(coefficients, numbers, n_planes, n_parameters)
 
     @property
-    def of_machine(self) -> np.ndarray:
+    def machine_covariance(self) -> np.ndarray:
         """Covariance of what coefficients follow from (A (K + L) + Th) and of model parameters (T), without planes."""
         places = np.r_[: self.places.numbers.stop, self.places.parameters]
         return np.asarray(self.covariance[np.ix_(places, places)])
@@ -134,7 +134,7 @@ class Uncertainty:
         return np.asarray(np.sqrt(np.diag(self.covariance)[self.places.parameters]))
 
 
-def uncertainty_of(fit: OutputErrorFit, quality: Quality) -> Uncertainty:
+def measure_uncertainty(fit: OutputErrorFit, quality: Quality) -> Uncertainty:
     """The uncertainty of a fit: of noise and functions, as much wider as its deviations say, and of the tolerances."""
     problem, error = fit.problem, fit.error
     misfit = 1.0 if quality.misfit is None else max(1.0, quality.misfit)

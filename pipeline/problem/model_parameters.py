@@ -89,11 +89,11 @@ def usual_tolerances(
     stated: Collection[str], rotor: RotorModel, dataset: VibrationDataset, known: BearingTable, unknowns: UnknownSet
 ) -> tuple[ModelParameter, ...]:
     """The numbers of :data:`USUAL` that the machine has and whose kinds are not ``stated``."""
-    found = []
+    numbers = []
     for kind, deviation in USUAL.items():
         places = () if kind in stated else _places(kind, rotor, dataset, known, unknowns)
-        found += [ModelParameter(kind, deviation, *place) for place in places]
-    return tuple(found)
+        numbers += [ModelParameter(kind, deviation, *place) for place in places]
+    return tuple(numbers)
 
 
 _MISSING = {

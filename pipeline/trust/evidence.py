@@ -98,8 +98,8 @@ def gather(
         answer=answer,
         identified=measurement.unknowns.identified,
         deviation=deviate(),
-        by_fit=deviate(uncertainty.of_fit),
-        tolerances={name: deviate(unfitted.of_kind(name).covariance()) for name in unfitted.names},
+        by_fit=deviate(uncertainty.without_tolerances),
+        tolerances={name: deviate(unfitted.select(name).covariance()) for name in unfitted.names},
         moves={
             name: linear.leave_out(mask)
             for name, mask in (

@@ -119,7 +119,7 @@ def deviate_modes(
     ``measurement`` is at the fitted model parameters, ``modes`` and ``bearings`` are those of its rotor.
     """
     by_number = uncertainty.sensitivity(identified, bearings.speeds, bearings.operating)  # (B, S, 8, A (K + L))
-    count, covariance = by_number.shape[-1], uncertainty.of_machine
+    count, covariance = by_number.shape[-1], uncertainty.machine_covariance
     changes = [rotor_change(parameter, measurement.rotor) for parameter in measurement.parameters]
     positions = [t for t, parameter in enumerate(measurement.parameters) if parameter.kind == "bearing_position"]
     values = np.concatenate([modes.eigenvalues, (modes.growth + 1j * modes.growing)[:, None]], axis=1)

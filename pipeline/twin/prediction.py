@@ -73,7 +73,7 @@ def add_deviation(
         slopes = np.concatenate([slopes, by_model], axis=-1)
     direction = predicted.displacement.conj() / np.abs(predicted.displacement)
     in_phase = (direction[..., None] * slopes).real
-    variance = np.einsum("sdz,zy,sdy->sd", in_phase, uncertainty.of_machine, in_phase, optimize=True)
+    variance = np.einsum("sdz,zy,sdy->sd", in_phase, uncertainty.machine_covariance, in_phase, optimize=True)
     return replace(predicted, deviation=np.sqrt(np.maximum(variance, 0.0)))
 
 

@@ -21,7 +21,7 @@ from pipeline.errors import DataError, IdentifiabilityError
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
 from pipeline.identification.quality import output_error_quality
 from pipeline.identification.training import FitSetup, setup_of
-from pipeline.identification.uncertainty import uncertainty_of
+from pipeline.identification.uncertainty import measure_uncertainty
 from pipeline.problem.condition_noise import condition_noise, spread_conditions, to_dataset
 from pipeline.rotor.bearing_table import BearingTable
 
@@ -118,7 +118,9 @@ def test_what_was_stored_predicts_the_same(
     rig: SmallRig, fit: OutputErrorFit, model: Physical, setup: FitSetup
 ) -> None:
     measurement = replace(rig.template, dataset=to_dataset(rig.conditions), drift=condition_noise(rig.conditions))
-    back = restore_physical(measurement, fit.identified, uncertainty_of(fit, output_error_quality(fit)), rig.conditions)
+    back = restore_physical(
+        measurement, fit.identified, measure_uncertainty(fit, output_error_quality(fit)), rig.conditions
+    )
     for one, other in zip(model.predict(loads()), back.predict(loads()), strict=True):
         np.testing.assert_allclose(other, one, atol=1e-6 * abs(one).max())
     np.testing.assert_allclose(

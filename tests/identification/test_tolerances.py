@@ -56,9 +56,12 @@ def test_each_kind_is_a_part_of_the_whole() -> None:
     assert whole.uncertainty is not None
     assert whole.uncertainty.unfitted.names == list(USUAL)
     kind = "probe_gain"
-    part = whole.uncertainty.unfitted.of_kind(kind)
+    part = whole.uncertainty.unfitted.select(kind)
     assert len(part.kinds) == len(measurement.dataset.channels)
-    assert np.linalg.eigvalsh(whole.uncertainty.of_fit).min() > -1e-9 * np.abs(whole.uncertainty.of_fit).max()
+    assert (
+        np.linalg.eigvalsh(whole.uncertainty.without_tolerances).min()
+        > -1e-9 * np.abs(whole.uncertainty.without_tolerances).max()
+    )
 
 
 def test_what_is_stated_is_not_counted_twice() -> None:

@@ -14,7 +14,7 @@ from pipeline.errors import ConfigError
 from pipeline.identification.output_error_fit import fit_output_error
 from pipeline.identification.quality import output_error_quality
 from pipeline.identification.training import setup_of
-from pipeline.identification.uncertainty import uncertainty_of
+from pipeline.identification.uncertainty import measure_uncertainty
 from pipeline.problem.condition_noise import condition_noise, to_dataset
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.parameters import update_rotor
@@ -31,7 +31,7 @@ def test_critical_speeds_above_the_data_lie_within_their_deviations() -> None:
     rig = small_rig(np.random.default_rng(21), 30, deviations=deviations, truth=off)
     measurement = replace(rig.template, dataset=to_dataset(rig.conditions), drift=condition_noise(rig.conditions))
     fit = fit_output_error(measurement, setup_of(composed(*FITTED)))
-    uncertainty = uncertainty_of(fit, output_error_quality(fit))
+    uncertainty = measure_uncertainty(fit, output_error_quality(fit))
     at_fit = measurement.update(uncertainty.parameters)
     found = expect_criticals(at_fit, fit.identified, uncertainty, ABOVE)
     bearings = BearingTable((0, 5), ABOVE, np.repeat(rig.bearings.values[:, :1], len(ABOVE), axis=1))
