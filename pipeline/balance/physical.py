@@ -21,8 +21,9 @@ from pipeline.identification.answer import restore
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
 from pipeline.identification.problem import OutputError, output_error
+from pipeline.identification.quality import output_error_quality
 from pipeline.identification.training import FitSetup
-from pipeline.identification.uncertainty import Uncertainty
+from pipeline.identification.uncertainty import Uncertainty, measure_uncertainty
 from pipeline.problem.condition_noise import condition_noise, follow_residuals, spread_conditions, suffices, to_dataset
 from pipeline.problem.force_parameters import PARTS
 from pipeline.problem.measurement import Measurement
@@ -176,7 +177,9 @@ def restore_physical(
 
 def physical_of(fit: OutputErrorFit, conditions: Conditions) -> Physical:
     """The predictor of a fit to these conditions."""
-    return _physical(fit.problem, fit.weights, fit.covariance(), conditions)
+    return _physical(
+        fit.problem, fit.weights, measure_uncertainty(fit, output_error_quality(fit)).covariance, conditions
+    )
 
 
 def _physical(
