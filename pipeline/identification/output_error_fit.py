@@ -9,7 +9,6 @@ Legend: G fits, S speeds, P channels, R runs, U unknowns, A those of them that m
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -67,10 +66,13 @@ class OutputErrorFit:
         """(Z, Z) of the weights: the inverse of the information, the Cramer-Rao bound of the parametrisation."""
         return np.asarray(invert_information(self.problem, self.weights)[0])
 
-    @cached_property
-    def error(self) -> MeanSquareError:
-        """What the weights are off by: their covariance, and what the functions of the speed can't follow."""
-        return measure_error(self.problem, self.weights, self.covariance())
+    def error(self, inflation: float = 1.0) -> MeanSquareError:
+        """What the weights are off by: their covariance, and what the functions of the speed can't follow.
+
+        The readings' variances are ``inflation`` times as large as the fit took them; what was known before stays.
+        """
+        problem = self.problem.with_noise(inflation)
+        return measure_error(problem, self.weights, invert_information(problem, self.weights)[0])
 
 
 def fit_output_error(measurement: Measurement, setup: FitSetup, progress: Progress | None = None) -> OutputErrorFit:

@@ -348,6 +348,10 @@ class OutputError:
         """The same with the prior of the basis, which is this wide."""
         return replace(self, precision=self.basis.prior_precision(self.features.shape[1], beyond_trend))
 
+    def with_noise(self, inflation: float) -> OutputError:
+        """The same with readings whose variances are so many times as large."""
+        return replace(self, readings=self.readings.scaled(inflation**-0.5))
+
     def update(self, weights: torch.Tensor) -> OutputError:
         """The same with the rotor solved anew at the model parameters of the weights (1, 1, Z), to first order until
         then.

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pipeline.identification.information import invert_information
 from pipeline.identification.problem import OutputError
 from pipeline.identification.sensor_model import sensor_model
 from pipeline.problem.model_parameters import USUAL
@@ -56,14 +57,10 @@ def widen(problem: OutputError, weights: torch.Tensor) -> tuple[OutputError, tor
     return wider, torch.nn.functional.pad(weights, (0, count))
 
 
-def measure_tolerances(
-    problem: OutputError, weights: torch.Tensor, covariance: np.ndarray, misfit: float, places: np.ndarray, size: int
-) -> Unfitted:
+def measure_tolerances(problem: OutputError, weights: torch.Tensor, places: np.ndarray, size: int) -> Unfitted:
     """What the tolerances of the measurement do at the minimum ``weights`` (1, 1, Z).
 
     Args:
-        covariance: (Z, Z) inverse of the weights' information.
-        misfit: mean square of the deviations, which the readings' precision is divided by; 1 or more.
         places: (Z,) where the weights lie among the ``size`` ones of the answer.
     """
     tolerances, count = problem.measurement.tolerances, problem.size
@@ -74,10 +71,10 @@ def measure_tolerances(
     wider, padded = widen(problem, weights)
     gradient, matrix = (array[0, 0].numpy() for array in wider.normal(padded))
     identity = np.eye(len(tolerances))
-    by_fit = covariance @ matrix[:count, count:]
+    by_fit = invert_information(problem, weights)[0] @ matrix[:count, count:]
     room = matrix[count:, count:] - identity - matrix[count:, :count] @ by_fit  # the prior is in the matrix
     score = by_fit.T @ gradient[:count] - gradient[count:]
-    spread = np.linalg.inv(identity + room / misfit)
-    mean = spread @ score / misfit
+    spread = np.linalg.inv(identity + room)
+    mean = spread @ score
     moves[places] = -by_fit
     return Unfitted(kinds, moves, spread + np.outer(mean, mean))

@@ -69,11 +69,14 @@ class TrainedFit(OutputErrorFit):
         """(Z, Z) from the scatter of the networks."""
         return self.scatter
 
-    @property
-    def error(self) -> MeanSquareError:
+    def error(self, inflation: float = 1.0) -> MeanSquareError:
         """The scatter: networks of their own follow what the mean can't."""
         return MeanSquareError(
-            self.scatter, self.problem.places, np.arange(self.problem.size), 0, np.zeros(len(self.problem.active))
+            inflation * self.scatter,
+            self.problem.places,
+            np.arange(self.problem.size),
+            0,
+            np.zeros(len(self.problem.active)),
         )
 
 

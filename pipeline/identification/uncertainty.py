@@ -23,7 +23,6 @@ from pipeline.files import write_beside
 from pipeline.identification.basis_error import evaluate_local
 from pipeline.identification.blocks import Places
 from pipeline.identification.identified import IdentifiedModel
-from pipeline.identification.information import invert_information
 from pipeline.identification.inputs import points_of
 from pipeline.identification.quality import Quality
 from pipeline.identification.tolerances import Unfitted, measure_tolerances
@@ -136,14 +135,12 @@ class Uncertainty:
 
 def measure_uncertainty(fit: OutputErrorFit, quality: Quality) -> Uncertainty:
     """The uncertainty of a fit: of noise and functions, as much wider as its deviations say, and of the tolerances."""
-    problem, error = fit.problem, fit.error
-    misfit = 1.0 if quality.misfit is None else max(1.0, quality.misfit)
-    inverse = invert_information(problem, fit.weights)[0]
-    unfitted = measure_tolerances(problem, fit.weights, inverse, misfit, error.fitted, len(error.matrix))
+    problem, error = fit.problem.with_noise(quality.inflation), fit.error(quality.inflation)
+    unfitted = measure_tolerances(problem, fit.weights, error.fitted, len(error.matrix))
     return Uncertainty(
         problem.basis.weights.numpy(),
         np.array(problem.active, dtype=np.int64).reshape(-1, 2),
-        quality.inflation * error.matrix + unfitted.covariance(),
+        error.matrix + unfitted.covariance(),
         np.asarray((problem.precision * problem.kept).numpy()),
         np.asarray(problem.unbalance(fit.weights)[0].numpy()),
         np.array(problem.measurement.unknowns.planes, dtype=np.int64),

@@ -47,7 +47,7 @@ def held(fit: OutputErrorFit, truth: np.ndarray, matrix: np.ndarray, n_local: in
 def test_intervals_hold_coefficients_with_kinks() -> None:
     """The inverse of the information is too narrow by far; the mean square error is not."""
     fit, truth = fitted("overhung_kinked")
-    narrow, wide = held(fit, truth, fit.covariance(), 0), held(fit, truth, fit.error.matrix, fit.error.n_local)
+    narrow, wide = held(fit, truth, fit.covariance(), 0), held(fit, truth, fit.error().matrix, fit.error().n_local)
     print(f"inside: {narrow:.3f} by the information, {wide:.3f} by the mean square error")
     assert narrow < 0.8
     assert 0.88 < wide <= 1.0
@@ -59,9 +59,9 @@ def test_where_the_functions_suffice_the_deviations_hardly_change() -> None:
     fit, _ = fitted("rigid")
     n_rest = fit.problem.places.n_rest
     assert n_rest == 0
-    n_features, n_local = fit.problem.features.shape[-1], fit.error.n_local
-    own = np.arange(len(fit.error.matrix)) % (n_features + n_local) < n_features
-    before, after = np.diag(fit.covariance()), np.diag(fit.error.matrix[np.ix_(own, own)])
+    n_features, n_local = fit.problem.features.shape[-1], fit.error().n_local
+    own = np.arange(len(fit.error().matrix)) % (n_features + n_local) < n_features
+    before, after = np.diag(fit.covariance()), np.diag(fit.error().matrix[np.ix_(own, own)])
     kept = fit.problem.fitted().numpy()
     ratio = np.sqrt(after[kept] / before[kept])
     print(ratio.round(3))
