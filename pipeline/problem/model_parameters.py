@@ -76,9 +76,9 @@ USUAL = {
     "youngs_modulus": 0.01,
     "density": 0.005,
     "unbalance_magnitude": 0.02,
-    "unbalance_phase": float(np.radians(2.0)),
+    "unbalance_phase": np.pi / 90,
     "probe_gain": 0.02,
-    "probe_angle": float(np.radians(1.0)),
+    "probe_angle": np.pi / 180,
 }
 """Standard deviations of what is never known exactly, where the configuration states none: steel varies by 1 %, a trial
 weight and its place are off by 2 % and 2 degrees (docs/model_error.md), the scale of a proximity probe by 5 % at most

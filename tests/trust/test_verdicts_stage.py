@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from conftest import Run
 
 ARTIFACTS = Path(__file__).resolve().parents[2] / "artifacts"
 
 
-def read(experiment: str) -> dict[str, Any]:
+def read(experiment: str | Path) -> dict[str, Any]:
     path: Path = ARTIFACTS / experiment / "verdicts.json"
     return json.loads(path.read_text(encoding="utf-8"))
 
@@ -35,13 +36,20 @@ def test_no_good_coefficient_is_outside_its_band(experiment: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_tolerance_that_nobody_fitted_is_named_with_its_cure() -> None:
+def test_a_tolerance_that_nobody_fitted_is_named_with_its_cure(run: Run, tmp_path: Path) -> None:
     """kyy of noisy_direct: one degree of the probes moves it by a tenth."""
-    own = {(one["node"], one["coefficient"]): one for one in read("noisy_direct")["verdicts"]}
+    data = [f"data.{name}={ARTIFACTS / 'noisy_direct' / file}" for name, file in FILES.items()]
+    asked = ["experiment=noisy_direct", "identify.usual_tolerances=true", "tracking=none", *data]
+    for stage in ("train", "verdict"):
+        run(stage, asked, tmp_path)
+    own = {(one["node"], one["coefficient"]): one for one in read(tmp_path)["verdicts"]}
     assert own[5, "kyy"]["verdict"] == "with care"
     assert "probe angle" in own[5, "kyy"]["reasons"][0]
     assert "identify.model_parameters.probe_angle" in own[5, "kyy"]["next"]
     assert own[1, "cxx"]["verdict"] == "good"
+
+
+FILES = {"vibration": "vibration.parquet", "excitation": "excitation.csv", "known": "known_coefficients.csv"}
 
 
 @pytest.mark.slow

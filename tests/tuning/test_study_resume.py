@@ -88,7 +88,7 @@ def test_a_study_that_is_stopped_at_random_moments_ends_as_if_it_had_not_been(
 ) -> None:
     """States, parameters, values and learning curves are the very same, bit by bit; stopped trials are repeated."""
     problem = make(sampler=sampler)
-    assert stop_again_and_again(start, problem, number, rng) > 1
+    assert stop_again_and_again(start, problem, number, rng) >= 1  # by the clock it may be through after one
     assert finished(problem) == undisturbed(sampler=sampler)
     repeats = [trial for trial in trials_of(problem) if REPEATS in trial.user_attrs]
     assert repeats
