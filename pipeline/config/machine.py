@@ -10,8 +10,6 @@ from pydantic import Field, PositiveFloat, ValidationInfo, field_validator, mode
 
 from pipeline.config.as_built import AsBuiltConfig
 from pipeline.config.balance import WeightsConfig
-from pipeline.config.bearings import BearingConfig, PerNodeBearingConfig, RotorFileBearingConfig
-from pipeline.config.laws import LawsConfig
 from pipeline.config.measured import MeasuredRunConfig, convert_phase
 from pipeline.config.operating import States
 from pipeline.config.operating_point import OperatingPoint
@@ -20,6 +18,8 @@ from pipeline.config.rotor import RotorConfig
 from pipeline.config.run_up import RunUpConfig
 from pipeline.config.runs import CandidateConfig, ForceConfig, ProbesConfig, RunConfig, SpeedsConfig, UnbalanceConfig
 from pipeline.config.section import NonNegativeInt, Section
+from pipeline.laws.build import LawsConfig
+from pipeline.rotor.bearings import BearingConfig, RotorFileBearingConfig
 
 
 class PredictionConfig(Section):
@@ -153,15 +153,14 @@ class MachineConfig(Section):
     def _nodes_exist(self) -> MachineConfig:
         if self.rotor.file is not None:
             return self
-        if self.bearings.kind == "rotor_file":
+        if self.bearings.saved:
             raise ValueError("must give rotor.file where bearings.kind is rotor_file, but rotor.file is null")
-        if isinstance(self.bearings, PerNodeBearingConfig):
-            without = [node for node in self.rotor.bearing_nodes if node not in self.bearings.nodes]
-            if without:
-                raise ValueError(
-                    f"bearings.nodes must have a bearing for every bearing node of the rotor, but node {without[0]} "
-                    f"has none (it has {', '.join(map(str, self.bearings.nodes))})"
-                )
+        placed = self.bearings.places
+        if placed and (without := [node for node in self.rotor.bearing_nodes if node not in placed]):
+            raise ValueError(
+                f"bearings.nodes must have a bearing for every bearing node of the rotor, but node {without[0]} has "
+                f"none (it has {', '.join(map(str, placed))})"
+            )
         for node in self.laws.bearings if self.laws else ():
             if node not in self.rotor.bearing_nodes:
                 where = ", ".join(map(str, self.rotor.bearing_nodes))

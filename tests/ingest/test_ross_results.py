@@ -10,11 +10,11 @@ import pytest
 from conftest import refused
 from reading import parsed, read
 
-from pipeline.config.bearings import LinearBearingConfig
 from pipeline.config.rotor import RotorConfig
 from pipeline.data.sensors import project
 from pipeline.data.simulate import simulate
 from pipeline.ingest.dataset import list_excitations
+from pipeline.rotor.bearings import LinearBearingConfig
 from pipeline.rotor.ross_adapter import assemble, bearing_table, ross, ross_rotor
 from pipeline.units import RAD_S_PER_RPM
 
