@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _CACHED = "configurations"
 _PACKAGES = ("hydra-core", "pydantic", "pint")
 _PACKAGE = Path(__file__).parents[1]
-_ROOMS = ("config", "laws", "rotor", "ingest")
+_ROOMS = ("config", "laws", "rotor", "data", "ingest")
 """Those that have sections of the schema."""
 
 

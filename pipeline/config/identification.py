@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, PositiveFloat, PositiveInt
 
 from pipeline.coefficients import CoefficientName
-from pipeline.config.operating_point import OperatingPoint
+from pipeline.config.operating import Conditions
 from pipeline.config.quantities import Length, Mass, PositiveAngle, RotorSpeed, Stiffness, WeightLaw
 from pipeline.config.section import NonNegativeInt, Section, Share, rule
 from pipeline.unknowns import BearingUnknowns, Structure, UnknownSet, unknown_set
@@ -182,7 +182,7 @@ class TrainingConfig(Section):
     holdout_every: NonNegativeInt
     holdout_runs: tuple[str, ...] = ()
     holdout_range: tuple[RotorSpeed, RotorSpeed] | None = None  # rad/s, speeds that are predicted, not fitted
-    holdout_operating: OperatingPoint = Field(default_factory=dict)  # SI, conditions that are predicted, not fitted
+    holdout_operating: Conditions = Field(default_factory=dict)  # SI, conditions that are predicted, not fitted
     tolerance: Share
 
     @rule

@@ -8,16 +8,15 @@ from typing import Any
 
 from pydantic import Field, PositiveFloat, ValidationInfo, field_validator
 
-from pipeline.config.as_built import AsBuiltConfig
 from pipeline.config.balance import WeightsConfig
 from pipeline.config.measured import AnyRecordingsConfig, MeasuredRunConfig
-from pipeline.config.operating import States
-from pipeline.config.operating_point import OperatingPoint
+from pipeline.config.operating import Conditions, States
 from pipeline.config.rotor import RotorConfig
-from pipeline.config.run_up import RunUpConfig
 from pipeline.config.runs import CandidateConfig, ForceConfig, ProbesConfig, RunConfig, SpeedsConfig, UnbalanceConfig
 from pipeline.config.section import NonNegativeInt, Section, rule
+from pipeline.data.as_built import AsBuiltConfig
 from pipeline.ingest.dataset import RecordingsConfig
+from pipeline.ingest.run_up import RunUpConfig
 from pipeline.laws.build import LawsConfig
 from pipeline.rotor.bearings import BearingConfig, RotorFileBearingConfig
 
@@ -32,7 +31,7 @@ class PredictionConfig(Section):
     node: NonNegativeInt
     speed_rpm: PositiveFloat
     unbalances: tuple[UnbalanceConfig, ...] = Field(min_length=1)
-    operating: OperatingPoint = Field(default_factory=dict)
+    operating: Conditions = Field(default_factory=dict)
 
 
 class MachineConfig(Section):

@@ -17,11 +17,9 @@ from pipeline.config.quantities import (
     AnyDamping,
     AnyStiffness,
     Deviation,
-    Force,
     ShaftAngle,
-    UnbalanceMagnitude,
 )
-from pipeline.config.runs import SpeedsConfig
+from pipeline.config.runs import ForceConfig, SpeedsConfig, UnbalanceConfig
 from pipeline.config.section import NonNegativeInt, Section, rule
 
 if TYPE_CHECKING:
@@ -94,19 +92,15 @@ class ProbeConfig(Section):
     mounted: Literal["shaft", "casing"] | None = None
 
 
-class MeasuredUnbalanceConfig(Section):
+class MeasuredUnbalanceConfig(UnbalanceConfig):
     """An unbalance (kg m) that was on the shaft in a run; ``phase`` as ``shaft_angle`` says."""
 
-    node: NonNegativeInt
-    magnitude: UnbalanceMagnitude
     phase: ShaftAngle
 
 
-class MeasuredForceConfig(Section):
+class MeasuredForceConfig(ForceConfig):
     """A rotating force F e^{jp} [1, -j] (forward) or [1, +j] (backward) on x and y, time zero at the tacho pulse."""
 
-    node: NonNegativeInt
-    magnitude: Force
     phase: ShaftAngle
     whirl: Literal["forward", "backward"]
 
@@ -271,6 +265,10 @@ class OrderTrackingConfig(Section):
     degree: Annotated[int, Field(ge=0, le=8)] | None = None
     revolutions: Annotated[float, Field(ge=2)] | None = None
     most_lag: Annotated[float, Field(gt=0, lt=0.5)] = 0.01
+
+    def shortest(self, fewest: float = 8.0) -> float:
+        """Revolutions of the shortest window."""
+        return self.revolutions or fewest
 
 
 class CsvConfig(Section):

@@ -45,9 +45,6 @@ UNITS = (
 """A column of any other name is a condition where it ends in one of these."""
 _NO_DEGREES = ("C", "F")
 """pint has other units of these names."""
-_DIGITS = 12
-_COLDEST = 150.0
-"""K; a temperature below it, as a number alone, was meant in another unit."""
 _QUANTITY = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(\D.*?)\s*")
 
 
@@ -64,10 +61,10 @@ class ConditionColumn:
         base: np.ndarray = to_base(values.astype(float), self.unit)
         return base
 
-    def from_si(self, values: np.ndarray) -> np.ndarray:
-        """Values in SI in the unit of the column, of so many digits that 45 degC is written as 45."""
+    def from_si(self, values: np.ndarray, digits: int = 12) -> np.ndarray:
+        """Values in SI in the unit of the column, of so many ``digits`` that 45 degC is written as 45."""
         written: np.ndarray = from_base(values.astype(float), self.unit)
-        written[...] = [float(f"{value:.{_DIGITS}g}") for value in written]
+        written[...] = [float(f"{value:.{digits}g}") for value in written]
         return written
 
 
@@ -126,10 +123,11 @@ def column_of(name: str) -> ConditionColumn:
     return column
 
 
-def to_quantity(name: str, value: Any, difference: bool = False) -> float:
+def to_quantity(name: str, value: Any, difference: bool = False, coldest: float = 150.0) -> float:
     """A value of the condition ``name``, such as ``45 degC``, in SI; a number is in SI already.
 
-    A ``difference`` of temperatures in degC is one in K. Raises ValueError for what is no such quantity.
+    A ``difference`` of temperatures in degC is one in K; a temperature below ``coldest`` (K), as a number alone, was
+    meant in another unit. Raises ValueError for what is no such quantity.
     """
     unit = column_of(name).unit
     warm = unit in ("degC", "degF")
@@ -150,7 +148,7 @@ def to_quantity(name: str, value: Any, difference: bool = False) -> float:
         number = float(to_base(float(parts[1]), given))
     else:
         number = float(value)
-        if warm and not difference and 0 < number < _COLDEST:
+        if warm and not difference and 0 < number < coldest:
             raise ValueError(f"{name} must carry its unit ({example}): a number alone is in K, but got {value}")
     if not math.isfinite(number) or (difference and number < 0) or (warm and not difference and number <= 0):
         law = "zero or more" if difference else "above absolute zero" if warm else "finite"

@@ -17,7 +17,6 @@ from pipeline.data.mat_files import read_mat
 from pipeline.data.tables import TextFormat, read_table
 from pipeline.errors import DataError, nearest
 
-_TOO_LARGE = 1e30  # no instrument writes it
 _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 
 
@@ -63,14 +62,19 @@ def read_recording(path: Path, names: Sequence[str], clock: Clock, text: TextFor
     return check_recording(path, channels, clock, rate)
 
 
-def check_recording(path: Path, channels: Mapping[str, np.ndarray], clock: Clock, stated: float | None) -> Recording:
-    """The recording of ``channels`` (n,) each, with the sample rate that its file states in Hz (None: it does not)."""
+def check_recording(
+    path: Path, channels: Mapping[str, np.ndarray], clock: Clock, stated: float | None, too_large: float = 1e30
+) -> Recording:
+    """The recording of ``channels`` (n,) each, with the sample rate that its file states in Hz (None: it does not).
+
+    No instrument writes a number that is ``too_large``.
+    """
     lengths = {name: len(values) for name, values in channels.items()}
     if len(set(lengths.values())) > 1:
         text = ", ".join(f"'{name}' {count}" for name, count in lengths.items())
         raise DataError(f"'{path}' must have as many samples in every channel, but it has {text}")
     for name, values in channels.items():
-        bad = np.flatnonzero(~(np.abs(values) < _TOO_LARGE))
+        bad = np.flatnonzero(~(np.abs(values) < too_large))
         if len(bad):
             raise DataError(
                 f"'{path}' must have finite numbers, but channel '{name}' has {values[bad[0]]} at sample {bad[0] + 1} "
