@@ -87,7 +87,7 @@ class BalanceConfig(Section):
 
     @rule
     def _named(self) -> Iterator[str]:
-        if self.remove != "residual" and self.condition is None:
+        if self.remove != "residual" and not self.condition:
             yield f"must name a condition where remove is {self.remove}, but condition is null"
 
 

@@ -51,7 +51,7 @@ class ModelParametersConfig(Section):
     @property
     def deviations(self) -> dict[str, float]:
         """Those that are given, by kind."""
-        return {kind: value for kind, value in self if value is not None}
+        return {kind: value for kind, value in self if value}
 
 
 class IdentifyConfig(Section):
@@ -189,7 +189,7 @@ class TrainingConfig(Section):
     def _leaves_training_speeds(self) -> Iterator[str]:
         if self.holdout_every == 1:
             yield "must have holdout_every = 0 (none) or at least 2, but got 1, which leaves no speed to train on"
-        if self.holdout_range is not None and self.holdout_range[0] > self.holdout_range[1]:
+        if self.holdout_range and self.holdout_range[0] > self.holdout_range[1]:
             low, high = self.holdout_range
             yield f"must have holdout_range = [from, to] with from <= to, but got {low:g} and {high:g} rad/s"
 

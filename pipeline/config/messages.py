@@ -45,7 +45,7 @@ def suggest(name: str, candidates: Iterable[str]) -> str:
 def quote_value(value: Any, longest: int = 80) -> str:
     """``value`` as it would be written in a config, shortened."""
     literals = {None: "null", True: "true", False: "false"}
-    text = literals[value] if value is None or isinstance(value, bool) else repr(value)
+    text = literals[value] if isinstance(value, bool | None) else repr(value)
     return text if len(text) <= longest else text[: longest - 3] + "..."
 
 

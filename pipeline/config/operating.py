@@ -100,12 +100,14 @@ def find_columns(columns: Iterable[str], others: Sequence[str] = ()) -> dict[str
     found: dict[str, ConditionColumn] = {}
     for column in columns:
         condition = None if column in others else find_column(column)
-        if condition is not None and condition.name in found:
+        if not condition:
+            continue
+        if condition.name in found:
             raise ValueError(
                 f"must have each condition once, but {condition.name} is in '{found[condition.name].column}' and "
                 f"'{column}': leave one out"
             )
-        found |= {} if condition is None else {condition.name: condition}
+        found[condition.name] = condition
     return found
 
 
@@ -115,7 +117,7 @@ def column_of(name: str) -> ConditionColumn:
     if word in WRITTEN:
         return ConditionColumn(f"{name}_{WRITTEN[word]}", name, WRITTEN[word])
     column = find_column(name)
-    if column is None or column.name != name:
+    if not column or column.name != name:
         raise ValueError(
             f"must name a condition by a last word that says what it is ({', '.join(WRITTEN)}) or by its unit "
             f"(preheat_degC), but got '{name}'"
@@ -136,14 +138,13 @@ def to_quantity(name: str, value: Any, difference: bool = False, coldest: float 
         raise ValueError(f"{name} must be a quantity ({example}), but got {value!r}")
     if isinstance(value, str) and not is_number(value):
         parts = _QUANTITY.fullmatch(value)
-        given = (
-            "" if parts is None else f"delta_{parts[2]}" if difference and parts[2] in ("degC", "degF") else parts[2]
-        )
+        given = parts[2] if parts else ""
+        given = f"delta_{given}" if difference and given in ("degC", "degF") else given
         try:
-            right = parts is not None and same_dimension(given, unit)
+            right = parts and same_dimension(given, unit)
         except ValueError:
             right = False
-        if parts is None or not right:
+        if not parts or not right:
             raise ValueError(f"{name} must be a quantity with a unit of its kind ({example}), but got {value!r}")
         number = float(to_base(float(parts[1]), given))
     else:
@@ -157,11 +158,9 @@ def to_quantity(name: str, value: Any, difference: bool = False, coldest: float 
 
 
 def _read_mapping(value: Any) -> dict[str, Any]:
-    if value is None:
-        return {}
-    if not isinstance(value, Mapping):
+    if not isinstance(value, Mapping | None):
         raise ValueError(f"must be conditions by name, such as {{oil_temperature: 45 degC}}, but got {value!r}")
-    return {str(name): entry for name, entry in value.items()}
+    return {str(name): entry for name, entry in (value or {}).items()}
 
 
 def _read_states(value: Any) -> dict[str, tuple[float, ...]]:

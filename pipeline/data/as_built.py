@@ -69,7 +69,7 @@ class AsBuiltConfig(Section):
 
     @rule
     def _stands(self) -> Iterator[str]:
-        if self.pedestal_mass is not None and self.pedestal_stiffness is None:
+        if self.pedestal_mass and not self.pedestal_stiffness:
             yield "must have a pedestal_stiffness beside pedestal_mass, but it is missing"
 
 
@@ -100,7 +100,7 @@ def stand_on_pedestals(bearings: BearingTable, built: AsBuiltConfig) -> BearingT
 
     Film and pedestal are springs in series: no vibration of the shaft tells one from the other.
     """
-    if built.pedestal_stiffness is None:
+    if not built.pedestal_stiffness:
         return bearings
     film, w = bearings.impedance(), bearings.speeds[:, None, None]
     pedestal = (built.pedestal_stiffness - w**2 * (built.pedestal_mass or 0.0)) * np.eye(2)

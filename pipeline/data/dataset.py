@@ -82,7 +82,7 @@ class VibrationDataset:
     def fingerprint(self) -> str:
         """Identity of the data: equal for equal numbers."""
         digest = hashlib.sha256(repr((self.runs, self.channels, self.excitations)).encode())
-        if self.conditions is not None:
+        if self.conditions:
             digest.update(repr(self.conditions).encode())
         digest.update(np.ascontiguousarray(self.speeds).tobytes())
         digest.update(np.ascontiguousarray(self.displacement).tobytes())
@@ -101,7 +101,7 @@ class VibrationDataset:
         """The ``runs`` (indices) alone."""
         names = tuple(self.runs[r] for r in runs)
         acting = tuple(excitation for excitation in self.excitations if excitation.run in names)
-        repeated = None if self.conditions is None else tuple(self.conditions[r] for r in runs)
+        repeated = tuple(self.conditions[r] for r in runs) if self.conditions else None
         return self._select(slice(None), runs, runs=names, excitations=acting, conditions=repeated)
 
     def _select(self, speeds: np.ndarray | slice, where: np.ndarray | slice, **beside: Any) -> VibrationDataset:

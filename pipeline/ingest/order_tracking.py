@@ -253,7 +253,7 @@ def _choose(
     ``nothing`` (m^2).
     """
     seen: list[_Answer] = []
-    best, least = None, np.inf
+    best, least = np.zeros(0, dtype=complex), np.inf
     for answer in answers:
         excess = np.zeros_like(answer.variance)
         for shorter in seen:
@@ -264,11 +264,10 @@ def _choose(
         seen.append(answer)
         size = np.maximum(seen[0].variance, nothing)
         error = float(((excess + answer.variance) / size).max())
-        if best is None or error < least:
+        if error < least or not len(best):
             best, least = answer.vectors, error
         elif error > hopeless * least:
             break
-    assert best is not None
     return best
 
 

@@ -89,7 +89,7 @@ def check_recording(
 def _read_time(
     path: Path, channels: Mapping[str, np.ndarray], clock: Clock, stated: float | None, count: int
 ) -> np.ndarray:
-    if clock.channel is not None:
+    if clock.channel:
         time = channels[clock.channel] * _SECONDS[clock.unit or "s"]
         back = np.flatnonzero(np.diff(time) <= 0)
         if len(back):
@@ -99,13 +99,13 @@ def _read_time(
                 "machine.recordings.sample_rate in its place"
             )
         return time
-    if clock.rate is not None and stated is not None and abs(clock.rate / stated - 1) > 1e-6:
+    if clock.rate and stated and abs(clock.rate / stated - 1) > 1e-6:
         raise DataError(
             f"'{path}' must have the sample rate of the configuration ({clock.rate:g} Hz), but it says {stated:g} Hz: "
             "leave machine.recordings.sample_rate out"
         )
     rate = clock.rate or stated
-    if rate is None:
+    if not rate:
         raise DataError(
             f"'{path}' must come with a sample rate, but it has none and the configuration neither: give "
             "machine.recordings.sample_rate (such as 5120 Hz), or machine.recordings.time, the channel with the times"
@@ -152,7 +152,7 @@ def _read_hdf5(path: Path, names: Sequence[str], attribute: str | None) -> tuple
 
 def _read_rate(path: Path, attribute: str | None, places: Sequence[Any]) -> float | None:
     """Hz, of the first of ``places`` that has the attribute; their groups are asked too."""
-    if attribute is None:
+    if not attribute:
         return None
     for place in [*places, *(place.parent for place in places)]:
         if attribute in place.attrs:

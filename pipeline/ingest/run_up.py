@@ -55,7 +55,7 @@ class RunUpConfig(MotionConfig):
     def _lawful(self) -> Iterator[str]:
         if self.from_rpm >= self.to_rpm:
             yield f"must have from_rpm below to_rpm, but got {self.from_rpm:g} and {self.to_rpm:g}"
-        if (find_volts(self.unit) is None) != (self.scale is None):
+        if (not find_volts(self.unit)) != (not self.scale):
             yield (
                 "must have a scale (such as 7.87 V/mm) for voltages and for nothing else, but got the unit "
                 f"{self.unit} and the scale {self.scale}"
@@ -81,7 +81,7 @@ def read_run_up(config: RunUpConfig, straight: float = 0.01) -> tuple[RunUp, Mea
     on_ramp = (speeds >= config.from_rpm * RAD_S_PER_RPM) & (speeds <= config.to_rpm * RAD_S_PER_RPM)
     speeds, vectors = speeds[on_ramp], vectors[on_ramp]
     where = f"'{path}' from {config.from_rpm:g} to {config.to_rpm:g} rpm"
-    if config.rate_rpm_per_s is not None:
+    if config.rate_rpm_per_s:
         rate, measured = config.rate_rpm_per_s * RAD_S_PER_RPM, None
         if not len(speeds):
             raise DataError(f"{where} must have rows, but it has none: give the range of the ramp (from_rpm, to_rpm)")
