@@ -1,5 +1,8 @@
 """From the 1X vectors of probes to displacements in x and y, and what excited them.
 
+Probes at any mounting angle show v_i = x cos a_i + y sin a_i at each node, solved by least squares. How much the sweep
+of a run-up biases the peak that its vectors show: the rate from the tacho, the bias from the model.
+
 Legend: S speeds, P probes, R runs, N nodes.
 """
 
@@ -12,21 +15,19 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from pipeline.config.measured import MeasuredConfig, NoRecordingsConfig, SlowRollConfig
-from pipeline.data.dataset import VibrationDataset
-from pipeline.errors import DataError
+from pipeline.config.measured import MeasuredConfig, NoRecordingsConfig, ProbeConfig, SlowRollConfig
+from pipeline.data.dataset import DIRECTIONS, VibrationDataset
+from pipeline.errors import ConfigError, DataError
 from pipeline.ingest.conventions import list_acting, to_vectors
 from pipeline.ingest.operating import find_conditions, name_recordings, to_points
 from pipeline.ingest.plausibility import note_dead
-from pipeline.ingest.probes import check_probes, resolve
 from pipeline.ingest.records import RecordsConfig
 from pipeline.ingest.ross_results import RossRecordingsConfig
-from pipeline.ingest.sweeps import measure_sweep, note_sweep
 from pipeline.ingest.table import TableRecordingsConfig
 from pipeline.ingest.tracks import LARGEST, RunTracks, format_rpm, to_common_speeds
 from pipeline.ingest.uff import UffRecordingsConfig
 from pipeline.ingest.waveform import WaveformRecordingsConfig
-from pipeline.sweep.bias import SweepBias
+from pipeline.sweep.bias import SweepBias, describe_bias, find_mode, measure_bias, read_peak
 from pipeline.units import RAD_S_PER_RPM
 
 RecordingsConfig = Annotated[
@@ -147,3 +148,79 @@ def _check_size(displacement: np.ndarray, runs: Sequence[RunTracks]) -> None:
             f"displacements must be below {LARGEST:g} m, but run '{runs[int(largest.argmax())].name}' has "
             f"{largest.max():.3g} m: check the unit (machine.recordings.conventions, or scale and signal_unit)"
         )
+
+
+@dataclass(frozen=True, eq=False)
+class Resolved:
+    """Displacements in x and y, and how far the probes contradict each other."""
+
+    channels: tuple[tuple[int, float], ...]  # 2 N of (node, angle in degrees) of x and y
+    displacement: np.ndarray  # (S, 2 N, R) complex, m
+    misfit: Mapping[int, float]  # node -> root mean square of the residual over that of the vectors; 0 for two probes
+
+
+def check_probes(probes: Mapping[str, ProbeConfig], least_spread: float = np.radians(10.0)) -> None:
+    """Raise ConfigError for a node at which x and y can't be told apart.
+
+    Probes that are nearer to one line than ``least_spread`` (rad) amplify their errors by more than eight.
+    """
+    for node in sorted({probe.node for probe in probes.values()}):
+        here = {name: probe for name, probe in probes.items() if probe.node == node}
+        if len(here) == 1:
+            raise ConfigError(
+                f"machine.recordings.probes must have two probes at a node to give x and y, but node {node} has one "
+                f"only: '{next(iter(here))}'; add the other, or leave the node out"
+            )
+        angles = np.array([probe.angle for probe in here.values()])
+        if np.abs(np.sin(angles[:, None] - angles)).max() < np.sin(least_spread):
+            text = ", ".join(f"'{name}' at {np.degrees(probe.angle):g} deg" for name, probe in here.items())
+            raise ConfigError(
+                f"machine.recordings.probes must span the plane at each node, but those of node {node} lie within "
+                f"{np.degrees(least_spread):g} deg of one line: {text}"
+            )
+
+
+def resolve(probes: Mapping[str, ProbeConfig], vectors: np.ndarray) -> Resolved:
+    """x and y at every node, of the ``vectors`` (S, P, R) of the probes in this order; see :func:`check_probes`."""
+    nodes = sorted({probe.node for probe in probes.values()})
+    place = np.array([probe.node for probe in probes.values()])
+    angles = np.array([probe.angle for probe in probes.values()])
+    parts, misfit = [], {}
+    for node in nodes:
+        here = np.flatnonzero(place == node)
+        matrix = np.stack([np.cos(angles[here]), np.sin(angles[here])], axis=1)
+        seen = vectors[:, here]
+        solved = np.einsum("dp,spr->sdr", np.linalg.pinv(matrix), seen)
+        rest = seen - np.einsum("pd,sdr->spr", matrix, solved)
+        size = np.sqrt((np.abs(seen) ** 2).mean())
+        misfit[node] = float(np.sqrt((np.abs(rest) ** 2).mean()) / size) if size > 0 and len(here) > 2 else 0.0
+        parts.append(solved)
+    channels = tuple((node, angle) for node in nodes for angle in DIRECTIONS.values())
+    return Resolved(channels, np.concatenate(parts, axis=1), misfit)
+
+
+def measure_sweep(run: RunTracks, most: float) -> SweepBias | None:
+    """The bias at the largest peak of the probe that has most of it; ``most`` is the share that a peak may lag.
+
+    None for a run without times, and where no probe shows a peak with half the power on both sides.
+    """
+    if run.times is None or len(run.times) < 3:
+        return None
+    biases: list[SweepBias] = []
+    for track in run.tracks.values():
+        reading = read_peak(track.speeds, np.abs(track.vectors))
+        if reading:
+            rates = np.gradient(track.speeds, run.times)
+            rate = float(np.interp(reading.frequency, track.speeds, rates))
+            biases.append(measure_bias(*find_mode(reading, rate), rate, most))
+    return max(biases, key=lambda bias: abs(bias.peak_shift), default=None)
+
+
+def note_sweep(run: RunTracks, bias: SweepBias | None) -> list[str]:
+    """A sentence where the peak lags by more than it may."""
+    if not bias or abs(bias.peak_shift) <= bias.most:
+        return []
+    return [
+        f"run '{run.name}' is no sequence of steady states: {describe_bias(bias)}; run it slower, or fit the ramp "
+        "with stage=runup"
+    ]
