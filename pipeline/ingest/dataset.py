@@ -76,8 +76,8 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> M
         notes += note_sweep(run, bias)
     wanted = np.array(config.speeds.rpm()) * RAD_S_PER_RPM if config.speeds else None
     speeds, vectors = to_common_speeds(runs, wanted, config.interpolation)
-    resolved = resolve(config.probes, vectors)
-    _check_size(resolved.displacement, runs)
+    channels, displacement, misfits = resolve(config.probes, vectors)
+    _check_size(displacement, runs)
     conditions = find_conditions(config, runs, speeds)
     labels = name_recordings(config, conditions)
     acting = [
@@ -88,8 +88,8 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> M
     recorded = VibrationDataset(
         speeds,
         labels,
-        resolved.channels,
-        resolved.displacement,
+        channels,
+        displacement,
         tuple(acting),
         np.stack([run.frequencies(speeds) for run in config.runs], axis=1) if asynchronous else None,
     )
@@ -101,7 +101,7 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> M
     notes += [
         f"the probes at node {node} contradict each other by {100 * misfit:.2g} % of what they measure: check "
         "their angles, polarity and scale"
-        for node, misfit in resolved.misfit.items()
+        for node, misfit in misfits.items()
         if misfit > contradiction
     ]
     return MeasuredRuns(dataset, recorded, runs, tuple(dict.fromkeys(notes)), sweeps)
@@ -150,15 +150,6 @@ def _check_size(displacement: np.ndarray, runs: Sequence[RunTracks]) -> None:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Resolved:
-    """Displacements in x and y, and how far the probes contradict each other."""
-
-    channels: tuple[tuple[int, float], ...]  # 2 N of (node, angle in degrees) of x and y
-    displacement: np.ndarray  # (S, 2 N, R) complex, m
-    misfit: Mapping[int, float]  # node -> root mean square of the residual over that of the vectors; 0 for two probes
-
-
 def check_probes(probes: Mapping[str, ProbeConfig], least_spread: float = np.radians(10.0)) -> None:
     """Raise ConfigError for a node at which x and y can't be told apart.
 
@@ -180,8 +171,15 @@ def check_probes(probes: Mapping[str, ProbeConfig], least_spread: float = np.rad
             )
 
 
-def resolve(probes: Mapping[str, ProbeConfig], vectors: np.ndarray) -> Resolved:
-    """x and y at every node, of the ``vectors`` (S, P, R) of the probes in this order; see :func:`check_probes`."""
+def resolve(
+    probes: Mapping[str, ProbeConfig], vectors: np.ndarray
+) -> tuple[tuple[tuple[int, float], ...], np.ndarray, dict[int, float]]:
+    """x and y at every node, of the ``vectors`` (S, P, R) of the probes in this order; see :func:`check_probes`.
+
+    Returns:
+        2 N channels (node, angle in degrees) of x and y; their displacement (S, 2 N, R), complex, m; by node the root
+        mean square of what the probes contradict each other over that of their vectors, 0 for two probes.
+    """
     nodes = sorted({probe.node for probe in probes.values()})
     place = np.array([probe.node for probe in probes.values()])
     angles = np.array([probe.angle for probe in probes.values()])
@@ -196,7 +194,7 @@ def resolve(probes: Mapping[str, ProbeConfig], vectors: np.ndarray) -> Resolved:
         misfit[node] = float(np.sqrt((np.abs(rest) ** 2).mean()) / size) if size > 0 and len(here) > 2 else 0.0
         parts.append(solved)
     channels = tuple((node, angle) for node in nodes for angle in DIRECTIONS.values())
-    return Resolved(channels, np.concatenate(parts, axis=1), misfit)
+    return channels, np.concatenate(parts, axis=1), misfit
 
 
 def measure_sweep(run: RunTracks, most: float) -> SweepBias | None:

@@ -11,7 +11,6 @@ from pipeline.balance.records_prediction import predict_records
 from pipeline.config.schema import Config
 from pipeline.data.tables import list_columns, read_table, write_table
 from pipeline.ingest.source_units import SourceUnits
-from pipeline.ingest.table import read_format
 from pipeline.reporting.balance_tables import tabulate_predicted
 from pipeline.reporting.console import say
 from pipeline.stages.execution import StageOutput
@@ -32,7 +31,7 @@ def run(config: Config) -> StageOutput:
     recordings = cast("RecordsConfig", config.machine.recordings)  # load_records has seen to it
     pairs = [(probe.columns.real, probe.columns.imaginary) for probe in recordings.probes.values()]
     vectors = {name for pair in pairs for name in pair}
-    text = read_format(recordings.csv)
+    text = recordings.csv
     kept = {name: "text" for name in list_columns(Path(file), text) if name not in vectors}
     source = SourceUnits(recordings)
     table = tabulate_predicted(read_table(Path(file), kept, text=text), records, predicted, source, pairs, method)
