@@ -24,9 +24,10 @@ from pipeline.identification.quality import FAR_FROM_EXPECTED, finite
 from pipeline.identification.storage import save_model
 from pipeline.identification.training import setup_of
 from pipeline.identification.uncertainty import Uncertainty, save_uncertainty
-from pipeline.problem.determination import Deviations, describe_determined, summarize_determined
+from pipeline.problem.determination import Deviations, summarize_determined
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, training_progress, warn
+from pipeline.reporting.error_table import describe_verdicts
 from pipeline.reporting.model_error import print_parameters
 from pipeline.reporting.physical_numbers import describe_law, list_numbers, print_numbers
 from pipeline.reporting.write_numbers import write_value
@@ -94,12 +95,11 @@ def run(config: Config) -> StageOutput:
     after = _deviations(config, measurement, fitted) or replace(
         expected, of=f"at {describe_noise(config)}, {expected.of}"
     )
-    judged = after.judge()
-    determined = {"by": after.of, "coefficients": summarize_determined(judged)}
+    determined = {"by": after.of, "coefficients": summarize_determined(after.judge())}
     summary = _summarize(fitted) | {"determined": determined}
     files = _write(config, measurement, fitted, summary)
     _report(config, fitted)
-    say(f"{config.name}: {after.of}: {describe_determined(judged)}")
+    say(f"{config.name}: {describe_verdicts(summary)}")
     return StageOutput(
         metrics={"training": summary | {"seconds": fitted.seconds}},
         tags={"data_fingerprint": measurement.dataset.fingerprint, "outcome": fitted.outcome.label},

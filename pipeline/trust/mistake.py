@@ -23,6 +23,7 @@ class Mistake:
     measurement: Measurement
     extra: Extra | None = None
     gross: bool = True  # False: a number is a little off
+    single: bool = False  # of one run, weight or probe
     penalty: float = 1.0  # on what it leaves over: it explains nothing, or leaves many numbers free
 
 

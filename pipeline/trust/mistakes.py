@@ -40,6 +40,7 @@ class Found:
     check: str
     falls_by: float  # mean square without the mistake over that with it, inverted
     gross: bool
+    single: bool = False  # of one run, weight or probe
 
 
 @dataclass(frozen=True)
@@ -82,6 +83,7 @@ def find_mistakes(
             mistake.check,
             base.mean_square / fit.mean_square,
             mistake.gross or _is_gross(mistake, fit),
+            mistake.single,
         )
         for mistake, fit in tried[:_MOST_NAMED]
         if fit.mean_square < base.mean_square / FALLS_BY and fit.mean_square < _AS_GOOD * best
@@ -95,9 +97,8 @@ _LEAVES_FREE = 1.2
 def list_mistakes(measurement: Measurement, names: Sequence[str]) -> Iterator[Mistake]:
     """Every mistake that is tried; ``names`` are the channels'."""
     yield from of_all_readings(measurement)
-    yield from of_probes(measurement, names)
-    yield from of_runs(measurement)
-    yield from of_weights(measurement)
+    for mistakes in (of_probes(measurement, names), of_runs(measurement), of_weights(measurement)):
+        yield from (replace(mistake, single=True) for mistake in mistakes)
     yield from of_rest(measurement)
 
 
