@@ -22,8 +22,6 @@ from pipeline.problem.condition_noise import NAMED
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.residual import per_speed_least_squares
 
-BAD_POINT = 4.0
-"""Readings beyond so many deviations are listed: of good ones, one in ten million."""
 MISMATCH = 0.05
 """Deviations less probable than this speak against the model: of a right one, they do so in one of twenty data sets."""
 FAR_FROM_EXPECTED = 3.0

@@ -27,10 +27,6 @@ WEAKLY_BELOW = 0.30
 """Zero is then more than three standard deviations away: sign and order of magnitude are certain, no more."""
 
 
-_NAMED = 8
-"""So many are called by their names, as many as a bearing has; more are counted."""
-
-
 class Determination(Enum):
     """The verdict on one coefficient."""
 
@@ -96,8 +92,11 @@ class Deviations:
         return tuple(judged)
 
 
-def describe_determined(judged: Sequence[Determined]) -> str:
-    """The verdicts in words: the best first, each with its worst coefficient, and nodes where there are several."""
+def describe_determined(judged: Sequence[Determined], most_named: int = 8) -> str:
+    """The verdicts in words: the best first, each with its worst coefficient, and nodes where there are several.
+
+    More than ``most_named``, as many as a bearing has, are counted.
+    """
     several, parts = len({judgement.node for judgement in judged}) > 1, []
     for verdict in Determination:
         alike = [judgement for judgement in judged if judgement.verdict is verdict]
@@ -106,7 +105,7 @@ def describe_determined(judged: Sequence[Determined]) -> str:
         names = [f"{judgement.name} at node {judgement.node}" if several else judgement.name for judgement in alike]
         worst = rank_indices(judgement.deviation for judgement in alike)[0]
         size = f"+- {100 * alike[worst].deviation:.2g} %" if np.isfinite(alike[worst].deviation) else "no limit"
-        which = f"{len(alike)} of {len(judged)}" if len(alike) > _NAMED else ", ".join(names)
+        which = f"{len(alike)} of {len(judged)}" if len(alike) > most_named else ", ".join(names)
         which = "all" if len(alike) == len(judged) > 1 else which
         parts.append(f"{which} {verdict.value} ({f'{names[worst]} ' if len(alike) > 1 else ''}{size})")
     partly = [judgement for judgement in judged if judgement.lost and judgement.verdict is not Determination.NOT]

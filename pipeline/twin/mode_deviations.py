@@ -41,9 +41,6 @@ from pipeline.twin.modes import (
     measure_stability,
 )
 
-_OFF = 1e-7
-"""Share of an eigenvalue that inverse iteration is off it: the matrix stays regular, and two steps give the vector."""
-
 
 @dataclass(frozen=True, eq=False)
 class ModeDeviations:
@@ -209,14 +206,17 @@ class System:
     speed: float  # W, rad/s
     places: BearingPlaces
 
-    def derive(self, values: np.ndarray, changes: Sequence[RotorModel | None] = ()) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of the eigenvalues ``values`` (K,).
+    def derive(
+        self, values: np.ndarray, changes: Sequence[RotorModel | None] = (), off: float = 1e-7
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of the eigenvalues ``values`` (K,), by inverse iteration a share ``off`` beside them: the matrix
+        stays regular, and two steps give the vector.
 
         By the coefficients, (K, B, 8) 1/s over N/m and N s/m, and by ``changes`` of the rotor, (K, T) 1/s.
         """
         mass, places = self.mass, self.places
         eigenvalues = values[:, None, None]
-        shifted = eigenvalues * (1.0 + _OFF) + _OFF
+        shifted = eigenvalues * (1.0 + off) + off
         system = shifted**2 * mass + shifted * self.damping + self.stiffness  # (K, n, n)
         right, left = _find_null(system), _find_null(system.swapaxes(1, 2))
         left = left / _multiply(left, 2.0 * eigenvalues * mass + self.damping, right)[:, None]

@@ -23,9 +23,6 @@ from pipeline.identification.training import held_out_speeds
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
 
-_WITHIN = 1e-9
-"""Share of an excitation that may be left over where it is called a sum of others."""
-
 
 def superpose(
     dataset: VibrationDataset,
@@ -62,8 +59,9 @@ def _find_shares(
     wanted: Sequence[Excitation],
     frequencies: np.ndarray,
     residual_unbalance: bool,
+    within: float = 1e-9,
 ) -> np.ndarray | None:
-    """(R,) complex, by how much each run is in the wanted one."""
+    """(R,) complex, by how much each run is in the wanted one, of which a share ``within`` may be left over."""
     same = [r for r in runs if np.allclose(dataset.frequencies[:, r], frequencies, rtol=1e-9)]
     if not same:
         return None
@@ -77,7 +75,7 @@ def _find_shares(
     if residual_unbalance:
         matrix, right = np.concatenate([matrix, np.ones((1, len(same)))]), np.append(right, 1.0)
     shares = np.linalg.lstsq(matrix, right, rcond=None)[0]
-    if np.linalg.norm(matrix @ shares - right) > _WITHIN * np.linalg.norm(right):
+    if np.linalg.norm(matrix @ shares - right) > within * np.linalg.norm(right):
         return None
     every = np.zeros(len(dataset.runs), dtype=complex)
     every[same] = shares
