@@ -61,8 +61,7 @@ class Evidence:
     @property
     def misfit_of_stated_noise(self) -> float:
         """Mean square of what the fit leaves over, over the stated noise."""
-        square = self.fit["chi_square"]
-        return float(square["value"] / max(square["expected"], 1.0)) * self.misfit.noise_factor**2
+        return self.misfit.of_stated
 
 
 def gather(

@@ -20,6 +20,7 @@ class Misfit:
     probability: float | None  # of such deviations, or larger ones, if model and noise are right
     estimated: bool  # the noise was found from the readings
     noise_factor: float  # noise that was found over the stated one, median over the channels; 1 where it is stated
+    of_stated: float  # mean square over the stated noise
 
     @property
     def distance(self) -> float:
@@ -34,10 +35,14 @@ class Misfit:
     def explained(self, small: float = 1.5, wide: float = 3.0) -> bool:
         """Whether model and noise explain the readings, or leave over no more than the bands are wider by.
 
+        What is left over beyond a noise that was found, and lies within the stated one all the same, is no more.
+
         Args:
             small: mean square over the noise, up to which what is left over is below the noise.
             wide: estimated noise over the stated one, beyond which something other than noise is in it, if it wanders.
         """
+        if self.estimated and self.of_stated < 1.0:
+            return True
         if self.size >= FAR_FROM_EXPECTED or math.isnan(self.size):
             return False
         return not (self.unlikely and (self.size >= small or self.noise_factor >= wide))
@@ -49,10 +54,10 @@ class Misfit:
         chance = "" if self.probability is None else f" (such deviations, or larger ones, {_tell(self.probability)})"
         if not self.explained():
             return f"the model and {noise} do not explain the readings{chance}"
-        if self.unlikely:
+        if self.unlikely or self.size >= FAR_FROM_EXPECTED:
             return (
-                f"the model and {noise} nearly explain the readings{chance}: what is left over is below the noise, and "
-                "the bands are wider by it"
+                f"the model and {noise} nearly explain the readings{chance}: what is left over is below the stated "
+                "noise, and the bands are wider by it"
             )
         return f"the model and {noise} explain the readings{chance}"
 
@@ -90,13 +95,13 @@ def measure_misfit(fit: Mapping[str, Any]) -> Misfit:
     """
     square, whiteness, mismatch = fit["chi_square"], fit["whiteness"], fit["mismatch"]
     estimated = "noise_factor" in fit
-    size = square["value"] / max(square["expected"], 1.0)
+    size = total = square["value"] / max(square["expected"], 1.0)
     if estimated:
         wandering = 1.0 / (1.0 - min(max(whiteness["autocorrelation"], 0.0), 0.99))
         size = wandering if mismatch["chi_square"] is None else max(size, wandering)
     every = [p for p in (mismatch["probability"], whiteness.get("probability")) if p is not None]
     factor = float(np.median(list(fit["noise_factor"].values()))) if estimated else 1.0
-    return Misfit(float(size), min(every, default=None), estimated, factor)
+    return Misfit(float(size), min(every, default=None), estimated, factor, float(total * factor**2))
 
 
 def describe_held_out(kind: str, held_out: Mapping[str, Any], digits: int = 2) -> str:

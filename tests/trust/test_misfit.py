@@ -38,6 +38,7 @@ def left_over(
         (left_over(float("nan"), 0.2), False),
         (left_over(1.0, 1e-9, 0.1, 1.0), True),
         (left_over(1.0, 1e-9, 0.6, 1.0), False),  # of estimated noise, neighbours tell what wanders
+        (left_over(1.0, 1e-9, 0.9, 0.3), True),  # it wanders, and lies within the stated noise
         (left_over(1.0, 0.2, 0.0, 10.0), True),  # white noise that is larger than stated
         (left_over(1.0, 0.01, 0.0, 10.0), False),
         (left_over(1.6, 0.01, 0.0, 1.0, by_size=0.01), False),  # noise from repeats: the size counts
