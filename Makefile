@@ -48,7 +48,7 @@ COMPARE = $(RUN) pipeline stage=compare tracking=none comparison.workers=1 compa
 AT_BEARINGS = 'comparison.sensors=[bearings]' 'comparison.speeds=[100]' 'comparison.noise=[0.01]'
 ANSWER_SOON = 'comparison.methods=[least_squares,least_squares_expanded,smoothed,tikhonov,total_least_squares,$\
 	multi_frequency,kalman,spline,residual,preconditioned,response]'
-comparison: env  ## every method on ten data sets, into docs/comparison.md (a quarter of an hour)
+comparison: env  ## every method on ten data sets, into docs/measured/comparison.md (a quarter of an hour)
 	$(COMPARE) experiment=hydrostatic_stiffness output=artifacts/comparison/hydrostatic_stiffness $(ANSWER_SOON) \
 		'comparison.noise=[0,0.01]' 'comparison.sensors=[bearings,all,location]' 'comparison.speeds=[10,100]'
 	$(COMPARE) experiment=hydrostatic_stiffness output=artifacts/comparison/kriging $(AT_BEARINGS) \
@@ -67,7 +67,7 @@ comparison: env  ## every method on ten data sets, into docs/comparison.md (a qu
 	$(COMPARE) experiment=ball_bearing output=artifacts/comparison/ball_bearing $(AT_BEARINGS) \
 		+comparison.most_data_sets.kriging=3 +comparison.most_data_sets.critical_speeds=3
 	$(MAKE) ablation
-	.venv/bin/python docs/comparison_tables.py artifacts/comparison docs/comparison.md
+	.venv/bin/python docs/comparison_tables.py artifacts/comparison docs/comparison.md docs/measured/comparison.md
 
 ablation: env  ## the paper's residual, and its improvements one at a time and together, into artifacts/comparison/ablation
 	$(COMPARE) experiment=hydrostatic_stiffness output=artifacts/comparison/ablation \
@@ -93,8 +93,8 @@ dashboard: env  ## look at all studies at http://127.0.0.1:8080, the committed o
 	$(RUN) pipeline stage=dashboard tracking.enabled=false
 	PATH="$(CURDIR)/.venv/bin:$$PATH" optuna-dashboard sqlite:///studies/optuna.db --port $(PORT)
 
-bench: env  ## measure ratios of speed and write docs/benchmarks.md; no time fails it
-	$(RUN) benchmarks --write docs/benchmarks.md
+bench: env  ## measure ratios of speed and write docs/measured/benchmarks.md; no time fails it
+	$(RUN) benchmarks --write docs/measured/benchmarks.md
 
 tables: env  ## write the tables of README and docs from what make reproduce made
 	.venv/bin/python docs/tables.py
