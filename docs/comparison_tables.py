@@ -1,4 +1,4 @@
-"""Copy the tables of ``stage=compare`` into Markdown files: `python docs/comparison_tables.py FOLDER FILE ...`.
+"""Copy the tables of ``stage=compare`` into a Markdown file: `python docs/comparison_tables.py FOLDER FILE`.
 
 What stands between ``<!-- tables of NAME -->`` and ``<!-- end -->`` is replaced by ``FOLDER/NAME/comparison.md``; a
 NAME without that file stays as it is. ``<!-- tables of methods -->`` is the catalogue.
@@ -35,5 +35,5 @@ def copy_tables(text: str, folder: Path) -> str:
 
 
 if __name__ == "__main__":
-    for target in map(Path, sys.argv[2:]):
-        target.write_text(copy_tables(target.read_text(encoding="utf-8"), Path(sys.argv[1])), encoding="utf-8")
+    target = Path(sys.argv[2])
+    target.write_text(copy_tables(target.read_text(encoding="utf-8"), Path(sys.argv[1])), encoding="utf-8")
