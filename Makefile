@@ -12,7 +12,7 @@ export DVC_NO_ANALYTICS := 1
 unexport PYTHONHOME PYTHONPATH
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo reproduce test test-quick test-nightly comparison ablation paper-study studies promote dashboard bench tables measured house size docs reference lint lock audit clean
+.PHONY: help env demo reproduce test test-quick test-nightly comparison ablation paper-study studies promote dashboard bench tables measured house size docs site reference lint lock audit clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' Makefile
@@ -113,6 +113,9 @@ reference: env  ## write docs/configuration.md from the schema and docs/meanings
 
 docs: env  ## serve the documentation at http://127.0.0.1:8000
 	NO_MKDOCS_2_WARNING=1 $(RUN) mkdocs serve
+
+site: env  ## build the documentation into site/, notebooks run with their outputs and figures (minutes)
+	EXECUTE_NOTEBOOKS=true NO_MKDOCS_2_WARNING=1 $(RUN) mkdocs build --strict
 
 lint: env  ## ruff and mypy, strict where the numbers are made
 	$(RUN) ruff check .
