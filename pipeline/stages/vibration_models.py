@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pipeline.balance.blend import blend_with_influence
 from pipeline.balance.consistency import find_contradictions
 from pipeline.balance.influence import fit_influence
 from pipeline.balance.linear_vibration import LinearVibration
 from pipeline.balance.physical import Physical, restore_physical
-from pipeline.balance.physical_peers import blend_with_influence
 from pipeline.config.records import RecordsConfig
 from pipeline.config.schema import Config
 from pipeline.data.conditions import Conditions, gather_conditions
@@ -75,10 +75,8 @@ def _fit_influence(config: Config, dataset: VibrationDataset) -> Fitted:
     except IdentifiabilityError:  # too few conditions to judge one by the others
         return Fitted(conditions, conditions, {"influence": fit_influence(conditions)}, dataset.fingerprint)
     if bad:
-        names = ", ".join(contradiction.name for contradiction in bad)
-        say(f"{config.name}: influence coefficients without {names}, which contradict their labels")
-    sound = conditions.without([contradiction.name for contradiction in bad])
-    return Fitted(conditions, sound, {"influence": influence}, dataset.fingerprint)
+        say(f"{config.name}: influence coefficients without {', '.join(bad)}, which contradict their labels")
+    return Fitted(conditions, conditions.without(bad), {"influence": influence}, dataset.fingerprint)
 
 
 def can_leave_out(fitted: Fitted, method: str) -> bool:
