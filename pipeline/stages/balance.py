@@ -63,9 +63,7 @@ def run(config: Config) -> StageOutput:
             by_method[name] = estimate_all(readings, [model] * len(readings.names))
         print_estimates(config.name, name, by_method[name], model.planes, source)
         if config.balance.records is None and not can_leave_out(fitted, name):
-            say(
-                f"{config.name}: {name} was fitted to these conditions themselves; studies/folds tries it on unseen ones"
-            )
+            say(f"{config.name}: {name} was fitted to these conditions themselves; studies/folds tries it on others")
     planes = models[method].planes
     summary: dict[str, Any] = {
         "methods": {name: _summarize(estimates) for name, estimates in by_method.items()},
