@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.balance.influence import Influence
-from pipeline.balance.inverse import Unbalance, estimate_unbalance
+from pipeline.balance.unbalance import Unbalance, estimate_unbalance
 from pipeline.config.schema import Config
 from pipeline.data.conditions import Conditions
 from pipeline.data.dataset import name_direction
