@@ -85,7 +85,9 @@ def gather(
     answer, unfitted = identified.table(measurement.updated_known), uncertainty.unfitted
 
     def deviate(covariance: np.ndarray) -> np.ndarray:
-        return uncertainty.deviation(identified, answer.speeds, answer.operating, covariance)
+        spread = uncertainty.deviation(identified, answer.speeds, answer.operating, covariance)
+        lost = np.isnan(spread) & measurement.unknowns.identified[:, None]  # of coefficients that ran away
+        return np.where(lost, np.inf, spread)
 
     runs = measurement.dataset.runs
     used = [r for r in range(len(runs)) if fitted[..., r].any()]
