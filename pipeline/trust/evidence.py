@@ -64,6 +64,17 @@ class Evidence:
         return self.misfit.of_stated
 
 
+def leave_out_unbounded(
+    measurement: Measurement, identified: IdentifiedModel, fitted: np.ndarray
+) -> tuple[Measurement, np.ndarray]:
+    """The measurement and the mask ``fitted`` (S, P, R) at the speeds where the coefficients are numbers.
+
+    Nothing holds an exponential at speeds that were held out as a range: there is nothing to judge.
+    """
+    keep = identified.table(measurement.updated_known).bounded
+    return (measurement, fitted) if keep.all() else (measurement.select(keep), fitted[keep])
+
+
 def gather(
     measurement: Measurement,
     identified: IdentifiedModel,
