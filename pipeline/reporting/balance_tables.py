@@ -16,7 +16,7 @@ from pipeline.data.vibration_files import to_rpm
 from pipeline.ingest.records import Records
 from pipeline.ingest.source_units import GRAM_MILLIMETRE, SourceUnits
 from pipeline.reporting.console import say, table
-from pipeline.reporting.write_numbers import format_deviation
+from pipeline.reporting.write_numbers import write_number
 
 _LEAST = 1e-3  # g mm
 _SPEEDS = 6
@@ -92,7 +92,7 @@ def _show_condition(estimates: Estimates, c: int, source: SourceUnits) -> list[s
     half, angle = unbalance.half_width() / GRAM_MILLIMETRE, np.degrees(unbalance.angle_half_width())
     for n, value in enumerate(values):
         known_to = _blank(half[n])
-        cells.append(_show_size(abs(value)) if known_to is None else format_deviation(float(abs(value)), known_to))
+        cells.append(_show_size(abs(value)) if known_to is None else write_number(float(abs(value)), known_to))
         cells.append("any" if angle[n] >= 180 else f"{_show_angle(value)} +- {angle[n]:.1f}")
         cells.append("-" if np.isnan(known[n]) else _show_known(known[n]))
     return cells
@@ -233,7 +233,7 @@ def print_vibration_change(rows: Sequence[Mapping[str, Any]], unit: str) -> None
             row["probe"],
             f"{row['speed_rpm']:.0f}",
             f"{row['before']:.3g}",
-            format_deviation(row["after"], row["band_95"]),
+            write_number(row["after"], row["band_95"]),
         ]
         for row in read
         if row["speed_rpm"] in shown

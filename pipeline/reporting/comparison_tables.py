@@ -16,7 +16,7 @@ import numpy as np
 from pipeline.comparison.cases import Case
 from pipeline.comparison.result import Result
 from pipeline.methods.catalogue import METHODS
-from pipeline.reporting.console import format_markdown
+from pipeline.reporting.tables import format_markdown
 
 
 @dataclass(frozen=True, eq=False)

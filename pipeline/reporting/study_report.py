@@ -15,7 +15,7 @@ from pipeline.config.schema import Config
 from pipeline.evaluation.errors import find_worst_mean, measure_errors
 from pipeline.identification.chebyshev import ChebyshevFit
 from pipeline.identification.identified import IdentifiedModel
-from pipeline.reporting.console import format_markdown
+from pipeline.reporting.tables import format_markdown
 from pipeline.reporting.write_numbers import write_value
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.tuning.finalists import Finalist, TrialSummary

@@ -18,7 +18,7 @@ from pipeline.data.operating import find_nearest, name_state, split_states
 from pipeline.data.vibration_files import to_rpm
 from pipeline.evaluation.errors import measure_relative_errors
 from pipeline.reporting.error_table import describe_verdicts
-from pipeline.reporting.write_numbers import format_deviation, format_engineering
+from pipeline.reporting.write_numbers import format_engineering, write_number
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.twin.mode_deviations import Behaviour
@@ -212,9 +212,9 @@ def _list_critical_speeds(results: Results) -> str:
     listed = []
     for critical in behaviour.critical:
         known_to = (None, None) if behaviour.deviations is None else behaviour.deviations.of_critical(critical)
-        speed = format_deviation(critical.speed / RAD_S_PER_RPM, known_to[0] and known_to[0] / RAD_S_PER_RPM)
+        speed = write_number(critical.speed / RAD_S_PER_RPM, known_to[0] and known_to[0] / RAD_S_PER_RPM)
         listed.append(
-            f"{speed} rpm (logarithmic decrement {format_deviation(critical.logarithmic_decrement, known_to[1])})"
+            f"{speed} rpm (logarithmic decrement {write_number(critical.logarithmic_decrement, known_to[1])})"
         )
     return f"{_join(listed)}, between {rpm[0]:g} and {rpm[-1]:g} rpm{results.state}"
 
@@ -224,11 +224,11 @@ def _describe_stability(behaviour: Behaviour) -> str:
         behaviour.margin,
         (None, None) if behaviour.deviations is None else behaviour.deviations.of_margin(behaviour.margin),
     )
-    growth = format_deviation(margin.largest_growth, known_to[0])
+    growth = write_number(margin.largest_growth, known_to[0])
     verdict = "stable at all speeds" if margin.stable else f"UNSTABLE, growth {growth} 1/s"
     if margin.smallest_logarithmic_decrement is None or margin.at_speed is None:
         return f"{verdict}; no whirling mode below twice the top speed"
-    decrement = format_deviation(margin.smallest_logarithmic_decrement, known_to[1])
+    decrement = write_number(margin.smallest_logarithmic_decrement, known_to[1])
     return f"{verdict}; smallest logarithmic decrement {decrement} at {margin.at_speed / RAD_S_PER_RPM:g} rpm"
 
 
@@ -243,7 +243,7 @@ def _describe_prediction(config: Config, results: Results) -> str:
     phrases = []
     for d, direction in enumerate("xy"):
         deviation = None if identified.deviation is None else float(1e6 * identified.deviation[results.at, d])
-        phrases.append(f"{direction} {format_deviation(float(size[results.at, d]), deviation)} um")
+        phrases.append(f"{direction} {write_number(float(size[results.at, d]), deviation)} um")
     s, d = np.unravel_index(size.argmax(), size.shape)
     return (
         f"node {identified.node} at {rpm[results.at]:g} rpm{results.state}: {', '.join(phrases)} (zero-to-peak); "

@@ -12,7 +12,7 @@ from pipeline.data.operating import name_state
 from pipeline.data.operating_points import list_columns
 from pipeline.data.vibration_files import to_rpm
 from pipeline.reporting.console import say, table
-from pipeline.reporting.write_numbers import format_deviation
+from pipeline.reporting.write_numbers import write_number
 from pipeline.twin.mode_deviations import Behaviour
 from pipeline.twin.modes import amplify, require_separation
 from pipeline.twin.prediction import PredictedVibration
@@ -129,7 +129,7 @@ def print_twin(
     for name, predicted in vibration.items():
         size = 1e6 * np.abs(predicted.displacement[at])
         known_to = [None, None] if predicted.deviation is None else list(1e6 * predicted.deviation[at])
-        shown = [format_deviation(float(s), d) for s, d in zip(size, known_to, strict=True)]
+        shown = [write_number(float(s), d) for s, d in zip(size, known_to, strict=True)]
         rows.append([name, *shown, _show(summary[name]["stability"], "smallest_logarithmic_decrement")])
         for critical in summary[name]["critical_speeds"].values():
             keys = ("rpm", "logarithmic_decrement", "amplification_factor", "separation_margin_percent")
@@ -153,4 +153,4 @@ def print_twin(
 
 def _show(entry: Mapping[str, Any], key: str) -> str:
     """A number with its deviation; "none" where there is none."""
-    return "none" if entry[key] is None else format_deviation(entry[key], entry.get(f"{key}_std"))
+    return "none" if entry[key] is None else write_number(entry[key], entry.get(f"{key}_std"))

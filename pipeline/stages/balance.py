@@ -20,7 +20,7 @@ from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError, nearest
 from pipeline.files import write_json
 from pipeline.ingest.source_units import SourceUnits
-from pipeline.reporting.balance_figure import draw_balance
+from pipeline.reporting.balance_figures import draw_balance
 from pipeline.reporting.balance_tables import (
     describe_sheet,
     print_estimates,

@@ -21,8 +21,8 @@ from pipeline.errors import ConfigError, nearest
 from pipeline.files import write_json
 from pipeline.identification.training import setup_of
 from pipeline.problem.measurement import Measurement
+from pipeline.reporting.balance_figures import draw_folds
 from pipeline.reporting.console import say, table
-from pipeline.reporting.folds_figure import draw_folds
 from pipeline.stages.contradictions import describe_contradiction, tell_contradiction
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_dataset, load_measurement
