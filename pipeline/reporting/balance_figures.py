@@ -43,8 +43,8 @@ def draw_balance(
                 Curve(pair[1:].real, pair[1:].imag, label, colour, "none", "o", full=True, words=words),
             ]
         title = f"plane at node {node}: g mm and angle on the shaft"
-        panels.append(Panel(title, "", [Axes(curves, "")], equal=True, bare=True))
-    return write_figure(path, Figure("balance", "", panels))
+        panels.append(Panel(title, "", [Axes(curves, "")], equal=True, bare=True, wide=True))
+    return write_figure(path, Figure("balance", "", panels, columns=1))
 
 
 def _draw_grid(reach: float) -> list[Curve]:
@@ -52,7 +52,7 @@ def _draw_grid(reach: float) -> list[Curve]:
     step = 10 ** np.floor(np.log10(reach / 2))
     step *= next(k for k in (1, 2, 5, 10) if reach / (k * step) <= 5)
     turn = np.exp(2j * np.pi * np.linspace(0, 1, 181))
-    sizes, rays = np.arange(step, reach, step), reach * turn[:-1].reshape(8, -1)[:, 0].reshape(8, 1) * [0, 1]
+    sizes, rays = np.arange(step, reach, step), reach * np.exp(0.25j * np.pi * np.arange(8))[:, None] * [0, 1]
     lines = (*(size * turn for size in sizes), *rays)
     curves = [Curve(line.real, line.imag, "", GREY, width=0.5, alpha=0.5) for line in lines]
     ends = 0.97 * rays[:, 1]

@@ -23,15 +23,17 @@ def draw_comparison(path: Path, comparison: Comparison, least: float = 1e-4) -> 
     smaller than ``least`` (%) is exact for every purpose, and drawn as a hollow marker on the edge.
     """
     noise, main, methods = comparison.along("noise"), comparison.main, _sort_methods(comparison)
-    panels = []
+    shown: list[tuple[str, list[Case], str]] = []
     for case in comparison.along("sensors"):
         title = f"sensors: {SENSOR_TEXT[case.sensors]}, {case.speeds} speeds"
-        cases = [Case(level.noise, case.sensors, case.speeds) for level in noise]
-        panels.append(_draw_panel(title, comparison, methods, cases, "noise", least))
+        shown.append((title, [Case(level.noise, case.sensors, case.speeds) for level in noise], "noise"))
     if len(by_speeds := comparison.along("speeds")) > 1:
         title = f"sensors: {SENSOR_TEXT[main.sensors]}, {format_noise(main.noise)} noise"
-        panels.append(_draw_panel(title, comparison, methods, by_speeds, "speeds", least))
-    return write_figure(path, Figure("comparison", "", panels, columns=min(2, len(panels))))
+        shown.append((title, by_speeds, "speeds"))
+    every = [comparison.error(method, case) for _, cases, _ in shown for case in cases for method in methods]
+    reach = (least, 2 * float(np.nanmax([10 * least, *every])))
+    panels = [_draw_panel(title, comparison, methods, cases, key, reach) for title, cases, key in shown]
+    return write_figure(path, Figure("comparison", "", panels, columns=1))
 
 
 def _sort_methods(comparison: Comparison) -> list[str]:
@@ -41,8 +43,14 @@ def _sort_methods(comparison: Comparison) -> list[str]:
 
 
 def _draw_panel(
-    title: str, comparison: Comparison, methods: Sequence[str], cases: Sequence[Case], key: str, least: float
+    title: str,
+    comparison: Comparison,
+    methods: Sequence[str],
+    cases: Sequence[Case],
+    key: str,
+    reach: tuple[float, float],
 ) -> Panel:
+    least, most = reach
     errors = np.array([[comparison.error(method, case) for case in cases] for method in methods])  # (methods, cases)
     shown, places = np.maximum(errors, least), np.arange(len(methods))
     silent = np.isnan(errors).all(axis=1)
@@ -61,4 +69,4 @@ def _draw_panel(
     names = [METHODS[method].label for method in methods]
     axes = Axes(curves, "", y_names=names)
     below = f"median error of the worst coefficient (%); hollow: below {least:g}"
-    return Panel(title, below, [axes], log_x=True, legend=True)
+    return Panel(title, below, [axes], log_x=True, x_range=(0.7 * least, most), wide=True)

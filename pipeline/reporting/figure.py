@@ -134,6 +134,7 @@ class Panel:
     bare: bool = False  # no axes, as in a sketch
     heat: HeatMap | None = None
     log_x: bool = False
+    x_range: Sequence[float] = ()
     x_names: Sequence[str] = ()
     legend: bool = False
 

@@ -64,7 +64,7 @@ def draw_panels(panels: Sequence[Panel], legend: Sequence[Curve], columns: int, 
     width = PANEL_WIDTH * max(columns, 2)
     each, across = width / columns, max(4, 2 * columns)
     lines = wrap(caption, int(18 * width))
-    above = 0.06 + 0.13 * len(lines)
+    above = 0.06 + 0.14 * len(lines)
     top = above + 0.17 * -(-len(legend) // across)
     rows = [panels[first : first + columns] for first in range(0, len(panels), columns)]
     heights = [max(map(_measure_height, row)) for row in rows]
@@ -76,7 +76,7 @@ def draw_panels(panels: Sequence[Panel], legend: Sequence[Curve], columns: int, 
         for i, panel in enumerate(row):
             left, below = _measure_margins(panel)
             lift = (
-                0.42 if panel.polar is not None else 0.22 + 0.12 * panel.title.count("\n")
+                0.42 if panel.polar is not None else 0.22 + 0.13 * (len(_wrap_title(panel)) - 1)
             )  # for the angles around it
             box = np.array([i * each + left, bottom + below, each - left - 0.14, heights[r] - below - lift])
             _draw_panel(drawing, panel, box / [width, height, width, height])
@@ -90,9 +90,12 @@ def draw_panels(panels: Sequence[Panel], legend: Sequence[Curve], columns: int, 
 
 def _measure_height(panel: Panel) -> float:
     """Inches of a panel with its title and the words below it."""
-    inner = 2.2 if panel.equal or panel.polar is not None else 1.9 + 0.9 * (len(panel.axes) - 1)
+    inner = 1.9 + 0.9 * (len(panel.axes) - 1)
+    if panel.equal or panel.polar is not None:
+        inner = 4.4 if panel.wide else 2.2
     names = max(len(axes.y_names) for axes in panel.axes)
-    return max(inner, 0.24 * names) + _measure_margins(panel)[1] + 0.25 + 0.3 * (panel.polar is not None)
+    title = 0.12 + 0.13 * len(_wrap_title(panel)) + 0.3 * (panel.polar is not None)
+    return max(inner, 0.24 * names) + _measure_margins(panel)[1] + title
 
 
 def _measure_margins(panel: Panel) -> tuple[float, float]:
@@ -102,6 +105,11 @@ def _measure_margins(panel: Panel) -> tuple[float, float]:
     below = 0.062 * max(map(len, panel.x_names)) if _is_turned(panel) else 0.12 * (lines - 1)
     titles = max(axes.y_title.count("\n") for axes in panel.axes)
     return max(0.62 + 0.12 * titles, 0.36 + 0.056 * longest), 0.42 + below
+
+
+def _wrap_title(panel: Panel) -> list[str]:
+    """The lines of a title above its panel."""
+    return [line for text in panel.title.split("\n") for line in wrap(text, 110 if panel.wide else 54) or [""]]
 
 
 def _is_turned(panel: Panel) -> bool:
@@ -145,12 +153,13 @@ def _draw_panel(drawing: Any, panel: Panel, box: np.ndarray) -> None:
             _draw_heat(drawing, ax, panel.heat)
         _draw_axes(ax, axes, panel)
         if i == 0:
-            ax.set_title(panel.title, fontsize=8, loc="left")
+            ax.set_title("\n".join(_wrap_title(panel)), fontsize=8, loc="left")
         ax.tick_params(labelbottom=i == len(shares) - 1)
     ax.set_xlabel(panel.x_title, labelpad=1)
     if panel.legend:
-        handles = [_draw_key(curve) for curve in panel.list_keys()]
-        drawing.axes[-len(shares)].legend(handles=handles, fontsize=6.5, ncols=2)
+        keys = panel.list_keys()
+        columns = 2 if max(len(key.label) for key in keys) < 25 else 1
+        drawing.axes[-len(shares)].legend(handles=[_draw_key(key) for key in keys], fontsize=6.5, ncols=columns)
 
 
 def _draw_axes(ax: Any, axes: Axes, panel: Panel) -> None:
@@ -169,6 +178,8 @@ def _draw_axes(ax: Any, axes: Axes, panel: Panel) -> None:
         ax.axvline(at, color=GREY, lw=0.8, ls=":")
         look = {"xytext": (3, -8), "textcoords": "offset points", "color": GREY, "fontsize": 6.5}
         ax.annotate(text, (at, 1), xycoords=("data", "axes fraction"), **look)
+    if ax.get_yscale() == "linear" and np.abs(ax.get_ylim()).max() >= 1e5:
+        ax.yaxis.set_major_formatter(lambda value, _: write_number(value, digits=4))
     ax.set_ylabel(axes.y_title, labelpad=2)
     if axes.y_names:
         ax.set_yticks(range(len(axes.y_names)), axes.y_names)
@@ -179,6 +190,8 @@ def _draw_axes(ax: Any, axes: Axes, panel: Panel) -> None:
         ax.set_xlim(-0.5, len(panel.x_names) - 0.5)
     if len(axes.y_range):
         ax.set_ylim(*axes.y_range)
+    if len(panel.x_range):
+        ax.set_xlim(*panel.x_range)
     if panel.equal:
         ax.set_aspect("equal", adjustable="datalim")
     if panel.bare:

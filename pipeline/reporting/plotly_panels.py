@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -42,14 +43,13 @@ def describe_panel(panel: Panel) -> dict[str, Any]:
 
 def _describe_axes(panel: Panel) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     traces: list[dict[str, Any]] = [] if panel.heat is None else [_describe_heat(panel.heat)]
-    layout: dict[str, Any] = {"xaxis": _describe_axis(panel.x_title, panel.x_names, panel.log_x), "shapes": []}
+    layout: dict[str, Any] = {"shapes": []}
+    layout["xaxis"] = _describe_axis(panel.x_title, panel.x_names, panel.log_x, panel.x_range)
     for i, (axes, domain) in enumerate(zip(panel.axes, _share(len(panel.axes)), strict=True)):
         suffix = "" if i == 0 else str(i + 1)
-        y = _describe_axis(axes.y_title, axes.y_names, axes.scale == "log") | {"domain": domain}
+        y = _describe_axis(axes.y_title, axes.y_names, axes.scale == "log", axes.y_range) | {"domain": domain}
         if axes.scale == "log":
             y |= {"dtick": "D2" if axes.decades < 1.5 else 1, "exponentformat": "power"}
-        if len(axes.y_range):
-            y["range"] = [float(np.log10(v)) if axes.scale == "log" else v for v in axes.y_range]
         layout[f"yaxis{suffix}"] = y
         kind = {"amplitude": "xy" if panel.equal else "y"}.get(axes.quantity, axes.quantity)
         for curve in axes.curves:
@@ -68,8 +68,10 @@ def _describe_axes(panel: Panel) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     return traces, layout
 
 
-def _describe_axis(title: str, names: Any, logarithmic: bool) -> dict[str, Any]:
+def _describe_axis(title: str, names: Sequence[str], logarithmic: bool, reach: Sequence[float]) -> dict[str, Any]:
     axis = _GRID | {"title": {"text": title, "standoff": 4}, "type": "log" if logarithmic else "linear"}
+    if len(reach):
+        axis["range"] = [float(np.log10(end)) if logarithmic else end for end in reach]
     return axis | ({"tickvals": list(range(len(names))), "ticktext": list(names)} if names else {})
 
 

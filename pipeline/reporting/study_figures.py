@@ -16,7 +16,7 @@ from pipeline.reporting.write_numbers import write_number
 from pipeline.tuning.finalists import Finalist, TrialSummary
 
 _STATES = {"complete": (BLUE, "o"), "pruned": (ORANGE, "x"), "failed": (PURPLE, "s")}
-_LOSS = "held-out loss (over the bearing force, or the noise)"
+_LOSS = "held-out loss\n(over the bearing force, or the noise)"
 
 
 def draw_study(
@@ -142,7 +142,7 @@ def _draw_parallel(trials: Sequence[TrialSummary], space: Mapping[str, Dimension
         if trial.number == 0:
             look = {"colour": GREEN, "width": 3.0, "dash": "dash", "label": "the configured default"}
         curves.append(Curve(np.arange(len(names)), line, marker=".", full=True, **look))
-    axes = Axes([*curves, *captions], "", y_range=(-0.08, 1.12))
+    axes = Axes([*curves, *captions], "place in the parameter's range (-)", y_range=(-0.08, 1.12))
     return Panel("", "", [axes], x_names=[name.replace("_", "\n") for name in names], wide=True)
 
 
@@ -198,11 +198,12 @@ def draw_jobs(path: Path, jobs: Mapping[str, Mapping[str, Any]]) -> Path:
     values = {name: np.array([_to_drawn(job.get(name)) for job in jobs.values()]) for name in _JOBS}
     names = [name for name in _JOBS if np.isfinite(values[name]).any()]
     names = [name for name in names if name != "loss" or "held_out_loss" not in names] or ["loss"]
-    panels = []
+    panels: list[Panel] = []
     for name in names:
         (label, colour), drawn = _JOBS[name], np.isfinite(values[name])
         dots = Curve(values[name][drawn], np.flatnonzero(drawn), "", colour, "none", "o", full=True)
-        panels.append(Panel("", label, [Axes([dots], "", y_names=list(jobs))], log_x=bool(drawn.any())))
+        beside = [""] * len(jobs) if panels else list(jobs)
+        panels.append(Panel("", label, [Axes([dots], "", y_names=beside)], log_x=bool(drawn.any())))
     return write_figure(path, Figure("jobs", "", panels, columns=len(panels)))
 
 

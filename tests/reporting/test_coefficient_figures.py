@@ -52,7 +52,7 @@ def test_each_state_has_a_line_of_ascending_speed(drawn: list[Figure], tmp_path:
     assert len(lines) == 5 * len(CELSIUS)
     for line in lines:
         np.testing.assert_allclose(line.x, SPEED_RPM)
-    assert [key.label for key in drawn[0].legend()] == ["45 degC", "nominal 95 %", "55 degC", "65 degC"]
+    assert [key.label for key in drawn[0].legend()] == ["45 degC", "55 degC", "65 degC", "nominal 95 %"]
 
 
 @pytest.mark.slow

@@ -34,9 +34,7 @@ def _sections() -> list[Section]:
     panels = (
         Panel("probe <A>", "rotor speed (rpm)", (Axes((band,), "amplitude (µm pk-pk)", quantity="amplitude"),)),
         Panel("polar", "", (Axes((Curve(RPM / 10, SIZE, "first run"),), "", quantity="amplitude"),), polar=45.0),
-        Panel(
-            "orbit", "x (µm)", (Axes((Curve(SIZE, SIZE[::-1], "orbit"),), "y (µm)", quantity="amplitude"),), equal=True
-        ),
+        Panel("orbit", "x (µm)", (Axes((orbit,), "y (µm)", quantity="amplitude"),), equal=True),
         Panel("map", "order", (Axes((), "rpm"),), heat=HeatMap(np.arange(3.0), np.arange(2.0), np.eye(2, 3), "level")),
     )
     table = Table(
