@@ -85,12 +85,17 @@ class Coefficients:
             *key,
         ]
 
-    def draw_errors(self, b: int, name: str, colour: str) -> list[Curve]:
-        """The error in percent, and dotted the nominal 95 % interval."""
+    def measure_errors(self, b: int, name: str) -> np.ndarray:
+        """(S,) percent of the modelled coefficient; NaN where that is zero or not known."""
         c = COEFFICIENTS.index(name)
         true = np.where(self.modelled[b, :, c] == 0, np.nan, self.modelled[b, :, c])
-        error = 100 * np.abs(self.identified.values[b, :, c] / true - 1)
-        stated = 100 * NOMINAL_95 * self.deviation[b, :, c] / np.abs(true)
+        return np.asarray(100 * np.abs(self.identified.values[b, :, c] - true) / np.abs(true))
+
+    def draw_errors(self, b: int, name: str, colour: str) -> list[Curve]:
+        """The error in percent, and dotted the nominal 95 % interval."""
+        c, error = COEFFICIENTS.index(name), self.measure_errors(b, name)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            stated = 100 * NOMINAL_95 * self.deviation[b, :, c] / np.abs(self.modelled[b, :, c])
         return [
             Curve(self.rpm, np.maximum(error, 1e-14), "", colour, width=1.2),
             Curve(self.rpm, stated, "", colour, "dot", width=1.2),

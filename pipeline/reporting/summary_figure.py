@@ -41,8 +41,7 @@ def draw_summary(path: Path, results: Results, title: str) -> Path:
     if results.dataset.operating:
         label, results = results.nearest()
     beside = f", {label}" if label else ""
-    shown = Coefficients.collect(results.identified, results.modelled, results.unknowns, results.deviation)
-    panels = [_draw_coefficients(shown, letter, beside) for letter in "kc"]
+    panels = [_draw_coefficients(results.coefficients, letter, beside) for letter in "kc"]
     panels += [_draw_run(results, beside), _draw_response(results)]
     return write_figure(path, Figure("summary", title, panels))
 

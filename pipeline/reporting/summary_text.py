@@ -6,6 +6,7 @@ import math
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +17,14 @@ from pipeline.config.schema import Config
 from pipeline.data.dataset import VibrationDataset, name_direction
 from pipeline.data.operating import find_nearest, name_state, split_states
 from pipeline.data.vibration_files import to_rpm
-from pipeline.evaluation.errors import measure_relative_errors
+from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.error_table import describe_verdicts
+from pipeline.reporting.twin_tables import show, summarize_modes
 from pipeline.reporting.write_numbers import format_engineering, write_number
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.twin.mode_deviations import Behaviour
 from pipeline.twin.prediction import PredictedVibration
-from pipeline.units import RAD_S_PER_RPM
 
 WIDTH = 100
 _INDENT = " " * 13
@@ -76,23 +77,24 @@ class Results:
         """The conditions of the prediction, such as ``, 70 degC``; no words without any."""
         return f", {name_state(self.operating)}" if self.operating else ""
 
+    @cached_property
+    def coefficients(self) -> Coefficients:
+        """The answer as figures and tables have it."""
+        return Coefficients.collect(self.identified, self.modelled, self.unknowns, self.deviation)
+
     def nearest(self) -> tuple[str, Results]:
         """The measured state that is nearest to the prediction's, and the results at its points alone."""
         label, points = find_nearest(self.dataset.speeds, self.dataset.operating, self.operating)
         shown = replace(self.shown, measured=self.shown.measured[points], predicted=self.shown.predicted[points])
-        return label, replace(
-            self,
-            dataset=self.dataset.at(points),
-            identified=self.identified.at(points),
-            modelled=None if self.modelled is None else self.modelled.at(points),
-            deviation=None if self.deviation is None else self.deviation[:, points],
-            shown=shown,
-        )
+        at = replace(self, dataset=self.dataset.at(points), identified=self.identified.at(points), shown=shown)
+        at.__dict__["coefficients"] = self.coefficients.at(points)
+        return label, at
 
 
 def write_summary(config: Config, results: Results, picture: Path) -> str:
     """Write the whole screen; it ends with a newline."""
     head = _wrap(f"{config.name}: {config.description}", "", 1)
+    modes: Mapping[str, Any] = summarize_modes(results.behaviour, config.machine.prediction.speed_rpm)
     parts = [
         *_wrap_entry("machine", _describe_machine(config, results)),
         *_wrap_entry("data", _describe_data(config, results)),
@@ -103,8 +105,8 @@ def write_summary(config: Config, results: Results, picture: Path) -> str:
         *_wrap_entry("verdict", describe_verdicts(results.training["determined"])),
         *_wrap_entry("fit", _describe_fit(results.training)),
         *_wrap_entry("", _describe_run(results)),
-        *_wrap_entry("critical", _list_critical_speeds(results)),
-        *_wrap_entry("stability", _describe_stability(results.behaviour)),
+        *_wrap_entry("critical", _list_critical_speeds(results, modes["critical_speeds"])),
+        *_wrap_entry("stability", _describe_stability(modes["stability"])),
         *_wrap_entry("prediction", _describe_prediction(config, results)),
         *[line for text in results.beyond for line in _wrap_entry("beyond", f"{text}: the bands grow there")],
         f"{'picture':<{len(_INDENT)}}{picture}",
@@ -126,7 +128,7 @@ def _describe_machine(config: Config, results: Results) -> str:
     rotor = results.rotor
     source = f", from '{config.machine.rotor.file}'" if config.machine.rotor.file else ""
     return (
-        f"{rotor.n_nodes} nodes, {rotor.total_mass:.4g} kg, bearings at {_name_nodes(rotor.bearing_nodes)}, "
+        f"{rotor.n_nodes} nodes, {write_number(rotor.total_mass)} kg, bearings at {_name_nodes(rotor.bearing_nodes)}, "
         f"discs at {_name_nodes(rotor.disc_nodes)}{source}"
     )
 
@@ -158,25 +160,21 @@ def _pick_columns(config: Config, results: Results) -> list[tuple[str, int]]:
 
 def _list_coefficients(config: Config, results: Results) -> list[str]:
     """A row a bearing and coefficient, at up to three speeds or states; constants have one value."""
-    columns = _pick_columns(config, results)
-    at = [s for _, s in columns]
+    shown, columns = results.coefficients, _pick_columns(config, results)
     several = len(columns) > 1 and bool(results.identified.operating)
     speed = f" at {results.rpm[results.at]:g} rpm" if several else ""
-    known = "" if results.deviation is None else " +- one standard deviation"
-    against = f", and the median error over the {'points' if several else 'speeds'}"
-    against = against if results.modelled is not None else ""
-    lines = [f"identified{speed}{known}{against}", f"{'':20}" + "".join(f"{head:>22}" for head, _ in columns)]
-    if results.modelled is not None:
-        lines[-1] += f"{'error %':>12}"
+    known = " +- one standard deviation" if np.isfinite(shown.deviation).any() else ""
+    against = f", and the median error over the {'points' if several else 'speeds'}" if shown.compared else ""
+    heads = "".join(f"{head:>22}" for head, _ in columns) + (f"{'error %':>12}" if shown.compared else "")
+    lines = [f"identified{speed}{known}{against}", f"{'':20}{heads}"]
     rows = [(b, name) for b, names in enumerate(results.unknowns) for name in names]
     for b, name in rows[:_MOST_ROWS]:
-        row = f"  {f'node {results.identified.nodes[b]} {name}, {unit(name)}':<18}"
-        for s in at:
-            deviation = None if results.deviation is None else float(results.deviation[b, s, COEFFICIENTS.index(name)])
-            row += f"{format_engineering(float(results.identified.coefficient(name)[b, s]), deviation):>22}"
-        if results.modelled is not None:
-            row += f"{np.median(measure_relative_errors(results.identified, results.modelled, name)[b]):>12.2g}"
-        lines.append(row)
+        row, c = f"  {f'node {results.identified.nodes[b]} {name}, {unit(name)}':<18}", COEFFICIENTS.index(name)
+        for _, s in columns:
+            value, deviation = shown.identified.values[b, s, c], shown.deviation[b, s, c]
+            row += f"{format_engineering(float(value), float(deviation)):>22}"
+        error = float(np.median(shown.measure_errors(b, name)))
+        lines.append(row + (f"{write_number(error, digits=2):>12}" if shown.compared else ""))
     if len(rows) > _MOST_ROWS:
         lines.append(f"  and {len(rows) - _MOST_ROWS} more in 'identified_coefficients.csv'")
     return lines
@@ -186,8 +184,9 @@ def _describe_fit(training: Mapping[str, Any]) -> str:
     """Say what the fit leaves over, and how well it predicts what was held out."""
     if "fit" not in training:
         loss, held_out = training.get("loss"), training.get("held_out_loss")
-        text = "the loss overflowed" if loss is None else f"residual {loss:.2g} of the bearing force"
-        return text + (f", {held_out:.2g} at held-out speeds" if held_out is not None else "")
+        left = f"residual {write_number(loss, digits=2)} of the bearing force"
+        seen = "" if held_out is None else f", {write_number(held_out, digits=2)} at held-out speeds"
+        return ("the loss overflowed" if loss is None else left) + seen
     fit = training["fit"]
     square = fit["chi_square"]
     text = (
@@ -195,41 +194,35 @@ def _describe_fit(training: Mapping[str, Any]) -> str:
         f"{math.sqrt(square['value'] / square['expected']):.2f} times as far off as their noise"
     )
     if "held_out_speeds" in fit:
-        text += f"; held-out speeds predicted to {fit['held_out_speeds']['error_percent']:.2g} %"
+        text += f"; held-out speeds predicted to {write_number(fit['held_out_speeds']['error_percent'], digits=2)} %"
     return text
 
 
 def _describe_run(results: Results) -> str:
     shown = results.shown
-    text = f"{shown.error_percent:.2g} % (root mean square, {_count(shown.measured.shape[1], 'channel')})"
+    share = write_number(shown.error_percent, digits=2)
+    text = f"{share} % (root mean square, {_count(shown.measured.shape[1], 'channel')})"
     if shown.held_out:
         return f"held-out run {shown.name} predicted to {text}"
     return f"run {shown.name}, which was fitted, reproduced to {text}"
 
 
-def _list_critical_speeds(results: Results) -> str:
-    rpm, behaviour = results.rpm, results.behaviour
-    listed = []
-    for critical in behaviour.critical:
-        known_to = (None, None) if behaviour.deviations is None else behaviour.deviations.of_critical(critical)
-        speed = write_number(critical.speed / RAD_S_PER_RPM, known_to[0] and known_to[0] / RAD_S_PER_RPM)
-        listed.append(
-            f"{speed} rpm (logarithmic decrement {write_number(critical.logarithmic_decrement, known_to[1])})"
-        )
+def _list_critical_speeds(results: Results, critical: Mapping[str, Any]) -> str:
+    rpm = results.rpm
+    listed = [
+        f"{show(mode, 'rpm')} rpm (logarithmic decrement {show(mode, 'logarithmic_decrement')})"
+        for mode in critical.values()
+    ]
     return f"{_join(listed)}, between {rpm[0]:g} and {rpm[-1]:g} rpm{results.state}"
 
 
-def _describe_stability(behaviour: Behaviour) -> str:
-    margin, known_to = (
-        behaviour.margin,
-        (None, None) if behaviour.deviations is None else behaviour.deviations.of_margin(behaviour.margin),
-    )
-    growth = write_number(margin.largest_growth, known_to[0])
-    verdict = "stable at all speeds" if margin.stable else f"UNSTABLE, growth {growth} 1/s"
-    if margin.smallest_logarithmic_decrement is None or margin.at_speed is None:
+def _describe_stability(stability: Mapping[str, Any]) -> str:
+    growth = f"UNSTABLE, growth {show(stability, 'largest_growth')} 1/s"
+    verdict = "stable at all speeds" if stability["stable"] else growth
+    if stability["smallest_logarithmic_decrement"] is None or stability["at_rpm"] is None:
         return f"{verdict}; no whirling mode below twice the top speed"
-    decrement = write_number(margin.smallest_logarithmic_decrement, known_to[1])
-    return f"{verdict}; smallest logarithmic decrement {decrement} at {margin.at_speed / RAD_S_PER_RPM:g} rpm"
+    decrement = show(stability, "smallest_logarithmic_decrement")
+    return f"{verdict}; smallest logarithmic decrement {decrement} at {stability['at_rpm']:g} rpm"
 
 
 def _describe_prediction(config: Config, results: Results) -> str:
@@ -240,14 +233,13 @@ def _describe_prediction(config: Config, results: Results) -> str:
         f"{1e6 * unbalance.magnitude:g} g mm at node {unbalance.node}"
         for unbalance in config.machine.prediction.unbalances
     )
-    phrases = []
-    for d, direction in enumerate("xy"):
-        deviation = None if identified.deviation is None else float(1e6 * identified.deviation[results.at, d])
-        phrases.append(f"{direction} {write_number(float(size[results.at, d]), deviation)} um")
+    deviation = np.full_like(size, np.nan) if identified.deviation is None else 1e6 * identified.deviation
+    at = zip("xy", size[results.at].tolist(), deviation[results.at].tolist(), strict=True)
+    phrases = [f"{direction} {write_number(value, known, 5)} um" for direction, value, known in at]
     s, d = np.unravel_index(size.argmax(), size.shape)
     return (
         f"node {identified.node} at {rpm[results.at]:g} rpm{results.state}: {', '.join(phrases)} (zero-to-peak); "
-        f"at most {size[s, d]:.4g} um in {'xy'[d]} at {rpm[s]:g} rpm; under {acting}"
+        f"at most {write_number(float(size[s, d]))} um in {'xy'[d]} at {rpm[s]:g} rpm; under {acting}"
     )
 
 
