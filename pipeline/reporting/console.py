@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING
 
-from pipeline.reporting.tables import Table
+from pipeline.reporting.tables import Cell, Table
 from pipeline.reporting.write_numbers import write_number
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def warn(text: str) -> None:
     _open_console(True).print(f"warning: {text}", markup=False, style="yellow")
 
 
-def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+def table(title: str, header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> None:
     """Print a table on stdout; the first column is left-aligned, the others right."""
     print_table(Table(title, header, rows))
 

@@ -13,6 +13,7 @@ from pipeline.evaluation.errors import CoefficientErrors
 from pipeline.identification.quality import MISMATCH
 from pipeline.problem.determination import Determined, describe_determined, read_determined
 from pipeline.reporting.console import table
+from pipeline.reporting.write_numbers import format_engineering, write_number
 from pipeline.rotor.bearing_table import BearingTable
 
 if TYPE_CHECKING:
@@ -82,7 +83,7 @@ _SHOWN = {
 def _format(column: str, value: float | str) -> str:
     if isinstance(value, str):
         return value
-    return f"{value / 1e5:.5f}e5" if column in ("modelled", "identified") else f"{value:.2g}"
+    return format_engineering(value) if column in ("modelled", "identified") else write_number(value, digits=2)
 
 
 def describe_verdicts(determined: Mapping[str, Any]) -> str:
@@ -94,7 +95,9 @@ def describe_quality(quality: Mapping[str, Any]) -> str:
     """Say how well a fit explains its readings, from the summary of its quality; no truth is needed."""
     if "residual" in quality:
         residual = quality["residual"]["mean_over_bearing_force"]
-        return f"no modelled coefficients, so no errors; residual {residual:.3g} of the bearing force"
+        return (
+            f"no modelled coefficients, so no errors; residual {write_number(residual, digits=3)} of the bearing force"
+        )
     fit = quality["fit"]
     square, white = fit["chi_square"], fit["whiteness"]
     lines = [
@@ -108,13 +111,13 @@ def describe_quality(quality: Mapping[str, Any]) -> str:
         explained = "explain" if probability >= MISMATCH else "do not explain"
         lines.append(
             f"the model and the stated noise {explained} the readings (such deviations, or larger ones, have the "
-            f"probability {probability:.2g})"
+            f"probability {write_number(probability, digits=2)})"
         )
     for kind in ("held_out_speeds", "held_out_runs"):
-        if kind in fit:
-            held = fit[kind]
+        if held := fit.get(kind):
+            error = write_number(held["error_percent"], digits=3)
             lines.append(
-                f"{kind.replace('held_out_', 'held-out ')}: predicted to {held['error_percent']:.3g} % (root mean "
-                f"square), mean square over the noise {held['mean_square_over_noise']:.3f}, where 1 is expected"
+                f"{kind.replace('held_out_', 'held-out ')}: predicted to {error} % (root mean square), mean square "
+                f"over the noise {held['mean_square_over_noise']:.3f}, where 1 is expected"
             )
     return "\n".join(lines)
