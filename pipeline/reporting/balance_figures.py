@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.balance.estimates import Estimates
-from pipeline.ingest.source_units import GRAM_MILLIMETRE, SourceUnits
 from pipeline.reporting.figure import BLUE, GREY, LOOKS, NOTHING, ORANGE, Axes, Curve, Figure, Panel
 from pipeline.reporting.matplotlib_figures import write_figure
+
+if TYPE_CHECKING:
+    from pipeline.balance.estimates import Estimates
+    from pipeline.ingest.source_units import SourceUnits
 
 
 def draw_balance(
@@ -24,7 +26,7 @@ def draw_balance(
     others have them where there are at most ``most_names``.
     """
     values, known = source.weights(estimates.unbalance), source.weights(estimates.readings.unbalance)
-    radius, remarked = estimates.radius / GRAM_MILLIMETRE, estimates.inconsistent | estimates.contradicted
+    radius, remarked = 1e6 * estimates.radius, estimates.inconsistent | estimates.contradicted
     names = estimates.readings.names
     reach = 1.15 * float(np.nanmax(np.abs([*values.ravel(), *known.ravel(), 1e-9])))
     turn, panels = np.exp(2j * np.pi * np.linspace(0, 1, 181)), []
@@ -35,12 +37,12 @@ def draw_balance(
             label = "inconsistent, or contradicts its label" if remarked[c] else f"from the vibration ({method}), 95 %"
             circle = values[c, n] + min(radius[c, n], 4 * reach) * turn
             pair = np.array([known[c, n], values[c, n]])
-            words = [name] if remarked[c] or len(names) <= most_names else []
+            texts = [name] if remarked[c] or len(names) <= most_names else []
             curves += [
                 Curve(circle.real, circle.imag, "", colour, filled=True, width=0.8),
                 Curve(pair.real, np.where(np.isnan(known[c, n]), np.nan, pair.imag), "", colour, width=1.0),
                 Curve(pair[:1].real, pair[:1].imag, "known weight", GREY, "none", "+", size=7),
-                Curve(pair[1:].real, pair[1:].imag, label, colour, "none", "o", full=True, words=words),
+                Curve(pair[1:].real, pair[1:].imag, label, colour, "none", "o", full=True, texts=texts),
             ]
         title = f"plane at node {node}: g mm and angle on the shaft"
         panels.append(Panel(title, "", [Axes(curves, "")], equal=True, bare=True, wide=True))
@@ -56,8 +58,8 @@ def _draw_grid(reach: float) -> list[Curve]:
     lines = (*(size * turn for size in sizes), *rays)
     curves = [Curve(line.real, line.imag, "", GREY, width=0.5, alpha=0.5) for line in lines]
     ends = 0.97 * rays[:, 1]
-    angles = Curve(ends.real, ends.imag, "", GREY, "none", words=[f"{angle}°" for angle in range(0, 360, 45)])
-    return [*curves, angles, Curve(0 * sizes, sizes, "", GREY, "none", words=[f"{size:g}" for size in sizes])]
+    angles = Curve(ends.real, ends.imag, "", GREY, "none", texts=[f"{angle}°" for angle in range(0, 360, 45)])
+    return [*curves, angles, Curve(0 * sizes, sizes, "", GREY, "none", texts=[f"{size:g}" for size in sizes])]
 
 
 _FOLDS = {
@@ -77,14 +79,14 @@ def draw_folds(path: Path, rows: Sequence[dict[str, Any]], floor: Sequence[float
     drift = Curve(ends, np.full(2, floor[0] + half), "", GREY, "none", band=np.full(2, half))
     key = Curve(NOTHING, NOTHING, "drift alone, in folds (90 %)", GREY, filled=True)
     panels: list[Panel] = []
-    for key_of, label in _FOLDS.items():
+    for quantity, label in _FOLDS.items():
         curves = [] if panels else [drift, key]
         for m, (method, (colour, marker)) in enumerate(zip(methods, LOOKS, strict=False)):
             for chosen in ("consistent", "all"):
                 some = [row for row in rows if row["method"] == method and row["conditions"] == chosen]
                 places = np.array([tasks.index(row["task"]) + 0.12 * (m - (len(methods) - 1) / 2) for row in some])
                 look: dict[str, Any] = {"size": 6, "full": chosen == "consistent"}
-                errors = np.array([row[key_of] for row in some], dtype=float)
+                errors = np.array([row[quantity] for row in some], dtype=float)
                 curves.append(Curve(places, errors, method if look["full"] else "", colour, "none", marker, **look))
         names = [task.replace("_", "\n") for task in tasks]
         panels.append(Panel("", "", [Axes(curves, label, scale="log")], x_names=names))

@@ -197,7 +197,9 @@ def tabulate_vibration_change(
             "speed_rpm": float(rpm),
             "probe": names[p],
             "unit": source.unit,
-            **{key: _blank(of[s, p]) for key, of in (("before", before), ("after", after), ("band_95", half))},
+            "before": _blank(before[s, p]),
+            "after": _blank(after[s, p]),
+            "band_95": _blank(half[s, p]),
         }
         for s, rpm in enumerate(to_rpm(speeds))
         for p in range(shape[1])

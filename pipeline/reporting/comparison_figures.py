@@ -64,8 +64,8 @@ def _draw_panel(
         for full, chosen in ((True, errors[:, c] >= least), (False, errors[:, c] < least)):
             rows = np.where(chosen, places, np.nan)
             curves.append(Curve(shown[:, c], rows, label, colour, "none", marker, full=full, size=6))
-    words = ["no answer"] * int(silent.sum())
-    curves.append(Curve(np.full(len(words), 4 * least), places[silent] + 0.2, "", GREY, "none", words=words))
+    texts = ["no answer"] * int(silent.sum())
+    curves.append(Curve(np.full(len(texts), 4 * least), places[silent] + 0.2, "", GREY, "none", texts=texts))
     names = [METHODS[method].label for method in methods]
     axes = Axes(curves, "", y_names=names)
     below = f"median error of the worst coefficient (%); hollow: below {least:g}"

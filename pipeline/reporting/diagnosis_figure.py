@@ -47,7 +47,7 @@ def draw_diagnosis(
         shades = _shade_verdicts(rpm[[0, -1]], reach)
         if not curves:
             at, middle = np.array([rpm.mean()]), np.array([np.sqrt(reach[0] * reach[1])])
-            shades.append(Curve(at, middle, "", GREY, "none", words=["free: no finite deviation"]))
+            shades.append(Curve(at, middle, "", GREY, "none", texts=["free: no finite deviation"]))
         below = [
             Curve(rpm, _take_medians(np.minimum(condition, largest_condition), groups), f"condition {text}", *look)
             for condition, text, *look in (
@@ -77,5 +77,5 @@ def _shade_verdicts(rpm: np.ndarray, reach: tuple[float, float]) -> list[Curve]:
     for (verdict, colour), start, stop in zip(shades, edges, edges[1:], strict=False):
         middle, half = np.full(2, (start + stop) / 2), np.full(2, (stop - start) / 2)
         curves.append(Curve(rpm, middle, "", colour, "none", band=half, alpha=0.4))
-        curves.append(Curve(rpm @ [[0.15], [0.85]], np.array([0.7 * stop]), "", GREY, "none", words=[verdict]))
+        curves.append(Curve(rpm @ [[0.15], [0.85]], np.array([0.7 * stop]), "", GREY, "none", texts=[verdict]))
     return curves

@@ -18,8 +18,8 @@ LOOKS = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"), (PURPLE, "D"), (SKY, "v"), (G
 """Colours and markers of the curves that share a panel."""
 DASHES = ("solid", "dash", "dashdot", "dot")
 RPM = "rotor speed (rpm)"
-MICROMETRES_PEAK_TO_PEAK, MICROMETRES = 2e6, 1e6
-"""What an amplitude in m, zero-to-peak, and a place in m, are multiplied by, unless the reader chooses another unit."""
+MICROMETRES = 1e6
+"""What a place in m is multiplied by, unless the reader chooses another unit."""
 NOTHING = np.empty(0)
 
 
@@ -28,7 +28,7 @@ class Curve:
     """Points (N,) that belong together, as a line, as markers or both; one without points is a key of the legend alone.
 
     ``band`` (N,) is half the width of a filled band. ``dash`` is solid, dash, longdash, dot, dashdot or none. A
-    ``filled`` curve is the outline of an area; ``words`` (N,) stand beside the points. Markers are open, or ``full``.
+    ``filled`` curve is the outline of an area; ``texts`` (N,) stand beside the points. Markers are open, or ``full``.
     """
 
     x: np.ndarray
@@ -41,7 +41,7 @@ class Curve:
     band: np.ndarray = field(default_factory=lambda: NOTHING)
     filled: bool = False
     full: bool = False
-    words: Sequence[str] = ()
+    texts: Sequence[str] = ()
     width: float = 1.6
     size: float = 4.0
     alpha: float = 1.0

@@ -13,7 +13,6 @@ from pipeline.files import write_beside
 from pipeline.reporting.figure import (
     GREY,
     MICROMETRES,
-    MICROMETRES_PEAK_TO_PEAK,
     Axes,
     Curve,
     Figure,
@@ -21,6 +20,7 @@ from pipeline.reporting.figure import (
     Panel,
     count_decades,
 )
+from pipeline.reporting.tables import MICROMETRES_PEAK_TO_PEAK
 from pipeline.reporting.write_numbers import write_number
 
 PANEL_WIDTH = 3.66  # inches
@@ -225,9 +225,9 @@ def _draw_curve(ax: Any, curve: Curve, scales: tuple[float, float]) -> None:
         ax.fill_between(scales[0] * edges, scales[1] * low, scales[1] * high, **look)
     style: dict[str, Any] = {"ls": _DASHES[curve.dash], "marker": curve.marker or None, "ms": curve.size}
     style |= {"mfc": curve.colour if curve.full else "none", "alpha": curve.alpha, "lw": 0.75 * curve.width}
-    ax.plot(x, y, color=curve.colour, clip_on=not curve.words and not curve.full, **style)
+    ax.plot(x, y, color=curve.colour, clip_on=not curve.texts and not curve.full, **style)
     beside = {"xytext": (0, 3), "textcoords": "offset points", "ha": "center", "fontsize": 6, "color": curve.colour}
-    for text, at_x, at_y in zip(curve.words, x, y, strict=False):
+    for text, at_x, at_y in zip(curve.texts, x, y, strict=False):
         ax.annotate(text, (at_x, at_y), **beside)
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -31,8 +31,10 @@ from pipeline.reporting.figure import (
 )
 from pipeline.reporting.matplotlib_figures import write_figure
 from pipeline.reporting.write_numbers import write_number
-from pipeline.sweep.fit import ModalFit, RunUp
 from pipeline.units import RAD_S_PER_RPM
+
+if TYPE_CHECKING:
+    from pipeline.sweep.fit import ModalFit, RunUp
 
 AMPLITUDE = "amplitude (µm pk-pk)"
 BODE = (

@@ -77,12 +77,12 @@ def draw_budget(path: Path, budget: Budget) -> Path:
     values = np.array(list(budget.percent.values()))
     shade = np.log10(np.clip(values, 0.1, 100.0))
     down, across = np.meshgrid(*map(np.arange, values.shape), indexing="ij")
-    words = []
+    numbers = []
     for colour, chosen in (("#ffffff", shade > 1), (BLACK, shade <= 1)):
         texts = [write_number(float(value), digits=2) for value in values[chosen]]
-        words.append(Curve(across[chosen], down[chosen] + 0.12, "", colour, "none", words=texts))
+        numbers.append(Curve(across[chosen], down[chosen] + 0.12, "", colour, "none", texts=texts))
     heat = HeatMap(np.arange(values.shape[1]), np.arange(values.shape[0]), shade, "", "Blues", (-1.0, 2.0))
     title = "change of the coefficient by the tolerance in brackets (%, median over speed)"
-    axes = Axes(words, "", y_names=budget.rows)
+    axes = Axes(numbers, "", y_names=budget.rows)
     panel = Panel(title, "", [axes], heat=heat, x_names=budget.coefficients, wide=True)
     return write_figure(path, Figure("budget", "", [panel], columns=1))

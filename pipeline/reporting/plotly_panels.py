@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.reporting.figure import GREY, MICROMETRES, MICROMETRES_PEAK_TO_PEAK, Axes, Curve, HeatMap, Panel
+from pipeline.reporting.figure import GREY, MICROMETRES, Axes, Curve, HeatMap, Panel
+from pipeline.reporting.tables import MICROMETRES_PEAK_TO_PEAK
 
 _SYMBOLS = {"o": "circle", "s": "square", "^": "triangle-up", "D": "diamond", "v": "triangle-down", "x": "x-thin"}
 _FONT = {"family": "system-ui, sans-serif", "size": 11, "color": "#222"}
@@ -127,7 +128,7 @@ def _describe_curve(curve: Curve, kind: str, logarithmic: bool = False) -> list[
 
 
 def _name_mode(curve: Curve) -> str:
-    drawn = ["lines"] * (curve.dash != "none") + ["markers"] * bool(curve.marker) + ["text"] * bool(curve.words)
+    drawn = ["lines"] * (curve.dash != "none") + ["markers"] * bool(curve.marker) + ["text"] * bool(curve.texts)
     return "+".join(drawn) or "none"
 
 
@@ -142,7 +143,7 @@ def _describe_look(curve: Curve) -> dict[str, Any]:
             "size": 1.5 * curve.size,
             "line": {"color": curve.colour, "width": 1.3},
         },
-        "text": list(curve.words),
+        "text": list(curve.texts),
         "textposition": "top center",
         "textfont": {"size": 10, "color": curve.colour},
     }

@@ -77,9 +77,9 @@ def _draw_importance(importances: Mapping[str, float]) -> Panel:
     ends = np.array(list(shares.values()))
     places = np.arange(len(ends))
     bars = [Curve(np.array([0.0, share]), np.full(2, place), width=12.0) for place, share in enumerate(ends)]
-    words = Curve(ends, places - 0.25, "", GREY, "none", words=[f"{share:.0f} %" for share in ends])
+    texts = Curve(ends, places - 0.25, "", GREY, "none", texts=[f"{share:.0f} %" for share in ends])
     title = "what sets the best trials of the study apart from the others"
-    axes = Axes([*bars, words], "", y_names=list(shares))
+    axes = Axes([*bars, texts], "", y_names=list(shares))
     return Panel(title, "importance (%); parameters below 0.5 % are left out", [axes], wide=True)
 
 
@@ -132,8 +132,8 @@ def _draw_parallel(trials: Sequence[TrialSummary], space: Mapping[str, Dimension
     for x, name in enumerate(names):
         heights[:, x], ends = _scale_values([t.parameters.get(name) for t in trials], space[name])
         at = np.full(len(ends), x)
-        words = [caption.replace("_", " ") for caption in ends]
-        captions.append(Curve(at, np.array(list(ends.values())), "", GREY, words=words, width=1.0))
+        texts = [caption.replace("_", " ") for caption in ends]
+        captions.append(Curve(at, np.array(list(ends.values())), "", GREY, texts=texts, width=1.0))
     curves, few = [], max(1, len(trials) // 10)
     for i, (trial, line) in enumerate(zip(trials, heights, strict=True)):
         look: dict[str, Any] = {"colour": GREY, "width": 0.8, "alpha": 0.35, "label": "the other trials"}

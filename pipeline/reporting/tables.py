@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from pipeline.reporting.figure import MICROMETRES_PEAK_TO_PEAK
 from pipeline.reporting.write_numbers import write_number
+
+MICROMETRES_PEAK_TO_PEAK = 2e6
+"""What an amplitude in m, zero-to-peak, is multiplied by, unless the reader chooses another unit."""
 
 
 @dataclass(frozen=True)
@@ -24,14 +26,14 @@ class Amplitude:
 
 @dataclass(frozen=True)
 class Mark:
-    """A cell with a verdict: ``good``, ``with care`` or ``no`` (its look), and the words that say it."""
+    """A cell with a verdict: ``good``, ``with care`` or ``no`` (its look), and the text that says it."""
 
     kind: str
-    words: str
+    text: str
 
     def __str__(self) -> str:
         """The words alone."""
-        return self.words
+        return self.text
 
 
 Cell = str | Amplitude | Mark

@@ -44,7 +44,7 @@ def _draw_sketch(content: ReportContent) -> Figure:
         (list(range(len(x))), 0.0, "node", BLACK, "o", {"full": True, "size": 2.5}),
         (bearings, -beside, "bearing", BLUE, "^", {}),
         (bearings, beside, "", BLUE, "v", {}),
-        (bearings, -1.32, "", BLUE, "", {"words": [f"node {node}" for node in bearings]}),
+        (bearings, -1.32, "", BLUE, "", {"texts": [f"node {node}" for node in bearings]}),
         (probes, 1.05, "probes", GREEN, "D", {}),
         (acting["unbalance"], 1.25, "weights", ORANGE, "s", {}),
         (acting["force"], 1.45, "forces", PURPLE, "s", {}),

@@ -86,9 +86,9 @@ def _draw_polar(content: ReportContent) -> Figure:
             curves.append(Curve(-np.degrees(np.angle(vectors)), np.abs(vectors), **look))
             if len(curves) == 1:
                 ticks = _space_evenly(vectors)
-                at, words = vectors[ticks], [f"{content.rpm[s]:.0f}" for s in points[ticks]]
+                at, texts = vectors[ticks], [f"{content.rpm[s]:.0f}" for s in points[ticks]]
                 lags = -np.degrees(np.angle(at))
-                curves.append(Curve(lags, np.abs(at), "", BLACK, "none", "o", full=True, size=2.5, words=words))
+                curves.append(Curve(lags, np.abs(at), "", BLACK, "none", "o", full=True, size=2.5, texts=texts))
         axes = Axes(curves, AMPLITUDE, quantity="amplitude")
         panels.append(Panel(_title(probe), "", [axes], polar=probe.angle))
     caption = (
@@ -132,9 +132,9 @@ def _draw_waveforms(content: ReportContent, least_move: float = 1e-6) -> list[Fi
         "Full spectra of the run-ups in orders of the rotor speed: positive orders whirl with the rotation, negative "
         "ones against it. Levels are powers of ten of the amplitude in µm pk-pk."
     )
-    moved = [_draw_centreline(w) for w in content.waveforms if np.ptp(w.centre, axis=0).max() > least_move]
+    shifted = [_draw_centreline(w) for w in content.waveforms if np.ptp(w.centre, axis=0).max() > least_move]
     text = "Mean position of the shaft from the DC part of the probes, against the lowest speed (square)."
-    return [Figure("spectra", caption, panels), *([Figure("centreline", text, moved)] if moved else [])]
+    return [Figure("spectra", caption, panels), *([Figure("centreline", text, shifted)] if shifted else [])]
 
 
 def _draw_spectrum(waveforms: Waveforms) -> Panel:

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.files import write_text
-from pipeline.reporting.figure import MICROMETRES_PEAK_TO_PEAK, Curve
+from pipeline.reporting.figure import Curve
 from pipeline.reporting.plotly_panels import describe_panel
 from pipeline.reporting.report.section import Block, Paragraph, Section, typeset
-from pipeline.reporting.tables import Amplitude, Cell, Mark, Table
+from pipeline.reporting.tables import MICROMETRES_PEAK_TO_PEAK, Amplitude, Cell, Mark, Table
 
 _NUMBER = re.compile(r"[-+–]?[\d.]*(e[-+]?\d+)?( ± [\d.]+)?")
 """Columns of these are aligned to the right."""

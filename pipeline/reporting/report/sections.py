@@ -30,8 +30,8 @@ def list_sections(content: ReportContent) -> list[Section]:
     sections += [] if fit is None else [describe_coefficients(content, fit)]
     sections += [describe(content) for describe in (describe_machine, describe_measured, describe_diagnosis)]
     if fit is not None:
-        of_fit = (describe_fit, describe_held_out, describe_modes, describe_response)
-        sections += [*(describe(content, fit) for describe in of_fit), describe_balancing(content)]
+        fitted = (describe_fit, describe_held_out, describe_modes, describe_response)
+        sections += [*(describe(content, fit) for describe in fitted), describe_balancing(content)]
     return [section for section in (*sections, describe_conventions(content), describe_origin(content)) if section]
 
 
@@ -146,14 +146,14 @@ def _count_angles(content: ReportContent) -> tuple[tuple[float, float], str]:
     """
     recordings = content.config.machine.recordings
     sense = "from_x" if isinstance(recordings, NoRecordingsConfig) else recordings.shaft_angle or "from_x"
-    words = {
+    counted = {
         "with_rotation": "are from the tacho mark, with the rotation",
         "against_rotation": "are from the tacho mark, against the rotation",
     }.get(sense, "are from x towards y, at the tacho pulse")
     if isinstance(recordings, NoRecordingsConfig) or recordings.tacho.angle is None:
-        return (1.0, 0.0), words
+        return (1.0, 0.0), counted
     tacho = float(np.degrees(recordings.tacho.angle))
-    return {"with_rotation": (1.0, -tacho), "against_rotation": (-1.0, tacho)}.get(sense, (1.0, 0.0)), words
+    return {"with_rotation": (1.0, -tacho), "against_rotation": (-1.0, tacho)}.get(sense, (1.0, 0.0)), counted
 
 
 def describe_conventions(content: ReportContent) -> Section:
