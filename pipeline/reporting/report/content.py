@@ -19,6 +19,7 @@ from pipeline.data.vibration_files import to_rpm
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.measured_figures import Trace, choose_looks, list_traces
+from pipeline.reporting.report.section import Paragraph
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.twin.modes import WhirlModes
@@ -162,6 +163,12 @@ class ReportContent:
         """(S, P) complex, m: the run of the machine as it was found, which was taken off the others."""
         taken = self.dataset.subtracted
         return None if taken is None or not taken.any() else taken[..., int(np.abs(taken).sum(axis=(0, 1)).argmax())]
+
+
+def list_reservations(content: ReportContent) -> list[Paragraph]:
+    """The warning that stands beside all that follows from a rejected model."""
+    reservation = content.files.get("verdicts", {}).get("machine", {}).get("reservation")
+    return [Paragraph(reservation, warning=True)] if reservation else []
 
 
 def name_channel(channel: tuple[int, float]) -> str:

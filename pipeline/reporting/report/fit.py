@@ -12,6 +12,7 @@ from pipeline.reporting.report.measured import vectors_of
 from pipeline.reporting.report.section import Block, Paragraph, Section
 from pipeline.reporting.tables import Table
 from pipeline.reporting.write_numbers import write_number
+from pipeline.trust.misfit import measure_misfit
 
 
 def describe_fit(content: ReportContent, fit: FitContent) -> Section:
@@ -47,7 +48,7 @@ def _write_quality(content: ReportContent) -> str:
         share = write_number(residual and 100 * residual, digits=2)
         left = f"It leaves {share} % of the bearing forces over (mean)."
         return f"{outcome} {left} Its loss weighs no noise, so there is no chi-square."
-    square, white, chance = quality["chi_square"], quality["whiteness"], quality["mismatch"]["probability"]
+    square, white, misfit = quality["chi_square"], quality["whiteness"], measure_misfit(quality)
     ratio = float(np.sqrt(square["value"] / square["expected"]))
     text = (
         f"{outcome} Chi-square is {square['value']:.0f}, where {square['expected']:.0f} is expected: the readings lie "
@@ -55,12 +56,8 @@ def _write_quality(content: ReportContent) -> str:
         f"{write_number(white['autocorrelation'], digits=2)} ({write_number(white['over_its_deviation'], digits=2)} "
         "deviations). "
     )
-    explained = (
-        "The model explains the readings."
-        if chance is None or chance > 0.01
-        else "The model does not explain the readings to their noise: what is left is systematic, and the "
-        "deviations are too small."
-    )
+    explained = f"{misfit.sentence[0].upper()}{misfit.sentence[1:]}."
+    explained += "" if misfit.explained() else " What is left is systematic, and the deviations are too small."
     return text + f"{explained} {count(quality['bad_points'], 'reading')} lie beyond 4 deviations."
 
 

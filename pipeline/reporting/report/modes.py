@@ -12,7 +12,7 @@ from pipeline.data.noise import NOMINAL_95
 from pipeline.data.operating import name_state
 from pipeline.data.vibration_files import to_rpm
 from pipeline.reporting.figure import BLACK, DASHES, GREY, LOOKS, NOTHING, RPM, Axes, Curve, Figure, Panel, mark
-from pipeline.reporting.report.content import FitContent, ReportContent
+from pipeline.reporting.report.content import FitContent, ReportContent, list_reservations
 from pipeline.reporting.report.section import Block, Paragraph, Section
 from pipeline.reporting.tables import Table
 from pipeline.reporting.write_numbers import write_number
@@ -28,11 +28,13 @@ def describe_modes(content: ReportContent, fit: FitContent, rounding: float = 1e
     if identified is None:
         return None
     stability, rpm = identified["stability"], to_rpm(fit.modes.speeds)
-    said = "stable" if stability["stable"] else "UNSTABLE"
+    verdict = stability.get("verdict", "stable" if stability["stable"] else "unstable")
+    said = {"stable": "stable", "not told": "at the edge of stability, its growth not told from none,"}.get(verdict)
     known = stability.get("largest_growth_std") or 0.0
     growth = write_number(stability["largest_growth"], known if known > rounding else None, 3)
     at = f" at {name_state(fit.operating)}" if fit.operating else ""
-    text = f"The identified machine is {said} {_name_range(rpm)}{at}; the largest growth rate is {growth} 1/s."
+    text = f"The identified machine is {said or 'UNSTABLE'} {_name_range(rpm)}{at}; "
+    text += f"the largest growth rate is {growth} 1/s."
     least = stability["smallest_logarithmic_decrement"]
     if least is not None:
         decrement = write_number(least, stability.get("smallest_logarithmic_decrement_std"), 3)
@@ -45,7 +47,7 @@ def describe_modes(content: ReportContent, fit: FitContent, rounding: float = 1e
         f"Separation margins are from {running} rpm (machine.prediction.speed_rpm), in percent of it."
     )
     beyond = "the bands grow there, and rest on the model of the coefficients alone."
-    blocks: list[Block] = [Paragraph(text, warning=not stability["stable"])]
+    blocks: list[Block] = [*list_reservations(content), Paragraph(text, warning=verdict == "unstable")]
     blocks += [Paragraph(f"{text[0].upper()}{text[1:]}: {beyond}", warning=True) for text in fit.beyond]
     blocks.append(_list_critical_speeds(rpm, identified["critical_speeds"]))
     figures = () if len(rpm) < 2 else (_draw_campbell(content, fit, identified), _draw_stability(content, fit))

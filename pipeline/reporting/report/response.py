@@ -11,7 +11,7 @@ from pipeline.data.noise import NOMINAL_95
 from pipeline.data.operating import name_state
 from pipeline.reporting.figure import BLUE, NOTHING, ORANGE, RPM, Axes, Curve, Figure, Panel
 from pipeline.reporting.measured_figures import AMPLITUDE
-from pipeline.reporting.report.content import FitContent, ReportContent
+from pipeline.reporting.report.content import FitContent, ReportContent, list_reservations
 from pipeline.reporting.report.machine import describe_weight
 from pipeline.reporting.report.measured import vectors_of
 from pipeline.reporting.report.section import Paragraph, Section
@@ -20,7 +20,8 @@ from pipeline.reporting.tables import Amplitude, Cell, Mark, Table
 
 def describe_response(content: ReportContent, fit: FitContent) -> Section:
     """Verification as in API 617, and the prediction of an unbalance that no run has."""
-    return Section("response", "Unbalance response", (*_verify(content, fit), *_predict(content, fit)))
+    blocks = (*list_reservations(content), *_verify(content, fit), *_predict(content, fit))
+    return Section("response", "Unbalance response", blocks)
 
 
 def find_peak(rpm: np.ndarray, size: np.ndarray, least_prominence: float = 0.05) -> tuple[float, float] | None:

@@ -21,6 +21,7 @@ from pipeline.reporting.report.response import describe_response
 from pipeline.reporting.report.section import Block, Paragraph, Section
 from pipeline.reporting.tables import Cell, Mark, Table
 from pipeline.reporting.write_numbers import write_number
+from pipeline.trust.judgement import AS_FELT
 
 
 def list_sections(content: ReportContent) -> list[Section]:
@@ -46,6 +47,7 @@ def describe_verdicts(content: ReportContent) -> Section:
     if machine:
         why = " ".join(text for text in (machine.get("reason"), machine.get("next")) if text)
         said = f"The machine as a whole: {machine['verdict']}. {why}"
+        said += f" What is identified: {AS_FELT}." if machine.get("identified") == AS_FELT else ""
         blocks.append(Paragraph(said, warning=machine["verdict"] != "good"))
     for caption, key in (("Bearings", "bearings"), ("Coefficients", "verdicts")):
         rows = [_write_verdict(entry) for entry in judged.get(key, [])]

@@ -1,0 +1,154 @@
+"""Records that a model of the vibration is asked about: the mean of each condition, and what their weights would make.
+
+Legend: n records, C conditions, S speeds, P channels, N planes, D = S P (index s * P + p).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.balance.bands import circle_of
+from pipeline.balance.linear_vibration import LinearVibration
+from pipeline.data.conditions import Conditions
+from pipeline.data.dataset import SYNCHRONOUS
+from pipeline.errors import DataError
+from pipeline.ingest.records import Records
+from pipeline.ingest.tracks import format_rpm
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Readings:
+    """The mean vector of each condition at the nominal speeds; NaN where nothing was read."""
+
+    names: tuple[str, ...]  # C
+    displacement: np.ndarray  # (C, S, P) complex m
+    counts: np.ndarray  # (C, S, P) records behind each mean
+    unbalance: np.ndarray  # (C, N) complex kg m; NaN where it is not given
+
+
+def describe_conditions(conditions: Conditions) -> Readings:
+    """The experiment's own conditions as readings: every channel at every speed."""
+    counts = np.broadcast_to(conditions.counts[:, None, None], conditions.displacement.shape)
+    return Readings(
+        names=conditions.names, displacement=conditions.displacement, counts=counts, unbalance=conditions.unbalance
+    )
+
+
+def average_records(records: Records, vibration: LinearVibration) -> Readings:
+    """The means of the ``records`` of each condition, in the order of the table.
+
+    Raises DataError for a speed that is not one of the model's, channels or planes other than the model's, a table
+    without vibration, and a condition whose known weights differ.
+    """
+    at = match_speeds(records.speeds, vibration.speeds, records.source)
+    names = tuple(dict.fromkeys(records.conditions))
+    conditions = np.array([names.index(name) for name in records.conditions])
+    channels = [records.channels.index(channel) for channel in vibration.channels]
+    read = records.displacement[:, channels]
+    present = ~np.isnan(read)
+    if not present.any():
+        raise DataError(
+            f"{records.source} must have the vibration of at least one probe, but no column of "
+            f"{', '.join(records.probes)} has a number: give its columns as machine.recordings.probes names them"
+        )
+    shape = (len(names), len(vibration.speeds), len(channels))
+    total, counts = np.zeros(shape, dtype=complex), np.zeros(shape, dtype=int)
+    np.add.at(total, (conditions, at), np.where(present, read, 0.0))
+    np.add.at(counts, (conditions, at), present)
+    mean = np.where(counts > 0, total / np.maximum(counts, 1), np.nan)
+    return Readings(
+        names=names,
+        displacement=mean,
+        counts=counts,
+        unbalance=_gather_known(records, names, conditions, vibration.planes),
+    )
+
+
+def match_speeds(speeds: np.ndarray, nominal: np.ndarray, source: str) -> np.ndarray:
+    """(n,) index of the ``nominal`` speed (S,) of each of the ``speeds`` (n,), rad/s.
+
+    Raises DataError where one is more than 1 % from all of them.
+    """
+    at = np.abs(speeds[:, None] / nominal - 1).argmin(axis=1)
+    off = np.abs(speeds / nominal[at] - 1)
+    if off.max(initial=0.0) > SYNCHRONOUS:
+        known = ", ".join(format_rpm(speed) for speed in nominal)
+        raise DataError(
+            f"{source} must have speeds within {100 * SYNCHRONOUS:g} % of those that influence coefficients are known "
+            f"at ({known} rpm), but got {format_rpm(speeds[off.argmax()])} rpm: leave these records out, or use the "
+            "physical model"
+        )
+    return at
+
+
+def _gather_known(records: Records, names: Sequence[str], conditions: np.ndarray, planes: Sequence[int]) -> np.ndarray:
+    """(C, N) kg m, NaN where a condition's records do not say it."""
+    columns = [records.planes.index(node) for node in planes]
+    known = np.full((len(names), len(planes)), np.nan, dtype=complex)
+    for c, name in enumerate(names):
+        given = records.unbalance[conditions == c][:, columns]
+        given = given[~np.isnan(given).any(axis=1)]
+        if len(given) and not np.allclose(given, given[0], rtol=1e-6, atol=1e-12):
+            raise DataError(f"{records.source} must have one set of weights a condition, but '{name}' has several")
+        if len(given):
+            known[c] = given[0]
+    return known
+
+
+# --- predicted --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PredictedRecords:
+    """What one record with these weights shows, and how far it may be off."""
+
+    mean: np.ndarray  # (n, P) complex m
+    deviation: np.ndarray  # (n, P) m, standard deviation of the real and of the imaginary part
+    half_width: np.ndarray  # (n, P) m, half of the 95 % band of the real and of the imaginary part
+    circle: np.ndarray  # (n, P) m, radius that holds 95 % of the vectors of such records
+    off: np.ndarray  # (n, P) complex m, measured less predicted; NaN where nothing was measured
+
+    @property
+    def within(self) -> np.ndarray:
+        """(n, P) whether the measured vector lies in the circle that holds 95 %; False where nothing was measured."""
+        return np.asarray(np.abs(self.off) <= self.circle)
+
+    @property
+    def measured(self) -> np.ndarray:
+        """(n, P) where there is a measured vector."""
+        return ~np.isnan(self.off)
+
+
+def predict_records(records: Records, vibration: LinearVibration) -> PredictedRecords:
+    """The vibration of each record's known weights, at the nominal speed that is nearest to its own.
+
+    The bands hold the model's own uncertainty, the drift between conditions, and the scatter of a record. Raises
+    DataError for a record without weights, and for a speed that is not one of the model's.
+    """
+    planes = [records.planes.index(node) for node in vibration.planes]
+    weights = records.unbalance[:, planes]
+    without = np.flatnonzero(np.isnan(weights).any(axis=1))
+    if len(without):
+        raise DataError(
+            f"{records.source} must have the weights of every plane (machine.recordings.weights; 0 for none) in each "
+            f"record that is predicted, but row {without[0] + 1} has not ({len(without)} rows in all): complete its "
+            "columns"
+        )
+    at = match_speeds(records.speeds, vibration.speeds, records.source)
+    channels = [vibration.channels.index(channel) for channel in records.channels]
+    distinct, groups = np.unique(weights, axis=0, return_inverse=True)
+    mean, covariance = vibration.predict(distinct)
+    variance = np.einsum("cdd->cd", covariance).real + np.diag(vibration.noise.covariance(np.ones(1))[0]).real
+    place = at[:, None] * len(vibration.channels) + np.array(channels)
+    rows = groups.reshape(-1)[:, None]
+    predicted = mean[rows, place]
+    return PredictedRecords(
+        mean=predicted,
+        deviation=np.sqrt(vibration.noise.stretch * variance[rows, place] / 2),
+        half_width=vibration.noise.half_width(variance[rows, place]),
+        circle=circle_of(vibration.noise, variance[rows, place]),
+        off=records.displacement - predicted,
+    )
