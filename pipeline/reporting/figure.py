@@ -129,7 +129,7 @@ class Panel:
     axes: Sequence[Axes]
     _: KW_ONLY
     equal: bool = False
-    polar: float | None = None
+    polar: float = float("nan")
     wide: bool = False
     bare: bool = False  # no axes, as in a sketch
     heat: HeatMap | None = None
@@ -137,6 +137,11 @@ class Panel:
     x_range: Sequence[float] = ()
     x_names: Sequence[str] = ()
     legend: bool = False
+
+    @property
+    def round(self) -> bool:
+        """Whether the panel is a polar plot."""
+        return not np.isnan(self.polar)
 
     def list_keys(self) -> list[Curve]:
         """The curves that a legend names, each label once, the first of them."""

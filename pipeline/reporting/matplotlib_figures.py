@@ -75,9 +75,7 @@ def draw_panels(panels: Sequence[Panel], legend: Sequence[Curve], columns: int, 
         bottom = height - top - sum(heights[: r + 1])
         for i, panel in enumerate(row):
             left, below = _measure_margins(panel)
-            lift = (
-                0.42 if panel.polar is not None else 0.22 + 0.13 * (len(_wrap_title(panel)) - 1)
-            )  # for the angles around it
+            lift = 0.42 if panel.round else 0.22 + 0.13 * (len(_wrap_title(panel)) - 1)  # for the angles around it
             box = np.array([i * each + left, bottom + below, each - left - 0.14, heights[r] - below - lift])
             _draw_panel(drawing, panel, box / [width, height, width, height])
     if lines:
@@ -91,10 +89,10 @@ def draw_panels(panels: Sequence[Panel], legend: Sequence[Curve], columns: int, 
 def _measure_height(panel: Panel) -> float:
     """Inches of a panel with its title and the words below it."""
     inner = 1.9 + 0.9 * (len(panel.axes) - 1)
-    if panel.equal or panel.polar is not None:
+    if panel.equal or panel.round:
         inner = 4.4 if panel.wide else 2.2
     names = max(len(axes.y_names) for axes in panel.axes)
-    title = 0.12 + 0.13 * len(_wrap_title(panel)) + 0.3 * (panel.polar is not None)
+    title = 0.12 + 0.13 * len(_wrap_title(panel)) + 0.3 * panel.round
     return max(inner, 0.24 * names) + _measure_margins(panel)[1] + title
 
 
@@ -133,7 +131,7 @@ def _draw_panel(drawing: Any, panel: Panel, box: np.ndarray) -> None:
     from matplotlib.ticker import MaxNLocator
 
     left, bottom, width, height = box
-    if panel.polar is not None:
+    if panel.round:
         ax = drawing.add_axes(tuple(box), projection="polar")
         ax.set_theta_offset(np.radians(panel.polar))
         ax.set_theta_direction(-1)

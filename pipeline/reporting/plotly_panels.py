@@ -25,7 +25,7 @@ _GRID = {
 def describe_panel(panel: Panel) -> dict[str, Any]:
     """``traces``, ``layout``, ``wide`` and what the page's choices of units act on."""
     margin, height = {"l": 8, "r": 14, "t": 34, "b": 8}, 335 if panel.equal else 290 + 110 * (len(panel.axes) - 1)
-    if panel.polar is not None:
+    if panel.round:
         traces, layout = _describe_polar(panel)
         margin, height = {"l": 40, "r": 40, "t": 62, "b": 24}, 335
     else:

@@ -27,6 +27,7 @@ from pipeline.reporting.figure import (
 )
 from pipeline.reporting.matplotlib_figures import write_figure
 from pipeline.reporting.summary_text import Results, name_channel
+from pipeline.reporting.twin_tables import measure_sizes
 from pipeline.units import RAD_S_PER_RPM
 
 _AMPLITUDE = "amplitude (µm, zero-to-peak)"
@@ -84,17 +85,15 @@ def _draw_run(results: Results, beside: str) -> Panel:
 def _draw_response(results: Results) -> Panel:
     """The response to the unbalance that no run has, and the critical speeds."""
     identified, modelled, rpm = results.vibration["identified"], results.vibration.get("modelled"), results.rpm
-    curves = []
+    curves, (sizes, deviations) = [], measure_sizes(identified)
     for d, (direction, colour, dash) in enumerate((("x", BLUE, "solid"), ("y", ORANGE, "dash"))):
-        size, label = MICROMETRES * np.abs(identified.displacement[:, d]), f"{direction} predicted"
+        size, label = sizes[:, d], f"{direction} predicted"
         if modelled is None:
             curves.append(Curve(rpm, size, label, colour, dash))
         else:
-            true = MICROMETRES * np.abs(modelled.displacement[:, d])
+            true = measure_sizes(modelled)[0][:, d]
             curves += [Curve(rpm, true, f"{direction} modelled", colour), mark(rpm, size, label, colour, "os"[d])]
-        if identified.deviation is not None:
-            band = 2 * MICROMETRES * identified.deviation[:, d]
-            curves.append(Curve(rpm, size, "", colour, "none", band=band))
+        curves.append(Curve(rpm, size, "", colour, "none", band=2 * deviations[:, d]))
     critical = [mode.speed / RAD_S_PER_RPM for mode in results.behaviour.critical]
     if critical:
         curves.append(Curve(NOTHING, NOTHING, "critical speed", GREY, "dot"))

@@ -19,8 +19,8 @@ from pipeline.data.operating import find_nearest, name_state, split_states
 from pipeline.data.vibration_files import to_rpm
 from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.error_table import describe_verdicts
-from pipeline.reporting.twin_tables import show, summarize_modes
-from pipeline.reporting.write_numbers import format_engineering, write_number
+from pipeline.reporting.twin_tables import measure_sizes, show, summarize_modes
+from pipeline.reporting.write_numbers import count, format_engineering, write_number
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.trust.misfit import describe_held_out, measure_misfit
@@ -145,8 +145,8 @@ def _describe_data(config: Config, results: Results) -> str:
     less = f", less the run {config.data.baseline}" if config.data.baseline else ""
     kind = "measured" if results.modelled is None else "modelled"
     return (
-        f"{kind}, {_count(len(data.runs), 'run')} ({_join(data.runs)}){less}; {_count(len(rpm), 'speed')} from "
-        f"{rpm[0]:g} to {rpm[-1]:g} rpm{at}; {_count(len(data.channels), 'channel')} at {_name_nodes(nodes)}"
+        f"{kind}, {count(len(data.runs), 'run')} ({_join(data.runs)}){less}; {count(len(rpm), 'speed')} from "
+        f"{rpm[0]:g} to {rpm[-1]:g} rpm{at}; {count(len(data.channels), 'channel')} at {_name_nodes(nodes)}"
     )
 
 
@@ -213,7 +213,7 @@ def _describe_fit(training: Mapping[str, Any]) -> str:
 def _describe_run(results: Results) -> str:
     shown = results.shown
     share = write_number(shown.error_percent, digits=2)
-    text = f"{share} % (root mean square, {_count(shown.measured.shape[1], 'channel')})"
+    text = f"{share} % (root mean square, {count(shown.measured.shape[1], 'channel')})"
     if shown.held_out:
         return f"held-out run {shown.name} predicted to {text}"
     return f"run {shown.name}, which was fitted, reproduced to {text}"
@@ -244,12 +244,11 @@ def _describe_stability(stability: Mapping[str, Any]) -> str:
 def _describe_prediction(config: Config, results: Results) -> str:
     """The vibration at the prediction's speed, and the largest of all speeds."""
     identified = results.vibration["identified"]
-    rpm, size = to_rpm(identified.speeds), 1e6 * np.abs(identified.displacement)
+    rpm, (size, deviation) = to_rpm(identified.speeds), measure_sizes(identified)
     acting = _join(
         f"{1e6 * unbalance.magnitude:g} g mm at node {unbalance.node}"
         for unbalance in config.machine.prediction.unbalances
     )
-    deviation = np.full_like(size, np.nan) if identified.deviation is None else 1e6 * identified.deviation
     at = zip("xy", size[results.at].tolist(), deviation[results.at].tolist(), strict=True)
     phrases = [f"{direction} {write_number(value, known, 5)} um" for direction, value, known in at]
     s, d = np.unravel_index(size.argmax(), size.shape)
@@ -275,7 +274,3 @@ def _name_nodes(nodes: Iterable[int]) -> str:
     if len(every) > 3 and every == list(range(every[0], every[-1] + 1)):
         return f"nodes {every[0]} to {every[-1]}"
     return f"node{'s' if len(every) != 1 else ''} {_join(every)}"
-
-
-def _count(number: int, name: str) -> str:
-    return f"{number} {name}{'s' if number != 1 else ''}"

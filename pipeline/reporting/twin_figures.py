@@ -23,7 +23,7 @@ from pipeline.reporting.figure import (
     mark,
 )
 from pipeline.reporting.matplotlib_figures import write_figure
-from pipeline.reporting.twin_tables import RAD_S_PER_HERTZ
+from pipeline.reporting.twin_tables import RAD_S_PER_HERTZ, list_deviations, measure_sizes
 from pipeline.twin.mode_deviations import Behaviour
 from pipeline.twin.modes import follow_modes
 from pipeline.twin.prediction import PredictedVibration, sample_motion
@@ -72,11 +72,9 @@ def draw_response(path: Path, vibration: Mapping[str, PredictedVibration], state
         sizes, phases, errors = [], [], []
         for name, predicted in vibration.items():
             q = predicted.displacement[:, d]
-            sizes.append(_draw(name, rpm, MICROMETRES * np.abs(q), colour))
             phases.append(_draw(name, rpm, np.degrees(np.unwrap(np.angle(q))), colour))
-            if predicted.deviation is not None:
-                size, band = MICROMETRES * np.abs(q), 2 * MICROMETRES * predicted.deviation[:, d]
-                sizes.append(Curve(rpm, size, "", colour, "none", band=band))
+            size, deviation = (values[:, d] for values in measure_sizes(predicted))
+            sizes += [Curve(rpm, size, "", colour, "none", band=2 * deviation), _draw(name, rpm, size, colour)]
             if name == "modelled":
                 errors.append(Curve(rpm, np.maximum(identified.error_percent(predicted)[:, d], 1e-14), "", GREY))
         axes = [Axes(sizes, "amplitude (µm)", scale="log"), Axes(phases, "phase (deg)")]
@@ -96,12 +94,11 @@ def draw_campbell(path: Path, behaviour: Mapping[str, Behaviour], state: str = "
     frequencies = [Curve(rpm, speeds / RAD_S_PER_HERTZ, "rotor speed (1X)", GREY, "dash")]
     decrements = [Curve(rpm, np.zeros(len(rpm)), "", GREY, "dash")]
     for name, machine in behaviour.items():
-        order, modes, stated = follow_modes(machine.modes), machine.modes, machine.deviations
-        quantities = [(modes.frequency / RAD_S_PER_HERTZ, np.full_like(modes.frequency, np.nan))]
-        quantities += [(modes.logarithmic_decrement, quantities[0][1])]
-        if stated is not None:
-            bands = (2 * stated.frequency / RAD_S_PER_HERTZ, 2 * stated.logarithmic_decrement)
-            quantities = [(values, band) for (values, _), band in zip(quantities, bands, strict=True)]
+        modes, deviations, order = machine.modes, list_deviations(machine), follow_modes(machine.modes)
+        quantities = (
+            (modes.frequency / RAD_S_PER_HERTZ, 2 * deviations[0] / RAD_S_PER_HERTZ),
+            (modes.logarithmic_decrement, 2 * deviations[1]),
+        )
         followed = [[np.take_along_axis(v, order, axis=1) for v in pair] for pair in quantities]
         seen = followed[0][0] <= top  # false for NaN
         for k in np.flatnonzero(seen.any(axis=0)):

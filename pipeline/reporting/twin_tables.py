@@ -65,6 +65,18 @@ def _summarize_critical(behaviour: Behaviour, i: int, running_rpm: float) -> dic
     return entry if deviations is None else entry | stated
 
 
+def list_deviations(behaviour: Behaviour) -> tuple[np.ndarray, np.ndarray]:
+    """(S, K) standard deviations of frequencies (rad/s) and logarithmic decrements; NaN where the fit states none."""
+    stated, nothing = behaviour.deviations, np.full_like(behaviour.modes.frequency, np.nan)
+    return (nothing, nothing) if stated is None else (stated.frequency, stated.logarithmic_decrement)
+
+
+def measure_sizes(predicted: PredictedVibration) -> tuple[np.ndarray, np.ndarray]:
+    """(S, 2) amplitudes in um, zero-to-peak, and their standard deviations; NaN where the fit states none."""
+    size = 1e6 * np.abs(predicted.displacement)
+    return size, np.full_like(size, np.nan) if predicted.deviation is None else 1e6 * predicted.deviation
+
+
 def tabulate_modes(behaviour: Mapping[str, Behaviour], operating: Mapping[str, float]) -> pd.DataFrame:
     """Columns of ``modes.csv``: a row a system, speed and mode that oscillates, by ascending frequency.
 
@@ -74,11 +86,7 @@ def tabulate_modes(behaviour: Mapping[str, Behaviour], operating: Mapping[str, f
 
     frames = []
     for name, machine in behaviour.items():
-        modes, stated = machine.modes, machine.deviations
-        nothing = np.full_like(modes.frequency, np.nan)
-        frequency_std, decrement_std = (
-            (nothing, nothing) if stated is None else (stated.frequency, stated.logarithmic_decrement)
-        )
+        modes, (frequency_std, decrement_std) = machine.modes, list_deviations(machine)
         present = ~np.isnan(modes.frequency)
         speed, mode = np.nonzero(present)
         rows = {
@@ -128,19 +136,14 @@ def print_twin(
     state = f", at {name_state(operating)}" if operating else ""
     rows, criticals = [], []
     for name, predicted in vibration.items():
-        size = 1e6 * np.abs(predicted.displacement[at])
-        known_to = np.full_like(size, np.nan) if predicted.deviation is None else 1e6 * predicted.deviation[at]
-        shown = [write_number(*known, 5) for known in zip(size.tolist(), known_to.tolist(), strict=True)]
+        size, known_to = measure_sizes(predicted)
+        shown = [write_number(*known, 5) for known in zip(size[at].tolist(), known_to[at].tolist(), strict=True)]
         rows.append([name, *shown, show(summary[name]["stability"], "smallest_logarithmic_decrement")])
-        for critical in summary[name]["critical_speeds"].values():
-            keys = ("rpm", "logarithmic_decrement", "amplification_factor", "separation_margin_percent")
-            asked = f"{critical['separation_margin_required_percent']:.0f}"
-            criticals.append([name, *(show(critical, key) for key in keys), asked])
+        criticals += [[name, *cells] for cells in list_critical(summary[name]["critical_speeds"])]
     header = ["system", f"x at {rpm:g} rpm, um", f"y at {rpm:g} rpm, um", "smallest log decrement"]
     title = f"{config.name}: node {prediction.node} under an unbalance never seen{state} (+- standard deviation)"
     table(title, header, rows)
-    header = ["system", "rpm", "log decrement", "amplification factor", "separation, %", "API 617 asks, %"]
-    table(f"critical speeds{state}; separation is that from {rpm:g} rpm", header, criticals)
+    table(f"critical speeds{state}; separation is that from {rpm:g} rpm", ["system", *CRITICAL], criticals)
     if not criticals:
         say(f"critical speeds{state}: none in the range of speeds")
     if "displacement" in summary:
@@ -150,6 +153,21 @@ def print_twin(
             for direction, e in summary["displacement"].items()
         )
         say(f"error of the displacement over all speeds: {'; '.join(errors)}")
+
+
+CRITICAL = {
+    "rpm": "rpm",
+    "log decrement": "logarithmic_decrement",
+    "amplification factor": "amplification_factor",
+    "separation, %": "separation_margin_percent",
+    "API 617 asks, %": "separation_margin_required_percent",
+}
+"""Columns of a table of critical speeds, and their keys in ``prediction.json``."""
+
+
+def list_critical(critical: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
+    """A row a critical speed below ``CRITICAL``."""
+    return [[show(mode, key) for key in CRITICAL.values()] for mode in critical.values()]
 
 
 def show(entry: Mapping[str, Any], key: str) -> str:

@@ -52,3 +52,8 @@ def write_value(value: object) -> str:
     if value is None:
         return "no number"
     return write_number(value) if isinstance(value, float) else str(value)
+
+
+def count(number: int, name: str) -> str:
+    """Such as ``1 run`` and ``2 runs``."""
+    return f"{number} {name}{'s' if number != 1 else ''}"

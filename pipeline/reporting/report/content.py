@@ -175,8 +175,3 @@ def name_channel(channel: tuple[int, float]) -> str:
     """Name a channel, such as ``node 3, x`` or ``node 3, 45°``."""
     direction = name_direction(channel[1])
     return f"node {channel[0]}, {direction if direction in 'xy' else f'{direction}°'}"
-
-
-def count(number: int, name: str) -> str:
-    """Such as ``1 run`` and ``2 runs``."""
-    return f"{number} {name}{'s' if number != 1 else ''}"

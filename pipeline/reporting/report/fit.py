@@ -7,11 +7,11 @@ import numpy as np
 from pipeline.reporting.figure import RPM, Axes, Curve, Figure, Panel, mark
 from pipeline.reporting.measured_figures import AMPLITUDE
 from pipeline.reporting.model_error import list_parameters
-from pipeline.reporting.report.content import FitContent, ReportContent, View, count
+from pipeline.reporting.report.content import FitContent, ReportContent, View
 from pipeline.reporting.report.measured import vectors_of
 from pipeline.reporting.report.section import Block, Paragraph, Section
 from pipeline.reporting.tables import Table
-from pipeline.reporting.write_numbers import write_number
+from pipeline.reporting.write_numbers import count, write_number
 from pipeline.trust.misfit import measure_misfit
 
 

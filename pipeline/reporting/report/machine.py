@@ -8,10 +8,10 @@ import numpy as np
 
 from pipeline.data.dataset import Excitation, synchronous
 from pipeline.reporting.figure import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, Axes, Curve, Figure, Panel
-from pipeline.reporting.report.content import ReportContent, count
+from pipeline.reporting.report.content import ReportContent
 from pipeline.reporting.report.section import Paragraph, Section
 from pipeline.reporting.tables import Table
-from pipeline.reporting.write_numbers import write_number
+from pipeline.reporting.write_numbers import count, write_number
 
 _G_MM = 1e6
 _SHAFT, _DISC = 0.16, 0.75

@@ -15,6 +15,7 @@ from pipeline.reporting.figure import BLACK, DASHES, GREY, LOOKS, NOTHING, RPM, 
 from pipeline.reporting.report.content import FitContent, ReportContent, list_reservations
 from pipeline.reporting.report.section import Block, Paragraph, Section
 from pipeline.reporting.tables import Table
+from pipeline.reporting.twin_tables import CRITICAL, list_critical
 from pipeline.reporting.write_numbers import write_number
 from pipeline.units import RAD_S_PER_RPM
 
@@ -62,22 +63,8 @@ def _name_range(rpm: np.ndarray) -> str:
 def _list_critical_speeds(rpm: np.ndarray, critical: Mapping[str, Any]) -> Table | Paragraph:
     if not critical:
         return Paragraph(f"No damped natural frequency equals the rotor speed {_name_range(rpm)}.")
-    columns = {
-        "rpm": ("rpm", 6),
-        "log decrement": ("logarithmic_decrement", 4),
-        "amplification factor": ("amplification_factor", 3),
-        "separation margin, %": ("separation_margin_percent", 3),
-        "required, %": ("separation_margin_required_percent", 3),
-    }
-    rows = []
-    for number, mode in critical.items():
-        decrement, known = mode["logarithmic_decrement"], mode.get("logarithmic_decrement_std")
-        if mode.get("amplification_factor") is None and decrement > 0:
-            stated = {"amplification_factor_std": np.pi * known / decrement**2} if known else {}
-            mode = {**mode, "amplification_factor": np.pi / decrement, **stated}
-        cells = [write_number(mode.get(key), mode.get(f"{key}_std"), digits) for key, digits in columns.values()]
-        rows.append([number, *cells])
-    return Table("Damped critical speeds", ["critical speed", *columns], rows)
+    rows = [[number, *cells] for number, cells in zip(critical, list_critical(critical), strict=True)]
+    return Table("Damped critical speeds", ["critical speed", *CRITICAL], rows)
 
 
 def _draw_campbell(content: ReportContent, fit: FitContent, identified: Mapping[str, Any]) -> Figure:
