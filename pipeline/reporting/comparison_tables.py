@@ -14,7 +14,7 @@ from textwrap import wrap
 import numpy as np
 
 from pipeline.comparison.cases import Case
-from pipeline.comparison.result import Result
+from pipeline.comparison.result import CoefficientResult, Result
 from pipeline.methods.catalogue import METHODS
 from pipeline.reporting.tables import Table, format_markdown
 from pipeline.reporting.write_numbers import write_number
@@ -68,11 +68,12 @@ class Comparison:
             return any(max(mine[i], others[i]) >= ROUNDING_PERCENT and mine[i] != others[i] for i in common)
         if len(common) < 2:
             return False
-        from scipy.stats import t
+        from scipy.stats import ttest_1samp
 
-        difference = np.array([mine[i] - others[i] for i in common])
-        bar = t.ppf(0.975, len(common) - 1) * difference.std(ddof=1) / np.sqrt(len(common))
-        return bool(abs(difference.mean()) > bar)
+        differences = [mine[i] - others[i] for i in common]
+        if np.ptp(differences) == 0:
+            return differences[0] != 0
+        return bool(ttest_1samp(differences, 0.0).pvalue < 0.05)
 
     def level_with_best(self, case: Case, name: str | None = None) -> set[str]:
         """The best method and those that are not told from it, of those that always answer.
@@ -269,14 +270,13 @@ def tabulate(comparison: Comparison) -> list[dict[str, object]]:
 
 def _summarize(answered: Sequence[Result], node: str, name: str) -> dict[str, object]:
     """Over the data sets; None for what none of them has."""
+    import pandas as pd
+
     answers = [r.coefficients[node][name] for r in answered if name in r.coefficients.get(node, {})]
-    errors = np.array([answer.median_error for answer in answers])
-    several = {"std": lambda e: np.std(e, ddof=1)} if len(answers) > 1 else {}
-    several |= {"median": np.median, "min": np.min, "max": np.max} if len(answers) else {}
-    result: dict[str, object] = {"median_error_percent": float(errors.mean()) if len(answers) else None}
-    for key in ("std", "median", "min", "max"):
-        result[f"median_error_percent_{key}"] = float(several[key](errors)) if key in several else None
-    for key in ("p95_error", "median_deviation", "within_interval"):
-        values = [value for answer in answers if (value := getattr(answer, key)) is not None]
-        result[f"{key}_percent"] = float(np.mean(values)) if values else None
-    return result
+    columns = list(CoefficientResult.model_fields)
+    table = pd.DataFrame([answer.model_dump() for answer in answers], columns=columns, dtype=float)
+    errors = table["median_error"]
+    numbers = {f"median_error_percent_{key}": getattr(errors, key)() for key in ("std", "median", "min", "max")}
+    numbers = {"median_error_percent": errors.mean(), **numbers}
+    numbers |= {f"{key}_percent": table[key].mean() for key in ("p95_error", "median_deviation", "within_interval")}
+    return {key: None if np.isnan(number) else float(number) for key, number in numbers.items()}
