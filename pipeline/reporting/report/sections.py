@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.config.recordings import NoRecordingsConfig
 from pipeline.evaluation.contradiction import find_contradiction, list_contradicted
 from pipeline.reporting.physical_numbers import describe_law, list_numbers, tabulate_numbers
 from pipeline.reporting.report.coefficients import describe_coefficients
@@ -147,15 +146,15 @@ def _count_angles(content: ReportContent) -> tuple[tuple[float, float], str]:
     Without the place of the tacho they are as they are.
     """
     recordings = content.config.machine.recordings
-    sense = "from_x" if isinstance(recordings, NoRecordingsConfig) else recordings.shaft_angle or "from_x"
     counted = {
         "with_rotation": "are from the tacho mark, with the rotation",
         "against_rotation": "are from the tacho mark, against the rotation",
-    }.get(sense, "are from x towards y, at the tacho pulse")
-    if isinstance(recordings, NoRecordingsConfig) or recordings.tacho.angle is None:
+    }.get(recordings.shaft_angle or "", "are from x towards y, at the tacho pulse")
+    if recordings.tacho.angle is None:
         return (1.0, 0.0), counted
     tacho = float(np.degrees(recordings.tacho.angle))
-    return {"with_rotation": (1.0, -tacho), "against_rotation": (-1.0, tacho)}.get(sense, (1.0, 0.0)), counted
+    turns = {"with_rotation": (1.0, -tacho), "against_rotation": (-1.0, tacho)}
+    return turns.get(recordings.shaft_angle or "", (1.0, 0.0)), counted
 
 
 def describe_conventions(content: ReportContent) -> Section:
