@@ -52,9 +52,9 @@ class Curve:
         return not len(self.y) or bool(np.isfinite(self.y).any())
 
     def thin(self, most: int = 300) -> Curve:
-        """The same with at most about so many points, the highest and the last among them."""
+        """The same line with at most about so many points, the highest and the last among them; markers are all kept."""
         every = -(-len(self.x) // most)
-        if every <= 1 or self.filled:
+        if every <= 1 or self.filled or self.dash == "none":
             return self
         keep = np.unique(np.r_[0 : len(self.x) : every, len(self.x) - 1, int(np.nanargmax(np.nan_to_num(self.y)))])
         return replace(self, x=self.x[keep], y=self.y[keep], band=self.band[keep] if len(self.band) else self.band)

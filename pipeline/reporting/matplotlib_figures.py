@@ -214,7 +214,6 @@ def _set_logarithmic(ax: Any, letter: str, decades: float) -> None:
 def _draw_curve(ax: Any, curve: Curve, scales: tuple[float, float]) -> None:
     if not curve.shown or not len(curve.x):
         return
-    curve = curve.thin()
     x, y, look = scales[0] * curve.x, scales[1] * curve.y, {"color": curve.colour, "alpha": 0.25 * curve.alpha, "lw": 0}
     if curve.filled:
         ax.fill(x, y, **look)
