@@ -52,7 +52,7 @@ class Curve:
         return not len(self.y) or bool(np.isfinite(self.y).any())
 
     def thin(self, most: int = 300) -> Curve:
-        """The same line with at most about so many points, the highest and the last among them; markers are all kept."""
+        """The same line with at most about so many points, the highest and the last among them; all markers."""
         every = -(-len(self.x) // most)
         if every <= 1 or self.filled or self.dash == "none":
             return self
