@@ -17,11 +17,8 @@ STAGES: dict[str, Any] = GRAPH["stages"]
 EXPERIMENTS = sorted(path.stem for path in (ROOT / "conf" / "experiment").glob("*.yaml"))
 
 HARMLESS = (
-    "pipeline/tracking/",
-    "pipeline/reporting/console.py",
-    "pipeline/errors.py",
-    "pipeline/cache.py",
-    "pipeline/exits.py",
+    *("pipeline/tracking/", "pipeline/errors.py", "pipeline/cache.py", "pipeline/exits.py"),
+    *(f"pipeline/reporting/{name}.py" for name in ("console", "tables", "write_numbers")),
 )
 """What a stage imports for its words and records alone: no file of an experiment follows from it."""
 

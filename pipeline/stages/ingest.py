@@ -19,7 +19,7 @@ from pipeline.files import write_json
 from pipeline.ingest.dataset import MeasuredRuns, read_measured_runs
 from pipeline.ingest.plausibility import note_casing, note_size, note_whirl
 from pipeline.reporting.console import say, table, warn
-from pipeline.reporting.ingest_figures import draw_bode, draw_measured_orbits
+from pipeline.reporting.measured_figures import draw_bode, draw_measured_orbits
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.ingest_records import ingest_records

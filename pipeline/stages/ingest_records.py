@@ -12,7 +12,7 @@ from pipeline.data.vibration_files import to_rpm, write_vibration
 from pipeline.files import write_json
 from pipeline.ingest.records import RecordsConfig, to_dataset
 from pipeline.reporting.console import say, table
-from pipeline.reporting.ingest_figures import draw_records
+from pipeline.reporting.measured_figures import draw_records
 from pipeline.rotor.model import RotorModel
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.known import load_known

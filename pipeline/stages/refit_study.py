@@ -31,7 +31,7 @@ from pipeline.identification.quality import MISMATCH
 from pipeline.identification.training import setup_of
 from pipeline.processes import open_pool
 from pipeline.reporting.console import count_progress, say, table
-from pipeline.reporting.figures import draw_refits
+from pipeline.reporting.training_figures import draw_refits
 from pipeline.stages.execution import StageOutput, use_threads
 from pipeline.stages.generate import model_machine, read_probes
 from pipeline.stages.measurement import build_measurement, update_measurement

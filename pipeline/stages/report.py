@@ -74,7 +74,7 @@ def collect_content(config: Config) -> ReportContent:
     Raises DataError for a reference table that breaks its laws.
     """
     work, measurement = locate_files(config), load_measurement(config)
-    reference = None if config.report.reference is None else _read_reference(Path(config.report.reference))
+    reference = {} if config.report.reference is None else _read_reference(Path(config.report.reference))
     fit = _read_fit(config, measurement)
     _make_current(config, work, fit)
     names = {"ingest", "diagnosis"} | ({"training", "metrics", "prediction"} if fit else set())

@@ -17,7 +17,7 @@ from pipeline.identification.residual_loss import ResidualTraining, initial_para
 from pipeline.identification.training import FitSetup, Minimum, minimise, setup_of
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, table, training_progress
-from pipeline.reporting.figures import draw_robustness
+from pipeline.reporting.training_figures import draw_robustness
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.diagnose import say_diagnosis
 from pipeline.stages.execution import StageOutput, use_threads
