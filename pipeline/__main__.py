@@ -79,13 +79,12 @@ def _split_folder(arguments: list[str]) -> tuple[Path | None, list[str]]:
 def _run_stages(overrides: list[str], folder: Path | None) -> None:
     """All stages are checked before the first one runs; the first that fails is the last that runs."""
     from pipeline.config.compose import compose_stages
-    from pipeline.stages import run_stage
+    from pipeline.stages import run_stages
     from pipeline.tracking import recorder_beside
 
     configs = compose_stages(overrides, folder)
     with recorder_beside(configs[0].tracking.enabled):
-        for config in configs:
-            run_stage(config)
+        run_stages(configs)
 
 
 # --- Hydra ---------------------------------------------------------------------------------------
@@ -208,7 +207,7 @@ class Job:
         from omegaconf import OmegaConf
 
         from pipeline.config.compose import list_stages, validate_stages
-        from pipeline.stages import run_stage
+        from pipeline.stages import run_stages
 
         overrides = list(_get_job().overrides.task)
         if self.multirun:
@@ -219,8 +218,7 @@ class Job:
                 composed.tuning.study = self.folder(composed.tuning.study, overrides)
             print(f"{self._describe()} -> {composed.output}", flush=True)
         mapping: Any = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
-        for config in validate_stages(mapping, overrides):
-            run_stage(config)
+        run_stages(validate_stages(mapping, overrides))
 
     def _describe(self) -> str:
         return f"[{_get_job().job.num + 1}/{self.count}] {' '.join(_get_job().overrides.task)}"

@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from pipeline.coefficients import COEFFICIENTS
 from pipeline.data.noise import NOMINAL_95
 from pipeline.rotor.bearing_table import BearingTable
 
@@ -68,3 +69,15 @@ def find_worst_mean(errors: CoefficientErrors, name: str) -> float:
 def measure_coverage(errors: np.ndarray, deviation: np.ndarray) -> np.ndarray:
     """Percent (over the last axis) of errors inside the nominal 95 % interval, 1.96 standard deviations."""
     return np.asarray(100.0 * (np.abs(errors) <= NOMINAL_95 * deviation).mean(axis=-1))
+
+
+def list_coverage(
+    identified: BearingTable, modelled: BearingTable, deviation: np.ndarray, names: Sequence[Sequence[str]]
+) -> dict[str, dict[str, float]]:
+    """By node and coefficient, percent of the speeds at which the modelled one lies in the nominal 95 % interval."""
+    inside = measure_coverage((identified.values - modelled.values).swapaxes(1, 2), deviation.swapaxes(1, 2))
+    return {
+        str(node): {name: float(inside[b, COEFFICIENTS.index(name)]) for name in names[b]}
+        for b, node in enumerate(identified.nodes)
+        if names[b]
+    }

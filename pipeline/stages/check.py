@@ -17,16 +17,18 @@ from pipeline.evaluation.thresholds import (
 )
 from pipeline.files import write_json
 from pipeline.reporting.console import say, table, warn
+from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
 
 THRESHOLDS = Path(__file__).parents[2] / "conf" / "thresholds"
 
 
-def run(config: Config) -> StageOutput:
+def run(analysis: Analysis) -> StageOutput:
     """Print what changed since the committed metrics, then every metric beside its threshold; write ``check.json``.
 
     Exits with 1 if a limit is exceeded or a metric is missing. ``check.commit`` makes these metrics the committed ones.
     """
+    config = analysis.config
     known = sorted(path.stem for path in THRESHOLDS.glob("*.yaml"))
     chosen = config.check.experiments or known
     for name in chosen:

@@ -11,6 +11,7 @@ from pipeline.comparison.cases import Case, Machine, choose_main_case, list_case
 from pipeline.comparison.runner import ComparisonSetup, MethodRun, compare
 from pipeline.config.comparison import ComparisonConfig, MethodName
 from pipeline.config.schema import Config
+from pipeline.data.modelled import model_machine
 from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError
 from pipeline.files import write_json, write_text
@@ -19,16 +20,18 @@ from pipeline.methods.catalogue import METHODS
 from pipeline.reporting.comparison_figures import draw_comparison
 from pipeline.reporting.comparison_tables import Comparison, make_tables, tabulate, write_markdown
 from pipeline.reporting.console import comparison_progress, say, table
+from pipeline.rotor.stored import require_nodes
+from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput, use_threads
-from pipeline.stages.generate import model_machine
-from pipeline.stages.workspace import locate_files, require_nodes
+from pipeline.stages.workspace import locate_files
 
 
-def run(config: Config) -> StageOutput:
+def run(analysis: Analysis) -> StageOutput:
     """``comparison.csv`` (a row a method, case, bearing and coefficient), ``.json``, ``.md`` and a figure.
 
     Raises ConfigError for measured data, whose truth nobody knows.
     """
+    config = analysis.config
     if config.machine.recordings.format != "none":
         raise ConfigError(
             "compare must have a modelled machine, whose coefficients are known, but the data are measured: "

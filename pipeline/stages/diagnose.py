@@ -22,26 +22,25 @@ from pipeline.problem.budget import budget_percent
 from pipeline.problem.determination import Determined, Deviations, describe_determined, summarize_determined
 from pipeline.problem.diagnosis import Diagnosis
 from pipeline.problem.identifiability import Solvability
-from pipeline.problem.measurement import Measurement
 from pipeline.reporting.combinations import describe_combinations, summarize_combinations
 from pipeline.reporting.console import say, table
 from pipeline.reporting.diagnosis_figure import draw_diagnosis
 from pipeline.reporting.model_error import Budget, draw_budget, print_budget
+from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.law_diagnosis import diagnose_laws
-from pipeline.stages.measurement import load_measurement
-from pipeline.stages.workspace import locate_files
+from pipeline.stages.measurement import diagnose, expect, prepare
 
 
-def run(config: Config) -> StageOutput:
+def run(analysis: Analysis) -> StageOutput:
     """``diagnosis.json``, ``diagnosis.csv`` (a row a bearing and speed) and a figure over speed."""
-    measurement, work = load_measurement(config), locate_files(config)
+    config, measurement, work = analysis.config, prepare(analysis), analysis.files
     numbers = diagnose_laws(config, measurement, describe_noise(config))
-    diagnosis = diagnose(config, measurement)
+    diagnosis = diagnose(analysis)
     for report in diagnosis.reports:
         say(f"{config.name}: {report.sentence}")
     _print(config, diagnosis)
-    expected = judge(config, measurement, diagnosis)
+    expected = expect(analysis)
     judged = expected.judge()
     _print_verdicts(config, expected, judged)
     summary: dict[str, object] = {
@@ -61,13 +60,14 @@ def run(config: Config) -> StageOutput:
         write_table(work.folder / "diagnosis.csv", _tabulate(diagnosis, judged, measurement.dataset.operating)),
         draw_diagnosis(work.figure("diagnosis"), diagnosis.reports, diagnosis.relative, describe_noise(config)),
     ]
-    written += _write_budget(config, measurement, diagnosis)
+    written += _write_budget(analysis)
     return StageOutput(summary, {"data_fingerprint": measurement.dataset.fingerprint}, written)
 
 
-def _write_budget(config: Config, measurement: Measurement, diagnosis: Diagnosis) -> list[Path]:
+def _write_budget(analysis: Analysis) -> list[Path]:
     """The systematic budget of ``identify.model_parameters``; none without them, or where a speed tells too little."""
-    percent = budget_percent(measurement, diagnosis.answer) if measurement.parameters else None
+    config, measurement, work = analysis.config, prepare(analysis), analysis.files
+    percent = budget_percent(measurement, diagnose(analysis).answer) if measurement.parameters else None
     if percent is None:
         return []
     names, nodes = measurement.unknowns.names, measurement.rotor.bearing_nodes
@@ -75,7 +75,6 @@ def _write_budget(config: Config, measurement: Measurement, diagnosis: Diagnosis
     coefficients = [names[u] if shared else f"{names[u]} node {nodes[m]}" for m, u in measurement.unknowns.active]
     budget = Budget(config.identify.model_parameters.deviations, coefficients, percent)
     print_budget(config.name, budget)
-    work = locate_files(config)
     columns = {f"{kind}_percent": values for kind, values in percent.items()}
     return [
         write_table(work.folder / "systematic_budget.csv", {"coefficient": coefficients, **columns}),
@@ -83,16 +82,9 @@ def _write_budget(config: Config, measurement: Measurement, diagnosis: Diagnosis
     ]
 
 
-def diagnose(config: Config, measurement: Measurement) -> Diagnosis:
-    """Diagnose the measurement by the configured loss. Raises DataError for sensors that do not suffice."""
-    setup = setup_of(config)
-    return loss_of(setup.loss).diagnose(measurement, setup)
-
-
-def say_diagnosis(config: Config, measurement: Measurement) -> tuple[Diagnosis, Deviations]:
-    """A line a bearing, before a fit; with the deviations that its verdicts rest on."""
-    diagnosis = diagnose(config, measurement)
-    expected = judge(config, measurement, diagnosis)
+def say_diagnosis(analysis: Analysis) -> None:
+    """A line a bearing, before a fit."""
+    config, diagnosis, expected = analysis.config, diagnose(analysis), expect(analysis)
     judged = expected.judge()
     for report in diagnosis.reports:
         text = report.sentence
@@ -103,13 +95,6 @@ def say_diagnosis(config: Config, measurement: Measurement) -> tuple[Diagnosis, 
                 f"{describe_noise(config)}, {expected.of}: {describe_determined(members)}"
             )
         say(f"{config.name}: {text}")
-    return diagnosis, expected
-
-
-def judge(config: Config, measurement: Measurement, diagnosis: Diagnosis) -> Deviations:
-    """The deviations that the stated noise will leave to the configured fit."""
-    setup = setup_of(config)
-    return loss_of(setup.loss).expect(measurement, setup, diagnosis)
 
 
 def describe_noise(config: Config) -> str:

@@ -1,27 +1,19 @@
-"""Run a stage: missing inputs first, then the stage, then its record."""
+"""Run a stage, then record it."""
 
 from __future__ import annotations
 
 import hashlib
+import importlib
 import json
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from pipeline.config.schema import Config
-from pipeline.reporting.console import say, warn
+from pipeline.reporting.console import warn
+from pipeline.stages.analysis import Analysis
 from pipeline.tracking import ChildRecord, StageRecord, TrackingSettings, track
-
-
-def make_missing(config: Config, stage: str, *needed: Path) -> None:
-    """Run ``stage`` first if one of the files that it makes is missing, and say so."""
-    from pipeline.stages import run_stage
-
-    missing = [path for path in needed if not path.exists()]
-    if missing:
-        say(f"'{missing[0]}' is missing: running stage={stage} first")
-        run_stage(config.model_copy(update={"stage": stage}))
 
 
 def use_threads(config: Config) -> None:
@@ -44,10 +36,17 @@ class StageOutput:
     exit_code: int = 0
 
 
-def execute(config: Config, run: Callable[[Config], StageOutput]) -> None:
-    """Run a stage and record it. The files are complete before the first word to MLflow."""
+def execute(analysis: Analysis) -> None:
+    """Run a stage and record it; of ``predict`` with records of the user's own, those alone.
+
+    The files are complete before the first word to MLflow.
+    """
+    config = analysis.config
+    given_records = config.stage == "predict" and config.predict.records is not None
+    name = "given_records" if given_records else config.stage
+    run = importlib.import_module(f"pipeline.stages.{name}").run
     started = time.time()
-    output = run(config)
+    output: StageOutput = run(analysis)
     # The comparison's many settings are of its own stage alone.
     parameters = config.model_dump(mode="json", exclude=None if config.stage == "compare" else {"comparison"})
     # Stages of one experiment with the same configuration share this tag.

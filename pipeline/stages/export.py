@@ -18,29 +18,24 @@ from pipeline.data.tables import write_table
 from pipeline.export.coefficients import Document, Exported, Number, document, list_conventions, tabulate
 from pipeline.export.programs import write_ansys_file, write_apdl, write_dyrobes, write_workbook
 from pipeline.files import read_json, write_folder, write_json, write_text
-from pipeline.identification.identified import IdentifiedModel
-from pipeline.identification.uncertainty import Uncertainty, load_uncertainty
+from pipeline.identification.restored import Answer
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say
 from pipeline.reporting.physical_numbers import list_numbers
 from pipeline.rotor.bearing_table import BearingTable
+from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
-from pipeline.stages.measurement import load_identified, load_measurement, update_measurement
-from pipeline.stages.predict import list_unseen
-from pipeline.stages.workspace import locate_files
+from pipeline.stages.measurement import restore
 from pipeline.twin.at_conditions import evaluate_at, require_conditions
 from pipeline.twin.prediction import predict
+from pipeline.twin.twin import list_unseen
 
 
-def run(config: Config) -> StageOutput:
+def run(analysis: Analysis) -> StageOutput:
     """The folder ``export``, which takes the place of an earlier one as a whole. Trains first where there is no fit."""
-    measurement = load_measurement(config)
-    work, model = locate_files(config), load_identified(config, measurement)
-    uncertainty = load_uncertainty(work.folder, model)
-    updated = update_measurement(measurement, uncertainty)
-    states = [
-        _export_at(config, updated, model, uncertainty, state) for state in list_states(config, measurement.dataset)
-    ]
+    config, answer, work = analysis.config, restore(analysis), analysis.files
+    updated = answer.measurement
+    states = [_export_at(config, answer, state) for state in list_states(config, updated.dataset)]
     physical = list_numbers(read_json(work.training).get("physical_numbers", {}), config)
     numbers = [
         Number(name=number.label, value=number.value, std=number.deviation, unit=number.unit) for number in physical
@@ -51,7 +46,7 @@ def run(config: Config) -> StageOutput:
     )
     written = sorted(folder.iterdir())
     say("\n".join([f"{config.name}: {len(written)} files in '{folder}'", *notes]))
-    return StageOutput(tags={"data_fingerprint": measurement.dataset.fingerprint}, files=written)
+    return StageOutput(tags=answer.tags, files=written)
 
 
 def list_states(config: Config, dataset: VibrationDataset) -> list[dict[str, float]]:
@@ -73,17 +68,13 @@ def list_states(config: Config, dataset: VibrationDataset) -> list[dict[str, flo
 _KEY = "export.operating"
 
 
-def _export_at(
-    config: Config,
-    updated: Measurement,
-    model: IdentifiedModel,
-    uncertainty: Uncertainty | None,
-    operating: Mapping[str, float],
-) -> Exported:
+def _export_at(config: Config, answer: Answer, operating: Mapping[str, float]) -> Exported:
     """The answer at one state, at each speed of the data."""
-    table = evaluate_at(model, updated, operating, _KEY)[1]
-    deviation = None if uncertainty is None else uncertainty.deviation(model, table.speeds, table.operating)
-    return Exported(config.name, table, deviation, model.unknowns.identified, config.export.units, operating)
+    table, identified = (
+        evaluate_at(answer.model, answer.measurement, operating, _KEY)[1],
+        answer.model.unknowns.identified,
+    )
+    return Exported(config.name, table, answer.deviation(table), identified, config.export.units, operating)
 
 
 def _write(
@@ -142,6 +133,6 @@ def _write_ross(folder: Path, config: Config, updated: Measurement, states: Sequ
 
 def _compare(config: Config, updated: Measurement, table: BearingTable, smoothed: BearingTable) -> float:
     """The largest difference of the two responses at the prediction's node, percent."""
-    unseen, node = list_unseen(config), config.machine.prediction.node
+    unseen, node = list_unseen(config.machine), config.machine.prediction.node
     predicted, other = (predict(updated.updated_rotor, bearings, unseen, node) for bearings in (table, smoothed))
     return float(np.max(other.error_percent(predicted)))

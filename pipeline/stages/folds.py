@@ -23,6 +23,7 @@ from pipeline.identification.training import setup_of
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, table
 from pipeline.reporting.folds_figure import draw_folds
+from pipeline.stages.analysis import Analysis
 from pipeline.stages.contradictions import describe_contradiction, tell_contradiction
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_dataset, load_measurement
@@ -32,8 +33,9 @@ _GRAM_MM = 1e-6
 """kg m."""
 
 
-def run(config: Config) -> StageOutput:
+def run(analysis: Analysis) -> StageOutput:
     """``folds.json``, ``folds.csv`` (a row a task, method and choice of conditions) and a figure."""
+    config = analysis.config
     work, dataset = locate_files(config), load_dataset(config)
     planes = tuple(config.identify.unbalance_planes) or None
     conditions = gather_conditions(dataset, planes)

@@ -17,6 +17,7 @@ from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import write_coefficients
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.excitation_files import write_excitation
+from pipeline.data.known import list_known, load_known
 from pipeline.data.operating_points import describe_points, list_columns
 from pipeline.data.tables import read_marks
 from pipeline.data.vibration_files import to_rpm, write_vibration
@@ -26,11 +27,11 @@ from pipeline.ingest.dataset import MeasuredRuns, read_measured_runs
 from pipeline.ingest.plausibility import note_casing, note_size, note_whirl
 from pipeline.reporting.console import say, table, warn
 from pipeline.reporting.ingest_figures import draw_bode, draw_measured_orbits
-from pipeline.rotor.stored import load_modelled_bearings, load_rotor
+from pipeline.rotor.stored import load_modelled_bearings, load_rotor, require_nodes
+from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.ingest_records import ingest_records
-from pipeline.stages.known import load_known
-from pipeline.stages.workspace import Workspace, list_known, locate_files, require_nodes, require_own
+from pipeline.stages.workspace import Workspace, require_own
 from pipeline.sweep.bias import SweepBias
 from pipeline.units import RAD_S_PER_RPM
 
@@ -46,13 +47,13 @@ def _require_own_work(work: Workspace) -> None:
         )
 
 
-def run(config: Config) -> StageOutput:
+def run(analysis: Analysis) -> StageOutput:
     """``vibration.parquet``, ``excitation.csv``, ``known_coefficients.csv``, ``ingest.json`` and two figures.
 
     Synthetic recordings have ``modelled_coefficients.csv``, too, which training never reads.
     Raises ConfigError where the configuration says nothing to read.
     """
-    work, ingest = locate_files(config), config.machine.recordings
+    config, work, ingest = analysis.config, analysis.files, analysis.config.machine.recordings
     _require_own_work(work)
     if isinstance(ingest, NoRecordingsConfig):
         raise ConfigError(

@@ -9,15 +9,16 @@ from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import write_coefficients
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.excitation_files import write_excitation
+from pipeline.data.known import list_known, load_known
 from pipeline.data.vibration_files import to_rpm, write_vibration
 from pipeline.files import write_json
 from pipeline.ingest.records import read_records, to_dataset
 from pipeline.reporting.console import say, table
 from pipeline.reporting.ingest_figures import draw_records
 from pipeline.rotor.model import RotorModel
+from pipeline.rotor.stored import require_nodes
 from pipeline.stages.execution import StageOutput
-from pipeline.stages.known import load_known
-from pipeline.stages.workspace import Workspace, list_known, require_nodes
+from pipeline.stages.workspace import Workspace
 
 
 def ingest_records(config: Config, ingest: RecordsConfig, work: Workspace, rotor: RotorModel) -> StageOutput:

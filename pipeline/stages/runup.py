@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from pipeline.config.run_up import RunUpConfig
-from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
 from pipeline.data.vibration_files import to_rpm
 from pipeline.errors import ConfigError
@@ -17,6 +16,7 @@ from pipeline.files import write_json
 from pipeline.ingest.run_up import read_run_up
 from pipeline.reporting.console import say, table, warn
 from pipeline.reporting.run_up_figure import draw_run_up
+from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.identified_criticals import compare_identified
 from pipeline.stages.workspace import locate_files
@@ -59,32 +59,33 @@ class _Found:
         return self.fits[self.count - 1]
 
 
-def run(config: Config) -> StageOutput:
+def run(analysis: Analysis) -> StageOutput:
     """``run_up.json``, ``run_up.csv`` and ``figures/run_up.png``.
 
     Raises ConfigError where the machine has no run-up, and DataError as :func:`pipeline.ingest.run_up.read_run_up`.
     """
+    config = analysis.config
     settings = config.machine.run_up
     if settings is None:
         raise ConfigError(
             "runup must have a run-up to fit, but machine.run_up is missing: give its file and what its numbers mean "
             "(docs/run_up.md)"
         )
-    analysis = _analyse(settings)
-    summary = _summarize(settings, analysis)
+    reading = _analyse(settings)
+    summary = _summarize(settings, reading)
     work = locate_files(config)
     if work.training.exists():
-        summary["identified"] = compare_identified(config, summary)
-    steady = respond_as_steady(analysis.run_up, analysis.chosen)
+        summary["identified"] = compare_identified(analysis, summary)
+    steady = respond_as_steady(reading.run_up, reading.chosen)
     written = [
         write_json(work.folder / "run_up.json", summary),
-        write_table(work.folder / "run_up.csv", _tabulate(analysis, steady)),
-        draw_run_up(work.figure("run_up"), analysis.run_up, analysis.chosen, steady, settings.probe),
+        write_table(work.folder / "run_up.csv", _tabulate(reading, steady)),
+        draw_run_up(work.figure("run_up"), reading.run_up, reading.chosen, steady, settings.probe),
     ]
-    _say(config.name, settings, analysis)
+    _say(config.name, settings, reading)
     for mode in summary.get("identified", {}).values():
         say(f"{config.name}: {mode['sentence']}")
-    shown = {"natural_frequency_rpm": summary["natural_frequency"]["rpm"], "misfit": analysis.chosen.misfit}
+    shown = {"natural_frequency_rpm": summary["natural_frequency"]["rpm"], "misfit": reading.chosen.misfit}
     return StageOutput(metrics={"runup": shown}, files=written)
 
 

@@ -21,6 +21,7 @@ from pipeline.identification.fit import fit
 from pipeline.identification.identified import Fit
 from pipeline.identification.outcome import Outcome
 from pipeline.identification.quality import FAR_FROM_EXPECTED, finite
+from pipeline.identification.restored import Answer, answer_of
 from pipeline.identification.storage import save_model
 from pipeline.identification.training import setup_of
 from pipeline.identification.uncertainty import Uncertainty, save_uncertainty
@@ -31,9 +32,10 @@ from pipeline.reporting.model_error import print_parameters
 from pipeline.reporting.physical_numbers import describe_law, list_numbers, print_numbers
 from pipeline.reporting.write_numbers import write_value
 from pipeline.rotor.parameters import UNITS
+from pipeline.stages.analysis import Analysis
 from pipeline.stages.diagnose import describe_noise, say_diagnosis
 from pipeline.stages.execution import StageOutput, use_threads
-from pipeline.stages.measurement import load_measurement, update_measurement
+from pipeline.stages.measurement import diagnose, expect, prepare
 from pipeline.stages.workspace import locate_files
 
 
@@ -73,9 +75,9 @@ def list_idle(kind: str, measurement: Measurement) -> list[str]:
     return changing if kind == "constant" else []
 
 
-def run(config: Config) -> StageOutput:
+def run(analysis: Analysis) -> StageOutput:
     """Fit, keep the best state, and write model, coefficients, history and quality."""
-    measurement = load_measurement(config)
+    config, measurement = analysis.config, prepare(analysis)
     use_threads(config)  # torch is imported when the data have been found sound
     say_promoted(config)
     for name in list_idle(config.model.kind, measurement):
@@ -83,7 +85,8 @@ def run(config: Config) -> StageOutput:
             f"{config.name}: {name} changes in the data, and model={config.model.kind} has no input for it: its answer "
             "is the same at all values (model=network_operating has one)"
         )
-    diagnosis, expected = say_diagnosis(config, measurement)
+    say_diagnosis(analysis)
+    diagnosis = diagnose(analysis)
     if not diagnosis.by_least_squares:
         warn(
             f"{config.name}: the sensors are too few to tell the force at every bearing, so the fit starts at "
@@ -91,34 +94,32 @@ def run(config: Config) -> StageOutput:
         )
     with training_progress(config.name) as progress:
         fitted = fit(measurement, setup_of(config), progress, diagnosis)
-    after = _deviations(config, measurement, fitted) or replace(
-        expected, of=f"at {describe_noise(config)}, {expected.of}"
-    )
+    answer = answer_of(measurement, fitted.model, fitted.uncertainty)
+    after = _deviations(analysis, answer)
     judged = after.judge()
     determined = {"by": after.of, "coefficients": summarize_determined(judged)}
     summary = _summarize(fitted) | {"determined": determined}
-    files = _write(config, measurement, fitted, summary)
+    files = _write(analysis, fitted, answer, summary)
     _report(config, fitted)
     say(f"{config.name}: {after.of}: {describe_determined(judged)}")
     return StageOutput(
         metrics={"training": summary | {"seconds": fitted.seconds}},
-        tags={"data_fingerprint": measurement.dataset.fingerprint, "outcome": fitted.outcome.label},
+        tags=answer.tags | {"outcome": fitted.outcome.label},
         files=files,
         history=[{key: value for key, value in row.items() if not isinstance(value, str)} for row in fitted.history],
-        model=locate_files(config).folder,
+        model=analysis.files.folder,
         exit_code=130 if fitted.outcome is Outcome.INTERRUPTED else 0,
     )
 
 
-def _deviations(config: Config, measurement: Measurement, fitted: Fit) -> Deviations | None:
-    """Posterior ones, of a loss that states them."""
-    data = measurement.dataset
-    values = fitted.deviation(data.speeds, data.operating)
+def _deviations(analysis: Analysis, answer: Answer) -> Deviations:
+    """Posterior ones, of a loss that states them; else those that were expected."""
+    values, stated = answer.deviation(answer.table), describe_noise(analysis.config)
     if values is None:
-        return None
-    noise = "the noise that was found" if config.loss.noise == "estimated" else describe_noise(config)
-    updated = update_measurement(measurement, fitted.uncertainty)
-    return Deviations(fitted.table(updated.updated_known), values, f"by this fit at {noise}")
+        expected = expect(analysis)
+        return replace(expected, of=f"at {stated}, {expected.of}")
+    noise = "the noise that was found" if analysis.config.loss.noise == "estimated" else stated
+    return Deviations(answer.table, values, f"by this fit at {noise}")
 
 
 def _summarize(fitted: Fit) -> dict[str, object]:
@@ -129,21 +130,19 @@ def _summarize(fitted: Fit) -> dict[str, object]:
     return summary | dict(fitted.quality.summary)
 
 
-def _write(config: Config, measurement: Measurement, fitted: Fit, summary: Mapping[str, object]) -> list[Path]:
+def _write(analysis: Analysis, fitted: Fit, answer: Answer, summary: Mapping[str, object]) -> list[Path]:
     """Every file of the fit; tables without a row where the loss says nothing of them. Raises StorageError."""
-    work, data = locate_files(config), measurement.dataset
+    work = analysis.files
     model = [*save_model(work.folder, fitted.model), save_uncertainty(work.folder, fitted.uncertainty)]
     about = {
         "outcome": fitted.outcome.label,
-        "data_fingerprint": measurement.dataset.fingerprint,
-        "seed": config.seed,
+        **answer.tags,
+        "seed": analysis.config.seed,
         "model": " ".join(hash_file(path) for path in model),
     }
-    updated = update_measurement(measurement, fitted.uncertainty)
-    table, deviation = fitted.table(updated.updated_known), fitted.deviation(data.speeds, data.operating)
     return [
         *model,
-        write_coefficients(work.identified, table, deviation=deviation),
+        write_coefficients(work.identified, answer.table, deviation=answer.deviation(answer.table)),
         write_table(work.folder / "bad_points.csv", _tabulate_bad_points(fitted)),
         write_table(work.folder / "residual_unbalance.csv", _tabulate_unbalance(fitted.uncertainty)),
         write_table(work.folder / "model_parameters.csv", _tabulate_parameters(fitted)),

@@ -13,15 +13,15 @@ from pipeline.data.tables import write_table
 from pipeline.evaluation.contradiction import find_contradiction
 from pipeline.files import read_json, write_json
 from pipeline.identification.held_out import held_out_conditions, held_out_range, held_out_runs
-from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.losses import loss_of
+from pipeline.identification.restored import Answer
 from pipeline.identification.training import held_out_speeds
-from pipeline.identification.uncertainty import Uncertainty, load_uncertainty
 from pipeline.problem.measurement import Measurement
+from pipeline.problem.planning import list_candidates
 from pipeline.reporting.console import say, table
+from pipeline.stages.analysis import Analysis, made_once
 from pipeline.stages.execution import StageOutput
-from pipeline.stages.measurement import load_identified, load_measurement, update_measurement
-from pipeline.stages.planned_runs import list_candidates
+from pipeline.stages.measurement import AGAIN, ANSWER, restore
 from pipeline.stages.workspace import locate_files
 from pipeline.trust.evidence import Evidence, gather
 from pipeline.trust.mistakes import WORTH_TRYING, Found, Probe, find_mistakes
@@ -30,10 +30,9 @@ from pipeline.trust.report import judge, refuse_without_deviations
 from pipeline.trust.verdict import SIGNIFICANT, judge_law, judge_mistakes
 
 
-def run(config: Config) -> StageOutput:
+def run(analysis: Analysis) -> StageOutput:
     """``verdicts.json`` and ``verdicts.csv``; no modelled coefficient is read."""
-    work, measurement = locate_files(config), load_measurement(config)
-    judged = judge_measurement(config, measurement)
+    config, work, judged = analysis.config, analysis.files, judge_answer(analysis)
     written = [
         write_json(work.folder / "verdicts.json", judged),
         write_table(work.folder / "verdicts.csv", _tabulate(judged)),
@@ -44,39 +43,32 @@ def run(config: Config) -> StageOutput:
     }
     return StageOutput(
         {"verdicts": {name.replace(" ", "_"): float(count) for name, count in counts.items()}},
-        {"data_fingerprint": measurement.dataset.fingerprint, "verdict": judged["machine"]["verdict"]},
+        restore(analysis).tags | {"verdict": judged["machine"]["verdict"]},
         written,
     )
 
 
-def judge_measurement(config: Config, measurement: Measurement) -> dict[str, Any]:
-    """The verdicts on what was identified from the measurement, training first where that is missing."""
-    identified = load_identified(config, measurement)
-    work = locate_files(config)
-    uncertainty = load_uncertainty(work.folder, identified)
-    if uncertainty is None:
-        return refuse_without_deviations(measurement.rotor.bearing_nodes, identified.unknowns.by_bearing)
-    about = read_json(work.training, "train again with stage=train")
-    return assess(config, measurement, identified, uncertainty, about)[0]
+@made_once(*ANSWER)
+def judge_answer(analysis: Analysis) -> dict[str, Any]:
+    """The verdicts on what was identified, training first where that is missing."""
+    answer = restore(analysis)
+    if answer.uncertainty is None:
+        return refuse_without_deviations(answer.table.nodes, answer.names)
+    return assess(analysis.config, answer, read_json(analysis.files.training, AGAIN))[0]
 
 
-def assess(
-    config: Config,
-    measurement: Measurement,
-    identified: IdentifiedModel,
-    uncertainty: Uncertainty,
-    about: Mapping[str, Any],
-) -> tuple[dict[str, Any], Evidence]:
-    """The verdicts on a fit, and what they rest on; ``about`` has ``fit`` and ``outcome`` of ``training.json``."""
-    updated = update_measurement(measurement, uncertainty)
-    estimated = config.loss.noise == "estimated"
-    fitted = mark_fitted(config, measurement)
+def assess(config: Config, answer: Answer, about: Mapping[str, Any]) -> tuple[dict[str, Any], Evidence]:
+    """The verdicts on a fit that states deviations, and what they rest on; ``about`` has ``fit`` and ``outcome`` of
+    ``training.json``."""
+    updated, identified, uncertainty = answer.measurement, answer.model, answer.uncertainty
+    assert uncertainty is not None
+    estimated, fitted = config.loss.noise == "estimated", mark_fitted(config, updated)
     evidence, linear = gather(updated, identified, uncertainty, about["fit"], fitted, estimated, about["outcome"])
     candidates = list_candidates(config.machine.candidates)
     gains = weigh_candidates(updated, identified, uncertainty, linear, candidates, None)
     mistakes: list[Found] = []
     if evidence.misfit_of_stated_noise > WORTH_TRYING and (evidence.ljung_box or 0.0) < SIGNIFICANT:
-        values = measurement.unknowns.leading(evidence.answer.values)
+        values = updated.unknowns.leading(evidence.answer.values)
         probes = _list_probes(config) if locate_files(config).own else ()
         mistakes = find_mistakes(updated.as_stated(), values, config.model.kind == "constant", probes)
     return judge(

@@ -13,6 +13,7 @@ from conftest import DATA, Artifacts
 
 from pipeline.config.compose import compose_config
 from pipeline.config.schema import Config
+from pipeline.data.modelled import configure_excitations
 from pipeline.data.sensors import Sensors, list_directions, measure
 from pipeline.data.simulate import simulate
 from pipeline.identification.fit import fit
@@ -20,7 +21,6 @@ from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_
 from pipeline.identification.training import FitSetup, setup_of
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.stages.generate import configure_excitations
 from pipeline.stages.measurement import load_measurement, load_modelled
 
 pytestmark = pytest.mark.slow

@@ -16,7 +16,6 @@ from pipeline.data.operating_points import Operating
 from pipeline.errors import ConfigError
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.stored import load_modelled_bearings
-from pipeline.stages.workspace import list_known
 
 
 def load_known(
@@ -73,3 +72,14 @@ def _fill(given: KnownConfig, key: str, needed: dict[int, tuple[str, ...]], blan
                 )
             values[b, :, COEFFICIENTS.index(name)] = value
     return replace(blank, values=values)
+
+
+def list_known(config: Config, nodes: Sequence[int]) -> dict[int, tuple[str, ...]]:
+    """The coefficients of each bearing that are not identified. Raises ConfigError for an exception without bearing."""
+    for node in config.identify.bearings:
+        if node not in nodes:
+            raise ConfigError(
+                f"identify.bearings must name bearing nodes of the rotor ({', '.join(map(str, nodes))}), but got {node}"
+            )
+    unknown = {node: config.identify.at(node).coefficients for node in nodes}
+    return {node: tuple(name for name in COEFFICIENTS if name not in unknown[node]) for node in nodes}

@@ -1,0 +1,148 @@
+"""The runs that an experimenter could make, and what the probes would read of them, before anything is measured.
+
+Legend: R runs, S speeds, B bearings.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.config.bearings import PerNodeBearingConfig
+from pipeline.config.runs import CandidateConfig
+from pipeline.config.schema import Config
+from pipeline.data.dataset import Excitation
+from pipeline.data.modelled import configure_sensors
+from pipeline.data.sensors import list_directions, project
+from pipeline.data.simulate import simulate
+from pipeline.problem.accuracy import Plan, RunInformation, reach, run_information, scale_to_limits
+from pipeline.problem.configured import build_measurement
+from pipeline.problem.measurement import Measurement
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.model import RotorModel
+from pipeline.rotor.stored import require_nodes
+
+Runs = tuple[tuple[Excitation, ...], ...]
+"""What acts in each run."""
+
+
+def list_candidates(can: CandidateConfig) -> Runs:
+    """Every run that could be made: single unbalances, pairs of them, and rotating forces."""
+    made: list[tuple[Excitation, ...]] = []
+
+    def unbalance(name: str, node: int, degrees: float) -> Excitation:
+        return Excitation(name, "unbalance", node, can.unbalance, float(np.radians(degrees)))
+
+    for node in can.unbalance_nodes:  # the phase of a single source does not matter
+        made.append((unbalance(f"unbalance_{node}", node, 0.0),))
+    for (first, second), degrees in itertools.product(itertools.combinations(can.unbalance_nodes, 2), can.phases_deg):
+        name = f"unbalance_{first}_and_{second}_at_{degrees:g}_deg"
+        made.append((unbalance(name, first, 0.0), unbalance(name, second, degrees)))
+    for node, whirl in itertools.product(can.force_nodes, can.whirls):
+        made.append((Excitation(f"{whirl}_force_{node}", "force", node, can.force, 0.0, whirl),))
+    return tuple(made)
+
+
+def list_possible(config: Config, rotor: RotorModel) -> Runs:
+    """:func:`list_candidates` of the machine. Raises ConfigError for a node that the rotor lacks."""
+    possible = list_candidates(config.machine.candidates)
+    require_nodes(rotor, "machine.candidates", [weight.node for acting in possible for weight in acting])
+    return possible
+
+
+def scale_runs(runs: Runs, scale: np.ndarray) -> Runs:
+    """The runs with all that acts in each times its ``scale`` (R,)."""
+    return tuple(
+        tuple(replace(weight, magnitude=weight.magnitude * float(s)) for weight in acting)
+        for acting, s in zip(runs, scale, strict=True)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Planner:
+    """A machine that runs are planned for."""
+
+    config: Config
+    rotor: RotorModel
+    clearances: np.ndarray  # (B,) m, infinite for a bearing that states none
+
+    def measure(self, runs: Runs, bearings: BearingTable) -> Measurement:
+        """What the probes would read of the runs on these bearings, without noise."""
+        complete = simulate(self.rotor, bearings, tuple(itertools.chain.from_iterable(runs)))
+        channels = configure_sensors(self.config, self.rotor).channels
+        seen = complete if channels is None else project(complete, channels)
+        return build_measurement(self.config, self.rotor, seen, bearings)
+
+    def limit(self, runs: Runs, *tables: BearingTable) -> Runs:
+        """The runs, made smaller where an orbit would leave its share of the clearance on one of these bearings."""
+        scales = []
+        for bearings in tables:
+            complete = simulate(self.rotor, bearings, tuple(itertools.chain.from_iterable(runs)))
+            motion = project(complete, list_directions(self.rotor.bearing_nodes)).displacement
+            orbits = motion.reshape(len(motion), -1, 2, len(runs))
+            scales.append(scale_to_limits(orbits, self.config.design.clearance * self.clearances))
+        return scale_runs(runs, np.min(scales, axis=0))
+
+
+def list_clearances(config: Config, rotor: RotorModel) -> np.ndarray:
+    """(B,) m, of the modelled bearings; infinite for one that states none."""
+    spec = config.machine.bearings
+    bearings = [spec.nodes[node] if isinstance(spec, PerNodeBearingConfig) else spec for node in rotor.bearing_nodes]
+    return np.array([getattr(bearing, "radial_clearance", np.inf) for bearing in bearings])
+
+
+@dataclass(frozen=True, eq=False)
+class Designer:
+    """What the candidate runs would tell of the coefficients, on the modelled bearings."""
+
+    planner: Planner
+    prior: BearingTable
+    allowed: Runs
+
+    def measure(self, runs: Runs) -> Measurement:
+        """What the probes would read of the runs."""
+        return self.planner.measure(runs, self.prior)
+
+    def inform(self, plan: Measurement) -> RunInformation:
+        """What each run of the plan would tell."""
+        return run_information(plan, self.planner.config.design.functions)
+
+    def reach(self, accuracy: float) -> tuple[Plan, dict[str, float], dict[str, float]]:
+        """The best plan, the deviation of each coefficient with it, and what would help -> the worst deviation with it
+        at all speeds; nothing where the ``accuracy`` is reached."""
+        plan = self.measure(self.allowed)
+        information = self.inform(plan)
+        best = reach(information, accuracy, self.planner.config.design.runs, self.steps())
+        return best, information.medians(best.runs, best.every), {} if best.reached else self._try_cures(plan)
+
+    def steps(self) -> list[int]:
+        """Every how many of the speeds could be enough: both ends stay, and two speeds for each term or more."""
+        intervals, least = len(self.prior.speeds) - 1, 2 * self.planner.config.design.functions - 1
+        return [k for k in range(1, intervals + 1) if intervals % k == 0 and intervals // k >= least] or [1]
+
+    def _try_cures(self, plan: Measurement) -> dict[str, float]:
+        most, can = self.planner.config.design.runs, self.planner.config.machine.candidates
+
+        def worst(measurement: Measurement, runs: int = most) -> float:
+            information = self.inform(measurement)
+            return information.worst(reach(information, 0.0, runs, [1]).runs)
+
+        double = scale_runs(self.allowed, np.full(len(self.allowed), 2.0))
+        cures = {
+            f"all {len(self.allowed)} candidate runs": worst(plan, len(self.allowed)),
+            "weights and forces twice as large": worst(self.measure(double)),
+        }
+        if plan.noise.additive and plan.noise.multiplicative:
+            cures["probes without a floor"] = worst(replace(plan, noise=replace(plan.noise, additive=0.0)))
+        if plan.parameters:
+            cures["a model that is known exactly"] = worst(replace(plan, parameters=()))
+        if not (can.force_nodes and "backward" in can.whirls):
+            backward = tuple(
+                (Excitation(f"backward_force_{n}", "force", n, can.force, 0.0, "backward"),)
+                for n in can.force_nodes or can.unbalance_nodes
+            )
+            beside = self.planner.limit(backward, self.prior)
+            cures["a force that turns backward"] = worst(self.measure(self.allowed + beside))
+        return cures
