@@ -15,6 +15,7 @@ from pipeline.config.messages import quote_override
 from pipeline.config.own_machines import clean_name, make_absolute, store_machine
 from pipeline.config.promotion import is_overridden
 from pipeline.errors import ConfigError
+from pipeline.rotor.bearings import CHANGING
 
 if TYPE_CHECKING:
     from hydra.core.config_loader import ConfigLoader
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
 
 DEFAULTS = "default/"
 """The folder below ``conf/experiment`` that has the experiments of machines without one."""
-_CHANGING = {"cylindrical", "journal_table", "speed_table", "rotor_file"}
-"""Kinds of bearings whose coefficients change with the speed, or may."""
 _KINDS = ("kind", "format")
 """Keys that say what the others of their section may be."""
 
@@ -139,7 +138,7 @@ def _choose_experiment(composed: Mapping[str, Any]) -> list[str]:
     each = [bearings, *_look_up(composed, "machine.bearings.nodes").values()]
     kinds = {section.get("kind") for section in each if isinstance(section, Mapping)}
     saved = not bearings and bool(_look_up(composed, "machine.rotor").get("file"))
-    option = "fluid_film" if kinds & _CHANGING or saved else "rolling"
+    option = "fluid_film" if kinds & CHANGING or saved else "rolling"
     if _look_up(composed, "data").get("vibration") or recordings.get("format", "none") != "none":
         baseline = recordings.get("baseline")
         more = [f"data.baseline='{baseline}'"] if isinstance(baseline, str) else []

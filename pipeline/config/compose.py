@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 _CACHED = "configurations"
 _PACKAGES = ("hydra-core", "pydantic", "pint")
 _PACKAGE = Path(__file__).parents[1]
+_ROOMS = ("config", "laws", "rotor", "ingest")
+"""Those that have sections of the schema."""
 
 
 def compose_config(overrides: Sequence[str] = (), folder: Path | None = None) -> Config:
@@ -66,7 +68,8 @@ def _identify(overrides: Sequence[str], folder: Path | None) -> str | None:
     files outside ``conf`` that they name. None where one of them can't be read."""
     from pipeline.config.own_machines import list_files
 
-    schema = [*sorted(Path(__file__).parent.glob("*.py")), _PACKAGE / "coefficients.py", _PACKAGE / "unknowns.py"]
+    rooms = [path for room in _ROOMS for path in sorted((_PACKAGE / room).glob("*.py"))]
+    schema = [*rooms, _PACKAGE / "coefficients.py", _PACKAGE / "unknowns.py"]
     try:
         outside = list_files(overrides, folder)
         files = {path: path.read_bytes() for path in (*sorted(loader.CONF.rglob("*.yaml")), *schema, *outside)}

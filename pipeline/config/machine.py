@@ -10,16 +10,16 @@ from pydantic import Field, PositiveFloat, ValidationInfo, field_validator, mode
 
 from pipeline.config.as_built import AsBuiltConfig
 from pipeline.config.balance import WeightsConfig
-from pipeline.config.bearings import BearingConfig, PerNodeBearingConfig, RotorFileBearingConfig
-from pipeline.config.laws import LawsConfig
-from pipeline.config.measured import MeasuredRunConfig, convert_phase
+from pipeline.config.measured import AnyRecordingsConfig, MeasuredRunConfig
 from pipeline.config.operating import States
 from pipeline.config.operating_point import OperatingPoint
-from pipeline.config.recordings import AnyRecordingsConfig, NoRecordingsConfig, RecordingsConfig
 from pipeline.config.rotor import RotorConfig
 from pipeline.config.run_up import RunUpConfig
 from pipeline.config.runs import CandidateConfig, ForceConfig, ProbesConfig, RunConfig, SpeedsConfig, UnbalanceConfig
 from pipeline.config.section import NonNegativeInt, Section
+from pipeline.ingest.dataset import RecordingsConfig
+from pipeline.laws.build import LawsConfig
+from pipeline.rotor.bearings import BearingConfig, RotorFileBearingConfig
 
 
 class PredictionConfig(Section):
@@ -83,7 +83,7 @@ class MachineConfig(Section):
         if "recordings" not in info.data:  # they are wrong, and that is told
             return SpeedsConfig(start_rpm=1, stop_rpm=1, step_rpm=1)
         recordings = info.data["recordings"]
-        if isinstance(recordings, NoRecordingsConfig) or recordings.speeds is None:
+        if recordings.speeds is None:
             raise ValueError("must be given (start_rpm, stop_rpm, step_rpm), but is missing")
         return recordings.speeds
 
@@ -95,7 +95,7 @@ class MachineConfig(Section):
         if "recordings" not in info.data:
             return [RunConfig(name="x", forces=(ForceConfig(node=0, magnitude=1.0),))]
         recordings = info.data["recordings"]
-        if isinstance(recordings, NoRecordingsConfig):
+        if not recordings.recorded:
             raise ValueError("must be given (a list of runs, each with unbalances or forces), but is missing")
         excited = {run.name: run for run in recordings.runs if run.unbalances or run.forces}
         return [_plan_run(run, recordings) for run in excited.values()]
@@ -153,15 +153,14 @@ class MachineConfig(Section):
     def _nodes_exist(self) -> MachineConfig:
         if self.rotor.file is not None:
             return self
-        if self.bearings.kind == "rotor_file":
+        if self.bearings.saved:
             raise ValueError("must give rotor.file where bearings.kind is rotor_file, but rotor.file is null")
-        if isinstance(self.bearings, PerNodeBearingConfig):
-            without = [node for node in self.rotor.bearing_nodes if node not in self.bearings.nodes]
-            if without:
-                raise ValueError(
-                    f"bearings.nodes must have a bearing for every bearing node of the rotor, but node {without[0]} "
-                    f"has none (it has {', '.join(map(str, self.bearings.nodes))})"
-                )
+        placed = self.bearings.places
+        if placed and (without := [node for node in self.rotor.bearing_nodes if node not in placed]):
+            raise ValueError(
+                f"bearings.nodes must have a bearing for every bearing node of the rotor, but node {without[0]} has "
+                f"none (it has {', '.join(map(str, placed))})"
+            )
         for node in self.laws.bearings if self.laws else ():
             if node not in self.rotor.bearing_nodes:
                 where = ", ".join(map(str, self.rotor.bearing_nodes))
@@ -199,7 +198,7 @@ def _plan_run(run: MeasuredRunConfig, recordings: AnyRecordingsConfig) -> RunCon
             UnbalanceConfig(
                 node=unbalance.node,
                 magnitude=unbalance.magnitude,
-                phase=convert_phase(unbalance.phase, recordings.shaft_angle or "from_x", recordings.tacho.angle),
+                phase=recordings.angle_from_x(unbalance.phase),
             )
             for unbalance in run.unbalances
         ),

@@ -7,7 +7,7 @@ equations behind the words are in :mod:`pipeline.ingest.conventions`. Values are
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, PositiveFloat, model_validator
 
@@ -23,6 +23,13 @@ from pipeline.config.quantities import (
 )
 from pipeline.config.runs import SpeedsConfig
 from pipeline.config.section import NonNegativeInt, Section
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from pipeline.ingest.order_tracking import Signals
+    from pipeline.ingest.records import Records
+    from pipeline.ingest.tracks import RunTracks
 
 AmplitudeKind = Literal["zero_to_peak", "peak_to_peak", "rms"]
 PhaseSense = Literal["lag", "lead"]
@@ -58,13 +65,6 @@ def _parse_known(value: Any) -> Any:
 
 Known = Annotated[Text | KnownConfig | None, BeforeValidator(_parse_known)]
 """The coefficients that are not identified: a file, the machine's ``bearings``, or values."""
-
-
-def convert_phase(phase: float, shaft_angle: str, tacho: float | None) -> float:
-    """Angle p (rad) from x at the pulse of an unbalance at ``phase`` (rad) as ``shaft_angle`` says; tacho's in rad."""
-    if shaft_angle == "from_x" or tacho is None:
-        return phase
-    return tacho + phase if shaft_angle == "with_rotation" else tacho - phase
 
 
 class VectorConventionsConfig(MotionConfig):
@@ -123,6 +123,15 @@ class MeasuredRunConfig(Section):
     unbalances: tuple[MeasuredUnbalanceConfig, ...] = ()
     forces: tuple[MeasuredForceConfig, ...] = ()
 
+    @property
+    def asynchronous(self) -> bool:
+        """True where the response has a frequency of its own."""
+        return False
+
+    def frequencies(self, speeds: np.ndarray) -> np.ndarray:
+        """(S,) rad/s of the vibration at the rotor ``speeds`` (S,) rad/s."""
+        return speeds
+
     def sources(self, file: str | None) -> tuple[str, ...]:
         """The files of this run; ``file`` is that of the runs that name none. Raises ValueError where there is none."""
         if self.file is None and file is None:
@@ -176,6 +185,83 @@ class TachoAngleConfig(Section):
     angle: ShaftAngle | None = None
 
 
+class AnyRecordingsConfig(Section):
+    """What every format of recordings answers, and where there is nothing to read."""
+
+    if TYPE_CHECKING:  # each format has its own
+
+        @property
+        def recorded(self) -> bool:
+            """Whether there is something to read."""
+
+        @property
+        def format(self) -> str:
+            """The name of the format."""
+
+        @property
+        def file(self) -> str | None:
+            """Of the runs that name none."""
+
+        @property
+        def speeds(self) -> SpeedsConfig | None:
+            """Those that run-ups are interpolated to."""
+
+        @property
+        def shaft_angle(self) -> Literal["with_rotation", "against_rotation", "from_x"] | None:
+            """How angles of weights are measured."""
+
+        @property
+        def tacho(self) -> TachoAngleConfig:
+            """Its angle, and its pulses."""
+
+        @property
+        def probes(self) -> Mapping[str, ProbeConfig]:
+            """By name."""
+
+        @property
+        def runs(self) -> Sequence[MeasuredRunConfig]:
+            """Each with what excited it; one may come several times, at other operating conditions."""
+
+    @property
+    def vectors(self) -> VectorConventionsConfig:
+        """The meaning of the vectors of records; um zero-to-peak, phase lead for recordings of runs."""
+        usual = {"length": "um", "amplitude": "zero_to_peak", "phase": "lead", "speed": "rpm"}
+        return VectorConventionsConfig.model_validate(usual)
+
+    @property
+    def planes(self) -> tuple[int, ...]:
+        """The nodes of the planes whose weights each record states; none for recordings of runs."""
+        return ()
+
+    def angle_from_x(self, angle: float) -> float:
+        """rad from x at the pulse of an unbalance whose ``angle`` (rad) is measured as ``shaft_angle`` says."""
+        if self.shaft_angle in (None, "from_x") or self.tacho.angle is None:
+            return angle
+        return self.tacho.angle + angle if self.shaft_angle == "with_rotation" else self.tacho.angle - angle
+
+    def read_signals(self, run: MeasuredRunConfig) -> list[Signals]:
+        """The time signals of a run, a value a file, in m; none where there are vectors alone. Raises DataError."""
+        return []
+
+    def read_records(self, file: str | None = None) -> Records:
+        """The records of a table that states :attr:`planes`, or of another ``file`` like it. Raises DataError."""
+        raise NotImplementedError
+
+
+class NoRecordingsConfig(AnyRecordingsConfig):
+    """Nothing to read: the data are simulated, or the two files of training are there already."""
+
+    format: Literal["none"]
+
+    recorded: ClassVar[Literal[False]] = False
+    file: ClassVar[None] = None
+    speeds: ClassVar[None] = None
+    shaft_angle: ClassVar[None] = None
+    tacho: ClassVar[TachoAngleConfig] = TachoAngleConfig()
+    probes: ClassVar[Mapping[str, ProbeConfig]] = {}
+    runs: ClassVar[tuple[MeasuredRunConfig, ...]] = ()
+
+
 class OrderTrackingConfig(Section):
     """The fit of 1X vectors to time signals; see :mod:`pipeline.ingest.order_tracking`.
 
@@ -202,7 +288,7 @@ class CsvConfig(Section):
         return self
 
 
-class MeasuredConfig(Section):
+class MeasuredConfig(AnyRecordingsConfig):
     """All formats share these keys; each adds ``probes`` and ``runs``. Runs that name no file are in ``file``.
 
     ``known`` gives the coefficients that are not identified: a table, ``bearings`` (those of the machine), or
@@ -222,6 +308,21 @@ class MeasuredConfig(Section):
     conditions_file: Text | None = None
     same_conditions: Differences = Field(default_factory=dict)
     synthetic: bool = False
+
+    recorded: ClassVar[Literal[True]] = True
+
+    @property
+    def most_lag(self) -> float:
+        """The share of its speed by which the swept peak of a time signal may lag."""
+        return 0.0
+
+    def describe(self) -> str:
+        """What the numbers in the files are taken for."""
+        raise NotImplementedError
+
+    def read(self) -> tuple[RunTracks, ...]:
+        """The 1X vectors of all runs. Raises DataError."""
+        raise NotImplementedError
 
     def check_units(self, unit: str, probes: Mapping[str, ProbeConfig]) -> None:
         """Raise ValueError for probes that do not fit numbers in ``unit``."""

@@ -7,35 +7,38 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
-from pipeline.config.measured import MeasuredRunConfig, SlowRollConfig, convert_phase
-from pipeline.config.recordings import (
-    AnyRecordingsConfig,
-    RossRecordingsConfig,
-    SignalConfig,
-    TableRecordingsConfig,
-    TableRunConfig,
-    UffRecordingsConfig,
-)
-from pipeline.config.records import RecordsConfig
-from pipeline.data.dataset import Excitation, VibrationDataset
+from pipeline.config.measured import MeasuredConfig, NoRecordingsConfig, SlowRollConfig
+from pipeline.data.dataset import VibrationDataset
 from pipeline.errors import DataError
-from pipeline.ingest.conventions import to_vectors
+from pipeline.ingest.conventions import list_acting, to_vectors
 from pipeline.ingest.operating import find_conditions, name_recordings, to_points
 from pipeline.ingest.plausibility import note_dead
 from pipeline.ingest.probes import check_probes, resolve
-from pipeline.ingest.ross_results import read_ross_runs
+from pipeline.ingest.records import RecordsConfig
+from pipeline.ingest.ross_results import RossRecordingsConfig
 from pipeline.ingest.sweeps import measure_sweep, note_sweep
-from pipeline.ingest.table import read_table_runs
+from pipeline.ingest.table import TableRecordingsConfig
 from pipeline.ingest.tracks import LARGEST, RunTracks, format_rpm, to_common_speeds
-from pipeline.ingest.uff import read_uff_runs
-from pipeline.ingest.waveform import read_signal_runs
+from pipeline.ingest.uff import UffRecordingsConfig
+from pipeline.ingest.waveform import WaveformRecordingsConfig
 from pipeline.sweep.bias import SweepBias
 from pipeline.units import RAD_S_PER_RPM
 
-_CONTRADICTION = 0.05
+RecordingsConfig = Annotated[
+    NoRecordingsConfig
+    | TableRecordingsConfig
+    | RecordsConfig
+    | UffRecordingsConfig
+    | WaveformRecordingsConfig
+    | RossRecordingsConfig,
+    Field(discriminator="format"),
+]
+"""Every format of recordings."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,21 +53,24 @@ class MeasuredRuns:
     """By run: of the run-ups that show a peak."""
 
 
-def read_measured_runs(config: AnyRecordingsConfig) -> MeasuredRuns:
-    """Read all runs and bring them to common speeds and to x and y. Raises DataError and ConfigError."""
+def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> MeasuredRuns:
+    """Read all runs and bring them to common speeds and to x and y. Raises DataError and ConfigError.
+
+    Probes at a node that miss each other by more than the share ``contradiction`` of what they measure are named.
+    """
     check_probes(config.probes)
-    runs = _read_runs(config)
+    runs = config.read()
     notes = [note for run in runs for note in run.notes] + _note_zeros(runs)
     for run in runs:
         sizes = {probe: float(np.sqrt((np.abs(track.vectors) ** 2).mean())) for probe, track in run.tracks.items()}
         notes += note_dead(run.name, sizes)
-    asynchronous = {run.name for run in config.runs if isinstance(run, TableRunConfig) and run.asynchronous}
+    asynchronous = {run.name for run in config.runs if run.asynchronous}
     if config.slow_roll is not None:  # runout turns with the shaft
         slow = config.slow_roll
         runs = tuple(run if run.name in asynchronous else remove_runout(run, slow) for run in runs)
     sweeps: dict[str, SweepBias] = {}
     for run in runs:
-        bias = measure_sweep(run, config.tracking.most_lag) if isinstance(config, SignalConfig) else None
+        bias = measure_sweep(run, config.most_lag)
         sweeps |= {run.name: bias} if bias is not None else {}
         notes += note_sweep(run, bias)
     wanted = None if config.speeds is None else np.array(config.speeds.rpm()) * RAD_S_PER_RPM
@@ -76,7 +82,7 @@ def read_measured_runs(config: AnyRecordingsConfig) -> MeasuredRuns:
     acting = [
         replace(excitation, run=label)
         for label, run in zip(labels, config.runs, strict=True)
-        for excitation in _list_acting(config, run)
+        for excitation in list_acting(config, run)
     ]
     recorded = VibrationDataset(
         speeds,
@@ -84,7 +90,7 @@ def read_measured_runs(config: AnyRecordingsConfig) -> MeasuredRuns:
         resolved.channels,
         resolved.displacement,
         tuple(acting),
-        _list_frequencies(config.runs, speeds) if asynchronous else None,
+        np.stack([run.frequencies(speeds) for run in config.runs], axis=1) if asynchronous else None,
     )
     dataset = recorded
     if conditions:
@@ -95,21 +101,9 @@ def read_measured_runs(config: AnyRecordingsConfig) -> MeasuredRuns:
         f"the probes at node {node} contradict each other by {100 * misfit:.2g} % of what they measure: check "
         "their angles, polarity and scale"
         for node, misfit in resolved.misfit.items()
-        if misfit > _CONTRADICTION
+        if misfit > contradiction
     ]
     return MeasuredRuns(dataset, recorded, runs, tuple(dict.fromkeys(notes)), sweeps)
-
-
-def _read_runs(config: AnyRecordingsConfig) -> tuple[RunTracks, ...]:
-    """The 1X vectors of all runs, from whichever format they are in. Raises DataError."""
-    if isinstance(config, TableRecordingsConfig):
-        return read_table_runs(config)
-    if isinstance(config, RossRecordingsConfig):
-        return read_ross_runs(config, list_excitations(config))
-    if isinstance(config, UffRecordingsConfig) and not config.tacho.recorded:
-        return read_uff_runs(config)
-    assert not isinstance(config, RecordsConfig)  # each of its rows is a reading: nothing is tracked
-    return read_signal_runs(config)
 
 
 def remove_runout(run: RunTracks, slow_roll: SlowRollConfig) -> RunTracks:
@@ -133,31 +127,6 @@ def remove_runout(run: RunTracks, slow_roll: SlowRollConfig) -> RunTracks:
             runout = complex(vectors.mean())
         tracks[probe] = track.minus(runout)
     return replace(run, tracks=tracks)
-
-
-def list_excitations(config: AnyRecordingsConfig) -> tuple[Excitation, ...]:
-    """What excited the runs; the phases of unbalances as angles from x at the pulse."""
-    runs = {run.name: run for run in config.runs}  # recordings of one run have the same
-    return tuple(excitation for run in runs.values() for excitation in _list_acting(config, run))
-
-
-def _list_acting(config: AnyRecordingsConfig, run: MeasuredRunConfig) -> list[Excitation]:
-    acting: list[Excitation] = []
-    for unbalance in run.unbalances:
-        phase = convert_phase(unbalance.phase, config.shaft_angle or "from_x", config.tacho.angle)
-        acting.append(Excitation(run.name, "unbalance", unbalance.node, unbalance.magnitude, phase))
-    acting += [
-        Excitation(run.name, "force", force.node, force.magnitude, force.phase, force.whirl) for force in run.forces
-    ]
-    return acting
-
-
-def _list_frequencies(runs: Sequence[MeasuredRunConfig], speeds: np.ndarray) -> np.ndarray:
-    """(S, R) rad/s."""
-    columns = []
-    for run in runs:
-        columns.append(run.frequencies(speeds) if isinstance(run, TableRunConfig) else speeds)
-    return np.stack(columns, axis=1)
 
 
 def _note_zeros(runs: Sequence[RunTracks]) -> list[str]:

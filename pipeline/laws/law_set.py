@@ -23,6 +23,11 @@ if TYPE_CHECKING:
     import torch
 
 _COLUMNS = {OIL_TEMPERATURE: "oil_temperature_degC", LOAD: "load_N"}
+_LAWS: dict[str, type[JournalLaw | BallLaw]] = {
+    "short_journal": JournalLaw,
+    "journal_table": JournalLaw,
+    "ball": BallLaw,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,10 +103,9 @@ class LawSet:
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> LawSet:
         """The laws of :meth:`to_record`."""
-        laws = (BallLaw if entry["kind"] == "ball" else JournalLaw for entry in record["laws"])
         return cls(
             nodes=tuple(record["nodes"]),
-            laws=tuple(law.from_record(entry) for law, entry in zip(laws, record["laws"], strict=True)),
+            laws=tuple(_LAWS[entry["kind"]].from_record(entry) for entry in record["laws"]),
             oil=None if record["oil"] is None else Oil.from_record(record["oil"]),
             parameters=tuple(LawParameter(**parameter) for parameter in record["parameters"]),
         )

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.config.bearings import PerNodeBearingConfig
 from pipeline.config.runs import CandidateConfig
 from pipeline.config.schema import Config
 from pipeline.data.dataset import Excitation
@@ -88,8 +87,7 @@ class Planner:
 
 def list_clearances(config: Config, rotor: RotorModel) -> np.ndarray:
     """(B,) m, of the modelled bearings; infinite for one that states none."""
-    spec = config.machine.bearings
-    bearings = [spec.nodes[node] if isinstance(spec, PerNodeBearingConfig) else spec for node in rotor.bearing_nodes]
+    bearings = [config.machine.bearings.at(node) for node in rotor.bearing_nodes]
     return np.array([getattr(bearing, "radial_clearance", np.inf) for bearing in bearings])
 
 

@@ -11,17 +11,16 @@ from typing import Any
 import numpy as np
 
 from pipeline.cache import hash_parts, keep, look_up
-from pipeline.config.bearings import BearingConfig
 from pipeline.config.rotor import RotorConfig
 from pipeline.errors import ConfigError
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.journal_table import table_bytes
+from pipeline.rotor.bearings import BearingConfig
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.seals import Seals
 
 KIND = "rotors"
 _BEARINGS = "bearings"
-_CODE = ("ross_adapter", "ross_file", "supports", "journal_table")
+_CODE = ("ross_adapter", "ross_file", "supports", "bearings")
 _LAWS = ("files", "oil", "points", "short_bearing", "table")
 _MADE_BY = [
     *(Path(__file__).with_name(f"{name}.py") for name in _CODE),
@@ -79,7 +78,7 @@ def load_modelled_bearings(
     """
     speeds, operating = np.ascontiguousarray(speeds, dtype=float), operating or {}
     states = [entry for name, values in operating.items() for entry in (name, np.array(values, dtype=float).tobytes())]
-    ingredients = (bearing.model_dump_json(), table_bytes(bearing))
+    ingredients = (bearing.model_dump_json(), bearing.read_bytes())
     key = hash_parts(hash_rotor(config), *ingredients, speeds.tobytes(), *states)
     kept = _look_up(_BEARINGS, key, {"nodes", "values"})
     if kept is not None:

@@ -155,7 +155,7 @@ def _place_holes(given: WeightsConfig, node: int, source: SourceUnits) -> Holes 
     sense = 1 if plane.numbering == "with_rotation" else -1
     turn = 2 * np.pi * np.arange(plane.holes) / plane.holes
     masses = None if given.masses == ANY else tuple(given.masses)
-    return Holes(source.angle_from_x(plane.first_angle) + sense * turn, plane.radius, masses, given.most)
+    return Holes(source.recordings.angle_from_x(plane.first_angle) + sense * turn, plane.radius, masses, given.most)
 
 
 def _find_state(config: Config, model: LinearVibration, readings: Readings) -> State:

@@ -42,7 +42,7 @@ from pipeline.units import RAD_S_PER_RPM
 def run(analysis: Analysis) -> StageOutput:
     """``design.json`` and ``designed_excitation.yaml``, which can be used at once."""
     config = analysis.config
-    if config.model.kind in ("law", "hybrid"):
+    if config.model.has_laws:
         return reach_numbers(analysis)
     if config.design.accuracy is not None:
         return reach_accuracy(analysis, config.design.accuracy)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
 from pipeline.balance.records_prediction import predict_records
-from pipeline.config.records import RecordsConfig
 from pipeline.data.tables import list_columns, read_table, write_table
 from pipeline.ingest.source_units import SourceUnits
 from pipeline.ingest.table import read_format
@@ -18,6 +18,9 @@ from pipeline.stages.execution import StageOutput
 from pipeline.stages.vibration_models import list_missing, load_models, load_records, pick_method
 from pipeline.stages.workspace import locate_files
 
+if TYPE_CHECKING:
+    from pipeline.ingest.records import RecordsConfig
+
 
 def run(analysis: Analysis) -> StageOutput:
     """``predicted_records.csv``: a row for each record, in its order. No fit of bearings is needed."""
@@ -27,8 +30,7 @@ def run(analysis: Analysis) -> StageOutput:
     fitted = load_models(config)
     method = pick_method(fitted.models, config.predict.method, "predict.method")
     predicted = predict_records(records, fitted.models[method])
-    recordings = config.machine.recordings
-    assert isinstance(recordings, RecordsConfig)  # load_records has seen to it
+    recordings = cast("RecordsConfig", config.machine.recordings)  # load_records has seen to it
     pairs = [(probe.columns.real, probe.columns.imaginary) for probe in recordings.probes.values()]
     vectors = {name for pair in pairs for name in pair}
     text = read_format(recordings.csv)

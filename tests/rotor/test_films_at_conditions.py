@@ -10,11 +10,10 @@ import numpy as np
 from conftest import refused
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.config.bearings import PerNodeBearingConfig
-from pipeline.config.laws import LawsConfig
 from pipeline.config.rotor import RotorConfig
 from pipeline.errors import ConfigError
-from pipeline.laws.build import make_laws
+from pipeline.laws.build import LawsConfig, make_laws
+from pipeline.rotor.bearings import PerNodeBearingConfig
 from pipeline.rotor.ross_adapter import bearing_table, ross, ross_rotor
 from pipeline.rotor.stored import load_modelled_bearings
 
