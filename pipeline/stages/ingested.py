@@ -46,7 +46,7 @@ def read_runs(config: Config, recordings: MeasuredConfig, rotor: RotorModel) -> 
     """Recordings of runs. Raises ConfigError for a node that the rotor lacks, DataError as the format's reader."""
     model = config.model
     for run in recordings.runs:
-        acting = [source.node for source in (*run.unbalances, *run.forces)]
+        acting = [*(weight.node for weight in run.unbalances), *(force.node for force in run.forces)]
         require_nodes(rotor, f"machine.recordings.runs, run '{run.name}',", acting)
     on_casing = note_casing(recordings.probes, rotor.bearing_nodes)
     measured = read_measured_runs(recordings)

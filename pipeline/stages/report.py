@@ -21,7 +21,7 @@ from pipeline.reporting.report.content import FitContent, ReportContent, Wavefor
 from pipeline.reporting.report.page import write_page
 from pipeline.reporting.report.pdf import write_pdf
 from pipeline.reporting.report.sections import list_sections
-from pipeline.stages.analysis import Analysis
+from pipeline.stages.analysis import Analysis, is_older
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_modelled, prepare, restore
 from pipeline.stages.workspace import Workspace
@@ -77,7 +77,7 @@ def collect_content(analysis: Analysis) -> ReportContent:
     _make_current(analysis, fit)
     names = {"ingest", "diagnosis"} | ({"training", "metrics", "prediction", "verdicts"} if fit else set())
     contents = {name: work.folder / f"{name}.json" for name in names}
-    if fit is not None and _is_older(contents["verdicts"], work.training):
+    if fit is not None and is_older(contents["verdicts"], work.training):
         del contents["verdicts"]
     return ReportContent(
         config=config,
@@ -94,28 +94,15 @@ def collect_content(analysis: Analysis) -> ReportContent:
 def _make_current(analysis: Analysis, fit: FitContent | None) -> None:
     """Run the stages whose files the report reads, where they are missing or older than what they follow from."""
     work = analysis.files
-    needed = {"diagnose": ("diagnosis.json", work.vibration)}
-    if fit is not None:
-        needed |= {"evaluate": ("metrics.json", work.training), "predict": ("modes.csv", work.training)}
-    for stage, (name, source) in needed.items():
-        path = work.folder / name
-        if not path.exists() or _is_older(path, source):
-            why = f"is missing, or older than '{source}'"
-        elif stage == "predict" and fit is not None and _is_elsewhere(work, fit):
-            why = "is of other operating conditions"
-        else:
-            continue
-        say(f"'{path}' {why}: running stage={stage} first")
-        analysis.run(stage)
-
-
-def _is_elsewhere(work: Workspace, fit: FitContent) -> bool:
-    """Whether the prediction is of other conditions than those that are asked for."""
-    return bool(read_json(work.folder / "prediction.json").get("operating", {}) != dict(fit.operating))
-
-
-def _is_older(path: Path, source: Path) -> bool:
-    return path.exists() and source.exists() and path.stat().st_mtime < source.stat().st_mtime
+    analysis.require("diagnose", work.folder / "diagnosis.json", behind=work.vibration)
+    if fit is None:
+        return
+    analysis.require("evaluate", work.metrics, behind=work.training)
+    analysis.require("predict", work.folder / "modes.csv", behind=work.training)
+    prediction = work.folder / "prediction.json"
+    if read_json(prediction).get("operating", {}) != dict(fit.operating):
+        say(f"'{prediction}' is of other operating conditions: running stage=predict first")
+        analysis.run("predict")
 
 
 def _read_fit(analysis: Analysis) -> FitContent | None:
