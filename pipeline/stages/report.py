@@ -98,10 +98,10 @@ def _make_current(analysis: Analysis, fit: FitContent | None) -> None:
     if fit is None:
         return
     analysis.require("evaluate", work.metrics, behind=work.training)
-    analysis.require("predict", work.folder / "modes.csv", behind=work.training)
-    prediction = work.folder / "prediction.json"
-    if read_json(prediction).get("operating", {}) != dict(fit.operating):
-        say(f"'{prediction}' is of other operating conditions: running stage=predict first")
+    modes = work.folder / "modes.csv"
+    analysis.require("predict", modes, behind=work.training)
+    if read_json(work.folder / "prediction.json").get("operating", {}) != dict(fit.operating):
+        say(f"'{modes}' is of other operating conditions: running stage=predict first")
         analysis.run("predict")
 
 

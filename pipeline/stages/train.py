@@ -6,16 +6,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from pipeline.config.promotion import get_value, has_value
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import write_coefficients
-from pipeline.data.operating_points import list_columns
 from pipeline.data.tables import write_table
-from pipeline.data.vibration_files import to_rpm
 from pipeline.files import hash_file, write_json
 from pipeline.identification.fit import fit
 from pipeline.identification.identified import Fit
@@ -24,19 +21,18 @@ from pipeline.identification.quality import FAR_FROM_EXPECTED, finite
 from pipeline.identification.restored import Answer, answer_of
 from pipeline.identification.storage import save_model
 from pipeline.identification.training import setup_of
-from pipeline.identification.uncertainty import Uncertainty, save_uncertainty
+from pipeline.identification.uncertainty import save_uncertainty
 from pipeline.problem.determination import Deviations, describe_determined, summarize_determined
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, training_progress, warn
+from pipeline.reporting.fit_tables import tabulate_bad_points, tabulate_parameters, tabulate_unbalance
 from pipeline.reporting.model_error import print_parameters
 from pipeline.reporting.physical_numbers import describe_law, list_numbers, print_numbers
 from pipeline.reporting.write_numbers import write_value
-from pipeline.rotor.parameters import UNITS
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.diagnose import describe_noise, say_diagnosis
 from pipeline.stages.execution import StageOutput, use_threads
 from pipeline.stages.measurement import diagnose, expect, prepare
-from pipeline.stages.workspace import locate_files
 
 
 def say_promoted(config: Config) -> None:
@@ -100,7 +96,7 @@ def run(analysis: Analysis) -> StageOutput:
     determined = {"by": after.of, "coefficients": summarize_determined(judged)}
     summary = _summarize(fitted) | {"determined": determined}
     files = _write(analysis, fitted, answer, summary)
-    _report(config, fitted)
+    _report(analysis, fitted)
     say(f"{config.name}: {after.of}: {describe_determined(judged)}")
     return StageOutput(
         metrics={"training": summary | {"seconds": fitted.seconds}},
@@ -143,50 +139,12 @@ def _write(analysis: Analysis, fitted: Fit, answer: Answer, summary: Mapping[str
     return [
         *model,
         write_coefficients(work.identified, answer.table, deviation=answer.deviation(answer.table)),
-        write_table(work.folder / "bad_points.csv", _tabulate_bad_points(fitted)),
-        write_table(work.folder / "residual_unbalance.csv", _tabulate_unbalance(fitted.uncertainty)),
-        write_table(work.folder / "model_parameters.csv", _tabulate_parameters(fitted)),
+        write_table(work.folder / "bad_points.csv", tabulate_bad_points(fitted)),
+        write_table(work.folder / "residual_unbalance.csv", tabulate_unbalance(fitted.uncertainty)),
+        write_table(work.folder / "model_parameters.csv", tabulate_parameters(fitted)),
         write_table(work.history, [{k: v for k, v in row.items() if k != "seconds"} for row in fitted.history]),
         write_json(work.training, about | dict(summary)),
     ]
-
-
-def _tabulate_bad_points(fitted: Fit) -> dict[str, list[Any]]:
-    """Readings, and how many deviations they are off."""
-    every = fitted.quality.bad_points
-    columns: dict[str, list[Any]] = {
-        "run": [point.run for point in every],
-        "speed_rpm": to_rpm(np.array([point.speed for point in every])).tolist(),
-    }
-    conditions = {
-        name: np.array([point.operating[name] for point in every]) for name in (every[0].operating if every else ())
-    }
-    columns |= {name: values.tolist() for name, values in list_columns(conditions).items()}
-    return columns | {name: [getattr(point, name) for point in every] for name in ("node", "direction", "deviations")}
-
-
-def _tabulate_unbalance(uncertainty: Uncertainty | None) -> dict[str, Any]:
-    """kg m and degrees."""
-    unbalance = np.zeros(0, dtype=complex) if uncertainty is None else uncertainty.residual_unbalance
-    return {
-        "node": [] if uncertainty is None else uncertainty.planes,
-        "magnitude": np.abs(unbalance),
-        "phase_deg": np.degrees(np.angle(unbalance)),
-        "magnitude_std": [] if uncertainty is None else uncertainty.unbalance_deviation(),
-    }
-
-
-def _tabulate_parameters(fitted: Fit) -> dict[str, list[Any]]:
-    """Prior deviation, and what the fit made of it: a share of the stated value, or in the unit."""
-    every = fitted.parameters
-    return {
-        "kind": [number.parameter.kind for number in every],
-        "of": [number.parameter.label for number in every],
-        "unit": [UNITS[number.parameter.kind] for number in every],
-        "prior_std": [number.parameter.deviation for number in every],
-        "value": [number.value * number.parameter.deviation for number in every],
-        "std": [number.deviation * number.parameter.deviation for number in every],
-    }
 
 
 def _describe_misfit(fitted: Fit) -> str:
@@ -201,12 +159,13 @@ def _describe_misfit(fitted: Fit) -> str:
     return left + (f" ({bad} of them far off, in 'bad_points.csv')" if bad else "")
 
 
-def _report(config: Config, fitted: Fit) -> None:
+def _report(analysis: Analysis, fitted: Fit) -> None:
+    config = analysis.config
     say(
         f"{config.name}: {fitted.outcome.value}\n"
         f"{_describe_misfit(fitted)}, "
         f"{fitted.steps} steps in {fitted.seconds:.1f} s\n"
-        f"coefficients in '{locate_files(config).identified}'"
+        f"coefficients in '{analysis.files.identified}'"
     )
     if fitted.parameters:
         print_parameters(config.name, fitted.parameters)
