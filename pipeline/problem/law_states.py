@@ -12,14 +12,14 @@ import numpy as np
 
 from pipeline.config.operating import column_of
 from pipeline.config.schema import Config
+from pipeline.data.candidates import Runs
 from pipeline.errors import ConfigError, nearest
 from pipeline.laws.journal import JournalLaw
 from pipeline.laws.law_set import LawSet
 from pipeline.problem.law_design import LawCandidates
 from pipeline.problem.law_information import add_rows, guess_table, inform, law_rows
-from pipeline.problem.planning import Planner, Runs
+from pipeline.problem.planning import Planner
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.units import RAD_S_PER_RPM
 
 State = Mapping[str, float]
 """Condition -> its value, SI."""
@@ -32,7 +32,7 @@ def clearances_of(laws: LawSet) -> np.ndarray:
 
 def guess_at(config: Config, laws: LawSet, state: State) -> BearingTable:
     """The bearings as the laws' guesses have them, at the machine's speeds in a state."""
-    speeds = np.array(config.machine.speeds.rpm()) * RAD_S_PER_RPM
+    speeds = config.machine.speeds.rad_s()
     return guess_table(laws, speeds, {name: np.full(len(speeds), value) for name, value in state.items()})
 
 

@@ -10,38 +10,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.config.runs import CandidateConfig
 from pipeline.config.schema import Config
+from pipeline.data.candidates import Runs, list_candidates, scale_runs
 from pipeline.data.dataset import Excitation
-from pipeline.data.modelled import configure_sensors
 from pipeline.data.sensors import list_directions, project
 from pipeline.data.simulate import simulate
 from pipeline.problem.accuracy import Plan, RunInformation, reach, run_information, scale_to_limits
 from pipeline.problem.configured import build_measurement
 from pipeline.problem.measurement import Measurement
+from pipeline.problem.modelled import configure_sensors
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import require_nodes
-
-Runs = tuple[tuple[Excitation, ...], ...]
-"""What acts in each run."""
-
-
-def list_candidates(can: CandidateConfig) -> Runs:
-    """Every run that could be made: single unbalances, pairs of them, and rotating forces."""
-    made: list[tuple[Excitation, ...]] = []
-
-    def unbalance(name: str, node: int, degrees: float) -> Excitation:
-        return Excitation(name, "unbalance", node, can.unbalance, float(np.radians(degrees)))
-
-    for node in can.unbalance_nodes:  # the phase of a single source does not matter
-        made.append((unbalance(f"unbalance_{node}", node, 0.0),))
-    for (first, second), degrees in itertools.product(itertools.combinations(can.unbalance_nodes, 2), can.phases_deg):
-        name = f"unbalance_{first}_and_{second}_at_{degrees:g}_deg"
-        made.append((unbalance(name, first, 0.0), unbalance(name, second, degrees)))
-    for node, whirl in itertools.product(can.force_nodes, can.whirls):
-        made.append((Excitation(f"{whirl}_force_{node}", "force", node, can.force, 0.0, whirl),))
-    return tuple(made)
 
 
 def list_possible(config: Config, rotor: RotorModel) -> Runs:
@@ -49,14 +29,6 @@ def list_possible(config: Config, rotor: RotorModel) -> Runs:
     possible = list_candidates(config.machine.candidates)
     require_nodes(rotor, "machine.candidates", [weight.node for acting in possible for weight in acting])
     return possible
-
-
-def scale_runs(runs: Runs, scale: np.ndarray) -> Runs:
-    """The runs with all that acts in each times its ``scale`` (R,)."""
-    return tuple(
-        tuple(replace(weight, magnitude=weight.magnitude * float(s)) for weight in acting)
-        for acting, s in zip(runs, scale, strict=True)
-    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
 from pipeline.config.schema import Config
 from pipeline.data.dataset import Excitation
 from pipeline.problem.planning import Designer, Planner, list_clearances, list_possible
@@ -17,14 +15,13 @@ from pipeline.stages.analysis import Analysis
 from pipeline.stages.diagnose import describe_noise
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.planned_runs import write_design
-from pipeline.units import RAD_S_PER_RPM
 
 
 def reach_accuracy(analysis: Analysis, accuracy: float) -> StageOutput:
     """``design.json`` and ``designed_excitation.yaml``, which can be used at once."""
     config, machine = analysis.config, analysis.config.machine
     rotor = load_rotor(machine.rotor)
-    prior = load_modelled_bearings(machine.rotor, machine.bearings, np.array(machine.speeds.rpm()) * RAD_S_PER_RPM)
+    prior = load_modelled_bearings(machine.rotor, machine.bearings, machine.speeds.rad_s())
     planner = Planner(config, rotor, list_clearances(config, rotor))
     allowed = planner.limit(list_possible(config, rotor), prior)
     best, predicted, cures = Designer(planner, prior, allowed).reach(accuracy)

@@ -11,12 +11,12 @@ from pipeline.comparison.cases import Case, Machine, choose_main_case, list_case
 from pipeline.comparison.runner import ComparisonSetup, MethodRun, compare
 from pipeline.config.comparison import ComparisonConfig, MethodName
 from pipeline.config.schema import Config
-from pipeline.data.modelled import model_machine
 from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError
 from pipeline.files import write_json, write_text
 from pipeline.laws.build import make_laws
 from pipeline.methods.catalogue import METHODS
+from pipeline.problem.modelled import model_machine
 from pipeline.reporting.comparison_figures import draw_comparison
 from pipeline.reporting.comparison_tables import Comparison, make_tables, tabulate, write_markdown
 from pipeline.reporting.console import comparison_progress, say, table

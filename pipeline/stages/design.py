@@ -12,7 +12,6 @@ import numpy as np
 
 from pipeline.config.schema import Config
 from pipeline.data.dataset import Excitation
-from pipeline.data.modelled import configure_excitations, configure_frequencies
 from pipeline.data.simulate import simulate
 from pipeline.errors import ConfigError
 from pipeline.identification.quality import finite
@@ -27,6 +26,7 @@ from pipeline.problem.design import (
     whiten_plan,
 )
 from pipeline.problem.measurement import Measurement
+from pipeline.problem.modelled import configure_excitations, configure_frequencies
 from pipeline.problem.planning import list_possible
 from pipeline.reporting.console import say, table
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor
@@ -36,7 +36,6 @@ from pipeline.stages.diagnose import describe_noise
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.law_design import reach_numbers
 from pipeline.stages.planned_runs import write_design
-from pipeline.units import RAD_S_PER_RPM
 
 
 def run(analysis: Analysis) -> StageOutput:
@@ -50,7 +49,7 @@ def run(analysis: Analysis) -> StageOutput:
     possible = list_possible(config, rotor)
     if design.runs > len(possible):
         raise ConfigError(f"design.runs must be at most the {len(possible)} candidates, but got {design.runs}")
-    every = np.array(config.machine.speeds.rpm()) * RAD_S_PER_RPM
+    every = config.machine.speeds.rad_s()
     speeds = every[np.unique(np.linspace(0, len(every) - 1, min(design.speeds, len(every))).round().astype(int))]
     prior = load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
 

@@ -8,11 +8,11 @@ from pipeline.config.measured import MeasuredConfig
 from pipeline.data.coefficient_files import write_coefficients
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.excitation_files import write_excitation
-from pipeline.data.known import list_known, load_known
 from pipeline.data.tables import read_marks
 from pipeline.data.vibration_files import write_vibration
 from pipeline.errors import ConfigError, DataError
 from pipeline.files import write_json
+from pipeline.problem.known import list_known, load_known
 from pipeline.reporting.console import say, table, warn
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor, require_nodes

@@ -11,7 +11,6 @@ import numpy as np
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import read_coefficients
 from pipeline.data.dataset import VibrationDataset
-from pipeline.data.known import list_known, load_known, require_known
 from pipeline.data.tables import read_marks
 from pipeline.data.vibration_files import read_measured, require_made_for, require_nodes_of
 from pipeline.errors import DataError
@@ -25,6 +24,7 @@ from pipeline.identification.uncertainty import load_uncertainty
 from pipeline.problem.configured import build_measurement
 from pipeline.problem.determination import Deviations
 from pipeline.problem.diagnosis import Diagnosis
+from pipeline.problem.known import list_known, load_known, require_known
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.stored import load_rotor, require_nodes

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from pipeline.config.schema import Config
-from pipeline.data.modelled import model_machine, read_probes
 from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError
 from pipeline.evaluation.refits import Refit, refit, summarize_refits, tabulate_refits
@@ -24,6 +23,7 @@ from pipeline.files import write_json
 from pipeline.identification.losses import loss_of
 from pipeline.identification.training import setup_of
 from pipeline.problem.configured import build_measurement
+from pipeline.problem.modelled import model_machine, read_probes
 from pipeline.processes import open_pool
 from pipeline.reporting.console import count_progress, say, table
 from pipeline.reporting.figures import draw_refits

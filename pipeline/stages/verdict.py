@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from pipeline.config.schema import Config
+from pipeline.data.candidates import list_candidates
+from pipeline.data.sensors import name_channel
 from pipeline.data.tables import write_table
 from pipeline.evaluation.contradiction import find_contradiction
 from pipeline.files import read_json, write_json
@@ -16,7 +18,6 @@ from pipeline.identification.losses import loss_of
 from pipeline.identification.restored import Answer
 from pipeline.identification.training import held_out_speeds
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.planning import list_candidates
 from pipeline.reporting.console import say, table
 from pipeline.stages.analysis import Analysis, made_once
 from pipeline.stages.execution import StageOutput
@@ -78,8 +79,7 @@ def assess(config: Config, answer: Answer, about: Mapping[str, Any]) -> tuple[di
 def _list_probes(config: Config) -> tuple[Probe, ...]:
     """The probes that x and y were made of; none where the channels are the probes."""
     return tuple(
-        Probe(name, probe.node, round(float(np.degrees(probe.angle)), 9) % 360.0)
-        for name, probe in config.machine.recordings.probes.items()
+        Probe(name, *name_channel(probe.node, probe.angle)) for name, probe in config.machine.recordings.probes.items()
     )
 
 

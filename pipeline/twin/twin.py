@@ -13,7 +13,7 @@ import numpy as np
 from pipeline.config.machine import MachineConfig
 from pipeline.data.as_built import build_rotor, refine_nodes, stand_on_pedestals
 from pipeline.data.dataset import Excitation
-from pipeline.data.vibration_files import to_rpm
+from pipeline.data.vibration_files import find_speed
 from pipeline.errors import ConfigError, PipelineError
 from pipeline.identification.restored import Answer
 from pipeline.problem.measurement import Measurement
@@ -50,7 +50,7 @@ def build_twin(machine: MachineConfig, answer: Answer, modelled: BearingTable | 
     points, identified = evaluate_at(answer.model, stated, operating, OPERATING)
     truth = _truth_at(machine, stated, modelled, operating)
     require_nodes(stated.rotor, "machine.prediction", [node, *(unbalance.node for unbalance in unseen)])
-    at = _find_speed(machine, identified.speeds)
+    at = find_speed(machine.prediction.speed_rpm, identified.speeds)
     if (run := find_same_run(unseen, stated.dataset.excitations)) is not None:
         raise ConfigError(
             f"machine.prediction.unbalances must be an unbalance that training never saw, but run '{run}' is the same"
@@ -135,18 +135,6 @@ def superpose_unseen(
     if summed is None or not all(len(row) for row in rows):
         return None
     return summed @ resolution[np.concatenate(rows)].T
-
-
-def _find_speed(machine: MachineConfig, speeds: np.ndarray, within: float = 1e-3) -> int:
-    """``within`` is a share: nominal speeds of records are means with many digits."""
-    rpm, wanted = to_rpm(speeds), machine.prediction.speed_rpm
-    nearest = int(np.abs(rpm - wanted).argmin())
-    if abs(rpm[nearest] - wanted) > within * wanted:
-        raise ConfigError(
-            "machine.prediction.speed_rpm must be one of the data's speeds (known coefficients are given there), but "
-            f"got {wanted:g}: the nearest is {rpm[nearest]:g}"
-        )
-    return nearest
 
 
 def list_unseen(machine: MachineConfig) -> tuple[Excitation, ...]:

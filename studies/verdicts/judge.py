@@ -26,7 +26,6 @@ from pipeline.config.compose import compose_config
 from pipeline.config.schema import Config
 from pipeline.data.as_built import stand_on_pedestals
 from pipeline.data.dataset import VibrationDataset
-from pipeline.data.modelled import model_machine, read_probes
 from pipeline.data.noise import NOMINAL_95
 from pipeline.errors import PipelineError
 from pipeline.files import write_json
@@ -35,6 +34,7 @@ from pipeline.identification.restored import answer_of
 from pipeline.identification.training import setup_of
 from pipeline.problem.configured import build_measurement
 from pipeline.problem.measurement import Measurement
+from pipeline.problem.modelled import model_machine, read_probes
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.verdict import assess
 

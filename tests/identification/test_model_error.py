@@ -13,7 +13,6 @@ from conftest import Artifacts
 from pipeline.config.as_built import AsBuiltConfig
 from pipeline.config.compose import compose_config
 from pipeline.data.as_built import build_rotor, simulate_as_built
-from pipeline.data.modelled import configure_excitations, configure_sensors
 from pipeline.data.sensors import measure
 from pipeline.identification.answer import conclude
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
@@ -23,6 +22,7 @@ from pipeline.identification.quality import mismatch, output_error_quality
 from pipeline.identification.training import setup_of
 from pipeline.problem.configured import build_measurement
 from pipeline.problem.measurement import Measurement
+from pipeline.problem.modelled import configure_excitations, configure_sensors
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.parameters import ModelParameter
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor

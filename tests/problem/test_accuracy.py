@@ -11,10 +11,11 @@ import pytest
 from conftest import Run
 
 from pipeline.config.compose import compose_config
+from pipeline.data.candidates import list_candidates
 from pipeline.data.simulate import add_noise
 from pipeline.errors import ConfigError
 from pipeline.problem.accuracy import RunInformation, reach, run_information, scale_to_limits
-from pipeline.problem.planning import Designer, Planner, list_candidates, list_clearances
+from pipeline.problem.planning import Designer, Planner, list_clearances
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor
 from pipeline.stages import refit_study
 from pipeline.units import RAD_S_PER_RPM

@@ -16,8 +16,8 @@ from running import composed
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.measured import KnownConfig
 from pipeline.config.schema import Config
-from pipeline.data.known import load_known
 from pipeline.errors import ConfigError
+from pipeline.problem.known import load_known
 from pipeline.stages.measurement import load_measurement
 
 REST = [name for name in COEFFICIENTS if name not in ("kxx", "kyy")]

@@ -13,11 +13,11 @@ from small_rotor import small_machine
 
 from pipeline.data.coefficient_files import write_coefficients
 from pipeline.data.excitation_files import write_excitation
-from pipeline.data.modelled import find_idle, model_machine
 from pipeline.data.noise import NoiseModel
 from pipeline.data.vibration_files import write_vibration
 from pipeline.errors import ConfigError
 from pipeline.problem.measurement import Guess, Measurement
+from pipeline.problem.modelled import find_idle, model_machine
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.measurement import load_measurement
 from pipeline.stages.train import list_idle

@@ -13,10 +13,10 @@ from running import composed
 
 from pipeline.config.compose import compose_mapping, validate
 from pipeline.config.schema import Config
-from pipeline.data.modelled import configure_excitations, configure_sensors
 from pipeline.data.sensors import list_directions, measure
 from pipeline.data.simulate import simulate
 from pipeline.files import read_json
+from pipeline.problem.modelled import configure_excitations, configure_sensors
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor
 from pipeline.stages import ingest, train
 from pipeline.stages.analysis import Analysis

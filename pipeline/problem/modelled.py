@@ -12,14 +12,13 @@ import numpy as np
 from pipeline.config.schema import Config
 from pipeline.data.as_built import build_rotor, misplace_probes, simulate_as_built
 from pipeline.data.dataset import Excitation, VibrationDataset, require_synchronous
-from pipeline.data.known import list_known
 from pipeline.data.operating_points import group_rows, spread_states
-from pipeline.data.sensors import Channels, Sensors, list_directions, measure
+from pipeline.data.sensors import Channels, Sensors, list_directions, measure, name_channel
 from pipeline.data.simulate import simulate
+from pipeline.problem.known import list_known
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor, require_nodes
-from pipeline.units import RAD_S_PER_RPM
 
 
 def model_machine(config: Config, seed: int | None = None) -> tuple[RotorModel, BearingTable, VibrationDataset]:
@@ -27,8 +26,7 @@ def model_machine(config: Config, seed: int | None = None) -> tuple[RotorModel, 
 
     ``seed`` draws what weights are off by; None for that of the probes.
     """
-    rpm = np.array(config.machine.speeds.rpm())
-    speeds, operating = spread_states(rpm * RAD_S_PER_RPM, config.machine.operating)
+    speeds, operating = spread_states(config.machine.speeds.rad_s(), config.machine.operating)
     rotor, built = load_rotor(config.machine.rotor), config.machine.as_built
     list_known(config, rotor.bearing_nodes)  # refuses exceptions without a bearing
     bearings = load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds, operating)
@@ -102,8 +100,7 @@ def configure_sensors(config: Config, rotor: RotorModel) -> Sensors:
         channels = list_directions(rotor.bearing_nodes)
     elif spec.at != "all":
         require_nodes(rotor, "machine.probes.at", [probe.node for probe in spec.at])
-        # An angle such as 45 deg is a text or a number of radians: rounded, it is 45 again.
-        channels = tuple((probe.node, round(float(np.degrees(probe.angle)), 9) % 360.0) for probe in spec.at)
+        channels = tuple(name_channel(probe.node, probe.angle) for probe in spec.at)
     return Sensors(
         channels, spec.additive, spec.multiplicative, spec.runout, spec.quantisation, spec.slow_roll_readings
     )
