@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, Literal
 
-from pydantic import Field, PositiveInt, model_validator
+from pydantic import Field, PositiveInt
 
 from pipeline.config.quantities import Mass, PositiveAngle, Stiffness
 from pipeline.config.rotor import ShaftSegmentConfig
-from pipeline.config.section import NonNegativeInt, Section, Share
+from pipeline.config.section import NonNegativeInt, Section, Share, rule
 
 
 class AsBuiltConfig(Section):
@@ -52,8 +53,7 @@ class AsBuiltConfig(Section):
         given = {name: getattr(self, name) for name in ("shaft", "shear_effects", "rotary_inertia")}
         return {name: value for name, value in given.items() if value is not None}
 
-    @model_validator(mode="after")
-    def _stands(self) -> AsBuiltConfig:
+    @rule
+    def _stands(self) -> Iterator[str]:
         if self.pedestal_mass is not None and self.pedestal_stiffness is None:
-            raise ValueError("must have a pedestal_stiffness beside pedestal_mass, but it is missing")
-        return self
+            yield "must have a pedestal_stiffness beside pedestal_mass, but it is missing"

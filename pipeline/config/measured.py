@@ -6,10 +6,10 @@ equations behind the words are in :mod:`pipeline.ingest.conventions`. Values are
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from pydantic import BeforeValidator, Field, PositiveFloat, model_validator
+from pydantic import BeforeValidator, Field, PositiveFloat
 
 from pipeline.config.motion import MotionConfig, Sensitivity, find_volts, to_motion
 from pipeline.config.operating import Conditions, Differences
@@ -22,7 +22,7 @@ from pipeline.config.quantities import (
     UnbalanceMagnitude,
 )
 from pipeline.config.runs import SpeedsConfig
-from pipeline.config.section import NonNegativeInt, Section
+from pipeline.config.section import NonNegativeInt, Section, rule
 
 if TYPE_CHECKING:
     import numpy as np
@@ -139,16 +139,16 @@ class MeasuredRunConfig(Section):
         return (self.file or file or "",)
 
 
-def _check_repeated(runs: Sequence[MeasuredRunConfig]) -> None:
-    """Raise ValueError for runs of one name that differ in more than their operating conditions, or not in these."""
+def _check_repeated(runs: Sequence[MeasuredRunConfig]) -> Iterator[str]:
+    """What is wrong with runs of one name that differ in more than their operating conditions, or not in these."""
     states = [tuple(sorted(run.operating.items())) for run in runs]
     if len(set(states)) < len(states):
-        raise ValueError(
+        yield (
             f"must give every run a name of its own, or operating conditions of its own, but '{runs[0].name}' is there "
             f"{len(runs)} times"
         )
     if any((run.unbalances, run.forces) != (runs[0].unbalances, runs[0].forces) for run in runs):
-        raise ValueError(f"must have the same excitation in runs of one name, but those of '{runs[0].name}' differ")
+        yield f"must have the same excitation in runs of one name, but those of '{runs[0].name}' differ"
 
 
 class SlowRollVectorConfig(Section):
@@ -166,17 +166,16 @@ class SlowRollConfig(Section):
     amplitude: AmplitudeKind | None = None
     phase: PhaseSense | None = None
 
-    @model_validator(mode="after")
-    def _one_way(self) -> SlowRollConfig:
+    @rule
+    def _one_way(self) -> Iterator[str]:
         if (self.below_rpm is None) == (not self.vectors):
             got = "both" if self.vectors else "neither"
-            raise ValueError(f"must give either below_rpm or vectors, but got {got}")
+            yield f"must give either below_rpm or vectors, but got {got}"
         if self.vectors and (self.amplitude is None or self.phase is None):
-            raise ValueError(
+            yield (
                 "must give amplitude (zero_to_peak, peak_to_peak or rms) and phase (lag or lead) where it has vectors, "
                 "but one is missing"
             )
-        return self
 
 
 class TachoAngleConfig(Section):
@@ -281,11 +280,10 @@ class CsvConfig(Section):
     decimal: Literal[".", ","] = "."
     skip_rows: NonNegativeInt = 0
 
-    @model_validator(mode="after")
-    def _apart(self) -> CsvConfig:
+    @rule
+    def _apart(self) -> Iterator[str]:
         if self.delimiter == self.decimal:
-            raise ValueError(f"must have a delimiter that is not the decimal mark, but both are {self.decimal!r}")
-        return self
+            yield f"must have a delimiter that is not the decimal mark, but both are {self.decimal!r}"
 
 
 class MeasuredConfig(AnyRecordingsConfig):
@@ -324,63 +322,62 @@ class MeasuredConfig(AnyRecordingsConfig):
         """The 1X vectors of all runs. Raises DataError."""
         raise NotImplementedError
 
-    def check_units(self, unit: str, probes: Mapping[str, ProbeConfig]) -> None:
-        """Raise ValueError for probes that do not fit numbers in ``unit``."""
+    def check_units(self, unit: str) -> Iterator[str]:
+        """What is wrong with probes that do not fit numbers in ``unit``."""
         voltage = find_volts(unit) is not None
-        for name, probe in probes.items():
+        for name, probe in self.probes.items():
             if voltage and probe.scale is None:
-                raise ValueError(
+                yield (
                     f"probe '{name}' must have a scale (such as 7.87 V/mm or 100 mV/g) for a signal in {unit}, but it "
                     "has none"
                 )
             if not voltage and probe.scale is not None:
-                raise ValueError(
-                    f"probe '{name}' must have no scale where signals are in {unit}, but it has {probe.scale}"
-                )
+                yield f"probe '{name}' must have no scale where signals are in {unit}, but it has {probe.scale}"
             order, _ = to_motion(unit, probe.scale)
             if order and probe.mounted is None:
-                raise ValueError(
+                yield (
                     f"probe '{name}' must say what it moves with where it measures "
                     f"{'velocities' if order == 1 else 'accelerations'}, but it has no 'mounted': give mounted: casing "
                     "(beside a bearing) or mounted: shaft (a shaft rider, a laser)"
                 )
             if not order and probe.mounted == "casing":
-                raise ValueError(
+                yield (
                     f"probe '{name}' must measure velocities or accelerations where it has mounted: casing, but its "
                     "displacements are the shaft's: leave mounted out"
                 )
 
-    def check_shared(
-        self, runs: Sequence[MeasuredRunConfig], probes: Mapping[str, ProbeConfig], tacho: TachoAngleConfig
-    ) -> None:
-        """Raise ValueError for what runs, probes and tacho must have together."""
-        names = [run.name for run in runs]
-        for run in runs:
-            _check_repeated([other for other in runs if other.name == run.name])
+    @rule
+    def _fits_together(self) -> Iterator[str]:
+        if self.planes:  # each row of a table of records says what acted
+            return
+        names = [run.name for run in self.runs]
+        for run in self.runs:
+            yield from _check_repeated([other for other in self.runs if other.name == run.name])
         if self.baseline is not None and self.baseline not in names:
-            raise ValueError(f"must have the baseline among its runs {names}, but baseline is '{self.baseline}'")
-        for run in runs:
+            yield f"must have the baseline among its runs {names}, but baseline is '{self.baseline}'"
+        for run in self.runs:
             run.sources(self.file)
             excited = bool(run.unbalances or run.forces)
             if excited and run.name == self.baseline:
-                raise ValueError(f"must have nothing that excites the baseline run '{run.name}', but it has some")
+                yield f"must have nothing that excites the baseline run '{run.name}', but it has some"
             if not excited and run.name != self.baseline:
-                raise ValueError(
+                yield (
                     f"run '{run.name}' must have unbalances or forces, but it has none: add them, or name it "
                     "as baseline"
                 )
-        if any(run.unbalances for run in runs) and self.shaft_angle is None:
-            raise ValueError(
+        if any(run.unbalances for run in self.runs) and self.shaft_angle is None:
+            yield (
                 "must say in shaft_angle how phases of unbalances are measured (with_rotation or against_rotation from "
                 "the mark, or from_x at the pulse), but it is missing"
             )
-        if any(run.unbalances for run in runs) and self.shaft_angle != "from_x" and tacho.angle is None:
-            raise ValueError(
+        if any(run.unbalances for run in self.runs) and self.shaft_angle != "from_x" and self.tacho.angle is None:
+            yield (
                 "must give tacho.angle where phases of unbalances are measured from the mark, but it is missing: give "
                 "it, or the phases from x with shaft_angle=from_x"
             )
         vectors = set(self.slow_roll.vectors) if self.slow_roll is not None else set()
-        if vectors and vectors != set(probes):
-            raise ValueError(
-                f"slow_roll.vectors must have one vector a probe ({', '.join(probes)}), but it has {', '.join(vectors)}"
+        if vectors and vectors != set(self.probes):
+            yield (
+                f"slow_roll.vectors must have one vector a probe ({', '.join(self.probes)}), but it has "
+                f"{', '.join(vectors)}"
             )

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from pipeline.config.quantities import Damping, Stiffness
-from pipeline.config.section import Section
+from pipeline.config.section import Section, rule
 
 
 class _CoefficientModelConfig(Section):
@@ -126,11 +127,10 @@ class FunctionsModelConfig(_CoefficientModelConfig):
         functions = {"functions": self.kind, "n_functions": self.count}
         return {"hidden": (), "input_scaling": self.input_scaling, "trend": self.trend} | functions
 
-    @model_validator(mode="after")
-    def _cubic(self) -> FunctionsModelConfig:
+    @rule
+    def _cubic(self) -> Iterator[str]:
         if self.kind == "b_spline" and self.count < 4:
-            raise ValueError(f"must have count of at least 4 for cubic B-splines, but got {self.count}")
-        return self
+            yield f"must have count of at least 4 for cubic B-splines, but got {self.count}"
 
 
 ModelConfig = Annotated[

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated, Literal
 
-from pydantic import Field, PositiveFloat, model_validator
+from pydantic import Field, PositiveFloat
 
 from pipeline.config.measured import AmplitudeKind, PhaseSense, SpeedUnit, Text
 from pipeline.config.motion import MotionConfig, Sensitivity, find_volts, to_motion
-from pipeline.config.section import Section
+from pipeline.config.section import Section, rule
 
 
 class RunUpColumnsConfig(Section):
@@ -42,17 +43,16 @@ class RunUpConfig(MotionConfig):
     steady_rows: Annotated[int, Field(ge=1)] = 1
     most_lag: Annotated[float, Field(gt=0, lt=0.5)] = 0.01
 
-    @model_validator(mode="after")
-    def _lawful(self) -> RunUpConfig:
+    @rule
+    def _lawful(self) -> Iterator[str]:
         if self.from_rpm >= self.to_rpm:
-            raise ValueError(f"must have from_rpm below to_rpm, but got {self.from_rpm:g} and {self.to_rpm:g}")
+            yield f"must have from_rpm below to_rpm, but got {self.from_rpm:g} and {self.to_rpm:g}"
         if (find_volts(self.unit) is None) != (self.scale is None):
-            raise ValueError(
+            yield (
                 "must have a scale (such as 7.87 V/mm) for voltages and for nothing else, but got the unit "
                 f"{self.unit} and the scale {self.scale}"
             )
         if to_motion(self.unit, self.scale)[0]:
-            raise ValueError(f"must be displacements, but got {self.unit} with the scale {self.scale}")
+            yield f"must be displacements, but got {self.unit} with the scale {self.scale}"
         if self.rate_rpm_per_s == 0:
-            raise ValueError("must have a rate_rpm_per_s that is not 0, but got 0: leave it out, to measure it")
-        return self
+            yield "must have a rate_rpm_per_s that is not 0, but got 0: leave it out, to measure it"

@@ -5,13 +5,13 @@ Legend: n records, S nominal speeds, P probes, N planes, R runs.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field
 
 from pipeline.config.measured import (
     CsvConfig,
@@ -24,7 +24,7 @@ from pipeline.config.measured import (
 )
 from pipeline.config.motion import to_motion
 from pipeline.config.quantities import to_si
-from pipeline.config.section import NonNegativeInt, Section
+from pipeline.config.section import NonNegativeInt, Section, rule
 from pipeline.data.dataset import SYNCHRONOUS, Excitation, VibrationDataset
 from pipeline.data.tables import read_table
 from pipeline.errors import DataError
@@ -108,31 +108,30 @@ class RecordsConfig(MeasuredConfig):
         """None: the table says what the runs are."""
         return ()
 
-    @model_validator(mode="after")
-    def _lawful(self) -> RecordsConfig:
+    @rule
+    def _lawful(self) -> Iterator[str]:
         if self.file is None:
-            raise ValueError("must name the file with the records, but file is missing")
+            yield "must name the file with the records, but file is missing"
         if self.shaft_angle is None:
-            raise ValueError(
+            yield (
                 "must say in shaft_angle how angles of weights are measured (with_rotation or against_rotation from "
                 "the mark, or from_x at the pulse), but it is missing"
             )
         if self.shaft_angle != "from_x" and self.tacho.angle is None:
-            raise ValueError(
+            yield (
                 "must give tacho.angle where angles of weights are measured from the mark, but it is missing: where "
                 "nobody knows it, give 0 deg and identify.model_parameters.weight_angle"
             )
         for key in ("baseline", "speeds", "slow_roll", "conditions_file", "same_conditions"):
             if getattr(self, key):
-                raise ValueError(f"must have no {key} for a table of records, but it has one: leave it out")
-        self.check_units(self.conventions.unit, self.probes)
+                yield f"must have no {key} for a table of records, but it has one: leave it out"
+        yield from self.check_units(self.conventions.unit)
         places = [(probe.node, probe.angle) for probe in self.probes.values()]
         if len(set(places)) != len(places):
-            raise ValueError("must give every probe a place of its own (node and angle), but two have the same")
+            yield "must give every probe a place of its own (node and angle), but two have the same"
         nodes = [weight.node for weight in self.weights]
         if len(set(nodes)) != len(nodes):
-            raise ValueError(f"must give every plane of weights once, but weights has the nodes {nodes}")
-        return self
+            yield f"must give every plane of weights once, but weights has the nodes {nodes}"
 
     def read_records(self, file: str | None = None) -> Records:
         """The records of the configured file, or of another ``file`` with the same columns.

@@ -8,14 +8,15 @@ Legend: S speeds, n DOF of ROSS (six a node).
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from pipeline.config.measured import MeasuredConfig, MeasuredRunConfig, ProbeConfig, TachoAngleConfig
+from pipeline.config.section import rule
 from pipeline.data.dataset import Excitation, project_direction
 from pipeline.errors import DataError
 from pipeline.ingest.conventions import list_acting
@@ -34,11 +35,9 @@ class RossRecordingsConfig(MeasuredConfig):
     probes: dict[str, ProbeConfig] = Field(min_length=1)
     runs: tuple[MeasuredRunConfig, ...] = Field(min_length=1)
 
-    @model_validator(mode="after")
-    def _lawful(self) -> RossRecordingsConfig:
-        self.check_shared(self.runs, self.probes, self.tacho)
-        self.check_units("m", self.probes)
-        return self
+    @rule
+    def _lawful(self) -> Iterator[str]:
+        yield from self.check_units("m")
 
     def describe(self) -> str:
         """What the numbers in the files are taken for."""

@@ -6,12 +6,12 @@ Wide: a row a speed, two columns a probe. Long: a row a run, probe and speed.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from pydantic import Field, PositiveFloat, model_validator
+from pydantic import Field, PositiveFloat
 
 from pipeline.config.measured import (
     ConventionsConfig,
@@ -25,7 +25,7 @@ from pipeline.config.measured import (
 from pipeline.config.motion import to_motion
 from pipeline.config.operating import ConditionColumns
 from pipeline.config.runs import check_frequency
-from pipeline.config.section import Section
+from pipeline.config.section import Section, rule
 from pipeline.data.tables import Columns, TextFormat, read_table
 from pipeline.errors import DataError, nearest
 from pipeline.ingest.conventions import RAD_S, to_displacement, to_vectors
@@ -74,10 +74,9 @@ class TableRunConfig(MeasuredRunConfig):
         hz, ratio = self.frequency_hz, self.frequency_ratio
         return 0 * speeds + 2 * math.pi * hz if hz else speeds * (ratio or 1.0)
 
-    @model_validator(mode="after")
-    def _synchronous(self) -> TableRunConfig:
-        check_frequency(self.name, self.frequency_hz, self.frequency_ratio, bool(self.unbalances))
-        return self
+    @rule
+    def _synchronous(self) -> Iterator[str]:
+        yield from check_frequency(self.name, self.frequency_hz, self.frequency_ratio, bool(self.unbalances))
 
 
 class TableRecordingsConfig(MeasuredConfig):
@@ -93,15 +92,13 @@ class TableRecordingsConfig(MeasuredConfig):
     runs: tuple[TableRunConfig, ...] = Field(min_length=1)
     leave_out: tuple[str, ...] = ()
 
-    @model_validator(mode="after")
-    def _lawful(self) -> TableRecordingsConfig:
-        self.check_shared(self.runs, self.probes, self.tacho)
-        self.check_units(self.conventions.unit, self.probes)
+    @rule
+    def _lawful(self) -> Iterator[str]:
+        yield from self.check_units(self.conventions.unit)
         for run in self.runs:
             for name, probe in self.probes.items():
                 if self.layout == "wide" and probe.columns is None and name not in run.columns:
-                    raise ValueError(f"probe '{name}' must have columns in the wide layout, but it has none")
-        return self
+                    yield f"probe '{name}' must have columns in the wide layout, but it has none"
 
     def describe(self) -> str:
         """What the numbers in the files are taken for."""

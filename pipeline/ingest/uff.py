@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field, PositiveFloat, model_validator
+from pydantic import Field, PositiveFloat
 
 from pipeline.config.measured import MeasuredRunConfig, ProbeConfig, Text, VectorConventionsConfig
 from pipeline.config.motion import KINDS, find_motion, to_motion
-from pipeline.config.section import Section
+from pipeline.config.section import Section, rule
 from pipeline.errors import DataError, nearest
 from pipeline.ingest.conventions import RAD_S, to_displacement, to_lead
 from pipeline.ingest.order_tracking import Signals
@@ -39,11 +39,10 @@ class UffRecordConfig(Section):
 class UffProbeConfig(ProbeConfig, UffRecordConfig):
     """A probe with its record."""
 
-    @model_validator(mode="after")
-    def _named(self) -> UffProbeConfig:
+    @rule
+    def _named(self) -> Iterator[str]:
         if self.record is None and self.response is None:
-            raise ValueError("must give record (an ID) or response ([node, direction] in the file), but got neither")
-        return self
+            yield "must give record (an ID) or response ([node, direction] in the file), but got neither"
 
 
 class UffTachoConfig(TachoSignalConfig, UffRecordConfig):
@@ -77,25 +76,24 @@ class UffRecordingsConfig(SignalConfig):
     probes: dict[str, UffProbeConfig] = Field(min_length=1)
     runs: tuple[UffRunConfig, ...] = Field(min_length=1)
 
-    @model_validator(mode="after")
-    def _lawful(self) -> UffRecordingsConfig:
-        self.check_shared(self.runs, self.probes, self.tacho)
+    @rule
+    def _lawful(self) -> Iterator[str]:
         if not self.tacho.recorded:
-            if self.conventions is None:
-                raise ValueError(
+            if not self.conventions:
+                yield (
                     "must give conventions (length, amplitude, phase, speed) for functions of the speed, but they are "
                     "missing: give them, or the tacho's record for time signals"
                 )
-            self.check_units(self.conventions.unit, self.probes)
+            else:
+                yield from self.check_units(self.conventions.unit)
             if any(run.files for run in self.runs):
-                raise ValueError("must give one file a run for functions of the speed, but a run has files")
-            return self
-        if self.conventions is not None:
-            raise ValueError("must leave conventions out for time signals (signal_unit and scale say all), but it has")
-        if self.tacho.edge is None:
-            raise ValueError("must give tacho.edge (rising or falling) where the tacho is recorded, but it is missing")
-        self.check_signals(self.probes, self.runs)
-        return self
+                yield "must give one file a run for functions of the speed, but a run has files"
+            return
+        if self.conventions:
+            yield "must leave conventions out for time signals (signal_unit and scale say all), but it has"
+        if not self.tacho.edge:
+            yield "must give tacho.edge (rising or falling) where the tacho is recorded, but it is missing"
+        yield from self.check_signals()
 
     def describe(self) -> str:
         """What the numbers in the files are taken for."""

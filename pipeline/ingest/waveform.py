@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+from pydantic import Field, PositiveFloat, PositiveInt
 
 from pipeline.config.measured import (
     CsvConfig,
@@ -21,6 +21,7 @@ from pipeline.config.measured import (
 )
 from pipeline.config.motion import SignalUnit, to_motion
 from pipeline.config.quantities import Frequency
+from pipeline.config.section import rule
 from pipeline.errors import DataError
 from pipeline.ingest.conventions import to_displacement
 from pipeline.ingest.order_tracking import Signals, find_passages, find_range, fit_steady, fit_sweep
@@ -95,18 +96,19 @@ class SignalConfig(MeasuredConfig):
         def tacho(self) -> TachoSignalConfig:
             """Its angle, and its pulses."""
 
-    def check_signals(self, probes: Mapping[str, ProbeConfig], runs: Sequence[SignalRunConfig]) -> None:
-        """Raise ValueError for what time signals need."""
-        if self.signal_unit is None:
-            raise ValueError("must give signal_unit (V, mV, um ...) for time signals, but it is missing")
-        if self.records is None:
-            raise ValueError("must give records (constant_speed or run_up) for time signals, but it is missing")
-        if self.records == "run_up" and self.speeds is None:
-            raise ValueError("must give speeds (start_rpm, stop_rpm, step_rpm) to track in a run-up, but got null")
-        self.check_units(self.signal_unit, probes)
-        for run in runs:
-            if len(run.files) > 1 and self.records == "run_up":
-                raise ValueError(f"run '{run.name}' must have one file for a run-up, but it has {len(run.files)}")
+    def check_signals(self) -> Iterator[str]:
+        """What is wrong with what time signals need."""
+        if not self.signal_unit:
+            yield "must give signal_unit (V, mV, um ...) for time signals, but it is missing"
+        if not self.records:
+            yield "must give records (constant_speed or run_up) for time signals, but it is missing"
+        if self.records == "run_up" and not self.speeds:
+            yield "must give speeds (start_rpm, stop_rpm, step_rpm) to track in a run-up, but got null"
+        yield from self.check_units(self.signal_unit or "")
+        for run in self.runs:
+            count = len(run.sources(self.file))
+            if count > 1 and self.records == "run_up":
+                yield f"run '{run.name}' must have one file for a run-up, but it has {count}"
 
     @property
     def most_lag(self) -> float:
@@ -167,15 +169,14 @@ class TachoConfig(TachoSignalConfig):
     hysteresis: PositiveFloat | None = None
     mark_channel: Text | None = None
 
-    @model_validator(mode="after")
-    def _marked(self) -> TachoConfig:
+    @rule
+    def _marked(self) -> Iterator[str]:
         if self.pulses_per_revolution > 1 and self.mark_channel is None:
-            raise ValueError(
+            yield (
                 f"must give mark_channel where there are {self.pulses_per_revolution} pulses a revolution "
                 "(phases would "
                 "be relative to any of them), but it is null: give the channel with one pulse a revolution"
             )
-        return self
 
 
 class WaveformProbeConfig(ProbeConfig):
@@ -208,19 +209,17 @@ class WaveformRecordingsConfig(SignalConfig):
     probes: dict[str, WaveformProbeConfig] = Field(min_length=1)
     runs: tuple[WaveformRunConfig, ...] = Field(min_length=1)
 
-    @model_validator(mode="after")
-    def _lawful(self) -> WaveformRecordingsConfig:
-        self.check_shared(self.runs, self.probes, self.tacho)
-        self.check_signals(self.probes, self.runs)
+    @rule
+    def _lawful(self) -> Iterator[str]:
+        yield from self.check_signals()
         rates = [self.time, self.sample_rate, self.sample_rate_attribute]
         if sum(rate is not None for rate in rates) > 1:
-            raise ValueError("must give at most one of time, sample_rate and sample_rate_attribute, but got several")
+            yield "must give at most one of time, sample_rate and sample_rate_attribute, but got several"
         if self.time is not None and self.time_unit is None:
-            raise ValueError("must give time_unit (s, ms or us) of the time channel, but it is missing")
+            yield "must give time_unit (s, ms or us) of the time channel, but it is missing"
         for run in self.runs:
             if run.sample_rate is not None and self.time is not None:
-                raise ValueError(f"run '{run.name}' must have no sample_rate where there is a time channel, but it has")
-        return self
+                yield f"run '{run.name}' must have no sample_rate where there is a time channel, but it has"
 
     def load(self, run: WaveformRunConfig, path: Path) -> Loaded:  # type: ignore[override]
         """One file of a run. Raises DataError."""

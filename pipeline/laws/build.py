@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Annotated, Any
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from pipeline.config.guesses import GuessConfig
-from pipeline.config.section import NonNegativeInt, Section
+from pipeline.config.section import NonNegativeInt, Section, rule
 from pipeline.errors import ConfigError
 from pipeline.laws.ball import BallLawConfig
 from pipeline.laws.journal import JournalTableLawConfig, ShortJournalLawConfig
@@ -26,12 +26,11 @@ class LawsConfig(Section):
     oil: OilConfig | None = None
     bearings: dict[NonNegativeInt, AnyLawConfig] = Field(min_length=1)
 
-    @model_validator(mode="after")
-    def _has_oil(self) -> LawsConfig:
+    @rule
+    def _has_oil(self) -> Iterator[str]:
         journals = [node for node, law in self.bearings.items() if law.has_film]
         if journals and self.oil is None:
-            raise ValueError(f"must have an oil for the journal bearing of node {journals[0]}, but it is missing")
-        return self
+            yield f"must have an oil for the journal bearing of node {journals[0]}, but it is missing"
 
 
 def make_laws(config: LawsConfig, nodes: Sequence[int]) -> LawSet:

@@ -14,11 +14,10 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import model_validator
 
 from pipeline.config.guesses import CONDITION, LengthNumber, LoadNumber, PureNumber, middle
 from pipeline.config.quantities import ShaftAngle
-from pipeline.config.section import Section
+from pipeline.config.section import Section, rule
 from pipeline.errors import ConfigError
 from pipeline.laws.files import read_film_table
 from pipeline.laws.numbers import Number, add_slope
@@ -47,21 +46,19 @@ class _JournalLawConfig(Section):
         kind: Literal["short_journal", "journal_table"]
         load_angle: ShaftAngle
 
-    @model_validator(mode="after")
-    def _turns_in_its_bore(self) -> _JournalLawConfig:
+    @rule
+    def _turns_in_its_bore(self) -> Iterator[str]:
         radius, clearance = middle(self.journal_diameter) / 2, middle(self.radial_clearance)
         if clearance >= radius:
-            raise ValueError(
+            yield (
                 f"radial_clearance must be smaller than the journal's radius, but it is {1e3 * clearance:g} mm and "
                 f"the radius {1e3 * radius:g} mm: correct the unit of the one that is wrong"
             )
-        return self
 
-    @model_validator(mode="after")
-    def _shares_a_condition(self) -> _JournalLawConfig:
+    @rule
+    def _shares_a_condition(self) -> Iterator[str]:
         if self.static_load != CONDITION and self.load_share != 1.0:
-            raise ValueError("load_share must be left out where static_load is not `condition`, but it is given")
-        return self
+            yield "load_share must be left out where static_load is not `condition`, but it is given"
 
     def read_table(self, where: str) -> FilmTable:
         """The dimensionless coefficients. Raises ConfigError: no such table, a preload that does not fit it."""
@@ -106,11 +103,10 @@ class JournalTableLawConfig(_JournalLawConfig):
     preload: PureNumber | None = None
     load_angle: ShaftAngle = 0.0
 
-    @model_validator(mode="after")
-    def _is_a_preload(self) -> JournalTableLawConfig:
+    @rule
+    def _is_a_preload(self) -> Iterator[str]:
         if self.preload is not None and middle(self.preload) >= 1:
-            raise ValueError(f"preload must be between 0 and 1, but got {middle(self.preload):g}")
-        return self
+            yield f"preload must be between 0 and 1, but got {middle(self.preload):g}"
 
     def read_table(self, where: str) -> FilmTable:
         """The named one, of the package or of a file."""

@@ -5,12 +5,12 @@ Legend: G members, S operating points, Th unknown numbers. SI units, temperature
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
+from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag
 
 from pipeline.config.guesses import (
     DifferenceNumber,
@@ -22,7 +22,7 @@ from pipeline.config.guesses import (
     middle,
 )
 from pipeline.config.quantities import Temperature
-from pipeline.config.section import Section
+from pipeline.config.section import Section, rule
 from pipeline.errors import ConfigError
 from pipeline.laws.numbers import Number, add_slope
 from pipeline.laws.points import OIL_TEMPERATURE
@@ -86,11 +86,10 @@ class VogelOilConfig(_OilConfig):
     b: DifferenceNumber
     c: TemperatureNumber
 
-    @model_validator(mode="after")
-    def _is_above_the_pole(self) -> VogelOilConfig:
+    @rule
+    def _is_above_the_pole(self) -> Iterator[str]:
         if middle(self.c) >= self.reference:
-            raise ValueError(f"must have c below reference, but got {middle(self.c):g} K and {self.reference:g} K")
-        return self
+            yield f"must have c below reference, but got {middle(self.c):g} K and {self.reference:g} K"
 
     def viscosity_at(self, temperature: np.ndarray) -> np.ndarray:
         """(S,) Pa s of an oil with known numbers at ``temperature`` (S,) K. Raises ConfigError at or below ``c``."""

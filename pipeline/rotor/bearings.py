@@ -6,17 +6,17 @@ Legend: S operating points, 8 coefficients. SI units, temperatures in K.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
-from pydantic import Field, PositiveInt, model_validator
+from pydantic import Field, PositiveInt
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.guesses import CONDITION, ModelledLoad
 from pipeline.config.quantities import Angle, AnyDamping, AnyStiffness, Length, ShaftAngle
-from pipeline.config.section import NonNegativeInt, Section
+from pipeline.config.section import NonNegativeInt, Section, rule
 from pipeline.errors import ConfigError
 from pipeline.laws.files import make_film_table, packaged_file, read_film_table
 from pipeline.laws.oil import ConstantOilConfig, ModelledViscosity, OilConfig
@@ -175,14 +175,13 @@ class JournalTableConfig(_Bearing):
     preload: float | None = Field(None, ge=0, lt=1)
     load_angle: ShaftAngle = 0.0
 
-    @model_validator(mode="after")
-    def _ascending(self) -> JournalTableConfig:
+    @rule
+    def _ascending(self) -> Iterator[str]:
         if (self.rows is None) == (self.table is None):
-            raise ValueError(f"must have either rows or table, but has {'neither' if self.rows is None else 'both'}")
+            yield f"must have either rows or table, but has {'neither' if self.rows is None else 'both'}"
         numbers = [row[0] for row in self.rows or ()]
         if numbers and (numbers[0] <= 0 or any(b <= a for a, b in itertools.pairwise(numbers))):
-            raise ValueError(f"must have rows with ascending Sommerfeld numbers above zero, but got {numbers}")
-        return self
+            yield f"must have rows with ascending Sommerfeld numbers above zero, but got {numbers}"
 
     def read_bytes(self) -> bytes:
         """What the file of its table holds."""
@@ -231,12 +230,11 @@ class SpeedTableConfig(_Bearing):
     kind: Literal["speed_table"]
     rows: tuple[Annotated[tuple[float, ...], Field(min_length=9, max_length=9)], ...] = Field(min_length=2)
 
-    @model_validator(mode="after")
-    def _ascending(self) -> SpeedTableConfig:
+    @rule
+    def _ascending(self) -> Iterator[str]:
         speeds = [row[0] for row in self.rows]
         if speeds[0] < 0 or any(b <= a for a, b in itertools.pairwise(speeds)):
-            raise ValueError(f"must have rows with ascending speeds (rpm), but got {speeds}")
-        return self
+            yield f"must have rows with ascending speeds (rpm), but got {speeds}"
 
     def tabulate(
         self, speeds: np.ndarray, operating: Operating | None = None, share: float = 0.0, ross: Any = None
