@@ -32,9 +32,9 @@ STAGES: dict[str, str] = {
 }
 
 RESULTS: dict[str, str] = {
+    "verdict": "verdicts.json",
     "evaluate": "metrics.json",
     "predict": "prediction.json",
-    "verdict": "verdicts.json",
     "summary": "summary.txt",
     "report": "report.html",
 }

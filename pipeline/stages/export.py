@@ -26,6 +26,7 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import restore
+from pipeline.stages.verdict import say_reservation
 from pipeline.twin.at_conditions import evaluate_at, require_conditions
 from pipeline.twin.prediction import predict
 from pipeline.twin.twin import list_unseen
@@ -41,8 +42,10 @@ def run(analysis: Analysis) -> StageOutput:
         Number(name=number.label, value=number.value, std=number.deviation, unit=number.unit) for number in physical
     ]
     notes: list[str] = []
+    reservation = say_reservation(analysis)
     folder = write_folder(
-        work.folder / "export", lambda beside: notes.extend(_write(beside, config, updated, states, numbers))
+        work.folder / "export",
+        lambda beside: notes.extend(_write(beside, config, updated, states, numbers, reservation)),
     )
     written = sorted(folder.iterdir())
     say("\n".join([f"{config.name}: {len(written)} files in '{folder}'", *notes]))
@@ -78,11 +81,22 @@ def _export_at(config: Config, answer: Answer, operating: Mapping[str, float]) -
 
 
 def _write(
-    folder: Path, config: Config, updated: Measurement, states: Sequence[Exported], numbers: Sequence[Number]
+    folder: Path,
+    config: Config,
+    updated: Measurement,
+    states: Sequence[Exported],
+    numbers: Sequence[Number],
+    reservation: str,
 ) -> list[str]:
-    """Every format that is asked for; what there is to say of them. ``updated`` is at the fitted model parameters."""
+    """Every format that is asked for; what there is to say of them. ``updated`` is at the fitted model parameters.
+
+    A ``reservation`` stands in the conventions, and in a file whose name nobody overlooks.
+    """
     formats, notes = config.export.formats, []
-    write_text(folder / "conventions.txt", "\n".join(list_conventions(states)) + "\n")
+    warning = [reservation] if reservation else []
+    write_text(folder / "conventions.txt", "\n".join([*warning, *list_conventions(states)]) + "\n")
+    if reservation:
+        write_text(folder / "MODEL_REJECTED.txt", reservation + "\n")
     if "csv" in formats:
         write_table(folder / "coefficients.csv", tabulate(*states))
         if numbers:

@@ -17,6 +17,7 @@ from pipeline.reporting.twin_tables import print_twin, summarize_modes, tabulate
 from pipeline.stages.analysis import Analysis, made_once
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import ANSWER, load_modelled, restore
+from pipeline.stages.verdict import say_reservation
 from pipeline.twin.at_conditions import say_beyond
 from pipeline.twin.superposition import error_percent
 from pipeline.twin.twin import Twin, build_twin, superpose_unseen
@@ -35,6 +36,7 @@ def run(analysis: Analysis) -> StageOutput:
     vibration, at = dict(twin.vibration), twin.at
     running = config.machine.prediction.speed_rpm
     summary: dict[str, Any] = {name: summarize_modes(behaviour, running) for name, behaviour in twin.behaviour.items()}
+    summary["reservation"] = say_reservation(analysis)
     beyond = say_beyond(measurement.dataset.operating, twin.operating)
     if twin.operating:
         summary |= {"operating": dict(twin.operating), "outside_measured": beyond}

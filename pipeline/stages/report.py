@@ -21,9 +21,10 @@ from pipeline.reporting.report.content import FitContent, ReportContent, Wavefor
 from pipeline.reporting.report.page import write_page
 from pipeline.reporting.report.pdf import write_pdf
 from pipeline.reporting.report.sections import list_sections
-from pipeline.stages.analysis import Analysis, is_older
+from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_modelled, prepare, restore
+from pipeline.stages.verdict import load_judgement
 from pipeline.stages.workspace import Workspace
 from pipeline.tracking.provenance import describe_provenance
 from pipeline.twin.at_conditions import evaluate_at, say_beyond
@@ -75,16 +76,15 @@ def collect_content(analysis: Analysis) -> ReportContent:
     reference = None if config.report.reference is None else _read_reference(Path(config.report.reference))
     fit = _read_fit(analysis)
     _make_current(analysis, fit)
-    names = {"ingest", "diagnosis"} | ({"training", "metrics", "prediction", "verdicts"} if fit else set())
+    names = {"ingest", "diagnosis"} | ({"training", "metrics", "prediction"} if fit else set())
     contents = {name: work.folder / f"{name}.json" for name in names}
-    if fit is not None and is_older(contents["verdicts"], work.training):
-        del contents["verdicts"]
+    judged = {} if fit is None else {"verdicts": load_judgement(analysis)}
     return ReportContent(
         config=config,
         measurement=measurement,
         fit=fit,
         waveforms=_read_waveforms(config),
-        files={name: read_json(path) for name, path in contents.items() if path.exists()},
+        files={name: read_json(path) for name, path in contents.items() if path.exists()} | judged,
         tables={} if fit is None else _read_tables(work),
         reference=reference,
         origin=_describe_origin(config, work, measurement),

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from pipeline.config.schema import Config
@@ -20,6 +18,7 @@ from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import AGAIN, load_modelled, restore
 from pipeline.stages.predict import load_twin
+from pipeline.stages.verdict import load_judgement
 from pipeline.twin.at_conditions import say_beyond
 from pipeline.twin.twin import Twin
 
@@ -27,7 +26,7 @@ from pipeline.twin.twin import Twin
 def run(analysis: Analysis) -> StageOutput:
     """``summary.txt``, which is printed too, and ``figures/summary.png``."""
     config, work = analysis.config, analysis.files
-    results = _collect_results(config, restore(analysis), load_twin(analysis), read_json(work.training, AGAIN))
+    results = _collect_results(analysis, restore(analysis), load_twin(analysis))
     picture = draw_summary(work.figure("summary"), results, config.name)
     text = write_summary(config, results, picture)
     written = [write_text(work.folder / "summary.txt", text), picture]
@@ -35,14 +34,13 @@ def run(analysis: Analysis) -> StageOutput:
     return StageOutput(tags=restore(analysis).tags, files=written)
 
 
-def _collect_results(config: Config, answer: Answer, twin: Twin, training: dict[str, Any]) -> Results:
-    data, modelled = answer.measurement.dataset, twin.systems.get("modelled")
-    if (
-        data.operating
-        and (modelled := load_modelled(config, answer.measurement)) is not None
-        and config.machine.as_built
-    ):
-        modelled = stand_on_pedestals(modelled, config.machine.as_built)
+def _collect_results(analysis: Analysis, answer: Answer, twin: Twin) -> Results:
+    config, training = analysis.config, read_json(analysis.files.training, AGAIN)
+    data, built, modelled = answer.measurement.dataset, config.machine.as_built, twin.systems.get("modelled")
+    if data.operating:  # the twin is at conditions of its own
+        modelled = load_modelled(config, answer.measurement)
+        if modelled is not None and built is not None:
+            modelled = stand_on_pedestals(modelled, built)
     return Results(
         rotor=answer.measurement.rotor,
         dataset=data,
@@ -51,6 +49,7 @@ def _collect_results(config: Config, answer: Answer, twin: Twin, training: dict[
         unknowns=answer.names,
         deviation=answer.deviation(answer.table),
         training=training,
+        judged=load_judgement(analysis)["machine"],
         shown=_choose_run(config, answer),
         vibration=twin.vibration,
         behaviour=twin.behaviour["identified"],

@@ -22,9 +22,10 @@ from pipeline.identification.restored import Answer, answer_of
 from pipeline.identification.storage import save_model
 from pipeline.identification.training import setup_of
 from pipeline.identification.uncertainty import save_uncertainty
-from pipeline.problem.determination import Deviations, describe_determined, summarize_determined
+from pipeline.problem.determination import Deviations, summarize_determined
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, training_progress, warn
+from pipeline.reporting.error_table import describe_verdicts
 from pipeline.reporting.fit_tables import tabulate_bad_points, tabulate_parameters, tabulate_unbalance
 from pipeline.reporting.model_error import print_parameters
 from pipeline.reporting.physical_numbers import describe_law, list_numbers, print_numbers
@@ -92,12 +93,11 @@ def run(analysis: Analysis) -> StageOutput:
         fitted = fit(measurement, setup_of(config), progress, diagnosis)
     answer = answer_of(measurement, fitted.model, fitted.uncertainty)
     after = _deviations(analysis, answer)
-    judged = after.judge()
-    determined = {"by": after.of, "coefficients": summarize_determined(judged)}
+    determined = {"by": after.of, "coefficients": summarize_determined(after.judge())}
     summary = _summarize(fitted) | {"determined": determined}
     files = _write(analysis, fitted, answer, summary)
     _report(analysis, fitted)
-    say(f"{config.name}: {after.of}: {describe_determined(judged)}")
+    say(f"{config.name}: {describe_verdicts(summary)}")
     return StageOutput(
         metrics={"training": summary | {"seconds": fitted.seconds}},
         tags=answer.tags | {"outcome": fitted.outcome.label},

@@ -15,19 +15,20 @@ from pipeline.evaluation.contradiction import find_contradiction
 from pipeline.files import read_json, write_json
 from pipeline.identification.held_out import held_out_conditions, held_out_range, held_out_runs
 from pipeline.identification.losses import loss_of
+from pipeline.identification.quality import MISMATCH
 from pipeline.identification.restored import Answer
 from pipeline.identification.training import held_out_speeds
 from pipeline.problem.measurement import Measurement
-from pipeline.reporting.console import say, table
+from pipeline.reporting.console import say, table, warn
 from pipeline.stages.analysis import Analysis, made_once
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import AGAIN, ANSWER, restore
 from pipeline.stages.workspace import locate_files
 from pipeline.trust.evidence import Evidence, gather
+from pipeline.trust.judgement import AS_FELT, judge, refuse_without_deviations
 from pipeline.trust.mistakes import WORTH_TRYING, Found, Probe, find_mistakes
 from pipeline.trust.next_run import weigh_candidates
-from pipeline.trust.report import judge, refuse_without_deviations
-from pipeline.trust.verdict import SIGNIFICANT, judge_law, judge_mistakes
+from pipeline.trust.verdict import find_contradicted, judge_law, judge_mistakes
 
 
 def run(analysis: Analysis) -> StageOutput:
@@ -50,30 +51,56 @@ def run(analysis: Analysis) -> StageOutput:
 
 @made_once(*ANSWER)
 def judge_answer(analysis: Analysis) -> dict[str, Any]:
-    """The verdicts on what was identified, training first where that is missing."""
-    answer = restore(analysis)
+    """The record of the Judgement on what was identified, training first where that is missing."""
+    answer, felt = restore(analysis), _may_have_supports(analysis.config)
+    about = read_json(analysis.files.training, AGAIN)
     if answer.uncertainty is None:
-        return refuse_without_deviations(answer.table.nodes, answer.names)
-    return assess(analysis.config, answer, read_json(analysis.files.training, AGAIN))[0]
+        judged = refuse_without_deviations(answer.table.nodes, answer.names, felt).record()
+    else:
+        judged = assess(analysis.config, answer, about)[0]
+    return judged | {"model": about["model"]}
+
+
+def load_judgement(analysis: Analysis) -> dict[str, Any]:
+    """The record of the Judgement on the fit at hand: what ``verdicts.json`` has, made anew where it is of another."""
+    if (path := analysis.files.folder / "verdicts.json").exists():
+        judged = read_json(path, "make it again with stage=verdict")
+        if judged.get("model") == read_json(analysis.files.training, AGAIN)["model"]:
+            return judged
+    return judge_answer(analysis)
+
+
+def say_reservation(analysis: Analysis) -> str:
+    """What is to be said beside everything that follows from a rejected model, and a warning; empty for others."""
+    reservation: str = load_judgement(analysis)["machine"]["reservation"]
+    if reservation:
+        warn(f"{analysis.config.name}: {reservation}")
+    return reservation
+
+
+def _may_have_supports(config: Config) -> bool:
+    """Whether a support may be part of what is identified: anywhere but in a simulation of the machine as modelled."""
+    simulated = locate_files(config).own and config.machine.recordings.format == "none"
+    return not simulated or config.machine.as_built is not None
 
 
 def assess(config: Config, answer: Answer, about: Mapping[str, Any]) -> tuple[dict[str, Any], Evidence]:
-    """The verdicts on a fit that states deviations, and what they rest on; ``about`` has ``fit`` and ``outcome`` of
+    """The Judgement on a fit that states deviations, and what it rests on; ``about`` has ``fit`` and ``outcome`` of
     ``training.json``."""
-    updated, identified, uncertainty = answer.measurement, answer.model, answer.uncertainty
+    updated, uncertainty = answer.measurement, answer.uncertainty
     assert uncertainty is not None
-    estimated, fitted = config.loss.noise == "estimated", mark_fitted(config, updated)
-    evidence, linear = gather(updated, identified, uncertainty, about["fit"], fitted, estimated, about["outcome"])
-    candidates = list_candidates(config.machine.candidates)
-    gains = weigh_candidates(updated, identified, uncertainty, linear, candidates, None)
+    given = (updated, answer.model, uncertainty)
+    evidence, linear = gather(*given, about["fit"], mark_fitted(config, updated), about["outcome"])
+    gains = weigh_candidates(*given, linear, list_candidates(config.machine.candidates))
     mistakes: list[Found] = []
-    if evidence.misfit_of_stated_noise > WORTH_TRYING and (evidence.ljung_box or 0.0) < SIGNIFICANT:
+    wanders = (about["fit"]["whiteness"].get("probability") or 0.0) < MISMATCH
+    if wanders and evidence.misfit_of_stated_noise > WORTH_TRYING:
         values = updated.unknowns.leading(evidence.answer.values)
         probes = _list_probes(config) if locate_files(config).own else ()
         mistakes = find_mistakes(updated.as_stated(), values, config.model.kind == "constant", probes)
-    return judge(
-        evidence, gains, [*judge_mistakes(mistakes), *judge_law(find_contradiction(about, config.model.kind))]
-    ), evidence
+    against = judge_mistakes(mistakes, list(find_contradicted(evidence)))
+    against += judge_law(find_contradiction(about, config.model.kind))
+    return judge(evidence, gains, against, _may_have_supports(config)).record(), evidence
 
 
 def _list_probes(config: Config) -> tuple[Probe, ...]:
@@ -117,4 +144,9 @@ def _print(config: Config, judged: Mapping[str, Any]) -> None:
     for entry in judged["bearings"]:
         say(f"{config.name}: bearing at node {entry['node']}: {entry['verdict']}. {entry['reason']}")
     whole = judged["machine"]
-    say(f"{config.name}: {whole['verdict']}. {whole['reason']}" + (f"\nnext: {whole['next']}" if whole["next"] else ""))
+    lines = [f"{config.name}: {whole['verdict']}. {whole['reason']}"]
+    lines += [f"next: {whole['next']}"] if whole["next"] else []
+    lines += [f"identified are {whole['identified']}"] if whole["identified"] == AS_FELT else []
+    say("\n".join(lines))
+    if whole["reservation"]:
+        warn(f"{config.name}: {whole['reservation']}")

@@ -44,7 +44,6 @@ def weigh_candidates(
     uncertainty: Uncertainty,
     linear: LinearisedFit,
     candidates: Runs,
-    factor: np.ndarray | None,
 ) -> Gains:
     """Every candidate beside the runs that there are; ``measurement`` is at the fitted model parameters."""
     nodes = measurement.rotor.n_nodes
@@ -65,7 +64,7 @@ def weigh_candidates(
         present=EVERYWHERE,
     )
     planned = replace(measurement, dataset=plan, drift=None)  # its runs are conditions of their own
-    seen = linearise(planned, identified, uncertainty, np.ones(shape, dtype=bool), factor).by_weight
+    seen = linearise(planned, identified, uncertainty, np.ones(shape, dtype=bool)).by_weight
     gains = []
     for i in range(len(able)):
         rows = seen[:, :, i]
