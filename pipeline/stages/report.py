@@ -14,7 +14,7 @@ from pipeline.config.schema import Config
 from pipeline.data.tables import read_table
 from pipeline.errors import DataError, IdentifiabilityError
 from pipeline.files import hash_file, read_json
-from pipeline.ingest.full_spectrum import measure_full_spectra
+from pipeline.ingest.full_spectrum import join_full_spectra
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, warn
 from pipeline.reporting.report.content import FitContent, ReportContent, Waveforms
@@ -24,12 +24,11 @@ from pipeline.reporting.report.sections import list_sections
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_modelled, prepare, restore
+from pipeline.stages.predict import load_twin
 from pipeline.stages.verdict import load_judgement
 from pipeline.stages.workspace import Workspace
 from pipeline.tracking.provenance import describe_provenance
-from pipeline.twin.at_conditions import evaluate_at, say_beyond
-from pipeline.twin.modes import find_modes
-from pipeline.twin.twin import OPERATING, choose_operating
+from pipeline.twin.at_conditions import say_beyond
 
 _TABLES: dict[str, tuple[dict[str, str], dict[str, str]]] = {
     "residual_unbalance": (dict.fromkeys(("node", "magnitude", "phase_deg", "magnitude_std"), "number"), {}),
@@ -114,8 +113,8 @@ def _read_fit(analysis: Analysis) -> FitContent | None:
         warn(f"{error}\n{config.name}: the report has what was measured and the diagnosis alone")
         return None
     updated, data = answer.measurement, answer.measurement.dataset
-    operating = choose_operating(config.machine, data.operating)
-    at_conditions = evaluate_at(answer.model, updated, operating, OPERATING)[1]
+    twin = load_twin(analysis)
+    at_conditions = twin.systems["identified"]
     factors = read_json(analysis.files.training).get("fit", {}).get("noise_factor")
     factor = np.array(list(factors.values())) if factors and len(factors) == len(data.channels) else None
     return FitContent(
@@ -127,9 +126,9 @@ def _read_fit(analysis: Analysis) -> FitContent | None:
         noise=updated.deviation_of(data.displacement, data.subtracted, factor),
         at_conditions=at_conditions,
         at_deviation=answer.deviation(at_conditions),
-        operating=operating,
-        beyond=say_beyond(data.operating, operating),
-        modes=find_modes(updated.updated_rotor, at_conditions),
+        operating=twin.operating,
+        beyond=say_beyond(data.operating, twin.operating),
+        modes=twin.behaviour["identified"].modes,
         rotor=updated.updated_rotor,
     )
 
@@ -171,12 +170,10 @@ def _read_waveforms(config: Config) -> list[Waveforms]:
             warn(f"the report has no spectra of run '{measured.name}': {error}")
             continue
         for node in nodes:
-            parts = [one for r in records if (one := measure_full_spectra(r, recordings.probes, node)) is not None]
-            if parts:
-                joined = [
-                    np.concatenate([getattr(one, key) for one in parts]) for key in ("speeds", "spectrum", "centre")
-                ]
-                waveforms.append(Waveforms(node, measured.name, joined[0], parts[0].orders, joined[1], joined[2]))
+            spectra = join_full_spectra(records, recordings.probes, node)
+            if spectra is not None:
+                shown = (spectra.speeds, spectra.orders, spectra.spectrum, spectra.centre)
+                waveforms.append(Waveforms(node, measured.name, *shown))
     return waveforms
 
 
