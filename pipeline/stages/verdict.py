@@ -28,7 +28,7 @@ from pipeline.trust.evidence import Evidence, gather
 from pipeline.trust.judgement import AS_FELT, judge, refuse_without_deviations
 from pipeline.trust.mistakes import WORTH_TRYING, Found, Probe, find_mistakes
 from pipeline.trust.next_run import weigh_candidates
-from pipeline.trust.verdict import find_contradicted, judge_law, judge_mistakes
+from pipeline.trust.verdict import find_contradicted, judge_contradiction, judge_mistakes
 
 
 def run(analysis: Analysis) -> StageOutput:
@@ -99,7 +99,7 @@ def assess(config: Config, answer: Answer, about: Mapping[str, Any]) -> tuple[di
         probes = _list_probes(config) if locate_files(config).own else ()
         mistakes = find_mistakes(updated.as_stated(), values, config.model.kind == "constant", probes)
     against = judge_mistakes(mistakes, list(find_contradicted(evidence)))
-    against += judge_law(find_contradiction(about, config.model.kind))
+    against += judge_contradiction(find_contradiction(about, config.model.kind))
     return judge(evidence, gains, against, _may_have_supports(config)).record(), evidence
 
 

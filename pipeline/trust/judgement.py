@@ -67,14 +67,14 @@ class Judgement:
 
 def judge(
     evidence: Evidence,
-    gains: Gains | None = None,
+    gains: Gains,
     mistakes: Sequence[Reason] = (),
     as_felt: bool = False,
 ) -> Judgement:
     """The Judgement of a fit that states deviations.
 
     Args:
-        gains: what candidate runs would add; None where there are none.
+        gains: what candidate runs would add.
         mistakes: what else speaks against the whole, such as single mistakes that would explain the readings.
         as_felt: whether a support may be part of the coefficients.
     """
@@ -107,15 +107,14 @@ def refuse_without_deviations(
     return Judgement(tuple(nodes), tuple(verdicts), (reason,), as_felt=as_felt)
 
 
-def _add_step(reason: Reason, gains: Gains | None, b: int, c: int, worth: float = 1.3) -> Reason:
+def _add_step(reason: Reason, gains: Gains, b: int, c: int, worth: float = 1.3) -> Reason:
     """The run that would help most, where the reason has no step; one that helps less than ``worth`` is none."""
-    if reason.next is not None:
+    if reason.next:
         return reason
-    told = None if gains is None else gains.best(b, c)
-    if told is None or told[1] < worth:
-        step = "No single run of machine.candidates helps much: use larger weights, more speeds, or probes elsewhere."
-    else:
-        step = f"Add a run with {describe_run(told[0])}: its deviation falls {told[1]:.2g} times."
+    run, gain = gains.best(b, c)
+    step = "No single run of machine.candidates helps much: use larger weights, more speeds, or probes elsewhere."
+    if gain >= worth:
+        step = f"Add a run with {describe_run(run)}: its deviation falls {gain:.2g} times."
     return replace(reason, next=step)
 
 
@@ -124,7 +123,7 @@ def _list_common(evidence: Evidence) -> dict[str, Any]:
     from pipeline.data.vibration_files import to_rpm
 
     square, rpm = evidence.fit["chi_square"], to_rpm(evidence.answer.speeds)
-    prior = max(evidence.priors.items(), key=lambda item: abs(item[1]), default=None)
+    priors = sorted(evidence.priors.items(), key=lambda item: -abs(item[1]))
     return {
         "mismatch": {
             "chi_square_over_expected": square["value"] / max(square["expected"], 1.0),
@@ -138,7 +137,7 @@ def _list_common(evidence: Evidence) -> dict[str, Any]:
         },
         "predicted_from_other_runs_over_noise": dict(evidence.predicted),
         "superposition_over_noise": dict(evidence.superposed),
-        "model_parameters": None if prior is None else {"most_moved": prior[0], "prior_deviations": prior[1]},
+        "model_parameters": next(({"most_moved": name, "prior_deviations": value} for name, value in priors), None),
         "stability": {
             "largest_growth": evidence.growth.largest,
             "largest_growth_std": evidence.growth.deviation,
@@ -170,15 +169,12 @@ def _join(verdicts: Sequence[CoefficientVerdict]) -> Verdict:
 def _sum_up(verdicts: Sequence[CoefficientVerdict], common: Sequence[Reason] = ()) -> dict[str, Any]:
     """Verdict, reason and next step of a bearing or the whole; reasons that are ``common`` come first."""
     good = sum(judged.verdict is Verdict.GOOD for judged in verdicts)
-    bad = max(verdicts, key=lambda judged: list(Verdict).index(judged.verdict), default=None)
-    reasons = gravest(common) or ([] if bad is None else gravest(bad.reasons))
-    head = f"{good} of {len(verdicts)} coefficients are good."
-    if not reasons:
-        return {"verdict": _join(verdicts).value, "reason": head, "next": None}
+    bad = sorted(verdicts, key=lambda judged: -list(Verdict).index(judged.verdict))[:1]
+    reasons = [*gravest(common), *(reason for judged in bad for reason in gravest(judged.reasons))]
     return {
         "verdict": _join(verdicts).value,
-        "reason": f"{head} {reasons[0].sentence}",
-        "next": reasons[0].next or (None if bad is None else bad.next),
+        "reason": " ".join([f"{good} of {len(verdicts)} coefficients are good.", *(r.sentence for r in reasons[:1])]),
+        "next": next((reason.next for reason in reasons if reason.next), None),
     }
 
 

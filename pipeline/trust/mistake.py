@@ -52,5 +52,15 @@ def exchange(measurement: Measurement, order: Sequence[int], axis: int) -> Measu
     return change(measurement, np.take(data.displacement, order, axis), np.take(measurement.deviation, order, axis))
 
 
+def free_gain(chosen: np.ndarray) -> Extra:
+    """Size and phase of the ``chosen`` readings (mask, broadcast to (S, P, R)) are free, to first order."""
+
+    def columns(predicted: np.ndarray) -> np.ndarray:
+        column = predicted * chosen
+        return np.stack([column, 1j * column], axis=-1)
+
+    return columns
+
+
 LEFT_OUT = 3.0
 """The penalty on leaving a probe or a run out, which explains nothing."""

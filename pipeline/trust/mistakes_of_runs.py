@@ -13,8 +13,7 @@ import numpy as np
 
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.problem.measurement import Measurement
-from pipeline.trust.mistake import LEFT_OUT, Mistake, change, exchange, scale
-from pipeline.trust.quick_fit import Extra
+from pipeline.trust.mistake import LEFT_OUT, Mistake, change, exchange, free_gain, scale
 
 
 def of_runs(measurement: Measurement) -> Iterator[Mistake]:
@@ -57,17 +56,9 @@ def of_runs(measurement: Measurement) -> Iterator[Mistake]:
             f"the weight of run '{run}' is not as stated",
             f"mass, radius and angle of the weight of run '{run}'",
             measurement,
-            _run_gain(r, len(data.runs)),
+            free_gain(np.arange(len(data.runs)) == r),
             gross=False,
         )
-
-
-def _run_gain(run: int, count: int) -> Extra:
-    def columns(predicted: np.ndarray) -> np.ndarray:
-        column = predicted * (np.arange(count) == run)
-        return np.stack([column, 1j * column], axis=-1)
-
-    return columns
 
 
 def of_weights(measurement: Measurement, straight: float = 0.02) -> Iterator[Mistake]:

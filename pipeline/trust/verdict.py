@@ -89,9 +89,9 @@ class CoefficientVerdict:
         return f"{self.coefficient} at node {self.node} is known to {known} (95 %), and no check speaks against it."
 
 
-def judge_law(contradiction: tuple[str, str] | None) -> list[Reason]:
-    """What contradicts the bearing law of the fit, and the next step; nothing for None."""
-    return [] if contradiction is None else [Reason(Verdict.WITH_CARE, *contradiction)]
+def judge_contradiction(contradiction: tuple[str, str] | None) -> list[Reason]:
+    """What contradicts the fit or its bearing law, and the next step; nothing for None."""
+    return [Reason(Verdict.WITH_CARE, *contradiction)] if contradiction else []
 
 
 def judge_mistakes(mistakes: Sequence[Found], contradicted: Sequence[str] = ()) -> list[Reason]:
@@ -154,8 +154,7 @@ def judge_machine(evidence: Evidence) -> list[Reason]:
                 "Check that the machine ran there without subsynchronous vibration; leave out speeds where it did not.",
             )
         )
-    if evidence.misfit.contradiction is not None:
-        reasons.append(Reason(Verdict.WITH_CARE, *evidence.misfit.contradiction))
+    reasons += judge_contradiction(evidence.misfit.contradiction)
     return [*reasons, *_judge_runs(evidence), *_judge_priors(evidence)]
 
 
@@ -257,8 +256,7 @@ def _judge_band(which: str, determined: Determined, fit: float, tolerances: dict
     verdict = _ALLOWED[determined.verdict]
     if verdict is Verdict.GOOD:
         return []
-    kind = rank(tolerances)[0] if tolerances else None
-    if kind is not None and tolerances[kind] > fit:
+    for kind in rank({name: tolerance for name, tolerance in tolerances.items() if tolerance > fit})[:1]:
         number = kind.replace("_", " ")
         return [
             Reason(

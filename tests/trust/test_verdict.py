@@ -14,6 +14,7 @@ from pipeline.trust.evidence import Evidence, Growth
 from pipeline.trust.judgement import judge
 from pipeline.trust.misfit import measure_misfit
 from pipeline.trust.mistakes import Found
+from pipeline.trust.next_run import Gains
 from pipeline.trust.verdict import find_contradicted, judge_mistakes
 
 FIT: dict[str, Any] = {
@@ -47,7 +48,7 @@ def gathered(deviation: dict[str, float] | None = None, **changed: Any) -> Evide
 
 
 def record(evidence: Evidence, mistakes: list[Found] | None = None) -> dict[str, Any]:
-    return judge(evidence, None, judge_mistakes(mistakes or [], list(find_contradicted(evidence)))).record()
+    return judge(evidence, Gains(), judge_mistakes(mistakes or [], list(find_contradicted(evidence)))).record()
 
 
 def of(judged: dict[str, Any], name: str) -> dict[str, Any]:
