@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, PositiveFloat, PositiveInt
 
 from pipeline.coefficients import CoefficientName
-from pipeline.config.operating_point import OperatingPoint
+from pipeline.config.operating import Conditions
 from pipeline.config.quantities import Length, Mass, PositiveAngle, RotorSpeed, Stiffness, WeightLaw
 from pipeline.config.section import NonNegativeInt, Section, Share, rule
 from pipeline.unknowns import BearingUnknowns, Structure, UnknownSet, unknown_set
@@ -51,7 +51,7 @@ class ModelParametersConfig(Section):
     @property
     def deviations(self) -> dict[str, float]:
         """Those that are given, by kind."""
-        return {kind: value for kind, value in self if value is not None}
+        return {kind: value for kind, value in self if value}
 
 
 class IdentifyConfig(Section):
@@ -182,14 +182,14 @@ class TrainingConfig(Section):
     holdout_every: NonNegativeInt
     holdout_runs: tuple[str, ...] = ()
     holdout_range: tuple[RotorSpeed, RotorSpeed] | None = None  # rad/s, speeds that are predicted, not fitted
-    holdout_operating: OperatingPoint = Field(default_factory=dict)  # SI, conditions that are predicted, not fitted
+    holdout_operating: Conditions = Field(default_factory=dict)  # SI, conditions that are predicted, not fitted
     tolerance: Share
 
     @rule
     def _leaves_training_speeds(self) -> Iterator[str]:
         if self.holdout_every == 1:
             yield "must have holdout_every = 0 (none) or at least 2, but got 1, which leaves no speed to train on"
-        if self.holdout_range is not None and self.holdout_range[0] > self.holdout_range[1]:
+        if self.holdout_range and self.holdout_range[0] > self.holdout_range[1]:
             low, high = self.holdout_range
             yield f"must have holdout_range = [from, to] with from <= to, but got {low:g} and {high:g} rad/s"
 

@@ -8,16 +8,15 @@ from typing import Any
 
 from pydantic import Field, PositiveFloat, ValidationInfo, field_validator
 
-from pipeline.config.as_built import AsBuiltConfig
 from pipeline.config.balance import WeightsConfig
 from pipeline.config.measured import AnyRecordingsConfig, MeasuredRunConfig
-from pipeline.config.operating import States
-from pipeline.config.operating_point import OperatingPoint
+from pipeline.config.operating import Conditions, States
 from pipeline.config.rotor import RotorConfig
-from pipeline.config.run_up import RunUpConfig
 from pipeline.config.runs import CandidateConfig, ForceConfig, ProbesConfig, RunConfig, SpeedsConfig, UnbalanceConfig
 from pipeline.config.section import NonNegativeInt, Section, rule
+from pipeline.data.as_built import AsBuiltConfig
 from pipeline.ingest.dataset import RecordingsConfig
+from pipeline.ingest.run_up import RunUpConfig
 from pipeline.laws.build import LawsConfig
 from pipeline.rotor.bearings import BearingConfig, RotorFileBearingConfig
 
@@ -32,7 +31,7 @@ class PredictionConfig(Section):
     node: NonNegativeInt
     speed_rpm: PositiveFloat
     unbalances: tuple[UnbalanceConfig, ...] = Field(min_length=1)
-    operating: OperatingPoint = Field(default_factory=dict)
+    operating: Conditions = Field(default_factory=dict)
 
 
 class MachineConfig(Section):
@@ -71,7 +70,7 @@ class MachineConfig(Section):
     def _saved_bearings(cls, value: Any, info: ValidationInfo) -> Any:
         if value is not None:
             return value
-        if "rotor" in info.data and info.data["rotor"].file is None:
+        if "rotor" in info.data and not info.data["rotor"].file:
             raise ValueError("must be given, but is missing")
         return RotorFileBearingConfig(kind="rotor_file")
 
@@ -83,7 +82,7 @@ class MachineConfig(Section):
         if "recordings" not in info.data:  # they are wrong, and that is told
             return SpeedsConfig(start_rpm=1, stop_rpm=1, step_rpm=1)
         recordings = info.data["recordings"]
-        if recordings.speeds is None:
+        if not recordings.speeds:
             raise ValueError("must be given (start_rpm, stop_rpm, step_rpm), but is missing")
         return recordings.speeds
 
@@ -129,13 +128,13 @@ class MachineConfig(Section):
     @rule
     def _is_built_of_the_same_parts(self) -> Iterator[str]:
         built = self.as_built
-        if built is None:
+        if not built:
             return
-        if self.rotor.file is not None and (built.refinement > 1 or built.beam):
+        if self.rotor.file and (built.refinement > 1 or built.beam):
             key = "refinement" if built.refinement > 1 else next(iter(built.beam))
             yield f"as_built.{key} must be left out for a rotor of a file, whose elements are its own"
         elements = sum(section.elements for section in self.rotor.shaft)
-        if built.shaft is not None and (count := sum(section.elements for section in built.shaft)) != elements:
+        if built.shaft and (count := sum(section.elements for section in built.shaft)) != elements:
             yield f"as_built.shaft must have the {elements} elements of the model's shaft, but got {count}"
         alone = "method=time" if built.in_time else "pedestal_stiffness" if built.pedestal_stiffness else ""
         if alone and any(run.frequency_hz or run.frequency_ratio for run in self.runs):
@@ -149,7 +148,7 @@ class MachineConfig(Section):
 
     @rule
     def _nodes_exist(self) -> Iterator[str]:
-        if self.rotor.file is not None:
+        if self.rotor.file:
             return
         if self.bearings.saved:
             yield "must give rotor.file where bearings.kind is rotor_file, but rotor.file is null"

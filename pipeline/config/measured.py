@@ -17,11 +17,9 @@ from pipeline.config.quantities import (
     AnyDamping,
     AnyStiffness,
     Deviation,
-    Force,
     ShaftAngle,
-    UnbalanceMagnitude,
 )
-from pipeline.config.runs import SpeedsConfig
+from pipeline.config.runs import ForceConfig, SpeedsConfig, UnbalanceConfig
 from pipeline.config.section import NonNegativeInt, Section, rule
 
 if TYPE_CHECKING:
@@ -94,19 +92,15 @@ class ProbeConfig(Section):
     mounted: Literal["shaft", "casing"] | None = None
 
 
-class MeasuredUnbalanceConfig(Section):
+class MeasuredUnbalanceConfig(UnbalanceConfig):
     """An unbalance (kg m) that was on the shaft in a run; ``phase`` as ``shaft_angle`` says."""
 
-    node: NonNegativeInt
-    magnitude: UnbalanceMagnitude
     phase: ShaftAngle
 
 
-class MeasuredForceConfig(Section):
+class MeasuredForceConfig(ForceConfig):
     """A rotating force F e^{jp} [1, -j] (forward) or [1, +j] (backward) on x and y, time zero at the tacho pulse."""
 
-    node: NonNegativeInt
-    magnitude: Force
     phase: ShaftAngle
     whirl: Literal["forward", "backward"]
 
@@ -134,7 +128,7 @@ class MeasuredRunConfig(Section):
 
     def sources(self, file: str | None) -> tuple[str, ...]:
         """The files of this run; ``file`` is that of the runs that name none. Raises ValueError where there is none."""
-        if self.file is None and file is None:
+        if not (self.file or file):
             raise ValueError(f"run '{self.name}' must have a file, but it has none (and there is no file for all)")
         return (self.file or file or "",)
 
@@ -168,10 +162,10 @@ class SlowRollConfig(Section):
 
     @rule
     def _one_way(self) -> Iterator[str]:
-        if (self.below_rpm is None) == (not self.vectors):
+        if (not self.below_rpm) == (not self.vectors):
             got = "both" if self.vectors else "neither"
             yield f"must give either below_rpm or vectors, but got {got}"
-        if self.vectors and (self.amplitude is None or self.phase is None):
+        if self.vectors and not (self.amplitude and self.phase):
             yield (
                 "must give amplitude (zero_to_peak, peak_to_peak or rms) and phase (lag or lead) where it has vectors, "
                 "but one is missing"
@@ -272,6 +266,10 @@ class OrderTrackingConfig(Section):
     revolutions: Annotated[float, Field(ge=2)] | None = None
     most_lag: Annotated[float, Field(gt=0, lt=0.5)] = 0.01
 
+    def shortest(self, fewest: float = 8.0) -> float:
+        """Revolutions of the shortest window."""
+        return self.revolutions or fewest
+
 
 class CsvConfig(Section):
     """The format of a CSV file; ``skip_rows`` are lines before the header."""
@@ -326,15 +324,15 @@ class MeasuredConfig(AnyRecordingsConfig):
         """What is wrong with probes that do not fit numbers in ``unit``."""
         voltage = find_volts(unit) is not None
         for name, probe in self.probes.items():
-            if voltage and probe.scale is None:
+            if voltage and not probe.scale:
                 yield (
                     f"probe '{name}' must have a scale (such as 7.87 V/mm or 100 mV/g) for a signal in {unit}, but it "
                     "has none"
                 )
-            if not voltage and probe.scale is not None:
+            if not voltage and probe.scale:
                 yield f"probe '{name}' must have no scale where signals are in {unit}, but it has {probe.scale}"
             order, _ = to_motion(unit, probe.scale)
-            if order and probe.mounted is None:
+            if order and not probe.mounted:
                 yield (
                     f"probe '{name}' must say what it moves with where it measures "
                     f"{'velocities' if order == 1 else 'accelerations'}, but it has no 'mounted': give mounted: casing "
@@ -353,7 +351,7 @@ class MeasuredConfig(AnyRecordingsConfig):
         names = [run.name for run in self.runs]
         for run in self.runs:
             yield from _check_repeated([other for other in self.runs if other.name == run.name])
-        if self.baseline is not None and self.baseline not in names:
+        if self.baseline and self.baseline not in names:
             yield f"must have the baseline among its runs {names}, but baseline is '{self.baseline}'"
         for run in self.runs:
             run.sources(self.file)
@@ -365,17 +363,18 @@ class MeasuredConfig(AnyRecordingsConfig):
                     f"run '{run.name}' must have unbalances or forces, but it has none: add them, or name it "
                     "as baseline"
                 )
-        if any(run.unbalances for run in self.runs) and self.shaft_angle is None:
+        weighted = any(run.unbalances for run in self.runs)
+        if weighted and not self.shaft_angle:
             yield (
                 "must say in shaft_angle how phases of unbalances are measured (with_rotation or against_rotation from "
                 "the mark, or from_x at the pulse), but it is missing"
             )
-        if any(run.unbalances for run in self.runs) and self.shaft_angle != "from_x" and self.tacho.angle is None:
+        if weighted and self.shaft_angle != "from_x" and self.tacho.angle is None:
             yield (
                 "must give tacho.angle where phases of unbalances are measured from the mark, but it is missing: give "
                 "it, or the phases from x with shaft_angle=from_x"
             )
-        vectors = set(self.slow_roll.vectors) if self.slow_roll is not None else set()
+        vectors = set(self.slow_roll.vectors if self.slow_roll else ())
         if vectors and vectors != set(self.probes):
             yield (
                 f"slow_roll.vectors must have one vector a probe ({', '.join(self.probes)}), but it has "

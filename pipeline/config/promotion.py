@@ -128,7 +128,7 @@ def apply_promoted(config: Config, overrides: Sequence[str]) -> Config:
         return config
     folder = find_study(config)
     promoted = read_promoted(folder)
-    if promoted is None:
+    if not promoted:
         return config
     given = {override.lstrip("+~").partition("=")[0].partition("@")[0] for override in overrides}
     in_force = {key: value for key, value in promoted.values.items() if not is_overridden(key, given)}

@@ -33,7 +33,7 @@ class ShaftSegmentConfig(Section):
     @rule
     def _hollow(self) -> Iterator[str]:
         for name, outer in (("outer_diameter", self.outer_diameter), ("end_diameter", self.end_diameter)):
-            if outer is not None and self.inner_diameter >= outer:
+            if outer and self.inner_diameter >= outer:
                 yield f"must have inner_diameter < {name}, but got {self.inner_diameter:g} m and {outer:g} m"
 
 
@@ -52,15 +52,15 @@ class DiscConfig(Section):
     def _one_description(self) -> Iterator[str]:
         geometry = (self.width, self.inner_diameter, self.outer_diameter)
         inertia = (self.mass, self.diametral_inertia, self.polar_inertia)
-        complete = [all(v is not None for v in group) for group in (geometry, inertia)]
-        given = [any(v is not None for v in group) for group in (geometry, inertia)]
+        complete = [all(group) for group in (geometry, inertia)]
+        given = [any(group) for group in (geometry, inertia)]
         if given != complete or sum(complete) != 1:
             yield (
                 "must give either width, inner_diameter and outer_diameter, or mass, diametral_inertia and "
                 f"polar_inertia, but got {sorted(self.model_fields_set - {'node'})}"
             )
         inner, outer = self.inner_diameter, self.outer_diameter
-        if inner is not None and outer is not None and inner >= outer:
+        if inner and outer and inner >= outer:
             yield f"must have inner_diameter < outer_diameter, but got {inner:g} m and {outer:g} m"
 
 
@@ -82,9 +82,9 @@ class RotorConfig(Section):
 
     @rule
     def _nodes_exist(self) -> Iterator[str]:
-        if self.file is not None:
+        if self.file:
             return
-        if not self.shaft or self.material is None or not self.bearing_nodes:
+        if not self.shaft or not self.material or not self.bearing_nodes:
             yield "must give shaft, material and bearing_nodes (or file, a rotor saved by ROSS)"
         last = sum(segment.elements for segment in self.shaft)
         if len(set(self.bearing_nodes)) != len(self.bearing_nodes):

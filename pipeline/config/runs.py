@@ -78,7 +78,7 @@ class RunConfig(Section):
 
 def check_frequency(name: str, hz: float | None, ratio: float | None, unbalanced: bool) -> Iterator[str]:
     """What is wrong with a run with two frequencies of its own, or with one beside an unbalance."""
-    if hz is not None and ratio is not None:
+    if hz and ratio:
         yield f"run '{name}' must have frequency_hz or frequency_ratio, but it has both"
     if unbalanced and (hz or ratio):
         yield (

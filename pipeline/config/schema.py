@@ -11,15 +11,13 @@ from typing import Literal, get_args
 
 from pydantic import Field, PositiveFloat, PositiveInt
 
-from pipeline.config.balance import BalanceConfig, PredictConfig
+from pipeline.config.balance import BalanceConfig, FoldsConfig, PredictConfig
 from pipeline.config.comparison import ComparisonConfig
-from pipeline.config.folds import FoldsConfig
 from pipeline.config.identification import IdentifyConfig, LossConfig, OptimizerConfig, RobustnessConfig, TrainingConfig
 from pipeline.config.machine import MachineConfig
 from pipeline.config.measured import Known
 from pipeline.config.models import ModelConfig
-from pipeline.config.operating import Differences
-from pipeline.config.operating_point import OperatingPoint
+from pipeline.config.operating import Conditions, Differences
 from pipeline.config.runs import DesignConfig, NoiseConfig
 from pipeline.config.section import NonNegativeInt, Section, rule
 from pipeline.config.tuning import HeldOutLoss, TuningConfig
@@ -76,7 +74,7 @@ class ExportConfig(Section):
 
     units: Literal["si", "us"]
     formats: tuple[ExportFormat, ...] = Field(min_length=1)
-    operating: tuple[OperatingPoint, ...] = ()
+    operating: tuple[Conditions, ...] = ()
 
 
 class NewConfig(Section):

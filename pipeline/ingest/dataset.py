@@ -65,15 +65,15 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> M
         sizes = {probe: float(np.sqrt((np.abs(track.vectors) ** 2).mean())) for probe, track in run.tracks.items()}
         notes += note_dead(run.name, sizes)
     asynchronous = {run.name for run in config.runs if run.asynchronous}
-    if config.slow_roll is not None:  # runout turns with the shaft
+    if config.slow_roll:  # runout turns with the shaft
         slow = config.slow_roll
         runs = tuple(run if run.name in asynchronous else remove_runout(run, slow) for run in runs)
     sweeps: dict[str, SweepBias] = {}
     for run in runs:
         bias = measure_sweep(run, config.most_lag)
-        sweeps |= {run.name: bias} if bias is not None else {}
+        sweeps |= {run.name: bias} if bias else {}
         notes += note_sweep(run, bias)
-    wanted = None if config.speeds is None else np.array(config.speeds.rpm()) * RAD_S_PER_RPM
+    wanted = np.array(config.speeds.rpm()) * RAD_S_PER_RPM if config.speeds else None
     speeds, vectors = to_common_speeds(runs, wanted, config.interpolation)
     resolved = resolve(config.probes, vectors)
     _check_size(resolved.displacement, runs)
@@ -110,9 +110,9 @@ def remove_runout(run: RunTracks, slow_roll: SlowRollConfig) -> RunTracks:
     """The run with the runout of every probe subtracted. Raises DataError where nothing was measured that slowly."""
     tracks = {}
     for probe, track in run.tracks.items():
-        if slow_roll.below_rpm is None:
-            assert slow_roll.amplitude is not None  # the schema has seen to it
-            assert slow_roll.phase is not None
+        if not slow_roll.below_rpm:
+            assert slow_roll.amplitude  # the schema has seen to it
+            assert slow_roll.phase
             given = slow_roll.vectors[probe]
             size, angle = np.array(given.amplitude), np.array(given.phase)
             runout = complex(to_vectors(size, angle, 1.0, slow_roll.amplitude, slow_roll.phase))

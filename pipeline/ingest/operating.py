@@ -49,7 +49,7 @@ def find_conditions(config: MeasuredConfig, runs: Sequence[RunTracks], speeds: n
 
 
 def _read_log(config: MeasuredConfig) -> tuple[Columns, Conditions] | None:
-    if config.conditions_file is None:
+    if not config.conditions_file:
         return None
     path = Path(config.conditions_file)
     places = {"speed_rpm": "number", "time_s": "number"}
@@ -77,7 +77,7 @@ def _look_up(
             f"{where} must have rows of run '{run.name}', but it has {nearest(run.name, set(table['run']))}"
         )
     key = next((name for name in ("speed_rpm", "time_s") if name in table), None)
-    if key is None:
+    if not key:
         if len(rows) > 1:
             raise DataError(
                 f"{where} must have one row a run where it has no speed_rpm and no time_s, but run '{run.name}' has "

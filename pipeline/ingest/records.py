@@ -110,9 +110,9 @@ class RecordsConfig(MeasuredConfig):
 
     @rule
     def _lawful(self) -> Iterator[str]:
-        if self.file is None:
+        if not self.file:
             yield "must name the file with the records, but file is missing"
-        if self.shaft_angle is None:
+        if not self.shaft_angle:
             yield (
                 "must say in shaft_angle how angles of weights are measured (with_rotation or against_rotation from "
                 "the mark, or from_x at the pulse), but it is missing"

@@ -23,7 +23,6 @@ from pipeline.ingest.conventions import list_acting
 from pipeline.ingest.tracks import RunTracks, sort_track
 
 _KIND = "ForcedResponseResults"
-_DOF = 6
 _NEXT = 'save what run_unbalance_response or run_forced_response gave, as response.save("run.toml")'
 
 
@@ -52,7 +51,8 @@ class RossRecordingsConfig(MeasuredConfig):
         return tuple(_read_run(self, run) for run in self.runs)
 
 
-def _read_run(config: RossRecordingsConfig, run: MeasuredRunConfig) -> RunTracks:
+def _read_run(config: RossRecordingsConfig, run: MeasuredRunConfig, dof: int = 6) -> RunTracks:
+    """The 1X vectors of a run of ROSS, which has so many ``dof`` a node."""
     path = Path(run.sources(config.file)[0])
     content = _load(path)
     speeds = np.asarray(content["speed_range"], dtype=float)
@@ -64,12 +64,12 @@ def _read_run(config: RossRecordingsConfig, run: MeasuredRunConfig) -> RunTracks
     _check_unbalances(path, content.get("unbalance"), list_acting(config, run))
     tracks = {}
     for name, probe in config.probes.items():
-        if _DOF * probe.node + 1 >= len(response):
+        if dof * probe.node + 1 >= len(response):
             raise DataError(
-                f"'{path}' must have the node {probe.node} of probe '{name}', but it has {len(response) // _DOF} "
+                f"'{path}' must have the node {probe.node} of probe '{name}', but it has {len(response) // dof} "
                 "nodes: is it of another rotor?"
             )
-        x, y = response[_DOF * probe.node], response[_DOF * probe.node + 1]
+        x, y = response[dof * probe.node], response[dof * probe.node + 1]
         direction = project_direction(float(np.round(np.degrees(probe.angle), 9)))
         tracks[name] = sort_track(speeds, x * direction[0] + y * direction[1], f"'{path}', probe '{name}',")
     return RunTracks(run.name, f"'{path}'", tracks, tracks)

@@ -18,7 +18,7 @@ def measure_sweep(run: RunTracks, most: float) -> SweepBias | None:
     biases: list[SweepBias] = []
     for track in run.tracks.values():
         reading = read_peak(track.speeds, np.abs(track.vectors))
-        if reading is not None:
+        if reading:
             rates = np.gradient(track.speeds, run.times)
             rate = float(np.interp(reading.frequency, track.speeds, rates))
             biases.append(measure_bias(*find_mode(reading, rate), rate, most))
@@ -27,7 +27,7 @@ def measure_sweep(run: RunTracks, most: float) -> SweepBias | None:
 
 def note_sweep(run: RunTracks, bias: SweepBias | None) -> list[str]:
     """A sentence where the peak lags by more than it may."""
-    if bias is None or abs(bias.peak_shift) <= bias.most:
+    if not bias or abs(bias.peak_shift) <= bias.most:
         return []
     return [
         f"run '{run.name}' is no sequence of steady states: {describe_bias(bias)}; run it slower, or fit the ramp "

@@ -67,7 +67,7 @@ class TableRunConfig(MeasuredRunConfig):
     @property
     def asynchronous(self) -> bool:
         """True where the response has a frequency of its own."""
-        return self.frequency_hz is not None or self.frequency_ratio is not None
+        return bool(self.frequency_hz or self.frequency_ratio)
 
     def frequencies(self, speeds: np.ndarray) -> np.ndarray:
         """(S,) rad/s of the vibration at the rotor ``speeds`` (S,) rad/s."""
@@ -97,7 +97,7 @@ class TableRecordingsConfig(MeasuredConfig):
         yield from self.check_units(self.conventions.unit)
         for run in self.runs:
             for name, probe in self.probes.items():
-                if self.layout == "wide" and probe.columns is None and name not in run.columns:
+                if self.layout == "wide" and not probe.columns and name not in run.columns:
                     yield f"probe '{name}' must have columns in the wide layout, but it has none"
 
     def describe(self) -> str:
@@ -165,7 +165,7 @@ def _read_wide(config: TableRecordingsConfig, run: TableRunConfig, path: Path) -
     return {
         name: _take_rows(table, config.columns.speed, pair.amplitude, pair.phase, f"'{path}'")
         for name, pair in pairs.items()
-        if pair is not None  # the schema has seen to it
+        if pair  # the schema has seen to it
     }
 
 

@@ -41,7 +41,7 @@ class UffProbeConfig(ProbeConfig, UffRecordConfig):
 
     @rule
     def _named(self) -> Iterator[str]:
-        if self.record is None and self.response is None:
+        if not (self.record or self.response):
             yield "must give record (an ID) or response ([node, direction] in the file), but got neither"
 
 
@@ -58,7 +58,7 @@ class UffTachoConfig(TachoSignalConfig, UffRecordConfig):
     @property
     def recorded(self) -> bool:
         """True where the file has time signals."""
-        return self.record is not None or self.response is not None
+        return bool(self.record or self.response)
 
 
 class UffRunConfig(SignalRunConfig):
@@ -98,14 +98,14 @@ class UffRecordingsConfig(SignalConfig):
     def describe(self) -> str:
         """What the numbers in the files are taken for."""
         said = self.conventions
-        if said is None:
+        if not said:
             return super().describe()
         kind = said.amplitude.replace("_", "-")
         return f"complex, {said.unit}, {kind}, angle a phase {said.phase}, speed in {said.speed}"
 
     def read(self) -> tuple[RunTracks, ...]:
         """The 1X vectors of all runs, of complex functions of the speed or of time signals. Raises DataError."""
-        if self.conventions is None:
+        if not self.conventions:
             return super().read()
         files = {source: read_uff(Path(source)) for source in dict.fromkeys(map(self._locate, self.runs))}
         return tuple(_read_functions(self, self.conventions, run, files[self._locate(run)]) for run in self.runs)
@@ -142,7 +142,7 @@ class UffRecord:
 
     def is_called(self, text: str | None) -> bool:
         """True where ``text`` is one of the texts; None is any."""
-        return text is None or text.strip() in self.texts
+        return not text or text.strip() in self.texts
 
     @property
     def name(self) -> str:
@@ -180,11 +180,11 @@ def find_record(file: UffFile, wanted: UffRecordConfig, label: str | None, what:
         for record in file.records
         if record.is_called(wanted.record)
         and record.is_called(label)
-        and (wanted.response is None or record.response == wanted.response)
+        and record.response == (wanted.response or record.response)
     ]
     words = " and ".join(
-        [f"ID '{text}'" for text in (wanted.record, label) if text is not None]
-        + ([f"response {list(wanted.response)}"] if wanted.response is not None else [])
+        [f"ID '{text}'" for text in (wanted.record, label) if text]
+        + ([f"response {list(wanted.response)}"] if wanted.response else [])
     )
     if not fits:
         every = {text for record in file.records for text in (*record.texts, str(list(record.response)))}
@@ -243,7 +243,7 @@ def _note_contradictions(record: UffRecord, file: UffFile, said: VectorConventio
     notes = []
     labelled_size, followed = _read_unit(record.ordinate_label), find_motion(said.unit)
     stated = labelled_size or (file.metre if said.unit != "g" else None)
-    if followed is not None and stated is not None and not np.isclose(stated, followed[1], rtol=1e-3):
+    if followed and stated and not np.isclose(stated, followed[1], rtol=1e-3):
         text = f"'{record.ordinate_label}'" if labelled_size else f"{stated:g} m (dataset 164)"
         key = KINDS[followed[0]]
         notes.append(
@@ -267,7 +267,7 @@ def _read_unit(label: str) -> float | None:
     """Size in SI units of what a label names; None where it names nothing that a probe measures."""
     label = re.sub(r"(?i)\s*(pk-?pk|p-?p|0-?p|pk|rms)$", "", label.strip())
     motion = find_motion(label) if re.fullmatch(r"[^\W\d_][^\d_]*\^?2?", label) else None
-    return None if motion is None else motion[1]
+    return motion[1] if motion else None
 
 
 def _read_sets(path: Path) -> list[dict[str, Any]]:

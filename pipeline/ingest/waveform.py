@@ -171,7 +171,7 @@ class TachoConfig(TachoSignalConfig):
 
     @rule
     def _marked(self) -> Iterator[str]:
-        if self.pulses_per_revolution > 1 and self.mark_channel is None:
+        if self.pulses_per_revolution > 1 and not self.mark_channel:
             yield (
                 f"must give mark_channel where there are {self.pulses_per_revolution} pulses a revolution "
                 "(phases would "
@@ -213,12 +213,12 @@ class WaveformRecordingsConfig(SignalConfig):
     def _lawful(self) -> Iterator[str]:
         yield from self.check_signals()
         rates = [self.time, self.sample_rate, self.sample_rate_attribute]
-        if sum(rate is not None for rate in rates) > 1:
+        if sum(map(bool, rates)) > 1:
             yield "must give at most one of time, sample_rate and sample_rate_attribute, but got several"
-        if self.time is not None and self.time_unit is None:
+        if self.time and not self.time_unit:
             yield "must give time_unit (s, ms or us) of the time channel, but it is missing"
         for run in self.runs:
-            if run.sample_rate is not None and self.time is not None:
+            if run.sample_rate and self.time:
                 yield f"run '{run.name}' must have no sample_rate where there is a time channel, but it has"
 
     def load(self, run: WaveformRunConfig, path: Path) -> Loaded:  # type: ignore[override]
@@ -267,11 +267,11 @@ def _fit_records(
 
 def _fit_sweep(config: SignalConfig, name: str, source: str, record: _Record, slow_windows: int = 10) -> RunTracks:
     """Fit vectors at the wanted speeds, and at so many low ones for the slow roll."""
-    assert config.speeds is not None  # the schema has seen to it
+    assert config.speeds  # the schema has seen to it
     wanted = np.array(config.speeds.rpm()) * RAD_S_PER_RPM
     tracks = _track(config, record, wanted)
     slow: dict[str, Track] = {}
-    if config.slow_roll is not None and config.slow_roll.below_rpm is not None:
+    if config.slow_roll and config.slow_roll.below_rpm:
         limit = config.slow_roll.below_rpm * RAD_S_PER_RPM
         lowest, _ = find_range(record.signals, config.tracking)
         if lowest >= limit:

@@ -29,7 +29,7 @@ class LawsConfig(Section):
     @rule
     def _has_oil(self) -> Iterator[str]:
         journals = [node for node, law in self.bearings.items() if law.has_film]
-        if journals and self.oil is None:
+        if journals and not self.oil:
             yield f"must have an oil for the journal bearing of node {journals[0]}, but it is missing"
 
 

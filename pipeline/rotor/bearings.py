@@ -177,8 +177,8 @@ class JournalTableConfig(_Bearing):
 
     @rule
     def _ascending(self) -> Iterator[str]:
-        if (self.rows is None) == (self.table is None):
-            yield f"must have either rows or table, but has {'neither' if self.rows is None else 'both'}"
+        if bool(self.rows) == bool(self.table):
+            yield f"must have either rows or table, but has {'both' if self.rows else 'neither'}"
         numbers = [row[0] for row in self.rows or ()]
         if numbers and (numbers[0] <= 0 or any(b <= a for a, b in itertools.pairwise(numbers))):
             yield f"must have rows with ascending Sommerfeld numbers above zero, but got {numbers}"

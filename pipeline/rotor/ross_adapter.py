@@ -77,7 +77,7 @@ def assemble(config: RotorConfig) -> RotorModel:
         disc_nodes=tuple(int(disc.n) for disc in rotor.disk_elements),
         total_mass=float(rotor.m),
         seals=find_seals(rotor.bearing_elements, last, ross().SealElement),
-        supported_nodes=tuple(stand.node for stand in stands if config.file is not None and stand.supported),
+        supported_nodes=tuple(stand.node for stand in stands if config.file and stand.supported),
     )
 
 
@@ -150,10 +150,10 @@ def bearing_table(
 
 def make_rotor(config: RotorConfig) -> Any:
     """ROSS's own rotor without bearings, or as its file has it. Raises ConfigError for a file that can't be read."""
-    if config.file is not None:
+    if config.file:
         return read_rotor_file(ross(), Path(config.file))
     rs = ross()
-    if config.material is None:
+    if not config.material:
         raise ConfigError("machine.rotor.material must be given for a rotor without machine.rotor.file")
     material = rs.Material(
         "rotor",
@@ -176,7 +176,7 @@ def make_rotor(config: RotorConfig) -> Any:
     ]
     discs = [
         rs.DiskElement(n=disc.node, m=disc.mass, Id=disc.diametral_inertia, Ip=disc.polar_inertia)
-        if disc.mass is not None
+        if disc.mass
         else rs.DiskElement.from_geometry(
             n=disc.node, material=material, width=disc.width, i_d=disc.inner_diameter, o_d=disc.outer_diameter
         )
@@ -188,14 +188,14 @@ def make_rotor(config: RotorConfig) -> Any:
 def _diameters(segment: ShaftSegmentConfig) -> Iterator[tuple[float, float]]:
     """Outer diameters of each element at its ends, m."""
     first, count = segment.outer_diameter, segment.elements
-    rise = 0.0 if segment.end_diameter is None else (segment.end_diameter - first) / count
+    rise = ((segment.end_diameter or first) - first) / count
     for i in range(count):
         yield first + i * rise, first + (i + 1) * rise
 
 
 def _find_bearings(config: RotorConfig, rotor: Any) -> tuple[int, ...]:
     """Where the bearings stand: in a rotor file that has bearings, the file says so."""
-    if config.file is not None and (stands := _find_stands(rotor)):
+    if config.file and (stands := _find_stands(rotor)):
         return tuple(stand.node for stand in stands)
     if not config.bearing_nodes:
         raise ConfigError(

@@ -61,7 +61,7 @@ def section(folder: Path, **changes: Any) -> dict[str, Any]:
 def test_a_response_of_ross_is_the_data_set_of_the_simulation(folder: Path) -> None:
     found = read(section(folder))
     config = parsed(section(folder))
-    acting = [excitation for run in config.runs for excitation in list_acting(config, run)]
+    acting = tuple(excitation for run in config.runs for excitation in list_acting(config, run))
     rotor = assemble(ROTOR)
     made = simulate(rotor, bearing_table(ROTOR, BEARING, SPEEDS), acting, None)
     made = project(made, ((1, 0.0), (1, 90.0), (5, 0.0), (5, 90.0)))
