@@ -15,13 +15,16 @@ from pipeline.data.candidates import Runs, list_candidates, scale_runs
 from pipeline.data.dataset import Excitation
 from pipeline.data.sensors import list_directions, project
 from pipeline.data.simulate import simulate
+from pipeline.errors import ConfigError
 from pipeline.problem.accuracy import Plan, RunInformation, reach, run_information, scale_to_limits
 from pipeline.problem.configured import build_measurement
+from pipeline.problem.design import choose, plan_covariance, unknown_sizes, whiten_plan
+from pipeline.problem.design import run_information as design_information
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.modelled import configure_sensors
+from pipeline.problem.modelled import configure_excitations, configure_frequencies, configure_sensors
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
-from pipeline.rotor.stored import require_nodes
+from pipeline.rotor.stored import load_modelled_bearings, require_nodes
 
 
 def list_possible(config: Config, rotor: RotorModel) -> Runs:
@@ -116,3 +119,29 @@ class Designer:
             beside = self.planner.limit(backward, self.prior)
             cures["a force that turns backward"] = worst(self.measure(self.allowed + beside))
         return cures
+
+
+def choose_best(config: Config, rotor: RotorModel) -> tuple[Runs, dict[str, Measurement]]:
+    """The candidate runs that would identify best with x and y everywhere, and the measurements of the ``configured``
+    and the ``designed`` runs. Raises ConfigError for more runs than there are candidates."""
+    design, possible = config.design, list_possible(config, rotor)
+    if design.runs > len(possible):
+        raise ConfigError(f"design.runs must be at most the {len(possible)} candidates, but got {design.runs}")
+    every = config.machine.speeds.rad_s()
+    speeds = every[np.unique(np.linspace(0, len(every) - 1, min(design.speeds, len(every))).round().astype(int))]
+    prior = load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
+
+    def plan(runs: Runs, frequencies: np.ndarray | None = None) -> Measurement:
+        acting = tuple(itertools.chain.from_iterable(runs))
+        return build_measurement(config, rotor, simulate(rotor, prior, acting, frequencies), prior)
+
+    everything = plan(possible)
+    white = whiten_plan(everything, everything.dataset, plan_covariance(everything))
+    information = design_information(white, len(possible), unknown_sizes(everything))
+    present = everything.unknowns.present
+    chosen = tuple(possible[c] for c in choose(information, present, design.runs, design.criterion))
+    plans = {
+        "configured": plan((configure_excitations(config),), configure_frequencies(config, speeds)),
+        "designed": plan(chosen),
+    }
+    return chosen, plans

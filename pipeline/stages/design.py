@@ -5,31 +5,20 @@ With ``design.accuracy`` the runs and speeds that reach it, see :mod:`pipeline.s
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from pipeline.config.schema import Config
-from pipeline.data.dataset import Excitation
-from pipeline.data.simulate import simulate
-from pipeline.errors import ConfigError
 from pipeline.identification.quality import finite
-from pipeline.problem.configured import build_measurement
 from pipeline.problem.design import (
-    choose,
-    plan_covariance,
     predict_deviations,
-    run_information,
     simulate_deviations,
-    unknown_sizes,
-    whiten_plan,
 )
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.modelled import configure_excitations, configure_frequencies
-from pipeline.problem.planning import list_possible
+from pipeline.problem.planning import choose_best
 from pipeline.reporting.console import say, table
-from pipeline.rotor.stored import load_modelled_bearings, load_rotor
+from pipeline.rotor.stored import load_rotor
 from pipeline.stages.accuracy_design import reach_accuracy
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.diagnose import describe_noise
@@ -45,26 +34,8 @@ def run(analysis: Analysis) -> StageOutput:
         return reach_numbers(analysis)
     if config.design.accuracy is not None:
         return reach_accuracy(analysis, config.design.accuracy)
-    design, rotor = config.design, load_rotor(config.machine.rotor)
-    possible = list_possible(config, rotor)
-    if design.runs > len(possible):
-        raise ConfigError(f"design.runs must be at most the {len(possible)} candidates, but got {design.runs}")
-    every = config.machine.speeds.rad_s()
-    speeds = every[np.unique(np.linspace(0, len(every) - 1, min(design.speeds, len(every))).round().astype(int))]
-    prior = load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
-
-    def plan(acting: Sequence[Excitation], run_speeds: np.ndarray | None = None) -> Measurement:
-        return build_measurement(config, rotor, simulate(rotor, prior, tuple(acting), run_speeds), prior)
-
-    everything = plan(list(itertools.chain.from_iterable(possible)))
-    white = whiten_plan(everything, everything.dataset, plan_covariance(everything))
-    information = run_information(white, len(possible), unknown_sizes(everything))
-    present = everything.unknowns.present
-    chosen = [possible[c] for c in choose(information, present, design.runs, design.criterion)]
-    plans = {
-        "configured": plan(configure_excitations(config), configure_frequencies(config, speeds)),
-        "designed": plan(list(itertools.chain.from_iterable(chosen))),
-    }
+    rotor = load_rotor(config.machine.rotor)
+    chosen, plans = choose_best(config, rotor)
     summary = _summarize(config, plans)
     _print(config, summary, [acting[0].run for acting in chosen])
     written = write_design(analysis, chosen, config.machine.speeds, summary)
