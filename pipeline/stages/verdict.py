@@ -8,32 +8,19 @@ from typing import Any
 import numpy as np
 
 from pipeline.config.schema import Config
-from pipeline.data.candidates import list_candidates
-from pipeline.data.sensors import name_channel
 from pipeline.data.tables import write_table
-from pipeline.evaluation.contradiction import find_contradiction
 from pipeline.files import read_json, write_json
-from pipeline.identification.held_out import held_out_conditions, held_out_range, held_out_runs
-from pipeline.identification.losses import loss_of
-from pipeline.identification.quality import MISMATCH
-from pipeline.identification.restored import Answer
-from pipeline.identification.training import held_out_speeds
-from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, table, warn
 from pipeline.stages.analysis import Analysis, made_once
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import AGAIN, ANSWER, restore
-from pipeline.stages.workspace import locate_files
-from pipeline.trust.evidence import Evidence, gather
-from pipeline.trust.judgement import AS_FELT, judge, refuse_without_deviations
-from pipeline.trust.mistakes import WORTH_TRYING, Found, Probe, find_mistakes
-from pipeline.trust.next_run import weigh_candidates
-from pipeline.trust.verdict import find_contradicted, judge_contradiction, judge_mistakes
+from pipeline.trust.assessment import judge_answer
+from pipeline.trust.judgement import AS_FELT
 
 
 def run(analysis: Analysis) -> StageOutput:
     """``verdicts.json`` and ``verdicts.csv``; no modelled coefficient is read."""
-    config, work, judged = analysis.config, analysis.files, judge_answer(analysis)
+    config, work, judged = analysis.config, analysis.files, make_judgement(analysis)
     written = [
         write_json(work.folder / "verdicts.json", judged),
         write_table(work.folder / "verdicts.csv", _tabulate(judged)),
@@ -50,15 +37,9 @@ def run(analysis: Analysis) -> StageOutput:
 
 
 @made_once(*ANSWER)
-def judge_answer(analysis: Analysis) -> dict[str, Any]:
+def make_judgement(analysis: Analysis) -> dict[str, Any]:
     """The record of the Judgement on what was identified, training first where that is missing."""
-    answer, felt = restore(analysis), _may_have_supports(analysis.config)
-    about = read_json(analysis.files.training, AGAIN)
-    if answer.uncertainty is None:
-        judged = refuse_without_deviations(answer.table.nodes, answer.names, felt).record()
-    else:
-        judged = assess(analysis.config, answer, about)[0]
-    return judged | {"model": about["model"]}
+    return judge_answer(analysis.config, restore(analysis), read_json(analysis.files.training, AGAIN))
 
 
 def load_judgement(analysis: Analysis) -> dict[str, Any]:
@@ -67,7 +48,7 @@ def load_judgement(analysis: Analysis) -> dict[str, Any]:
         judged = read_json(path, "make it again with stage=verdict")
         if judged.get("model") == read_json(analysis.files.training, AGAIN)["model"]:
             return judged
-    return judge_answer(analysis)
+    return make_judgement(analysis)
 
 
 def say_reservation(analysis: Analysis) -> str:
@@ -76,49 +57,6 @@ def say_reservation(analysis: Analysis) -> str:
     if reservation:
         warn(f"{analysis.config.name}: {reservation}")
     return reservation
-
-
-def _may_have_supports(config: Config) -> bool:
-    """Whether a support may be part of what is identified: anywhere but in a simulation of the machine as modelled."""
-    simulated = locate_files(config).own and config.machine.recordings.format == "none"
-    return not simulated or config.machine.as_built is not None
-
-
-def assess(config: Config, answer: Answer, about: Mapping[str, Any]) -> tuple[dict[str, Any], Evidence]:
-    """The Judgement on a fit that states deviations, and what it rests on; ``about`` has ``fit`` and ``outcome`` of
-    ``training.json``."""
-    updated, uncertainty = answer.measurement, answer.uncertainty
-    assert uncertainty is not None
-    given = (updated, answer.model, uncertainty)
-    evidence, linear = gather(*given, about["fit"], mark_fitted(config, updated), about["outcome"])
-    gains = weigh_candidates(*given, linear, list_candidates(config.machine.candidates))
-    mistakes: list[Found] = []
-    wanders = (about["fit"]["whiteness"].get("probability") or 0.0) < MISMATCH
-    if wanders and evidence.misfit_of_stated_noise > WORTH_TRYING:
-        values = updated.unknowns.leading(evidence.answer.values)
-        probes = _list_probes(config) if locate_files(config).own else ()
-        mistakes = find_mistakes(updated.as_stated(), values, config.model.kind == "constant", probes)
-    against = judge_mistakes(mistakes, list(find_contradicted(evidence)))
-    against += judge_contradiction(find_contradiction(about, config.model.kind))
-    return judge(evidence, gains, against, _may_have_supports(config)).record(), evidence
-
-
-def _list_probes(config: Config) -> tuple[Probe, ...]:
-    """The probes that x and y were made of; none where the channels are the probes."""
-    return tuple(
-        Probe(name, *name_channel(probe.node, probe.angle)) for name, probe in config.machine.recordings.probes.items()
-    )
-
-
-def mark_fitted(config: Config, measurement: Measurement) -> np.ndarray:
-    """(S, P, R) mask of the readings that the fit had."""
-    data, training = measurement.dataset, config.training
-    keep = ~held_out_speeds(len(data.speeds), training.holdout_every) & ~held_out_range(data.speeds, training)
-    keep &= ~held_out_conditions(data.operating, training, len(data.speeds))
-    fitted = np.broadcast_to(keep[:, None, None], data.displacement.shape).copy()
-    if loss_of(config.loss).weighs_noise:
-        fitted[..., held_out_runs(measurement, training)] = False
-    return fitted & data.present[:, None]
 
 
 def _tabulate(judged: Mapping[str, Any]) -> dict[str, list[Any]]:

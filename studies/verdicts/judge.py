@@ -36,7 +36,7 @@ from pipeline.problem.configured import build_measurement
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.modelled import model_machine, read_probes
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.stages.verdict import assess
+from pipeline.trust.assessment import assess
 
 CASES = Path(__file__).with_name("cases.yaml")
 ACCURATE = 0.05
