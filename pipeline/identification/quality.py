@@ -262,25 +262,26 @@ def _multiply_neighbours(deviations: np.ndarray, lag: int) -> np.ndarray:
 
 
 def measure_whiteness(deviations: Sequence[np.ndarray], most_lags: int = 10) -> float | None:
-    """Probability of the autocorrelations over the speed, or of larger ones, if complex deviations (S, P, R) are white.
+    """Probability of such correlations over the speed, or of larger ones, if complex deviations (S, P, R) are white.
 
-    Each series and lag k gives ``t = sum_s w_s / sqrt(sum_s w_s^2)`` with the products ``w_s`` of deviations k apart;
-    whatever their variances, t has mean 0 and variance 1, and the sum of squares is chi-square (Dalla, Giraitis and
-    Phillips 2022, Econometric Theory 38; with equal variances it is Box and Pierce's). Lags go up to a fifth of a
-    series (Ljung and Box 1978). What was not measured is zero. None where the series are too short.
+    Each lag k gives ``t = sum w / sqrt(sum w^2)`` with the products w of deviations k speeds apart, of all series:
+    whatever their variances, t has mean 0 and variance 1 (Dalla, Giraitis and Phillips 2022, Econometric Theory 38).
+    A fit leaves its residuals negative correlations, and what a model misses is smooth: the positive t alone count,
+    and the sum of their squares is chi-bar-square (half of the lags have one, binomially). Lags go up to a fifth of
+    the speeds (Ljung and Box 1978). What was not measured is zero. None where there are too few speeds.
     """
-    from scipy.stats import chi2
+    from scipy.stats import binom, chi2
 
-    total, freedom = 0.0, 0
-    for block in deviations:
-        lags = np.minimum(most_lags, (block != 0).sum(axis=0) // 5)  # (P, R)
-        for lag in range(1, int(lags.max(initial=0)) + 1):
-            products = _multiply_neighbours(block, lag)
-            spread = (products**2).sum(axis=0)
-            counted = (lags >= lag) & (spread > 0)
-            total += float((products.sum(axis=0)[counted] ** 2 / spread[counted]).sum())
-            freedom += int(counted.sum())
-    return float(chi2.sf(total, freedom)) if freedom and np.isfinite(total) else None
+    speeds = max((int((block != 0).any(axis=(1, 2)).sum()) for block in deviations), default=0)
+    lags, total = min(most_lags, speeds // 5), 0.0
+    for lag in range(1, lags + 1):
+        products = np.concatenate([_multiply_neighbours(block, lag).ravel() for block in deviations])
+        spread = float((products**2).sum())
+        total += max(float(products.sum()), 0.0) ** 2 / spread if spread > 0 else 0.0
+    if lags < 1 or not np.isfinite(total):
+        return None
+    counts = np.arange(1, lags + 1)
+    return float(binom.pmf(counts, lags, 0.5) @ chi2.sf(total, counts)) if total > 0 else 1.0
 
 
 def variance_inflation(correlation: float, strongest: float = 0.99) -> float:

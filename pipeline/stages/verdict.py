@@ -84,7 +84,7 @@ def _print(config: Config, judged: Mapping[str, Any]) -> None:
     whole = judged["machine"]
     lines = [f"{config.name}: {whole['verdict']}. {whole['reason']}"]
     lines += [f"next: {whole['next']}"] if whole["next"] else []
-    lines += [f"identified are {whole['identified']}"] if whole["identified"] == AS_FELT else []
+    lines += [f"what is identified: {whole['identified']}"] if whole["identified"] == AS_FELT else []
     say("\n".join(lines))
     if whole["reservation"]:
         warn(f"{config.name}: {whole['reservation']}")

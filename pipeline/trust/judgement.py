@@ -25,7 +25,7 @@ from pipeline.trust.verdict import (
     worst,
 )
 
-AS_FELT = "as the shaft feels them (film and support)"
+AS_FELT = "the bearings as the shaft feels them (film and support)"
 
 
 @dataclass(frozen=True)

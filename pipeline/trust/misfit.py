@@ -89,6 +89,8 @@ def _tell(probability: float) -> str:
 def measure_misfit(fit: Mapping[str, Any]) -> Misfit:
     """Of ``fit`` in ``training.json`` or ``metrics.json``.
 
+    The probability is the smallest of three tests, chi-square, neighbours and all lags, times three (Bonferroni).
+
     Where the noise was estimated from what the fit leaves over, its size says nothing by itself. Then it is compared
     with what differs between neighbouring speeds, which a smooth error of the model leaves out: the mean square of the
     differences is ``2 (1 - r)`` times that of the values, with the correlation r of neighbours (von Neumann 1941).
@@ -99,9 +101,11 @@ def measure_misfit(fit: Mapping[str, Any]) -> Misfit:
     if estimated:
         wandering = 1.0 / (1.0 - min(max(whiteness["autocorrelation"], 0.0), 0.99))
         size = wandering if mismatch["chi_square"] is None else max(size, wandering)
-    every = [p for p in (mismatch["probability"], whiteness.get("probability")) if p is not None]
+    tests = (mismatch["chi_square"], mismatch["whiteness"], whiteness.get("probability"))
+    smallest = min((p for p in tests if p is not None), default=None)
+    probability = None if smallest is None else min(1.0, len(tests) * smallest)
     factor = float(np.median(list(fit["noise_factor"].values()))) if estimated else 1.0
-    return Misfit(float(size), min(every, default=None), estimated, factor, float(total * factor**2))
+    return Misfit(float(size), probability, estimated, factor, float(total * factor**2))
 
 
 def describe_held_out(kind: str, held_out: Mapping[str, Any], digits: int = 2) -> str:

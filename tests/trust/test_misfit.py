@@ -21,7 +21,7 @@ def left_over(
     fit: dict[str, Any] = {
         "chi_square": {"value": 100.0 * ratio, "expected": 100.0, "readings": 120, "numbers": 40},
         "whiteness": {"autocorrelation": correlation, "over_its_deviation": 0.0, "probability": probability},
-        "mismatch": {"chi_square": by_size, "whiteness": probability, "probability": probability},
+        "mismatch": {"chi_square": by_size, "whiteness": probability, "probability": None},
         "bad_points": 0,
     }
     return fit if factor is None else fit | {"noise_factor": {"node 1 x": factor}}

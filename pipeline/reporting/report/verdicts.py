@@ -7,6 +7,7 @@ from typing import Any
 
 from pipeline.reporting.report.content import ReportContent
 from pipeline.reporting.report.section import Cell, Mark, Paragraph, Section, Table
+from pipeline.trust.judgement import AS_FELT
 
 
 def describe_verdicts(content: ReportContent) -> Section:
@@ -20,7 +21,7 @@ def describe_verdicts(content: ReportContent) -> Section:
     if machine:
         said = f"The machine as a whole: {machine['verdict']}. {_join(machine)}"
         felt = machine.get("identified", "")
-        said += f" What is identified are the bearings {felt}." if felt.startswith("as ") else ""
+        said += f" What is identified: {felt}." if felt == AS_FELT else ""
         blocks.append(Paragraph(said, warning=machine["verdict"] != "good"))
     bearings: list[list[Cell]] = [
         [
