@@ -46,12 +46,17 @@ def _run_command(arguments: list[str]) -> None:
         print(format_usage())
     elif "--version" in arguments:
         print(f"pipeline {__version__}")
+    elif all(map(_is_plain, arguments)):
+        _run_stages(arguments)
     else:
-        folder, others = _split_folder(arguments)
-        if all(map(_is_plain, others)):
-            _run_stages(others, folder)
+        options = _parse_options(arguments)
+        # A folder of machines is read here and not by Hydra.
+        given, options.config_dir = options.config_dir, None
+        folder = None if given is None else Path(os.path.abspath(Path(given).expanduser()))
+        if not _list_commands(options) and all(map(_is_plain, options.overrides)):
+            _run_stages(options.overrides, folder)
         else:
-            _run_hydra(_parse_options(others), folder)
+            _run_hydra(options, folder)
 
 
 def _is_plain(argument: str) -> bool:
@@ -59,22 +64,7 @@ def _is_plain(argument: str) -> bool:
     return "=" in argument and not argument.startswith("-") and not _parse_key(argument).startswith("hydra")
 
 
-def _split_folder(arguments: list[str]) -> tuple[Path | None, list[str]]:
-    """The folder of ``--config-dir``, which is read here and not by Hydra, and the other arguments."""
-    folder, others, rest = None, [], iter(arguments)
-    for argument in rest:
-        option, equals, value = argument.partition("=")
-        if option not in ("--config-dir", "-cd"):
-            others.append(argument)
-            continue
-        value = value if equals else next(rest, "")
-        if not value:
-            raise ConfigError("--config-dir must be followed by a folder, but nothing follows it")
-        folder = Path(os.path.abspath(Path(value).expanduser()))
-    return folder, others
-
-
-def _run_stages(overrides: list[str], folder: Path | None) -> None:
+def _run_stages(overrides: list[str], folder: Path | None = None) -> None:
     """All stages are checked before the first one runs; the first that fails is the last that runs."""
     from pipeline.config.compose import compose_stages
     from pipeline.stages import run_stages
@@ -99,12 +89,16 @@ def _parse_options(arguments: list[str]) -> Namespace:
     for name in ("config_path", "config_name", "experimental_rerun"):
         if getattr(options, name) is not None:
             _refuse(f"--{name.replace('_', '-')} is not for this pipeline, configured in conf/config.yaml")
-    commands = (options.multirun, options.cfg, options.info, options.shell_completion, options.hydra_help)
-    if sum(map(bool, commands)) > 1:
+    if len(_list_commands(options)) > 1:
         _refuse("there is more than one of --multirun, --cfg, --info, --shell-completion and --hydra-help")
     if options.resolve and not options.cfg:
         _refuse("--resolve goes with --cfg job")
     return options
+
+
+def _list_commands(options: Namespace) -> list[Any]:
+    every = (options.multirun, options.cfg, options.info, options.shell_completion, options.hydra_help)
+    return [command for command in every if command]
 
 
 def _refuse(message: str) -> NoReturn:
