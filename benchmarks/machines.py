@@ -39,7 +39,7 @@ class Machine:
     @property
     def frequencies(self) -> np.ndarray | None:
         """(S, R) rad/s of the excitation; None where it turns with the rotor."""
-        from pipeline.problem.modelled import configure_frequencies
+        from pipeline.problem.configured import configure_frequencies
 
         return configure_frequencies(self.config, self.speeds)
 
@@ -84,7 +84,7 @@ def machine(*overrides: str) -> Machine:
     import numpy as np
 
     from pipeline.config.compose import compose_config
-    from pipeline.problem.modelled import configure_excitations
+    from pipeline.problem.configured import configure_excitations
     from pipeline.rotor.ross_adapter import assemble, bearing_table
     from pipeline.units import RAD_S_PER_RPM
 

@@ -11,8 +11,12 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.schema import Config
 from pipeline.data.noise import NOMINAL_95
+from pipeline.data.operating import split_states
+from pipeline.data.operating_points import spread_states
 from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.stored import load_modelled_bearings
 
 
 @dataclass(frozen=True)
@@ -81,3 +85,23 @@ def list_coverage(
         for b, node in enumerate(identified.nodes)
         if names[b]
     }
+
+
+def model_unmeasured(config: Config, speeds: np.ndarray) -> BearingTable | None:
+    """The modelled coefficients at every different speed of ``speeds`` (rad/s) and all conditions that are asked for.
+
+    None where none are, or where data were measured.
+    """
+    wanted = config.machine.unmeasured
+    if not wanted or config.machine.recordings.format != "none":
+        return None
+    points = spread_states(np.unique(speeds), wanted)
+    return load_modelled_bearings(config.machine.rotor, config.machine.bearings, *points)
+
+
+def measure_unmeasured(
+    answer: BearingTable, modelled: BearingTable, names: Sequence[Sequence[str]]
+) -> dict[str, CoefficientErrors]:
+    """Errors at each condition, by its words such as ``40 degC``."""
+    states = split_states(modelled.speeds, modelled.operating)
+    return {state: measure_errors(answer.at(points), modelled.at(points), names) for state, points in states}

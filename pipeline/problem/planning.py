@@ -17,11 +17,15 @@ from pipeline.data.sensors import list_directions, project
 from pipeline.data.simulate import simulate
 from pipeline.errors import ConfigError
 from pipeline.problem.accuracy import Plan, RunInformation, reach, run_information, scale_to_limits
-from pipeline.problem.configured import build_measurement
+from pipeline.problem.configured import (
+    build_measurement,
+    configure_excitations,
+    configure_frequencies,
+    configure_sensors,
+)
 from pipeline.problem.design import choose, plan_covariance, unknown_sizes, whiten_plan
 from pipeline.problem.design import run_information as design_information
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.modelled import configure_excitations, configure_frequencies, configure_sensors
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_modelled_bearings, require_nodes

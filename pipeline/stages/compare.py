@@ -16,7 +16,7 @@ from pipeline.errors import ConfigError
 from pipeline.files import write_json, write_text
 from pipeline.laws.build import make_laws
 from pipeline.methods.catalogue import METHODS
-from pipeline.problem.modelled import model_machine
+from pipeline.problem.configured import model_machine
 from pipeline.reporting.comparison_figures import draw_comparison
 from pipeline.reporting.comparison_tables import Comparison, make_tables, tabulate, write_markdown
 from pipeline.reporting.console import comparison_progress, say, table

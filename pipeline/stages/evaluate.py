@@ -11,9 +11,15 @@ from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import write_coefficients
 from pipeline.data.tables import write_table
 from pipeline.data.vibration_files import to_rpm
-from pipeline.evaluation.errors import find_worst_mean, list_coverage, list_metrics, measure_errors
+from pipeline.evaluation.errors import (
+    find_worst_mean,
+    list_coverage,
+    list_metrics,
+    measure_errors,
+    measure_unmeasured,
+    model_unmeasured,
+)
 from pipeline.evaluation.physical_numbers import judge_numbers
-from pipeline.evaluation.unmeasured import measure_unmeasured, model_unmeasured
 from pipeline.files import write_json
 from pipeline.identification.losses import loss_of
 from pipeline.identification.restored import Answer

@@ -10,8 +10,7 @@ from pipeline.data.operating_points import describe_points
 from pipeline.data.tables import read_marks
 from pipeline.data.vibration_files import write_vibration
 from pipeline.errors import DataError
-from pipeline.problem.known import list_known
-from pipeline.problem.modelled import find_idle, model_machine, read_probes
+from pipeline.problem.configured import find_idle, list_known, model_machine, read_probes
 from pipeline.reporting.console import say, warn
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput

@@ -12,7 +12,7 @@ from pipeline.data.tables import read_marks
 from pipeline.data.vibration_files import write_vibration
 from pipeline.errors import ConfigError, DataError
 from pipeline.files import write_json
-from pipeline.problem.known import list_known, load_known
+from pipeline.problem.configured import list_known, load_known
 from pipeline.reporting.console import say, table, warn
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor, require_nodes

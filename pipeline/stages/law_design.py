@@ -12,8 +12,16 @@ from pipeline.config.schema import Config
 from pipeline.data.operating import name_state
 from pipeline.errors import ConfigError
 from pipeline.laws.build import make_laws
-from pipeline.problem.law_design import LawCandidates, LawPlan, plan_by_states
-from pipeline.problem.law_states import State, clearances_of, guess_at, inform_candidates, list_states
+from pipeline.problem.law_design import (
+    LawCandidates,
+    LawPlan,
+    State,
+    clearances_of,
+    guess_at,
+    inform_candidates,
+    list_states,
+    plan_by_states,
+)
 from pipeline.problem.planning import Planner, list_possible
 from pipeline.problem.ranking import find_least
 from pipeline.reporting.console import say, table

@@ -21,10 +21,9 @@ from pipeline.identification.restored import Answer, answer_of
 from pipeline.identification.storage import load_model
 from pipeline.identification.training import setup_of
 from pipeline.identification.uncertainty import load_uncertainty
-from pipeline.problem.configured import build_measurement
+from pipeline.problem.configured import build_measurement, list_known, load_known, require_known
 from pipeline.problem.determination import Deviations
 from pipeline.problem.diagnosis import Diagnosis
-from pipeline.problem.known import list_known, load_known, require_known
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.stored import load_rotor, require_nodes

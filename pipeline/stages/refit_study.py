@@ -17,13 +17,12 @@ import numpy as np
 from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError
-from pipeline.evaluation.refits import Refit, refit, summarize_refits, tabulate_refits
-from pipeline.evaluation.unmeasured import model_unmeasured
+from pipeline.evaluation.errors import model_unmeasured
+from pipeline.evaluation.repeats import Refit, refit, summarize_refits, tabulate_refits
 from pipeline.files import write_json
 from pipeline.identification.losses import loss_of
 from pipeline.identification.training import setup_of
-from pipeline.problem.configured import build_measurement
-from pipeline.problem.modelled import model_machine, read_probes
+from pipeline.problem.configured import build_measurement, model_machine, read_probes
 from pipeline.processes import open_pool
 from pipeline.reporting.console import count_progress, say, table
 from pipeline.reporting.figures import draw_refits

@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError
-from pipeline.evaluation.starts import summarize_starts, tabulate_starts
+from pipeline.evaluation.repeats import summarize_starts, tabulate_starts
 from pipeline.files import write_json
 from pipeline.identification.outcome import Outcome
 from pipeline.identification.residual_loss import ResidualTraining, initial_parameters, prepare_residual

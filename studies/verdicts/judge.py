@@ -32,9 +32,8 @@ from pipeline.files import write_json
 from pipeline.identification.fit import fit
 from pipeline.identification.restored import answer_of
 from pipeline.identification.training import setup_of
-from pipeline.problem.configured import build_measurement
+from pipeline.problem.configured import build_measurement, model_machine, read_probes
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.modelled import model_machine, read_probes
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.trust.assessment import assess
 

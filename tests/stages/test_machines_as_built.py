@@ -15,9 +15,14 @@ from pipeline.data.as_built import stand_on_pedestals
 from pipeline.data.dataset import VibrationDataset, assemble_forces, subtract_baseline
 from pipeline.data.sensors import list_directions, measure, project
 from pipeline.errors import ConfigError, PipelineError
-from pipeline.evaluation.refits import summarize_refits
-from pipeline.problem.configured import build_measurement
-from pipeline.problem.modelled import configure_excitations, configure_sensors, model_machine, read_probes
+from pipeline.evaluation.repeats import summarize_refits
+from pipeline.problem.configured import (
+    build_measurement,
+    configure_excitations,
+    configure_sensors,
+    model_machine,
+    read_probes,
+)
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.bearings import CylindricalBearingConfig, PerNodeBearingConfig
 from pipeline.rotor.model import RotorModel, bearing_dof

@@ -16,7 +16,7 @@ from pipeline.config.schema import Config
 from pipeline.data.sensors import list_directions, measure
 from pipeline.data.simulate import simulate
 from pipeline.files import read_json
-from pipeline.problem.modelled import configure_excitations, configure_sensors
+from pipeline.problem.configured import configure_excitations, configure_sensors
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor
 from pipeline.stages import ingest, train
 from pipeline.stages.analysis import Analysis

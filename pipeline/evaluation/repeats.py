@@ -1,35 +1,99 @@
-"""The same machine measured and identified again and again: error and coverage of each fit, and of all of them.
+"""A measurement trained many times, from guesses or seeds; a machine measured and identified many times.
 
-The bound is that of the noise: the deviation at the true coefficients, as the functions that the fit chose come nearest
-to them.
+The bound of the second is that of the noise: the deviation at the true coefficients, as the functions that the fit
+chose come nearest to them.
 
-Legend: S training speeds, A active unknowns.
+Legend: G starts, S training speeds, A active unknowns.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pipeline.config.machine import MachineConfig
-from pipeline.evaluation.errors import CoefficientErrors, measure_coverage
+from pipeline.evaluation.errors import (
+    CoefficientError,
+    CoefficientErrors,
+    measure_coverage,
+    measure_errors,
+    measure_unmeasured,
+)
 from pipeline.evaluation.physical_numbers import NumberError, measure_numbers
-from pipeline.evaluation.unmeasured import measure_unmeasured
 from pipeline.identification.answer import conclude
 from pipeline.identification.information import unknown_deviation
 from pipeline.identification.losses import fit_sensors
 from pipeline.identification.output_error_start import start_at
 from pipeline.identification.quality import MISMATCH
 from pipeline.identification.restored import answer_of
-from pipeline.identification.training import FitSetup
+from pipeline.identification.training import FitSetup, Minimum
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+_NO_ERROR = CoefficientError(*(float("nan"),) * 5)
+"""Where there is no truth."""
+
+
+def tabulate_starts(
+    over: str,
+    starts: np.ndarray,
+    minimum: Minimum,
+    answers: Sequence[BearingTable],
+    modelled: BearingTable | None,
+    names: Sequence[Sequence[str]],
+) -> pd.DataFrame:
+    """A row a start (G,), bearing and coefficient; the error is NaN where there is no truth."""
+    import pandas as pd
+
+    rows = []
+    for g, (start, answer) in enumerate(zip(starts, answers, strict=True)):
+        errors = {} if modelled is None else measure_errors(answer, modelled, names)
+        for b, node in enumerate(answer.nodes):
+            for name in names[b]:
+                error = errors.get(node, {}).get(name, _NO_ERROR)
+                rows.append(
+                    {
+                        over: start,
+                        "bearing_node": node,
+                        "coefficient": name,
+                        "mean_value": float(answer.coefficient(name)[b].mean()),
+                        "mean_error_percent": error.mean_error_percent,
+                        "median_error_percent": error.median_error_percent,
+                        "p95_error_percent": error.p95_error_percent,
+                        "loss": float(minimum.loss[g]),
+                        "outcome": minimum.outcomes[g].label,
+                    }
+                )
+    return pd.DataFrame(rows)
+
+
+def summarize_starts(minimum: Minimum, rows: pd.DataFrame) -> dict[str, Any]:
+    """Outcomes, and the worst and median errors over the starts."""
+    labels = [outcome.label for outcome in minimum.outcomes]
+    coefficients: dict[str, dict[str, dict[str, float]]] = {}
+    for (node, name), group in rows.groupby(["bearing_node", "coefficient"], sort=False):
+        errors = group["mean_error_percent"]
+        if errors.notna().all():
+            values = {
+                "worst_mean_error_percent": float(errors.max()),
+                "median_mean_error_percent": float(errors.median()),
+                "worst_median_error_percent": float(group["median_error_percent"].max()),
+                "worst_p95_error_percent": float(group["p95_error_percent"].max()),
+            }
+            coefficients.setdefault(str(node), {})[str(name)] = values
+    return {
+        "starts": len(labels),
+        "outcomes": {label: labels.count(label) for label in sorted(set(labels))},
+        "worst_loss": float(minimum.loss.max()),
+        "coefficients": coefficients,
+    }
 
 
 @dataclass(frozen=True, eq=False)
