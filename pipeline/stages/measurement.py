@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import read_coefficients
@@ -14,13 +11,10 @@ from pipeline.data.dataset import VibrationDataset
 from pipeline.data.tables import read_marks
 from pipeline.data.vibration_files import read_measured, require_made_for, require_nodes_of
 from pipeline.errors import DataError
-from pipeline.files import hash_file, read_json
-from pipeline.identification.identified import IdentifiedModel
+from pipeline.files import read_json
 from pipeline.identification.losses import loss_of
-from pipeline.identification.restored import Answer, answer_of
-from pipeline.identification.storage import load_model
+from pipeline.identification.restored import Answer, load_answer
 from pipeline.identification.training import setup_of
-from pipeline.identification.uncertainty import load_uncertainty
 from pipeline.problem.configured import build_measurement, list_known, load_known, require_known
 from pipeline.problem.determination import Deviations
 from pipeline.problem.diagnosis import Diagnosis
@@ -140,41 +134,10 @@ def restore(analysis: Analysis) -> Answer:
     files = analysis.files
     measurement = prepare(analysis)
     analysis.require("train", *files.model, files.training, files.history)
-    identified = load_identified(analysis.config, measurement)
-    return answer_of(measurement, identified, load_uncertainty(files.folder, identified))
+    return load_answer(files.folder, analysis.config.identify, measurement)
 
 
 # --- what was identified, and the truth ------------------------------------------------------------
-
-
-def load_identified(config: Config, measurement: Measurement) -> IdentifiedModel:
-    """The trained model. Raises DataError where there is none, or where other data trained it."""
-    work = locate_files(config)
-    about, identified = read_json(work.training), load_model(work.folder)
-    laws = {
-        "the data at hand": about.get("data_fingerprint") == measurement.dataset.fingerprint,
-        "the model beside it": about.get("model") == " ".join(map(hash_file, work.model)),
-        f"the bearings at nodes {list(measurement.rotor.bearing_nodes)}": identified.bearing_nodes
-        == measurement.rotor.bearing_nodes,
-        f"the unknowns {', '.join(config.identify.named())}": _match_unknowns(config, identified),
-        "identify.model_parameters": _list_priors(about) == [[p.name, p.deviation] for p in measurement.parameters],
-    }
-    for law, holds in laws.items():
-        if not holds:
-            raise DataError(
-                f"'{work.training}' must belong to {law}, but it does not: run stage=train with the same overrides"
-            )
-    return identified
-
-
-def _list_priors(about: Mapping[str, Any]) -> list[list[Any]]:
-    return [[name, entry["prior_deviation"]] for name, entry in about.get("model_parameters", {}).items()]
-
-
-def _match_unknowns(config: Config, identified: IdentifiedModel) -> bool:
-    wanted, trained = config.identify.unknowns_of(identified.bearing_nodes), identified.unknowns
-    order = [trained.names.index(name) for name in wanted.names] if set(wanted.names) == set(trained.names) else []
-    return bool(order) and np.array_equal(wanted.expansion, trained.expansion[..., order])
 
 
 QUALITY = ("fit", "residual", "condition_number", "determined", "physical_numbers", "law", "correction")
