@@ -22,6 +22,9 @@ from pipeline.files import write_json
 
 PACKAGE = Path(__file__).resolve().parents[1] / "pipeline"
 
+STUDIES = ("folds",)
+"""Studies of dvc.yaml, by their folders."""
+
 HARMLESS = (
     "tracking/",
     "reporting/console.py",
@@ -35,8 +38,16 @@ these."""
 
 
 def hash_code(package: Path = PACKAGE) -> dict[str, dict[str, str]]:
-    """Stage -> room -> hash of the files of that room which the stage needs; ``pipeline`` has those of no room."""
-    return {path.stem: _hash_rooms(package, list_needed(path, package)) for path in package.glob("stages/[a-z]*.py")}
+    """Stage or study -> room -> hash of the files of that room which it needs; ``pipeline`` has those of no room.
+
+    What lies beside the script of a study is a dependency of its own.
+    """
+    needed = {path.stem: list_needed(path, package) for path in package.glob("stages/[a-z]*.py")}
+    for name in STUDIES:
+        scripts = list((package.parent / "studies" / name).glob("*.py"))
+        imported = {file for script in scripts for file in _list_imported(script, package)}
+        needed[name] = frozenset().union(*(list_needed(file, package) for file in imported))
+    return {name: _hash_rooms(package, files) for name, files in needed.items()}
 
 
 def _hash_rooms(package: Path, files: frozenset[Path]) -> dict[str, str]:

@@ -23,8 +23,12 @@ EXPERIMENTS = sorted(path.stem for path in (ROOT / "conf" / "experiment").glob("
 
 
 def stages_of(command: str | list[str]) -> list[str]:
-    """The stages of the pipeline that a command of dvc.yaml runs; those of several commands are in the first."""
-    found = re.search(r"stage=(?:\[([\w,]+)\]|(\w+))", command if isinstance(command, str) else command[0])
+    """The stages of the pipeline that a command of dvc.yaml runs, or the study; those of several commands are in the
+    first."""
+    first = command if isinstance(command, str) else command[0]
+    if script := re.match(r"python studies/\S+/(\w+)\.py", first):
+        return [script[1]]
+    found = re.search(r"stage=(?:\[([\w,]+)\]|(\w+))", first)
     assert found, command
     return (found[1] or found[2]).split(",")
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, PositiveFloat
 
-from pipeline.config.quantities import Length, Mass, ShaftAngle, UnbalanceMagnitude
+from pipeline.config.quantities import Length, Mass, ShaftAngle
 from pipeline.config.section import NonNegativeInt, Section, rule
 from pipeline.units import RAD_S_PER_RPM
 
@@ -96,18 +96,3 @@ class PredictConfig(Section):
 
     records: str | None = None
     method: str | None = None
-
-
-class FoldsConfig(Section):
-    """How methods that predict vibration from weights are tried on conditions unseen.
-
-    ``calibration`` names the conditions that calibrate alone and are never scored, the one without weights first.
-
-    ``heavy`` is the sum of weights from which on conditions are predicted by lighter ones; null leaves that out. The
-    ``false_alarm_rate`` is that of naming a condition where none contradicts its label.
-    """
-
-    calibration: tuple[str, ...] = ()
-    count: Annotated[int, Field(ge=2)] = 5
-    heavy: UnbalanceMagnitude | None = None
-    false_alarm_rate: Annotated[float, Field(gt=0, lt=0.5)] = 0.01

@@ -271,19 +271,6 @@ class OrderTrackingConfig(Section):
         return self.revolutions or fewest
 
 
-class CsvConfig(Section):
-    """The format of a CSV file; ``skip_rows`` are lines before the header."""
-
-    delimiter: Annotated[str, Field(min_length=1, max_length=1)] = ","
-    decimal: Literal[".", ","] = "."
-    skip_rows: NonNegativeInt = 0
-
-    @rule
-    def _apart(self) -> Iterator[str]:
-        if self.delimiter == self.decimal:
-            yield f"must have a delimiter that is not the decimal mark, but both are {self.decimal!r}"
-
-
 class MeasuredConfig(AnyRecordingsConfig):
     """All formats share these keys; each adds ``probes`` and ``runs``. Runs that name no file are in ``file``.
 

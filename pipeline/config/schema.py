@@ -11,7 +11,7 @@ from typing import Literal, get_args
 
 from pydantic import Field, PositiveFloat, PositiveInt
 
-from pipeline.config.balance import BalanceConfig, FoldsConfig, PredictConfig
+from pipeline.config.balance import BalanceConfig, PredictConfig
 from pipeline.config.comparison import ComparisonConfig
 from pipeline.config.identification import IdentifyConfig, LossConfig, OptimizerConfig, RobustnessConfig, TrainingConfig
 from pipeline.config.machine import MachineConfig
@@ -125,7 +125,6 @@ class Config(Section):
     balance: BalanceConfig = BalanceConfig()
     predict: PredictConfig = PredictConfig()
     export: ExportConfig = Field(default=ExportConfig(units="si", formats=get_args(ExportFormat)), exclude=True)
-    folds: FoldsConfig = Field(default=FoldsConfig())
     new: NewConfig = Field(default=NewConfig(bearings="fluid_film", data="simulated"), exclude=True)
     chosen_by: str = Field(default="", exclude=True)
 

@@ -13,10 +13,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.data.dataset import DIRECTIONS, Excitation, VibrationDataset, assemble_forces
+from pipeline.data.dataset import Excitation, VibrationDataset, assemble_forces
+from pipeline.data.simulate import show_everywhere
 from pipeline.errors import PipelineError
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.model import TRANSLATIONS, RotorModel, bearing_dof, seal_dof, translation_dof
+from pipeline.rotor.model import RotorModel, bearing_dof, seal_dof
 from pipeline.units import RAD_S_PER_RPM
 
 
@@ -28,10 +29,7 @@ def integrate(rotor: RotorModel, bearings: BearingTable, excitations: tuple[Exci
     runs = tuple(dict.fromkeys(excitation.run for excitation in excitations))
     forces = assemble_forces(rotor, excitations, runs, bearings.speeds)
     response = np.stack([_settle(rotor, bearings, s, forces[s]) for s in range(len(bearings.speeds))])
-    channels = tuple((node, angle) for node in range(rotor.n_nodes) for angle in DIRECTIONS.values())
-    measured = [translation_dof(node, direction) for node in range(rotor.n_nodes) for direction in range(TRANSLATIONS)]
-    shown = response[:, measured]
-    return VibrationDataset(bearings.speeds, runs, channels, shown, excitations, operating=bearings.operating)
+    return show_everywhere(rotor, bearings, response, excitations)
 
 
 def _settle(

@@ -1,5 +1,8 @@
 """From the 1X vectors of probes to displacements in x and y, and what excited them.
 
+Probes at any mounting angle show v_i = x cos a_i + y sin a_i at each node, solved by least squares. How much the sweep
+of a run-up biases the peak that its vectors show: the rate from the tacho, the bias from the model.
+
 Legend: S speeds, P probes, R runs, N nodes.
 """
 
@@ -12,21 +15,19 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from pipeline.config.measured import MeasuredConfig, NoRecordingsConfig, SlowRollConfig
-from pipeline.data.dataset import VibrationDataset
-from pipeline.errors import DataError
+from pipeline.config.measured import MeasuredConfig, NoRecordingsConfig, ProbeConfig, SlowRollConfig
+from pipeline.data.dataset import DIRECTIONS, VibrationDataset
+from pipeline.errors import ConfigError, DataError
 from pipeline.ingest.conventions import list_acting, to_vectors
 from pipeline.ingest.operating import find_conditions, name_recordings, to_points
 from pipeline.ingest.plausibility import note_dead
-from pipeline.ingest.probes import check_probes, resolve
 from pipeline.ingest.records import RecordsConfig
 from pipeline.ingest.ross_results import RossRecordingsConfig
-from pipeline.ingest.sweeps import measure_sweep, note_sweep
 from pipeline.ingest.table import TableRecordingsConfig
 from pipeline.ingest.tracks import LARGEST, RunTracks, format_rpm, to_common_speeds
 from pipeline.ingest.uff import UffRecordingsConfig
 from pipeline.ingest.waveform import WaveformRecordingsConfig
-from pipeline.sweep.bias import SweepBias
+from pipeline.sweep.bias import SweepBias, describe_bias, find_mode, measure_bias, read_peak
 from pipeline.units import RAD_S_PER_RPM
 
 RecordingsConfig = Annotated[
@@ -75,8 +76,8 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> M
         notes += note_sweep(run, bias)
     wanted = np.array(config.speeds.rpm()) * RAD_S_PER_RPM if config.speeds else None
     speeds, vectors = to_common_speeds(runs, wanted, config.interpolation)
-    resolved = resolve(config.probes, vectors)
-    _check_size(resolved.displacement, runs)
+    channels, displacement, misfits = resolve(config.probes, vectors)
+    _check_size(displacement, runs)
     conditions = find_conditions(config, runs, speeds)
     labels = name_recordings(config, conditions)
     acting = [
@@ -87,8 +88,8 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> M
     recorded = VibrationDataset(
         speeds,
         labels,
-        resolved.channels,
-        resolved.displacement,
+        channels,
+        displacement,
         tuple(acting),
         np.stack([run.frequencies(speeds) for run in config.runs], axis=1) if asynchronous else None,
     )
@@ -100,7 +101,7 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> M
     notes += [
         f"the probes at node {node} contradict each other by {100 * misfit:.2g} % of what they measure: check "
         "their angles, polarity and scale"
-        for node, misfit in resolved.misfit.items()
+        for node, misfit in misfits.items()
         if misfit > contradiction
     ]
     return MeasuredRuns(dataset, recorded, runs, tuple(dict.fromkeys(notes)), sweeps)
@@ -147,3 +148,77 @@ def _check_size(displacement: np.ndarray, runs: Sequence[RunTracks]) -> None:
             f"displacements must be below {LARGEST:g} m, but run '{runs[int(largest.argmax())].name}' has "
             f"{largest.max():.3g} m: check the unit (machine.recordings.conventions, or scale and signal_unit)"
         )
+
+
+def check_probes(probes: Mapping[str, ProbeConfig], least_spread: float = np.radians(10.0)) -> None:
+    """Raise ConfigError for a node at which x and y can't be told apart.
+
+    Probes that are nearer to one line than ``least_spread`` (rad) amplify their errors by more than eight.
+    """
+    for node in sorted({probe.node for probe in probes.values()}):
+        here = {name: probe for name, probe in probes.items() if probe.node == node}
+        if len(here) == 1:
+            raise ConfigError(
+                f"machine.recordings.probes must have two probes at a node to give x and y, but node {node} has one "
+                f"only: '{next(iter(here))}'; add the other, or leave the node out"
+            )
+        angles = np.array([probe.angle for probe in here.values()])
+        if np.abs(np.sin(angles[:, None] - angles)).max() < np.sin(least_spread):
+            text = ", ".join(f"'{name}' at {np.degrees(probe.angle):g} deg" for name, probe in here.items())
+            raise ConfigError(
+                f"machine.recordings.probes must span the plane at each node, but those of node {node} lie within "
+                f"{np.degrees(least_spread):g} deg of one line: {text}"
+            )
+
+
+def resolve(
+    probes: Mapping[str, ProbeConfig], vectors: np.ndarray
+) -> tuple[tuple[tuple[int, float], ...], np.ndarray, dict[int, float]]:
+    """x and y at every node, of the ``vectors`` (S, P, R) of the probes in this order; see :func:`check_probes`.
+
+    Returns:
+        2 N channels (node, angle in degrees) of x and y; their displacement (S, 2 N, R), complex, m; by node the root
+        mean square of what the probes contradict each other over that of their vectors, 0 for two probes.
+    """
+    nodes = sorted({probe.node for probe in probes.values()})
+    place = np.array([probe.node for probe in probes.values()])
+    angles = np.array([probe.angle for probe in probes.values()])
+    parts, misfit = [], {}
+    for node in nodes:
+        here = np.flatnonzero(place == node)
+        matrix = np.stack([np.cos(angles[here]), np.sin(angles[here])], axis=1)
+        seen = vectors[:, here]
+        solved = np.einsum("dp,spr->sdr", np.linalg.pinv(matrix), seen)
+        rest = seen - np.einsum("pd,sdr->spr", matrix, solved)
+        size = np.sqrt((np.abs(seen) ** 2).mean())
+        misfit[node] = float(np.sqrt((np.abs(rest) ** 2).mean()) / size) if size > 0 and len(here) > 2 else 0.0
+        parts.append(solved)
+    channels = tuple((node, angle) for node in nodes for angle in DIRECTIONS.values())
+    return channels, np.concatenate(parts, axis=1), misfit
+
+
+def measure_sweep(run: RunTracks, most: float) -> SweepBias | None:
+    """The bias at the largest peak of the probe that has most of it; ``most`` is the share that a peak may lag.
+
+    None for a run without times, and where no probe shows a peak with half the power on both sides.
+    """
+    if run.times is None or len(run.times) < 3:
+        return None
+    biases: list[SweepBias] = []
+    for track in run.tracks.values():
+        reading = read_peak(track.speeds, np.abs(track.vectors))
+        if reading:
+            rates = np.gradient(track.speeds, run.times)
+            rate = float(np.interp(reading.frequency, track.speeds, rates))
+            biases.append(measure_bias(*find_mode(reading, rate), rate, most))
+    return max(biases, key=lambda bias: abs(bias.peak_shift), default=None)
+
+
+def note_sweep(run: RunTracks, bias: SweepBias | None) -> list[str]:
+    """A sentence where the peak lags by more than it may."""
+    if not bias or abs(bias.peak_shift) <= bias.most:
+        return []
+    return [
+        f"run '{run.name}' is no sequence of steady states: {describe_bias(bias)}; run it slower, or fit the ramp "
+        "with stage=runup"
+    ]

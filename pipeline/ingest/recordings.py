@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.data.mat_files import read_mat
-from pipeline.data.tables import TextFormat, read_table
+from pipeline.data.tables import CsvConfig, read_table
 from pipeline.errors import DataError, nearest
 
 _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
@@ -38,7 +38,7 @@ class Recording:
     channels: Mapping[str, np.ndarray]  # (n,) each
 
 
-def read_recording(path: Path, names: Sequence[str], clock: Clock, text: TextFormat) -> Recording:
+def read_recording(path: Path, names: Sequence[str], clock: Clock, text: CsvConfig) -> Recording:
     """The channels ``names`` of a file.
 
     Raises DataError: no such file or channel, a damaged or truncated file, no sample rate, NaN, channels of unequal

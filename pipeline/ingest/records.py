@@ -14,7 +14,6 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from pipeline.config.measured import (
-    CsvConfig,
     MeasuredConfig,
     MeasuredRunConfig,
     ProbeConfig,
@@ -26,10 +25,9 @@ from pipeline.config.motion import to_motion
 from pipeline.config.quantities import to_si
 from pipeline.config.section import NonNegativeInt, Section, rule
 from pipeline.data.dataset import SYNCHRONOUS, Excitation, VibrationDataset
-from pipeline.data.tables import read_table
+from pipeline.data.tables import CsvConfig, read_table
 from pipeline.errors import DataError
 from pipeline.ingest.conventions import RAD_S, to_displacement, to_lead
-from pipeline.ingest.table import read_format
 from pipeline.ingest.tracks import LARGEST, format_rpm
 
 
@@ -144,7 +142,7 @@ class RecordsConfig(MeasuredConfig):
         pairs = [(columns.real, columns.imaginary) for columns in (*probes, *weights)]
         kinds = {named.speed: "number", named.condition: "text", named.record: "text"}
         optional = {name: "number or blank" for pair in pairs for name in pair}
-        table = read_table(path, kinds, optional, read_format(self.csv))
+        table = read_table(path, kinds, optional, self.csv)
         blank = np.full(len(table[named.speed]), np.nan)
         parts = [table.get(real, blank) + 1j * table.get(imaginary, blank) for real, imaginary in pairs]
         values = np.stack(parts, axis=1)

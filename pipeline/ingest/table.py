@@ -15,7 +15,6 @@ from pydantic import Field, PositiveFloat
 
 from pipeline.config.measured import (
     ConventionsConfig,
-    CsvConfig,
     MeasuredConfig,
     MeasuredRunConfig,
     ProbeConfig,
@@ -26,7 +25,7 @@ from pipeline.config.motion import to_motion
 from pipeline.config.operating import ConditionColumns
 from pipeline.config.runs import check_frequency
 from pipeline.config.section import Section, rule
-from pipeline.data.tables import Columns, TextFormat, read_table
+from pipeline.data.tables import Columns, CsvConfig, read_table
 from pipeline.errors import DataError, nearest
 from pipeline.ingest.conventions import RAD_S, to_displacement, to_vectors
 from pipeline.ingest.tracks import RunTracks, Track, sort_track
@@ -135,7 +134,7 @@ def _read_conditions(
     columns = {name: condition.column for name, condition in named.conditions.items()}
     kinds = dict.fromkeys((named.speed, *columns.values()), "number")
     kinds |= {named.run: "text"} if config.layout == "long" else {}
-    table = read_table(path, kinds, text=read_format(config.csv))
+    table = read_table(path, kinds, text=config.csv)
     if config.layout == "long":
         table = _select(table, named.run, run.name)
     speeds, at = np.unique(table[named.speed], return_inverse=True)
@@ -153,15 +152,10 @@ _Rows = tuple[np.ndarray, np.ndarray, np.ndarray, str]
 """Speed, amplitude and phase (S,) of one probe in one run, in the file's units; and its name in messages."""
 
 
-def read_format(csv: CsvConfig) -> TextFormat:
-    """How the configuration says that CSV files are written."""
-    return TextFormat(csv.delimiter, csv.decimal, csv.skip_rows)
-
-
 def _read_wide(config: TableRecordingsConfig, run: TableRunConfig, path: Path) -> dict[str, _Rows]:
     pairs = {name: run.columns.get(name) or probe.columns for name, probe in config.probes.items()}
     columns = [config.columns.speed, *(c for pair in pairs.values() if pair for c in (pair.amplitude, pair.phase))]
-    table = read_table(path, dict.fromkeys(columns, "number"), text=read_format(config.csv))
+    table = read_table(path, dict.fromkeys(columns, "number"), text=config.csv)
     return {
         name: _take_rows(table, config.columns.speed, pair.amplitude, pair.phase, f"'{path}'")
         for name, pair in pairs.items()
@@ -173,7 +167,7 @@ def _read_long(config: TableRecordingsConfig, run: TableRunConfig, path: Path) -
     names = config.columns
     kinds = {names.run: "text", names.probe: "text"}
     kinds |= dict.fromkeys((names.speed, names.amplitude, names.phase), "number")
-    table = read_table(path, kinds, text=read_format(config.csv))
+    table = read_table(path, kinds, text=config.csv)
     _check_runs(config, list(dict.fromkeys(table[names.run])), path)
     mine = _select(table, names.run, run.name)
     if not len(mine[names.run]):

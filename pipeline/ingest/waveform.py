@@ -11,7 +11,6 @@ import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt
 
 from pipeline.config.measured import (
-    CsvConfig,
     MeasuredConfig,
     MeasuredRunConfig,
     OrderTrackingConfig,
@@ -22,12 +21,13 @@ from pipeline.config.measured import (
 from pipeline.config.motion import SignalUnit, to_motion
 from pipeline.config.quantities import Frequency
 from pipeline.config.section import rule
+from pipeline.data.tables import CsvConfig
 from pipeline.errors import DataError
 from pipeline.ingest.conventions import to_displacement
 from pipeline.ingest.order_tracking import Signals, find_passages, find_range, fit_steady, fit_sweep
 from pipeline.ingest.plausibility import note_clipping
 from pipeline.ingest.recordings import Clock, Recording, read_recording
-from pipeline.ingest.table import note_cut, read_format
+from pipeline.ingest.table import note_cut
 from pipeline.ingest.tacho import Pulses, find_pulses, fit_angle
 from pipeline.ingest.tracks import RunTracks, Track, format_rpm, sort_track
 from pipeline.units import RAD_S_PER_RPM
@@ -226,7 +226,7 @@ class WaveformRecordingsConfig(SignalConfig):
         tacho, marks = run.tacho or self.tacho.channel, [self.tacho.mark_channel] if self.tacho.mark_channel else []
         names = {name: run.channels.get(name, probe.channel) for name, probe in self.probes.items()}
         clock = Clock(self.time, self.time_unit, run.sample_rate or self.sample_rate, self.sample_rate_attribute)
-        recording = read_recording(path, [*names.values(), tacho, *marks], clock, read_format(self.csv))
+        recording = read_recording(path, [*names.values(), tacho, *marks], clock, self.csv)
         notes = note_cut(path) if path.suffix.lower() in (".csv", ".txt") else ()
         return Loaded(recording, {name: recording.channels[channel] for name, channel in names.items()}, tacho, notes)
 

@@ -6,6 +6,7 @@ pointed elsewhere.
 
 from __future__ import annotations
 
+import itertools
 import os
 import sys
 import warnings
@@ -18,11 +19,10 @@ from typing import Any
 import numpy as np
 
 from pipeline.config.rotor import RotorConfig, ShaftSegmentConfig
-from pipeline.errors import ConfigError
+from pipeline.errors import ConfigError, nearest
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.bearings import BearingConfig, Operating, flatten, pick_condition
 from pipeline.rotor.model import RotorModel
-from pipeline.rotor.ross_file import read_rotor_file
 from pipeline.rotor.supports import Stand, find_seals, find_stands
 
 _LATERAL = (0, 1, 3, 4)
@@ -151,7 +151,7 @@ def bearing_table(
 def make_rotor(config: RotorConfig) -> Any:
     """ROSS's own rotor without bearings, or as its file has it. Raises ConfigError for a file that can't be read."""
     if config.file:
-        return read_rotor_file(ross(), Path(config.file))
+        return read_rotor_file(Path(config.file))
     rs = ross()
     if not config.material:
         raise ConfigError("machine.rotor.material must be given for a rotor without machine.rotor.file")
@@ -203,3 +203,74 @@ def _find_bearings(config: RotorConfig, rotor: Any) -> tuple[int, ...]:
             "machine.rotor.bearing_nodes"
         )
     return config.bearing_nodes
+
+
+def read_rotor_file(file: Path) -> Any:
+    """ROSS's rotor of a file that it saved (.toml, .json), read element by element.
+
+    Its own loader knows half of its classes only, and solves the oil film of some again, though the file has the
+    coefficients.
+
+    Raises ConfigError: no such file, none that ROSS saved, an element of another class, several shafts.
+    """
+    rs = ross()
+    if not file.is_file():
+        raise ConfigError(
+            f"machine.rotor.file must be a rotor saved by ROSS (.toml or .json), but there is no file '{file}'"
+        )
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            data = rs.utils.load_data(file)
+            elements = [
+                _find_class(name, content, file).read_toml_data(content)
+                for name, content in data.items()
+                if name not in ("parameters", "ross_version") and not name.startswith("_")
+            ]
+            _check_shaft([element.n for element in elements if isinstance(element, rs.ShaftElement)], file)
+            kinds = (rs.ShaftElement, rs.DiskElement, rs.BearingElement, rs.PointMass)
+            parts = [[element for element in elements if isinstance(element, kind)] for kind in kinds]
+            return rs.Rotor(*parts, **data["parameters"])
+    except ConfigError:
+        raise
+    except Exception as error:  # ROSS's elements and its rotor raise many kinds
+        raise ConfigError(
+            f"machine.rotor.file must be a rotor saved by ROSS (.toml or .json), but '{file}' can't be read as one "
+            f"({type(error).__name__}: {error})"
+        ) from error
+
+
+def _find_class(name: str, content: Any, file: Path) -> Any:
+    """The class that reads an element that is called CLASS_TAG in the file: the simplest that has its matrices."""
+    rs, word = ross(), name.partition("_")[0]
+    ross_class = getattr(rs, word, None)
+    kinds = (rs.ShaftElement, rs.DiskElement, rs.BearingElement, rs.PointMass)
+    if not isinstance(ross_class, type) or not issubclass(ross_class, kinds):
+        known = sorted(
+            name for name, candidate in vars(rs).items() if isinstance(candidate, type) and issubclass(candidate, kinds)
+        )
+        raise ConfigError(
+            f"machine.rotor.file must have elements that ROSS {rs.__version__} knows, but '{file}' has a '{word}': "
+            f"{nearest(word, known)}; put a DiskElement, BearingElement or ShaftElement of its values in its place"
+        )
+    if issubclass(ross_class, rs.DiskElement) and "m" in content:
+        return rs.DiskElement
+    count, speeds = len(content.get("kxx") or []), len(content.get("frequency") or [])
+    if issubclass(ross_class, rs.BearingElement) and count in (1, speeds):
+        return rs.SealElement if issubclass(ross_class, rs.SealElement) else rs.BearingElement
+    return ross_class
+
+
+def _check_shaft(starts: list[Any], file: Path) -> None:
+    """Raise ConfigError where the elements, at the nodes ``starts``, are not one shaft from node 0 on."""
+    nodes = sorted({int(start) for start in starts})
+    if not nodes:
+        raise ConfigError(f"machine.rotor.file must have a shaft, but '{file}' has no ShaftElement")
+    if nodes[0] != 0:
+        raise ConfigError(f"machine.rotor.file must have a shaft from node 0 on, but '{file}' begins at {nodes[0]}")
+    for a, b in itertools.pairwise(nodes):
+        if b != a + 1:
+            raise ConfigError(
+                f"machine.rotor.file must have one shaft, but that of '{file}' ends at node {a + 1} and another begins "
+                f"at node {b} (rotors on one axis or joined by gears): save the rotor that was measured by itself"
+            )

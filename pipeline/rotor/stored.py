@@ -20,7 +20,7 @@ from pipeline.rotor.seals import Seals
 
 KIND = "rotors"
 _BEARINGS = "bearings"
-_CODE = ("ross_adapter", "ross_file", "supports", "bearings")
+_CODE = ("ross_adapter", "supports", "bearings")
 _LAWS = ("files", "oil", "points", "short_bearing", "table")
 _MADE_BY = [
     *(Path(__file__).with_name(f"{name}.py") for name in _CODE),

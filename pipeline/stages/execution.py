@@ -6,7 +6,7 @@ import hashlib
 import importlib
 import json
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -37,23 +37,24 @@ class StageOutput:
 
 
 def execute(analysis: Analysis) -> None:
-    """Run a stage and record it; of ``predict`` with records of the user's own, those alone.
-
-    The files are complete before the first word to MLflow.
-    """
+    """Run a stage and record it; of ``predict`` with records of the user's own, those alone."""
     config = analysis.config
     given_records = config.stage == "predict" and config.predict.records is not None
     name = "given_records" if given_records else config.stage
-    run = importlib.import_module(f"pipeline.stages.{name}").run
-    started = time.time()
-    output: StageOutput = run(analysis)
+    record(analysis, importlib.import_module(f"pipeline.stages.{name}").run)
+
+
+def record(analysis: Analysis, run: Callable[[Analysis], StageOutput]) -> None:
+    """Run and record what a stage, or a study, does. The files are complete before the first word to MLflow."""
+    config, started = analysis.config, time.time()
+    output = run(analysis)
     # The comparison's many settings are of its own stage alone.
     parameters = config.model_dump(mode="json", exclude=None if config.stage == "compare" else {"comparison"})
     # Stages of one experiment with the same configuration share this tag.
     apart = ("stage", "tracking", "check", "comparison", "report", "balance", "predict")
     shared = {key: parameters[key] for key in parameters if key not in apart}
     group = hashlib.sha256(json.dumps(shared, sort_keys=True).encode()).hexdigest()[:12]
-    record = StageRecord(
+    stage_record = StageRecord(
         experiment=config.name if config.stage != "check" else "check",  # it looks at all of them
         stage=config.stage,
         started=started,
@@ -68,7 +69,7 @@ def execute(analysis: Analysis) -> None:
         status="KILLED" if output.exit_code == 130 else "FINISHED",
     )
     settings = TrackingSettings(config.tracking.enabled, config.tracking.uri, config.tracking.timeout_seconds)
-    for sentence in track(record, settings):
+    for sentence in track(stage_record, settings):
         warn(sentence)
     if output.exit_code:
         raise SystemExit(output.exit_code)

@@ -7,15 +7,14 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from pipeline.balance.records_prediction import predict_records
+from pipeline.balance.records import predict_records
 from pipeline.data.tables import list_columns, read_table, write_table
 from pipeline.ingest.source_units import SourceUnits
-from pipeline.ingest.table import read_format
 from pipeline.reporting.balance_tables import tabulate_predicted
 from pipeline.reporting.console import say
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
-from pipeline.stages.vibration_models import list_missing, load_models, load_records, pick_method
+from pipeline.stages.vibration_models import list_missing, load_models, load_records
 from pipeline.stages.workspace import locate_files
 
 if TYPE_CHECKING:
@@ -28,12 +27,12 @@ def run(analysis: Analysis) -> StageOutput:
     file = config.predict.records or ""
     records = load_records(config, file, "predict.records")
     fitted = load_models(config)
-    method = pick_method(fitted.models, config.predict.method, "predict.method")
+    method = fitted.pick(config.predict.method, "predict.method")
     predicted = predict_records(records, fitted.models[method])
     recordings = cast("RecordsConfig", config.machine.recordings)  # load_records has seen to it
     pairs = [(probe.columns.real, probe.columns.imaginary) for probe in recordings.probes.values()]
     vectors = {name for pair in pairs for name in pair}
-    text = read_format(recordings.csv)
+    text = recordings.csv
     kept = {name: "text" for name in list_columns(Path(file), text) if name not in vectors}
     source = SourceUnits(recordings)
     table = tabulate_predicted(read_table(Path(file), kept, text=text), records, predicted, source, pairs, method)

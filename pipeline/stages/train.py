@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -34,6 +33,7 @@ from pipeline.stages.analysis import Analysis
 from pipeline.stages.diagnose import describe_noise, say_diagnosis
 from pipeline.stages.execution import StageOutput, use_threads
 from pipeline.stages.measurement import diagnose, expect, prepare
+from pipeline.trust.misfit import measure_misfit
 
 
 def say_promoted(config: Config) -> None:
@@ -173,11 +173,11 @@ def _report(analysis: Analysis, fitted: Fit) -> None:
     print_numbers(config.name, list_numbers(summary.get("physical_numbers", {}), config))
     for text in describe_law(summary, config.model.kind):
         say(f"{config.name}: {text}")
-    misfit = fitted.quality.misfit
+    misfit = measure_misfit(summary["fit"]) if "fit" in summary else None
     # NaN compares false.
-    if misfit is not None and not misfit < FAR_FROM_EXPECTED:
+    if misfit is not None and not misfit.explained() and not misfit.size < FAR_FROM_EXPECTED:
         warn(
-            f"{config.name}: the readings lie {math.sqrt(misfit):.2g} times as far from "
+            f"{config.name}: the readings lie {misfit.distance:.2g} times as far from "
             "the fit as their noise; state the noise as it is (stated_noise.additive is its floor), or check units, "
             "conventions, rotor and excitation"
         )

@@ -15,7 +15,7 @@ from reading import DISC, GRID, ONE, RPM, RUNOUT, RUNS, TURNS, check_read, notes
 
 from pipeline.data.coefficient_files import read_known
 from pipeline.data.excitation_files import write_excitation
-from pipeline.data.tables import TextFormat, read_table
+from pipeline.data.tables import CsvConfig, read_table
 from pipeline.data.vibration_files import write_vibration
 from pipeline.errors import ConfigError
 
@@ -341,4 +341,4 @@ def test_a_row_with_more_fields_than_the_header_is_refused(tmp_path: Path) -> No
     with refused("must be a CSV table, but it can't be read as one"):
         read_table(path, {"a": "number", "b": "number"})
     path.write_text("a;b\n1,5;2\n3,5;4\n")
-    assert read_table(path, {"a": "number"}, text=TextFormat(";", ","))["a"].tolist() == [1.5, 3.5]
+    assert read_table(path, {"a": "number"}, text=CsvConfig(delimiter=";", decimal=","))["a"].tolist() == [1.5, 3.5]
