@@ -23,7 +23,7 @@ from pipeline.evaluation.physical_numbers import judge_numbers
 from pipeline.files import write_json
 from pipeline.identification.losses import loss_of
 from pipeline.identification.restored import Answer
-from pipeline.reporting.console import say
+from pipeline.reporting.console import say, warn
 from pipeline.reporting.error_table import describe_quality, describe_verdicts, make_error_table, print_error_table
 from pipeline.reporting.figures import draw_coefficients, draw_history
 from pipeline.reporting.identified_figure import draw_identified
@@ -51,6 +51,14 @@ def run(analysis: Analysis) -> StageOutput:
         summary["residual_ppm"] = 1e6 * quality["residual"]["mean_over_bearing_force"]
     if conventional is not None:
         written.append(write_coefficients(files.folder / "least_squares_coefficients.csv", conventional))
+    if not (bounded := table.bounded).all():
+        rpm = to_rpm(table.speeds[~bounded])
+        warn(
+            f"{config.name}: coefficients leave all bounds from {rpm.min():g} to {rpm.max():g} rpm, which was held out"
+        )
+        table, deviation = table.at(bounded), None if deviation is None else deviation[:, bounded]
+        modelled = None if modelled is None else modelled.at(bounded)
+        conventional = None if conventional is None else conventional.at(bounded)
     errors = None if modelled is None else measure_errors(table, modelled, names)
     beside = None if modelled is None or conventional is None else measure_errors(conventional, modelled, names)
     if modelled is not None and errors is not None:
@@ -73,7 +81,7 @@ def run(analysis: Analysis) -> StageOutput:
         say(f"{config.name}: {text}")
     if "physical_numbers" in quality:
         metrics["physical_numbers"] = judge_numbers(quality["physical_numbers"], config.machine)
-    elsewhere = model_unmeasured(config, table.speeds)
+    elsewhere = model_unmeasured(config, answer.table.speeds)
     beyond = {} if elsewhere is None else measure_unmeasured(answer.model.table(elsewhere), elsewhere, names)
     for state, error in beyond.items():
         worst = max(name.median_error_percent for names_of in error.values() for name in names_of.values())

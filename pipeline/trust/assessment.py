@@ -17,7 +17,7 @@ from pipeline.identification.quality import MISMATCH
 from pipeline.identification.restored import Answer
 from pipeline.identification.training import held_out_speeds
 from pipeline.problem.measurement import Measurement
-from pipeline.trust.evidence import Evidence, gather
+from pipeline.trust.evidence import Evidence, gather, leave_out_unbounded
 from pipeline.trust.judgement import judge, refuse_without_deviations
 from pipeline.trust.mistakes import WORTH_TRYING, Found, Probe, find_mistakes
 from pipeline.trust.next_run import weigh_candidates
@@ -50,8 +50,9 @@ def assess(config: Config, answer: Answer, about: Mapping[str, Any]) -> tuple[di
     ``training.json``."""
     updated, uncertainty = answer.measurement, answer.uncertainty
     assert uncertainty is not None
+    updated, fitted = leave_out_unbounded(updated, answer.model, _mark_fitted(config, updated))
     given = (updated, answer.model, uncertainty)
-    evidence, linear = gather(*given, about["fit"], _mark_fitted(config, updated), about["outcome"])
+    evidence, linear = gather(*given, about["fit"], fitted, about["outcome"])
     gains = weigh_candidates(*given, linear, list_candidates(config.machine.candidates))
     mistakes: list[Found] = []
     wanders = (about["fit"]["whiteness"].get("probability") or 0.0) < MISMATCH
