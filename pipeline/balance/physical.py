@@ -24,7 +24,14 @@ from pipeline.identification.problem import OutputError, output_error
 from pipeline.identification.quality import output_error_quality
 from pipeline.identification.training import FitSetup
 from pipeline.identification.uncertainty import Uncertainty, measure_uncertainty
-from pipeline.problem.condition_noise import condition_noise, follow_residuals, spread_conditions, suffices, to_dataset
+from pipeline.problem.condition_noise import (
+    NO_LEVELS,
+    condition_noise,
+    follow_residuals,
+    spread_conditions,
+    suffices,
+    to_dataset,
+)
 from pipeline.problem.force_parameters import PARTS
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise_levels import NoiseLevels, spread_blocks
@@ -127,7 +134,7 @@ class Physical:
         import torch
 
         dataset = to_dataset(spread_conditions(unbalance, self.planes, self.speeds, self.channels))
-        measurement = replace(self.measurement, dataset=dataset, drift=None)
+        measurement = replace(self.measurement, dataset=dataset, drift=NO_LEVELS)
         made = output_error(measurement, self.problem.basis, self.problem.plane_scale)
         plain = replace(made.readings, precision=tuple(map(torch.ones_like, made.readings.precision)), common=())
         return replace(self.problem, sensors=made.sensors, readings=plain, features=made.features)
@@ -159,7 +166,7 @@ def fit_physical(template: Measurement, setup: FitSetup, conditions: Conditions)
         noise=template.noise if enough else template.noise.with_drift(),
         dataset=to_dataset(conditions),
         known=replace(known, speeds=conditions.speeds),
-        drift=condition_noise(conditions, template.noise) if enough else None,
+        drift=condition_noise(conditions, template.noise) if enough else NO_LEVELS,
     )
     return physical_of(fit_output_error(measurement, setup), conditions)
 
@@ -190,7 +197,7 @@ def _physical(
 ) -> Physical:
     """With the noise that the residuals show, or with the stated one where there are no levels."""
     measurement = problem.measurement
-    if measurement.drift is not None:
+    if measurement.drift:
         (predicted,), (measured,) = problem.predicted(weights), problem.readings.measured
         rest = (predicted - measured)[0].flatten(0, 1).T.numpy()
         noise = follow_residuals(measurement.drift, rest, problem.n_fitted).levels

@@ -90,25 +90,23 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
     by_prior = np.einsum("zy,yz->z", fit.covariance(), fit.problem.prior.information().numpy())
     used = fit.problem.n_fitted - float(by_prior.sum())
     correlation, significance = autocorrelation(plain)
-    bad = () if fit.problem.measurement.drift is not None else _bad_points(fit, plain)
+    bad = () if fit.problem.measurement.drift else _bad_points(fit, plain)
     summary: dict[str, object] = {
         "chi_square": {"value": value, "expected": readings - used / 2, "readings": readings, "numbers": used},
         "whiteness": {"autocorrelation": correlation, "over_its_deviation": significance},
         "bad_points": len(bad),
     }
-    if fit.problem.measurement.drift is not None:
+    if fit.problem.measurement.drift:
         summary["inconsistent_runs"] = inconsistent
     # With levels, the model's own error is common to all conditions: its size and order are no draws of a noise.
-    levels = fit.problem.measurement.drift is not None
+    levels = bool(fit.problem.measurement.drift)
     stated = np.allclose(fit.factor, 1.0) and not levels
     square = 2 * value + float(parameters.square().sum())
     # A guess of a law's number is no reading: that it was off speaks against nothing.
     told_before = by_prior[: fit.problem.places.numbers.stop].sum()
     freedom = 2 * readings + len(parameters) - fit.problem.n_fitted + told_before
     summary["mismatch"] = mismatch(square if stated else None, freedom, np.nan if levels else significance)
-    for name, other in (("held_out_speeds", fit.start.held_out_speeds), ("held_out_runs", fit.start.held_out_runs)):
-        if other is not None:
-            summary[name] = _held_out(fit, other)
+    summary |= {name: _held_out(fit, other) for name, other in fit.start.held_out.items()}
     if not np.allclose(fit.factor, 1.0):
         channels = fit.start.measurement.dataset.channels
         summary["noise_factor"] = {
@@ -166,7 +164,7 @@ def mismatch(square: float | None, freedom: float, whiteness: float) -> dict[str
 def _list_inconsistent(fit: OutputErrorFit) -> list[str]:
     """Runs that are conditions of their own, and do not belong to the others."""
     data, drift = fit.problem.measurement.dataset, fit.problem.measurement.drift
-    return [] if drift is None else [run for run, w in zip(data.runs, drift.weights, strict=True) if w < NAMED]
+    return [run for run, w in zip(data.runs, drift.weights, strict=bool(drift)) if w < NAMED]
 
 
 def _plain_deviations(fit: OutputErrorFit) -> list[np.ndarray]:
@@ -175,7 +173,7 @@ def _plain_deviations(fit: OutputErrorFit) -> list[np.ndarray]:
     Noise in levels is estimated from the runs that belong to each other: the others are not among them.
     """
     drift = fit.problem.measurement.drift
-    kept = slice(None) if drift is None else np.flatnonzero(drift.weights >= NAMED)
+    kept = np.flatnonzero(drift.weights >= NAMED) if drift else slice(None)
     import torch
 
     readings = fit.problem.readings

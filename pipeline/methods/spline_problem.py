@@ -12,10 +12,10 @@ import numpy as np
 from pipeline.coefficients import is_direct
 from pipeline.methods.method import differentiate_response, stack_rows
 from pipeline.problem.measurement import Measurement
+from pipeline.unknowns import outputs_of, scale_outputs
 
 _UNBALANCE = 1e-4
 """kg m: the unit in which a residual unbalance is sought."""
-_SMALLEST = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,19 +28,17 @@ class Parameters:
 
     def values(self, x: np.ndarray) -> np.ndarray:
         """(M, S, U) unknowns."""
-        return self.task.unknowns.from_active(np.where(self.positive, self.slope(x), self.size * x))
+        return self.task.unknowns.from_active(scale_outputs(x, self.size, self.positive)[0])
 
     def from_values(self, values: np.ndarray) -> np.ndarray:
         """(S, A) from unknowns (M, S, U); what must be positive is kept above a thousandth of its size."""
-        columns = []
-        for a, (m, u) in enumerate(self.task.unknowns.active):
-            relative = values[m, :, u] / self.size[a]
-            columns.append(np.log(np.maximum(relative, _SMALLEST)) if self.positive[a] else relative)
-        return np.stack(columns, axis=1)
+        every = np.stack([values[m, :, u] for m, u in self.task.unknowns.active], axis=1)
+        return np.asarray(outputs_of(every, self.size, self.positive))
 
     def slope(self, x: np.ndarray) -> np.ndarray:
         """(S, A) derivative of the unknowns by x."""
-        return np.asarray(self.size * np.where(self.positive, np.exp(np.where(self.positive, x, 0.0)), 1.0))
+        slope = scale_outputs(x, self.size, self.positive)[1]
+        return np.asarray(np.broadcast_to(slope, x.shape))
 
     def unbalance(self, pairs: np.ndarray) -> np.ndarray:
         """(N,) complex kg m, from real and imaginary parts (2 N,)."""
@@ -92,5 +90,5 @@ class SplineProblem:
 
     def reweighted(self, x: np.ndarray, pairs: np.ndarray) -> SplineProblem:
         """The same with weights from the predicted readings: the measured ones share their noise, which biases."""
-        deviation = self.task.deviation_of(self.parameters.predict(x, pairs), self.task.dataset.subtracted)
+        deviation = self.task.deviation_of(self.parameters.predict(x, pairs), self.task.baseline)
         return replace(self, weight=np.sqrt(2.0) / deviation)

@@ -203,7 +203,7 @@ _ZERO_CELSIUS = 273.15
 
 
 def _laws_of(measurement: Measurement) -> LawSet:
-    assert measurement.laws is not None
+    assert measurement.laws
     return measurement.laws
 
 

@@ -15,7 +15,7 @@ from pipeline.data.tables import write_table
 from pipeline.data.vibration_files import to_rpm
 from pipeline.files import write_json
 from pipeline.identification.combinations import combine
-from pipeline.identification.losses import loss_of
+from pipeline.identification.fit import loss_of
 from pipeline.identification.quality import finite
 from pipeline.identification.training import setup_of
 from pipeline.problem.budget import budget_percent

@@ -14,7 +14,7 @@ from pipeline.data.tables import write_table
 from pipeline.data.vibration_files import to_rpm
 from pipeline.evaluation.errors import find_worst_mean, list_metrics, measure_coverage, measure_errors
 from pipeline.files import write_json
-from pipeline.identification.losses import loss_of
+from pipeline.identification.fit import loss_of
 from pipeline.identification.uncertainty import Uncertainty, load_uncertainty
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say

@@ -20,8 +20,8 @@ from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.storage import ARCHITECTURE, WEIGHTS, load_model
 from pipeline.identification.uncertainty import UNCERTAINTY, Uncertainty
 from pipeline.laws.build import make_laws
-from pipeline.laws.law_set import LawSet
-from pipeline.problem.condition_noise import condition_noise, suffices, to_dataset
+from pipeline.laws.law_set import NO_LAWS, LawSet
+from pipeline.problem.condition_noise import NO_LEVELS, condition_noise, suffices, to_dataset
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.problem.model_parameters import model_parameters, usual_tolerances
 from pipeline.rotor.bearing_table import BearingTable
@@ -90,7 +90,7 @@ def build_measurement(config: Config, rotor: RotorModel, dataset: VibrationDatas
     """The measurement that a configuration asks about, from data that are at hand."""
     require_synchronous(rotor, dataset)
     noise, model, identify = config.stated_noise, config.model, config.identify
-    stated, drift = NoiseModel(noise.additive, noise.multiplicative, noise.drift), None
+    stated, drift = NoiseModel(noise.additive, noise.multiplicative, noise.drift), NO_LEVELS
     if dataset.conditions is not None:
         conditions = gather_conditions(dataset)
         if suffices(conditions):
@@ -115,9 +115,9 @@ def build_measurement(config: Config, rotor: RotorModel, dataset: VibrationDatas
     )
 
 
-def _laws_of(config: Config, rotor: RotorModel) -> LawSet | None:
-    """The bearing laws of the machine, which some models are made of; None where it has none."""
-    return None if config.machine.laws is None else make_laws(config.machine.laws, rotor.bearing_nodes)
+def _laws_of(config: Config, rotor: RotorModel) -> LawSet:
+    """The bearing laws of the machine, which some models are made of."""
+    return NO_LAWS if config.machine.laws is None else make_laws(config.machine.laws, rotor.bearing_nodes)
 
 
 def _read_known(config: Config, files: Workspace, nodes: tuple[int, ...], dataset: VibrationDataset) -> BearingTable:

@@ -146,7 +146,7 @@ def _read_fit(config: Config, measurement: Measurement) -> FitContent | None:
         unknowns=identified.unknowns.by_bearing,
         modelled=load_modelled(config, measurement),
         predicted=updated.response.predict(bearings, None if uncertainty is None else uncertainty.residual_unbalance),
-        noise=measurement.deviation_of(data.displacement, data.subtracted, factor),
+        noise=measurement.deviation_of(data.displacement, measurement.baseline, 1.0 if factor is None else factor),
         at_conditions=at_conditions,
         at_deviation=chosen,
         operating=operating,

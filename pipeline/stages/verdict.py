@@ -12,10 +12,9 @@ from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
 from pipeline.evaluation.contradiction import find_contradiction
 from pipeline.files import read_json, write_json
-from pipeline.identification.held_out import held_out_conditions, held_out_range, held_out_runs
+from pipeline.identification.fit import loss_of
+from pipeline.identification.held_out import held_out_conditions, held_out_range, held_out_runs, held_out_speeds
 from pipeline.identification.identified import IdentifiedModel
-from pipeline.identification.losses import loss_of
-from pipeline.identification.training import held_out_speeds
 from pipeline.identification.uncertainty import Uncertainty, load_uncertainty
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, table
@@ -73,7 +72,7 @@ def assess(
     fitted = mark_fitted(config, measurement)
     evidence, linear = gather(updated, identified, uncertainty, about["fit"], fitted, estimated, about["outcome"])
     candidates = list_candidates(config.machine.candidates)
-    gains = weigh_candidates(updated, identified, uncertainty, linear, candidates, None)
+    gains = weigh_candidates(updated, identified, uncertainty, linear, candidates, 1.0)
     mistakes: list[Found] = []
     if evidence.misfit_of_stated_noise > WORTH_TRYING and (evidence.ljung_box or 0.0) < SIGNIFICANT:
         values = measurement.unknowns.leading(evidence.answer.values)

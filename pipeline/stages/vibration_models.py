@@ -63,7 +63,7 @@ def _load_physical(config: Config, fitted: Fitted) -> Physical | None:
     measurement = load_measurement(config)
     identified = load_identified(config, measurement)
     uncertainty = load_uncertainty(work.folder, identified)
-    if uncertainty is None or measurement.drift is None:
+    if uncertainty is None or not measurement.drift:
         return None
     return restore_physical(measurement, identified, uncertainty, fitted.conditions)
 

@@ -81,7 +81,7 @@ def gather(
         fitted: (S, P, R) mask of the readings that were fitted.
     """
     names = name_channels(measurement)
-    factor = None if "noise_factor" not in fit else np.array([fit["noise_factor"][name] for name in names])
+    factor = np.array([fit.get("noise_factor", {}).get(name, 1.0) for name in names])
     linear = linearise(measurement, identified, uncertainty, fitted, factor)
     answer = identified.table(measurement.updated_known)
     growth, unstable = find_growth(measurement, answer)
@@ -169,7 +169,7 @@ def ljung_box(residual: np.ndarray, fitted: np.ndarray) -> float | None:
     return float(chi2.sf(total, freedom)) if freedom else None
 
 
-def compare_superposed(measurement: Measurement, factor: np.ndarray | None) -> dict[str, float]:
+def compare_superposed(measurement: Measurement, factor: np.ndarray) -> dict[str, float]:
     """Run -> mean square of what superposition of the others leaves over, over its noise; runs with an answer alone.
 
     Weights are those that the fit found. No bearing model is in it: 1 is a linear machine with right weights.
@@ -179,7 +179,7 @@ def compare_superposed(measurement: Measurement, factor: np.ndarray | None) -> d
     data = measurement.dataset
     if measurement.parameters:
         data = update_excitations(data, measurement.parameters, measurement.parameter_values)
-    noise = measurement.deviation_of(data.displacement, data.subtracted, factor)
+    noise = measurement.deviation_of(data.displacement, measurement.baseline, factor)
     free = bool(measurement.unknowns.planes) or any(parameter.kind == "bow" for parameter in measurement.parameters)
     whole = data.present.all(axis=1)  # points that every run was measured at
     squares = {}
