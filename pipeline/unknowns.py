@@ -157,7 +157,7 @@ def scale_outputs(outputs: Any, size: Any, positive: Any, base: Any = 0.0) -> tu
     else:
         import torch as library
     # The exponential sees zeros in place of the others: an overflow there would spoil their gradient.
-    growth = library.exp(library.where(positive, outputs, 0.0))
+    growth = library.exp(outputs if positive.all() else library.where(positive, outputs, 0.0))
     values = library.where(positive, size * growth, base + size * outputs)
     return values, library.where(positive, values, size)
 

@@ -102,7 +102,8 @@ class CoefficientModel:
 
     def _feed(self, parameters: torch.Tensor, inputs: torch.Tensor) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
         """(..., S, n_in) what each layer is fed by, and (..., S, n_out) slopes of the hidden units."""
-        fed, slopes = [self._first_fed(inputs)], []
+        first = self._first_fed(inputs)
+        fed, slopes = [first.expand(*parameters.shape[:-1], *first.shape)], []
         for weight, bias in self._layers(parameters)[:-1]:
             value, slope = activate(self.activation, fed[-1] @ weight + bias)
             fed.append(value)
