@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -52,8 +53,11 @@ class OutputErrorStart:
         return bool(self.problem.kept.any()) and (model.fades or len(model.inputs) > 1)
 
 
+@lru_cache(maxsize=1)
 def prepare_output_error(measurement: Measurement, setup: FitSetup) -> OutputErrorStart:
     """The problem on the training speeds and runs, and where it starts.
+
+    The last one is kept: what a fit is expected to tell, and the fit, have the same start.
 
     Raises ConfigError for held-out runs that the data lack, or that leave no other.
     """

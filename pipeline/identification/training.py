@@ -75,6 +75,9 @@ class FitSetup:
     seed: int = 0
     force: bool = False  # fit what the data do not determine, too
 
+    def __hash__(self) -> int:
+        return hash((self.model, self.optimizer, self.seed, self.force))  # not of mappings, which have none
+
     @property
     def constant(self) -> bool:
         """Whether the coefficients are the same at every speed."""
