@@ -53,7 +53,7 @@ def count_local(
 ) -> int:
     """L, for so many different speeds; constants have none, as they are constants by assumption.
 
-    ``n_local`` was chosen by five machines (docs/model_error.md): with 20 intervals are too wide for kinked
+    ``n_local`` was chosen by five machines (studies/coverage/README.md): with 20 intervals are too wide for kinked
     coefficients, with 40 too narrow. Bearing laws alone are off by ``n_smooth`` smooth functions. Fewer than
     ``speeds_each`` for a local function can't tell it from noise, and cubic B-splines are four or more.
     """
