@@ -156,8 +156,11 @@ def scale_outputs(outputs: Any, size: Any, positive: Any, base: Any = 0.0) -> tu
         library: Any = np
     else:
         import torch as library
+    if positive.all():
+        values = size * library.exp(outputs)
+        return values, values
     # The exponential sees zeros in place of the others: an overflow there would spoil their gradient.
-    growth = library.exp(outputs if positive.all() else library.where(positive, outputs, 0.0))
+    growth = library.exp(library.where(positive, outputs, 0.0))
     values = library.where(positive, size * growth, base + size * outputs)
     return values, library.where(positive, values, size)
 
