@@ -237,7 +237,7 @@ def for_model(measurement: Measurement, setup: FitSetup) -> Measurement:
 
     Raises ConfigError where there are none, or for a loss that they don't go with.
     """
-    if setup.model.kind not in ("law", "hybrid"):
+    if not setup.model.has_laws:
         return measurement.with_laws(NO_LAWS)
     if not measurement.laws:
         raise ConfigError(

@@ -277,27 +277,17 @@ def coefficient_model(
     ``scale`` (M, U) is the size of each unknown, N/m and N s/m. Operating conditions that vary are inputs beside the
     speed. Raises ConfigError for such conditions where the model is made of functions of the speed alone.
     """
-    section, sizes = config.model_dump(), tuple(tuple(float(v) for v in row) for row in scale)
+    sizes = tuple(tuple(float(v) for v in row) for row in scale)
     constant = CoefficientModel(
         unknowns=unknowns, inputs=(SPEED,), parametrisation=config.parametrisation, scale=sizes, hidden=None
     )
-    if config.kind == "constant":
+    if not config.varies:
         return constant
-    inputs, count = varying(points), section.get("count", 0)
-    if count and len(inputs) > 1:
+    inputs = varying(points)
+    if config.of_speed_alone and len(inputs) > 1:
         raise ConfigError(
             f"model.kind={config.kind} is made of functions of the speed alone, but the data have {inputs[1]}, too: "
             "choose model=network_operating"
         )
-    return replace(
-        constant,
-        inputs=inputs,
-        ranges=tuple((float(points[name].min()), float(points[name].max())) for name in inputs),
-        input_scaling=section.get("input_scaling", "log_rpm"),
-        hidden=(section.get("width", 0),) * section.get("depth", 0),
-        activation=section.get("activation", "tanh"),
-        trend=section.get("trend", False),
-        fades=config.kind == "hybrid",
-        functions=config.kind if config.kind in ("b_spline", "chebyshev") else None,
-        n_functions=count,
-    )
+    ranges = tuple((float(points[name].min()), float(points[name].max())) for name in inputs)
+    return replace(constant, **{"inputs": inputs, "ranges": ranges, "input_scaling": "log_rpm"} | config.shape)

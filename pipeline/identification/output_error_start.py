@@ -179,7 +179,7 @@ def _start_by_laws(
     theta, *counts = _fit_laws(training, basis, plane_scale)
     made = output_error(training, basis, plane_scale)
     basis = replace(basis, model=replace(basis.model, scale=_scale_by_laws(made, theta)))
-    if setup.model.kind == "hybrid":
+    if setup.model.corrects_laws:
         problem = with_sigma(output_error(training, add_beyond(basis), plane_scale))
     else:
         problem = _without_correction(output_error(training, basis, plane_scale))

@@ -78,7 +78,7 @@ def train_hidden(fit: OutputErrorFit, setup: FitSetup, progress: Progress | None
     """
     import torch
 
-    if setup.model.kind != "network":
+    if not setup.model.trains_hidden:
         raise ConfigError(
             f"loss.hidden=trained must have a model with hidden layers, but got model.kind={setup.model.kind}: choose "
             "model=network_fluid_film model.width=8, or loss.hidden=drawn"

@@ -81,7 +81,7 @@ class FitSetup:
     @property
     def constant(self) -> bool:
         """Whether the coefficients are the same at every speed."""
-        return self.model.kind == "constant"
+        return not self.model.varies
 
 
 def setup_of(config: Config) -> FitSetup:
