@@ -24,9 +24,8 @@ from pipeline.evaluation.errors import (
 )
 from pipeline.evaluation.physical_numbers import NumberError, measure_numbers
 from pipeline.identification.answer import conclude
-from pipeline.identification.information import unknown_deviation
-from pipeline.identification.losses import fit_sensors
-from pipeline.identification.output_error_start import start_at
+from pipeline.identification.fit import fit_sensors
+from pipeline.identification.linear_start import start_at
 from pipeline.identification.quality import MISMATCH
 from pipeline.identification.restored import answer_of
 from pipeline.identification.training import FitSetup, Minimum
@@ -136,9 +135,9 @@ def refit(
     error = list_active(answer.table.values) - real
     keep = sensors.start.keep
     # Laws have no weights that give any coefficients: their bound is that of the answer.
-    by_laws = sensors.problem.measurement.laws is not None
+    by_laws = bool(sensors.problem.measurement.laws)
     at_truth = sensors.weights if by_laws else start_at(sensors.problem, unknowns.leading(truth.values[:, keep]))
-    bound = unknown_deviation(sensors.problem, at_truth)[0]  # (S, A)
+    bound = sensors.problem.unknown_deviation(at_truth)[0]  # (S, A)
     assert fitted.quality.misfit is not None
     return Refit(
         names=tuple((truth.nodes[m], unknowns.names[u]) for m, u in unknowns.active),

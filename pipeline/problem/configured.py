@@ -24,7 +24,8 @@ from pipeline.data.sensors import Channels, Sensors, list_directions, measure, n
 from pipeline.data.simulate import simulate
 from pipeline.errors import ConfigError
 from pipeline.laws.build import make_laws
-from pipeline.problem.condition_noise import condition_noise, suffices, to_dataset
+from pipeline.laws.law_set import NO_LAWS
+from pipeline.problem.condition_noise import NO_LEVELS, condition_noise, suffices, to_dataset
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.problem.model_parameters import model_parameters, usual_tolerances
 from pipeline.rotor.bearing_table import BearingTable
@@ -203,7 +204,7 @@ def build_measurement(config: Config, rotor: RotorModel, dataset: VibrationDatas
     require_synchronous(rotor, dataset)
     noise, model, identify = config.stated_noise, config.model, config.identify
     laws = config.machine.laws
-    stated, drift = NoiseModel(noise.additive, noise.multiplicative, noise.drift), None
+    stated, drift = NoiseModel(noise.additive, noise.multiplicative, noise.drift), NO_LEVELS
     if dataset.conditions is not None:
         conditions = gather_conditions(dataset)
         if suffices(conditions):
@@ -220,7 +221,7 @@ def build_measurement(config: Config, rotor: RotorModel, dataset: VibrationDatas
         unknowns,
         Guess(model.initial_stiffness, model.initial_damping, identify.known_within),
         drift=drift,
-        laws=None if laws is None else make_laws(laws, rotor.bearing_nodes),
+        laws=NO_LAWS if laws is None else make_laws(laws, rotor.bearing_nodes),
         parameters=model_parameters(stated_numbers, rotor, dataset, known, unknowns, identify.coupling_node),
         tolerances=usual_tolerances(stated_numbers, rotor, dataset, known, unknowns)
         if identify.usual_tolerances

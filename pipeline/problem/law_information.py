@@ -196,7 +196,7 @@ def require_temperatures(laws: LawSet, operating: Mapping[str, np.ndarray], same
 
 
 def _laws_of(measurement: Measurement) -> LawSet:
-    assert measurement.laws is not None
+    assert measurement.laws
     return measurement.laws
 
 

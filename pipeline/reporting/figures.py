@@ -200,7 +200,8 @@ def draw_robustness(
     steps = np.array([step for step, _ in minimum.trajectory])
     model = training.model
     scale = model.scale_tensor()[:, 0]
-    paths = np.stack([model.physical(state, scale).detach().numpy() for _, state in minimum.trajectory])  # (T, G, M, U)
+    # (T, G, M, U)
+    paths = np.stack([model.physical(state, scale)[0].detach().numpy() for _, state in minimum.trajectory])
     nodes = training.measurement.rotor.bearing_nodes
     members = paths.shape[2]
     with open_figure(path, members, len(unknowns), 5.2 * len(unknowns), 3.4 * members, sharex=True) as axes:

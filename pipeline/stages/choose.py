@@ -27,7 +27,7 @@ def run(analysis: Analysis) -> StageOutput:
     config, measurement = analysis.config, prepare(analysis)
     use_threads(config)
     setup = setup_of(config)
-    kinds = _KINDS if measurement.laws is not None else _KINDS[-1:]
+    kinds = _KINDS if measurement.laws else _KINDS[-1:]
     setups = {kind: setup_model(setup, kind) for kind in kinds}
     judged = judge_models(measurement, setups, lambda what: say(f"{config.name}: fits {what}"))
     chosen = choose(judged)

@@ -10,7 +10,7 @@ from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
 from pipeline.files import write_json
 from pipeline.identification.combinations import combine
-from pipeline.identification.losses import loss_of
+from pipeline.identification.fit import loss_of
 from pipeline.identification.training import setup_of
 from pipeline.problem.budget import budget_percent
 from pipeline.problem.determination import describe_determined, summarize_determined

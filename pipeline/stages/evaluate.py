@@ -21,7 +21,7 @@ from pipeline.evaluation.errors import (
 )
 from pipeline.evaluation.physical_numbers import judge_numbers
 from pipeline.files import write_json
-from pipeline.identification.losses import loss_of
+from pipeline.identification.fit import loss_of
 from pipeline.identification.restored import Answer
 from pipeline.reporting.console import say, warn
 from pipeline.reporting.error_table import describe_quality, describe_verdicts, make_error_table, print_error_table

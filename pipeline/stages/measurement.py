@@ -12,7 +12,7 @@ from pipeline.data.tables import read_marks
 from pipeline.data.vibration_files import read_measured, require_made_for, require_nodes_of
 from pipeline.errors import DataError
 from pipeline.files import read_json
-from pipeline.identification.losses import loss_of
+from pipeline.identification.fit import loss_of
 from pipeline.identification.restored import Answer, load_answer
 from pipeline.identification.training import setup_of
 from pipeline.problem.configured import build_measurement, list_known, load_known, require_known

@@ -20,7 +20,7 @@ from pipeline.errors import ConfigError
 from pipeline.evaluation.errors import model_unmeasured
 from pipeline.evaluation.repeats import Refit, refit, summarize_refits, tabulate_refits
 from pipeline.files import write_json
-from pipeline.identification.losses import loss_of
+from pipeline.identification.fit import loss_of
 from pipeline.identification.training import setup_of
 from pipeline.problem.configured import build_measurement, model_machine, read_probes
 from pipeline.processes import open_pool

@@ -123,7 +123,7 @@ def _read_fit(analysis: Analysis) -> FitContent | None:
         unknowns=answer.names,
         modelled=load_modelled(config, updated),
         predicted=updated.response.predict(answer.table, answer.unbalance),
-        noise=updated.deviation_of(data.displacement, data.subtracted, factor),
+        noise=updated.deviation_of(data.displacement, updated.baseline, 1.0 if factor is None else factor),
         at_conditions=at_conditions,
         at_deviation=answer.deviation(at_conditions),
         operating=twin.operating,

@@ -12,9 +12,8 @@ from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError
 from pipeline.evaluation.repeats import summarize_starts, tabulate_starts
 from pipeline.files import write_json
-from pipeline.identification.outcome import Outcome
 from pipeline.identification.residual_loss import ResidualTraining, initial_parameters, prepare_residual
-from pipeline.identification.training import FitSetup, Minimum, minimise, setup_of
+from pipeline.identification.training import FitSetup, Minimum, Outcome, minimise, setup_of
 from pipeline.reporting.console import say, table, training_progress
 from pipeline.reporting.figures import draw_robustness
 from pipeline.stages.analysis import Analysis

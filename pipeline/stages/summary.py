@@ -7,7 +7,7 @@ import numpy as np
 from pipeline.config.schema import Config
 from pipeline.data.as_built import stand_on_pedestals
 from pipeline.files import read_json, write_text
-from pipeline.identification.losses import loss_of
+from pipeline.identification.fit import loss_of
 from pipeline.identification.restored import Answer
 from pipeline.reporting.console import say
 from pipeline.reporting.physical_numbers import list_numbers

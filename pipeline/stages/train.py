@@ -15,11 +15,10 @@ from pipeline.data.tables import write_table
 from pipeline.files import hash_file, write_json
 from pipeline.identification.fit import fit
 from pipeline.identification.identified import Fit
-from pipeline.identification.outcome import Outcome
 from pipeline.identification.quality import FAR_FROM_EXPECTED, finite
 from pipeline.identification.restored import Answer, answer_of
 from pipeline.identification.storage import save_model
-from pipeline.identification.training import setup_of
+from pipeline.identification.training import Outcome, setup_of
 from pipeline.identification.uncertainty import save_uncertainty
 from pipeline.problem.determination import Deviations, summarize_determined
 from pipeline.problem.measurement import Measurement
@@ -67,7 +66,7 @@ def _format_values(values: Mapping[str, object]) -> str:
 def list_idle(kind: str, measurement: Measurement) -> list[str]:
     """The operating conditions that change in the data, and that a model of this kind does not depend on."""
     changing = [name for name, values in measurement.dataset.operating.items() if np.ptp(values) > 0]
-    if kind == "law" and measurement.laws is not None:
+    if kind == "law" and measurement.laws:
         return [name for name in changing if name not in measurement.laws.inputs]
     return changing if kind == "constant" else []
 

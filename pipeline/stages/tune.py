@@ -13,8 +13,8 @@ from pipeline.config.schema import Config
 from pipeline.config.tuning import HeldOutLoss
 from pipeline.errors import ConfigError, without_password
 from pipeline.files import read_json, write_json, write_text
-from pipeline.identification.chebyshev import fit_chebyshev
-from pipeline.identification.losses import loss_of
+from pipeline.identification.fit import loss_of
+from pipeline.identification.residual_loss import fit_chebyshev
 from pipeline.identification.training import setup_of
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import StudyProgress, say, study_progress, warn

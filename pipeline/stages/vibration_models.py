@@ -93,7 +93,7 @@ def _load_physical(config: Config, conditions: Conditions) -> Physical | None:
         return None
     analysis = Analysis(config)
     measurement, answer = prepare(analysis), restore(analysis)
-    if answer.uncertainty is None or measurement.drift is None:
+    if answer.uncertainty is None or not measurement.drift:
         return None
     return restore_physical(measurement, answer.model, answer.uncertainty, conditions)
 

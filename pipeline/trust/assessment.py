@@ -11,11 +11,10 @@ from pipeline.config.schema import Config
 from pipeline.data.candidates import list_candidates
 from pipeline.data.sensors import name_channel
 from pipeline.evaluation.contradiction import find_contradiction
-from pipeline.identification.held_out import held_out_conditions, held_out_range, held_out_runs
-from pipeline.identification.losses import loss_of
+from pipeline.identification.fit import loss_of
+from pipeline.identification.held_out import held_out_conditions, held_out_range, held_out_runs, held_out_speeds
 from pipeline.identification.quality import MISMATCH
 from pipeline.identification.restored import Answer
-from pipeline.identification.training import held_out_speeds
 from pipeline.problem.measurement import Measurement
 from pipeline.trust.evidence import Evidence, gather, leave_out_unbounded
 from pipeline.trust.judgement import judge, refuse_without_deviations

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from running import composed
 
-from pipeline.identification.basis_error import N_LOCAL, count_local, evaluate_local
+from pipeline.identification.model_error import count_local, evaluate_local
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
 from pipeline.identification.training import setup_of
 from pipeline.problem.configured import build_measurement, model_machine, read_probes
@@ -81,7 +81,7 @@ def test_constants_and_few_speeds_have_no_local_functions() -> None:
         hidden=(4,),
         ranges=((10.0, 500.0),),
     )
-    assert count_local(model, 91) == N_LOCAL
+    assert count_local(model, 91) == 30
     assert count_local(model, 30) == 15
     assert count_local(model, 7) == 0
     assert count_local(replace(model, hidden=None), 91) == 0

@@ -9,7 +9,7 @@ import pytest
 import torch
 from running import composed
 
-from pipeline.identification.basis import Basis
+from pipeline.identification.blocks import Basis
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
 from pipeline.identification.problem import OutputError
 from pipeline.identification.training import setup_of
