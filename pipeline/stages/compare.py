@@ -120,8 +120,8 @@ def summarize(comparison: Comparison) -> dict[str, object]:
 
 
 def _print(config: Config, comparison: Comparison) -> None:
-    for title, header, rows in make_tables(comparison):
-        table(f"{config.name}: {title}", header, rows)
+    for made in make_tables(comparison):
+        table(f"{config.name}: {made.caption}", made.header, made.rows)
     for method, outcomes in comparison.outcomes().items():
         for outcome in outcomes.values():
             say(f"{METHODS[method].label}: {outcome}")

@@ -23,12 +23,11 @@ from pipeline.evaluation.physical_numbers import judge_numbers
 from pipeline.files import write_json
 from pipeline.identification.fit import loss_of
 from pipeline.identification.restored import Answer
+from pipeline.reporting.coefficient_figures import draw_coefficients, draw_identified, draw_states
 from pipeline.reporting.console import say, warn
 from pipeline.reporting.error_table import describe_quality, describe_verdicts, make_error_table, print_error_table
-from pipeline.reporting.figures import draw_coefficients, draw_history
-from pipeline.reporting.identified_figure import draw_identified
 from pipeline.reporting.physical_numbers import describe_law, list_numbers, print_numbers
-from pipeline.reporting.state_figures import draw_states
+from pipeline.reporting.training_figures import draw_history
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput

@@ -17,7 +17,7 @@ from pipeline.data.vibration_files import to_rpm
 from pipeline.ingest.dataset import MeasuredRuns, read_measured_runs
 from pipeline.ingest.plausibility import note_casing, note_size, note_whirl
 from pipeline.ingest.records import to_dataset
-from pipeline.reporting.ingest_figures import draw_bode, draw_measured_orbits, draw_records
+from pipeline.reporting.measured_figures import draw_bode, draw_measured_orbits, draw_records
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import require_nodes
 from pipeline.stages.workspace import Workspace

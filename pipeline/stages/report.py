@@ -72,7 +72,7 @@ def collect_content(analysis: Analysis) -> ReportContent:
     Raises DataError for a reference table that breaks its laws.
     """
     config, work, measurement = analysis.config, analysis.files, prepare(analysis)
-    reference = None if config.report.reference is None else _read_reference(Path(config.report.reference))
+    reference = {} if config.report.reference is None else _read_reference(Path(config.report.reference))
     fit = _read_fit(analysis)
     _make_current(analysis, fit)
     names = {"ingest", "diagnosis"} | ({"training", "metrics", "prediction"} if fit else set())

@@ -15,7 +15,7 @@ from pipeline.files import write_json
 from pipeline.identification.residual_loss import ResidualTraining, initial_parameters, prepare_residual
 from pipeline.identification.training import FitSetup, Minimum, Outcome, minimise, setup_of
 from pipeline.reporting.console import say, table, training_progress
-from pipeline.reporting.figures import draw_robustness
+from pipeline.reporting.training_figures import draw_robustness
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.diagnose import say_diagnosis
 from pipeline.stages.execution import StageOutput, use_threads

@@ -12,7 +12,7 @@ from pipeline.errors import ConfigError
 from pipeline.files import write_json
 from pipeline.ingest.run_up import RunUpConfig, read_run_up
 from pipeline.reporting.console import say, table, warn
-from pipeline.reporting.run_up_figure import draw_run_up
+from pipeline.reporting.measured_figures import draw_run_up
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.identified_criticals import compare_identified

@@ -13,7 +13,7 @@ from pipeline.reporting.console import say
 from pipeline.reporting.physical_numbers import list_numbers
 from pipeline.reporting.summary_figure import draw_summary
 from pipeline.reporting.summary_text import Results, ShownRun, write_summary
-from pipeline.reporting.write_numbers import format_deviation
+from pipeline.reporting.write_numbers import write_number
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import AGAIN, load_modelled, restore
@@ -57,7 +57,7 @@ def _collect_results(analysis: Analysis, answer: Answer, twin: Twin) -> Results:
         operating=twin.operating,
         beyond=say_beyond(data.operating, twin.operating),
         numbers=[
-            f"{number.label} {format_deviation(number.value, number.deviation)} {number.unit}"
+            f"{number.label} {write_number(number.value, number.deviation)} {number.unit}"
             for number in list_numbers(training.get("physical_numbers", {}), config)
         ],
     )

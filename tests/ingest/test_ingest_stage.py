@@ -282,7 +282,7 @@ def test_figures_show_something(tmp_path: Path) -> None:
     """Pictures of some size with curves in several colours; one speed, and a baseline that stands still, among them."""
     from matplotlib import image
 
-    from pipeline.reporting.ingest_figures import draw_bode, draw_measured_orbits
+    from pipeline.reporting.measured_figures import draw_bode, draw_measured_orbits
 
     dataset = read(table_config(wide_runs(tmp_path)))
     displacement = dataset.displacement * np.array([0.0, 1.0])

@@ -24,7 +24,8 @@ from pipeline.data.tables import write_table
 from pipeline.errors import DataError, StorageError
 from pipeline.files import write_beside, write_json
 from pipeline.identification.storage import load_model, save_model
-from pipeline.reporting.figures import open_figure
+from pipeline.reporting.figure import Axes, Curve, Figure, Panel
+from pipeline.reporting.matplotlib_figures import write_figure
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.measurement import restore
 
@@ -44,8 +45,8 @@ NUMBERS = pd.DataFrame(np.random.default_rng(2).random((2000, 4)), columns=list(
 
 
 def _picture(path: Path) -> None:
-    with open_figure(path, 1, 1, 4, 4) as axes:
-        axes[0, 0].imshow(np.random.default_rng(3).random((50, 50)))
+    curves = [Curve(*np.random.default_rng(3).random((2, 500)))]
+    write_figure(path, Figure("", "", [Panel("", "", [Axes(curves, "")])]))
 
 
 @pytest.fixture
