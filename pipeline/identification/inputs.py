@@ -1,13 +1,14 @@
-"""The named inputs of coefficient models: the speed, and operating conditions (an oil temperature, a load) beside it.
+"""The named inputs of coefficient models, and the functions of them that the models are made of.
 
-Each is mapped to [-1, 1] over the data that the model was made for; beyond them the map goes on.
+Inputs are the speed, and operating conditions (an oil temperature, a load) beside it. Each is mapped to [-1, 1] over
+the data that the model was made for; beyond them the map goes on.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -84,3 +85,34 @@ def points_of(speeds: np.ndarray, operating: Mapping[str, np.ndarray] | None) ->
 def varying(points: Mapping[str, np.ndarray]) -> tuple[str, ...]:
     """The speed, and the operating conditions that take more than one value at the ``points``."""
     return tuple(name for name, values in points.items() if name == SPEED or np.ptp(values) > 0)
+
+
+# --- functions of them ----------------------------------------------------------------------------------
+
+
+def evaluate_functions(kind: Literal["b_spline", "chebyshev"], count: int, inputs: np.ndarray) -> np.ndarray:
+    """(S, F) the first ``count`` functions at ``inputs`` (N,) in [-1, 1].
+
+    Cubic B-splines with evenly spaced knots (four of them or more), or the Chebyshev polynomials from degree 1 on.
+    """
+    if kind == "chebyshev":
+        return np.polynomial.chebyshev.chebvander(inputs, count)[:, 1:]
+    from scipy.interpolate import BSpline
+
+    degree = 3
+    inner = np.linspace(-1.0, 1.0, count - degree + 1)[1:-1]
+    knots = np.concatenate([[-1.0] * (degree + 1), inner, [1.0] * (degree + 1)])
+    return np.asarray(BSpline.design_matrix(inputs, knots, degree, extrapolate=True).toarray())
+
+
+def activate(name: str, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Value and slope of an activation."""
+    import torch
+
+    if name == "tanh":
+        value = torch.tanh(x)
+        return value, 1.0 - value.square()
+    if name == "silu":
+        gate = torch.sigmoid(x)
+        return x * gate, gate * (1.0 + x * (1.0 - gate))
+    return torch.sin(x), torch.cos(x)

@@ -1,4 +1,4 @@
-"""Training (paper, Algorithm 1): phases of an optimiser, held-out speeds, the best state, a named outcome.
+"""Training (paper, Algorithm 1): phases of an optimiser, the best state, a named outcome.
 
 Legend: G trainings done at once, M members of each, Q parameters.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -17,7 +18,6 @@ from pipeline.config.identification import LossConfig, OptimizerConfig, Training
 from pipeline.config.models import ModelConfig
 from pipeline.identification import optimizers
 from pipeline.identification.optimizers import LeastSquares
-from pipeline.identification.outcome import Outcome
 from pipeline.unknowns import UnknownSet
 
 if TYPE_CHECKING:
@@ -27,6 +27,29 @@ if TYPE_CHECKING:
 
 _DIVERGED_FACTOR = 10.0
 """A final loss this far above the first one is a divergence, not a slow start."""
+
+
+class Outcome(StrEnum):
+    """The end of a training, and what to try next where it fell short."""
+
+    CONVERGED = (
+        "converged: the loss hardly falls any more (by less than training.tolerance, or than the scatter of the data "
+        "tells, in the phase's patience)"
+    )
+    BUDGET_SPENT = (
+        "budget spent: the loss still fell at the last step; give the last phase more steps "
+        "(such as optimizer.levenberg_marquardt.steps=1000)"
+    )
+    DIVERGED = (
+        "diverged: the loss is not finite or ended above its start; "
+        "try a smaller optimizer.adam.learning_rate, model.parametrisation=log or loss.scaling=per_speed"
+    )
+    INTERRUPTED = "interrupted: the best state so far was kept"
+
+    @property
+    def label(self) -> str:
+        """Short form for tables and tags."""
+        return self.name.lower()
 
 
 class Watch(Protocol):
@@ -52,10 +75,13 @@ class FitSetup:
     seed: int = 0
     force: bool = False  # fit what the data do not determine, too
 
+    def __hash__(self) -> int:
+        return hash((self.model, self.optimizer, self.seed, self.force))  # not of mappings, which have none
+
     @property
     def constant(self) -> bool:
         """Whether the coefficients are the same at every speed."""
-        return self.model.kind == "constant"
+        return not self.model.varies
 
 
 def setup_of(config: Config) -> FitSetup:
@@ -66,15 +92,6 @@ def setup_of(config: Config) -> FitSetup:
 def phases(config: OptimizerConfig) -> tuple[str, ...]:
     """The optimiser's phases that have steps, in their order."""
     return tuple(name for name in type(config).model_fields if getattr(config, name).steps)
-
-
-def held_out_speeds(count: int, every: int) -> np.ndarray:
-    """(S,) mask of every ``every``-th speed; never the first and last, which would test extrapolation."""
-    mask = np.zeros(count, dtype=bool)
-    if every:
-        mask[every // 2 : -1 : every] = True
-        mask[:1] = False
-    return mask
 
 
 def initial_guess(setup: FitSetup, unknowns: UnknownSet, stiffness: float | None = None) -> np.ndarray:

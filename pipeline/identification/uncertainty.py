@@ -2,7 +2,7 @@
 
 The covariance is the mean square error of the weights: of the noise (the inverse of the information, the Cramer-Rao
 bound of the network's output layer) and of what the functions of the speed can't follow
-(:mod:`pipeline.identification.basis_error`). Legend: M members, S speeds, B bearings, F features, K members of their
+(:mod:`pipeline.identification.model_error`). Legend: M members, S speeds, B bearings, F features, K members of their
 basis, L local functions, A active unknowns, Th numbers of bearing laws, N balance planes, T model parameters, Z = A (K
 + L) + Th + 2 N + T weights.
 """
@@ -20,12 +20,11 @@ from pipeline.coefficients import COEFFICIENTS
 from pipeline.data.noise import NOMINAL_95
 from pipeline.errors import DataError
 from pipeline.files import write_beside
-from pipeline.identification.basis_error import evaluate_local
 from pipeline.identification.blocks import Places
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.inputs import points_of
+from pipeline.identification.model_error import Unfitted, evaluate_local, measure_tolerances
 from pipeline.identification.quality import Quality
-from pipeline.identification.tolerances import Unfitted, measure_tolerances
 
 if TYPE_CHECKING:
     from pipeline.identification.output_error_fit import OutputErrorFit
@@ -135,7 +134,7 @@ class Uncertainty:
 
 def measure_uncertainty(fit: OutputErrorFit, quality: Quality) -> Uncertainty:
     """The uncertainty of a fit: of noise and functions, as much wider as its deviations say, and of the tolerances."""
-    problem, error = fit.problem.with_noise(quality.inflation), fit.error(quality.inflation)
+    problem, error = fit.problem.scaled(quality.inflation**-0.5), fit.error(quality.inflation)
     unfitted = measure_tolerances(problem, fit.weights, error.fitted, len(error.matrix))
     return Uncertainty(
         problem.basis.weights.numpy(),
@@ -157,7 +156,7 @@ def save_uncertainty(folder: Path, uncertainty: Uncertainty | None) -> Path:
 
     parts = {} if uncertainty is None else _parts(uncertainty)
     content = save({name: np.ascontiguousarray(array) for name, array in parts.items()})
-    return write_beside(folder / UNCERTAINTY, lambda beside: _write(beside, content))
+    return write_beside(folder / UNCERTAINTY, lambda beside: beside.write_bytes(content))
 
 
 def _parts(uncertainty: Uncertainty) -> dict[str, np.ndarray]:
@@ -175,10 +174,6 @@ def _parts(uncertainty: Uncertainty) -> dict[str, np.ndarray]:
         "tolerance_moves": uncertainty.unfitted.moves,
         "tolerances": uncertainty.unfitted.second,
     }
-
-
-def _write(path: Path, content: bytes) -> None:
-    path.write_bytes(content)
 
 
 def load_uncertainty(folder: Path, identified: IdentifiedModel) -> Uncertainty | None:
@@ -206,7 +201,7 @@ def load_uncertainty(folder: Path, identified: IdentifiedModel) -> Uncertainty |
         )
         size = (
             len(uncertainty.active) * (uncertainty.weights.shape[-1] + uncertainty.n_local)
-            + (0 if identified.theta is None else len(identified.theta))
+            + len(identified.theta)
             + 2 * len(uncertainty.planes)
             + len(uncertainty.parameters)
         )

@@ -13,8 +13,8 @@ import numpy as np
 from pipeline.config.promotion import get_value, has_value
 from pipeline.config.schema import Config
 from pipeline.evaluation.errors import find_worst_mean, measure_errors
-from pipeline.identification.chebyshev import ChebyshevFit
 from pipeline.identification.identified import IdentifiedModel
+from pipeline.identification.residual_loss import ChebyshevFit
 from pipeline.reporting.tables import format_markdown
 from pipeline.reporting.write_numbers import write_number, write_value
 from pipeline.rotor.bearing_table import BearingTable

@@ -51,7 +51,8 @@ def draw_robustness(
     model, nodes = training.model, training.measurement.rotor.bearing_nodes
     steps = np.array([step for step, _ in minimum.trajectory])
     scale = model.scale_tensor()[:, 0]
-    paths = np.stack([model.physical(state, scale).detach().numpy() for _, state in minimum.trajectory])  # (T, G, M, U)
+    # (T, G, M, U)
+    paths = np.stack([model.physical(state, scale)[0].detach().numpy() for _, state in minimum.trajectory])
     guesses, members = paths.shape[1:3]
     panels: list[Panel] = []
     for m in range(members):

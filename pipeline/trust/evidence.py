@@ -165,7 +165,7 @@ def compare_superposed(measurement: Measurement, factor: np.ndarray) -> dict[str
     data = measurement.dataset
     if measurement.parameters:
         data = update_excitations(data, measurement.parameters, measurement.parameter_values)
-    noise = measurement.deviation_of(data.displacement, data.subtracted, factor)
+    noise = measurement.deviation_of(data.displacement, measurement.baseline, factor)
     free = bool(measurement.unknowns.planes) or any(parameter.kind == "bow" for parameter in measurement.parameters)
     whole = data.present.all(axis=1)  # points that every run was measured at
     squares = {}

@@ -21,7 +21,7 @@ from pipeline.data.dataset import VibrationDataset
 from pipeline.data.vibration_files import read_dataset
 from pipeline.errors import ConfigError
 from pipeline.ingest.plausibility import note_size, note_whirl
-from pipeline.stages import ingest, run_stage
+from pipeline.stages import ingested, run_stage
 
 MISSING = ["length", "amplitude", "phase", "phase_unit", "speed"]
 
@@ -129,7 +129,7 @@ KNOWN = ["kxy", "kyx", "cxx", "cxy", "cyx", "cyy"]
 def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """They take most of the time of the stage, and have a test of their own."""
     for name in ("draw_bode", "draw_measured_orbits"):
-        monkeypatch.setattr(ingest, name, lambda path, *_: path)
+        monkeypatch.setattr(ingested, name, lambda path, *_: path)
 
 
 @pytest.fixture

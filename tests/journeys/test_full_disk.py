@@ -26,7 +26,8 @@ from pipeline.files import write_beside, write_json
 from pipeline.identification.storage import load_model, save_model
 from pipeline.reporting.figure import Axes, Curve, Figure, Panel
 from pipeline.reporting.matplotlib_figures import write_figure
-from pipeline.stages.measurement import load_identified, load_measurement
+from pipeline.stages.analysis import Analysis
+from pipeline.stages.measurement import restore
 
 
 @contextmanager
@@ -165,8 +166,7 @@ def test_a_read_only_folder(stage: str, run: Run, base: Config, mine: Path, monk
 def identified(base: Config, folder: Path, **sections: object) -> bytes:
     """The coefficients that evaluate and predict work with."""
     config = base.model_copy(update={"stage": "evaluate", "output": str(folder)} | sections)
-    measurement = load_measurement(config)
-    return load_identified(config, measurement).table(measurement.known).values.tobytes()
+    return restore(Analysis(config)).table.values.tobytes()
 
 
 @pytest.fixture
