@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -49,16 +49,10 @@ class Outcome(StrEnum):
         return self.name.lower()
 
 
-class Watch(Protocol):
-    """Something that follows the best state (G, M, Q) of a training; what it raises ends the training."""
-
-    def __call__(self, phase: str, step: int, total: int, best: torch.Tensor, /) -> None: ...
-
-
-class Progress(Protocol):
-    """Something that shows a training while it runs, such as a progress bar."""
-
-    def __call__(self, phase: str, step: int, total: int, loss: float, /) -> None: ...
+Watch = Callable[[str, int, int, "torch.Tensor"], None]
+"""Follows the best state (G, M, Q) of a training, by phase, step and their total; what it raises ends the training."""
+Progress = Callable[[str, int, int, float], None]
+"""Shows a training while it runs, by phase, step, their total and the loss, such as a progress bar."""
 
 
 @dataclass(frozen=True)
