@@ -18,13 +18,6 @@ if TYPE_CHECKING:
     import torch
 
 SPEED = "speed"
-_WIDE = 1.5
-"""An operating condition that varies by this factor or more counts by its logarithm, where the speed does: a load acts
-as a power, while an oil temperature in kelvin varies by a few percent.
-"""
-_SMALLEST = 1e-3
-_FADES = 2.0
-"""Half ranges beyond the data, after which a correction has fallen to a third."""
 
 
 def scale_inputs(
@@ -48,31 +41,36 @@ def scale_inputs(
     return torch.as_tensor(np.stack(columns, axis=1), dtype=torch.float64)
 
 
-def _counts_by_logarithm(name: str, span: tuple[float, float]) -> bool:
-    return name == SPEED or (span[0] > 0 and span[1] / span[0] >= _WIDE)
+def _counts_by_logarithm(name: str, span: tuple[float, float], wide: float = 1.5) -> bool:
+    """The speed does; and an operating condition that varies by the factor ``wide`` or more: a load acts as a power,
+    while an oil temperature in kelvin varies by a few percent.
+    """
+    return name == SPEED or (span[0] > 0 and span[1] / span[0] >= wide)
 
 
-def trend_terms(inputs: torch.Tensor, speed: int, span: tuple[float, float], logarithmic: bool) -> torch.Tensor:
+def trend_terms(
+    inputs: torch.Tensor, speed: int, span: tuple[float, float], logarithmic: bool, smallest: float = 1e-3
+) -> torch.Tensor:
     """(S, inputs + 1) every input, and the speed's logarithm (or the speed, where the input is its logarithm)."""
     import torch
 
     low, high = span
     ratio, place = high / low, inputs[..., speed : speed + 1]
     if logarithmic:
-        other = 2 * (ratio ** ((place + 1) / 2) - 1) / max(ratio - 1, _SMALLEST) - 1
+        other = 2 * (ratio ** ((place + 1) / 2) - 1) / max(ratio - 1, smallest) - 1
     else:
-        other = 2 * (1 + (ratio - 1) * (place + 1) / 2).log() / max(math.log(ratio), _SMALLEST) - 1
+        other = 2 * (1 + (ratio - 1) * (place + 1) / 2).log() / max(math.log(ratio), smallest) - 1
     return torch.cat([inputs, other], dim=-1)
 
 
-def fade(inputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+def fade(inputs: torch.Tensor, reach: float = 2.0) -> tuple[torch.Tensor, torch.Tensor]:
     """(S, 1) each: one where scaled ``inputs`` (S, n) lie in the data's range, falling to zero beyond it: hardly within
     a quarter of the range, and all but nothing is left after one and a half; and the root of what is missing to one,
-    squares taken.
+    squares taken. A correction has fallen to a third at ``reach`` half ranges beyond the data.
     """
     import torch
 
-    beyond = ((inputs.abs() - 1).clamp(min=0.0) / _FADES).square().sum(-1, keepdim=True).square()
+    beyond = ((inputs.abs() - 1).clamp(min=0.0) / reach).square().sum(-1, keepdim=True).square()
     return torch.exp(-beyond), torch.sqrt(-torch.expm1(-2 * beyond))
 
 

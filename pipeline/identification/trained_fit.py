@@ -40,8 +40,6 @@ if TYPE_CHECKING:
 FEWEST_SPEEDS = 4
 _TOLERANCE, _PATIENCE = 1e-3, 5
 """Training ends when no network's loss on its other half fell by this share in so many steps."""
-_CONFIDENCE = 0.95
-"""The intervals that Student's factor makes right."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -151,14 +149,11 @@ def _halves(count: int, n_speeds: int, generator: torch.Generator) -> torch.Tens
     """
     import torch
 
-    first = torch.rand(count // 2, n_speeds // 2, generator=generator) < _HALF
+    first = torch.rand(count // 2, n_speeds // 2, generator=generator) < 0.5
     inner = torch.stack([first, ~first], dim=-1).flatten(1)[:, : n_speeds - 2]
     share = torch.ones(count, n_speeds, dtype=torch.float64)
     share[:, 1:-1] = 2.0 * torch.stack([inner, ~inner], dim=1).flatten(0, 1)
     return share
-
-
-_HALF = 0.5
 
 
 def _start(
@@ -230,11 +225,11 @@ def _mean(fit: OutputErrorFit, training: TrainedNetworks, watch: _Judge, interru
     )
 
 
-def _student(freedom: int) -> float:
+def _student(freedom: int, confidence: float = 0.95) -> float:
     """Factor of a deviation told by so many differences, for which intervals of the normal distribution hold."""
     from scipy.stats import norm, t
 
-    tail = (1 + _CONFIDENCE) / 2
+    tail = (1 + confidence) / 2
     return float(t.ppf(tail, freedom) / norm.ppf(tail))
 
 

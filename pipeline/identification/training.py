@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,9 +24,6 @@ if TYPE_CHECKING:
     import torch
 
     from pipeline.config.schema import Config
-
-_DIVERGED_FACTOR = 10.0
-"""A final loss this far above the first one is a divergence, not a slow start."""
 
 
 class Outcome(StrEnum):
@@ -52,16 +49,10 @@ class Outcome(StrEnum):
         return self.name.lower()
 
 
-class Watch(Protocol):
-    """Something that follows the best state (G, M, Q) of a training; what it raises ends the training."""
-
-    def __call__(self, phase: str, step: int, total: int, best: torch.Tensor, /) -> None: ...
-
-
-class Progress(Protocol):
-    """Something that shows a training while it runs, such as a progress bar."""
-
-    def __call__(self, phase: str, step: int, total: int, loss: float, /) -> None: ...
+Watch = Callable[[str, int, int, "torch.Tensor"], None]
+"""Follows the best state (G, M, Q) of a training, by phase, step and their total; what it raises ends the training."""
+Progress = Callable[[str, int, int, float], None]
+"""Shows a training while it runs, by phase, step, their total and the loss, such as a progress bar."""
 
 
 @dataclass(frozen=True)
@@ -153,22 +144,20 @@ class _Monitor:
 
     def begin(self, phase: str, total: int, patience: int) -> None:
         self.phase, self.total, self.patience, self.phase_start = phase, total, patience, self.step
-        self.reference = self.stale = None
+        self.rounding = self.problem.rounding()
 
     def __call__(self, parameters: torch.Tensor, losses: torch.Tensor) -> torch.Tensor:
         import torch
 
         self.last_loss = losses
         score = losses if self.held_out is None else self.held_out.loss(parameters).detach()
-        if self.best is None:
+        if not self.step:
             self.best, self.best_score, self.first_loss = parameters.clone(), score.clone(), losses.clone()
         better = (score < self.best_score) | self.best_score.isnan()
         self.best = torch.where(better[..., None], parameters, self.best)
         self.best_score = torch.where(better, score, self.best_score)
-        if self.rounding is None:
-            self.rounding = self.problem.rounding()
         known = torch.maximum(losses, self.rounding)  # NaN stays
-        if self.reference is None:
+        if self.step == self.phase_start:
             self.reference, self.stale = known, torch.zeros_like(losses)
         # A small gain tells of a minimum where the step was a second-order one; a gradient's may cross a plateau.
         second_order = self.phase == "levenberg_marquardt"
@@ -253,11 +242,12 @@ def root_mean_square(losses: torch.Tensor) -> np.ndarray:
     return np.asarray(losses.square().mean(dim=1).sqrt().numpy())
 
 
-def _outcomes(monitor: _Monitor, interrupted: bool) -> tuple[Outcome, ...]:
+def _outcomes(monitor: _Monitor, interrupted: bool, diverged_factor: float = 10.0) -> tuple[Outcome, ...]:
+    """A final loss ``diverged_factor`` times above the first one is a divergence, not a slow start."""
     losses = monitor.last_loss
     if interrupted:
         return (Outcome.INTERRUPTED,) * len(losses)
-    diverged = (~losses.isfinite() | (losses > _DIVERGED_FACTOR * monitor.first_loss)).any(dim=1).numpy()
+    diverged = (~losses.isfinite() | (losses > diverged_factor * monitor.first_loss)).any(dim=1).numpy()
     converged = monitor.converged()
     return tuple(
         Outcome.DIVERGED if d else Outcome.CONVERGED if c else Outcome.BUDGET_SPENT

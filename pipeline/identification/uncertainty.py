@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from pipeline.identification.output_error_fit import OutputErrorFit
 
 UNCERTAINTY = "uncertainty.safetensors"
-_WIDEST = 5.0
-"""Standard deviation of a logarithm, beyond which a coefficient is not known at all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,12 +81,14 @@ class Uncertainty:
         speeds: np.ndarray,
         operating: Mapping[str, np.ndarray] | None = None,
         covariance: np.ndarray | None = None,
+        widest: float = 5.0,
     ) -> np.ndarray:
         """(B, S, 8) standard deviations, N/m and N s/m; NaN for coefficients that were not identified.
 
         A coefficient that is an exponential has a log-normal error: its deviation is that whose nominal 95 % interval
         has the upper end of the log-normal one. The two differ where the coefficient is known to a few tens of percent.
-        ``covariance`` (Z, Z) is a part of the whole one, which is the default.
+        ``covariance`` (Z, Z) is a part of the whole one, which is the default. Beyond the ``widest`` deviation of its
+        logarithm a coefficient is not known at all.
         """
         whole = self.covariance if covariance is None else covariance
         with np.errstate(over="ignore", invalid="ignore"):  # of coefficients that ran away
@@ -98,7 +98,7 @@ class Uncertainty:
             deviation = np.sqrt(np.maximum(variance, 0.0))
             unknowns, identified_values = identified.unknowns, identified.values(speeds, operating)
             values = np.abs(unknowns.expand(identified_values[: unknowns.n_members], np.zeros_like(deviation)))
-            share = np.minimum(deviation / np.where(values > 0, values, np.inf), _WIDEST)
+            share = np.minimum(deviation / np.where(values > 0, values, np.inf), widest)
             positive = np.abs(unknowns.expansion[..., list(identified.model.positive)]).sum(axis=-1)  # (B, 8)
             deviation = np.where(positive[:, None] > 0, values * np.expm1(NOMINAL_95 * share) / NOMINAL_95, deviation)
         return np.where(unknowns.identified[:, None], deviation, np.nan)
