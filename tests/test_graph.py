@@ -16,13 +16,19 @@ GRAPH = yaml.safe_load((ROOT / "dvc.yaml").read_text(encoding="utf-8"))
 STAGES: dict[str, Any] = GRAPH["stages"]
 EXPERIMENTS = sorted(path.stem for path in (ROOT / "conf" / "experiment").glob("*.yaml"))
 
-HARMLESS = ("pipeline/tracking/", "pipeline/reporting/console.py", "pipeline/errors.py", "pipeline/cache.py")
+HARMLESS = (
+    "pipeline/tracking/",
+    "pipeline/reporting/console.py",
+    "pipeline/errors.py",
+    "pipeline/cache.py",
+    "pipeline/exits.py",
+)
 """What a stage imports for its words and records alone: no file of an experiment follows from it."""
 
 
 @cache
 def imported(path: Path) -> frozenset[Path]:
-    """The files of the package that a file imports, wherever in it; not what only type checkers see."""
+    """The files of the package, and beside a study's script, that a file imports; not what only type checkers see."""
     found: set[str] = set()
     todo: list[ast.AST] = [ast.parse(path.read_text(encoding="utf-8"))]
     while todo:
@@ -36,13 +42,15 @@ def imported(path: Path) -> frozenset[Path]:
             found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
         todo += ast.iter_child_nodes(node)
     files = {ROOT.joinpath(*name.split(".")).with_suffix(".py") for name in found if name.startswith("pipeline.")}
+    if path.is_relative_to(ROOT / "studies"):
+        files |= {path.with_name(f"{name}.py") for name in found if "." not in name}
     return frozenset(file for file in files if file.is_file())
 
 
-def closure(stage: str) -> set[str]:
-    """All that the module of a stage imports, directly or not. The other stages are run by name, not imported."""
+def closure(program: str) -> set[str]:
+    """All that the module of a stage, or a script, imports, directly or not. Other stages are run by name."""
     seen: set[Path] = set()
-    todo = [ROOT / "pipeline" / "stages" / f"{stage}.py"]
+    todo = [ROOT / (program if program.endswith(".py") else f"pipeline/stages/{program}.py")]
     while todo:
         file = todo.pop()
         if file not in seen:
@@ -53,7 +61,9 @@ def closure(stage: str) -> set[str]:
 
 
 def stages_of(command: str) -> list[str]:
-    """The stages of the pipeline that a command of dvc.yaml runs."""
+    """The stages of the pipeline that a command of dvc.yaml runs, or the script of a study."""
+    if script := re.match(r"python (studies/\S+\.py)", command):
+        return [script[1]]
     found = re.search(r"stage=(?:\[([\w,]+)\]|(\w+))", command)
     assert found, command
     return (found[1] or found[2]).split(",")
@@ -68,7 +78,7 @@ def experiments_of(name: str) -> list[str]:
 @pytest.mark.parametrize("name", STAGES)
 def test_the_deps_of_a_stage_are_what_it_imports(name: str) -> None:
     """A changed module re-runs every stage that uses it, and no dependency is there for nothing."""
-    deps = [dep for dep in STAGES[name]["deps"] if dep.startswith("pipeline/")]
+    deps = [dep for dep in STAGES[name]["deps"] if dep.startswith(("pipeline/", "studies/"))]
     needed = set().union(*(closure(stage) for stage in stages_of(STAGES[name]["cmd"])))
     covered = {file for file in needed for dep in deps if file == dep or file.startswith(f"{dep}/")}
     assert sorted(needed - covered) == []
