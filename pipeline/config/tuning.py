@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, PositiveFloat, PositiveInt, field_validator, model_validator
+from pydantic import Field, PositiveFloat, PositiveInt, field_validator
 
-from pipeline.config.section import NonNegativeInt, Section
+from pipeline.config.section import NonNegativeInt, Section, rule
 
 Value = bool | int | float | str
 Key = Annotated[str, Field(pattern=r"^(model|loss|optimizer)(\.[A-Za-z_]+)+$|^training\.tolerance$")]
@@ -29,13 +29,12 @@ class _Range(_Dimension):
     high: float
     log: bool = False
 
-    @model_validator(mode="after")
-    def _ascending(self) -> _Range:
+    @rule
+    def _ascending(self) -> Iterator[str]:
         if self.low > self.high:
-            raise ValueError(f"must have low <= high, but got {self.low:g} and {self.high:g}")
+            yield f"must have low <= high, but got {self.low:g} and {self.high:g}"
         if self.log and self.low <= 0:
-            raise ValueError(f"must have low > 0 on a logarithmic scale, but got {self.low:g}")
-        return self
+            yield f"must have low > 0 on a logarithmic scale, but got {self.low:g}"
 
 
 class IntegerRange(_Range):
@@ -63,11 +62,10 @@ class Choice(_Dimension):
         """The values."""
         return self.choices
 
-    @model_validator(mode="after")
-    def _once(self) -> Choice:
+    @rule
+    def _once(self) -> Iterator[str]:
         if len(set(self.choices)) != len(self.choices):
-            raise ValueError(f"must name each choice once, but got {list(self.choices)}")
-        return self
+            yield f"must name each choice once, but got {list(self.choices)}"
 
 
 class Preset(_Dimension):
@@ -140,25 +138,22 @@ class TuningConfig(Section):
             )
         return url
 
-    @model_validator(mode="after")
-    def _space(self) -> TuningConfig:
+    @rule
+    def _space(self) -> Iterator[str]:
         seen: dict[str, Any] = {}
         for name, dimension in self.space.items():
-            _check_condition(name, dimension, seen)
+            yield from _check_condition(name, dimension, seen)
             seen[name] = dimension
-        return self
 
 
-def _check_condition(name: str, dimension: _Dimension, earlier: Mapping[str, _Dimension]) -> None:
+def _check_condition(name: str, dimension: _Dimension, earlier: Mapping[str, _Dimension]) -> Iterator[str]:
     for other, values in dimension.when.items():
         known = earlier[other].options() if other in earlier else None
         if known is None:
-            raise ValueError(
-                f"must have conditions on choices that stand before them, but space.{name}.when names '{other}'"
-            )
-        unknown = [value for value in values if value not in known]
+            yield f"must have conditions on choices that stand before them, but space.{name}.when names '{other}'"
+        unknown = [value for value in values if value not in (known or ())]
         if unknown or not values:
-            raise ValueError(
+            yield (
                 f"must have conditions that can hold, but space.{name}.when.{other} has {unknown or 'no value'} and "
-                f"the choices are {list(known)}"
+                f"the choices are {list(known or ())}"
             )
