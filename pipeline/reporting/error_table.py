@@ -112,7 +112,8 @@ def describe_quality(quality: Mapping[str, Any]) -> str:
     lines.append(measure_misfit(fit).sentence)
     for kind in ("held_out_speeds", "held_out_runs"):
         if kind in fit:
-            square = fit[kind]["mean_square_over_noise"]
-            beside = f" (root mean square), mean square over the noise {square:.3f}, where 1 is expected"
-            lines.append(describe_held_out(kind, fit[kind], 3) + (beside if square is not None else ""))
+            told, square = describe_held_out(kind, fit[kind], 3), fit[kind]["mean_square_over_noise"]
+            if square is not None:
+                told += f" (root mean square), mean square over the noise {square:.3f}, where 1 is expected"
+            lines.append(told)
     return "\n".join(lines)

@@ -14,9 +14,8 @@ from pipeline.stages.execution import StageOutput, use_threads
 from pipeline.stages.measurement import load_measurement
 from pipeline.stages.workspace import locate_files
 
-_KINDS = ("law", "hybrid", "network")
-"""From simple to free: a tie goes to the first."""
 _MODELS = {"law": "law", "hybrid": "hybrid", "network": "network_operating"}
+"""From simple to free: a tie goes to the first."""
 
 
 def run(config: Config) -> StageOutput:
@@ -27,7 +26,7 @@ def run(config: Config) -> StageOutput:
     measurement = load_measurement(config)
     use_threads(config)
     setup = setup_of(config)
-    kinds = _KINDS if measurement.laws is not None else _KINDS[-1:]
+    kinds = list(_MODELS) if measurement.laws else ["network"]
     setups = {kind: setup_model(setup, kind) for kind in kinds}
     judged = judge_models(measurement, setups, lambda what: say(f"{config.name}: fits {what}"))
     chosen = choose(judged)

@@ -17,7 +17,7 @@ from pipeline.files import write_json
 from pipeline.identification.losses import loss_of
 from pipeline.identification.uncertainty import Uncertainty, load_uncertainty
 from pipeline.problem.measurement import Measurement
-from pipeline.reporting.console import say
+from pipeline.reporting.console import say, warn
 from pipeline.reporting.error_table import describe_quality, describe_verdicts, make_error_table, print_error_table
 from pipeline.reporting.figures import draw_coefficients, draw_history
 from pipeline.reporting.identified_figure import draw_identified
@@ -45,7 +45,7 @@ def run(config: Config) -> StageOutput:
     uncertainty = load_uncertainty(work.folder, identified)
     deviation = None if uncertainty is None else uncertainty.deviation(identified, data.speeds, data.operating)
     names = identified.unknowns.by_bearing
-    answer = identified.table(update_measurement(measurement, uncertainty).updated_known)
+    whole = answer = identified.table(update_measurement(measurement, uncertainty).updated_known)
     modelled = load_modelled(config, measurement)
     diagnosis = diagnose(config, measurement)
     conventional = diagnosis.answer if diagnosis.by_least_squares else None
@@ -57,6 +57,15 @@ def run(config: Config) -> StageOutput:
     written: list[Path] = []
     if conventional is not None:
         written.append(write_coefficients(work.folder / "least_squares_coefficients.csv", conventional))
+    if not answer.bounded.all():
+        rpm = to_rpm(answer.speeds[~answer.bounded])
+        warn(
+            f"{config.name}: coefficients leave all bounds from {rpm.min():g} to {rpm.max():g} rpm, which was held out"
+        )
+        answer, deviation = whole.at(whole.bounded), None if deviation is None else deviation[:, whole.bounded]
+        modelled, conventional = (
+            None if table is None else table.at(whole.bounded) for table in (modelled, conventional)
+        )
     errors = None if modelled is None else measure_errors(answer, modelled, names)
     beside = None if modelled is None or conventional is None else measure_errors(conventional, modelled, names)
     if modelled is not None and errors is not None:
@@ -81,7 +90,7 @@ def run(config: Config) -> StageOutput:
         metrics["physical_numbers"] = judge_numbers(config, quality["physical_numbers"])
     metrics |= judge_beyond(config, identified, measurement.dataset.speeds)
     if loss.weighs_noise:
-        metrics["held_out"] = _judge_held_out(config, update_measurement(measurement, uncertainty), answer, uncertainty)
+        metrics["held_out"] = _judge_held_out(config, update_measurement(measurement, uncertainty), whole, uncertainty)
     written += [
         draw_history(work.figure("training"), work.history, loss.label),
         *_draw(work, answer, modelled, names, deviation),

@@ -23,7 +23,7 @@ from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_identified, load_measurement, update_measurement
 from pipeline.stages.planned_runs import list_candidates
 from pipeline.stages.workspace import locate_files
-from pipeline.trust.evidence import Evidence, gather
+from pipeline.trust.evidence import Evidence, gather, leave_out_unbounded
 from pipeline.trust.judgement import AS_FELT, judge, refuse_without_deviations
 from pipeline.trust.mistakes import WORTH_TRYING, Found, Probe, find_mistakes
 from pipeline.trust.next_run import weigh_candidates
@@ -96,7 +96,7 @@ def assess(
 ) -> tuple[dict[str, Any], Evidence]:
     """The Judgement on a fit, and what it rests on; ``about`` has ``fit`` and ``outcome`` of ``training.json``."""
     updated = update_measurement(measurement, uncertainty)
-    fitted = mark_fitted(config, measurement)
+    updated, fitted = leave_out_unbounded(updated, identified, mark_fitted(config, measurement))
     evidence, linear = gather(updated, identified, uncertainty, about["fit"], fitted, about["outcome"])
     gains = weigh_candidates(updated, identified, uncertainty, linear, list_candidates(config.machine.candidates))
     mistakes: list[Found] = []
