@@ -16,19 +16,22 @@ from pipeline.errors import ConfigError
 from pipeline.files import write_json, write_text
 from pipeline.laws.build import make_laws
 from pipeline.methods.catalogue import METHODS
+from pipeline.problem.configured import model_machine
 from pipeline.reporting.comparison_figures import draw_comparison
 from pipeline.reporting.comparison_tables import Comparison, make_tables, tabulate, write_markdown
 from pipeline.reporting.console import comparison_progress, say, table
+from pipeline.rotor.stored import require_nodes
+from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput, use_threads
-from pipeline.stages.generate import model_machine
-from pipeline.stages.workspace import locate_files, require_nodes
+from pipeline.stages.workspace import locate_files
 
 
-def run(config: Config) -> StageOutput:
+def run(analysis: Analysis) -> StageOutput:
     """``comparison.csv`` (a row a method, case, bearing and coefficient), ``.json``, ``.md`` and a figure.
 
     Raises ConfigError for measured data, whose truth nobody knows.
     """
+    config = analysis.config
     if config.machine.recordings.format != "none":
         raise ConfigError(
             "compare must have a modelled machine, whose coefficients are known, but the data are measured: "
@@ -120,8 +123,8 @@ def summarize(comparison: Comparison) -> dict[str, object]:
 
 
 def _print(config: Config, comparison: Comparison) -> None:
-    for title, header, rows in make_tables(comparison):
-        table(f"{config.name}: {title}", header, rows)
+    for made in make_tables(comparison):
+        table(f"{config.name}: {made.caption}", made.header, made.rows)
     for method, outcomes in comparison.outcomes().items():
         for outcome in outcomes.values():
             say(f"{METHODS[method].label}: {outcome}")
