@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import ast
+import importlib.util
+import json
 import re
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -14,57 +14,21 @@ import yaml
 ROOT = Path(__file__).resolve().parents[1]
 GRAPH = yaml.safe_load((ROOT / "dvc.yaml").read_text(encoding="utf-8"))
 STAGES: dict[str, Any] = GRAPH["stages"]
+_SPEC = importlib.util.spec_from_file_location("graph", ROOT / "docs" / "graph.py")
+assert _SPEC is not None
+assert _SPEC.loader is not None
+graph = importlib.util.module_from_spec(_SPEC)
+_SPEC.loader.exec_module(graph)
 EXPERIMENTS = sorted(path.stem for path in (ROOT / "conf" / "experiment").glob("*.yaml"))
 
-HARMLESS = (
-    "pipeline/tracking/",
-    "pipeline/reporting/console.py",
-    "pipeline/errors.py",
-    "pipeline/cache.py",
-    "pipeline/exits.py",
-)
-"""What a stage imports for its words and records alone: no file of an experiment follows from it."""
 
-
-@cache
-def imported(path: Path) -> frozenset[Path]:
-    """The files of the package, and beside a study's script, that a file imports; not what only type checkers see."""
-    found: set[str] = set()
-    todo: list[ast.AST] = [ast.parse(path.read_text(encoding="utf-8"))]
-    while todo:
-        node = todo.pop()
-        if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
-            todo += node.orelse
-            continue
-        if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
-        todo += ast.iter_child_nodes(node)
-    files = {ROOT.joinpath(*name.split(".")).with_suffix(".py") for name in found if name.startswith("pipeline.")}
-    if path.is_relative_to(ROOT / "studies"):
-        files |= {path.with_name(f"{name}.py") for name in found if "." not in name}
-    return frozenset(file for file in files if file.is_file())
-
-
-def closure(program: str) -> set[str]:
-    """All that the module of a stage, or a script, imports, directly or not. Other stages are run by name."""
-    seen: set[Path] = set()
-    todo = [ROOT / (program if program.endswith(".py") else f"pipeline/stages/{program}.py")]
-    while todo:
-        file = todo.pop()
-        if file not in seen:
-            seen.add(file)
-            todo += imported(file)
-    names = {file.relative_to(ROOT).as_posix() for file in seen}
-    return {name for name in names if not name.startswith(HARMLESS)}
-
-
-def stages_of(command: str) -> list[str]:
-    """The stages of the pipeline that a command of dvc.yaml runs, or the script of a study."""
-    if script := re.match(r"python (studies/\S+\.py)", command):
+def stages_of(command: str | list[str]) -> list[str]:
+    """The stages of the pipeline that a command of dvc.yaml runs, or the study; those of several commands are in the
+    first."""
+    first = command if isinstance(command, str) else command[0]
+    if script := re.match(r"python studies/\S+/(\w+)\.py", first):
         return [script[1]]
-    found = re.search(r"stage=(?:\[([\w,]+)\]|(\w+))", command)
+    found = re.search(r"stage=(?:\[([\w,]+)\]|(\w+))", first)
     assert found, command
     return (found[1] or found[2]).split(",")
 
@@ -75,29 +39,92 @@ def experiments_of(name: str) -> list[str]:
     return list(given) if isinstance(given, list) else list(GRAPH["vars"][0][given.strip("${}")])
 
 
-@pytest.mark.parametrize("name", STAGES)
-def test_the_deps_of_a_stage_are_what_it_imports(name: str) -> None:
-    """A changed module re-runs every stage that uses it, and no dependency is there for nothing."""
-    deps = [dep for dep in STAGES[name]["deps"] if dep.startswith(("pipeline/", "studies/"))]
-    needed = set().union(*(closure(stage) for stage in stages_of(STAGES[name]["cmd"])))
-    covered = {file for file in needed for dep in deps if file == dep or file.startswith(f"{dep}/")}
-    assert sorted(needed - covered) == []
-    idle = [dep for dep in deps if not any(file == dep or file.startswith(f"{dep}/") for file in needed)]
-    assert idle == []
+def params_of(name: str) -> dict[str, list[str]]:
+    """File -> keys that a stage depends on."""
+    return {file: keys for entry in STAGES[name].get("params", []) for file, keys in entry.items()}
 
 
-@pytest.mark.parametrize("name", [name for name in STAGES if "params" in STAGES[name]])
-def test_the_params_of_a_stage_are_keys_of_the_configuration(name: str) -> None:
+@pytest.mark.parametrize("name", [name for name in STAGES if name != "code"])
+def test_a_stage_depends_on_the_code_that_it_imports(name: str) -> None:
+    """A changed module re-runs every stage that uses it: by its hash, and by no list kept by hand."""
+    assert params_of(name)["artifacts/code.json"] == stages_of(STAGES[name]["cmd"])
+    assert [dep for dep in STAGES[name].get("deps", []) if dep.startswith("pipeline")] == []
+
+
+def test_the_code_of_a_stage_is_what_it_imports() -> None:
+    code = graph.hash_code()
+    assert set(code) >= {stage for name in STAGES if name != "code" for stage in stages_of(STAGES[name]["cmd"])}
+    assert {"pipeline", "config", "data", "rotor", "laws", "stages"} <= set(code["generate"])
+    assert {"identification", "evaluation", "methods", "tracking", "tuning"}.isdisjoint(code["generate"])
+    assert {"identification", "problem"} <= set(code["train"])
+    assert "tracking" not in {room for rooms in code.values() for room in rooms}
+
+
+def test_a_change_touches_the_stages_that_import_it(tmp_path: Path) -> None:
+    """Tables beside the code count with it, wherever a module imports what it needs; types and records do not."""
+    files = {
+        "stages/__init__.py": "",
+        "stages/fit.py": "import pipeline.errors\nfrom pipeline.room import film\n",
+        "stages/draw.py": "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import pipeline.room.film\n",
+        "room/__init__.py": "",
+        "room/film.py": "def load():\n    import pipeline.units\n",
+        "room/idle.py": "",
+        "room/tables/film.csv": "1",
+        "units.py": "",
+        "errors.py": "",
+    }
+    expected = {
+        "room/film.py": {"fit"},
+        "room/tables/film.csv": {"fit"},
+        "units.py": {"fit"},
+        "stages/draw.py": {"draw"},
+        "room/idle.py": set(),
+        "errors.py": set(),
+    }
+
+    def lay(changed: str) -> dict[str, dict[str, str]]:
+        package = tmp_path / str(len(list(tmp_path.iterdir()))) / "pipeline"
+        for name, text in files.items():
+            (package / name).parent.mkdir(parents=True, exist_ok=True)
+            (package / name).write_text(text + "\n" * (name == changed), encoding="utf-8")
+        return graph.hash_code(package)
+
+    before = lay("")
+    assert {room for room in before["fit"]} == {"pipeline", "room", "stages"}
+    for name, stages in expected.items():
+        after = lay(name)
+        assert {stage for stage in before if before[stage] != after[stage]} == stages, name
+
+
+@pytest.mark.parametrize("name", [name for name in STAGES if name not in ("code", "configure")])
+def test_the_params_of_a_stage_are_keys_of_the_configuration(name: str, tmp_path: Path) -> None:
     """As `configure` writes it: a key that is not there would be a change that nobody sees."""
     from pipeline.config.compose import compose_config
 
     mapping = compose_config(["experiment=hydrostatic_stiffness"]).model_dump(mode="json") | {"rotor_file": ""}
-    for of in STAGES[name]["params"]:
-        for key in next(iter(of.values())):
-            node = mapping
-            for part in key.split("."):
-                assert part in node, key
-                node = node[part]
+    path = tmp_path / "config.yaml"
+    path.write_text(yaml.safe_dump(mapping), encoding="utf-8")
+    sections = graph.hash_sections(path)
+    for key in params_of(name)["artifacts/configurations/${item.experiment}/sections.json"]:
+        node: Any = sections
+        for step in key.split("."):
+            assert step in node, key
+            node = node[step]
+        assert isinstance(node, str), key
+
+
+def test_a_changed_value_changes_the_hash_of_its_section_alone(tmp_path: Path) -> None:
+    hashes = []
+    for speed in (0.1, 0.2):
+        folder = tmp_path / str(speed) / "ball_bearing"
+        folder.mkdir(parents=True)
+        mapping = {"seed": 1, "machine": {"speeds": [speed], "rotor": {"shaft": 1}}}
+        (folder / "config.yaml").write_text(yaml.safe_dump(mapping), encoding="utf-8")
+        assert list(graph.write_sections(folder.parent)) == [folder / "sections.json"]
+        hashes.append(json.loads((folder / "sections.json").read_text(encoding="utf-8")))
+    first, second = hashes
+    assert first["machine"].pop("speeds") != second["machine"].pop("speeds")
+    assert first == second
 
 
 def test_a_stage_reads_what_an_earlier_one_makes() -> None:
@@ -111,7 +138,9 @@ def test_a_stage_reads_what_an_earlier_one_makes() -> None:
     }
     for name, stage in STAGES.items():
         for experiment in experiments_of(name) if "matrix" in stage else []:
-            read = {d.replace("${item.experiment}", experiment) for d in stage["deps"] if d.startswith("artifacts/")}
+            read = {
+                d.replace("${item.experiment}", experiment) for d in stage.get("deps", []) if d.startswith("artifacts/")
+            }
             assert sorted(read - made) == [], name
 
 
@@ -141,7 +170,8 @@ def test_what_check_reads_is_made(experiment: str) -> None:
 
 def test_no_study_is_in_the_graph() -> None:
     """Studies end differently on another processor: `make studies` repeats them, and a person promotes."""
-    assert all({"tune", "samplers"}.isdisjoint(stages_of(stage["cmd"])) for stage in STAGES.values())
+    run = {stage for name in STAGES if name != "code" for stage in stages_of(STAGES[name]["cmd"])}
+    assert {"tune", "samplers"}.isdisjoint(run)
     assert all(not out.startswith("studies") for stage in STAGES.values() for out in _outs(stage))
 
 

@@ -7,14 +7,16 @@ from pathlib import Path
 from pipeline.config.schema import Config
 from pipeline.errors import without_password
 from pipeline.reporting.console import say, table
+from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
 from pipeline.tracking import TrackingSettings, find_trial_pages
 from pipeline.tuning.dashboard import gather_studies
 from pipeline.tuning.trials_file import TRIALS
 
 
-def run(config: Config) -> StageOutput:
+def run(analysis: Analysis) -> StageOutput:
     """Every ``studies/NAME/trials.jsonl`` in the database, and on each trial that MLflow has a note with its page."""
+    config = analysis.config
     settings = TrackingSettings(True, config.tracking.uri, config.tracking.timeout_seconds)
     shown = gather_studies(config.tuning, _list_files(config), find_trial_pages(settings))
     storage = without_password(config.tuning.storage)

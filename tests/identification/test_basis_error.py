@@ -11,8 +11,7 @@ from running import composed
 from pipeline.identification.model_error import count_local, evaluate_local
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
 from pipeline.identification.training import setup_of
-from pipeline.stages.generate import model_machine, read_probes
-from pipeline.stages.measurement import build_measurement
+from pipeline.problem.configured import build_measurement, model_machine, read_probes
 
 NOISE = ["stated_noise.additive=0.05 um", "stated_noise.multiplicative=0.005"]
 DIRECT = "identify.unknowns=[kxx,kyy,cxx,cyy]"

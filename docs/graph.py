@@ -1,0 +1,140 @@
+"""What `dvc repro` compares, in few hashes: the code that a stage imports, room by room, and an experiment's sections.
+
+dvc.yaml lists no file of code: its stage ``code`` runs this program, which finds what each stage imports. A section of
+a configuration is a hash too, so that dvc.lock has a line on it and not all of its values.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import json
+import sys
+from collections import defaultdict
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from pipeline.files import write_json
+
+PACKAGE = Path(__file__).resolve().parents[1] / "pipeline"
+
+STUDIES = ("folds",)
+"""Studies of dvc.yaml, by their folders."""
+
+HARMLESS = (
+    "tracking/",
+    "reporting/console.py",
+    "errors.py",
+    "cache.py",
+    "py.typed",
+    "stages/machine_file.yaml",
+)
+"""What a stage imports for its messages and records alone, and what `new` writes: no file of an experiment follows from
+these."""
+
+
+def hash_code(package: Path = PACKAGE) -> dict[str, dict[str, str]]:
+    """Stage or study -> room -> hash of the files of that room which it needs; ``pipeline`` has those of no room.
+
+    What lies beside the script of a study is a dependency of its own.
+    """
+    needed = {path.stem: list_needed(path, package) for path in package.glob("stages/[a-z]*.py")}
+    for name in STUDIES:
+        scripts = list((package.parent / "studies" / name).glob("*.py"))
+        imported = {file for script in scripts for file in _list_imported(script, package)}
+        needed[name] = frozenset().union(*(list_needed(file, package) for file in imported))
+    return {name: _hash_rooms(package, files) for name, files in needed.items()}
+
+
+def _hash_rooms(package: Path, files: frozenset[Path]) -> dict[str, str]:
+    rooms: defaultdict[str, list[Path]] = defaultdict(list)
+    for path in sorted(files):
+        rooms[path.relative_to(package.parent).parts[-2 if path.parent == package else 1]].append(path)
+    return {
+        room: _hash(
+            [(path.relative_to(package).as_posix(), hashlib.sha256(path.read_bytes()).hexdigest()) for path in paths]
+        )
+        for room, paths in sorted(rooms.items())
+    }
+
+
+def list_needed(stage: Path, package: Path = PACKAGE) -> frozenset[Path]:
+    """All that the module of a stage imports, directly or not, and the data files beside that.
+
+    The other stages are run by name, not imported.
+    """
+    seen: set[Path] = set()
+    todo = [stage]
+    while todo:
+        path = todo.pop()
+        if path not in seen and not _is_harmless(path, package):
+            seen.add(path)
+            todo += _list_imported(path, package)
+    folders = {path.parent for path in seen}
+    return frozenset(seen | {path for path in _list_data(package) if _find_code(path) in folders})
+
+
+def _is_harmless(path: Path, package: Path) -> bool:
+    return path.relative_to(package).as_posix().startswith(HARMLESS)
+
+
+@cache
+def _list_imported(path: Path, package: Path) -> frozenset[Path]:
+    """The files of the package that a file imports, wherever in it; not what only type checkers see."""
+    names: set[str] = set()
+    todo: list[ast.AST] = [ast.parse(path.read_text(encoding="utf-8"))]
+    while todo:
+        node = todo.pop()
+        if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
+            todo += node.orelse
+            continue
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+        todo += ast.iter_child_nodes(node)
+    places = [package.parent.joinpath(*name.split(".")) for name in names if name.startswith("pipeline.")]
+    files = [file for place in places for file in (place.with_suffix(".py"), place / "__init__.py")]
+    return frozenset(file for file in files if file.is_file())
+
+
+@cache
+def _list_data(package: Path) -> tuple[Path, ...]:
+    """The files of the package that are no code, such as tables and templates."""
+    left_out = (".py", ".pyc", "~", ".swp", ".DS_Store")
+    files = (path for path in package.rglob("*") if path.is_file() and not path.name.endswith(left_out))
+    return tuple(path for path in files if not _is_harmless(path, package))
+
+
+def _find_code(data: Path) -> Path:
+    """The folder of code that a data file belongs to."""
+    return next(folder for folder in data.parents if any(folder.glob("*.py")))
+
+
+def hash_sections(configuration: Path) -> dict[str, Any]:
+    """Key -> hash of its value in a ``config.yaml``; ``machine`` has a hash for each of its own."""
+    sections = yaml.safe_load(configuration.read_text(encoding="utf-8"))
+    machine = {key: _hash(value) for key, value in sections.pop("machine").items()}
+    return {key: _hash(value) for key, value in sections.items()} | {"machine": machine}
+
+
+def _hash(value: object) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:12]
+
+
+def write_sections(folder: Path) -> Iterator[Path]:
+    """Write ``sections.json`` beside every ``config.yaml`` below ``folder``."""
+    for path in sorted(folder.glob("*/config.yaml")):
+        yield write_json(path.with_name("sections.json"), hash_sections(path))
+
+
+if __name__ == "__main__":
+    command, place = sys.argv[1], Path(sys.argv[2])
+    if command == "code":
+        print(f"code of each stage in '{write_json(place, hash_code())}'")
+    else:
+        print(f"sections of {len(list(write_sections(place)))} configurations in '{place}'")
