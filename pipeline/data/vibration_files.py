@@ -55,6 +55,12 @@ def to_rpm(speeds: np.ndarray) -> np.ndarray:
     return np.round(speeds / RAD_S_PER_RPM, 9)
 
 
+def write_range(speeds: np.ndarray) -> str:
+    """Such as ``900 to 5700 rpm``, of speeds (S,) in rad/s."""
+    rpm = to_rpm(speeds)
+    return f"{rpm.min():g} to {rpm.max():g} rpm"
+
+
 def find_speed(rpm: float, speeds: np.ndarray, within: float = 1e-3) -> int:
     """The index among ``speeds`` (S,) rad/s of machine.prediction.speed_rpm; ``within`` is a share: nominal speeds of
     records are means with many digits. Raises ConfigError where none is as near."""

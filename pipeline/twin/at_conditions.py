@@ -12,6 +12,7 @@ import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS, is_direct, unit
 from pipeline.data.operating import name_state, write_condition
+from pipeline.data.vibration_files import write_range
 from pipeline.errors import ConfigError
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.problem.measurement import Measurement
@@ -101,9 +102,9 @@ def evaluate_at(
     table = identified.table(machine.updated_known)
     if not table.bounded.all():
         raise ConfigError(
-            f"the twin must have coefficients at all speeds, but at {int((~table.bounded).sum())} of "
-            f"{len(table.speeds)} they leave all bounds: speeds were held out there, and nothing holds the fitted "
-            "functions; train without training.holdout_range to predict"
+            "the twin must have coefficients at all speeds, but from "
+            f"{write_range(table.speeds[~table.bounded])} they leave all bounds: speeds were held out there, and "
+            "nothing holds the fitted functions; train without training.holdout_range to predict"
         )
     if wanted:
         _require_bounded(identified.table(updated.updated_known), table, key, name_state(wanted))
