@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, PositiveFloat, PositiveInt, field_validator, model_validator
@@ -16,11 +17,46 @@ Key = Annotated[str, Field(pattern=r"^(model|loss|optimizer)(\.[A-Za-z_]+)+$|^tr
 
 
 class _Dimension(Section):
-    when: dict[str, tuple[Value, ...]] = Field(default_factory=dict)
+    """What a study varies, and what its parameter means for the configuration."""
 
-    def options(self) -> tuple[str | Value, ...] | None:
-        """The choices, or None for a range."""
-        return None
+    when: dict[str, tuple[Value, ...]] = Field(default_factory=dict)
+    """Dimension of the space -> its choices beside which this one has a meaning."""
+
+    def options(self) -> tuple[Value, ...]:
+        """The choices, none for a range."""
+        return ()
+
+    def extremes(self) -> tuple[Value, ...]:
+        """The parameters that the schema must take: every choice, or the ends of a range."""
+        return self.options()
+
+    def suggest(self, trial: Any, name: str) -> Value:
+        """The parameter that Optuna's ``trial`` draws."""
+        chosen: Value = trial.suggest_categorical(name, self.options())
+        return chosen
+
+    def translate(self, parameter: Value) -> dict[str, Value]:
+        """The values of the configuration, by key, that a parameter stands for."""
+        raise NotImplementedError
+
+    def find(self, get: Callable[[str], Any]) -> list[Value]:
+        """Parameters that stand for the configured values, which ``get`` gives by key; what says most comes first."""
+        fitting = [
+            option
+            for option in self.options()
+            if all(_is_same(get(key), value) for key, value in self.translate(option).items())
+        ]
+        return sorted(fitting, key=lambda option: -len(self.translate(option)))
+
+    def describe(self, name: str) -> str:
+        """What the parameter may be, for a message."""
+        return f"the choices of {name} are {', '.join(map(str, self.options()))}"
+
+
+def _is_same(value: Any, choice: Value) -> bool:
+    if isinstance(value, (int, float)) and isinstance(choice, (int, float)):
+        return math.isclose(value, choice)
+    return bool(value == choice)
 
 
 class _Range(_Dimension):
@@ -28,6 +64,19 @@ class _Range(_Dimension):
     low: float
     high: float
     log: bool = False
+
+    def extremes(self) -> tuple[Value, ...]:
+        return self.low, self.high
+
+    def translate(self, parameter: Value) -> dict[str, Value]:
+        return {self.key: parameter}
+
+    def find(self, get: Callable[[str], Any]) -> list[Value]:
+        value = get(self.key)
+        return [value] if self.low <= value <= self.high else []
+
+    def describe(self, name: str) -> str:
+        return f"{name} goes from {self.low:g} to {self.high:g}"
 
     @model_validator(mode="after")
     def _ascending(self) -> _Range:
@@ -45,11 +94,19 @@ class IntegerRange(_Range):
     low: int
     high: int
 
+    def suggest(self, trial: Any, name: str) -> Value:
+        drawn: int = trial.suggest_int(name, self.low, self.high, log=self.log)
+        return drawn
+
 
 class FloatRange(_Range):
     """Real numbers from ``low`` to ``high``, SI."""
 
     kind: Literal["float"]
+
+    def suggest(self, trial: Any, name: str) -> Value:
+        drawn: float = trial.suggest_float(name, self.low, self.high, log=self.log)
+        return drawn
 
 
 class Choice(_Dimension):
@@ -59,9 +116,11 @@ class Choice(_Dimension):
     key: Key
     choices: tuple[Value, ...] = Field(min_length=1)
 
-    def options(self) -> tuple[str | Value, ...]:
-        """The values."""
+    def options(self) -> tuple[Value, ...]:
         return self.choices
+
+    def translate(self, parameter: Value) -> dict[str, Value]:
+        return {self.key: parameter}
 
     @model_validator(mode="after")
     def _once(self) -> Choice:
@@ -76,9 +135,11 @@ class Preset(_Dimension):
     kind: Literal["preset"]
     choices: dict[str, dict[Key, Value]] = Field(min_length=1)
 
-    def options(self) -> tuple[str | Value, ...]:
-        """The names."""
+    def options(self) -> tuple[Value, ...]:
         return tuple(self.choices)
+
+    def translate(self, parameter: Value) -> dict[str, Value]:
+        return dict(self.choices[str(parameter)])
 
 
 Dimension = Annotated[IntegerRange | FloatRange | Choice | Preset, Field(discriminator="kind")]
@@ -151,8 +212,8 @@ class TuningConfig(Section):
 
 def _check_condition(name: str, dimension: _Dimension, earlier: Mapping[str, _Dimension]) -> None:
     for other, values in dimension.when.items():
-        known = earlier[other].options() if other in earlier else None
-        if known is None:
+        known = earlier[other].options() if other in earlier else ()
+        if not known:
             raise ValueError(
                 f"must have conditions on choices that stand before them, but space.{name}.when names '{other}'"
             )

@@ -243,8 +243,9 @@ def test_a_record_is_complete_also_where_the_process_beside_is_lost(killed: bool
     record = StageRecord("x", "train", 1.0, 2.0, {"seed": 3}, {"outcome": "converged"}, {"error": 0.5}, history=history)
     with recorder_beside(True):
         if killed:
-            beside._running[0].process.kill()
-            beside._running[0].process.wait()
+            process, _ = beside._running[0]
+            process.kill()
+            process.join()
         told = track(record, settings)
     assert len(told) == 1
     assert "loss" in told[0]
