@@ -23,8 +23,8 @@ class _Dimension(Section):
     """Dimension of the space -> its choices beside which this one has a meaning."""
 
     def options(self) -> tuple[Value, ...]:
-        """The choices, none for a range."""
-        return ()
+        """The choices, by name where they have one; none for a range."""
+        return tuple(getattr(self, "choices", ()))
 
     def extremes(self) -> tuple[Value, ...]:
         """The parameters that the schema must take: every choice, or the ends of a range."""
@@ -32,8 +32,7 @@ class _Dimension(Section):
 
     def suggest(self, trial: Any, name: str) -> Value:
         """The parameter that Optuna's ``trial`` draws."""
-        chosen: Value = trial.suggest_categorical(name, self.options())
-        return chosen
+        return trial.suggest_categorical(name, self.options())
 
     def translate(self, parameter: Value) -> dict[str, Value]:
         """The values of the configuration, by key, that a parameter stands for."""
@@ -60,10 +59,14 @@ def _is_same(value: Any, choice: Value) -> bool:
 
 
 class _Range(_Dimension):
+    kind: Literal["int", "float"]
     key: Key
     low: float
     high: float
     log: bool = False
+
+    def suggest(self, trial: Any, name: str) -> Value:
+        return getattr(trial, f"suggest_{self.kind}")(name, self.low, self.high, log=self.log)
 
     def extremes(self) -> tuple[Value, ...]:
         return self.low, self.high
@@ -94,19 +97,11 @@ class IntegerRange(_Range):
     low: int
     high: int
 
-    def suggest(self, trial: Any, name: str) -> Value:
-        drawn: int = trial.suggest_int(name, self.low, self.high, log=self.log)
-        return drawn
-
 
 class FloatRange(_Range):
     """Real numbers from ``low`` to ``high``, SI."""
 
     kind: Literal["float"]
-
-    def suggest(self, trial: Any, name: str) -> Value:
-        drawn: float = trial.suggest_float(name, self.low, self.high, log=self.log)
-        return drawn
 
 
 class Choice(_Dimension):
@@ -115,9 +110,6 @@ class Choice(_Dimension):
     kind: Literal["choice"]
     key: Key
     choices: tuple[Value, ...] = Field(min_length=1)
-
-    def options(self) -> tuple[Value, ...]:
-        return self.choices
 
     def translate(self, parameter: Value) -> dict[str, Value]:
         return {self.key: parameter}
@@ -134,9 +126,6 @@ class Preset(_Dimension):
 
     kind: Literal["preset"]
     choices: dict[str, dict[Key, Value]] = Field(min_length=1)
-
-    def options(self) -> tuple[Value, ...]:
-        return tuple(self.choices)
 
     def translate(self, parameter: Value) -> dict[str, Value]:
         return dict(self.choices[str(parameter)])

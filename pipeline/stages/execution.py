@@ -11,7 +11,7 @@ from pathlib import Path
 
 from pipeline.config.schema import Config
 from pipeline.reporting.console import say, warn
-from pipeline.tracking import ChildRecord, StageRecord, TrackingSettings, track
+from pipeline.tracking import StageRecord, track
 
 
 def make_missing(config: Config, stage: str, *needed: Path) -> None:
@@ -40,7 +40,7 @@ class StageOutput:
     files: Sequence[Path] = ()
     history: Sequence[Mapping[str, float]] = ()
     model: Path | None = None
-    children: Sequence[ChildRecord] = ()
+    children: Sequence[StageRecord] = ()
     exit_code: int = 0
 
 
@@ -68,8 +68,7 @@ def execute(config: Config, run: Callable[[Config], StageOutput]) -> None:
         children=output.children,
         status="KILLED" if output.exit_code == 130 else "FINISHED",
     )
-    settings = TrackingSettings(config.tracking.enabled, config.tracking.uri, config.tracking.timeout_seconds)
-    for sentence in track(record, settings):
+    for sentence in track(record, config.tracking):
         warn(sentence)
     if output.exit_code:
         raise SystemExit(output.exit_code)

@@ -15,10 +15,12 @@ from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING
 
 from pipeline.processes import delay_interrupt, let_interrupt_through
-from pipeline.tracking.record import StageRecord, TrackingSettings
+from pipeline.tracking.record import StageRecord
 
 if TYPE_CHECKING:
     from multiprocessing.context import SpawnProcess
+
+    from pipeline.config.schema import TrackingConfig
 
 _running: list[tuple[SpawnProcess, Connection]] = []
 
@@ -46,7 +48,7 @@ def recorder_beside(enabled: bool) -> Iterator[None]:
         process.join()
 
 
-def log_beside(record: StageRecord, settings: TrackingSettings, patience_seconds: float = 10.0) -> list[str] | None:
+def log_beside(record: StageRecord, settings: TrackingConfig, patience_seconds: float = 10.0) -> list[str] | None:
     """Let the other process do :func:`pipeline.tracking.tracker.track`; None where there is no such process.
 
     :param patience_seconds: how long it may take to mark a run as killed

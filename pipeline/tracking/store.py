@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING
 
 from pipeline.timeout import run_within
 from pipeline.tracking.entries import clean_name
-from pipeline.tracking.record import TrackingSettings
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
+
+    from pipeline.config.schema import TrackingConfig
 
 ARTIFACT_FOLDER = "mlruns"
 _CREATION_SECONDS = 60.0
@@ -25,7 +26,7 @@ class DatabaseProblem(Exception):
     """A database that can't be used; the text says why and what to do."""
 
 
-def open_experiment(settings: TrackingSettings, name: str) -> tuple[MlflowClient, str]:
+def open_experiment(settings: TrackingConfig, name: str) -> tuple[MlflowClient, str]:
     """A client of the store and the id of the experiment ``name`` in it, both made where they are missing.
 
     :raises DatabaseProblem: if an SQLite file can't be used

@@ -43,8 +43,8 @@ class TrialSummary:
     reason: str = ""
     parameters: Mapping[str, Value]
     curve: Mapping[int, float]  # percent of the last phase -> loss
-    started: float | None = None  # seconds since 1970
-    ended: float | None = None
+    started: float = 0.0  # seconds since 1970
+    ended: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,8 +86,8 @@ def _summarize(place: int, trial: FrozenTrial) -> TrialSummary:
         reason=attributes.get("reason", ""),
         parameters=dict(trial.params),
         curve={step: 10**value for step, value in sorted(trial.intermediate_values.items())},
-        started=trial.datetime_start.timestamp() if trial.datetime_start else None,
-        ended=trial.datetime_complete.timestamp() if trial.datetime_complete else None,
+        started=trial.datetime_start.timestamp() if trial.datetime_start else 0.0,
+        ended=trial.datetime_complete.timestamp() if trial.datetime_complete else 0.0,
     )
 
 
