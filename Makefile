@@ -12,7 +12,7 @@ export DVC_NO_ANALYTICS := 1
 unexport PYTHONHOME PYTHONPATH
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo reproduce test test-quick test-nightly comparison ablation paper-study studies promote dashboard bench tables measured house size docs reference lint lock audit clean
+.PHONY: help env demo reproduce test test-quick test-nightly comparison ablation paper-study studies promote dashboard bench tables measured house size docs site reference lint lock audit clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' Makefile
@@ -48,7 +48,7 @@ COMPARE = $(RUN) pipeline stage=compare tracking=none comparison.workers=1 compa
 AT_BEARINGS = 'comparison.sensors=[bearings]' 'comparison.speeds=[100]' 'comparison.noise=[0.01]'
 ANSWER_SOON = 'comparison.methods=[least_squares,least_squares_expanded,smoothed,tikhonov,total_least_squares,$\
 	multi_frequency,kalman,spline,residual,preconditioned,response]'
-comparison: env  ## every method on ten data sets, into docs/comparison.md (a quarter of an hour)
+comparison: env  ## every method on ten data sets, into docs/measured/comparison.md (a quarter of an hour)
 	$(COMPARE) experiment=hydrostatic_stiffness output=artifacts/comparison/hydrostatic_stiffness $(ANSWER_SOON) \
 		'comparison.noise=[0,0.01]' 'comparison.sensors=[bearings,all,location]' 'comparison.speeds=[10,100]'
 	$(COMPARE) experiment=hydrostatic_stiffness output=artifacts/comparison/kriging $(AT_BEARINGS) \
@@ -67,7 +67,7 @@ comparison: env  ## every method on ten data sets, into docs/comparison.md (a qu
 	$(COMPARE) experiment=ball_bearing output=artifacts/comparison/ball_bearing $(AT_BEARINGS) \
 		+comparison.most_data_sets.kriging=3 +comparison.most_data_sets.critical_speeds=3
 	$(MAKE) ablation
-	.venv/bin/python docs/comparison_tables.py artifacts/comparison docs/comparison.md
+	.venv/bin/python docs/comparison_tables.py artifacts/comparison docs/measured/comparison.md
 
 ablation: env  ## the paper's residual, and its improvements one at a time and together, into artifacts/comparison/ablation
 	$(COMPARE) experiment=hydrostatic_stiffness output=artifacts/comparison/ablation \
@@ -93,8 +93,8 @@ dashboard: env  ## look at all studies at http://127.0.0.1:8080, the committed o
 	$(RUN) pipeline stage=dashboard tracking.enabled=false
 	PATH="$(CURDIR)/.venv/bin:$$PATH" optuna-dashboard sqlite:///studies/optuna.db --port $(PORT)
 
-bench: env  ## measure ratios of speed and write docs/benchmarks.md; no time fails it
-	$(RUN) benchmarks --write docs/benchmarks.md
+bench: env  ## measure ratios of speed and write docs/measured/benchmarks.md; no time fails it
+	$(RUN) benchmarks --write docs/measured/benchmarks.md
 
 tables: env  ## write the tables of README and docs from what make reproduce made
 	.venv/bin/python docs/tables.py
@@ -113,6 +113,9 @@ reference: env  ## write docs/configuration.md from the schema and docs/meanings
 
 docs: env  ## serve the documentation at http://127.0.0.1:8000
 	NO_MKDOCS_2_WARNING=1 $(RUN) mkdocs serve
+
+site: env  ## build the documentation into site/, notebooks run with their outputs and figures (minutes)
+	EXECUTE_NOTEBOOKS=true NO_MKDOCS_2_WARNING=1 $(RUN) mkdocs build --strict
 
 lint: env  ## ruff and mypy, strict where the numbers are made
 	$(RUN) ruff check .

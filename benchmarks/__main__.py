@@ -23,7 +23,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     found = benchmarks()
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description="Ratios of speed. No time fails it.")
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"all if none is given: {', '.join(found)}")
-    parser.add_argument("--write", type=Path, metavar="FILE", help="write the page, such as docs/benchmarks.md")
+    parser.add_argument(
+        "--write", type=Path, metavar="FILE", help="write the page, such as docs/measured/benchmarks.md"
+    )
     given = parser.parse_args(arguments)
     unknown = [name for name in given.names if name not in found]
     if unknown:

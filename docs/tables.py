@@ -4,8 +4,8 @@
     python docs/tables.py measure GROUP[/NAME] # runs the commands of docs/measured/GROUP.json again (make measured)
     python docs/tables.py keep GROUP/NAME FOLDER # the figures of a folder in which that command has run
 
-A table stands between ``<!-- table: NAME -->`` and ``<!-- end -->``; ``docs/tables.md`` has its template, in which
-``{EXPERIMENT/FILE.PATH}`` is a figure of ``artifacts/EXPERIMENT/FILE.json`` and ``{GROUP/NAME/FILE.PATH}`` one of
+A table stands between ``<!-- table: NAME -->`` and ``<!-- end -->``; ``docs/measured/tables.md`` has its template, in
+which ``{EXPERIMENT/FILE.PATH}`` is a figure of ``artifacts/EXPERIMENT/FILE.json`` and ``{GROUP/NAME/FILE.PATH}`` one of
 ``docs/measured/GROUP.json``, which keeps what takes too long for every ``make reproduce``, with its command. ``*`` in a
 path matches any text; the largest match is printed, after ``least`` the smallest, in two digits. ``*0.6745`` behind a
 path multiplies; ``:3`` prints three digits, ``:d`` a whole number, ``:>150`` that the figure is larger.
@@ -27,10 +27,12 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = (
     "README.md",
-    *(
-        f"docs/{name}.md"
-        for name in ("results", "paper", "method", "noise", "all_coefficients", "model_error", "trust", "operating")
-    ),
+    "docs/method.md",
+    "docs/noise.md",
+    "docs/trust.md",
+    "docs/laws.md",
+    "studies/coverage/README.md",
+    "studies/oil_temperatures/README.md",
 )
 MEASURED = ROOT / "docs" / "measured"
 ROUNDING = 1e-10
@@ -43,7 +45,7 @@ _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
 def read_templates() -> dict[str, str]:
     """The text of every table, with its figures still to be filled in, by name."""
-    parts = re.split(r"^## (\w+)\n\n", (ROOT / "docs" / "tables.md").read_text(encoding="utf-8"), flags=re.M)
+    parts = re.split(r"^## (\w+)\n\n", (MEASURED / "tables.md").read_text(encoding="utf-8"), flags=re.M)
     return {name: text.strip() + "\n" for name, text in zip(parts[1::2], parts[2::2], strict=True)}
 
 

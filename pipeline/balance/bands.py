@@ -6,19 +6,18 @@ import numpy as np
 
 from pipeline.problem.noise_levels import NoiseLevels
 
-LEVEL = 0.95
 
+def circle_radius(variance: np.ndarray, freedom: float, level: float = 0.95) -> np.ndarray:
+    """Radius of the circle that holds the share ``level`` of complex numbers with this ``variance`` E|e|^2 (any shape).
 
-def circle_radius(variance: np.ndarray, freedom: float) -> np.ndarray:
-    """Radius of the circle that holds 95 % of complex numbers with this ``variance`` E|e|^2 (any shape), in its root.
-
+    It is in the root of the variance's unit.
     ``freedom`` counts complex degrees of freedom: |e|^2 over the variance has an F distribution, infinite for a guess.
     """
     from scipy import stats
 
     if freedom <= 0:
         return np.full(np.shape(variance), np.inf)
-    factor = stats.chi2.ppf(LEVEL, 2) / 2 if np.isinf(freedom) else stats.f.ppf(LEVEL, 2, 2 * freedom)
+    factor = stats.chi2.ppf(level, 2) / 2 if np.isinf(freedom) else stats.f.ppf(level, 2, 2 * freedom)
     return np.asarray(np.sqrt(factor * np.asarray(variance)))
 
 
@@ -27,7 +26,7 @@ def circle_of(noise: NoiseLevels, variance: np.ndarray) -> np.ndarray:
     return circle_radius(noise.stretch * np.asarray(variance), noise.tail or noise.freedom)
 
 
-def bound_size(vectors: np.ndarray, radius: np.ndarray) -> np.ndarray:
+def bound_size(vectors: np.ndarray, radius: np.ndarray, level: float = 0.95) -> np.ndarray:
     """What the size of each complex number about ``vectors`` exceeds with 5 % chance.
 
     ``radius`` are those of their 95 % circles. The square of a Gaussian number has a noncentral chi-square distribution
@@ -35,10 +34,10 @@ def bound_size(vectors: np.ndarray, radius: np.ndarray) -> np.ndarray:
     """
     from scipy import stats
 
-    each = np.maximum(np.asarray(radius), 1e-300) ** 2 / stats.chi2.ppf(LEVEL, 2)
+    each = np.maximum(np.asarray(radius), 1e-300) ** 2 / stats.chi2.ppf(level, 2)
     squared = np.abs(vectors) ** 2 / each
     with np.errstate(invalid="ignore", over="ignore"):
-        near = np.sqrt(stats.ncx2.ppf(LEVEL, 2, np.minimum(squared, 1e4)) * each)
+        near = np.sqrt(stats.ncx2.ppf(level, 2, np.minimum(squared, 1e4)) * each)
     # A vector of many deviations has a Gaussian size, and the noncentral distribution no longer a sum that converges.
     return np.where(np.isinf(each), np.inf, np.where(squared < 1e4, near, np.abs(vectors) + 1.645 * np.sqrt(each)))
 

@@ -11,46 +11,30 @@ Legend: C conditions, N planes, Q = 1 + N, D = S P.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.balance.consistency import find_contradictions
 from pipeline.balance.growth import inflation
 from pipeline.balance.influence import design_of
 from pipeline.balance.linear_vibration import LinearVibration
 from pipeline.data.conditions import Conditions
+from pipeline.errors import IdentifiabilityError
 from pipeline.problem.noise_levels import NoiseLevels
-
-_SIZES = np.concatenate([[0.0], np.logspace(-4, 4, 25)])
-"""Values of lambda that are tried."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Blend:
-    """A :class:`pipeline.balance.linear_vibration.LinearVibration`."""
+class Blend(LinearVibration):
+    """A physical model and its correction."""
 
     physical: LinearVibration
-    noise: NoiseLevels
     scale: np.ndarray  # (Q,) size of each column of the design
     correction: np.ndarray  # (Q, D) complex, of the scaled design
     spread: np.ndarray  # (Q, Q) complex: covariance of the correction, in units of the noise's
     sizes: tuple[float, float]  # lambda of the baseline and of the weights
     growth: float  # of the drift with the weights, 1/(kg m)^2
-
-    @property
-    def speeds(self) -> np.ndarray:
-        """(S,) rad/s."""
-        return self.physical.speeds
-
-    @property
-    def channels(self) -> tuple[tuple[int, float], ...]:
-        """P."""
-        return self.physical.channels
-
-    @property
-    def planes(self) -> tuple[int, ...]:
-        """N."""
-        return self.physical.planes
 
     def predict(self, unbalance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Mean (C, D) m, and its covariance (C, D, D) m^2, for weights (C, N) kg m."""
@@ -68,28 +52,48 @@ class Blend:
         return slope + shrunk[1:].T, baseline + shrunk[0]
 
 
+def blend_with_influence(physical: LinearVibration, sound: Conditions) -> Blend:
+    """The blend, with the noise of the influence coefficients where the conditions suffice to estimate it."""
+    try:
+        _, influence = find_contradictions(sound)
+        return blend(physical, sound, influence.noise, influence.weights, influence.growth)
+    except IdentifiabilityError:  # too few to judge one by the others
+        return blend(physical, sound, physical.noise, np.ones(len(sound.names)))
+
+
 def blend(
-    physical: LinearVibration, conditions: Conditions, noise: NoiseLevels, weights: np.ndarray, growth: float = 0.0
+    physical: LinearVibration,
+    conditions: Conditions,
+    noise: NoiseLevels,
+    weights: np.ndarray,
+    growth: float = 0.0,
+    decades: int = 4,
 ) -> Blend:
     """Correct the ``physical`` model by the conditions that it was fitted to, of this ``noise``.
 
     ``weights`` (C,) are about 1, and small for a condition that does not belong to the others, or that drifts more:
-    ``growth`` is that of :mod:`pipeline.balance.growth`, 1/(kg m)^2.
+    ``growth`` is that of :mod:`pipeline.balance.growth`, 1/(kg m)^2. Zero is tried for each lambda, and values up to so
+    many ``decades`` about 1, three a decade.
     """
     design = design_of(conditions.unbalance)
-    scale = np.sqrt((np.abs(design) ** 2).mean(axis=0))
-    scaled = design / np.where(scale > 0, scale, 1.0) * np.sqrt(weights)[:, None]
+    size = np.sqrt((np.abs(design) ** 2).mean(axis=0))
+    scale = np.where(size > 0, size, 1.0)
+    scaled = design / scale * np.sqrt(weights)[:, None]
     rest = (conditions.vectors - physical.predict(conditions.unbalance)[0]) * np.sqrt(weights)[:, None]
     root = np.linalg.cholesky(noise.covariance(np.array([np.mean(conditions.counts)]))[0])
     white = np.linalg.solve(root, rest.T).T  # (C, D)
-    sizes = max(((b, u) for b in _SIZES for u in _SIZES), key=lambda pair: _evidence(scaled, white, pair))
+    tried = np.concatenate([[0.0], np.logspace(-decades, decades, 6 * decades + 1)])
+    sizes = max(itertools.product(tried, tried), key=lambda pair: _evidence(scaled, white, pair))
     prior = _columns(sizes, design.shape[1])
     inner = np.eye(len(prior)) + np.diag(prior) @ scaled.conj().T @ scaled
     spread = np.linalg.solve(inner, np.diag(prior).astype(complex))
     return Blend(
-        physical=physical,
+        speeds=physical.speeds,
+        channels=physical.channels,
+        planes=physical.planes,
         noise=noise,
-        scale=np.where(scale > 0, scale, 1.0),
+        physical=physical,
+        scale=scale,
         correction=spread @ scaled.conj().T @ rest,
         spread=spread,
         sizes=sizes,

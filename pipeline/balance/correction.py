@@ -21,17 +21,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pipeline.config.balance import ANY, BalancePlaneConfig, WeightsConfig
 from pipeline.errors import ConfigError
+from pipeline.ingest.source_units import SourceUnits
 
 if TYPE_CHECKING:
     from scipy.spatial import KDTree
-
-MOST_CHOICES = 3_000_000
-"""Choices of one plane: more would not fit into memory at once."""
-MOST_HOLES = 30_000
-"""Sets of holes that are tried one by one, which takes a second."""
-_SAME = 1e-9
-"""Share of the largest choice by which two choices are called the same."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +61,28 @@ class Correction:
     remaining: np.ndarray  # (M,) complex, A c + b
 
 
+def place_holes(given: WeightsConfig, nodes: Sequence[int], source: SourceUnits) -> list[Holes | None]:
+    """The holes of the planes at the ``nodes`` (N); None where there are none.
+
+    Raises ConfigError for a plane that is not among them.
+    """
+    planes = {plane.node: plane for plane in given.planes}
+    for node in planes:
+        if node not in nodes:
+            raise ConfigError(
+                "machine.balance.planes must be planes that had weights in some condition, since the influence of "
+                f"others is not known, but node {node} had none ({', '.join(map(str, nodes))} had)"
+            )
+    masses = None if given.masses == ANY else tuple(given.masses)
+
+    def place(plane: BalancePlaneConfig) -> Holes:
+        turn = 2 * np.pi * np.arange(plane.holes) / plane.holes
+        sense = 1 if plane.numbering == "with_rotation" else -1
+        return Holes(source.angle_from_x(plane.first_angle) + sense * turn, plane.radius, masses, given.most)
+
+    return [place(planes[node]) if node in planes else None for node in nodes]
+
+
 def choose_weights(acting: np.ndarray, read: np.ndarray, planes: Sequence[Holes]) -> Correction:
     """The weights whose ``acting @ c + there`` has the least norm.
 
@@ -87,10 +104,10 @@ def choose_weights(acting: np.ndarray, read: np.ndarray, planes: Sequence[Holes]
     return Correction(tuple(chosen), unbalance, acting @ unbalance + read)
 
 
-def split_vector(unbalance: complex, holes: Holes) -> tuple[Weight, ...]:
+def split_vector(unbalance: complex, holes: Holes, same: float = 1e-9) -> tuple[Weight, ...]:
     """Any masses in the two neighbouring holes that make ``unbalance`` (kg m) together; one where it points at a hole.
 
-    The holes stand all round: at least three, evenly spaced.
+    The holes stand all round: at least three, evenly spaced. A mass below the share ``same`` of the other is none.
     """
     if unbalance == 0:
         return ()
@@ -99,7 +116,7 @@ def split_vector(unbalance: complex, holes: Holes) -> tuple[Weight, ...]:
     matrix = np.array([holes.unit[pair].real, holes.unit[pair].imag])
     masses = np.linalg.solve(matrix, [unbalance.real, unbalance.imag])
     weights = (Weight(hole + 1, float(mass)) for hole, mass in zip(pair, masses, strict=True))
-    return tuple(weight for weight in weights if weight.mass > _SAME * masses.max())
+    return tuple(weight for weight in weights if weight.mass > same * masses.max())
 
 
 def _reduce(acting: np.ndarray, read: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -143,13 +160,17 @@ def _as_points(values: np.ndarray) -> np.ndarray:
     return np.stack([values.real, values.imag], axis=-1)
 
 
-def _list_choices(holes: Holes) -> _Choices:
+def _list_choices(holes: Holes, most_choices: int = 3_000_000, same: float = 1e-9) -> _Choices:
+    """All choices of a plane; more than ``most_choices`` would not fit into memory at once.
+
+    Two of them are called the same where they differ by less than the share ``same`` of the largest.
+    """
     count, most = len(holes.angles), min(holes.most, len(holes.angles))
     listed = np.unique(np.array(holes.masses, dtype=float))
     total = sum(math.comb(count, k) * len(listed) ** k for k in range(most + 1))
-    if total > MOST_CHOICES:
+    if total > most_choices:
         raise ConfigError(
-            f"a plane must have at most {MOST_CHOICES} choices of weights, but {count} holes, {len(listed)} masses and "
+            f"a plane must have at most {most_choices} choices of weights, but {count} holes, {len(listed)} masses and "
             f"up to {most} weights make {total}: give fewer masses, or a smaller machine.balance.most"
         )
     at, chosen = np.full((1, most), -1), np.zeros((1, most))
@@ -161,7 +182,7 @@ def _list_choices(holes: Holes) -> _Choices:
         chosen = np.concatenate([chosen, np.pad(np.tile(sizes, (len(places), 1)), blank)])
     made = (holes.unit[at] * chosen).sum(axis=1)
     order = np.lexsort((chosen.sum(axis=1), (at >= 0).sum(axis=1)))
-    grid = np.round(_as_points(made[order]) / (_SAME * np.abs(made).max()))
+    grid = np.round(_as_points(made[order]) / (same * np.abs(made).max()))
     _, first = np.unique(grid, axis=0, return_index=True)
     kept = order[np.sort(first)]
     return _Choices(made[kept], at[kept], chosen[kept])
@@ -201,14 +222,19 @@ def _list_nearest(choices: _Choices, target: complex, within: Callable[[], float
 # --- any mass ----------------------------------------------------------------------------------------
 
 
-def _choose_holes(triangle: np.ndarray, wanted: np.ndarray, planes: Sequence[Holes]) -> list[tuple[Weight, ...]]:
-    """One weight of any mass a plane: every set of holes, each with its masses by non-negative least squares."""
+def _choose_holes(
+    triangle: np.ndarray, wanted: np.ndarray, planes: Sequence[Holes], most_sets: int = 30_000
+) -> list[tuple[Weight, ...]]:
+    """One weight of any mass a plane: every set of holes, each with its masses by non-negative least squares.
+
+    At most ``most_sets`` are tried one by one, which takes a second.
+    """
     from scipy.optimize import nnls
 
     count = math.prod(len(plane.angles) for plane in planes)
-    if count > MOST_HOLES:
+    if count > most_sets:
         raise ConfigError(
-            f"weights of any mass, one a plane, must have at most {MOST_HOLES} sets of holes, but there are {count}: "
+            f"weights of any mass, one a plane, must have at most {most_sets} sets of holes, but there are {count}: "
             "allow two weights a plane (machine.balance.most=2), which can make any vector"
         )
     right = _as_points(triangle @ wanted).ravel()

@@ -13,13 +13,6 @@ from __future__ import annotations
 
 import numpy as np
 
-_TAILS = np.array([1.0, 2.0, 4.0, 8.0, 16.0, 1e6])
-"""Complex degrees of freedom that are tried."""
-_GROWTHS = np.concatenate([[0.0], np.logspace(-1.5, 1.5, 13)])
-"""Values of k that are tried, for weights of the mean square of the conditions'."""
-_STEPS = 60
-_TOLERANCE = 1e-4
-
 
 def inflation(unbalance: np.ndarray, growth: float) -> np.ndarray:
     """(C,) how many times the covariance without weights conditions with (C, N) kg m have; growth in 1/(kg m)^2."""
@@ -29,24 +22,31 @@ def inflation(unbalance: np.ndarray, growth: float) -> np.ndarray:
 def fit_growth(vectors: np.ndarray, design: np.ndarray, unbalance: np.ndarray) -> tuple[float, float]:
     """k in 1/(kg m)^2, and the chance that drift without growth would show as much of it.
 
-    ``vectors`` (C, D) m are linear in the ``design`` (C, Q); ``unbalance`` (C, N) is in kg m.
+    ``vectors`` (C, D) m are linear in the ``design`` (C, Q); ``unbalance`` (C, N) is in kg m. Thirteen values of k are
+    tried beside zero, from 0.03 to 30 for weights of the mean square of the conditions'.
     """
     from scipy import stats
 
     if not unbalance.any():
         return 0.0, 1.0
-    unit = 1 / np.mean((abs(unbalance) ** 2).sum(1))
-    likelihoods = _likelihood(vectors, design, np.array([inflation(unbalance, k) for k in unit * _GROWTHS]))
+    tried = np.concatenate([[0.0], np.logspace(-1.5, 1.5, 13)]) * (1 / np.mean((abs(unbalance) ** 2).sum(1)))
+    likelihoods = _likelihood(vectors, design, np.array([inflation(unbalance, k) for k in tried]))
     best = int(np.argmax(likelihoods))
-    return float(unit * _GROWTHS[best]), float(
-        stats.chi2.sf(2 * (likelihoods[best] - likelihoods[0]), 1)
-    ) if best else 1.0
+    gain = likelihoods[best] - likelihoods[0]
+    return float(tried[best]), float(stats.chi2.sf(2 * gain, 1))
 
 
-def _likelihood(vectors: np.ndarray, design: np.ndarray, inflated: np.ndarray) -> np.ndarray:
+def _likelihood(
+    vectors: np.ndarray,
+    design: np.ndarray,
+    inflated: np.ndarray,
+    tails: tuple[float, ...] = (1.0, 2.0, 4.0, 8.0, 16.0, 1e6),
+    steps: int = 60,
+    tolerance: float = 1e-4,
+) -> np.ndarray:
     """(G,) logarithms of the restricted likelihood of each ``inflated`` (G, C), at the best tail, but for a constant.
 
-    By expectation and maximisation, for all G times T tails at once.
+    By expectation and maximisation, for all G times T ``tails`` (complex degrees of freedom) at once.
     """
     from scipy import special
 
@@ -54,9 +54,9 @@ def _likelihood(vectors: np.ndarray, design: np.ndarray, inflated: np.ndarray) -
     scale = np.sqrt((abs(design) ** 2).mean(0))
     scaled, columns = vectors * root, design / scale * root  # (G, 1, C, .)
     (n, q), size = design.shape, vectors.shape[1]
-    tail = _TAILS[None, :, None]
-    weights = np.ones((len(inflated), len(_TAILS), n))
-    for _ in range(_STEPS):
+    tail = np.array(tails)[None, :, None]
+    weights = np.ones((len(inflated), len(tails), n))
+    for _ in range(steps):
         turned = (columns.conj() * weights[..., None]).swapaxes(-1, -2)  # (G, T, Q, C)
         gram = turned @ columns
         residual = scaled - columns @ np.linalg.solve(gram, turned @ scaled)
@@ -64,7 +64,7 @@ def _likelihood(vectors: np.ndarray, design: np.ndarray, inflated: np.ndarray) -
         whitened = np.linalg.solve(scatter, residual.swapaxes(-1, -2)).swapaxes(-1, -2)
         squared = (residual.conj() * whitened).sum(-1).real
         previous, weights = weights, (tail + size) / (tail + squared)
-        if abs(weights - previous).max() < _TOLERANCE:
+        if abs(weights - previous).max() < tolerance:
             break
     density = special.gammaln(tail + size) - special.gammaln(tail) - size * np.log(tail)
     density = density - (tail + size) * np.log1p(squared / tail) - size * np.log(inflated)[:, None]

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.balance.growth import fit_growth, inflation
+from pipeline.balance.linear_vibration import LinearVibration
 from pipeline.data.conditions import Conditions
 from pipeline.errors import IdentifiabilityError
 from pipeline.problem.noise_levels import (
@@ -26,28 +27,20 @@ from pipeline.problem.noise_levels import (
     solve_weighted,
 )
 
-EVIDENCE = 0.01
-"""Chance with which proportional weights are taken for curved ones, and steady drift for one that grows with them."""
-_STEPS = 50
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Influence:
-    """A fitted model y = b + B (U + a U |U|); a :class:`pipeline.balance.linear_vibration.LinearVibration`."""
+class Influence(LinearVibration):
+    """A fitted model y = b + B (U + a U |U|)."""
 
-    speeds: np.ndarray  # (S,) rad/s
-    channels: tuple[tuple[int, float], ...]  # P
-    planes: tuple[int, ...]  # N
-    noise: NoiseLevels
     coefficients: np.ndarray  # (Q, D) complex: the baseline, m, and the influence of each plane, m/(kg m)
     law: complex  # a, 1/(kg m); 0 for proportional weights
     spread: np.ndarray  # (Q, Q) complex: covariance of the coefficients, in units of the noise's
     shift: np.ndarray  # (Q, D) by which the coefficients move with the law, for each unit of a
-    law_variance: float  # of a, 1/(kg m)^2
-    law_chance: float | None  # that proportional weights would look as curved; None where it was not asked
     weights: np.ndarray  # (C,) of the conditions in the fit: small for a bad one, and where the drift is large
     growth: float  # of the covariance of conditions, 1/(kg m)^2; 0 where it is the same for all weights
-    growth_chance: float | None  # that drift without growth would show as much; None where it was not asked
+    law_variance: float = 0.0  # of a, 1/(kg m)^2
+    law_chance: float | None = None  # that proportional weights would look as curved; None where it was not asked
+    growth_chance: float | None = None  # that drift without growth would show as much; None where it was not asked
 
     def predict(self, unbalance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Mean (C, D) m and its covariance (C, D, D) m^2 for weights (C, N) kg m.
@@ -89,18 +82,35 @@ def fit_influence(
     conditions: Conditions,
     law: bool | None = None,
     robust: bool = True,
-    prior: NoiseLevels | None = None,
-    independent: bool = False,
     growth: float | None = None,
+    evidence: float = 0.01,
 ) -> Influence:
     """Fit b, B and, where ``law`` is true, a; None takes the law where these conditions give evidence for it.
 
     ``growth`` is that of the drift with the weights, 1/(kg m)^2; None takes it where these give evidence for it.
-
-    ``independent`` takes the noise of all entries as equal and independent, as ordinary least squares does. ``prior``
-    is the noise where there are as many coefficients as conditions. Raises IdentifiabilityError where there are fewer,
-    or where the weights can't be told apart.
+    ``evidence`` is the chance with which proportional weights are taken for curved ones, and steady drift for one that
+    grows with them. Raises IdentifiabilityError where there are fewer conditions than coefficients, or where the
+    weights can't be told apart.
     """
+    require_apart(conditions)
+    fitted = _fit(conditions, 0.0, robust)
+    if not judges(fitted):
+        return fitted
+    chosen = _choose(conditions, fitted, robust, law, evidence)
+    if growth is None and chosen.noise.freedom >= FULL * len(chosen.noise.condition):
+        growth, chance = fit_growth(
+            conditions.vectors, design_of(conditions.unbalance, chosen.law), conditions.unbalance
+        )
+        growth = growth if chance < evidence else 0.0
+        chosen = replace(chosen, growth_chance=chance)
+    if growth:
+        fitted = replace(_fit(conditions, 0.0, robust, growth), growth_chance=chosen.growth_chance)
+        chosen = _choose(conditions, fitted, robust, law, evidence)
+    return replace(chosen, noise=_with_tail(conditions, chosen))
+
+
+def require_apart(conditions: Conditions) -> None:
+    """Raise IdentifiabilityError where these weights do not determine influence coefficients."""
     design = design_of(conditions.unbalance)
     scale = abs(design).max(0)
     if np.linalg.matrix_rank(design / np.where(scale > 0, scale, 1)) < design.shape[1]:
@@ -109,19 +119,6 @@ def fit_influence(
             f"differ in every plane, but {len(conditions.names)} conditions ({', '.join(conditions.names[:4])}) do not "
             "tell them apart: add a trial weight in each plane alone"
         )
-    fitted = _fit(conditions, 0.0, robust, prior, independent)
-    if independent or not _free(fitted):
-        return fitted
-    chosen = fitted if law is False else _choose(conditions, fitted, robust, bool(law))
-    if growth is None and chosen.noise.freedom >= FULL * len(chosen.noise.condition):
-        design = design_of(conditions.unbalance, chosen.law)
-        growth, chance = fit_growth(conditions.vectors, design, conditions.unbalance)
-        growth = growth if chance < EVIDENCE else 0.0
-        chosen = replace(chosen, growth_chance=chance)
-    if growth:
-        fitted = replace(_fit(conditions, 0.0, robust, prior, False, growth), growth_chance=chosen.growth_chance)
-        chosen = fitted if law is False else _choose(conditions, fitted, robust, bool(law))
-    return replace(chosen, noise=_with_tail(conditions, chosen))
 
 
 def distances(conditions: Conditions, model: Influence) -> np.ndarray:
@@ -143,31 +140,33 @@ def _with_tail(conditions: Conditions, model: Influence) -> NoiseLevels:
     return replace(model.noise, tail=tail, stretch=stretch)
 
 
-def _choose(conditions: Conditions, fitted: Influence, robust: bool, law: bool) -> Influence:
+def _choose(conditions: Conditions, fitted: Influence, robust: bool, law: bool | None, evidence: float) -> Influence:
     """The fit with a law of the weights where it is asked for or these conditions give evidence of it."""
+    if law is False:
+        return fitted
     curved = _bend(conditions, fitted, robust)
-    if law or (curved.law_chance or 0.0) < EVIDENCE:
+    if law or (curved.law_chance or 0.0) < evidence:
         return curved
     return replace(fitted, law_chance=curved.law_chance)
 
 
-def _free(model: Influence) -> bool:
+def judges(model: Influence) -> bool:
     """Whether the noise has degrees of freedom enough to judge by."""
     return model.noise.freedom > model.noise.condition.shape[0]
 
 
-def _bend(conditions: Conditions, start: Influence, robust: bool) -> Influence:
+def _bend(conditions: Conditions, start: Influence, robust: bool, steps: int = 50) -> Influence:
     """The fit with a law of the weights, from the one without."""
+    from scipy import stats
+
     model = start
-    for _ in range(_STEPS):
+    for _ in range(steps):
         step, variance = _step(conditions, model)
-        model = _fit(conditions, model.law + step, robust, None, False, model.growth)
+        model = _fit(conditions, model.law + step, robust, model.growth)
         if abs(step) ** 2 < 1e-6 * variance:
             break
     variance = _step(conditions, model)[1]
     size, free = len(model.noise.condition), model.noise.freedom
-    from scipy import stats
-
     left = free - size + 1
     chance = float(stats.f.sf(abs(model.law) ** 2 / variance * left / free, 2, 2 * left))
     bent = bend(conditions.unbalance) @ model.coefficients[1:]
@@ -186,70 +185,41 @@ def _step(conditions: Conditions, model: Influence) -> tuple[complex, float]:
     return complex((model.weights * (whitened.conj() * residual).sum(1)).sum() / power), 1 / power
 
 
-def _fit(
-    conditions: Conditions,
-    law: complex,
-    robust: bool,
-    prior: NoiseLevels | None,
-    independent: bool,
-    growth: float = 0.0,
-) -> Influence:
+def _fit(conditions: Conditions, law: complex, robust: bool, growth: float = 0.0) -> Influence:
     """The fit with a given law of the weights and growth of the drift."""
     design = design_of(conditions.unbalance, law)
-    weights = np.ones(len(design))
-    inflated = inflation(conditions.unbalance, growth)
-    left = len(design) - design.shape[1]
-    size = conditions.vectors.shape[1]
-    if left <= 0 and prior is None:
+    if len(design) <= design.shape[1]:
         # Nothing tells the drift: all entries count alike, and no interval is finite.
-        power = (abs(conditions.vectors) ** 2).mean()
-        levels = NoiseLevels(np.zeros_like(conditions.record_covariance), np.eye(size) * power + 0j, 0.0)
-    elif independent:
-        residual = conditions.vectors - design @ solve_weighted(conditions.vectors, design, weights)
-        power = (abs(residual) ** 2).sum() / (left * size)
-        levels = NoiseLevels(np.zeros_like(conditions.record_covariance), np.eye(size) * power + 0j, float(left))
-    else:
-        # The scatter of records is divided with the drift: it is far smaller.
-        root = 1 / np.sqrt(inflated)
-        alike = replace(conditions, displacement=conditions.displacement * root[:, None, None])
-        levels, weights = estimate_noise_levels(alike, design * root[:, None], prior, robust)
-        weights = weights / inflated
-    gram = (design.conj().T * weights) @ design
+        levels = equal_levels(conditions, float((abs(conditions.vectors) ** 2).mean()), 0.0)
+        return solve_influence(conditions, levels, np.ones(len(design)), law, growth)
+    # The scatter of records is divided with the drift: it is far smaller.
+    inflated = inflation(conditions.unbalance, growth)
+    root = 1 / np.sqrt(inflated)
+    alike = replace(conditions, displacement=conditions.displacement * root[:, None, None])
+    levels, weights = estimate_noise_levels(alike, design * root[:, None], robust=robust)
+    return solve_influence(conditions, levels, weights / inflated, law, growth)
+
+
+def equal_levels(conditions: Conditions, power: float, freedom: float) -> NoiseLevels:
+    """Noise that is equal and independent in all entries, of the variance ``power`` m^2."""
+    level = np.eye(conditions.vectors.shape[1]) * power + 0j
+    return NoiseLevels(np.zeros_like(conditions.record_covariance), level, freedom)
+
+
+def solve_influence(
+    conditions: Conditions, noise: NoiseLevels, weights: np.ndarray, law: complex = 0.0, growth: float = 0.0
+) -> Influence:
+    """The coefficients by least squares with these ``weights`` (C,) of the conditions."""
+    design = design_of(conditions.unbalance, law)
     return Influence(
         speeds=conditions.speeds,
         channels=conditions.channels,
         planes=conditions.planes,
-        noise=levels,
+        noise=noise,
         coefficients=solve_weighted(conditions.vectors, design, weights),
         law=law,
-        spread=np.linalg.inv(gram),
-        shift=np.zeros((design.shape[1], size), dtype=complex),
-        law_variance=0.0,
-        law_chance=None,
+        spread=np.linalg.inv((design.conj().T * weights) @ design),
+        shift=np.zeros((design.shape[1], conditions.vectors.shape[1]), dtype=complex),
         weights=weights,
         growth=growth,
-        growth_chance=None,
     )
-
-
-def judge_drift(conditions: Conditions, model: Influence) -> float | None:
-    """Chance that conditions without a steady drift in their order would show the slope that these show.
-
-    Hotelling's T^2 of a slope of the baseline over the order, for circular complex data (Giri 1965). None where the
-    noise has too few degrees of freedom to judge by.
-    """
-    from scipy import stats
-
-    if not _free(model):
-        return None
-    design = design_of(conditions.unbalance, model.law)
-    order = np.linspace(-0.5, 0.5, len(design))[:, None] + 0j
-    order = order - design @ solve_weighted(order, design, model.weights)
-    power = float((model.weights * abs(order[:, 0]) ** 2).sum())
-    residual = conditions.vectors - design @ model.coefficients
-    slope = (order[:, 0].conj() * model.weights) @ residual / power
-    level = model.noise.covariance(np.array([np.mean(conditions.counts)]))[0]
-    squared = power * float((slope.conj() @ np.linalg.solve(level, slope)).real)
-    size = len(level)
-    left = model.noise.freedom - size + 1
-    return float(stats.f.sf(squared * left / (model.noise.freedom * size), 2 * size, 2 * left))

@@ -15,40 +15,30 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pipeline.balance.linear_vibration import LinearVibration
 from pipeline.data.conditions import Conditions
-from pipeline.errors import DataError
 from pipeline.identification.answer import restore
 from pipeline.identification.identified import IdentifiedModel
-from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
 from pipeline.identification.problem import OutputError, output_error
-from pipeline.identification.quality import output_error_quality
-from pipeline.identification.training import FitSetup
-from pipeline.identification.uncertainty import Uncertainty, measure_uncertainty
-from pipeline.problem.condition_noise import condition_noise, follow_residuals, spread_conditions, suffices, to_dataset
+from pipeline.identification.uncertainty import Uncertainty
+from pipeline.problem.condition_noise import follow_residuals, spread_conditions, to_dataset
 from pipeline.problem.force_parameters import PARTS
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.noise_levels import NoiseLevels, spread_blocks
-from pipeline.rotor.bearing_table import BearingTable
+from pipeline.problem.noise_levels import NoiseLevels
 
 if TYPE_CHECKING:
     import torch
 
-_TRIAL = 1e-5
-"""kg m of a weight by which the response to weights is worked out; it is linear but for their law."""
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Physical:
-    """A fitted physical model; a :class:`pipeline.balance.linear_vibration.LinearVibration`."""
+class Physical(LinearVibration):
+    """A fitted physical model."""
 
     measurement: Measurement  # at the fitted model parameters
     problem: OutputError  # of the fit
     weights: torch.Tensor  # (1, 1, Z)
     covariance: np.ndarray  # (Z, Z)
-    speeds: np.ndarray  # (S,) rad/s
-    channels: tuple[tuple[int, float], ...]  # P
-    planes: tuple[int, ...]  # N
-    noise: NoiseLevels
+    trial: float = 1e-5  # kg m of a weight by which the response to weights is worked out; linear but for their law
 
     def predict(self, unbalance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Mean (C, D) m and its covariance (C, D, D) m^2 for weights (C, N) kg m."""
@@ -89,7 +79,7 @@ class Physical:
     @cached_property
     def _parts(self) -> tuple[np.ndarray, np.ndarray]:
         """(1 + N, D) what shows without weights, and of 1 kg m on each plane; their derivatives (1 + N, D, Z)."""
-        trial = np.concatenate([np.zeros((1, len(self.planes))), _TRIAL * np.eye(len(self.planes))])
+        trial = np.concatenate([np.zeros((1, len(self.planes))), self.trial * np.eye(len(self.planes))])
         problem = self._problem(trial)
         (mean,) = problem.predicted(self.weights)
         n_runs = mean.shape[-1]
@@ -105,23 +95,6 @@ class Physical:
         slopes[1:] /= acting[:, None, None]
         return rows, slopes
 
-    def at(self, speeds: np.ndarray) -> Physical:
-        """The same at other ``speeds`` (S,) rad/s.
-
-        The noise there is that of the nearest fitted speed, as much larger as the machine is more lively. Raises
-        DataError for known coefficients that depend on the speed.
-        """
-        values = self.measurement.known.values
-        if np.ptp(values, axis=1).any():
-            raise DataError(
-                "the physical model must have known coefficients that do not depend on the speed to predict at other "
-                "speeds, but they do: give them as values"
-            )
-        table = BearingTable(self.measurement.known.nodes, speeds, np.repeat(values[:, :1], len(speeds), axis=1))
-        interpolated = replace(self, speeds=speeds, measurement=replace(self.measurement, known=table))
-        here, asked = (np.abs(model.influence_at(np.zeros(len(self.planes)))[0]) for model in (self, interpolated))
-        return replace(interpolated, noise=_carry(self.noise, self.speeds, speeds, here, asked))
-
     def _problem(self, unbalance: np.ndarray) -> OutputError:
         """The problem of conditions with these weights (C, N), with rows in m."""
         import torch
@@ -133,78 +106,26 @@ class Physical:
         return replace(self.problem, sensors=made.sensors, readings=plain, features=made.features)
 
 
-def _carry(
-    noise: NoiseLevels, fitted: np.ndarray, speeds: np.ndarray, here: np.ndarray, asked: np.ndarray
-) -> NoiseLevels:
-    """The noise at ``speeds``, of that at the ``fitted`` ones; ``here`` and ``there`` (D, N) are the influences."""
-    nearest = np.abs(speeds[:, None] - fitted).argmin(axis=1)
-    n_channels = noise.record.shape[1]
-    power = [(influence.reshape(len(s), -1) ** 2).sum(1) for influence, s in ((here, fitted), (asked, speeds))]
-    blocks = [noise.condition[s * n_channels :, s * n_channels :][:n_channels, :n_channels] for s in nearest]
-    ratio = power[1] / power[0][nearest]
-    condition = spread_blocks(np.stack([r * block for r, block in zip(ratio, blocks, strict=True)]))
-    return replace(noise, record=noise.record[nearest] * ratio[:, None, None], condition=condition)
-
-
-def fit_physical(template: Measurement, setup: FitSetup, conditions: Conditions) -> Physical:
-    """Fit the rotor of the ``template`` to conditions, at their speeds.
-
-    With too few conditions to estimate the levels of their noise, the noise is as it was stated. Raises as
-    :func:`pipeline.identification.output_error_fit.fit_output_error`.
-    """
-    known = template.known.at(np.abs(template.known.speeds[:, None] - conditions.speeds).argmin(axis=0))
-    enough = suffices(conditions)
-    measurement = replace(
-        template,
-        noise=template.noise if enough else template.noise.with_drift(),
-        dataset=to_dataset(conditions),
-        known=replace(known, speeds=conditions.speeds),
-        drift=condition_noise(conditions, template.noise) if enough else None,
-    )
-    return physical_of(fit_output_error(measurement, setup), conditions)
-
-
 def restore_physical(
-    measurement: Measurement, identified: IdentifiedModel, uncertainty: Uncertainty, planes: Conditions
+    measurement: Measurement, identified: IdentifiedModel, uncertainty: Uncertainty, conditions: Conditions
 ) -> Physical:
-    """The predictor of a fit that was stored, with constant coefficients; ``planes`` are the conditions it was of.
-
-    Raises as :func:`fit_physical`.
-    """
+    """The predictor of a fit that was stored, with constant coefficients, to ``conditions`` whose noise has levels."""
     problem, weights = restore(measurement.update(uncertainty.parameters), identified, uncertainty)
-    return _physical(problem, weights, uncertainty.covariance, planes)
-
-
-def physical_of(fit: OutputErrorFit, conditions: Conditions) -> Physical:
-    """The predictor of a fit to these conditions."""
-    return _physical(
-        fit.problem, fit.weights, measure_uncertainty(fit, output_error_quality(fit)).covariance, conditions
-    )
-
-
-def _physical(
-    problem: OutputError,
-    weights: torch.Tensor,
-    covariance: np.ndarray,
-    conditions: Conditions,
-) -> Physical:
-    """With the noise that the residuals show, or with the stated one where there are no levels."""
-    measurement = problem.measurement
-    if measurement.drift is not None:
-        (predicted,), (measured,) = problem.predicted(weights), problem.readings.measured
-        rest = (predicted - measured)[0].flatten(0, 1).T.numpy()
-        noise = follow_residuals(measurement.drift, rest, problem.n_fitted).levels
-    else:
-        variance = (measurement.deviation**2).mean(axis=2)  # (S, P)
-        level = spread_blocks(np.stack([np.diag(speed_variance).astype(complex) for speed_variance in variance]))
-        noise = NoiseLevels(conditions.record_covariance, level, np.inf)
     return Physical(
-        measurement=measurement,
-        problem=problem,
-        weights=weights,
-        covariance=covariance,
         speeds=conditions.speeds,
         channels=conditions.channels,
         planes=conditions.planes,
-        noise=noise,
+        noise=read_levels(problem, weights),
+        measurement=problem.measurement,
+        problem=problem,
+        weights=weights,
+        covariance=uncertainty.covariance,
     )
+
+
+def read_levels(problem: OutputError, weights: torch.Tensor) -> NoiseLevels:
+    """The noise that the residuals of a fit show, to conditions whose noise has levels."""
+    (predicted,), (measured,) = problem.predicted(weights), problem.readings.measured
+    rest = (predicted - measured)[0].flatten(0, 1).T.numpy()
+    assert problem.measurement.drift is not None
+    return follow_residuals(problem.measurement.drift, rest, problem.n_fitted).levels

@@ -18,11 +18,9 @@ import numpy as np
 from pipeline.balance.bands import bound_size, circle_of
 from pipeline.balance.correction import Holes, Weight, choose_weights
 from pipeline.balance.linear_vibration import LinearVibration
-from pipeline.errors import ConfigError
-
-_MOST_ALIKE = 1e14
-_PASSES = 5
-"""Rounds of the search, each with the influence coefficients at the weights found before; they hardly change."""
+from pipeline.balance.records import Readings
+from pipeline.config.balance import BalanceConfig
+from pipeline.errors import ConfigError, nearest
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -32,6 +30,32 @@ class State:
     shown: np.ndarray  # (D,) complex m; NaN where nothing was read
     remove: np.ndarray  # (D,) complex m, NaN likewise
     weights: np.ndarray  # (N,) complex kg m, known weights on the machine; zero for the machine as it is
+
+
+def find_state(vibration: LinearVibration, readings: Readings, asked: BalanceConfig, subtracted: str | None) -> State:
+    """What the machine shows, and which part of it is to be taken away.
+
+    Raises ConfigError for a condition that was not read, and for the machine's own unbalance where its vibration was
+    ``subtracted`` from the data.
+    """
+    nothing = np.zeros(len(vibration.planes), dtype=complex)
+    bare = predict_one(vibration, nothing)
+    if asked.remove != "condition" and subtracted is not None:
+        raise ConfigError(
+            f"the machine's own unbalance must be in the data, but its vibration (data.baseline={subtracted})"
+            " was subtracted: name a condition to correct (balance.condition, balance.remove=condition)"
+        )
+    if asked.remove == "residual":
+        return State(shown=bare, remove=bare, weights=nothing)
+    if asked.condition not in readings.names:
+        raise ConfigError(
+            f"balance.condition must be a condition of the records, but got '{asked.condition}': "
+            f"{nearest(str(asked.condition), readings.names)}"
+        )
+    c = readings.names.index(asked.condition)
+    shown, known = readings.displacement[c].ravel(), readings.unbalance[c]
+    weights = nothing if np.isnan(known).any() else known
+    return State(shown=shown, remove=shown - bare if asked.remove == "condition" else shown, weights=weights)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -59,11 +83,13 @@ def propose_weights(
     holes: Sequence[Holes | None],
     minimise: Literal["unbalance", "vibration"] = "unbalance",
     speeds: Sequence[int] = (),
+    passes: int = 5,
 ) -> BalanceSheet:
     """The weights that leave least of what is to be removed.
 
     Least unbalance is that in root mean square over the planes, least vibration that over the probes at the ``speeds``
-    (indices; none stands for all). ``holes`` (N) are None in a plane that can take no weights.
+    (indices; none stands for all). ``holes`` (N) are None in a plane that can take no weights. The search is repeated,
+    at most ``passes`` times, with the influence coefficients at the weights chosen before; they hardly change.
 
     Raises ConfigError where there are too many choices, or the vibration does not tell the planes apart.
     """
@@ -74,24 +100,21 @@ def propose_weights(
     start = predict_one(vibration, state.weights)
     correction = np.zeros(len(vibration.planes), dtype=complex)
     active, given = [n for n, hole in enumerate(holes) if hole], [hole for hole in holes if hole]
-    chosen = None
-    for _ in range(_PASSES):
+    weights: tuple[tuple[Weight, ...], ...] = ()
+    for _ in range(passes):
         influence = vibration.influence_at(state.weights + correction)[0][read]
         change = (predict_one(vibration, state.weights + correction) - start)[read]
         remaining = state.remove[read] + change - influence @ correction
         inverse, spread = _invert(influence, inside)
         acting, left = (np.eye(len(holes)), inverse @ remaining) if minimise == "unbalance" else (influence, remaining)
-        found = choose_weights(acting[:, active], left, given)
-        if chosen is not None and found.weights == chosen.weights:
+        choice = choose_weights(acting[:, active], left, given)
+        if choice.weights == weights:
             break
-        chosen = found
-        correction = np.zeros(len(holes), dtype=complex)
-        correction[active] = found.unbalance
-    assert chosen is not None
-    weights = dict(zip(active, chosen.weights, strict=True))
+        weights, correction[active] = choice.weights, choice.unbalance
+    by_plane = dict(zip(active, weights, strict=True))
     after = predict_one(vibration, state.weights + correction) - start
     return BalanceSheet(
-        weights=tuple(weights.get(n, ()) for n in range(len(holes))),
+        weights=tuple(by_plane.get(n, ()) for n in range(len(holes))),
         correction=correction,
         unbalance=inverse @ state.remove[read],
         remaining=inverse @ (state.remove + after)[read],
@@ -113,11 +136,14 @@ def _cover_record(vibration: LinearVibration, weights: np.ndarray) -> np.ndarray
     return vibration.predict(weights[None])[1][0] + vibration.noise.covariance(np.ones(1))[0]
 
 
-def _invert(influence: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The generalised inverse (N, M) of ``influence`` (M, N), and the covariance (N, N) of what it gives."""
+def _invert(influence: np.ndarray, covariance: np.ndarray, most: float = 1e14) -> tuple[np.ndarray, np.ndarray]:
+    """The generalised inverse (N, M) of ``influence`` (M, N), and the covariance (N, N) of what it gives.
+
+    Raises ConfigError where the condition number of the planes' information is above ``most``.
+    """
     weighed = np.linalg.solve(covariance, influence)
     information = influence.conj().T @ weighed
-    if len(influence) < influence.shape[1] or np.linalg.cond(information) > _MOST_ALIKE:
+    if len(influence) < influence.shape[1] or np.linalg.cond(information) > most:
         raise ConfigError(
             "the vibration that was read must tell the planes apart, but two of them act alike at these probes and "
             "speeds: use more of either, or leave a plane out"

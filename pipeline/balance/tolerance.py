@@ -15,8 +15,6 @@ import numpy as np
 from pipeline.errors import ConfigError
 from pipeline.rotor.model import DOF_PER_NODE, RotorModel
 
-LEAST_SHARE, MOST_SHARE = 0.3, 0.7
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Tolerance:
@@ -36,8 +34,13 @@ class Tolerance:
         return np.sqrt(variance * circle[0] ** 2 / covariance[0, 0].real)
 
 
-def share_tolerance(rotor: RotorModel, planes: Sequence[int], permissible: float) -> Tolerance:
-    """``permissible`` (kg m) of the whole rotor at its bearings. Raises ConfigError where there are not two of them."""
+def share_tolerance(
+    rotor: RotorModel, planes: Sequence[int], permissible: float, least: float = 0.3, most: float = 0.7
+) -> Tolerance:
+    """``permissible`` (kg m) of the whole rotor at its bearings, to each a share from ``least`` to ``most``.
+
+    Raises ConfigError where there are not two of them.
+    """
     if len(rotor.bearing_nodes) != 2:
         raise ConfigError(
             "machine.balance.tolerance must be that of a rotor on two bearings (ISO 21940-11 shares it between them), "
@@ -46,7 +49,7 @@ def share_tolerance(rotor: RotorModel, planes: Sequence[int], permissible: float
     first, second = sorted(rotor.bearing_nodes, key=lambda node: rotor.positions[node])
     begin, span = rotor.positions[first], rotor.positions[second] - rotor.positions[first]
     beyond = (rotor.positions[list(planes)] - begin) / span  # 0 at the first bearing, 1 at the second
-    share = float(np.clip((find_centre(rotor) - begin) / span, LEAST_SHARE, MOST_SHARE))
+    share = float(np.clip((find_centre(rotor) - begin) / span, least, most))
     return Tolerance(
         nodes=(first, second),
         permissible=permissible * np.array([1 - share, share]),

@@ -18,9 +18,6 @@ from pipeline.problem.measurement import Guess, Measurement
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 
-ROUNDING = 1e-9
-"""What methods are told of the noise of clean data: weights need some, and arithmetic leaves less."""
-
 
 @dataclass(frozen=True)
 class Case:
@@ -101,8 +98,13 @@ class Machine:
         return list_directions((self.rotor.n_nodes // 2 if location is None else location,))
 
 
-def take_measurement(machine: Machine, case: Case, identify: IdentifyConfig, settings: ComparisonConfig) -> Measurement:
-    """What a method sees of a case: the truth is hidden except for what is known."""
+def take_measurement(
+    machine: Machine, case: Case, identify: IdentifyConfig, settings: ComparisonConfig, least_noise: float = 1e-9
+) -> Measurement:
+    """What a method sees of a case: the truth is hidden except for what is known.
+
+    Of clean data it is told ``least_noise``: weights need some, and arithmetic leaves less.
+    """
     unknowns = identify.unknowns_of(machine.rotor.bearing_nodes)
     truth, model = machine.truth(case), settings.response.model
     floor = settings.floor if case.noise else 0.0
@@ -110,7 +112,7 @@ def take_measurement(machine: Machine, case: Case, identify: IdentifyConfig, set
         rotor=machine.rotor,
         dataset=machine.measure(case, settings.location, floor),
         known=replace(truth, values=np.where(unknowns.identified[:, None], 0.0, truth.values)),
-        noise=NoiseModel(floor, max(case.noise, ROUNDING)),
+        noise=NoiseModel(floor, max(case.noise, least_noise)),
         unknowns=unknowns,
         guess=Guess(model.initial_stiffness, model.initial_damping),
     )

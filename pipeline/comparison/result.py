@@ -89,7 +89,7 @@ def judge_method(
         words=reason,
         doubt=doubt,
         seconds=seconds,
-        used_speeds=None if answer is None else answer.n_speeds,
+        used_speeds=(answer and answer.n_speeds) or None,
         coefficients=errors,
     )
 
@@ -116,10 +116,10 @@ def _measure_errors(
             if not len(relative):
                 continue
             stated: Mapping[str, Any] = {}
-            if answer.deviation is not None:
-                c = COEFFICIENTS.index(name)
+            c = COEFFICIENTS.index(name)
+            deviation = answer.deviation[b, :, c]
+            if not np.isnan(deviation).all():
                 off = answer.coefficients.values[b, :, c] - truth.values[b, :, c]
-                deviation = answer.deviation[b, :, c]
                 median = float(100 * np.median(deviation / np.abs(truth.values[b, :, c])))
                 stated = {
                     "median_deviation": median if np.isfinite(median) else None,

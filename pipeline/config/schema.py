@@ -12,7 +12,6 @@ from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from pipeline.config.balance import BalanceConfig, PredictConfig
 from pipeline.config.comparison import ComparisonConfig
-from pipeline.config.folds import FoldsConfig
 from pipeline.config.identification import IdentifyConfig, LossConfig, OptimizerConfig, RobustnessConfig, TrainingConfig
 from pipeline.config.machine import MachineConfig
 from pipeline.config.measured import Known
@@ -126,7 +125,6 @@ class Config(Section):
     balance: BalanceConfig = BalanceConfig()
     predict: PredictConfig = PredictConfig()
     export: ExportConfig = Field(default=ExportConfig(units="si", formats=get_args(ExportFormat)), exclude=True)
-    folds: FoldsConfig = Field(default=FoldsConfig())
     new: NewConfig = Field(default=NewConfig(bearings="fluid_film", data="simulated"), exclude=True)
     chosen_by: str = Field(default="", exclude=True)
 

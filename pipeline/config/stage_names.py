@@ -19,7 +19,6 @@ STAGES: dict[str, str] = {
     "samplers": "compare TPE with other samplers: several studies of each at equal budget",
     "train": "identify the unknown bearing coefficients from the vibration",
     "evaluate": "compare identified with modelled coefficients, and with per-speed least squares",
-    "folds": "name what contradicts its label, and try influence coefficients and peers on conditions unseen",
     "robustness": "train from many initial guesses or seeds at once",
     "compare": "identify the modelled machine by every method, over noise, sensors and number of speeds",
     "predict": "predict vibration never seen, critical speeds and stability with the digital twin",
@@ -32,9 +31,9 @@ STAGES: dict[str, str] = {
 }
 
 RESULTS: dict[str, str] = {
+    "verdict": "verdicts.json",
     "evaluate": "metrics.json",
     "predict": "prediction.json",
-    "verdict": "verdicts.json",
     "summary": "summary.txt",
     "report": "report.html",
 }

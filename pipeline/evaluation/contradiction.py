@@ -7,23 +7,25 @@ from typing import Any
 
 from pipeline.identification.quality import MISMATCH
 
-_LEAST = 1e-4
-STANDS_OUT = 2.0
-"""Deviations of a network's correction, beyond which the law without it is contradicted."""
 
+def find_contradiction(about: Mapping[str, Any], kind: str, least: float = 1e-4) -> tuple[str, str] | None:
+    """A sentence and the next step where the laws of a fit of the model ``kind`` cannot be it; None otherwise.
 
-def find_contradiction(about: Mapping[str, Any], kind: str) -> tuple[str, str] | None:
-    """A sentence and the next step where the laws of a fit of the model ``kind`` cannot be it; None otherwise."""
+    A probability below ``least`` is not said in digits.
+    """
     probability = about["fit"]["mismatch"]["probability"] if kind == "law" else None
     if probability is None or probability >= MISMATCH:
         return None
-    chance = f"{probability:.2g}" if probability >= _LEAST else f"below {_LEAST:g}"
+    chance = f"{probability:.2g}" if probability >= least else f"below {least:g}"
     return (
         f"The readings contradict this bearing law (probability {chance}).",
         "Fit model=hybrid or model=network_operating, or take another table in machine.laws.",
     )
 
 
-def list_contradicted(correction: Mapping[str, Mapping[str, float]]) -> list[str]:
-    """The coefficients of a bearing whose ``correction`` by a network stands out of its own deviation."""
-    return [name for name, entry in correction.items() if entry["percent"] > STANDS_OUT * entry["deviation_percent"]]
+def list_contradicted(correction: Mapping[str, Mapping[str, float]], deviations: float = 2.0) -> list[str]:
+    """The coefficients of a bearing whose ``correction`` by a network stands out of its own deviation.
+
+    Beyond so many ``deviations`` of it the law without the correction is contradicted.
+    """
+    return [name for name, entry in correction.items() if entry["percent"] > deviations * entry["deviation_percent"]]

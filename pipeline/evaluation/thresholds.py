@@ -40,12 +40,17 @@ class Rule(BaseModel):
             raise ValueError("must have max, or min for a metric that must not get small, and not both")
         return self
 
+    @property
+    def limit(self) -> float:
+        """The number that it must not pass."""
+        return (self.min or 0.0) if self.max is None else self.max
+
     def allows(self, value: float) -> bool:
         """Whether the limit holds; not for NaN."""
-        return value <= self.max if self.max is not None else self.min is not None and value >= self.min
+        return value >= self.limit if self.max is None else value <= self.limit
 
     def __str__(self) -> str:
-        return f"at most {self.max:g}" if self.max is not None else f"at least {self.min:g}"
+        return f"at {'least' if self.max is None else 'most'} {self.limit:g}"
 
 
 @dataclass(frozen=True)
@@ -63,19 +68,15 @@ class Check:
         """False for a missing metric and for NaN, too."""
         return self.value is not None and self.rule.allows(self.value)
 
-    def has_changed(self, share: float) -> bool:
-        """Whether it moved by more than ``share`` of the committed value, and by a hundredth of its limit.
+    def has_changed(self, share: float, of_limit: float = 0.01) -> bool:
+        """Whether it moved by more than ``share`` of the committed value, and by more than ``of_limit`` of its limit.
 
         Rounding moves the last bits of what is far below its limit.
         """
         if self.committed is None or self.value is None or not math.isfinite(self.value):
             return self.committed is not None
-        limit = self.rule.max if self.rule.max is not None else self.rule.min
         change = abs(self.value - self.committed)
-        return change > share * abs(self.committed) and change > _OF_LIMIT * abs(limit or 0.0)
-
-
-_OF_LIMIT = 0.01
+        return change > share * abs(self.committed) and change > of_limit * abs(self.rule.limit)
 
 
 def read_rules(path: Path) -> list[Rule]:

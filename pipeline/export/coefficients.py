@@ -77,9 +77,10 @@ class Exported:
         return self.table.values / SCALE[self.units]
 
     @property
-    def deviations(self) -> np.ndarray | None:
-        """(B, S, 8) in the units of the reader."""
-        return None if self.deviation is None else self.deviation / SCALE[self.units]
+    def tables(self) -> dict[str, np.ndarray]:
+        """Each (B, S, 8) in the units of the reader: the values under no name, and deviations (if any) as ``std``."""
+        tables = {"": self.table.values, "std": self.deviation}
+        return {name: table / SCALE[self.units] for name, table in tables.items() if table is not None}
 
     def unit(self, name: str) -> str:
         """The unit of a coefficient."""
@@ -115,10 +116,9 @@ def _tabulate(exported: Exported) -> dict[str, np.ndarray]:
     }
     count = n_bearings * n_speeds
     columns |= list_columns({name: np.full(count, value) for name, value in exported.operating.items()})
-    for values, ending in ((exported.values, ""), (exported.deviations, "_std")):
-        for c, name in enumerate(COEFFICIENTS if values is not None else ()):
-            assert values is not None
-            columns[f"{name}{suffix[is_stiffness(name)]}{ending}"] = values[..., c].ravel()
+    for beside, table in exported.tables.items():
+        for c, name in enumerate(COEFFICIENTS):
+            columns["_".join(filter(None, (f"{name}{suffix[is_stiffness(name)]}", beside)))] = table[..., c].ravel()
     return columns
 
 
@@ -179,15 +179,15 @@ def document(*states: Exported, numbers: Sequence[Number] = ()) -> Document:
 
 
 def _list_bearings(exported: Exported) -> list[Bearing]:
-    deviations, bearings = exported.deviations, []
+    deviations, bearings = exported.tables.get("std"), []
     beside = list_columns({name: np.array([value]) for name, value in exported.operating.items()})
     operating = {name: float(levels[0]) for name, levels in beside.items()}
     for b, node in enumerate(exported.table.nodes):
-        found = {}
+        coefficients = {}
         for c, name in enumerate(COEFFICIENTS):
             known = bool(exported.identified[b, c])
             std = deviations[b, :, c].tolist() if known and deviations is not None else None
-            found[name] = Coefficient(identified=known, value=exported.values[b, :, c].tolist(), std=std)
+            coefficients[name] = Coefficient(identified=known, value=exported.values[b, :, c].tolist(), std=std)
         rpm = exported.rpm.tolist()
-        bearings.append(Bearing(node=int(node), operating=operating, speed_rpm=rpm, coefficients=found))
+        bearings.append(Bearing(node=int(node), operating=operating, speed_rpm=rpm, coefficients=coefficients))
     return bearings

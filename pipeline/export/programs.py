@@ -15,22 +15,19 @@ import numpy as np
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.export.coefficients import BRIEF, NAMES, Exported, Number, list_conventions
 
-_DYROBES_UNITS = {"si": 3, "us": 2}
-"""Unit systems of DyRoBeS: 2 is s, in, lbf, lbm; 3 is s, m, N, kg."""
 _ANSYS_NAMES = dict(zip(COEFFICIENTS, ("K11", "K12", "K21", "K22", "C11", "C12", "C21", "C22"), strict=True))
 _COMBI214 = (("K11", "K22", "K12", "K21", "C11", "C22"), ("C12", "C21"))
 """Real constants of the element in its own order: six on R, the others on RMORE."""
-_XLTRC2_HEAD = 5
-"""Rows above the header of a worksheet."""
-_LONGEST = 31
-"""Letters of a worksheet's name."""
 
 
 def write_dyrobes(exported: Exported, b: int) -> str:
-    """``N, unit, Nc, kRot, 0, 0, 0 comments``, then ``rpm, Kxx .. Cyy`` a line: counter-clockwise rotation, kRot 0."""
+    """``N, unit, Nc, kRot, 0, 0, 0 comments``, then ``rpm, Kxx .. Cyy`` a line: counter-clockwise rotation, kRot 0.
+
+    The unit is 2 for s, in, lbf, lbm, and 3 for s, m, N, kg.
+    """
     units = " and ".join(NAMES[exported.units])
     text = f"{exported.title}, node {exported.table.nodes[b]}: {units}; {BRIEF}"
-    head = f"{len(exported.rpm)}, {_DYROBES_UNITS[exported.units]}, 8, 0, 0, 0, 0  {text}"
+    head = f"{len(exported.rpm)}, {3 if exported.units == 'si' else 2}, 8, 0, 0, 0, 0  {text}"
     rows = [
         ", ".join([f"{rpm:.6f}", *(f"{value:.9E}" for value in row)])
         for rpm, row in zip(exported.rpm, exported.values[b], strict=True)
@@ -101,18 +98,16 @@ def write_workbook(path: Path, *states: Exported, numbers: Sequence[Number] = ()
     book.save(path)
 
 
-def _add_sheets(book: Any, exported: Exported, number: int) -> None:
-    deviations = exported.deviations
+def _add_sheets(book: Any, exported: Exported, number: int, above: int = 5, longest: int = 31) -> None:
+    """A name has at most ``longest`` letters; XLTRC2 has so many rows ``above`` the header."""
     for b, node in enumerate(exported.table.nodes):
         name = f"node {node}" + (f", {exported.state}" if exported.operating else "")
-        if len(name) > _LONGEST - len(" deviations"):
+        if len(name) > longest - len(" deviations"):
             name = f"node {node}, state {number}"
-        for title, table in ((name, exported.values), (f"{name} deviations", deviations)):
-            if table is None:
-                continue
-            sheet = book.create_sheet(title)
+        for beside, table in exported.tables.items():
+            sheet = book.create_sheet(f"{name} deviations" if beside else name)
             sheet.append([f"{exported.title}, bearing at node {node}; the sheet 'conventions' has axes and signs"])
-            for _ in range(_XLTRC2_HEAD - 1):
+            for _ in range(above - 1):
                 sheet.append([None])
             sheet.append(["Speed", *(name.capitalize() for name in COEFFICIENTS)])
             sheet.append(["rpm", *map(exported.unit, COEFFICIENTS)])

@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     import torch
 
 N_LOCAL = 30
-"""Chosen by five machines (docs/model_error.md): with 20 intervals are too wide for kinked coefficients, with 40 too
-narrow."""
+"""Chosen by five machines (studies/coverage/README.md): with 20 intervals are too wide for kinked coefficients, with 40
+too narrow."""
 N_SMOOTH = 8
 """Bearing laws alone are off by smooth functions of the speed."""
 _SPEEDS_EACH = 2

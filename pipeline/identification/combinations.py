@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
 _SPEEDS = (0.25, 0.5, 0.75, 1.25, 1.5, 1.75, 2.0, 2.5)
 """Speeds that one more run is tried at, in shares of the highest one that was run."""
-_LEADING = 0.35
-"""Members of a combination with a share below this one are not named."""
 WORTH = 0.8
 """One more run is worth naming where it leaves less than this of the deviation."""
 
@@ -40,12 +38,13 @@ class Combination:
 
     shares: Mapping[str, float]  # coefficient -> its part of a unit vector, in shares of the coefficient's size
     deviation: float  # standard deviation along it, a share
+    leading: float = 0.35  # members with a share below this one are not named
 
     @property
     def words(self) -> str:
         """Its leading coefficients, joined by their signs."""
         order = rank({name: abs(share) for name, share in self.shares.items()})
-        leading = [(name, self.shares[name]) for name in order if abs(self.shares[name]) >= _LEADING]
+        leading = [(name, self.shares[name]) for name in order if abs(self.shares[name]) >= self.leading]
         leading = leading or [(order[0], self.shares[order[0]])]
         first = np.sign(leading[0][1])
         parts = [f"{'with' if share * first > 0 else 'against'} {name}" for name, share in leading[1:]]

@@ -22,8 +22,6 @@ from pipeline.problem.condition_noise import NAMED
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.residual import per_speed_least_squares
 
-BAD_POINT = 4.0
-"""Readings beyond so many deviations are listed: of good ones, one in ten million."""
 MISMATCH = 0.05
 """Deviations less probable than this speak against the model: of a right one, they do so in one of twenty data sets."""
 FAR_FROM_EXPECTED = 3.0
@@ -93,70 +91,92 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
     bad = () if fit.problem.measurement.drift is not None else _bad_points(fit, plain)
     summary: dict[str, object] = {
         "chi_square": {"value": value, "expected": readings - used / 2, "readings": readings, "numbers": used},
-        "whiteness": {"autocorrelation": correlation, "over_its_deviation": significance},
+        "whiteness": {
+            "autocorrelation": correlation,
+            "over_its_deviation": significance,
+            "probability": measure_whiteness(plain),
+        },
         "bad_points": len(bad),
     }
     if fit.problem.measurement.drift is not None:
         summary["inconsistent_runs"] = inconsistent
     # With levels, the model's own error is common to all conditions: its size and order are no draws of a noise.
     levels = fit.problem.measurement.drift is not None
-    stated = np.allclose(fit.factor, 1.0) and not levels
-    square = 2 * value + float(parameters.square().sum())
+    estimated = not np.allclose(fit.factor, 1.0)
+    repeated = _count_repeated(fit) if estimated else 0
     # A guess of a law's number is no reading: that it was off speaks against nothing.
     told_before = by_prior[: fit.problem.places.numbers.stop].sum()
-    freedom = 2 * readings + len(parameters) - fit.problem.n_fitted + told_before
-    summary["mismatch"] = mismatch(square if stated else None, freedom, np.nan if levels else significance)
+    # What repeats differ by is the noise itself: the rest is what the model leaves over.
+    square = 2 * (value - repeated) + float(parameters.square().sum())
+    freedom = 2 * (readings - repeated) + len(parameters) - fit.problem.n_fitted + told_before
+    sized = (not estimated or repeated > 0) and not levels
+    summary["mismatch"] = mismatch(
+        square if sized else None, freedom, np.nan if levels else significance, repeated if estimated else np.inf
+    )
     for name, other in (("held_out_speeds", fit.start.held_out_speeds), ("held_out_runs", fit.start.held_out_runs)):
         if other is not None:
             summary[name] = _held_out(fit, other)
-    if not np.allclose(fit.factor, 1.0):
+    if estimated:
         channels = fit.start.measurement.dataset.channels
         summary["noise_factor"] = {
             f"node {node} {name_direction(angle)}": float(f)
             for (node, angle), f in zip(channels, fit.factor, strict=True)
         }
-    estimated = not np.allclose(fit.factor, 1.0)
-    return Quality({"fit": summary}, bad, measure_inflation(summary, estimated))
+    return Quality({"fit": summary}, bad, measure_inflation(summary, estimated and not repeated))
 
 
-def measure_inflation(fit: Mapping[str, Any], estimated: bool) -> float:
+def _count_repeated(fit: OutputErrorFit) -> int:
+    """Complex readings of runs whose excitation an earlier run of the same fit has."""
+    data = fit.problem.measurement.dataset
+    every = [data.excitation_of(r) for r in range(len(data.runs))]
+    again = [r for r, excitation in enumerate(every) if excitation in every[:r]]
+    return int(data.present[:, again].sum()) * len(data.channels)
+
+
+def measure_inflation(fit: Mapping[str, Any], estimated: bool, small: float = 1.5, significant: float = 1.645) -> float:
     """How much larger the variances are than the fit says: by its deviations' size (Birge 1932) and their correlation.
 
     Correlated deviations of the stated size are noise that wanders; larger ones are a model that does not fit. Where
-    the noise is ``estimated``, their size is in it already.
+    the noise is ``estimated`` from the deviations themselves, their size is in it already.
+
+    Args:
+        small: chi-square over what is expected, up to which what is left over is below the noise.
+        significant: of a normal value, on one side, which 5 of 100 exceed.
     """
     square, whiteness = fit["chi_square"], fit["whiteness"]
     correlated = variance_inflation(whiteness["autocorrelation"])
     if estimated:
         return correlated
     ratio = max(1.0, square["value"] / max(square["expected"], 1.0))
-    white = whiteness["over_its_deviation"] < _SIGNIFICANT
-    return float(ratio if white or ratio > SMALL_MISFIT else ratio * correlated)
+    white = whiteness["over_its_deviation"] < significant
+    return float(ratio if white or ratio > small else ratio * correlated)
 
 
-SMALL_MISFIT = 1.5
-"""Chi-square over what is expected: what is left over is then below the noise, and the bands are wider by it."""
-_SIGNIFICANT = 1.645
-"""Deviations of a normal value, on one side, that 5 of 100 exceed."""
-
-
-def mismatch(square: float | None, freedom: float, whiteness: float) -> dict[str, float | None]:
-    """Probabilities of what was found, or of worse, if the model and the stated noise are right.
+def mismatch(
+    square: float | None, freedom: float, whiteness: float, repeated: float = np.inf
+) -> dict[str, float | None]:
+    """Probabilities of what was found, or of worse, if the model and the noise are right.
 
     Args:
         square: sum of the squared deviations of unit variance, those of the priors included; None where the noise was
             estimated from the deviations themselves, so that their size says nothing.
         freedom: how many there are, less the numbers fitted.
         whiteness: correlation of neighbouring speeds over its standard deviation.
+        repeated: complex readings that the noise was estimated from; infinite where it is stated. A median of n
+            exponential values is as good as the mean of 0.48 n.
 
     Returns:
-        ``chi_square`` and ``whiteness``, each from its own distribution (chi-square and normal), and ``probability``:
-        the smallest, times their number (Bonferroni), so that a right model comes below 0.05 in at most 5 of 100 data
-        sets.
+        ``chi_square`` and ``whiteness``, each from its own distribution (chi-square, or F against repeats, and
+        normal), and ``probability``: the smallest, times their number (Bonferroni), so that a right model comes below
+        0.05 in at most 5 of 100 data sets.
     """
-    from scipy.stats import chi2, norm
+    from scipy.stats import chi2, f, norm
 
-    by_size = None if square is None or not np.isfinite(square) else float(chi2.sf(square, freedom))
+    by_size = None
+    if square is not None and np.isfinite(square):
+        by_size = float(chi2.sf(square, freedom))
+        if np.isfinite(repeated):
+            by_size = float(f.sf(square / freedom, freedom, 2 * np.log(2.0) ** 2 * repeated))
     by_order = float(norm.sf(whiteness)) if np.isfinite(whiteness) else None
     every = [p for p in (by_size, by_order) if p is not None]
     probability = min(1.0, len(every) * min(every)) if every else None
@@ -186,25 +206,31 @@ def _plain_deviations(fit: OutputErrorFit) -> list[np.ndarray]:
         return [np.asarray(deviation[0].numpy())[..., kept] / np.sqrt(2.0) for deviation in every]
 
 
-def _held_out(fit: OutputErrorFit, other: OutputError) -> dict[str, float]:
-    """Readings that were not fitted: their mean square over the noise (1 where all is well), the error in percent."""
+def _held_out(fit: OutputErrorFit, other: OutputError) -> dict[str, float | None]:
+    """Readings that were not fitted: their mean square over the noise (1 where all is well), the error in percent.
+
+    None where the coefficients leave all bounds there: functions that speeds do not hold may do anything.
+    """
     squares, errors, size = 0.0, 0.0, 0.0
     other = other.update(fit.weights)
     for b, predicted in enumerate(other.predicted(fit.weights)):
         measured, reached = other.readings.measured[b][0].numpy(), predicted[0].numpy()
-        noise = other.readings.deviation(b, reached, fit.factor)
-        off = np.abs(reached - measured) ** 2 * other.readings.present(b).numpy()
-        squares += float((off / noise**2).sum())
-        errors += float(off.sum())
+        with np.errstate(over="ignore", invalid="ignore"):
+            noise = other.readings.deviation(b, reached, fit.factor)
+            off = np.abs(reached - measured) ** 2 * other.readings.present(b).numpy()
+            squares += float((off / noise**2).sum())
+            errors += float(off.sum())
         size += float((np.abs(measured) ** 2).sum())
     count = other.measurement.dataset.n_readings
-    return {"mean_square_over_noise": squares / count, "error_percent": 100.0 * float(np.sqrt(errors / size))}
+    error = 100.0 * float(np.sqrt(errors / size))
+    return {"mean_square_over_noise": finite(squares / count), "error_percent": finite(error)}
 
 
-def _bad_points(fit: OutputErrorFit, plain: list[np.ndarray]) -> tuple[BadPoint, ...]:
+def _bad_points(fit: OutputErrorFit, plain: list[np.ndarray], beyond: float = 4.0) -> tuple[BadPoint, ...]:
+    """Readings ``beyond`` so many deviations: of good ones, one in ten million."""
     dataset, points = fit.problem.measurement.dataset, []
     for runs, off in zip(fit.problem.readings.runs, plain, strict=True):
-        for s, p, r in np.argwhere(np.abs(off) > BAD_POINT):
+        for s, p, r in np.argwhere(np.abs(off) > beyond):
             node, angle = dataset.channels[p]
             run, size = dataset.runs[runs[r]], float(np.abs(off[s, p, r]))
             beside = {name: float(values[s]) for name, values in dataset.operating.items()}
@@ -220,25 +246,49 @@ def chi_square(deviations: Sequence[np.ndarray]) -> float:
 def autocorrelation(deviations: Sequence[np.ndarray]) -> tuple[float, float]:
     """Correlation of complex deviations (S, P, R) at neighbouring speeds, and that over its standard deviation.
 
-    White deviations have a value about zero with the variance of one over twice the number of neighbours.
+    The deviation is that of independent values of any variances (see :func:`measure_whiteness`).
     """
-    products = sum(float((d[:-1] * d[1:].conj()).real.sum()) for d in deviations)
+    products = np.concatenate([_multiply_neighbours(d, 1).ravel() for d in deviations])
     power = sum(float((np.abs(d) ** 2).sum()) for d in deviations)
-    neighbours = sum(int(((d[:-1] != 0) & (d[1:] != 0)).sum()) for d in deviations)  # zero where nothing was measured
-    if power == 0 or neighbours == 0:
+    spread = float(np.sqrt((products**2).sum()))  # zero where nothing was measured
+    if power == 0 or spread == 0:
         return 0.0, 0.0
-    value = products / power
-    return value, value * float(np.sqrt(2 * neighbours))
+    return float(products.sum()) / power, float(products.sum()) / spread
 
 
-def variance_inflation(correlation: float) -> float:
+def _multiply_neighbours(deviations: np.ndarray, lag: int) -> np.ndarray:
+    """(S - lag, P, R) products of complex deviations that are ``lag`` speeds apart."""
+    return np.asarray((deviations[lag:] * deviations[:-lag].conj()).real)
+
+
+def measure_whiteness(deviations: Sequence[np.ndarray], most_lags: int = 10) -> float | None:
+    """Probability of such correlations over the speed, or of larger ones, if complex deviations (S, P, R) are white.
+
+    Each lag k gives ``t = sum w / sqrt(sum w^2)`` with the products w of deviations k speeds apart, of all series:
+    whatever their variances, t has mean 0 and variance 1 (Dalla, Giraitis and Phillips 2022, Econometric Theory 38).
+    A fit leaves its residuals negative correlations, and what a model misses is smooth: the positive t alone count,
+    and the sum of their squares is chi-bar-square (half of the lags have one, binomially). Lags go up to a fifth of
+    the speeds (Ljung and Box 1978). What was not measured is zero. None where there are too few speeds.
+    """
+    from scipy.stats import binom, chi2
+
+    speeds = max((int((block != 0).any(axis=(1, 2)).sum()) for block in deviations), default=0)
+    lags, total = min(most_lags, speeds // 5), 0.0
+    for lag in range(1, lags + 1):
+        products = np.concatenate([_multiply_neighbours(block, lag).ravel() for block in deviations])
+        spread = float((products**2).sum())
+        total += max(float(products.sum()), 0.0) ** 2 / spread if spread > 0 else 0.0
+    if lags < 1 or not np.isfinite(total):
+        return None
+    counts = np.arange(1, lags + 1)
+    return float(binom.pmf(counts, lags, 0.5) @ chi2.sf(total, counts)) if total > 0 else 1.0
+
+
+def variance_inflation(correlation: float, strongest: float = 0.99) -> float:
     """How much larger the variance of a mean is where neighbours correlate (first-order autoregression); 1 or more.
 
     Windows of a run-up that overlap, and a model that is a little off, make neighbouring speeds deviate together: they
-    then are worth fewer readings than they are.
+    then are worth fewer readings than they are. Correlations count as ``strongest`` at most.
     """
-    bounded = min(max(correlation, 0.0), _STRONGEST)
+    bounded = min(max(correlation, 0.0), strongest)
     return (1 + bounded) / (1 - bounded)
-
-
-_STRONGEST = 0.99

@@ -205,33 +205,34 @@ def _fit(measurement: Measurement, setup: FitSetup) -> list[OutputErrorFit]:
 
 
 def _compare(
-    one: Sense, found: Mapping[Sense, Sequence[OutputErrorFit]], factor: np.ndarray, setup: FitSetup
+    sense: Sense,
+    fits: Mapping[Sense, Sequence[OutputErrorFit]],
+    factor: np.ndarray,
+    setup: FitSetup,
+    restarts: int = 8,
+    no_gain: float = 0.1,
 ) -> dict[Sense, float]:
     """Chi-square of two senses that are one machine.
 
     The worse one starts anew at the better one, since fits may stick on their way. With uncertain parameters of the
-    model they often do: then each starts at every fit of the other, and again where that gained anything.
+    model they often do: then each starts at every fit of the other, and again where that gained more than ``no_gain``:
+    the evidence is weighed by whole units of chi-square. There are ``restarts`` at most.
     """
-    squares = {sense: [_square(fit, factor) for fit in found.get(sense, ())] for sense in (one, one.twin)}
-    best = {sense: min(several) for sense, several in squares.items() if several}
+    squares = {each: [_square(fit, factor) for fit in fits.get(each, ())] for each in (sense, sense.twin)}
+    best = {each: min(several) for each, several in squares.items() if several}
     if len(best) < 2:
         return best
-    fits = [(square, sense, fit) for sense in best for square, fit in zip(squares[sense], found[sense], strict=True)]
-    waiting = sorted(fits, key=lambda each: each[0])[: None if fits[0][2].problem.places.n_parameters else 1]
-    for _ in range(_RESTARTS):
+    every = [(square, each, fit) for each in best for square, fit in zip(squares[each], fits[each], strict=True)]
+    waiting = sorted(every, key=lambda each: each[0])[: None if every[0][2].problem.places.n_parameters else 1]
+    for _ in range(restarts):
         if not waiting:
             break
         _, twin, fit = waiting.pop(0)
-        again = _start_at(found[twin.twin][0], fit, setup)
-        if again is not None and (square := _square(again, factor)) < best[twin.twin] - _SAME:
+        again = _start_at(fits[twin.twin][0], fit, setup)
+        if again is not None and (square := _square(again, factor)) < best[twin.twin] - no_gain:
             best[twin.twin] = square
             waiting.append((square, twin.twin, again))
     return best
-
-
-_RESTARTS = 8
-_SAME = 0.1
-"""Chi-square that is no gain: the evidence is weighed by whole units."""
 
 
 def _start_at(fit: OutputErrorFit, twin: OutputErrorFit, setup: FitSetup) -> OutputErrorFit | None:

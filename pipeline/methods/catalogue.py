@@ -124,7 +124,7 @@ METHODS: dict[str, Method] = {
         Method(
             "preconditioned",
             "FEM-NN, preconditioned residual",
-            "docs/all_coefficients.md",
+            "docs/method.md",
             "a guess",
             fit_by(lambda options: options.settings.preconditioned),
             takes_conditions=True,

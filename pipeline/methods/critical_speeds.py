@@ -28,20 +28,15 @@ from pipeline.problem.measurement import Measurement
 from pipeline.rotor.model import translation_dof
 from pipeline.units import RAD_S_PER_RPM
 
-MODELLED = 400
-"""Machines that the network learns from."""
-_HELD_OUT = 5
-"""One of so many is held out, to tell the network's error."""
-_HIDDEN = (16, 16)
-_SPREAD = 64
-"""Data sets with more of the stated noise, whose spread is the deviation."""
-_MOST_ITERATIONS = 3000
-_WINDOW = 5
-"""Speeds on either side of a crossing that a straight line is fitted through."""
 
+def identify_by_critical_speeds(
+    data: Measurement, options: MethodOptions, modelled: int = 400, spreads: int = 64
+) -> Estimate:
+    """Constant stiffnesses of bearings that are all the same; raises Refusal for all else.
 
-def identify_by_critical_speeds(data: Measurement, options: MethodOptions) -> Estimate:
-    """Constant stiffnesses of bearings that are all the same; raises Refusal for all else."""
+    The network learns from so many ``modelled`` machines; the deviation is the spread of ``spreads`` data sets with
+    more of the stated noise.
+    """
     names = data.unknowns.names
     if not all(is_direct(name) and is_stiffness(name) for name in names):
         raise Refusal(Reason.STIFFNESS_ALONE, f"{', '.join(names)} are asked for")
@@ -52,16 +47,16 @@ def identify_by_critical_speeds(data: Measurement, options: MethodOptions) -> Es
     if np.isnan(measured).any():
         raise Refusal(Reason.NO_CRITICAL_SPEED, f"there is none for {names[int(np.isnan(measured).argmax())]}")
     generator = np.random.default_rng(options.seed)
-    network = _train(*_model_machines(data, options.settings.prior, places, generator), options.seed)
+    network = _train(*_model_machines(data, options.settings.prior, places, generator, modelled), options.seed)
     values = network.stiffness(measured[None])[0]
-    noise = data.deviation * generator.standard_normal((2, _SPREAD, *data.deviation.shape)) / np.sqrt(2)
+    noise = data.deviation * generator.standard_normal((2, spreads, *data.deviation.shape)) / np.sqrt(2)
     readings = data.dataset.displacement + noise[0] + 1j * noise[1]
     again = np.array([_find_crossings(data, reading, places) for reading in readings])
     spread = np.log(network.stiffness(again[~np.isnan(again).any(axis=1)])).std(axis=0)
     deviation = values * np.hypot(spread, network.error)
     shape = (data.unknowns.n_members, len(data.dataset.speeds), len(names))
     listed = ", ".join(f"{speed / RAD_S_PER_RPM:.1f}" for speed in measured)
-    text = f"{MODELLED} modelled machines; critical speeds {listed} rpm"
+    text = f"{modelled} modelled machines; critical speeds {listed} rpm"
     return make_estimate(data, np.broadcast_to(values, shape), np.broadcast_to(deviation, shape), text)
 
 
@@ -83,26 +78,33 @@ def _find_crossings(data: Measurement, readings: np.ndarray, places: list[tuple[
     return np.array([_find_crossing(data.dataset.speeds, force / readings[:, p, r]) for p, r, force in places])
 
 
-def _find_crossing(speeds: np.ndarray, apparent: np.ndarray) -> float:
-    """Where the real part of the apparent stiffness (S,), over the speed squared, first falls through zero; or NaN."""
+def _find_crossing(speeds: np.ndarray, apparent: np.ndarray, most: int = 5) -> float:
+    """Where the real part of the apparent stiffness (S,), over the speed squared, first falls through zero; or NaN.
+
+    A straight line is fitted through at most so many speeds on either side.
+    """
     flexibility = apparent.real / speeds**2
     falls = np.flatnonzero((flexibility[:-1] > 0) & (flexibility[1:] <= 0))
     if not len(falls):
         return float("nan")
     s = int(falls[0])
-    reach = min(_WINDOW, max(1, len(speeds) // 60))
+    reach = min(most, max(1, len(speeds) // 60))
     near = slice(max(s + 1 - reach, 0), s + 1 + reach)
     slope, offset = np.polyfit(speeds[near] - speeds[s], flexibility[near], 1)
     return float(speeds[s] - offset / slope)
 
 
 def _model_machines(
-    data: Measurement, prior: PriorConfig, places: list[tuple[int, int, np.ndarray]], generator: np.random.Generator
+    data: Measurement,
+    prior: PriorConfig,
+    places: list[tuple[int, int, np.ndarray]],
+    generator: np.random.Generator,
+    modelled: int,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Critical speeds (N, D), rad/s, of machines with stiffnesses (N, D), N/m, within the bounds."""
     equations = data.response
     bounds = np.log([prior.lowest_stiffness, prior.highest_stiffness])
-    stiffness = np.exp(generator.uniform(bounds[0], bounds[1], (MODELLED, len(data.unknowns.names))))
+    stiffness = np.exp(generator.uniform(bounds[0], bounds[1], (modelled, len(data.unknowns.names))))
     shape = (data.unknowns.n_members, len(data.dataset.speeds), stiffness.shape[1])
     speeds = np.array(
         [
@@ -128,16 +130,19 @@ class _Trained:
         return np.asarray(np.exp(self.network.predict((speeds - self.middle) / self.size)))
 
 
-def _train(speeds: np.ndarray, stiffness: np.ndarray, seed: int) -> _Trained:
+def _train(
+    speeds: np.ndarray, stiffness: np.ndarray, seed: int, held_out_every: int = 5, hidden: tuple[int, ...] = (16, 16)
+) -> _Trained:
+    """Machines that are held out tell the network's error."""
     from sklearn.neural_network import MLPRegressor
 
-    middle, size, held_out = speeds.mean(axis=0), speeds.std(axis=0), np.arange(len(speeds)) % _HELD_OUT == 0
+    middle, size, held_out = speeds.mean(axis=0), speeds.std(axis=0), np.arange(len(speeds)) % held_out_every == 0
     network = MLPRegressor(
-        hidden_layer_sizes=_HIDDEN,
+        hidden_layer_sizes=hidden,
         activation="tanh",
         solver="lbfgs",
         alpha=1e-8,
-        max_iter=_MOST_ITERATIONS,
+        max_iter=3000,
         tol=1e-10,
         random_state=seed,
     )

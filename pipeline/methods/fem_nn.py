@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+
 from pipeline.config.comparison import FitConfig
 from pipeline.errors import IdentifiabilityError
 from pipeline.identification.fit import fit
@@ -47,7 +49,9 @@ def fit_by(section: Callable[[MethodOptions], FitConfig]) -> Callable[[Measureme
         if fitted.uncertainty is not None:
             text += f", {fitted.quality.summary['fit']['chi_square']['numbers']} numbers"
         deviation = fitted.deviation(data.dataset.speeds, data.dataset.operating)
-        return Estimate(fitted.table(data.known), deviation, text, doubt(fitted.quality.misfit))
+        table = fitted.table(data.known)
+        stated = np.full(table.values.shape, np.nan) if deviation is None else deviation
+        return Estimate(table, stated, text, doubt(fitted.quality.misfit))
 
     return identify
 

@@ -21,22 +21,21 @@ from pipeline.methods.method import (
 from pipeline.problem.kalman_filter import BearingFilter, filter_bearings
 from pipeline.problem.measurement import Measurement
 
-_DIFFERENCE = 1e-6
-_LEAST_SETTLED = 0.5
-"""Share of the speeds; with fewer the answer is none."""
 
+def identify_by_filter(data: Measurement, options: MethodOptions, least_settled: float = 0.5) -> Estimate:
+    """Coefficients of each speed by itself, from any sensors whose runs are enough.
 
-def identify_by_filter(data: Measurement, options: MethodOptions) -> Estimate:
-    """Coefficients of each speed by itself, from any sensors whose runs are enough."""
+    Raises Refusal where it settles at fewer than the share ``least_settled`` of the speeds.
+    """
     require_determined(data, together=False)
     values, settled = filter_bearings(data)
-    if settled.mean() < _LEAST_SETTLED:
+    if settled.mean() < least_settled:
         raise Refusal(Reason.NOT_SETTLED, f"it does at {int(settled.sum())} of {len(settled)} speeds")
     text = f"{int(settled.sum())} of {len(settled)} speeds settled"
     return make_estimate(data, values, _propagate_noise(data, values), text)
 
 
-def _propagate_noise(data: Measurement, values: np.ndarray) -> np.ndarray:
+def _propagate_noise(data: Measurement, values: np.ndarray, difference: float = 1e-6) -> np.ndarray:
     """(M, S, U): a fixed point ``p = T(p, z)`` moves with the readings by ``(I - T_p)^-1 T_z``."""
     problem, active, measured = BearingFilter(data), data.unknowns.active, data.dataset.displacement
 
@@ -48,12 +47,12 @@ def _propagate_noise(data: Measurement, values: np.ndarray) -> np.ndarray:
     base, by_value = updated(values, measured), []
     for m, u in active:
         step = np.zeros_like(values)
-        step[m, :, u] = _DIFFERENCE * np.maximum(np.abs(values[m, :, u]), 1.0)
+        step[m, :, u] = difference * np.maximum(np.abs(values[m, :, u]), 1.0)
         by_value.append((updated(values + step, measured) - base) / step[m, :, u, None])
     inverse = np.linalg.pinv(np.eye(len(active)) - np.stack(by_value, axis=2))
     variance = np.zeros_like(base)
     for p, r in np.ndindex(measured.shape[1:]):
-        size = _DIFFERENCE * np.abs(measured[:, p, r])
+        size = difference * np.abs(measured[:, p, r])
         for unit in (1.0, 1j):
             other = measured.copy()
             other[:, p, r] += unit * size

@@ -34,37 +34,28 @@ from pipeline.methods.method import (
 )
 from pipeline.problem.measurement import Measurement
 
-MOST_UNKNOWNS = 6
-"""Beyond, a hypercube of so few points is empty: of eight it was 2 to 55 % off, on clean data."""
-SPEEDS = 10
-"""Speeds at which coefficients that change with the speed are found, each by 840 modelled responses and 14 surrogates.
 
-What is in between is interpolated, and the readings there are not used. Constant coefficients use every speed.
-"""
-_POINTS = 15
-"""Points a hypercube for each unknown, of which there are at least four."""
-_ROUNDS = 14
-_SHRINK = 0.4
-"""A side of the hypercube shrinks to this share where the best point moved by less than ``_NEAR`` of it."""
-_NEAR = 0.3
-_COMPONENTS = 12
-_GENERATIONS = 60
-_POPULATION = 10
+def identify_by_kriging(
+    data: Measurement, options: MethodOptions, most_unknowns: int = 6, n_speeds: int = 10, rounds: int = 14
+) -> Estimate:
+    """Direct coefficients, from any sensors.
 
-
-def identify_by_kriging(data: Measurement, options: MethodOptions) -> Estimate:
-    """Direct coefficients, from any sensors; raises Refusal for more than a few unknowns."""
+    Raises Refusal for more than ``most_unknowns``: beyond, a hypercube of so few points is empty (of eight it was 2 to
+    55 % off, on clean data). Coefficients that change with the speed are found at ``n_speeds`` speeds, each by 840
+    modelled responses and a surrogate a round; what is in between is interpolated, and the readings there are not used.
+    Constant coefficients use every speed.
+    """
     unknowns, speeds = data.unknowns, data.dataset.speeds
     if not all(is_direct(name) for name in unknowns.names):
         raise Refusal(Reason.EITHER_SIGN, f"{', '.join(unknowns.names)} are asked for")
-    if len(unknowns.active) > MOST_UNKNOWNS:
-        raise Refusal(Reason.TOO_MANY_UNKNOWNS, f"there are {len(unknowns.active)}, and {MOST_UNKNOWNS} are its limit")
+    if len(unknowns.active) > most_unknowns:
+        raise Refusal(Reason.TOO_MANY_UNKNOWNS, f"there are {len(unknowns.active)}, and {most_unknowns} are its limit")
     require_determined(data, together=options.constant)
-    chosen = np.arange(len(speeds)) if options.constant else _choose(speeds, min(SPEEDS, len(speeds)))
+    chosen = np.arange(len(speeds)) if options.constant else _choose(speeds, min(n_speeds, len(speeds)))
     groups = [chosen] if options.constant else [np.array([s]) for s in chosen]
     generator = np.random.default_rng(options.seed)
     parts = [data.select(group) for group in groups]
-    x = np.stack([_match(group, options.settings.prior, generator) for group in parts])  # (groups, A)
+    x = np.stack([_match(group, options.settings.prior, generator, rounds) for group in parts])  # (groups, A)
     left_over = sum(_sum_squares(group, answer) for group, answer in zip(parts, x, strict=True))
     readings = 2 * len(chosen) * data.dataset.displacement[0].size - x.size
     deviation = np.stack([_bound_deviation(group, answer) for group, answer in zip(parts, x, strict=True)])
@@ -72,7 +63,7 @@ def identify_by_kriging(data: Measurement, options: MethodOptions) -> Estimate:
         x, deviation = np.repeat(x, len(speeds), axis=0), np.repeat(deviation, len(speeds), axis=0)
     else:
         x, deviation = (_interpolate(speeds, chosen, values) for values in (x, deviation))
-    evaluations = len(groups) * _ROUNDS * _count_points(x.shape[1])
+    evaluations = len(groups) * rounds * _count_points(x.shape[1])
     text = f"{evaluations} modelled responses, {len(groups)} surrogate{'s' * (len(groups) > 1)}"
     spread = unknowns.from_active(deviation * np.exp(x))
     estimate = make_estimate(data, unknowns.from_active(np.exp(x)), spread, text, doubt(left_over / readings))
@@ -86,8 +77,9 @@ def _choose(speeds: np.ndarray, count: int) -> np.ndarray:
     return np.unique(np.abs(place[:, None] - wanted).argmin(axis=0))
 
 
-def _count_points(active: int) -> int:
-    return _POINTS * max(active, 4)
+def _count_points(active: int, each: int = 15) -> int:
+    """Points of a hypercube: so many for each unknown, of which there are at least four."""
+    return each * max(active, 4)
 
 
 def _interpolate(speeds: np.ndarray, chosen: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -109,7 +101,7 @@ def _repeat_unknowns(measurement: Measurement, x: np.ndarray) -> np.ndarray:
     return measurement.unknowns.from_active(np.repeat(np.exp(x)[None], len(measurement.dataset.speeds), axis=0))
 
 
-def _match(measurement: Measurement, prior: PriorConfig, generator: np.random.Generator) -> np.ndarray:
+def _match(measurement: Measurement, prior: PriorConfig, generator: np.random.Generator, rounds: int) -> np.ndarray:
     """(A,) what comes nearest to the readings."""
 
     def deviations(x: np.ndarray) -> np.ndarray:
@@ -121,7 +113,7 @@ def _match(measurement: Measurement, prior: PriorConfig, generator: np.random.Ge
         False: (prior.lowest_damping, prior.highest_damping),
     }
     low, high = np.log([limits[is_stiffness(measurement.unknowns.names[u])] for _, u in measurement.unknowns.active]).T
-    return _find_nearest(deviations, low, high, generator)
+    return _find_nearest(deviations, low, high, generator, rounds)
 
 
 def _sum_squares(measurement: Measurement, x: np.ndarray) -> float:
@@ -131,13 +123,22 @@ def _sum_squares(measurement: Measurement, x: np.ndarray) -> float:
 
 
 def _find_nearest(
-    deviations: Callable[[np.ndarray], np.ndarray], low: np.ndarray, high: np.ndarray, generator: np.random.Generator
+    deviations: Callable[[np.ndarray], np.ndarray],
+    low: np.ndarray,
+    high: np.ndarray,
+    generator: np.random.Generator,
+    rounds: int,
+    shrink: float = 0.4,
+    near: float = 0.3,
 ) -> np.ndarray:
-    """(A,) the point of the smallest deviations within the bounds (A,): surrogate by surrogate, each smaller."""
+    """(A,) the point of the smallest deviations within the bounds (A,): surrogate by surrogate, each smaller.
+
+    A side of the hypercube shrinks to the share ``shrink`` where the best point came by less than ``near`` of it.
+    """
     from scipy.stats import qmc
 
     best, least, side = (low + high) / 2, np.inf, high - low
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         start = np.clip(best - side / 2, low, np.maximum(high - side, low))
         end = np.minimum(start + side, high)
         cube = qmc.LatinHypercube(len(low), rng=generator).random(_count_points(len(low)))
@@ -147,18 +148,22 @@ def _find_nearest(
         points = np.concatenate([points, (start + candidate * (end - start))[None]])
         misfits = np.append((rows**2).sum(axis=1), (deviations(points[-1]) ** 2).sum())
         if misfits.min() < least:
-            distance, best, least = (
-                np.abs(points[misfits.argmin()] - best),
-                points[misfits.argmin()],
-                float(misfits.min()),
-            )
-            side = np.where(distance < _NEAR * side, _SHRINK * side, side)
+            nearest = points[misfits.argmin()]
+            distance, best, least = np.abs(nearest - best), nearest, float(misfits.min())
+            side = np.where(distance < near * side, shrink * side, side)
         else:
-            side = _SHRINK * side
+            side = shrink * side
     return best
 
 
-def _evolve(cube: np.ndarray, rows: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+def _evolve(
+    cube: np.ndarray,
+    rows: np.ndarray,
+    generator: np.random.Generator,
+    most_components: int = 12,
+    generations: int = 60,
+    population: int = 10,
+) -> np.ndarray:
     """(A,) where in the unit cube the surrogate of ``rows`` (N, D) at ``cube`` (N, A) is smallest."""
     from scipy.optimize import differential_evolution
     from sklearn.gaussian_process import GaussianProcessRegressor
@@ -166,7 +171,7 @@ def _evolve(cube: np.ndarray, rows: np.ndarray, generator: np.random.Generator) 
 
     middle = rows.mean(axis=0)
     left, singular, components = np.linalg.svd(rows - middle, full_matrices=False)
-    count = min(_COMPONENTS, int((singular > 1e-10 * singular[0]).sum()))
+    count = min(most_components, int((singular > 1e-10 * singular[0]).sum()))
     scores, components = (left * singular)[:, :count], components[:count]
     size = scores.std(axis=0)
     kernel = RBF(np.ones(cube.shape[1]), (1e-2, 1e3)) + WhiteKernel(1e-8, (1e-12, 1e-1))
@@ -183,8 +188,8 @@ def _evolve(cube: np.ndarray, rows: np.ndarray, generator: np.random.Generator) 
     evolved = differential_evolution(
         misfit,
         [(0.0, 1.0)] * cube.shape[1],
-        maxiter=_GENERATIONS,
-        popsize=_POPULATION,
+        maxiter=generations,
+        popsize=population,
         tol=1e-10,
         rng=generator,
         vectorized=True,

@@ -31,9 +31,6 @@ from pipeline.problem.noise import (
 )
 from pipeline.problem.residual import LinearResidual, linear_residual, per_speed_least_squares
 
-_ROUNDS = 4
-"""The weights of total least squares depend on its answer: so often they are made again."""
-
 
 def solve_plain(data: Measurement, options: MethodOptions) -> Estimate:
     """Tiwari, Lees and Friswell (2002): minimise the residual ``|A p + y|`` of each speed.
@@ -82,16 +79,17 @@ def solve_expanded(data: Measurement, options: MethodOptions) -> Estimate:
     return make_estimate(data, values, least_squares_deviation(white))
 
 
-def solve_total(data: Measurement, options: MethodOptions) -> Estimate:
+def solve_total(data: Measurement, options: MethodOptions, rounds: int = 4) -> Estimate:
     """Weighted total least squares (De Troyer et al. 2012): consistent, because it knows the noise of A and y.
 
     With rows weighted by the covariance of the residual, ``E[M'M] = M0'M0 + C`` for the noisy ``M = [A y]``: the answer
-    is the vector ``[p, 1]`` that minimises ``|M v|^2 / (v' C v)``.
+    is the vector ``[p, 1]`` that minimises ``|M v|^2 / (v' C v)``. The weights
+    depend on the answer: they are made again in each of the ``rounds``.
     """
     residual = require_residual(data, options)
     values, _ = per_speed_least_squares(residual)
     derivative = _differentiate(data)
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         covariance = _estimate_covariance(data, values)
         values = _solve(data, whiten(residual, covariance), derivative, covariance)
     return make_estimate(data, values, least_squares_deviation(whiten(residual, _estimate_covariance(data, values))))
@@ -117,21 +115,17 @@ def _invert(members: LinearResidual, strength: np.ndarray) -> np.ndarray:
     return np.einsum("mskv,msk,msrk->msvr", right, filtered, left) / length[..., None]
 
 
-def _validate_strength(members: LinearResidual) -> np.ndarray:
+def _validate_strength(members: LinearResidual, weakest: float = 1e-8, strengths: int = 65) -> np.ndarray:
     """(M, S) strengths that minimise ``|residual|^2 / trace(I - A A_inverse)^2``."""
     left, singular, _, _ = _decompose(members)
     n_rows = members.matrix.shape[2]
     inside = np.einsum("msrk,msr->msk", left, members.offset)
     outside = np.maximum((members.offset**2).sum(axis=-1) - (inside**2).sum(axis=-1), 0.0)
-    grid = np.concatenate([[0.0], np.geomspace(_WEAKEST, 1.0, _STRENGTHS)])[:, None, None, None]
+    grid = np.concatenate([[0.0], np.geomspace(weakest, 1.0, strengths)])[:, None, None, None]
     share = np.divide(grid**2, singular**2 + grid**2, out=np.ones((len(grid), *singular.shape)), where=singular > 0)
     left_over = ((share * inside) ** 2).sum(axis=-1) + outside
     value = left_over / (n_rows - singular.shape[-1] + share.sum(axis=-1)) ** 2
     return np.asarray(grid[value.argmin(axis=0), 0, 0, 0])
-
-
-_WEAKEST = 1e-8
-_STRENGTHS = 65
 
 
 def _propagate_noise(data: Measurement, values: np.ndarray, inverse: np.ndarray) -> np.ndarray:

@@ -13,10 +13,11 @@ from enum import Enum
 import numpy as np
 
 from pipeline.config.comparison import ComparisonConfig
+from pipeline.data.operating import split_states
+from pipeline.data.operating_points import group_rows
 from pipeline.errors import DataError, PipelineError
 from pipeline.identification.quality import FAR_FROM_EXPECTED
 from pipeline.laws.law_set import LawSet
-from pipeline.methods.by_condition import solve_each
 from pipeline.problem.diagnosis import determines, sensor_rows
 from pipeline.problem.identifiability import Identifiability, Solvability, judge_identifiability
 from pipeline.problem.measurement import Measurement
@@ -73,10 +74,10 @@ class Estimate:
     """What a method answers."""
 
     coefficients: BearingTable
-    deviation: np.ndarray | None  # (B, S, 8) standard deviations, NaN for known ones; None where none is stated
+    deviation: np.ndarray  # (B, S, 8) standard deviations, NaN for known ones, and where none is stated
     words: str = ""  # what the answer cost or rests on
     doubt: str = ""  # what speaks against it: it does not explain its readings
-    n_speeds: int | None = None  # how many speeds were looked at, where they are not all
+    n_speeds: int = 0  # how many speeds were looked at; 0 for all
 
 
 @dataclass(frozen=True)
@@ -100,6 +101,45 @@ class Method:
         if used.dataset.operating and not self.takes_conditions:
             return solve_each(lambda state: self.solve(state, options), used)
         return self.solve(used, options)
+
+
+# --- one operating condition after the other --------------------------------------------------------
+
+
+def solve_each(solve: Callable[[Measurement], Estimate], measurement: Measurement) -> Estimate:
+    """The answers of ``solve`` at each operating condition, put together. Raises the first Refusal.
+
+    Points of a condition that were not measured in the same runs are answered apart, each with its own runs.
+    """
+    data, values = measurement.dataset, np.array(measurement.known.values)
+    states = [
+        points[rows]
+        for _, points in split_states(data.speeds, data.operating)
+        for rows in group_rows(data.present[points])
+    ]
+    answers = [(points, solve(_alone(measurement, points))) for points in states]
+    deviation = np.full(values.shape, np.nan)
+    for points, answer in answers:
+        values[:, points], deviation[:, points] = answer.coefficients.values, answer.deviation
+    some = any(answer.n_speeds for _, answer in answers)
+    return replace(
+        answers[0][1],
+        coefficients=replace(measurement.known, values=values),
+        deviation=deviation,
+        words=f"each of {len(states)} conditions by itself; the first: {answers[0][1].words}",
+        doubt=next((answer.doubt for _, answer in answers if answer.doubt), ""),
+        n_speeds=sum(answer.n_speeds or len(points) for points, answer in answers) if some else 0,
+    )
+
+
+def _alone(measurement: Measurement, points: np.ndarray) -> Measurement:
+    """The measurement at the ``points`` (indices) in the runs that have them, as if it had no operating conditions."""
+    state = measurement.select(points, np.flatnonzero(measurement.dataset.present[points[0]]))
+    data = replace(state.dataset, operating={})
+    return replace(state, dataset=data, known=replace(state.known, operating={}))
+
+
+# --- what methods share ----------------------------------------------------------------------------
 
 
 def make_estimate(

@@ -16,17 +16,13 @@ from pipeline.methods.least_squares import solve_expanded
 from pipeline.methods.method import Estimate, MethodOptions, make_estimate
 from pipeline.problem.measurement import Measurement
 
-_STRENGTHS = np.concatenate([[0.0], np.geomspace(1e-12, 1e12, 241)])
-"""Size of the penalty, over the median curvature that a smoothest but straight line would have."""
-_FEWEST = 4
-"""Speeds; through fewer a spline has nothing to smooth."""
-_LEAST_WEIGHT = 1e-12
 
+def solve_smoothed(data: Measurement, options: MethodOptions, fewest: int = 4) -> Estimate:
+    """Weighted means where the coefficients are known to be constant, else smoothing splines. Raises Refusal.
 
-def solve_smoothed(data: Measurement, options: MethodOptions) -> Estimate:
-    """Weighted means where the coefficients are known to be constant, else smoothing splines. Raises Refusal."""
+    Through fewer than ``fewest`` speeds a spline has nothing to smooth.
+    """
     estimate, unknowns = solve_expanded(data, options), data.unknowns
-    assert estimate.deviation is not None
     values = unknowns.leading(estimate.coefficients.values)
     spread = unknowns.leading(estimate.deviation)
     smooth, deviation = np.zeros_like(values), np.zeros_like(values)
@@ -34,7 +30,7 @@ def solve_smoothed(data: Measurement, options: MethodOptions) -> Estimate:
         answer, deviations = values[m, :, u], spread[m, :, u]
         if options.constant:
             smooth[m, :, u], deviation[m, :, u] = _average(answer, deviations)
-        elif len(answer) >= _FEWEST:
+        elif len(answer) >= fewest:
             smooth[m, :, u], deviation[m, :, u] = smooth_over_speed(data.dataset.speeds, answer, deviations)
         else:
             smooth[m, :, u], deviation[m, :, u] = answer, deviations
@@ -46,7 +42,9 @@ def _average(values: np.ndarray, deviation: np.ndarray) -> tuple[float, float]:
     return float(weight @ values / weight.sum()), float(1 / np.sqrt(weight.sum()))
 
 
-def smooth_over_speed(speeds: np.ndarray, values: np.ndarray, deviation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def smooth_over_speed(
+    speeds: np.ndarray, values: np.ndarray, deviation: np.ndarray, least_weight: float = 1e-12
+) -> tuple[np.ndarray, np.ndarray]:
     """Smooth values (S,) and their standard deviation (S,), from values of each speed with deviations (S,)."""
     place = np.log(speeds)
     usable = np.isfinite(deviation) & (values != 0)
@@ -55,23 +53,25 @@ def smooth_over_speed(speeds: np.ndarray, values: np.ndarray, deviation: np.ndar
     law = np.exp(np.polyval(np.polyfit(place, np.log(size), 1, w=np.minimum(weight, np.median(weight))), place))
     ratio, relative = np.where(usable, values, 0.0) / law, np.where(usable, deviation, np.inf) / law
     weight = 1 / relative**2
-    weight = np.maximum(weight, _LEAST_WEIGHT * weight.max())
+    weight = np.maximum(weight, least_weight * weight.max())
     smooth, variance = smooth_by_cross_validation(place, ratio, weight)
     return smooth * law, np.sqrt(variance) * law
 
 
 def smooth_by_cross_validation(
-    place: np.ndarray, values: np.ndarray, weight: np.ndarray
+    place: np.ndarray, values: np.ndarray, weight: np.ndarray, decades: int = 12
 ) -> tuple[np.ndarray, np.ndarray]:
     """The smoothing spline (S,) of least cross-validation, and its variance (S,); ``weight`` (S,) is 1 over variances.
 
-    It minimises ``sum w (y - f)^2 + strength int f''^2``, a filter in the basis of Demmler and Reinsch.
+    It minimises ``sum w (y - f)^2 + strength int f''^2``, a filter in the basis of Demmler and Reinsch. Zero is tried
+    for the strength, and up to so many ``decades`` about that of the median curvature.
     """
     root = np.sqrt(weight)
     curvature, modes = np.linalg.eigh(_penalise(place) / root[:, None] / root)
     curvature = np.maximum(curvature, 0.0)
     inside = modes.T @ (root * values)
-    strength = _STRENGTHS / np.median(curvature)
+    tried = np.concatenate([[0.0], np.geomspace(10.0**-decades, 10.0**decades, 20 * decades + 1)])
+    strength = tried / np.median(curvature)
     kept = 1 / (1 + strength[:, None] * curvature)  # (strengths, S)
     freedom = (1 - kept).sum(axis=1)
     left_over = (((1 - kept) * inside) ** 2).sum(axis=1)

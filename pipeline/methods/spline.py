@@ -10,37 +10,90 @@ planes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from pipeline.coefficients import is_direct
 from pipeline.methods.least_squares import solve_total
 from pipeline.methods.method import (
     Estimate,
     MethodOptions,
     Refusal,
     describe_unbalance,
+    differentiate_response,
     doubt,
     drop_unbalance,
     make_estimate,
     require_determined,
+    stack_rows,
 )
-from pipeline.methods.spline_problem import Parameters, SplineProblem, make_parameters
 from pipeline.problem.measurement import Measurement
 
 GROWTH = (1, 2, 4, 6, 9, 13, 19, 28, 41)
 """Spline coefficients an unknown: a constant, a power law, cubic splines; the last size is a value for each speed."""
-GUESSES = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
-"""Where there is no linear answer to begin with, the configured guess is tried in these sizes."""
-_LOOK_AHEAD = 2
-"""So many sizes in a row without a better criterion end the growth."""
-_MOST_EVALUATIONS = 60
-_DENSE = 300
-"""Up to so many numbers SciPy factorises the Jacobian; beyond, it is sparse and iterated on."""
-_KEPT_STARTS, _SMALL = 3, 4
-_VANISHED = 0.02
-"""An unknown below this share of its size has vanished."""
+
+
+@dataclass(frozen=True, eq=False)
+class SplineProblem:
+    """What is fitted, whatever the size of the spline: free numbers of each speed, and how far the readings are off.
+
+    x (S, A) stands for ``size exp(x)`` of a direct coefficient, ``size x`` of a cross-coupled one; pairs (2 N,) for the
+    real and imaginary parts of the residual unbalance.
+    """
+
+    task: Measurement
+    size: np.ndarray  # (A,) N/m and N s/m
+    positive: np.ndarray  # (A,)
+    weight: np.ndarray  # (S, P, R) 1/m: root of 2 over the deviation, so that real and imaginary part count
+    unit: float = 1e-4  # kg m, in which a residual unbalance is sought
+
+    def values(self, x: np.ndarray) -> np.ndarray:
+        """(M, S, U) unknowns."""
+        return self.task.unknowns.from_active(np.where(self.positive, self.slope(x), self.size * x))
+
+    def from_values(self, values: np.ndarray, least: float = 1e-3) -> np.ndarray:
+        """(S, A) from unknowns (M, S, U); what must be positive is kept above the share ``least`` of its size."""
+        relative = np.stack([values[m, :, u] for m, u in self.task.unknowns.active], axis=1) / self.size
+        return np.where(self.positive, np.log(np.maximum(relative, least)), relative)
+
+    def slope(self, x: np.ndarray) -> np.ndarray:
+        """(S, A) derivative of the unknowns by x."""
+        return np.asarray(self.size * np.where(self.positive, np.exp(np.where(self.positive, x, 0.0)), 1.0))
+
+    def unbalance(self, pairs: np.ndarray) -> np.ndarray:
+        """(N,) complex kg m, from real and imaginary parts (2 N,)."""
+        return np.asarray(self.unit * (pairs[::2] + 1j * pairs[1::2]))
+
+    def predict(self, x: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+        """(S, P, R) m, the response."""
+        return self.task.response.predict(self.task.table(self.values(x)), self.unbalance(pairs))
+
+    def deviations(self, x: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+        """(S, rows) whitened, for x (S, A) and the residual unbalance (2 N,)."""
+        return stack_rows((self.predict(x, pairs) - self.task.dataset.displacement) * self.weight)
+
+    def sensitivity(self, x: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+        """(S, rows, A + 2 N) derivative of :meth:`deviations` by x and by the unbalance."""
+        values = self.values(x)
+        by_x = differentiate_response(self.task, values, self.unbalance(pairs)) * self.slope(x)[:, None, None]
+        unit = self.unit * self.task.response.derive_by_unbalance(self.task.table(values))
+        by_pairs = np.stack([unit, 1j * unit], axis=-1).reshape(*unit.shape[:-1], -1)
+        return stack_rows(np.concatenate([by_x, by_pairs], axis=-1) * self.weight[..., None])
+
+    def reweighted(self, x: np.ndarray, pairs: np.ndarray) -> SplineProblem:
+        """The same with weights from the predicted readings: the measured ones share their noise, which biases."""
+        deviation = self.task.deviation_of(self.predict(x, pairs), self.task.dataset.subtracted)
+        return replace(self, weight=np.sqrt(2.0) / deviation)
+
+
+def pose(task: Measurement, sizes: np.ndarray) -> SplineProblem:
+    """The problem with unknowns of these ``sizes`` (M, U)."""
+    active = task.unknowns.active
+    size = np.array([sizes[m, u] for m, u in active])
+    positive = np.array([is_direct(task.unknowns.names[u]) for _, u in active])
+    return SplineProblem(task, size, positive, np.sqrt(2.0) / task.deviation)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,58 +119,65 @@ class _Fit:
         return self.z.size + self.pairs.size
 
 
-def identify_by_spline(task: Measurement, options: MethodOptions) -> Estimate:
-    """The spline of the size that Akaike's criterion chooses, and its Cramer-Rao deviations."""
+def identify_by_spline(task: Measurement, options: MethodOptions, look_ahead: int = 2) -> Estimate:
+    """The spline of the size that Akaike's criterion chooses, and its Cramer-Rao deviations.
+
+    So many sizes in a row without a better criterion end the growth. Raises Refusal.
+    """
     require_determined(task.subtract_unbalance(), together=True)
-    parameters, starts = _list_starts(task, options)
-    problem = SplineProblem(task, parameters, np.sqrt(2.0) / task.deviation)
+    problem, starts = _list_starts(task, options)
     fits = [_choose_start(problem, starts, options.constant)]
     n_speeds = len(task.dataset.speeds)
     for count in [] if options.constant else [*(k for k in GROWTH[1:] if k < n_speeds), n_speeds]:
         fits.append(_improve(problem, count, fits[-1].x, fits[-1].pairs))
         best = min(fits, key=lambda fit: fit.criterion)
-        if len(fits) - 1 - fits.index(best) >= _LOOK_AHEAD:
+        if len(fits) - 1 - fits.index(best) >= look_ahead:
             break
     best = min(fits, key=lambda fit: fit.criterion)
     problem = problem.reweighted(best.x, best.pairs)
     best = _fit(problem, best.basis.shape[1], best.x, best.pairs)
-    deviation = _bound_deviation(problem, best) * parameters.slope(best.x)
+    deviation = _bound_deviation(problem, best) * problem.slope(best.x)
     expected = 2 * task.dataset.displacement.size - best.n_numbers
     text = f"{best.n_numbers} numbers, chi-square {best.chi_square:.4g} where {expected} is expected"
-    text += describe_unbalance(task.unknowns.planes, parameters.unbalance(best.pairs))
+    text += describe_unbalance(task.unknowns.planes, problem.unbalance(best.pairs))
     spread = task.unknowns.from_active(deviation)
-    return make_estimate(task, parameters.values(best.x), spread, text, doubt(best.chi_square / expected))
+    return make_estimate(task, problem.values(best.x), spread, text, doubt(best.chi_square / expected))
 
 
-def _choose_start(problem: SplineProblem, starts: list[np.ndarray], constant: bool) -> _Fit:
-    """Constants; where there are several starts, the one that is best when it has become a small spline."""
-    balanced = np.zeros(problem.n_pairs)
+def _choose_start(
+    problem: SplineProblem, starts: list[np.ndarray], constant: bool, kept: int = 3, sizes: int = 4
+) -> _Fit:
+    """Constants; where there are several starts, the one of the best ``kept`` that is best when it has grown to a small
+    spline, of as many ``sizes``."""
+    balanced = np.zeros(2 * len(problem.task.unknowns.planes))
     made = sorted((_improve(problem, 1, x, balanced) for x in starts), key=lambda fit: fit.chi_square)
     if len(made) == 1 or constant:
         return made[0]
 
     def promise(fit: _Fit) -> float:
-        for count in GROWTH[1:_SMALL]:
+        for count in GROWTH[1:sizes]:
             fit = _improve(problem, count, fit.x, fit.pairs) if count < len(fit.x) else fit
         return fit.chi_square
 
-    return min(made[:_KEPT_STARTS], key=promise)
+    return min(made[:kept], key=promise)
 
 
-def _list_starts(task: Measurement, options: MethodOptions) -> tuple[Parameters, list[np.ndarray]]:
-    """Constants (S, A) to begin with: the medians of a linear answer, or the guess in several sizes."""
+def _list_starts(
+    task: Measurement,
+    options: MethodOptions,
+    guesses: tuple[float, ...] = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0),
+) -> tuple[SplineProblem, list[np.ndarray]]:
+    """Constants (S, A) to begin with: the medians of a linear answer, or ``guesses`` times the configured guess."""
     n_speeds = len(task.dataset.speeds)
     try:
         linear = task.unknowns.leading(solve_total(drop_unbalance(task), options).coefficients.values)
     except (Refusal, np.linalg.LinAlgError):
-        parameters = make_parameters(task)
-        guess = np.repeat(task.guess.sizes(task.unknowns)[:, None], n_speeds, axis=1)
-        return parameters, [
-            np.where(parameters.positive, parameters.from_values(size * guess), 0.0) for size in GUESSES
-        ]
+        sizes = task.guess.sizes(task.unknowns)
+        problem, guess = pose(task, sizes), np.repeat(sizes[:, None], n_speeds, axis=1)
+        return problem, [np.where(problem.positive, problem.from_values(size * guess), 0.0) for size in guesses]
     middle = np.median(linear, axis=1)
-    parameters = make_parameters(task, np.where(middle != 0, np.abs(middle), 1.0))
-    return parameters, [np.repeat(parameters.from_values(middle[:, None]), n_speeds, axis=0)]
+    problem = pose(task, np.where(middle != 0, np.abs(middle), 1.0))
+    return problem, [np.repeat(problem.from_values(middle[:, None]), n_speeds, axis=0)]
 
 
 def make_basis(speeds: np.ndarray, count: int) -> np.ndarray:
@@ -137,23 +197,29 @@ def make_basis(speeds: np.ndarray, count: int) -> np.ndarray:
     return np.asarray(BSpline.design_matrix(place, knots, 3).toarray())
 
 
-def _improve(problem: SplineProblem, count: int, start: np.ndarray, pairs: np.ndarray) -> _Fit:
-    """:func:`_fit`, once more where an unknown has all but vanished: as an exponential, nothing draws it back."""
+def _improve(problem: SplineProblem, count: int, start: np.ndarray, pairs: np.ndarray, vanished: float = 0.02) -> _Fit:
+    """:func:`_fit`, once more where an unknown has all but ``vanished``, over its size: as an exponential, nothing
+    draws it back."""
     fit = _fit(problem, count, start, pairs)
     x = fit.x
-    gone = problem.parameters.positive & (np.median(x, axis=0) < np.log(_VANISHED))
+    gone = problem.positive & (np.median(x, axis=0) < np.log(vanished))
     if not gone.any():
         return fit
     return min(fit, _fit(problem, count, np.where(gone, 0.0, x), fit.pairs), key=lambda tried: tried.chi_square)
 
 
-def _fit(problem: SplineProblem, count: int, start: np.ndarray, pairs: np.ndarray) -> _Fit:
-    """SciPy's trust-region least squares from the spline nearest to ``start`` (S, A), and the unbalance ``pairs``."""
+def _fit(
+    problem: SplineProblem, count: int, start: np.ndarray, pairs: np.ndarray, dense: int = 300, most: int = 60
+) -> _Fit:
+    """SciPy's trust-region least squares from the spline nearest to ``start`` (S, A), and the unbalance ``pairs``.
+
+    Up to ``dense`` numbers SciPy factorises the Jacobian; beyond, it is sparse and iterated on. ``most`` evaluations.
+    """
     from scipy.optimize import least_squares
 
     basis = make_basis(problem.task.dataset.speeds, count)
     first = np.linalg.lstsq(basis, start, rcond=None)[0]
-    large = first.size > _DENSE
+    large = first.size > dense
 
     def split(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return basis @ z[: first.size].reshape(first.shape), z[first.size :]
@@ -175,7 +241,7 @@ def _fit(problem: SplineProblem, count: int, start: np.ndarray, pairs: np.ndarra
             ftol=1e-12,
             xtol=1e-12,
             gtol=None,
-            max_nfev=_MOST_EVALUATIONS,
+            max_nfev=most,
             tr_solver="lsmr" if large else "exact",
         )
     z, rest = np.split(solution.x, [first.size])

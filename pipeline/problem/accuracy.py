@@ -20,12 +20,7 @@ import numpy as np
 from pipeline.problem.design import exchange, unknown_sizes
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.ranking import find_least
-from pipeline.problem.response import derive_by_parameters, respond
-from pipeline.rotor.bearing_table import BearingTable
-
-_PRIOR_DEVIATION = 1e3
-"""Every weight is known beforehand to within so many times the size of its unknown, so that sets of runs too small to
-determine all of them compare."""
+from pipeline.problem.slopes import ReadingSlopes
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +31,7 @@ class RunInformation:
     functions: np.ndarray  # (S, K)
     rows: np.ndarray  # (C, S, 2 P, Z) derivative of the readings over their noise by weights and parameters
     n_parameters: int  # T
+    prior_deviation: float = 1e3  # of every weight, in sizes of its unknown: sets of too few runs compare, too
 
     def deviation(self, runs: Sequence[int], every: int = 1) -> np.ndarray:
         """(S, A) relative standard deviation of the unknowns at all speeds, from ``runs`` at each ``every``-th one."""
@@ -47,7 +43,7 @@ class RunInformation:
     def _information(self, runs: Sequence[int], every: int) -> np.ndarray:
         """(Z, Z), of the priors too."""
         rows = self.rows[list(runs), ::every].reshape(-1, self.rows.shape[-1])
-        prior = np.full(self.rows.shape[-1], _PRIOR_DEVIATION**-2.0)
+        prior = np.full(self.rows.shape[-1], self.prior_deviation**-2.0)
         prior[len(prior) - self.n_parameters :] = 1.0
         return np.asarray(rows.T @ rows + np.diag(prior))
 
@@ -71,24 +67,14 @@ def run_information(plan: Measurement, count: int) -> RunInformation:
     functions = np.polynomial.chebyshev.chebvander(place, count - 1)
     sizes = unknown_sizes(plan)  # (M, S, U)
     size = np.stack([sizes[m, :, u] for m, u in unknowns.active], axis=-1)
-    by_coefficient = plan.response.sensitivity(plan.known)  # (S, P, R, B, 8)
-    by_unknown = np.einsum("sprbc,bca->spra", by_coefficient, unknowns.influence) * size[:, None, None]
+    slopes = ReadingSlopes(plan, plan.known)
+    by_unknown = slopes.by_unknown * size[:, None, None]
     by_weight = np.einsum("spra,sk->sprak", by_unknown, functions).reshape(*by_unknown.shape[:3], -1)
-    by_model = derive_by_model(plan, plan.known, by_coefficient)
-    joined = np.concatenate([by_weight, by_model], axis=-1) * (np.sqrt(2.0) / plan.deviation)[..., None]
+    joined = np.sqrt(2.0) * np.concatenate([by_weight, slopes.by_model], axis=-1)
     rows = np.concatenate([joined.real, joined.imag], axis=1)
     nodes = ["all bearings"] if unknowns.shared else [f"node {node}" for node in plan.rotor.bearing_nodes]
     names = tuple(f"{nodes[m]} {unknowns.names[u]}" for m, u in unknowns.active)
     return RunInformation(names, functions, np.moveaxis(rows, 2, 0), len(plan.parameters))
-
-
-def derive_by_model(plan: Measurement, bearings: BearingTable, by_coefficient: np.ndarray) -> np.ndarray:
-    """(S, P, R, T) derivative of the readings by the model parameters, m; ``by_coefficient`` is (S, P, R, B, 8)."""
-    by_model: np.ndarray = np.einsum("sprbc,sbct->sprt", by_coefficient, plan.known_variation).astype(complex)
-    for block, variation in zip(plan.response.blocks if plan.parameters else (), plan.variations, strict=True):
-        change = plan.response.change(bearings, block)
-        by_model[:, :, block.runs] += derive_by_parameters(variation, respond(block, change), change[None], None)[0]
-    return by_model
 
 
 @dataclass(frozen=True)

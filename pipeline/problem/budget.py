@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.response import derive_by_parameters, respond
+from pipeline.problem.slopes import ReadingSlopes
 from pipeline.rotor.bearing_table import BearingTable
 
 
@@ -22,17 +22,8 @@ def systematic_shifts(measurement: Measurement, bearings: BearingTable) -> np.nd
 
     ``bearings`` are the best at hand. None where a speed by itself does not determine the unknowns.
     """
-    by_coefficient = measurement.response.sensitivity(bearings)  # (S, P, R, B, 8)
-    by_unknown = np.einsum("sprbc,bca->spra", by_coefficient, measurement.unknowns.influence)
-    by_model = np.einsum("sprbc,sbct->sprt", by_coefficient, measurement.known_variation)
-    for block, variation in zip(measurement.response.blocks, measurement.variations, strict=True):
-        change = measurement.response.change(bearings, block)
-        by_parameters = derive_by_parameters(variation, respond(block, change), change[None], None)
-        by_model[:, :, block.runs] += by_parameters[0]
-    scaled = [
-        (slopes / measurement.deviation[..., None]).reshape(len(slopes), -1, slopes.shape[-1])
-        for slopes in (by_unknown, by_model)
-    ]
+    linear = ReadingSlopes(measurement, bearings)
+    scaled = [slopes.reshape(len(slopes), -1, slopes.shape[-1]) for slopes in (linear.by_unknown, linear.by_model)]
     unknown, model = (np.concatenate([slopes.real, slopes.imag], axis=1) for slopes in scaled)
     size = np.linalg.norm(unknown, axis=1, keepdims=True)
     if unknown.shape[1] < unknown.shape[2] or not size.all():

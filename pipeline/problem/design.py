@@ -23,10 +23,6 @@ from pipeline.problem.residual import LinearResidual, bearing_equations, linear_
 
 Criterion = Literal["A", "D"]
 
-PRIOR_DEVIATION = 1e3
-"""Every unknown is taken as known beforehand to within so many times its size, so that sets too small to determine all
-of them compare."""
-
 
 def run_information(white: LinearResidual, n_runs: int, size: np.ndarray) -> np.ndarray:
     """(C, M, S, U, U) information of each run on the unknowns relative to their ``size`` (M, S, U).
@@ -38,14 +34,16 @@ def run_information(white: LinearResidual, n_runs: int, size: np.ndarray) -> np.
     return np.asarray(np.einsum("mscriu,mscriv->rmsuv", rows, rows))
 
 
-def merit(information: np.ndarray, present: np.ndarray, criterion: Criterion) -> float:
+def merit(information: np.ndarray, present: np.ndarray, criterion: Criterion, prior_deviation: float = 1e3) -> float:
     """What a design minimises, from the information (M, S, U, U) of its runs; ``present`` (M, U).
 
-    A: logarithm of the mean variance; D: of the volume of the confidence region; means over speeds and bearings.
+    A: logarithm of the mean variance; D: of the volume of the confidence region; means over speeds and bearings. Every
+    unknown is known beforehand to within ``prior_deviation`` times its size, so that sets too small to determine all of
+    them compare.
     """
     total = 0.0
     for m, unknowns in enumerate(present):
-        determined = information[m][:, unknowns][:, :, unknowns] + np.eye(int(unknowns.sum())) / PRIOR_DEVIATION**2
+        determined = information[m][:, unknowns][:, :, unknowns] + np.eye(int(unknowns.sum())) / prior_deviation**2
         if criterion == "D":
             total -= float(np.linalg.slogdet(determined)[1].mean()) / unknowns.sum()
         else:
@@ -60,7 +58,9 @@ def choose(information: np.ndarray, present: np.ndarray, count: int, criterion: 
     )
 
 
-def exchange(merit_of: Callable[[Sequence[int]], float], n_candidates: int, count: int) -> tuple[int, ...]:
+def exchange(
+    merit_of: Callable[[Sequence[int]], float], n_candidates: int, count: int, least_gain: float = 1e-9
+) -> tuple[int, ...]:
     """The ``count`` of ``n_candidates`` of the least merit: greedily one by one, then exchanged while it falls."""
     chosen: list[int] = []
     for _ in range(count):
@@ -73,12 +73,9 @@ def exchange(merit_of: Callable[[Sequence[int]], float], n_candidates: int, coun
             others = [*chosen[:place], *chosen[place + 1 :]]
             free = [c for c in range(n_candidates) if c not in others]
             best = find_least({c: merit_of([*others, c]) for c in free})
-            if merit_of(chosen) - merit_of([*others, best]) > _LEAST_GAIN:
+            if merit_of(chosen) - merit_of([*others, best]) > least_gain:
                 chosen, improved = [*others, best], True
     return tuple(sorted(chosen))
-
-
-_LEAST_GAIN = 1e-9
 
 
 # --- what a set of runs would give -------------------------------------------------------------------
@@ -94,16 +91,13 @@ def whiten_plan(plan: Measurement, dataset: VibrationDataset, covariance: np.nda
     return whiten(linear_residual(bearing_equations(plan.rotor, dataset), plan.unknowns, plan.known), covariance)
 
 
-def unknown_sizes(plan: Measurement) -> np.ndarray:
-    """(M, S, U) sizes of the unknowns; some cross zero: no less than a hundredth of the largest of their kind."""
+def unknown_sizes(plan: Measurement, floor: float = 0.01) -> np.ndarray:
+    """(M, S, U) sizes of the unknowns; some cross zero: no less than a share ``floor`` of the largest of their kind."""
     values = np.abs(plan.known.values)
     kinds = values.reshape(*values.shape[:2], 2, 4)
-    floor = np.repeat(_FLOOR * kinds.max(axis=-1), 4, axis=-1)
+    least = np.repeat(floor * kinds.max(axis=-1), 4, axis=-1)
     leaders = [COEFFICIENTS.index(name) for name in plan.unknowns.names]
-    return np.asarray(np.maximum(values, floor)[: plan.unknowns.n_members][..., leaders])
-
-
-_FLOOR = 0.01
+    return np.asarray(np.maximum(values, least)[: plan.unknowns.n_members][..., leaders])
 
 
 def predict_deviations(plan: Measurement) -> dict[str, float]:

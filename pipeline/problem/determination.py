@@ -27,10 +27,6 @@ WEAKLY_BELOW = 0.30
 """Zero is then more than three standard deviations away: sign and order of magnitude are certain, no more."""
 
 
-_NAMED = 8
-"""So many are called by their names, as many as a bearing has; more are counted."""
-
-
 class Determination(Enum):
     """The verdict on one coefficient."""
 
@@ -56,6 +52,22 @@ class Determined:
         return Determination.WEAKLY if self.deviation < WEAKLY_BELOW else Determination.NOT
 
 
+def measure_sizes(values: np.ndarray, cross_share: float = 0.1) -> np.ndarray:
+    """(B, S, 8) N/m and N s/m: what deviations of the coefficients ``values`` are compared with.
+
+    A cross-coupled coefficient counts as ``cross_share`` of the geometric mean of its bearing's direct ones at least:
+    one that is nearly zero is known well enough where nothing feels what is unknown of it. Known to 10 % of that (95
+    %), it is known to 1 % of the direct ones; a cross stiffness of k sqrt(kxx kyy) moves a logarithmic decrement by
+    about pi k, here 0.03, where API 617 asks for a decrement of 0.1.
+    """
+    sizes = np.abs(values)
+    for first in (0, 4):  # stiffness, damping: xx, xy, yx, yy
+        direct = np.sqrt(sizes[..., first] * sizes[..., first + 3])[..., None]
+        cross = slice(first + 1, first + 3)
+        sizes[..., cross] = np.maximum(sizes[..., cross], cross_share * direct)
+    return sizes
+
+
 @dataclass(frozen=True, eq=False)
 class Deviations:
     """Coefficients with their standard deviations, and of which answer these are."""
@@ -64,11 +76,15 @@ class Deviations:
     values: np.ndarray  # (B, S, 8) N/m and N s/m; NaN where nothing is identified
     of: str  # in words: whose deviations
 
+    @property
+    def relative(self) -> np.ndarray:
+        """(B, S, 8) over their sizes; infinite where that is zero."""
+        sizes = measure_sizes(self.table.values)
+        return np.divide(self.values, sizes, out=np.full(sizes.shape, np.inf), where=sizes > 0)
+
     def judge(self) -> tuple[Determined, ...]:
         """A verdict on each coefficient that is identified, bearing by bearing."""
-        size = np.abs(self.table.values)
-        relative = np.divide(self.values, size, out=np.full(size.shape, np.inf), where=size > 0)
-        judged = []
+        relative, judged = self.relative, []
         for b, c in np.argwhere(~np.isnan(self.values).all(axis=1)):
             share = relative[b, :, c]
             lost = float(np.mean(~(share < WEAKLY_BELOW)))
@@ -76,8 +92,11 @@ class Deviations:
         return tuple(judged)
 
 
-def describe_determined(judged: Sequence[Determined]) -> str:
-    """The verdicts in words: the best first, each with its worst coefficient, and nodes where there are several."""
+def describe_determined(judged: Sequence[Determined], most_named: int = 8) -> str:
+    """The verdicts in words: the best first, each with its worst coefficient, and nodes where there are several.
+
+    More than ``most_named``, as many as a bearing has, are counted.
+    """
     several, parts = len({judgement.node for judgement in judged}) > 1, []
     for verdict in Determination:
         alike = [judgement for judgement in judged if judgement.verdict is verdict]
@@ -86,7 +105,7 @@ def describe_determined(judged: Sequence[Determined]) -> str:
         names = [f"{judgement.name} at node {judgement.node}" if several else judgement.name for judgement in alike]
         worst = rank_indices(judgement.deviation for judgement in alike)[0]
         size = f"+- {100 * alike[worst].deviation:.2g} %" if np.isfinite(alike[worst].deviation) else "no limit"
-        which = f"{len(alike)} of {len(judged)}" if len(alike) > _NAMED else ", ".join(names)
+        which = f"{len(alike)} of {len(judged)}" if len(alike) > most_named else ", ".join(names)
         which = "all" if len(alike) == len(judged) > 1 else which
         parts.append(f"{which} {verdict.value} ({f'{names[worst]} ' if len(alike) > 1 else ''}{size})")
     partly = [judgement for judgement in judged if judgement.lost and judgement.verdict is not Determination.NOT]

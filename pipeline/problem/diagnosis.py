@@ -30,16 +30,12 @@ from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise import DEPENDENT, least_squares_deviation, residual_covariance, whiten
 from pipeline.problem.ranking import rank
 from pipeline.problem.residual import LinearResidual, linear_residual, per_speed_least_squares
+from pipeline.problem.slopes import ReadingSlopes
 from pipeline.rotor.bearing_table import BearingTable
 
 UNEQUAL = np.array([1.0, 0.2, -0.3, 0.7])
 """xx, xy, yx, yy over the guess, of the bearing that few sensors are judged by: one that is the same in all directions
 would show circular orbits, from which less follows than from those of real bearings."""
-_LEARNT = 1.0
-"""A coefficient that is known to no better than itself was not determined."""
-_PRIOR_DEVIATION = 1e3
-"""Every feature is known beforehand to so many times the size of its unknown, so that what the sensors leave open has a
-finite deviation, far above 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,10 +123,8 @@ def sensor_rows(measurement: Measurement) -> tuple[np.ndarray, np.ndarray]:
     unknowns = measurement.unknowns
     shape = np.array([UNEQUAL[2 * (name[1] == "y") + (name[2] == "y")] for name in unknowns.names])
     values = np.repeat((measurement.guess.sizes(unknowns) * shape)[:, None], len(measurement.dataset.speeds), axis=1)
-    by_coefficient = measurement.response.sensitivity(measurement.table(values))  # (S, P, R, B, 8)
-    rows = np.einsum("sprbc,bca->spra", by_coefficient, unknowns.influence)
     size = np.stack([values[m, :, u] for m, u in unknowns.active], axis=-1)
-    rows = rows * size[:, None, None] * (np.sqrt(2.0) / measurement.deviation)[..., None]
+    rows = np.sqrt(2.0) * ReadingSlopes(measurement, measurement.table(values)).by_unknown * size[:, None, None]
     flat = rows.reshape(len(rows), -1, rows.shape[-1])
     return np.concatenate([flat.real, flat.imag], axis=1), values
 
@@ -171,16 +165,18 @@ def _diagnose_few_sensors(measurement: Measurement, features: np.ndarray) -> Dia
     return Diagnosis((report,), measurement.table(values), unknowns.expand_deviation(spread), by_least_squares=False)
 
 
-def _smooth_deviation(rows: np.ndarray, features: np.ndarray) -> np.ndarray:
+def _smooth_deviation(rows: np.ndarray, features: np.ndarray, prior_deviation: float = 1e3) -> np.ndarray:
     """(S, A) standard deviation over size of unknowns whose logarithms combine ``features`` (A, S, K).
 
+    Every feature is known beforehand to ``prior_deviation`` times the size of its unknown, so that what the sensors
+    leave open has a finite deviation, far above 1.
     By QR rather than by the information: what the prior alone determines lies as far below the rest as numbers go.
     """
     from scipy.linalg import solve_triangular
 
     n_active, n_speeds, count = features.shape
     by_weight = np.einsum("sna,ask->snak", rows, features).reshape(-1, n_active * count)
-    stacked = np.concatenate([by_weight, np.eye(n_active * count) / _PRIOR_DEVIATION])
+    stacked = np.concatenate([by_weight, np.eye(n_active * count) / prior_deviation])
     size = np.linalg.norm(stacked, axis=0)
     triangle = np.linalg.qr(stacked / size, mode="r")
     deviation = np.empty((n_speeds, n_active))
@@ -193,14 +189,15 @@ def _smooth_deviation(rows: np.ndarray, features: np.ndarray) -> np.ndarray:
 
 
 def _judge_few_sensors(
-    labels: tuple[str, ...], rank: np.ndarray, relative: np.ndarray, n_channels: int
+    labels: tuple[str, ...], rank: np.ndarray, relative: np.ndarray, n_channels: int, learnt: float = 1.0
 ) -> tuple[Solvability, str]:
+    """``learnt`` is the deviation over size from which on a coefficient was not determined."""
     wanted = len(labels)
     if (rank == wanted).all():
         return Solvability.IDENTIFIABLE, ""
     sensors = "the only sensor does" if n_channels == 1 else f"the {n_channels} sensors do"
     missing = int((rank < wanted).sum())
-    unknown = [label for label, deviation in zip(labels, relative, strict=True) if deviation > _LEARNT]
+    unknown = [label for label, deviation in zip(labels, relative, strict=True) if deviation > learnt]
     if not unknown:
         return (
             Solvability.ACROSS_SPEEDS,

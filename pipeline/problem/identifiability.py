@@ -78,19 +78,18 @@ class Identifiability:
             f", because {self.reason}" if self.reason else ""
         )
 
-    def free_combination(self) -> str:
-        """The least determined combination at the speed of the median condition, such as ``0.71 kxx - 0.70 kxy``."""
+    def free_combination(self, least: float = 0.1) -> str:
+        """The least determined combination at the speed of the median condition, such as ``0.71 kxx - 0.70 kxy``.
+
+        Shares below ``least`` are left out.
+        """
         vector = self.free[int(np.argsort(self.condition)[len(self.condition) // 2])]
         shares = dict(zip(self.unknowns, vector, strict=True))
         order = rank({name: abs(share) for name, share in shares.items()})
         sign = np.sign(shares[order[0]])
-        shown = [(name, sign * shares[name]) for name in order if abs(shares[name]) >= _SHOWN]
+        shown = [(name, sign * shares[name]) for name in order if abs(shares[name]) >= least]
         phrases = [f"{'-' if share < 0 else '+'} {abs(share):.2f} {name}" for name, share in shown]
         return " ".join(phrases).removeprefix("+ ")
-
-
-_SHOWN = 0.1
-"""Share below which an unknown is left out of the words for a combination."""
 
 
 def judge_identifiability(

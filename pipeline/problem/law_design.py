@@ -16,11 +16,6 @@ from pipeline.problem.design import exchange
 from pipeline.problem.law_information import LawInformation
 from pipeline.problem.ranking import find_least
 
-_MOST_SETS = 2000
-"""Sets of states that are tried one by one; of more, single states are exchanged."""
-_MEAN = 1e-3
-"""Weight of the mean beside the worst number: of two plans whose worst is the same, the better one."""
-
 
 @dataclass(frozen=True, eq=False)
 class LawCandidates:
@@ -38,10 +33,10 @@ class LawCandidates:
         """Relative deviation of the number among the wanted ones that is known least."""
         return float(self.with_runs(states, runs).deviation[self.wanted].max())
 
-    def merit(self, states: Sequence[int], runs: Sequence[int]) -> float:
-        """Smaller is better."""
+    def merit(self, states: Sequence[int], runs: Sequence[int], mean_weight: float = 1e-3) -> float:
+        """Smaller is better; the mean decides between two plans whose worst number is the same."""
         deviation = self.with_runs(states, runs).deviation[self.wanted]
-        return float(deviation.max() + _MEAN * deviation.mean())
+        return float(deviation.max() + mean_weight * deviation.mean())
 
 
 @dataclass(frozen=True)
@@ -68,16 +63,17 @@ def plan_by_states(candidates: LawCandidates, most_states: int, most_runs: int, 
     return plans
 
 
-def _choose_states(candidates: LawCandidates, count: int) -> tuple[int, ...]:
+def _choose_states(candidates: LawCandidates, count: int, most_sets: int = 2000) -> tuple[int, ...]:
+    """The best states; of more than ``most_sets`` sets not each is tried, but single states are exchanged."""
     n_states, n_runs = candidates.readings.shape[:2]
 
     def merit(states: Sequence[int]) -> float:
         return candidates.merit(states, range(n_runs))
 
-    sets = list(itertools.islice(itertools.combinations(range(n_states), count), _MOST_SETS + 1))
+    sets = list(itertools.islice(itertools.combinations(range(n_states), count), most_sets + 1))
     return (
         exchange(merit, n_states, count)
-        if len(sets) > _MOST_SETS
+        if len(sets) > most_sets
         else find_least({chosen: merit(chosen) for chosen in sets})
     )
 

@@ -22,19 +22,13 @@ from pipeline.errors import IdentifiabilityError
 from pipeline.laws.law_set import LawSet
 from pipeline.laws.numbers import LawParameter
 from pipeline.laws.points import OIL_TEMPERATURE
-from pipeline.problem.accuracy import derive_by_model
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.ranking import rank, rank_indices
+from pipeline.problem.slopes import ReadingSlopes
 from pipeline.rotor.bearing_table import BearingTable
 
 FURTHER = 15.0
 """K that one more oil temperature lies above the highest one."""
-_OPEN = 0.5
-"""A number of which the data leave this share of its prior deviation, or more, is not told by them."""
-_LEADING = 0.2
-"""Members of a combination with a share below this one are not named."""
-_SAME_OIL = 0.01
-"""What changes the viscosity by less than this share anywhere can't be read from it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +38,8 @@ class LawInformation:
     parameters: tuple[LawParameter, ...]  # Th
     readings: np.ndarray  # (Z, Z) information of the readings
     n_parameters: int  # T
+    untold: float = 0.5  # share of its prior deviation, from which on a number is not told by the data
+    leading: float = 0.2  # share in a combination, below which a number is not named
 
     def plus(self, readings: np.ndarray) -> LawInformation:
         """With the information (Z, Z) of more readings."""
@@ -77,7 +73,7 @@ class LawInformation:
     @property
     def determined(self) -> np.ndarray:
         """(Th,) bool: whether the readings tell it."""
-        return np.asarray(self.deviation < _OPEN * self.prior)
+        return np.asarray(self.deviation < self.untold * self.prior)
 
     @property
     def free(self) -> tuple[dict[str, float], ...]:
@@ -87,7 +83,7 @@ class LawInformation:
         one has the number that leads another.
         """
         left, vectors = np.linalg.eigh(self.covariance / np.outer(self.prior, self.prior))
-        open_ = vectors[:, left >= _OPEN**2]
+        open_ = vectors[:, left >= self.untold**2]
         count = open_.shape[1]
         if not count:
             return ()
@@ -98,7 +94,7 @@ class LawInformation:
             by_name = {parameter.name: float(share) for parameter, share in zip(self.parameters, shares, strict=True)}
             order = rank({name: abs(share) for name, share in by_name.items()})
             sign = np.sign(by_name[order[0]])
-            combinations.append({name: sign * by_name[name] for name in order if abs(by_name[name]) >= _LEADING})
+            combinations.append({name: sign * by_name[name] for name in order if abs(by_name[name]) >= self.leading})
         return tuple(combinations)
 
 
@@ -127,14 +123,10 @@ def add_rows(rows: np.ndarray) -> np.ndarray:
 def law_rows(measurement: Measurement) -> np.ndarray:
     """(S, P, R, Z) complex derivative of the readings over their noise."""
     values, slopes = _evaluate(measurement)
-    bearings = measurement.table(values)
-    by_coefficient = measurement.response.sensitivity(bearings)  # (S, P, R, B, 8)
-    by_unknown = np.einsum("sprbc,bca->spra", by_coefficient, measurement.unknowns.influence)
+    readings = ReadingSlopes(measurement, measurement.table(values))
     active = np.stack([slopes[m, :, u] for m, u in measurement.unknowns.active], axis=1)  # (S, A, Th)
-    by_plane = measurement.response.derive_by_unbalance(bearings)
-    parts = [np.einsum("spra,sat->sprt", by_unknown, active), by_plane, 1j * by_plane]
-    parts.append(derive_by_model(measurement, bearings, by_coefficient))
-    return np.asarray(np.concatenate(parts, axis=-1) * (np.sqrt(2.0) / measurement.deviation)[..., None])
+    by_number, by_plane = np.einsum("spra,sat->sprt", readings.by_unknown, active), readings.by_unbalance
+    return np.asarray(np.sqrt(2.0) * np.concatenate([by_number, by_plane, 1j * by_plane, readings.by_model], axis=-1))
 
 
 def guess_table(laws: LawSet, speeds: np.ndarray, operating: Mapping[str, np.ndarray]) -> BearingTable:
@@ -175,8 +167,11 @@ def try_warmer(measurement: Measurement) -> tuple[np.ndarray, LawInformation] | 
     return warmer, inform(measurement).plus(add_rows(more))
 
 
-def require_temperatures(laws: LawSet, operating: Mapping[str, np.ndarray]) -> None:
-    """Raise IdentifiabilityError where the oil temperatures (S,) in K leave a number of the oil unread."""
+def require_temperatures(laws: LawSet, operating: Mapping[str, np.ndarray], same_oil: float = 0.01) -> None:
+    """Raise IdentifiabilityError where the oil temperatures (S,) in K leave a number of the oil unread.
+
+    What changes the viscosity by less than the share ``same_oil`` anywhere can't be read from it.
+    """
     import torch
 
     oil = [i for i, parameter in enumerate(laws.parameters) if parameter.name.startswith("oil.")]
@@ -186,10 +181,10 @@ def require_temperatures(laws: LawSet, operating: Mapping[str, np.ndarray]) -> N
     theta = torch.zeros(1, len(laws.parameters), dtype=torch.float64)
     slopes = laws.oil.log_viscosity(theta, torch.from_numpy(temperature.copy()))[1][0, :, oil].numpy()
     singular = np.linalg.svd(slopes / np.sqrt(len(slopes)), compute_uv=False)
-    if len(singular) == len(oil) and singular[-1] >= _SAME_OIL:
+    if len(singular) == len(oil) and singular[-1] >= same_oil:
         return
     names = [laws.parameters[i].name for i in oil]
-    low, high = temperature.min() - _ZERO_CELSIUS, temperature.max() - _ZERO_CELSIUS
+    low, high = temperature.min() - 273.15, temperature.max() - 273.15
     came = f"all readings are at {low:.4g} degC" if high - low < 1 else f"they are at {low:.4g} to {high:.4g} degC"
     needed = "two" if len(oil) < 3 else "three"
     raise IdentifiabilityError(
@@ -197,9 +192,6 @@ def require_temperatures(laws: LawSet, operating: Mapping[str, np.ndarray]) -> N
         f"oil temperature, {FURTHER:g} K apart, or give {names[-1]} in machine.laws as a known number (force=true fits "
         "all the same, and leaves to the guess what the data do not tell)"
     )
-
-
-_ZERO_CELSIUS = 273.15
 
 
 def _laws_of(measurement: Measurement) -> LawSet:

@@ -81,7 +81,7 @@ USUAL = {
     "probe_angle": np.pi / 180,
 }
 """Standard deviations of what is never known exactly, where the configuration states none: steel varies by 1 %, a trial
-weight and its place are off by 2 % and 2 degrees (docs/model_error.md), the scale of a proximity probe by 5 % at most
+weight and its place are off by 2 % and 2 degrees (docs/noise.md), the scale of a proximity probe by 5 % at most
 (API 670)."""
 
 

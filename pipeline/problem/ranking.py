@@ -9,16 +9,16 @@ from typing import Any, TypeVar
 
 Name = TypeVar("Name", bound=Any)
 
-ALIKE = 1e-6
-"""Neighbours in size that differ by this share, or less, tie: far above rounding, far below what anybody reads."""
 
+def rank(sizes: Mapping[Name, float], alike: float = 1e-6) -> list[Name]:
+    """The names, the largest size first; those whose sizes tie go by name, and what is no number comes last.
 
-def rank(sizes: Mapping[Name, float]) -> list[Name]:
-    """The names, the largest size first; those whose sizes tie go by name, and what is no number comes last."""
+    Neighbours that differ by a share ``alike`` tie: far above rounding, far below what anybody reads.
+    """
     order = sorted(sizes, key=lambda name: (math.isnan(sizes[name]), -sizes[name]))
     groups = [order[:1]]
     for before, after in pairwise(order):
-        if math.isclose(sizes[before], sizes[after], rel_tol=ALIKE) or math.isnan(sizes[before]):
+        if math.isclose(sizes[before], sizes[after], rel_tol=alike) or math.isnan(sizes[before]):
             groups[-1].append(after)
         else:
             groups.append([after])

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.balance.estimates import Estimates
+from pipeline.balance.unbalance import Estimates
 from pipeline.ingest.source_units import GRAM_MILLIMETRE, SourceUnits
 from pipeline.reporting.figures import BLUE, GREY, ORANGE, open_figure
 

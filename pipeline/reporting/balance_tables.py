@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from pipeline.balance.bands import bound_size
-from pipeline.balance.estimates import Estimates
-from pipeline.balance.records_prediction import PredictedRecords
+from pipeline.balance.records import PredictedRecords
 from pipeline.balance.sheet import BalanceSheet
 from pipeline.balance.tolerance import Tolerance
+from pipeline.balance.unbalance import Estimates
 from pipeline.data.vibration_files import to_rpm
 from pipeline.ingest.records import Records
 from pipeline.ingest.source_units import GRAM_MILLIMETRE, SourceUnits

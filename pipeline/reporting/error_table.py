@@ -10,10 +10,10 @@ import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.evaluation.errors import CoefficientErrors
-from pipeline.identification.quality import MISMATCH
-from pipeline.problem.determination import Determined, describe_determined, read_determined
+from pipeline.problem.determination import Deviations, describe_determined, read_determined
 from pipeline.reporting.console import table
 from pipeline.rotor.bearing_table import BearingTable
+from pipeline.trust.misfit import describe_held_out, measure_misfit
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -34,6 +34,8 @@ def make_error_table(
     import pandas as pd
 
     rows = []
+    judged = () if deviation is None else Deviations(answer, deviation, "").judge()
+    verdicts = {(determined.node, determined.name): determined.verdict.value for determined in judged}
     for b, node in enumerate(answer.nodes):
         for name in names[b]:
             if errors is not None and name not in errors[node]:
@@ -49,7 +51,7 @@ def make_error_table(
             if deviation is not None:
                 c = COEFFICIENTS.index(name)
                 row["median_std_percent"] = float(100 * np.median(deviation[b, :, c] / np.abs(answer.values[b, :, c])))
-                row["verdict"] = Determined(node, name, row["median_std_percent"] / 100).verdict.value
+                row["verdict"] = verdicts[node, name]
             rows.append(row)
     return pd.DataFrame(rows)
 
@@ -85,9 +87,13 @@ def _format(column: str, value: float | str) -> str:
     return f"{value / 1e5:.5f}e5" if column in ("modelled", "identified") else f"{value:.2g}"
 
 
-def describe_verdicts(determined: Mapping[str, Any]) -> str:
-    """Say how well each coefficient is determined, from ``determined`` of ``training.json``."""
-    return f"{determined['by']}: {describe_determined(read_determined(determined['coefficients']))}"
+def describe_verdicts(about: Mapping[str, Any]) -> str:
+    """Say how well each coefficient is determined, from ``determined`` of ``training.json``, and whether its ``fit``
+    lets that count."""
+    determined = about["determined"]
+    text = f"{determined['by']}: {describe_determined(read_determined(determined['coefficients']))}"
+    misfit = None if "fit" not in about else measure_misfit(about["fit"])
+    return text if misfit is None or misfit.explained() else f"were the model right, {text}; but {misfit.sentence}"
 
 
 def describe_quality(quality: Mapping[str, Any]) -> str:
@@ -103,18 +109,10 @@ def describe_quality(quality: Mapping[str, Any]) -> str:
         f"whiteness: neighbouring speeds correlate by {white['autocorrelation']:.3f} "
         f"({white['over_its_deviation']:+.1f} standard deviations from none); {fit['bad_points']} readings far off",
     ]
-    probability = fit["mismatch"]["probability"]
-    if probability is not None:
-        explained = "explain" if probability >= MISMATCH else "do not explain"
-        lines.append(
-            f"the model and the stated noise {explained} the readings (such deviations, or larger ones, have the "
-            f"probability {probability:.2g})"
-        )
+    lines.append(measure_misfit(fit).sentence)
     for kind in ("held_out_speeds", "held_out_runs"):
         if kind in fit:
-            held = fit[kind]
-            lines.append(
-                f"{kind.replace('held_out_', 'held-out ')}: predicted to {held['error_percent']:.3g} % (root mean "
-                f"square), mean square over the noise {held['mean_square_over_noise']:.3f}, where 1 is expected"
-            )
+            square = fit[kind]["mean_square_over_noise"]
+            beside = f" (root mean square), mean square over the noise {square:.3f}, where 1 is expected"
+            lines.append(describe_held_out(kind, fit[kind], 3) + (beside if square is not None else ""))
     return "\n".join(lines)

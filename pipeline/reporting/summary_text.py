@@ -21,7 +21,9 @@ from pipeline.reporting.error_table import describe_verdicts
 from pipeline.reporting.write_numbers import format_deviation, format_engineering
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
+from pipeline.trust.misfit import describe_held_out, measure_misfit
 from pipeline.twin.mode_deviations import Behaviour
+from pipeline.twin.modes import Stability
 from pipeline.twin.prediction import PredictedVibration
 from pipeline.units import RAD_S_PER_RPM
 
@@ -58,6 +60,7 @@ class Results:
     unknowns: Sequence[Sequence[str]]  # of each bearing
     deviation: np.ndarray | None  # (B, S, 8), N/m and N s/m; None where the fit states none
     training: Mapping[str, Any]  # training.json
+    judged: Mapping[str, Any]  # the whole, of verdicts.json
     shown: ShownRun
     vibration: Mapping[str, PredictedVibration]  # of the unbalance that no run has, by system
     behaviour: Behaviour  # of the identified system
@@ -93,6 +96,7 @@ class Results:
 def write_summary(config: Config, results: Results, picture: Path) -> str:
     """Write the whole screen; it ends with a newline."""
     head = _wrap(f"{config.name}: {config.description}", "", 1)
+    rejected = "OF A REJECTED MODEL: " if results.judged["reservation"] else ""
     parts = [
         *_wrap_entry("machine", _describe_machine(config, results)),
         *_wrap_entry("data", _describe_data(config, results)),
@@ -100,12 +104,12 @@ def write_summary(config: Config, results: Results, picture: Path) -> str:
         *_list_coefficients(config, results),
         "",
         *(_wrap_entry("numbers", "; ".join(results.numbers)) if results.numbers else ()),
-        *_wrap_entry("verdict", describe_verdicts(results.training["determined"])),
+        *_wrap_entry("verdict", _describe_verdict(results)),
         *_wrap_entry("fit", _describe_fit(results.training)),
         *_wrap_entry("", _describe_run(results)),
-        *_wrap_entry("critical", _list_critical_speeds(results)),
-        *_wrap_entry("stability", _describe_stability(results.behaviour)),
-        *_wrap_entry("prediction", _describe_prediction(config, results)),
+        *_wrap_entry("critical", rejected + _list_critical_speeds(results)),
+        *_wrap_entry("stability", rejected + _describe_stability(results.behaviour)),
+        *_wrap_entry("prediction", rejected + _describe_prediction(config, results)),
         *[line for text in results.beyond for line in _wrap_entry("beyond", f"{text}: the bands grow there")],
         f"{'picture':<{len(_INDENT)}}{picture}",
     ]
@@ -182,6 +186,13 @@ def _list_coefficients(config: Config, results: Results) -> list[str]:
     return lines
 
 
+def _describe_verdict(results: Results) -> str:
+    """The Judgement of the whole, and how well the coefficients are determined."""
+    judged = results.judged
+    text = judged["reservation"] or f"{judged['verdict']}: {judged['reason'].rstrip('.')}"
+    return f"{text}; {describe_verdicts(results.training)}"
+
+
 def _describe_fit(training: Mapping[str, Any]) -> str:
     """Say what the fit leaves over, and how well it predicts what was held out."""
     if "fit" not in training:
@@ -194,9 +205,10 @@ def _describe_fit(training: Mapping[str, Any]) -> str:
         f"chi-square {square['value']:.0f}, where {square['expected']:.0f} is expected: the readings lie "
         f"{math.sqrt(square['value'] / square['expected']):.2f} times as far off as their noise"
     )
-    if "held_out_speeds" in fit:
-        text += f"; held-out speeds predicted to {fit['held_out_speeds']['error_percent']:.2g} %"
-    return text
+    misfit = measure_misfit(fit)
+    text += "" if misfit.explained() else f"; {misfit.sentence}"
+    kind = "held_out_speeds"
+    return text + (f"; {describe_held_out(kind, fit[kind])}" if kind in fit else "")
 
 
 def _describe_run(results: Results) -> str:
@@ -220,12 +232,13 @@ def _list_critical_speeds(results: Results) -> str:
 
 
 def _describe_stability(behaviour: Behaviour) -> str:
-    margin, known_to = (
-        behaviour.margin,
-        (None, None) if behaviour.deviations is None else behaviour.deviations.of_margin(behaviour.margin),
-    )
+    margin, known_to = behaviour.margin, behaviour.margin_deviations
     growth = format_deviation(margin.largest_growth, known_to[0])
-    verdict = "stable at all speeds" if margin.stable else f"UNSTABLE, growth {growth} 1/s"
+    verdict = {
+        Stability.STABLE: "stable at all speeds",
+        Stability.NOT_TOLD: f"at the edge of stability, growth {growth} 1/s: not told from none",
+        Stability.UNSTABLE: f"UNSTABLE, growth {growth} 1/s",
+    }[behaviour.stability]
     if margin.smallest_logarithmic_decrement is None or margin.at_speed is None:
         return f"{verdict}; no whirling mode below twice the top speed"
     decrement = format_deviation(margin.smallest_logarithmic_decrement, known_to[1])

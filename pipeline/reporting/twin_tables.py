@@ -29,12 +29,13 @@ def summarize_modes(behaviour: Behaviour, running_rpm: float) -> dict[str, objec
     margin = behaviour.margin
     stability: dict[str, object] = {
         "stable": margin.stable,
+        "verdict": behaviour.stability.value,
         "largest_growth": margin.largest_growth,
         "smallest_logarithmic_decrement": margin.smallest_logarithmic_decrement,
         "at_rpm": None if margin.at_speed is None else margin.at_speed / RAD_S_PER_RPM,
     }
     if behaviour.deviations is not None:
-        growth, decrement = behaviour.deviations.of_margin(margin)
+        growth, decrement = behaviour.margin_deviations
         stability |= {"largest_growth_std": growth, "smallest_logarithmic_decrement_std": decrement}
     critical = {f"{i + 1}": _summarize_critical(behaviour, i, running_rpm) for i in range(len(behaviour.critical))}
     return {"critical_speeds": critical, "stability": stability}

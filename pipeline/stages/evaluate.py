@@ -70,7 +70,7 @@ def run(config: Config) -> StageOutput:
     written.append(write_table(work.folder / "coefficient_errors.csv", rows))
     print_error_table(config.name, rows)
     if "determined" in quality:
-        say(f"{config.name}: {describe_verdicts(quality['determined'])}")
+        say(f"{config.name}: {describe_verdicts(quality)}")
     loss = loss_of(config.loss)
     if modelled is None or loss.weighs_noise:
         say(f"{config.name}: {describe_quality(quality)}")
@@ -127,10 +127,10 @@ def _judge_held_out(
             (what, "interpolation") if held_out.run is None else (f"run {held_out.run}", "influence coefficients")
         )
         said = "no answer" if held_out.rival is None else f"{held_out.rival:.3g} %"
-        say(
-            f"{config.name}: held-out {what}: predicted to {held_out.model:.3g} % (root mean square); "
-            f"by {rival}: {said}"
-        )
+        told = "no prediction, since coefficients leave all bounds where nothing was fitted"
+        if held_out.model is not None:
+            told = f"predicted to {held_out.model:.3g} % (root mean square)"
+        say(f"{config.name}: held-out {what}: {told}; by {rival}: {said}")
         summary[what] = {"model_error_percent": held_out.model, "rival": rival, "rival_error_percent": held_out.rival}
     return summary
 

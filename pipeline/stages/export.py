@@ -27,6 +27,7 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_identified, load_measurement, update_measurement
 from pipeline.stages.predict import list_unseen
+from pipeline.stages.verdict import say_reservation
 from pipeline.stages.workspace import locate_files
 from pipeline.twin.at_conditions import evaluate_at, require_conditions
 from pipeline.twin.prediction import predict
@@ -46,8 +47,10 @@ def run(config: Config) -> StageOutput:
         Number(name=number.label, value=number.value, std=number.deviation, unit=number.unit) for number in physical
     ]
     notes: list[str] = []
+    reservation = say_reservation(config, measurement)
     folder = write_folder(
-        work.folder / "export", lambda beside: notes.extend(_write(beside, config, updated, states, numbers))
+        work.folder / "export",
+        lambda beside: notes.extend(_write(beside, config, updated, states, numbers, reservation)),
     )
     written = sorted(folder.iterdir())
     say("\n".join([f"{config.name}: {len(written)} files in '{folder}'", *notes]))
@@ -87,11 +90,22 @@ def _export_at(
 
 
 def _write(
-    folder: Path, config: Config, updated: Measurement, states: Sequence[Exported], numbers: Sequence[Number]
+    folder: Path,
+    config: Config,
+    updated: Measurement,
+    states: Sequence[Exported],
+    numbers: Sequence[Number],
+    reservation: str,
 ) -> list[str]:
-    """Every format that is asked for; what there is to say of them. ``updated`` is at the fitted model parameters."""
+    """Every format that is asked for; what there is to say of them. ``updated`` is at the fitted model parameters.
+
+    A ``reservation`` stands in the conventions, and in a file whose name nobody overlooks.
+    """
     formats, notes = config.export.formats, []
-    write_text(folder / "conventions.txt", "\n".join(list_conventions(states)) + "\n")
+    warning = [reservation] if reservation else []
+    write_text(folder / "conventions.txt", "\n".join([*warning, *list_conventions(states)]) + "\n")
+    if reservation:
+        write_text(folder / "MODEL_REJECTED.txt", reservation + "\n")
     if "csv" in formats:
         write_table(folder / "coefficients.csv", tabulate(*states))
         if numbers:

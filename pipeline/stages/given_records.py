@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.balance.records_prediction import predict_records
+from pipeline.balance.records import predict_records
 from pipeline.config.records import RecordsConfig
 from pipeline.config.schema import Config
 from pipeline.data.tables import list_columns, read_table, write_table
@@ -15,7 +15,7 @@ from pipeline.ingest.table import read_format
 from pipeline.reporting.balance_tables import tabulate_predicted
 from pipeline.reporting.console import say
 from pipeline.stages.execution import StageOutput
-from pipeline.stages.vibration_models import list_missing, load_models, load_records, pick_method
+from pipeline.stages.vibration_models import list_missing, load_models, load_records
 from pipeline.stages.workspace import locate_files
 
 
@@ -24,7 +24,7 @@ def run(config: Config) -> StageOutput:
     file = config.predict.records or ""
     records = load_records(config, file, "predict.records")
     fitted = load_models(config)
-    method = pick_method(fitted.models, config.predict.method, "predict.method")
+    method = fitted.pick(config.predict.method, "predict.method")
     predicted = predict_records(records, fitted.models[method])
     recordings = config.machine.recordings
     assert isinstance(recordings, RecordsConfig)  # load_records has seen to it

@@ -27,6 +27,7 @@ from pipeline.rotor.model import translation_dof
 from pipeline.rotor.stored import load_modelled_bearings
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_identified, load_measurement, load_modelled, update_measurement
+from pipeline.stages.verdict import say_reservation
 from pipeline.stages.workspace import locate_files, require_nodes
 from pipeline.twin.at_conditions import (
     evaluate_at,
@@ -126,6 +127,7 @@ def run(config: Config) -> StageOutput:
     vibration, at = dict(twin.vibration), twin.at
     running = config.machine.prediction.speed_rpm
     summary: dict[str, Any] = {name: summarize_modes(behaviour, running) for name, behaviour in twin.behaviour.items()}
+    summary["reservation"] = say_reservation(config, measurement)
     beyond = say_beyond(measurement.dataset.operating, twin.operating)
     if twin.operating:
         summary |= {"operating": dict(twin.operating), "outside_measured": beyond}

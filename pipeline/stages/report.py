@@ -27,6 +27,7 @@ from pipeline.reporting.report.sections import list_sections
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_identified, load_measurement, load_modelled, update_measurement
 from pipeline.stages.predict import OPERATING, choose_operating
+from pipeline.stages.verdict import load_judgement
 from pipeline.stages.workspace import Workspace, locate_files
 from pipeline.tracking.provenance import describe_provenance
 from pipeline.twin.at_conditions import evaluate_at, say_beyond
@@ -78,16 +79,15 @@ def collect_content(config: Config) -> ReportContent:
     reference = None if config.report.reference is None else _read_reference(Path(config.report.reference))
     fit = _read_fit(config, measurement)
     _make_current(config, work, fit)
-    names = {"ingest", "diagnosis"} | ({"training", "metrics", "prediction", "verdicts"} if fit else set())
+    names = {"ingest", "diagnosis"} | ({"training", "metrics", "prediction"} if fit else set())
     contents = {name: work.folder / f"{name}.json" for name in names}
-    if fit is not None and _is_older(contents["verdicts"], work.training):
-        del contents["verdicts"]
+    judged = {} if fit is None else {"verdicts": load_judgement(config, measurement)}
     return ReportContent(
         config=config,
         measurement=measurement,
         fit=fit,
         waveforms=_read_waveforms(config),
-        files={name: read_json(path) for name, path in contents.items() if path.exists()},
+        files={name: read_json(path) for name, path in contents.items() if path.exists()} | judged,
         tables={} if fit is None else _read_tables(work),
         reference=reference,
         origin=_describe_origin(config, work, measurement),

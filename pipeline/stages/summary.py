@@ -21,6 +21,7 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_measurement, load_modelled, update_measurement
 from pipeline.stages.predict import Twin, build_twin
+from pipeline.stages.verdict import load_judgement
 from pipeline.stages.workspace import locate_files
 from pipeline.twin.at_conditions import say_beyond
 
@@ -51,6 +52,7 @@ def _collect_results(config: Config, measurement: Measurement, twin: Twin, train
         unknowns=twin.identified.unknowns.by_bearing,
         deviation=None if uncertainty is None else uncertainty.deviation(twin.identified, data.speeds, data.operating),
         training=training,
+        judged=load_judgement(config, measurement)["machine"],
         shown=_choose_run(config, measurement, identified, uncertainty),
         vibration=twin.vibration,
         behaviour=twin.behaviour["identified"],

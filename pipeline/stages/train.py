@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -24,9 +23,10 @@ from pipeline.identification.quality import FAR_FROM_EXPECTED, finite
 from pipeline.identification.storage import save_model
 from pipeline.identification.training import setup_of
 from pipeline.identification.uncertainty import Uncertainty, save_uncertainty
-from pipeline.problem.determination import Deviations, describe_determined, summarize_determined
+from pipeline.problem.determination import Deviations, summarize_determined
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, training_progress, warn
+from pipeline.reporting.error_table import describe_verdicts
 from pipeline.reporting.model_error import print_parameters
 from pipeline.reporting.physical_numbers import describe_law, list_numbers, print_numbers
 from pipeline.reporting.write_numbers import write_value
@@ -35,6 +35,7 @@ from pipeline.stages.diagnose import describe_noise, say_diagnosis
 from pipeline.stages.execution import StageOutput, use_threads
 from pipeline.stages.measurement import load_measurement, update_measurement
 from pipeline.stages.workspace import locate_files
+from pipeline.trust.misfit import measure_misfit
 
 
 def say_promoted(config: Config) -> None:
@@ -94,12 +95,11 @@ def run(config: Config) -> StageOutput:
     after = _deviations(config, measurement, fitted) or replace(
         expected, of=f"at {describe_noise(config)}, {expected.of}"
     )
-    judged = after.judge()
-    determined = {"by": after.of, "coefficients": summarize_determined(judged)}
+    determined = {"by": after.of, "coefficients": summarize_determined(after.judge())}
     summary = _summarize(fitted) | {"determined": determined}
     files = _write(config, measurement, fitted, summary)
     _report(config, fitted)
-    say(f"{config.name}: {after.of}: {describe_determined(judged)}")
+    say(f"{config.name}: {describe_verdicts(summary)}")
     return StageOutput(
         metrics={"training": summary | {"seconds": fitted.seconds}},
         tags={"data_fingerprint": measurement.dataset.fingerprint, "outcome": fitted.outcome.label},
@@ -215,11 +215,11 @@ def _report(config: Config, fitted: Fit) -> None:
     print_numbers(config.name, list_numbers(summary.get("physical_numbers", {}), config))
     for text in describe_law(summary, config.model.kind):
         say(f"{config.name}: {text}")
-    misfit = fitted.quality.misfit
+    misfit = measure_misfit(summary["fit"]) if "fit" in summary else None
     # NaN compares false.
-    if misfit is not None and not misfit < FAR_FROM_EXPECTED:
+    if misfit is not None and not misfit.explained() and not misfit.size < FAR_FROM_EXPECTED:
         warn(
-            f"{config.name}: the readings lie {math.sqrt(misfit):.2g} times as far from "
+            f"{config.name}: the readings lie {misfit.distance:.2g} times as far from "
             "the fit as their noise; state the noise as it is (stated_noise.additive is its floor), or check units, "
             "conventions, rotor and excitation"
         )

@@ -15,19 +15,20 @@ from pipeline.files import read_json, write_json
 from pipeline.identification.held_out import held_out_conditions, held_out_range, held_out_runs
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.losses import loss_of
+from pipeline.identification.quality import MISMATCH
 from pipeline.identification.training import held_out_speeds
 from pipeline.identification.uncertainty import Uncertainty, load_uncertainty
 from pipeline.problem.measurement import Measurement
-from pipeline.reporting.console import say, table
+from pipeline.reporting.console import say, table, warn
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_identified, load_measurement, update_measurement
 from pipeline.stages.planned_runs import list_candidates
 from pipeline.stages.workspace import locate_files
 from pipeline.trust.evidence import Evidence, gather
+from pipeline.trust.judgement import AS_FELT, judge, refuse_without_deviations
 from pipeline.trust.mistakes import WORTH_TRYING, Found, Probe, find_mistakes
 from pipeline.trust.next_run import weigh_candidates
-from pipeline.trust.report import judge, refuse_without_deviations
-from pipeline.trust.verdict import SIGNIFICANT, judge_law, judge_mistakes
+from pipeline.trust.verdict import find_contradicted, judge_contradiction, judge_mistakes
 
 
 def run(config: Config) -> StageOutput:
@@ -49,15 +50,42 @@ def run(config: Config) -> StageOutput:
     )
 
 
+def load_judgement(config: Config, measurement: Measurement) -> dict[str, Any]:
+    """The record of the Judgement on the fit at hand: what ``verdicts.json`` has, made anew where it is of another."""
+    work = locate_files(config)
+    if (path := work.folder / "verdicts.json").exists():
+        judged = read_json(path, "make it again with stage=verdict")
+        if judged.get("model") == read_json(work.training, "train again with stage=train")["model"]:
+            return judged
+    return judge_measurement(config, measurement)
+
+
+def say_reservation(config: Config, measurement: Measurement) -> str:
+    """What is to be said beside everything that follows from a rejected model, and a warning; empty for others."""
+    reservation: str = load_judgement(config, measurement)["machine"]["reservation"]
+    if reservation:
+        warn(f"{config.name}: {reservation}")
+    return reservation
+
+
 def judge_measurement(config: Config, measurement: Measurement) -> dict[str, Any]:
-    """The verdicts on what was identified from the measurement, training first where that is missing."""
+    """The record of the Judgement on what was identified, training first where that is missing."""
     identified = load_identified(config, measurement)
     work = locate_files(config)
     uncertainty = load_uncertainty(work.folder, identified)
-    if uncertainty is None:
-        return refuse_without_deviations(measurement.rotor.bearing_nodes, identified.unknowns.by_bearing)
     about = read_json(work.training, "train again with stage=train")
-    return assess(config, measurement, identified, uncertainty, about)[0]
+    if uncertainty is None:
+        nodes, felt = measurement.rotor.bearing_nodes, _may_have_supports(config)
+        judged = refuse_without_deviations(nodes, identified.unknowns.by_bearing, felt).record()
+    else:
+        judged = assess(config, measurement, identified, uncertainty, about)[0]
+    return judged | {"model": about["model"]}
+
+
+def _may_have_supports(config: Config) -> bool:
+    """Whether a support may be part of what is identified: anywhere but in a simulation of the machine as modelled."""
+    simulated = locate_files(config).own and config.machine.recordings.format == "none"
+    return not simulated or config.machine.as_built is not None
 
 
 def assess(
@@ -67,21 +95,20 @@ def assess(
     uncertainty: Uncertainty,
     about: Mapping[str, Any],
 ) -> tuple[dict[str, Any], Evidence]:
-    """The verdicts on a fit, and what they rest on; ``about`` has ``fit`` and ``outcome`` of ``training.json``."""
+    """The Judgement on a fit, and what it rests on; ``about`` has ``fit`` and ``outcome`` of ``training.json``."""
     updated = update_measurement(measurement, uncertainty)
-    estimated = config.loss.noise == "estimated"
     fitted = mark_fitted(config, measurement)
-    evidence, linear = gather(updated, identified, uncertainty, about["fit"], fitted, estimated, about["outcome"])
-    candidates = list_candidates(config.machine.candidates)
-    gains = weigh_candidates(updated, identified, uncertainty, linear, candidates, None)
+    evidence, linear = gather(updated, identified, uncertainty, about["fit"], fitted, about["outcome"])
+    gains = weigh_candidates(updated, identified, uncertainty, linear, list_candidates(config.machine.candidates))
     mistakes: list[Found] = []
-    if evidence.misfit_of_stated_noise > WORTH_TRYING and (evidence.ljung_box or 0.0) < SIGNIFICANT:
+    wanders = (about["fit"]["whiteness"].get("probability") or 0.0) < MISMATCH
+    if wanders and evidence.misfit_of_stated_noise > WORTH_TRYING:
         values = measurement.unknowns.leading(evidence.answer.values)
         probes = _list_probes(config) if locate_files(config).own else ()
         mistakes = find_mistakes(updated.as_stated(), values, config.model.kind == "constant", probes)
-    return judge(
-        evidence, gains, [*judge_mistakes(mistakes), *judge_law(find_contradiction(about, config.model.kind))]
-    ), evidence
+    against = judge_mistakes(mistakes, list(find_contradicted(evidence)))
+    against += judge_contradiction(find_contradiction(about, config.model.kind))
+    return judge(evidence, gains, against, _may_have_supports(config)).record(), evidence
 
 
 def _list_probes(config: Config) -> tuple[Probe, ...]:
@@ -129,4 +156,9 @@ def _print(config: Config, judged: Mapping[str, Any]) -> None:
     for entry in judged["bearings"]:
         say(f"{config.name}: bearing at node {entry['node']}: {entry['verdict']}. {entry['reason']}")
     whole = judged["machine"]
-    say(f"{config.name}: {whole['verdict']}. {whole['reason']}" + (f"\nnext: {whole['next']}" if whole["next"] else ""))
+    lines = [f"{config.name}: {whole['verdict']}. {whole['reason']}"]
+    lines += [f"next: {whole['next']}"] if whole["next"] else []
+    lines += [f"what is identified: {whole['identified']}"] if whole["identified"] == AS_FELT else []
+    say("\n".join(lines))
+    if whole["reservation"]:
+        warn(f"{config.name}: {whole['reservation']}")

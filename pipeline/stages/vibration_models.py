@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.balance.blend import blend_with_influence
 from pipeline.balance.consistency import find_contradictions
-from pipeline.balance.influence import fit_influence
+from pipeline.balance.influence import Influence, fit_influence
 from pipeline.balance.linear_vibration import LinearVibration
 from pipeline.balance.physical import Physical, restore_physical
-from pipeline.balance.physical_peers import blend_with_influence
 from pipeline.config.records import RecordsConfig
 from pipeline.config.schema import Config
 from pipeline.data.conditions import Conditions, gather_conditions
-from pipeline.data.dataset import VibrationDataset
 from pipeline.errors import ConfigError, IdentifiabilityError, nearest
 from pipeline.identification.uncertainty import load_uncertainty
 from pipeline.ingest.records import Records, read_records
@@ -40,6 +39,28 @@ class Fitted:
     models: Mapping[str, LinearVibration]
     fingerprint: str  # of the records' data set
 
+    def can_leave_out(self, method: str) -> bool:
+        """Whether the method is fitted anew without each condition: quickly done, and of enough conditions."""
+        return method == "influence" and len(self.sound.names) > len(self.sound.planes) + 3
+
+    def leave_each_out(self, method: str) -> list[LinearVibration]:
+        """The model of a method for each of the experiment's conditions: influence coefficients that it is no part of.
+
+        With too few conditions to leave one out, and for other methods, it is the one that there is.
+        """
+        left_out = self.sound.names if self.can_leave_out(method) else ()
+        return [
+            fit_influence(self.sound.without([name])) if name in left_out else self.models[method]
+            for name in self.conditions.names
+        ]
+
+    def pick(self, wanted: str | None, key: str) -> str:
+        """The method that is asked for at ``key``, or the first. Raises ConfigError for one that there is not."""
+        method = wanted or next(iter(self.models))
+        if method not in self.models:
+            raise ConfigError(f"{key} must be a method with a fit, but got '{method}': {nearest(method, self.models)}")
+        return method
+
 
 def load_models(config: Config) -> Fitted:
     """Influence coefficients, and where constant coefficients have been identified, that model and the blend of both.
@@ -47,15 +68,27 @@ def load_models(config: Config) -> Fitted:
     Conditions that contradict their labels are named and left out.
     """
     dataset = load_dataset(config)
-    fitted = _fit_influence(config, dataset)
-    physical = _load_physical(config, fitted)
-    if physical is None:
-        return fitted
-    corrected = blend_with_influence(physical, fitted.sound)
-    return replace(fitted, models={**fitted.models, "physical": physical, "blend": corrected})
+    conditions = gather_conditions(dataset, list_planes(config))
+    sound, influence = _leave_out(config, conditions)
+    models: dict[str, LinearVibration] = {"influence": influence}
+    if physical := _load_physical(config, conditions):
+        models |= {"physical": physical, "blend": blend_with_influence(physical, sound)}
+    return Fitted(conditions, sound, models, dataset.fingerprint)
 
 
-def _load_physical(config: Config, fitted: Fitted) -> Physical | None:
+def _leave_out(config: Config, conditions: Conditions) -> tuple[Conditions, Influence]:
+    """The conditions that do not contradict their labels, and their influence coefficients."""
+    try:
+        contradictions, influence = find_contradictions(conditions)
+    except IdentifiabilityError:  # too few conditions to judge one by the others
+        return conditions, fit_influence(conditions)
+    if contradictions:
+        names = ", ".join(contradictions)
+        say(f"{config.name}: influence coefficients without {names}, which contradict their labels")
+    return conditions.without(contradictions), influence
+
+
+def _load_physical(config: Config, conditions: Conditions) -> Physical | None:
     """The model that was trained on these conditions; None without one, or where its coefficients are no constants."""
     work = locate_files(config)
     if config.model.kind != "constant" or not work.training.exists():
@@ -65,46 +98,7 @@ def _load_physical(config: Config, fitted: Fitted) -> Physical | None:
     uncertainty = load_uncertainty(work.folder, identified)
     if uncertainty is None or measurement.drift is None:
         return None
-    return restore_physical(measurement, identified, uncertainty, fitted.conditions)
-
-
-def _fit_influence(config: Config, dataset: VibrationDataset) -> Fitted:
-    conditions = gather_conditions(dataset, list_planes(config))
-    try:
-        bad, influence = find_contradictions(conditions)
-    except IdentifiabilityError:  # too few conditions to judge one by the others
-        return Fitted(conditions, conditions, {"influence": fit_influence(conditions)}, dataset.fingerprint)
-    if bad:
-        names = ", ".join(contradiction.name for contradiction in bad)
-        say(f"{config.name}: influence coefficients without {names}, which contradict their labels")
-    sound = conditions.without([contradiction.name for contradiction in bad])
-    return Fitted(conditions, sound, {"influence": influence}, dataset.fingerprint)
-
-
-def can_leave_out(fitted: Fitted, method: str) -> bool:
-    """Whether the method is fitted anew without each condition: quickly done, and of enough conditions."""
-    return method == "influence" and len(fitted.sound.names) > len(fitted.sound.planes) + 3
-
-
-def leave_each_out(fitted: Fitted, method: str) -> list[LinearVibration]:
-    """The model of a method for each of the experiment's conditions: influence coefficients that it is no part of.
-
-    With too few conditions to leave one out, and for other methods, it is the one that there is.
-    """
-    sound, model = fitted.sound, fitted.models[method]
-    if not can_leave_out(fitted, method):
-        return [model] * len(fitted.conditions.names)
-    without = {name: [i for i in range(len(sound.names)) if i != c] for c, name in enumerate(sound.names)}
-    return [fit_influence(sound.of(without[name])) if name in without else model for name in fitted.conditions.names]
-
-
-def pick_method(models: Mapping[str, LinearVibration], wanted: str | None, key: str) -> str:
-    """The method that is asked for at ``key``, or the first. Raises ConfigError for one that there is not."""
-    if wanted is None:
-        return next(iter(models))
-    if wanted not in models:
-        raise ConfigError(f"{key} must be a method with a fit, but got '{wanted}': {nearest(wanted, models)}")
-    return wanted
+    return restore_physical(measurement, identified, uncertainty, conditions)
 
 
 def load_records(config: Config, file: str, key: str) -> Records:

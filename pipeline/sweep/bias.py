@@ -13,11 +13,6 @@ import numpy as np
 
 from pipeline.units import RAD_S_PER_RPM
 
-_POINTS = 4001
-_LEAST_DAMPING, _MOST_DAMPING = 1e-4, 0.5
-_SLOWEST, _FASTEST = 1e-9, 1.0
-"""Rates of the search, over the natural frequency squared."""
-
 
 @dataclass(frozen=True)
 class SteadyReading:
@@ -68,28 +63,30 @@ def read_peak(speeds: np.ndarray, amplitudes: np.ndarray) -> SteadyReading | Non
 
 def _cross(speeds: np.ndarray, amplitudes: np.ndarray, before: int, level: float) -> float:
     """The speed at which the amplitude is ``level`` between the rows ``before`` and ``before`` + 1."""
-    first, second = amplitudes[before], amplitudes[before + 1]
-    share = 0.0 if first == second else (level - first) / (second - first)
-    return float(speeds[before] + share * (speeds[before + 1] - speeds[before]))
+    pair = before + np.argsort(amplitudes[before : before + 2])
+    return float(np.interp(level, amplitudes[pair], speeds[pair]))
 
 
-def read_ramp(frequency: float, damping: float, rate: float) -> SteadyReading:
-    """The steady reading of a mode (rad/s, ratio) that is swept at ``rate`` rad/s^2 with the unit unbalance."""
+def read_ramp(frequency: float, damping: float, rate: float, points: int = 4001, most: float = 0.5) -> SteadyReading:
+    """The steady reading of a mode (rad/s, ratio) that is swept at ``rate`` rad/s^2 with the unit unbalance.
+
+    A damping that leaves no peak is read as ``most``.
+    """
     from pipeline.sweep.ramp import respond_to_ramp
 
     # The width of the peak and its lag grow with the damping and with the root of the rate.
     reach = min(12 * (damping * frequency + np.sqrt(abs(rate))), 0.9 * frequency)
     before, after = (reach, 4 * reach) if rate >= 0 else (4 * reach, reach)
-    speeds = np.linspace(max(frequency - before, 0.05 * frequency), frequency + after, _POINTS)
+    speeds = np.linspace(max(frequency - before, 0.05 * frequency), frequency + after, points)
     amplitudes = np.abs(respond_to_ramp(frequency, damping, speeds, rate))
-    found = read_peak(speeds, amplitudes)
-    if found is None:  # so much damping that nothing falls to half the power
-        return SteadyReading(frequency, _MOST_DAMPING, 1.0)
+    reading = read_peak(speeds, amplitudes)
+    if reading is None:  # so much damping that nothing falls to half the power
+        return SteadyReading(frequency, most, 1.0)
     # A lag of 1 % is seen on this grid to a twentieth only: a parabola through three points has the rest.
     top = int(np.argmax(amplitudes))
     before, at, after = amplitudes[top - 1 : top + 2]
-    peak = found.frequency + 0.5 * (before - after) / (before - 2 * at + after) * (speeds[1] - speeds[0])
-    return SteadyReading(float(peak), found.damping * found.frequency / peak, found.amplitude)
+    peak = reading.frequency + 0.5 * (before - after) / (before - 2 * at + after) * (speeds[1] - speeds[0])
+    return SteadyReading(float(peak), reading.damping * reading.frequency / peak, reading.amplitude)
 
 
 def measure_bias(frequency: float, damping: float, rate: float, most: float) -> SweepBias:
@@ -110,26 +107,29 @@ def measure_bias(frequency: float, damping: float, rate: float, most: float) -> 
     )
 
 
-def find_slow_rate(frequency: float, damping: float, most: float) -> float:
-    """The rate in rad/s^2 above which the peak of a mode lags by more than the share ``most`` of its speed."""
+def find_slow_rate(frequency: float, damping: float, most: float, slowest: float = 1e-9, fastest: float = 1.0) -> float:
+    """The rate in rad/s^2 above which the peak of a mode lags by more than the share ``most`` of its speed.
+
+    It is looked for from ``slowest`` to ``fastest``, over the natural frequency squared.
+    """
     from scipy.optimize import brentq
 
     steady = read_ramp(frequency, damping, 0.0).frequency
 
     def excess(log_rate: float) -> float:
-        shift = read_ramp(frequency, damping, np.exp(log_rate) * frequency**2).frequency / steady - 1
-        return float(shift - most)
+        return read_ramp(frequency, damping, np.exp(log_rate) * frequency**2).frequency / steady - 1 - most
 
-    first, last = np.log(_SLOWEST), np.log(_FASTEST)
-    if excess(last) < 0:
-        return _FASTEST * frequency**2
-    return float(np.exp(brentq(excess, first, last, xtol=1e-4)) * frequency**2)
+    if excess(np.log(fastest)) < 0:
+        return fastest * frequency**2
+    return float(np.exp(brentq(excess, np.log(slowest), np.log(fastest), xtol=1e-4)) * frequency**2)
 
 
-def find_mode(reading: SteadyReading, rate: float) -> tuple[float, float]:
+def find_mode(
+    reading: SteadyReading, rate: float, least_damping: float = 1e-4, most_damping: float = 0.5
+) -> tuple[float, float]:
     """Natural frequency (rad/s) and damping ratio of the one mode that gives the ``reading`` at ``rate`` rad/s^2.
 
-    Where the sweep alone makes a peak as wide, the damping ratio is the least that is tried, 1e-4.
+    Where the sweep alone makes a peak as wide, the damping ratio is the least that is tried.
     """
     from scipy.optimize import least_squares
 
@@ -137,9 +137,9 @@ def find_mode(reading: SteadyReading, rate: float) -> tuple[float, float]:
         ramp = read_ramp(float(np.exp(logs[0])), float(np.exp(logs[1])), rate)
         return np.array([np.log(ramp.frequency / reading.frequency), np.log(ramp.damping / reading.damping)])
 
-    least = np.log([0.5 * reading.frequency, _LEAST_DAMPING])
-    most = np.log([1.5 * reading.frequency, _MOST_DAMPING])
-    start = np.log([reading.frequency, min(max(0.5 * reading.damping, 2 * _LEAST_DAMPING), 0.4)])
+    least = np.log([0.5 * reading.frequency, least_damping])
+    most = np.log([1.5 * reading.frequency, most_damping])
+    start = np.log([reading.frequency, min(max(0.5 * reading.damping, 2 * least_damping), 0.4)])
     fitted = least_squares(differ, start, bounds=(least, most), diff_step=1e-3, x_scale=[0.01, 0.3])
     return float(np.exp(fitted.x[0])), float(np.exp(fitted.x[1]))
 

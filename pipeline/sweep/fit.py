@@ -20,9 +20,10 @@ Legend: S rows, K modes, B powers of the background. SI, rad/s.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -31,13 +32,7 @@ from pipeline.sweep.bias import SteadyReading, find_mode, read_peak
 from pipeline.sweep.ramp import decay_freely, respond_steadily, respond_to_ramp
 from pipeline.units import RAD_S_PER_RPM
 
-_BLOCKS = 16
-_LEAST_ROWS = 40
-_LEAST_DAMPING, _MOST_DAMPING = 1e-3, 0.4
-_APART = (0.95, 0.98, 1.02, 1.05, 1.1)
-"""Where a second mode is looked for, over the frequency of the first."""
-_SMALL = 0.2
-_SEEN = 0.8
+Rows = np.ndarray | slice
 Respond = Callable[[float, float, np.ndarray, float], np.ndarray]
 """Frequency, damping, speeds (S,) and rate -> (S,) complex."""
 
@@ -46,6 +41,7 @@ Respond = Callable[[float, float, np.ndarray, float], np.ndarray]
 class RunUp:
     """One probe in one run-up or run-down at a constant rate."""
 
+    FEWEST: ClassVar[int] = 40  # rows that are fitted
     speeds: np.ndarray  # (S,) rad/s, ascending
     vectors: np.ndarray  # (S,) complex, angle as a lead of e^{j theta}
     rate: float  # rad/s^2
@@ -86,9 +82,9 @@ def measure_rate(speeds: np.ndarray, where: str) -> MeasuredRate:
 
     Raises DataError, which begins with ``where``, for fewer than 40 rows.
     """
-    if len(speeds) < _LEAST_ROWS:
+    if len(speeds) < RunUp.FEWEST:
         raise DataError(
-            f"{where} must have at least {_LEAST_ROWS} rows (revolutions) on its ramp, but it has {len(speeds)}: give "
+            f"{where} must have at least {RunUp.FEWEST} rows (revolutions) on its ramp, but it has {len(speeds)}: give "
             "the range of the ramp (from_rpm, to_rpm)"
         )
     turns = np.arange(len(speeds))
@@ -103,42 +99,42 @@ def fit_modes(run_up: RunUp, count: int, degree: int = 2) -> ModalFit:
 
     Raises DataError for fewer than 40 rows, and where no peak has half its power on both sides.
     """
+    if len(run_up.speeds) < RunUp.FEWEST:
+        raise DataError(
+            f"a run-up must have at least {RunUp.FEWEST} rows on its ramp, but it has {len(run_up.speeds)}: give the "
+            "range of the ramp (from_rpm, to_rpm)"
+        )
     return _fit(_Problem(run_up, count, degree), _list_starts(run_up, degree, count))
 
 
-def fit_decay(run_up: RunUp, near: float, degree: int = 2) -> ModalFit | None:
+def fit_decay(run_up: RunUp, near: float, degree: int = 2, small: float = 0.2, seen: float = 0.8) -> ModalFit | None:
     """The one mode, near the frequency ``near`` (rad/s), that dies away behind the peak; A is what it begins with.
 
-    Behind the peak are the rows after the last one with 0.2 of the largest amplitude, in the order of the ramp; the
-    amplitudes are small there, and how the mode was excited does not matter. None for fewer than 40 rows, and for a
-    decay that leaves more than 0.8 of what a background alone leaves.
+    Behind the peak are the rows after the last one with the share ``small`` of the largest amplitude, in the order of
+    the ramp; there it does not matter how the mode was excited. None for fewer than 40 rows, and for a decay that
+    leaves more than the share ``seen`` of what a background alone leaves.
     """
     order = slice(None, None, 1 if run_up.rate > 0 else -1)
     speeds, vectors = run_up.speeds[order], run_up.vectors[order]
     sizes = np.abs(vectors)
-    behind = slice(int(np.flatnonzero(sizes > _SMALL * sizes.max())[-1]) + 1, None)
+    behind = slice(int(np.flatnonzero(sizes > small * sizes.max())[-1]) + 1, None)
     tail = RunUp(speeds[behind], vectors[behind], run_up.rate)
-    if len(tail.speeds) < _LEAST_ROWS:
+    if len(tail.speeds) < RunUp.FEWEST:
         return None
     starts = [np.log([near * factor, 0.01]) for factor in (0.98, 1.0, 1.02)]
     fitted = _fit(_Problem(tail, 1, degree, decay_freely), starts)
     alone = np.vander(tail.speeds / tail.speeds.mean(), degree + 1).astype(complex)
     left = tail.vectors - alone @ np.linalg.lstsq(alone, tail.vectors, rcond=None)[0]
-    return fitted if np.linalg.norm(tail.vectors - fitted.fitted) < _SEEN * np.linalg.norm(left) else None
+    return fitted if np.linalg.norm(tail.vectors - fitted.fitted) < seen * np.linalg.norm(left) else None
 
 
 def respond_as_steady(run_up: RunUp, fit: ModalFit) -> np.ndarray:
     """(S,) complex, the modes and the background of a fit at constant speeds."""
     x = np.log(np.stack([fit.frequencies, fit.dampings], axis=1)).reshape(-1)
-    problem = _Problem(run_up, len(fit.frequencies), len(fit.background) - 1, respond_in_steps)
-    response: np.ndarray = problem.columns(x) @ np.concatenate([fit.amplitudes, fit.background])
-    return response
-
-
-def respond_in_steps(frequency: float, damping: float, speeds: np.ndarray, rate: float) -> np.ndarray:
-    """The steady response, whatever the ``rate``."""
-    del rate
-    return respond_steadily(frequency, damping, speeds)
+    problem = _Problem(
+        run_up, len(fit.frequencies), len(fit.background) - 1, lambda w, z, speeds, _: respond_steadily(w, z, speeds)
+    )
+    return np.asarray(problem.columns(x) @ np.concatenate([fit.amplitudes, fit.background]))
 
 
 def _fit(problem: _Problem, starts: list[np.ndarray]) -> ModalFit:
@@ -185,20 +181,17 @@ def choose_sense(run_up: RunUp) -> tuple[RunUp, str, float]:
     return other, "lag", left[0] / left[1]
 
 
+@dataclass(frozen=True, eq=False)
 class _Problem:
-    """Variable projection of ``count`` modes; x has the logarithms of frequency and damping of each in turn."""
+    """Variable projection of ``count`` modes; x has the logarithms of frequency and damping of each in turn.
 
-    def __init__(self, run_up: RunUp, count: int, degree: int, respond: Respond = respond_to_ramp) -> None:
-        if len(run_up.speeds) < _LEAST_ROWS:
-            raise DataError(
-                f"a run-up must have at least {_LEAST_ROWS} rows on its ramp, but it has {len(run_up.speeds)}: give "
-                "the range of the ramp (from_rpm, to_rpm)"
-            )
-        self.run_up = run_up
-        self.count = count
-        self.degree = degree
-        self.respond = respond
-        self.keep = np.ones(len(run_up.speeds), dtype=bool)
+    ``keep`` is a mask of the rows that are fitted; all by default.
+    """
+
+    run_up: RunUp
+    count: int
+    degree: int
+    respond: Respond = respond_to_ramp
 
     def columns(self, x: np.ndarray) -> np.ndarray:
         """(S, K + B) complex."""
@@ -207,32 +200,35 @@ class _Problem:
         ratio = speeds / speeds.mean()
         return np.stack([*modes, *(ratio**i + 0j for i in range(self.degree + 1))], axis=1)
 
-    def project(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def project(self, x: np.ndarray, keep: Rows = slice(None)) -> tuple[np.ndarray, np.ndarray]:
         """Columns of all rows, and the linear numbers (K + B,) that fit the kept rows best."""
         columns = self.columns(x)
-        linear = np.linalg.lstsq(columns[self.keep], self.run_up.vectors[self.keep], rcond=None)[0]
-        return columns, linear
+        return columns, np.linalg.lstsq(columns[keep], self.run_up.vectors[keep], rcond=None)[0]
 
-    def residual(self, x: np.ndarray) -> np.ndarray:
+    def residual(self, x: np.ndarray, keep: Rows = slice(None)) -> np.ndarray:
         """(2 S,) real, over the root mean square of the vectors."""
-        columns, linear = self.project(x)
-        left = (columns @ linear - self.run_up.vectors)[self.keep]
-        size = np.sqrt((np.abs(self.run_up.vectors) ** 2).mean())
-        return np.concatenate([left.real, left.imag]) / size
+        columns, linear = self.project(x, keep)
+        left = (columns @ linear - self.run_up.vectors)[keep]
+        return np.concatenate([left.real, left.imag]) / np.sqrt((np.abs(self.run_up.vectors) ** 2).mean())
 
-    def solve(self, start: np.ndarray) -> Any:
+    def solve(
+        self, start: np.ndarray, keep: Rows = slice(None), least_damping: float = 1e-3, most_damping: float = 0.4
+    ) -> Any:
         """The least squares from ``start`` (2K,)."""
         from scipy.optimize import least_squares
 
         speeds = self.run_up.speeds
-        bounds = np.log([[0.5 * speeds.min(), _LEAST_DAMPING], [1.5 * speeds.max(), _MOST_DAMPING]])
+        bounds = np.log([[0.5 * speeds.min(), least_damping], [1.5 * speeds.max(), most_damping]])
         least, most = (np.tile(row, self.count) for row in bounds)
-        scale = np.tile([0.01, 0.2], self.count)
         start = np.clip(start, least + 1e-6, most - 1e-6)
-        return least_squares(self.residual, start, bounds=(least, most), x_scale=scale)
+        scale = np.tile([0.01, 0.2], self.count)
+        return least_squares(self.residual, start, bounds=(least, most), x_scale=scale, args=(keep,))
 
 
-def _list_starts(run_up: RunUp, degree: int, count: int) -> list[np.ndarray]:
+def _list_starts(
+    run_up: RunUp, degree: int, count: int, apart: tuple[float, ...] = (0.95, 0.98, 1.02, 1.05, 1.1)
+) -> list[np.ndarray]:
+    """Where modes are looked for: the first at the peak, a second one ``apart``, over the frequency of the first."""
     reading = read_peak(run_up.speeds, _average(np.abs(run_up.vectors), 3))
     if reading is None:
         raise DataError(
@@ -246,32 +242,22 @@ def _list_starts(run_up: RunUp, degree: int, count: int) -> list[np.ndarray]:
         return first
     problem = _Problem(run_up, 1, degree)
     single = min((problem.solve(start) for start in first), key=lambda tried: tried.cost).x
-    return [np.concatenate([single, [single[0] + np.log(factor), single[1]]]) for factor in _APART]
+    return [np.concatenate([single, [single[0] + np.log(factor), single[1]]]) for factor in apart]
 
 
-def _jackknife(problem: _Problem, best: np.ndarray) -> np.ndarray:
+def _jackknife(problem: _Problem, best: np.ndarray, blocks: int = 16) -> np.ndarray:
     """(2K, 2K) covariance of x from leaving each block of rows out."""
-    answers = []
-    for block in np.array_split(np.arange(len(problem.keep)), _BLOCKS):
-        problem.keep[:] = True
-        problem.keep[block] = False
-        answers.append(problem.solve(best).x)
-    problem.keep[:] = True
+    rows = np.arange(len(problem.run_up.speeds))
+    answers = [problem.solve(best, ~np.isin(rows, block)).x for block in np.array_split(rows, blocks)]
     apart = np.array(answers) - np.mean(answers, axis=0)
-    covariance: np.ndarray = (_BLOCKS - 1) / _BLOCKS * apart.T @ apart
-    return covariance
+    return np.asarray((blocks - 1) / blocks * apart.T @ apart)
 
 
 def _measure_correlation(residual: np.ndarray) -> float:
     """1 + 2 sum of the autocorrelations up to the first that is not positive, rows."""
-    power = (np.abs(residual) ** 2).sum()
-    tau = 1.0
-    for lag in range(1, len(residual) // 4):
-        share = float((residual[lag:] * residual[:-lag].conj()).real.sum() / power)
-        if share <= 0:
-            break
-        tau += 2 * share
-    return tau
+    lags = range(1, len(residual) // 4)
+    products = (float((residual[lag:] * residual[:-lag].conj()).real.sum()) for lag in lags)
+    return 1 + 2 * sum(itertools.takewhile(lambda product: product > 0, products)) / float((abs(residual) ** 2).sum())
 
 
 def _weigh(residual: np.ndarray, parameters: int, tau: float) -> float:
@@ -282,9 +268,8 @@ def _weigh(residual: np.ndarray, parameters: int, tau: float) -> float:
 
 def _average(values: np.ndarray, rows: int) -> np.ndarray:
     """(S,) the mean of ``rows`` rows around each; at the ends of those that there are."""
-    counts = np.convolve(np.ones(len(values)), np.ones(rows), "same")
-    average: np.ndarray = np.convolve(values, np.ones(rows), "same") / counts
-    return average
+    total, counts = (np.convolve(each, np.ones(rows), "same") for each in (values, np.ones(len(values))))
+    return np.asarray(total / counts)
 
 
 def read_smoothed_peak(run_up: RunUp, rows: int) -> SteadyReading | None:

@@ -31,14 +31,12 @@ def respond_to_ramp(frequency: float, damping: float, speeds: np.ndarray, rate: 
     pole = frequency * complex(-damping, np.sqrt(1 - damping**2))
     other = pole.conjugate()
     parts = pole**2 * _integrate(pole, speeds, rate) - other**2 * _integrate(other, speeds, rate)
-    response: np.ndarray = -parts / (pole - other) - 1
-    return response
+    return np.asarray(-parts / (pole - other) - 1)
 
 
 def respond_steadily(frequency: float, damping: float, speeds: np.ndarray) -> np.ndarray:
     """Q (S,) complex of the same at constant speeds."""
-    response: np.ndarray = speeds**2 / (frequency**2 - speeds**2 + 2j * damping * frequency * speeds)
-    return response
+    return np.asarray(speeds**2 / (frequency**2 - speeds**2 + 2j * damping * frequency * speeds))
 
 
 def decay_freely(frequency: float, damping: float, speeds: np.ndarray, rate: float) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""One natural frequency from several readings of a run-up, and an identified one held against it."""
+"""All that is read of a run-up: one natural frequency from several readings; an identified one held against it."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-NORMAL = 1.96
-"""Standard deviations of a 95 % interval."""
+from pipeline.config.run_up import RunUpConfig
+from pipeline.sweep.bias import SteadyReading, SweepBias, measure_bias
+from pipeline.sweep.fit import ModalFit, RunUp, choose_modes, choose_sense, fit_decay, read_smoothed_peak
 
 
 @dataclass(frozen=True)
@@ -18,6 +19,64 @@ class Reading:
 
     value: float
     deviation: float
+
+    def half_width(self, deviations: float = 1.96) -> float:
+        """Half of the 95 % interval."""
+        return deviations * self.deviation
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RunUpAnalysis:
+    """All that was read of a run-up."""
+
+    run_up: RunUp
+    sense: str  # what its phases were, lead or lag
+    steady: SteadyReading | None
+    fits: tuple[ModalFit, ModalFit]  # of one mode, and of two
+    decay: ModalFit | None
+    frequency: Reading  # rad/s, of the first mode
+    damping: Reading  # its ratio
+    bias: SweepBias
+
+    @property
+    def chosen(self) -> ModalFit:
+        """The fit with the modes that Schwarz's criterion prefers."""
+        return min(self.fits, key=lambda fit: fit.criterion)
+
+    @property
+    def gain(self) -> float:
+        """By how much Schwarz's criterion is less with two modes."""
+        return self.fits[0].criterion - self.fits[1].criterion
+
+
+def analyse_run_up(run_up: RunUp, settings: RunUpConfig) -> RunUpAnalysis:
+    """Fit modes and the free decay behind the peak; the first mode has the mean of what both say of it."""
+    sense = str(settings.phase or "")
+    if not sense:
+        run_up, sense, _ = choose_sense(run_up)
+    single, two, count = choose_modes(run_up, settings.background_degree)
+    chosen = single if count == 1 else two
+    decay = fit_decay(run_up, float(chosen.frequencies[0]), settings.background_degree)
+    readings = [read_mode(chosen, 0)]
+    if decay is not None and int(np.argmin(np.abs(chosen.frequencies - decay.frequencies[0]))) == 0:
+        readings.append(read_mode(decay, 0))  # it is that of the mode that is nearest to it
+    frequency, damping = (combine(each) for each in zip(*readings, strict=True))
+    return RunUpAnalysis(
+        run_up=run_up,
+        sense=sense,
+        steady=read_smoothed_peak(run_up, settings.steady_rows),
+        fits=(single, two),
+        decay=decay,
+        frequency=frequency,
+        damping=damping,
+        bias=measure_bias(frequency.value, damping.value, run_up.rate, settings.most_lag),
+    )
+
+
+def read_mode(fit: ModalFit, mode: int) -> tuple[Reading, Reading]:
+    """Natural frequency (rad/s) and damping ratio of a mode."""
+    frequency, damping = fit.deviations[mode].tolist()
+    return Reading(float(fit.frequencies[mode]), frequency), Reading(float(fit.dampings[mode]), damping)
 
 
 def combine(readings: Sequence[Reading]) -> Reading:
@@ -42,23 +101,23 @@ def compare_natural_frequency(run_up: Mapping[str, Any], rpm: float, deviation: 
     ``share_of_interval`` is the difference over its half-width;
     ``band_percent`` is how wide the identified interval is, of the run-up's value; ``sentence`` says all of it.
     """
-    measured = run_up["natural_frequency"]
-    apart = rpm - measured["rpm"]
-    band = 100 * 2 * NORMAL * deviation / measured["rpm"]
-    share = float(abs(apart) / (NORMAL * np.hypot(deviation, measured["deviation_rpm"])))
-    within = share <= 1
+    measured = Reading(run_up["natural_frequency"]["rpm"], run_up["natural_frequency"]["deviation_rpm"])
+    identified = Reading(rpm, deviation)
+    apart = 100 * (rpm - measured.value) / measured.value
+    band = 100 * 2 * identified.half_width() / measured.value
+    share = float(abs(rpm - measured.value) / Reading(0.0, float(np.hypot(deviation, measured.deviation))).half_width())
     return {
         "identified_rpm": rpm,
         "identified_deviation_rpm": deviation,
-        "run_up_rpm": measured["rpm"],
-        "run_up_deviation_rpm": measured["deviation_rpm"],
-        "difference_percent": 100 * apart / measured["rpm"],
+        "run_up_rpm": measured.value,
+        "run_up_deviation_rpm": measured.deviation,
+        "difference_percent": apart,
         "band_percent": band,
-        "within": within,
+        "within": share <= 1,
         "share_of_interval": share,
         "sentence": (
-            f"first natural frequency: {rpm:.4g} +- {NORMAL * deviation:.2g} rpm identified (95 %, {band:.2g} % wide), "
-            f"{measured['rpm']:.4g} +- {NORMAL * measured['deviation_rpm']:.2g} rpm in the run-up: they "
-            f"{'agree' if within else 'contradict each other'} ({100 * apart / measured['rpm']:+.2g} %)"
+            f"first natural frequency: {rpm:.4g} +- {identified.half_width():.2g} rpm identified "
+            f"(95 %, {band:.2g} % wide), {measured.value:.4g} +- {measured.half_width():.2g} rpm in the run-up: they "
+            f"{'agree' if share <= 1 else 'contradict each other'} ({apart:+.2g} %)"
         ),
     }

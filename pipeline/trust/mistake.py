@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.problem.measurement import Measurement
-from pipeline.trust.quick_fit import Extra
+from pipeline.trust.quick_fit import Extra, nothing_free
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,9 +21,15 @@ class Mistake:
     sentence: str  # what was done, as "the phases of all readings are leads, not lags"
     check: str  # what to look at
     measurement: Measurement
-    extra: Extra | None = None
+    extra: Extra = nothing_free
     gross: bool = True  # False: a number is a little off
+    single: bool = False  # of one run, weight or probe
     penalty: float = 1.0  # on what it leaves over: it explains nothing, or leaves many numbers free
+
+    @property
+    def frees(self) -> bool:
+        """Whether it leaves numbers free."""
+        return self.extra is not nothing_free
 
 
 def change(measurement: Measurement, displacement: np.ndarray, deviation: np.ndarray) -> Measurement:
@@ -44,6 +50,16 @@ def exchange(measurement: Measurement, order: Sequence[int], axis: int) -> Measu
     """The readings in another ``order`` of channels (axis 1) or runs (axis 2)."""
     data = measurement.dataset
     return change(measurement, np.take(data.displacement, order, axis), np.take(measurement.deviation, order, axis))
+
+
+def free_gain(chosen: np.ndarray) -> Extra:
+    """Size and phase of the ``chosen`` readings (mask, broadcast to (S, P, R)) are free, to first order."""
+
+    def columns(predicted: np.ndarray) -> np.ndarray:
+        column = predicted * chosen
+        return np.stack([column, 1j * column], axis=-1)
+
+    return columns
 
 
 LEFT_OUT = 3.0

@@ -21,15 +21,8 @@ from pipeline.trust.mistakes_of_probes import of_all_readings, of_probes
 from pipeline.trust.mistakes_of_runs import of_rest, of_runs, of_weights
 from pipeline.trust.quick_fit import QuickFit, quick_fit
 
-MOST_SPEEDS = 40
-_TERMS = 5
 WORTH_TRYING = 2.0
 """Mean square over the noise below which the readings are explained well enough."""
-FALLS_BY = 3.0
-"""So many times less must a mistake leave over."""
-_AS_GOOD = 1.5
-"""Mistakes that leave so many times as much as the best one are named beside it."""
-_MOST_NAMED = 3
 
 
 @dataclass(frozen=True)
@@ -40,6 +33,7 @@ class Found:
     check: str
     falls_by: float  # mean square without the mistake over that with it, inverted
     gross: bool
+    single: bool = False  # of one run, weight or probe
 
 
 @dataclass(frozen=True)
@@ -51,8 +45,27 @@ class Probe:
     angle: float  # degrees
 
 
+@dataclass(frozen=True)
+class Depth:
+    """How closely mistakes are tried."""
+
+    speeds: int
+    terms: int  # of each coefficient's function of the speed
+    rounds: int = 12
+
+
 def find_mistakes(
-    measurement: Measurement, values: np.ndarray, constant: bool = False, probes: Sequence[Probe] = ()
+    measurement: Measurement,
+    values: np.ndarray,
+    constant: bool = False,
+    probes: Sequence[Probe] = (),
+    *,
+    first: Depth = Depth(16, 3, 6),
+    last: Depth = Depth(40, 5),
+    refined: int = 8,
+    falls_by: float = 3.0,
+    as_good: float = 1.5,
+    most_named: int = 3,
 ) -> list[Found]:
     """The mistakes that explain the readings far better than none; the best first, empty where all is well.
 
@@ -61,82 +74,81 @@ def find_mistakes(
         values: (M, S, U) unknowns that the fit found.
         constant: whether they are the same at all speeds.
         probes: those that the channels x and y were made of; none where channels are probes.
+        first: how closely all mistakes are tried; ``refined`` of them then to the depth ``last``.
+        falls_by: so many times less must a mistake leave over.
+        as_good: mistakes that leave so many times as much as the best one are named beside it, ``most_named`` of them.
     """
     as_probes = _as_probes(measurement, probes)
     names = [probe.name for probe in probes] or [_call(*channel) for channel in as_probes.dataset.channels]
-    base = _Trial(as_probes, values, MOST_SPEEDS, 1 if constant else _TERMS).fit(None)
+    if constant:
+        first, last = replace(first, terms=1), replace(last, terms=1)
+    base = _Trial(as_probes, values, last).fit_as_stated()
     if base.mean_square < WORTH_TRYING:
         return []
-    first = _Trial(as_probes, values, _FIRST_SPEEDS, 1 if constant else _FIRST_TERMS)
-    screened = sorted(
-        (first.fit(mistake, _FIRST_ROUNDS).mean_square, i) for i, mistake in enumerate(list_mistakes(first.part, names))
-    )
-    kept = {i for _, i in screened[:_REFINED]}
-    trial = _Trial(as_probes, values, MOST_SPEEDS, 1 if constant else _TERMS)
+    screen, trial = _Trial(as_probes, values, first), _Trial(as_probes, values, last)
+    squares = [screen.fit(mistake).mean_square for mistake in list_mistakes(screen.part, names)]
+    kept = set(sorted(range(len(squares)), key=lambda i: (squares[i], i))[:refined])
     tried = [(mistake, trial.fit(mistake)) for i, mistake in enumerate(list_mistakes(trial.part, names)) if i in kept]
-    tried.sort(key=lambda pair: pair[1].mean_square * (1.0 if pair[0].extra is None else _LEAVES_FREE))
+    tried.sort(key=_order)
     best = min(fit.mean_square for _, fit in tried)
     return [
         Found(
-            mistake.sentence + _describe_extra(mistake, fit),
+            mistake.sentence + _describe_extra(fit),
             mistake.check,
             base.mean_square / fit.mean_square,
-            mistake.gross or _is_gross(mistake, fit),
+            mistake.gross or _is_gross(fit),
+            mistake.single,
         )
-        for mistake, fit in tried[:_MOST_NAMED]
-        if fit.mean_square < base.mean_square / FALLS_BY and fit.mean_square < _AS_GOOD * best
+        for mistake, fit in tried[:most_named]
+        if fit.mean_square < base.mean_square / falls_by and fit.mean_square < as_good * best
     ]
 
 
-_LEAVES_FREE = 1.2
-"""A mistake without a free number is named before one with, where they leave about as much."""
+def _order(trial: tuple[Mistake, QuickFit], frees: float = 1.2) -> float:
+    """A mistake without a free number is named before one with, where they leave about as much."""
+    mistake, fit = trial
+    return fit.mean_square * (frees if mistake.frees else 1.0)
 
 
 def list_mistakes(measurement: Measurement, names: Sequence[str]) -> Iterator[Mistake]:
     """Every mistake that is tried; ``names`` are the channels'."""
     yield from of_all_readings(measurement)
-    yield from of_probes(measurement, names)
-    yield from of_runs(measurement)
-    yield from of_weights(measurement)
+    for mistakes in (of_probes(measurement, names), of_runs(measurement), of_weights(measurement)):
+        yield from (replace(mistake, single=True) for mistake in mistakes)
     yield from of_rest(measurement)
-
-
-_FIRST_SPEEDS, _FIRST_TERMS, _FIRST_ROUNDS, _REFINED = 16, 3, 6, 8
-"""All mistakes are tried on few speeds first, then the best of them on more."""
 
 
 class _Trial:
     """Quick fits of the same readings, changed by one mistake after the other."""
 
-    def __init__(self, measurement: Measurement, values: np.ndarray, most_speeds: int, terms: int) -> None:
+    def __init__(self, measurement: Measurement, values: np.ndarray, depth: Depth) -> None:
         count = len(measurement.dataset.speeds)
-        keep = np.unique(np.linspace(0, count - 1, min(count, most_speeds)).round().astype(int))
-        self.part, self.start, self.terms = measurement.select(keep), values[:, keep], min(terms, len(keep))
-        self.best: QuickFit | None = None
+        keep = np.unique(np.linspace(0, count - 1, min(count, depth.speeds)).round().astype(int))
+        self.part, self.start, self.rounds = measurement.select(keep), values[:, keep], depth.rounds
+        self.terms = min(depth.terms, len(keep))
+        self.fits: list[QuickFit] = []
 
-    def fit(self, mistake: Mistake | None, rounds: int = 12) -> QuickFit:
-        """What the readings leave over without the mistake, its penalty included."""
-        if mistake is None:
-            return quick_fit(self.part, self.start, self.terms)
-        best = quick_fit(mistake.measurement, self.start, self.terms, mistake.extra, rounds)
-        if mistake.extra is not None and self.best is not None:
-            again = quick_fit(mistake.measurement, self.best.values, self.terms, mistake.extra, rounds)
-            best = min(best, again, key=lambda fitted: fitted.mean_square)
-        best = replace(best, mean_square=best.mean_square * mistake.penalty)
-        if self.best is None or best.mean_square < self.best.mean_square:
-            self.best = best
-        return best
+    def fit_as_stated(self) -> QuickFit:
+        """What the readings leave over as they are."""
+        return quick_fit(self.part, self.start, self.terms)
 
-
-_SMALL = 0.3
-"""Share by which a scale or a weight may be off without anything being mistaken for another."""
+    def fit(self, mistake: Mistake) -> QuickFit:
+        """What the readings leave over without the mistake, its penalty included; from the best one, too."""
+        begins = [self.start]
+        if mistake.frees and self.fits:
+            begins.append(min(self.fits, key=lambda fitted: fitted.mean_square).values)
+        fits = [quick_fit(mistake.measurement, begin, self.terms, mistake.extra, self.rounds) for begin in begins]
+        best = min(fits, key=lambda fitted: fitted.mean_square)
+        self.fits.append(replace(best, mean_square=best.mean_square * mistake.penalty))
+        return self.fits[-1]
 
 
-def _is_gross(mistake: Mistake, fit: QuickFit) -> bool:
-    return len(fit.extra) == 2 and abs(complex(*fit.extra)) > _SMALL
+def _is_gross(fit: QuickFit, small: float = 0.3) -> bool:
+    """Whether a scale or a weight is off by more than a share ``small``, so that it is mistaken for another."""
+    return len(fit.extra) == 2 and abs(complex(*fit.extra)) > small
 
 
-def _describe_extra(mistake: Mistake, fit: QuickFit) -> str:
+def _describe_extra(fit: QuickFit) -> str:
     """The gain that the fit found."""
     if len(fit.extra) != 2:
         return ""

@@ -12,8 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.problem.measurement import Measurement
-from pipeline.trust.mistake import LEFT_OUT, Mistake, change, exchange, scale
-from pipeline.trust.quick_fit import Extra
+from pipeline.trust.mistake import LEFT_OUT, Mistake, change, exchange, free_gain, scale
 
 _FACTORS = {
     0.5: "peak-to-peak amplitudes taken for zero-to-peak",
@@ -49,7 +48,7 @@ def of_all_readings(measurement: Measurement) -> Iterator[Mistake]:
         "all readings, or all weights, are not as stated",
         "the conventions, the tacho's angle, and the unit of the weights",
         measurement,
-        lambda predicted: np.stack([predicted, 1j * predicted], axis=-1),
+        free_gain(np.array(True)),
         gross=False,
     )
     mirrored = tuple((node, -angle % 360.0) for node, angle in data.channels)
@@ -106,7 +105,7 @@ def of_probes(measurement: Measurement, names: Sequence[str]) -> Iterator[Mistak
             f"the readings of probe '{names[p]}' are not as stated",
             f"scale and place of '{names[p]}'",
             measurement,
-            _probe_gain(p, count),
+            free_gain((np.arange(count) == p)[:, None]),
             gross=False,
         )
     for i, j in itertools.combinations(range(count), 2):
@@ -118,14 +117,6 @@ def of_probes(measurement: Measurement, names: Sequence[str]) -> Iterator[Mistak
             exchange(measurement, order, 1),
         )
     yield from _of_bearings(measurement)
-
-
-def _probe_gain(probe: int, count: int) -> Extra:
-    def columns(predicted: np.ndarray) -> np.ndarray:
-        column = predicted * (np.arange(count) == probe)[:, None]
-        return np.stack([column, 1j * column], axis=-1)
-
-    return columns
 
 
 def _without_probe(measurement: Measurement, probe: int) -> Measurement:

@@ -13,8 +13,7 @@ import numpy as np
 
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.problem.measurement import Measurement
-from pipeline.trust.mistake import LEFT_OUT, Mistake, change, exchange, scale
-from pipeline.trust.quick_fit import Extra
+from pipeline.trust.mistake import LEFT_OUT, Mistake, change, exchange, free_gain, scale
 
 
 def of_runs(measurement: Measurement) -> Iterator[Mistake]:
@@ -57,21 +56,13 @@ def of_runs(measurement: Measurement) -> Iterator[Mistake]:
             f"the weight of run '{run}' is not as stated",
             f"mass, radius and angle of the weight of run '{run}'",
             measurement,
-            _run_gain(r, len(data.runs)),
+            free_gain(np.arange(len(data.runs)) == r),
             gross=False,
         )
 
 
-def _run_gain(run: int, count: int) -> Extra:
-    def columns(predicted: np.ndarray) -> np.ndarray:
-        column = predicted * (np.arange(count) == run)
-        return np.stack([column, 1j * column], axis=-1)
-
-    return columns
-
-
-def of_weights(measurement: Measurement) -> Iterator[Mistake]:
-    """Mistakes in the planes and angles of weights."""
+def of_weights(measurement: Measurement, straight: float = 0.02) -> Iterator[Mistake]:
+    """Mistakes in the planes and angles of weights; one whose sine is below ``straight`` has no sign to be wrong."""
     data, rotor = measurement.dataset, measurement.rotor
     weights = [i for i, excitation in enumerate(data.excitations) if excitation.kind == "unbalance"]
     planes = dict.fromkeys([*rotor.disc_nodes, *(data.excitations[i].node for i in weights)])
@@ -84,22 +75,19 @@ def of_weights(measurement: Measurement) -> Iterator[Mistake]:
                     f"the plane of the weight of run '{weight.run}'",
                     _with_weights(data, measurement, {i: replace(weight, node=node)}),
                 )
-        if len([e for e in data.excitations if e.run == weight.run]) > 1 or abs(np.sin(weight.phase)) > _STRAIGHT:
+        if len([e for e in data.excitations if e.run == weight.run]) > 1 or abs(np.sin(weight.phase)) > straight:
             yield Mistake(
                 f"the weight of run '{weight.run}' at node {weight.node} has the wrong sign of its angle",
                 "whether angles on the shaft count with the rotation (shaft_angle)",
                 _with_weights(data, measurement, {i: replace(weight, phase=-weight.phase)}),
             )
-    if any(abs(np.sin(data.excitations[i].phase)) > _STRAIGHT for i in weights):
+    if any(abs(np.sin(data.excitations[i].phase)) > straight for i in weights):
         mirrored = {i: replace(data.excitations[i], phase=-data.excitations[i].phase) for i in weights}
         yield Mistake(
             "the angles of all weights have the wrong sign (against the rotation)",
             "shaft_angle",
             _with_weights(data, measurement, mirrored),
         )
-
-
-_STRAIGHT = 0.02
 
 
 def _with_weights(data: VibrationDataset, measurement: Measurement, changed: dict[int, Excitation]) -> Measurement:
@@ -149,7 +137,8 @@ _SHARES = (-0.67, -0.2, -0.1, -0.05, -0.03, 0.03, 0.05, 0.1, 0.2)
 """Of Young's modulus: aluminium for steel, hot steel, another diameter."""
 
 
-def _of_rotor(measurement: Measurement) -> Iterator[Mistake]:
+def _of_rotor(measurement: Measurement, small: float = 0.15) -> Iterator[Mistake]:
+    """Another stiffness or mass; up to a share ``small`` the rotor may be the stated one."""
     for share in _SHARES:
         for what, name in (("stiffness", "shaft's Young's modulus (or its diameters)"), ("mass", "rotor's mass")):
             changed = {what: (1 + share) * getattr(measurement.rotor, what)}
@@ -159,8 +148,5 @@ def _of_rotor(measurement: Measurement) -> Iterator[Mistake]:
                 f"the {name} is {abs(100 * share):.0f} % {'larger' if share > 0 else 'smaller'} than stated",
                 "machine.rotor: is it this rotor's file, and of this material?",
                 made,
-                gross=abs(share) > _GROSS,
+                gross=abs(share) > small,
             )
-
-
-_GROSS = 0.15

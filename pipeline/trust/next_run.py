@@ -6,7 +6,7 @@ Legend: S speeds, P channels, R runs, B bearings, Z weights.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -22,20 +22,19 @@ Runs = Sequence[tuple[Excitation, ...]]
 
 @dataclass(frozen=True, eq=False)
 class Gains:
-    """What each candidate run would leave of the deviations."""
+    """What each candidate run would add."""
 
-    runs: tuple[tuple[Excitation, ...], ...]
-    deviation: np.ndarray  # (C, B, S, 8) by linear theory, with the run
-    before: np.ndarray  # (B, S, 8) without
+    runs: tuple[tuple[Excitation, ...], ...] = ()
+    factors: np.ndarray = field(default_factory=lambda: np.empty(0))
+    """(C, B, 8) by how many times the deviations fall with it, by linear theory; medians over the speed."""
 
-    def best(self, b: int, c: int) -> tuple[tuple[Excitation, ...], float] | None:
-        """The run that lowers the deviation of a coefficient most, and by how many times (median over the speed)."""
+    def best(self, b: int, c: int) -> tuple[tuple[Excitation, ...], float]:
+        """The run that lowers the deviation of a coefficient most, and by how many times; none and zero without any."""
         if not self.runs:
-            return None
-        with np.errstate(divide="ignore", invalid="ignore"):
-            gain = np.median(self.before[b, :, c] / self.deviation[:, b, :, c], axis=1)
-        k = rank_indices(np.where(np.isfinite(gain), gain, np.nan))[0]
-        return self.runs[k], float(gain[k])
+            return (), 0.0
+        factors = self.factors[:, b, c]
+        k = rank_indices(np.where(np.isfinite(factors), factors, np.nan))[0]
+        return self.runs[k], float(factors[k])
 
 
 def weigh_candidates(
@@ -44,14 +43,13 @@ def weigh_candidates(
     uncertainty: Uncertainty,
     linear: LinearisedFit,
     candidates: Runs,
-    factor: np.ndarray | None,
 ) -> Gains:
     """Every candidate beside the runs that there are; ``measurement`` is at the fitted model parameters."""
     nodes = measurement.rotor.n_nodes
     able = tuple(acting for acting in candidates if all(weight.node < nodes for weight in acting))
-    before = _spread(linear, np.linalg.inv(linear.normal))
     if not able:
-        return Gains((), np.empty((0, *before.shape)), before)
+        return Gains()
+    before = _spread(linear, np.linalg.inv(linear.normal))
     data = measurement.dataset
     excitations = tuple(replace(weight, run=f"candidate {i}") for i, acting in enumerate(able) for weight in acting)
     shape = (*data.displacement.shape[:2], len(able))
@@ -65,13 +63,14 @@ def weigh_candidates(
         present=EVERYWHERE,
     )
     planned = replace(measurement, dataset=plan, drift=None)  # its runs are conditions of their own
-    seen = linearise(planned, identified, uncertainty, np.ones(shape, dtype=bool), factor).by_weight
-    gains = []
+    seen = linearise(planned, identified, uncertainty, np.ones(shape, dtype=bool)).by_weight
+    factors = []
     for i in range(len(able)):
         rows = seen[:, :, i]
         added = 2.0 * np.einsum("spz,spy->zy", rows.conj(), rows, optimize=True).real
-        gains.append(_spread(linear, np.linalg.inv(linear.normal + added)))
-    return Gains(able, np.array(gains), before)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            factors.append(np.median(before / _spread(linear, np.linalg.inv(linear.normal + added)), axis=1))
+    return Gains(able, np.array(factors))
 
 
 def _spread(linear: LinearisedFit, covariance: np.ndarray) -> np.ndarray:

@@ -9,17 +9,25 @@ Legend: S speeds, P channels, R runs, A active unknowns, K functions, E extra nu
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.coefficients import is_direct
 from pipeline.errors import IdentifiabilityError
 from pipeline.identification.linear_start import linear_start
 from pipeline.problem.measurement import Measurement
+from pipeline.problem.slopes import ReadingSlopes
 
 Extra = Callable[[np.ndarray], np.ndarray]
 """Predicted readings (S, P, R) m -> derivative of them (S, P, R, E) by the extra numbers, which are zero as stated."""
+
+
+def nothing_free(predicted: np.ndarray) -> np.ndarray:
+    """No extra number."""
+    return np.zeros((*predicted.shape, 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +40,7 @@ class QuickFit:
 
 
 def quick_fit(
-    measurement: Measurement, start: np.ndarray, terms: int, extra: Extra | None = None, rounds: int = 12
+    measurement: Measurement, start: np.ndarray, terms: int, extra: Extra = nothing_free, rounds: int = 12
 ) -> QuickFit:
     """Fit the unknowns to the readings, from a linear start where the probes allow one, and from ``start``.
 
@@ -44,25 +52,19 @@ def quick_fit(
     begins = [start]
     functions = speed_functions(measurement, terms)
     members = np.broadcast_to(functions, (len(start), *functions.shape))
-    try:
+    with contextlib.suppress(np.linalg.LinAlgError, IdentifiabilityError):
         linear = linear_start(measurement, members, scale)
-    except (np.linalg.LinAlgError, IdentifiabilityError):
-        linear = None
-    if linear is not None and np.isfinite(linear).all():
-        begins.append(linear)
+        begins += [linear] if linear is not None and np.isfinite(linear).all() else []
     fits = [_minimise(measurement, begin, scale, functions, extra, rounds) for begin in begins]
     return min(fits, key=lambda fitted: fitted.mean_square)
 
 
-def _within_reason(measurement: Measurement, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _within_reason(measurement: Measurement, start: np.ndarray, ran_away: float = 1e4) -> tuple[np.ndarray, np.ndarray]:
     """The start, and its sizes (M, U); the guess takes the place of what ran away in a fit of wrong readings."""
     guess = measurement.guess.sizes(measurement.unknowns)
     size = np.median(np.abs(start), axis=1)
-    fine = (size < _RAN_AWAY * guess) & (size > guess / _RAN_AWAY)
+    fine = (size < ran_away * guess) & (size > guess / ran_away)
     return np.where(fine[:, None], start, guess[:, None]), np.where(fine, size, guess)
-
-
-_RAN_AWAY = 1e4
 
 
 def speed_functions(measurement: Measurement, terms: int) -> np.ndarray:
@@ -78,9 +80,14 @@ def _minimise(
     start: np.ndarray,
     scale: np.ndarray,
     functions: np.ndarray,
-    extra: Extra | None,
+    extra: Extra,
     rounds: int,
+    longest: float = 1.0,
+    still: float = 1e-3,
+    most_damping: float = 1e8,
 ) -> QuickFit:
+    """Levenberg and Marquardt: steps of a weight are ``longest`` at most; it ends where the loss falls by a share
+    below ``still``, or where nothing but ``most_damping`` lowers it."""
     problem = _Problem(measurement, scale, functions, extra)
     weights = problem.weights_of(start)
     damping = 1e-3
@@ -88,41 +95,42 @@ def _minimise(
     for _ in range(rounds):
         size = np.maximum(np.diag(normal), 1e-12 * np.diag(normal).max() + 1e-300)
         step = np.linalg.solve(normal + damping * np.diag(size), right)
-        tried = weights + np.clip(step, -_LONGEST, _LONGEST)
+        tried = weights + np.clip(step, -longest, longest)
         new, *rest = problem.normal(tried)
         if np.isfinite(new) and new < loss:
-            small = new > (1 - _STILL) * loss
+            small = new > (1 - still) * loss
             weights, loss, damping = tried, new, damping / 5
             normal, right = rest
             if small:
                 break
         else:
             damping *= 10
-            if damping > _GIVE_UP:
+            if damping > most_damping:
                 break
     count = measurement.dataset.displacement.size
     n_coefficients = len(weights) - problem.n_extra
     return QuickFit(loss / count, problem.values(weights), weights[n_coefficients:])
 
 
-_LONGEST, _STILL, _GIVE_UP = 1.0, 1e-3, 1e8
-
-
 class _Problem:
-    """Residuals over the noise, and their normal equations."""
+    """Residuals over the noise, and their normal equations.
 
-    def __init__(self, measurement: Measurement, scale: np.ndarray, functions: np.ndarray, extra: Extra | None) -> None:
+    A direct coefficient is held above ``least``, as a share of its size, and its logarithm within ``widest``.
+    """
+
+    least, widest = 1e-3, 12.0
+
+    def __init__(self, measurement: Measurement, scale: np.ndarray, functions: np.ndarray, extra: Extra) -> None:
         self.measurement, self.functions, self.extra = measurement, functions, extra
         active = measurement.unknowns.active
         self.scale = np.array([scale[m, u] for m, u in active])
-        self.positive = np.array([measurement.unknowns.names[u] in _DIRECT for _, u in active])
-        empty = np.zeros_like(measurement.dataset.displacement)
-        self.n_extra = 0 if extra is None else extra(empty).shape[-1]
+        self.positive = np.array([is_direct(measurement.unknowns.names[u]) for _, u in active])
+        self.n_extra = extra(np.zeros_like(measurement.dataset.displacement)).shape[-1]
 
     def weights_of(self, values: np.ndarray) -> np.ndarray:
         """(A K + E,) nearest to unknowns (M, S, U)."""
         relative = np.stack([values[m, :, u] for m, u in self.measurement.unknowns.active], axis=1) / self.scale
-        positive = np.log(np.maximum(relative, _LEAST))
+        positive = np.log(np.maximum(relative, self.least))
         raw = np.where(self.positive, positive, relative)
         solution = np.linalg.lstsq(self.functions, raw, rcond=None)[0].T
         return np.concatenate([solution.ravel(), np.zeros(self.n_extra)])
@@ -131,7 +139,7 @@ class _Problem:
         """(S, A) unknowns and their slope by the raw outputs."""
         count = len(weights) - self.n_extra
         raw = self.functions @ weights[:count].reshape(len(self.scale), -1).T
-        grown = np.exp(np.clip(raw, -_WIDEST, _WIDEST))
+        grown = np.exp(np.clip(raw, -self.widest, self.widest))
         return (
             self.scale * np.where(self.positive, grown, raw),
             self.scale * np.where(self.positive, grown, 1.0),
@@ -148,24 +156,14 @@ class _Problem:
         bearings = measurement.table(unknowns.from_active(coefficients))
         with np.errstate(all="ignore"):
             predicted = measurement.response.predict(bearings)
-            by_coefficient = measurement.response.sensitivity(bearings)
-        by_unknown = (
-            np.einsum("sprbc,bca->spra", by_coefficient, unknowns.influence, optimize=True) * slope[:, None, None]
-        )
-        rows = np.einsum("spra,sk->sprak", by_unknown, self.functions).reshape(*predicted.shape, -1)
-        if self.extra is not None:
-            more = self.extra(predicted)
-            predicted = predicted + more @ weights[len(weights) - self.n_extra :]
-            rows = np.concatenate([rows, more], axis=-1)
+            by_unknown = ReadingSlopes(measurement, bearings).by_unknown * slope[:, None, None]
+        rows, more = np.einsum("spra,sk->sprak", by_unknown, self.functions), self.extra(predicted)
+        predicted = predicted + more @ weights[len(weights) - self.n_extra :]
         left = (measurement.dataset.displacement - predicted) / measurement.deviation
-        rows = (rows / measurement.deviation[..., None]).reshape(left.size, -1)
+        more = (more / measurement.deviation[..., None]).reshape(left.size, -1)
+        rows = np.concatenate([rows.reshape(left.size, -1), more], axis=-1)
         flat = left.ravel()
         if not (np.isfinite(flat).all() and np.isfinite(rows).all()):
             return np.inf, np.eye(len(weights)), np.zeros(len(weights))
         normal = (rows.conj().T @ rows).real
         return float((np.abs(flat) ** 2).sum()), normal, (rows.conj().T @ flat).real
-
-
-_DIRECT = ("kxx", "kyy", "cxx", "cyy")
-_LEAST, _WIDEST = 1e-3, 12.0
-"""What a direct coefficient is held above, as a share of its size, and its logarithm within."""

@@ -17,9 +17,6 @@ from pipeline.identification.identified import IdentifiedModel
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
 
-_SAME = 1e-6
-"""A share, within which conditions are the same."""
-
 
 def require_conditions(key: str, given: Mapping[str, float], measured: Mapping[str, np.ndarray]) -> None:
     """Raise ConfigError unless ``given`` (what ``key`` has) says every condition of the data and no other."""
@@ -48,18 +45,21 @@ def pick_middle(measured: Mapping[str, np.ndarray]) -> dict[str, float]:
     return {name: float(values[nearest]) for name, values in measured.items()}
 
 
-def mask_state(measured: Mapping[str, np.ndarray], wanted: Mapping[str, float]) -> np.ndarray:
-    """(S,) mask of the points at the conditions that are ``wanted``; of data without conditions a single True."""
-    masks = [np.abs(values - wanted[name]) <= _SAME * abs(wanted[name]) for name, values in measured.items()]
+def mask_state(measured: Mapping[str, np.ndarray], wanted: Mapping[str, float], same: float = 1e-6) -> np.ndarray:
+    """(S,) mask of the points at the conditions that are ``wanted``; of data without conditions a single True.
+
+    Conditions are the same within a share ``same``.
+    """
+    masks = [np.abs(values - wanted[name]) <= same * abs(wanted[name]) for name, values in measured.items()]
     return np.all(masks, axis=0) if masks else np.array(True)
 
 
-def say_beyond(measured: Mapping[str, np.ndarray], wanted: Mapping[str, float]) -> list[str]:
-    """A sentence a condition that lies outside the data."""
+def say_beyond(measured: Mapping[str, np.ndarray], wanted: Mapping[str, float], same: float = 1e-6) -> list[str]:
+    """A sentence a condition that lies outside the data, by more than a share ``same``."""
     sentences = []
     for name, values in measured.items():
         low, high, at = float(values.min()), float(values.max()), wanted[name]
-        slack = _SAME * abs(at)
+        slack = same * abs(at)
         if not low - slack <= at <= high + slack:
             span = write_condition(name, values)
             where = f"is not the measured {span}" if low == high else f"lies outside the measured {span}"
@@ -104,15 +104,12 @@ def evaluate_at(
     return machine, table
 
 
-_FAR = 1e3
-"""Times a coefficient of the data, beyond which nothing is a continuation of it."""
-
-
-def _require_bounded(data: BearingTable, table: BearingTable, key: str, state: str) -> None:
+def _require_bounded(data: BearingTable, table: BearingTable, key: str, state: str, far: float = 1e3) -> None:
+    """Nothing is a continuation of a coefficient of the data that is ``far`` times as large, or as small."""
     for b, c in np.ndindex(len(data.nodes), len(COEFFICIENTS)):
         name, sizes, size = COEFFICIENTS[c], np.abs(table.values[b, :, c]), np.abs(data.values[b, :, c])
-        lost = is_direct(name) and bool((sizes < size.min() / _FAR).any())
-        if np.isfinite(sizes).all() and sizes.max() <= _FAR * size.max() and not lost:
+        lost = is_direct(name) and bool((sizes < size.min() / far).any())
+        if np.isfinite(sizes).all() and sizes.max() <= far * size.max() and not lost:
             continue
         raise ConfigError(
             f"{key} must be conditions that the fitted functions can be continued to, but at {state} {name} of node "

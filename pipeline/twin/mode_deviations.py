@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -28,20 +29,17 @@ from pipeline.rotor.model import RotorModel
 from pipeline.rotor.parameters import ModelParameter, rotor_change
 from pipeline.twin.modes import (
     CriticalSpeed,
+    Stability,
     StabilityMargin,
     WhirlModes,
     assemble_mass,
     assemble_systems,
     find_critical_speeds,
     find_reached,
+    find_whirling,
+    judge_growth,
     measure_stability,
 )
-
-_OFF = 1e-7
-"""Share of an eigenvalue that inverse iteration is off it: the matrix stays regular, and two steps give the vector."""
-
-_DRAWS = 400
-"""For a standard deviation to 4 %."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,27 +67,39 @@ class ModeDeviations:
         first, second = deviate(np.stack([speed, slopes[1] + slope[1] * speed]), self.covariance)
         return float(first), float(second)
 
-    def of_margin(self, margin: StabilityMargin) -> tuple[float, float | None]:
+    def of_margin(self, margin: StabilityMargin, draws: int = 400) -> tuple[float, float | None]:
         """Deviations of the largest growth (1/s) and of the smallest logarithmic decrement.
 
         A smallest of several is no smooth function: another mode may take the place of the one that was found. So it is
-        the root mean square difference from what was found, over seeded draws of all modes moved to first order.
+        the root mean square difference from what was found, over seeded ``draws`` of all modes moved to first order
+        (400 give a standard deviation to 4 %). Modes near critical damping are not among them: there an eigenvalue goes
+        with the root of what it depends on, and no first order holds.
         """
         modes, count = self.modes, len(self.covariance)
         values, vectors = np.linalg.eigh(self.covariance)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
-        drawn = root @ np.random.default_rng(0).standard_normal((count, _DRAWS))
-        real = modes.eigenvalues.real[..., None] + self.by_number.real @ drawn  # (S, K, draws)
-        largest = np.fmax(np.nanmax(real, axis=(0, 1)), (modes.growth[:, None] + self.by_growth @ drawn).max(axis=0))
+        drawn = root @ np.random.default_rng(0).standard_normal((count, draws))
+        whirling = find_whirling(modes)
+        growing = (modes.growth[:, None] + self.by_growth @ drawn).max(axis=0)
+        real = modes.eigenvalues.real[whirling][:, None] + self.by_number.real[whirling] @ drawn  # (modes, draws)
+        largest = np.maximum(real.max(axis=0, initial=-np.inf), growing)
         growth = math.sqrt(((largest - margin.largest_growth) ** 2).mean())
         if margin.smallest_logarithmic_decrement is None:
             return growth, None
+        reached = whirling & find_reached(modes)
+        reached[margin.place] = True
         by_decrement = _derive_decrement(
-            self.by_number, modes.frequency[..., None], modes.logarithmic_decrement[..., None]
+            self.by_number[reached],
+            modes.frequency[reached][:, None],
+            modes.logarithmic_decrement[reached][:, None],
         )
-        drawn_decrement = modes.logarithmic_decrement[..., None] + by_decrement @ drawn
-        smallest = drawn_decrement[find_reached(modes)].min(axis=0)
+        smallest = (modes.logarithmic_decrement[reached][:, None] + by_decrement @ drawn).min(axis=0)
         return growth, math.sqrt(((smallest - margin.smallest_logarithmic_decrement) ** 2).mean())
+
+    @property
+    def growth(self) -> np.ndarray:
+        """(S,) standard deviation of the largest real part at each speed, 1/s."""
+        return deviate(self.by_growth, self.covariance)
 
     def _derive(self, s: int, k: int) -> tuple[np.ndarray, np.ndarray]:
         """(Z,) derivatives of a mode's frequency (rad/s) and of its logarithmic decrement."""
@@ -170,6 +180,16 @@ class Behaviour:
     margin: StabilityMargin
     deviations: ModeDeviations | None  # of a fit that states them
 
+    @cached_property
+    def margin_deviations(self) -> tuple[float | None, float | None]:
+        """Of the largest growth (1/s) and of the smallest logarithmic decrement; None where the fit states none."""
+        return (None, None) if self.deviations is None else self.deviations.of_margin(self.margin)
+
+    @property
+    def stability(self) -> Stability:
+        """The verdict on the growth, with its deviation."""
+        return judge_growth(self.margin.largest_growth, self.margin_deviations[0] or 0.0)
+
 
 def describe_modes(modes: WhirlModes, deviations: ModeDeviations | None = None) -> Behaviour:
     """Critical speeds and stability of these modes."""
@@ -186,14 +206,17 @@ class System:
     speed: float  # W, rad/s
     places: BearingPlaces
 
-    def derive(self, values: np.ndarray, changes: Sequence[RotorModel | None] = ()) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of the eigenvalues ``values`` (K,).
+    def derive(
+        self, values: np.ndarray, changes: Sequence[RotorModel | None] = (), off: float = 1e-7
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of the eigenvalues ``values`` (K,), by inverse iteration a share ``off`` beside them: the matrix
+        stays regular, and two steps give the vector.
 
         By the coefficients, (K, B, 8) 1/s over N/m and N s/m, and by ``changes`` of the rotor, (K, T) 1/s.
         """
         mass, places = self.mass, self.places
         eigenvalues = values[:, None, None]
-        shifted = eigenvalues * (1.0 + _OFF) + _OFF
+        shifted = eigenvalues * (1.0 + off) + off
         system = shifted**2 * mass + shifted * self.damping + self.stiffness  # (K, n, n)
         right, left = _find_null(system), _find_null(system.swapaxes(1, 2))
         left = left / _multiply(left, 2.0 * eigenvalues * mass + self.damping, right)[:, None]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 
@@ -168,6 +169,30 @@ class StabilityMargin:
     smallest_logarithmic_decrement: float | None  # over the modes within twice the top speed; None without any
     at_speed: float | None  # rad/s, where that is
     place: tuple[int, int] | None  # (speed, mode) of it
+
+
+class Stability(StrEnum):
+    """Whether a growth is told from none."""
+
+    STABLE = "stable"
+    NOT_TOLD = "not told"
+    UNSTABLE = "unstable"
+
+
+def judge_growth(growth: float, deviation: float, deviations: float = 2.0) -> Stability:
+    """Of a largest real part and its standard deviation, 1/s: unstable only beyond two ``deviations`` (95 %)."""
+    if growth <= 0:
+        return Stability.STABLE
+    return Stability.UNSTABLE if growth > deviations * deviation else Stability.NOT_TOLD
+
+
+def find_whirling(modes: WhirlModes, most_damping: float = 0.5) -> np.ndarray:
+    """(S, K) mask of the modes whose damping ratio is ``most_damping`` at most.
+
+    The others hardly oscillate: their amplification factor is below 1, and API 617 asks for no margin below 2.5.
+    """
+    ratio = modes.logarithmic_decrement / np.hypot(2.0 * math.pi, modes.logarithmic_decrement)
+    return np.asarray(np.abs(ratio) <= most_damping)  # false for NaN
 
 
 def find_reached(modes: WhirlModes) -> np.ndarray:

@@ -18,12 +18,10 @@ from pipeline.config.identification import TrainingConfig
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.data.operating import name_state, split_states
 from pipeline.identification.held_out import held_out_conditions, held_out_range, held_out_runs
+from pipeline.identification.quality import finite
 from pipeline.identification.training import held_out_speeds
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
-
-_WITHIN = 1e-9
-"""Share of an excitation that may be left over where it is called a sum of others."""
 
 
 def superpose(
@@ -61,8 +59,9 @@ def _find_shares(
     wanted: Sequence[Excitation],
     frequencies: np.ndarray,
     residual_unbalance: bool,
+    within: float = 1e-9,
 ) -> np.ndarray | None:
-    """(R,) complex, by how much each run is in the wanted one."""
+    """(R,) complex, by how much each run is in the wanted one, of which a share ``within`` may be left over."""
     same = [r for r in runs if np.allclose(dataset.frequencies[:, r], frequencies, rtol=1e-9)]
     if not same:
         return None
@@ -76,7 +75,7 @@ def _find_shares(
     if residual_unbalance:
         matrix, right = np.concatenate([matrix, np.ones((1, len(same)))]), np.append(right, 1.0)
     shares = np.linalg.lstsq(matrix, right, rcond=None)[0]
-    if np.linalg.norm(matrix @ shares - right) > _WITHIN * np.linalg.norm(right):
+    if np.linalg.norm(matrix @ shares - right) > within * np.linalg.norm(right):
         return None
     every = np.zeros(len(dataset.runs), dtype=complex)
     every[same] = shares
@@ -119,7 +118,7 @@ class HeldOut:
     run: str | None  # None where speeds of all fitted runs were held out
     speeds: np.ndarray  # rad/s
     together: bool  # the speeds are a whole range, not one here and there
-    model: float
+    model: float | None  # None where the coefficients leave all bounds
     rival: float | None  # of influence coefficients for a run, of interpolation for speeds; None without an answer
     state: str = ""  # the operating conditions that were held out as a whole
 
@@ -141,7 +140,7 @@ def compare_held_out(
         summed = superpose(dataset, fitted.tolist(), acting, dataset.frequencies[:, r], bool(planes))
         beside = dataset.present[:, r] & dataset.present[:, fitted].all(axis=1)
         error = error_percent(summed[beside], measured[beside, :, r]) if summed is not None and beside.any() else None
-        model = error_percent(predicted[..., r], measured[..., r])
+        model = _model_error(predicted[..., r], measured[..., r])
         compared.append(HeldOut(dataset.runs[r], dataset.speeds, True, model, error))
     every = held_out_speeds(len(dataset.speeds), training.holdout_every)
     together = held_out_range(dataset.speeds, training)
@@ -154,11 +153,11 @@ def compare_held_out(
         drawn = interpolate_response(fitted_runs, known[known | mask])
         aim = measured[mask][..., fitted]
         error = None if drawn is None else error_percent(drawn, aim)
-        model = error_percent(predicted[mask][..., fitted], aim)
+        model = _model_error(predicted[mask][..., fitted], aim)
         compared.append(HeldOut(None, dataset.speeds[mask], bool((mask & together).any()), model, error))
     if away.any():
         state = name_state({name: values[away] for name, values in dataset.operating.items()})
-        model = error_percent(predicted[away][..., fitted], measured[away][..., fitted])
+        model = _model_error(predicted[away][..., fitted], measured[away][..., fitted])
         compared.append(HeldOut(None, dataset.speeds[away], True, model, None, state))
     return compared
 
@@ -166,3 +165,9 @@ def compare_held_out(
 def error_percent(predicted: np.ndarray, measured: np.ndarray) -> float:
     """Root mean square of the difference over that of the measurement."""
     return float(100 * np.linalg.norm(predicted - measured) / np.linalg.norm(measured))
+
+
+def _model_error(predicted: np.ndarray, measured: np.ndarray) -> float | None:
+    """:func:`error_percent`; None where no number was predicted."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return finite(error_percent(predicted, measured))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from balancing import GRAM, PLANES, truth
+from contradictions import explain
 
 from pipeline.balance.consistency import find_contradictions
 from pipeline.errors import IdentifiabilityError
@@ -21,8 +22,9 @@ def test_missing_weight_and_shifted_probe_are_told_apart_and_hide_nothing() -> N
     noise = conditions.vectors[[5, 6]] * 0 + rng.standard_normal((2, 1)) * 1e-9
     conditions.displacement[[5, 6]] = (machine.mean(bare) + noise).reshape(2, 2, 3)
     conditions.displacement[17, :, 1] += [3e-5, 4e-5]
-    found, model = find_contradictions(conditions, law=False)
-    named = {one.name: one for one in found}
+    chances, model = find_contradictions(conditions, law=False)
+    names = conditions.names
+    named = {name: explain(conditions.of([names.index(name)]), model, chance) for name, chance in chances.items()}
     assert set(named) == {"C005", "C006", "C017"}
     assert named["C005"].missing == named["C006"].missing == (PLANES[1],)
     assert named["C017"].shifted == (2, 90.0)

@@ -10,7 +10,7 @@ from pipeline.balance.blend import blend
 from pipeline.balance.consistency import find_contradictions
 from pipeline.balance.growth import fit_growth, inflation
 from pipeline.balance.influence import design_of, fit_influence
-from pipeline.balance.inverse import estimate_unbalance
+from pipeline.balance.unbalance import estimate_unbalance
 from pipeline.data.conditions import Conditions
 
 GROWTH = 3 / (60 * GRAM) ** 2

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from balancing import GRAM, SIZE, truth
 
-from pipeline.balance.influence import fit_influence, judge_drift
+from pipeline.balance.influence import fit_influence
 from pipeline.errors import IdentifiabilityError
 
 LAW = (0.15 + 0.03j) / (60 * GRAM)
@@ -56,15 +56,6 @@ def test_weights_that_never_differ_are_refused() -> None:
     conditions = machine.gather(unbalance, machine.mean(unbalance))
     with pytest.raises(IdentifiabilityError, match="trial weight in each plane"):
         fit_influence(conditions.of([0, 1, 3]))
-
-
-def test_a_drift_in_the_order_is_seen() -> None:
-    rng = np.random.default_rng(4)
-    machine = truth(rng)
-    conditions = machine.draw(rng, 50)
-    assert judge_drift(conditions, fit_influence(conditions)) > 0.01
-    conditions.displacement[:] += np.linspace(0, 2e-6, 50)[:, None, None]
-    assert judge_drift(conditions, fit_influence(conditions)) < 1e-6
 
 
 @pytest.mark.slow

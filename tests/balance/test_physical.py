@@ -6,17 +6,17 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import physical_peers as module
 import pytest
 from conftest import examples
 from hypothesis import given
 from hypothesis import strategies as st
+from physical_peers import carry, fit_physical, physical_of, physical_peers
 from running import composed
 from small_rig import AS_FOUND, CHANNELS, HEAVIEST, PLANES, SIZE, SmallRig, small_rig
 from small_rotor import FITTED
 
-from pipeline.balance import physical_peers as module
-from pipeline.balance.physical import Physical, fit_physical, physical_of, restore_physical
-from pipeline.balance.physical_peers import physical_peers
+from pipeline.balance.physical import Physical, restore_physical
 from pipeline.errors import DataError, IdentifiabilityError
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
 from pipeline.identification.quality import output_error_quality
@@ -92,7 +92,7 @@ def _respond(rig: SmallRig, weights: np.ndarray, bearings: BearingTable) -> np.n
 def test_other_speeds_are_those_of_the_response_solved_there(rig: SmallRig, model: Physical) -> None:
     """Oracle: the whole response at the fitted coefficients and parameters, at speeds that no condition had."""
     speeds = np.array([90.0, 125.0, 150.0])
-    moved, weights = model.at(speeds), loads()
+    moved, weights = carry(model, speeds), loads()
     values = model.problem.unknowns(model.weights)[0][0, 0].numpy()
     eight = np.zeros((2, len(speeds), 8))
     eight[..., [0, 3, 4, 7]] = values.reshape(2, 1, 4)
@@ -111,7 +111,7 @@ def test_no_other_speeds_with_known_coefficients_that_depend_on_it(model: Physic
     known = model.measurement.known
     tilted = replace(known, values=known.values * np.array([1.0, 1.1])[None, :, None])
     with pytest.raises(DataError, match="give them as values"):
-        replace(model, measurement=replace(model.measurement, known=tilted)).at(np.array([90.0]))
+        carry(replace(model, measurement=replace(model.measurement, known=tilted)), np.array([90.0]))
 
 
 def test_what_was_stored_predicts_the_same(

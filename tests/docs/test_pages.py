@@ -12,8 +12,17 @@ import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
-PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
-BUILT_WITHOUT = {"tables.md"}
+PAGES = [
+    path
+    for folder, pattern in (
+        (ROOT, "README.md"),
+        (DOCS, "**/*.md"),
+        (ROOT / "studies", "**/*.md"),
+        (ROOT / "examples", "**/*.md"),
+    )
+    for path in sorted(folder.glob(pattern))
+]
+BUILT_WITHOUT = {"measured/tables.md"}
 """Markdown that no page of the site is made of."""
 
 _LINK = re.compile(r"\]\(([^)#]+)(?:#[^)]*)?\)")
@@ -41,14 +50,14 @@ def test_readme_is_short() -> None:
     assert [line for line in lines if len(line) > 100 and not line.startswith(("|", "![", "    "))] == []
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_a_link_leads_somewhere(page: Path) -> None:
     """A link to another page, file or picture; those of the internet are left alone."""
     targets = [one for one in _LINK.findall(page.read_text(encoding="utf-8")) if "://" not in one]
     assert [one for one in targets if not (page.parent / one).exists()] == []
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_the_site_reads_a_page_as_git_does(page: Path) -> None:
     """Python-Markdown wants a blank line before a list, and four spaces where a list goes on after one."""
     lines = ["", *page.read_text(encoding="utf-8").splitlines()]
@@ -61,7 +70,7 @@ def test_the_site_reads_a_page_as_git_does(page: Path) -> None:
 def test_every_page_is_in_the_navigation() -> None:
     text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
     listed = re.findall(r"[\w/]+\.(?:md|ipynb)\b", text[text.index("\nnav:") :])
-    pages = [*DOCS.glob("*.md"), *DOCS.glob("notebooks/*.ipynb")]
+    pages = [*DOCS.rglob("*.md"), *DOCS.glob("notebooks/*.ipynb")]
     assert sorted(listed) == sorted({page.relative_to(DOCS).as_posix() for page in pages} - BUILT_WITHOUT)
 
 

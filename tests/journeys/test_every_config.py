@@ -245,7 +245,6 @@ def test_all_stages_are_tried_here() -> None:
             "export",
             "runup",
             "balance",
-            "folds",
             "choose",
             "promote",
             "dashboard",

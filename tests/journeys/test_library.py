@@ -1,4 +1,4 @@
-"""The library's door: the example of docs/library.md runs as it is printed."""
+"""The library's door: the example of docs/running.md runs as it is printed."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ def test_the_example_of_the_library_runs(
     artifacts: Artifacts, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """From files to coefficients with bands, near the answer of the experiment that holds some data out."""
-    text = (ROOT / "docs" / "library.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "running.md").read_text(encoding="utf-8")
     (code,) = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
     folder = artifacts("measured_demo", "vibration.parquet", "excitation.csv", "known_coefficients.csv")
     monkeypatch.chdir(ROOT)
     names: dict[str, Any] = {"folder": str(folder)}
-    exec(compile(code, "docs/library.md", "exec"), names)  # the example, as a reader would run it
+    exec(compile(code, "docs/running.md", "exec"), names)  # the example, as a reader would run it
     assert capsys.readouterr().out.startswith("converged")
     table, band = names["coefficients"], names["band"]
     from pipeline.data.coefficient_files import read_coefficients

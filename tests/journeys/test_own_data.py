@@ -1,4 +1,4 @@
-"""A machine from outside, as docs/own_machine.md says it: from a copied folder to the results in a few commands."""
+"""A machine from outside, as docs/recordings.md says it: from a copied folder to the results in a few commands."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ TRUTH = {  # of make_recordings.py
 }
 COMMANDS = [
     shlex.split(line.strip(), comments=True)
-    for line in (ROOT / "docs" / "own_machine.md").read_text(encoding="utf-8").replace("\\\n", "").splitlines()
+    for line in (ROOT / "docs" / "recordings.md").read_text(encoding="utf-8").replace("\\\n", "").splitlines()
     if line.startswith("    ") and "my rig" in line
 ]
 COPY, *PIPELINE = COMMANDS
 
 
 def run_command(words: list[str], folder: Path) -> None:
-    """A command of docs/own_machine.md in ``folder``; the first one as a user gives it, the others in this process."""
+    """A command of docs/recordings.md in ``folder``; the first one as a user gives it, the others in this process."""
     assert words[:3] == ["python", "-m", "pipeline"]
     if words == PIPELINE[0]:
         done = python(*words[1:], "tracking=none", cwd=folder)

@@ -13,9 +13,6 @@ from pipeline.stages import run_stage
 
 pytestmark = pytest.mark.slow
 MISTAKES: dict[str, tuple[str, tuple[str, ...], type[PipelineError], str]] = {
-    "folds of one run": ("folds", (), ConfigError, "measure the machine without weights, too"),
-    "folds by a run with a weight": ("folds", ("folds.calibration=[disc]",), ConfigError, "must begin with"),
-    "folds by a misspelt run": ("folds", ("folds.calibration=[dics]",), ConfigError, "did you mean 'disc'?"),
     "balance of one run": ("balance", (), IdentifiabilityError, "add a trial weight in each plane alone"),
     "balance of records": (
         "balance",
@@ -35,10 +32,3 @@ def test_a_stage_that_the_machine_has_nothing_for(what: str, tmp_path: Path) -> 
     given = ("experiment=ball_bearing", "tracking=none", *FEW_SPEEDS, f"output={tmp_path}", f"stage={stage}")
     with refused(words, kind=kind):
         run_stage(composed(*given, *overrides))
-
-
-def test_the_condition_to_begin_with_has_no_weight(tmp_path: Path) -> None:
-    """What the sentence proposes is not what the next one refuses."""
-    given = ("experiment=rk4", "tracking=none", f"output={tmp_path}", "stage=folds", "folds.calibration=[]")
-    with refused("folds.calibration=[BASE]", kind=ConfigError):
-        run_stage(composed(*given))

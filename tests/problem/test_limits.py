@@ -1,4 +1,4 @@
-"""What the data themselves limit, as docs/method.md and docs/all_coefficients.md print it (pytest -rP shows it)."""
+"""What the data themselves limit, as docs/method.md prints it (pytest -rP shows it)."""
 
 from __future__ import annotations
 

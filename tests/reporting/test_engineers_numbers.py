@@ -7,7 +7,7 @@ from typing import Any
 
 from pipeline.evaluation.contradiction import find_contradiction
 from pipeline.reporting.physical_numbers import describe_law, list_number_rows, list_numbers
-from pipeline.trust.verdict import Verdict, judge_law
+from pipeline.trust.verdict import Verdict, judge_contradiction
 
 OIL = SimpleNamespace(reference=55 + 273.15)
 CONFIG: Any = SimpleNamespace(machine=SimpleNamespace(laws=SimpleNamespace(oil=OIL)))
@@ -52,9 +52,9 @@ def test_a_law_that_the_readings_contradict_is_named_with_the_next_step() -> Non
     assert "(probability below 0.0001)" in describe_law(quality(0.0), "law")[0]
     assert describe_law(quality(0.06), "law") == describe_law(quality(None), "law") == []
     assert describe_law(quality(0.002), "network") == []
-    (reason,) = judge_law(find_contradiction(quality(0.002), "law"))
+    (reason,) = judge_contradiction(find_contradiction(quality(0.002), "law"))
     assert reason.verdict is Verdict.WITH_CARE
-    assert judge_law(find_contradiction(quality(0.4), "law")) == []
+    assert judge_contradiction(find_contradiction(quality(0.4), "law")) == []
 
 
 def test_a_correction_that_stands_out_of_its_deviation_speaks_against_the_law() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.trust.evidence import ljung_box
 from pipeline.trust.linearised import LinearisedFit
 
 
@@ -40,23 +39,3 @@ def test_a_right_run_is_predicted_to_its_noise() -> None:
     mask[..., 1] = True
     assert a_line(noise=np.sqrt(0.5)).predict_without(mask) == pytest.approx(1.0, abs=0.25)
     assert a_line(noise=np.sqrt(0.5), shift=2.0).predict_without(mask) > 3.0
-
-
-def test_ljung_box_tells_white_residuals_from_a_drift() -> None:
-    draw = np.random.default_rng(1)
-    white = draw.standard_normal((100, 2, 2)) + 1j * draw.standard_normal((100, 2, 2))
-    fitted = np.ones(white.shape, dtype=bool)
-    assert ljung_box(white, fitted) > 0.01
-    assert ljung_box(white + np.sin(np.arange(100) / 10)[:, None, None], fitted) < 1e-6
-
-
-def test_ljung_box_is_the_published_statistic() -> None:
-    """Ljung and Box (1978), one series, five lags, written out."""
-    from scipy.stats import chi2
-
-    series = np.random.default_rng(3).standard_normal(25).cumsum()
-    centred = series - series.mean()
-    shares = [np.sum(centred[k:] * centred[:-k]) / np.sum(centred**2) for k in range(1, 6)]
-    statistic = 25 * 27 * sum(r**2 / (25 - k) for k, r in enumerate(shares, 1))
-    found = ljung_box(series[:, None, None].astype(complex), np.ones((25, 1, 1), dtype=bool))
-    assert found == pytest.approx(chi2.sf(statistic, 5))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from conftest import Machine
 
+from pipeline.reporting.summary_text import _describe_stability
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.interpolation import bearing_places, move_bearing
 from pipeline.rotor.model import RotorModel
@@ -234,3 +235,34 @@ def test_the_smallest_decrement_counts_the_modes_that_may_take_its_place() -> No
     wanted = math.sqrt((both**2 * np.outer(weight, weight)).sum() / weight.sum() ** 2)
     assert found == pytest.approx(wanted, rel=0.15)
     assert found > 10 * known_to[0]
+
+
+def test_a_mode_near_critical_damping_widens_no_margin() -> None:
+    """A well damped mode known to 10 % beside one near critical damping, whose linearised decrement runs through zero.
+
+    There an eigenvalue goes with the root of what it depends on: its derivative is no measure of anything.
+    """
+    decrement, frequency = np.array([[0.06, 300.0]]), np.array([[100.0, 2.0]])
+    modes = WhirlModes(np.array([100.0]), frequency, decrement, np.array([-0.9]), np.array([100.0]))
+    by_number = np.array([[[-100.0 / (2 * math.pi), 0.0], [0.0, 1e3 + 1e3j]]])
+    deviations = ModeDeviations(modes, frequency, decrement, by_number, np.zeros((1, 2)), np.diag([0.006**2, 1.0]))
+    behaviour = describe_modes(modes, deviations)
+    growth, found = behaviour.margin_deviations
+    assert growth is not None
+    assert found == pytest.approx(0.006, rel=0.15)
+    assert growth < 1.0
+    assert "0.0600 +- 0.0060 at" in _describe_stability(behaviour)
+
+
+@pytest.mark.parametrize(
+    ("growth", "deviation", "verdict"),
+    [(-0.1, 1.0, "stable"), (0.35, 1.7, "not told"), (0.35, 0.1, "unstable"), (5255.0, 4000.0, "not told")],
+)
+def test_a_growth_is_judged_with_its_deviation(growth: float, deviation: float, verdict: str) -> None:
+    """Unstable only beyond two deviations."""
+    modes = WhirlModes(np.ones(1), np.full((1, 1), 1.0), np.full((1, 1), 0.1), np.array([growth]), np.array([1.0]))
+    empty = np.zeros((1, 1))
+    deviations = ModeDeviations(modes, empty, empty, np.zeros((1, 1, 1)), np.ones((1, 1)), np.diag([deviation**2]))
+    behaviour = describe_modes(modes, deviations)
+    assert behaviour.stability == verdict
+    assert ("UNSTABLE" in _describe_stability(behaviour)) is (verdict == "unstable")

@@ -8,6 +8,7 @@ from pipeline.reporting.report.content import FitContent, ReportContent, View, c
 from pipeline.reporting.report.figure import Axes, Curve, Figure, Panel
 from pipeline.reporting.report.measured import AMPLITUDE, RPM, vectors_of
 from pipeline.reporting.report.section import Block, Paragraph, Section, Table, write_number
+from pipeline.trust.misfit import measure_misfit
 
 
 def describe_fit(content: ReportContent) -> Section | None:
@@ -31,7 +32,7 @@ def describe_held_out(content: ReportContent) -> Section | None:
     rows = [
         [
             what,
-            f"{entry['model_error_percent']:.3g}",
+            write_number(entry["model_error_percent"], digits=3),
             entry["rival"],
             write_number(entry["rival_error_percent"], digits=3),
         ]
@@ -56,7 +57,7 @@ def _write_quality(content: ReportContent) -> str:
         residual = training.get("residual", {}).get("mean_over_bearing_force")
         said = "" if residual is None else f" It leaves {100 * residual:.2g} % of the bearing forces over (mean)."
         return f"{outcome}{said} Its loss weighs no noise, so there is no chi-square."
-    square, white, chance = quality["chi_square"], quality["whiteness"], quality["mismatch"]["probability"]
+    square, white, misfit = quality["chi_square"], quality["whiteness"], measure_misfit(quality)
     ratio = float(np.sqrt(square["value"] / square["expected"]))
     text = (
         f"{outcome} Chi-square is {square['value']:.0f}, where {square['expected']:.0f} is expected: the readings lie "
@@ -64,12 +65,8 @@ def _write_quality(content: ReportContent) -> str:
         f"{write_number(white['autocorrelation'], digits=2)} ({write_number(white['over_its_deviation'], digits=2)} "
         "deviations). "
     )
-    explained = (
-        "The model explains the readings."
-        if chance is None or chance > 0.01
-        else "The model does not explain the readings to their noise: what is left is systematic, and the "
-        "deviations are too small."
-    )
+    explained = f"{misfit.sentence[0].upper()}{misfit.sentence[1:]}."
+    explained += "" if misfit.explained() else " What is left is systematic, and the deviations are too small."
     return text + f"{explained} {count(quality['bad_points'], 'reading')} lie beyond 4 deviations."
 
 

@@ -15,6 +15,7 @@ from pipeline.reporting.figures import BLACK, GREY, LOOKS
 from pipeline.reporting.report.content import DASHES, FitContent, ReportContent
 from pipeline.reporting.report.figure import Axes, Curve, Figure, Panel
 from pipeline.reporting.report.section import Block, Paragraph, Section, Table, write_number
+from pipeline.reporting.report.verdicts import list_reservations
 from pipeline.units import RAD_S_PER_RPM
 
 _POINTS, _HIGHEST_DECREMENT = 60, 1.5
@@ -30,11 +31,12 @@ def describe_modes(content: ReportContent) -> Section | None:
     if fit is None or identified is None:
         return None
     stability, rpm = identified["stability"], to_rpm(fit.modes.speeds)
-    said = "stable" if stability["stable"] else "UNSTABLE"
+    verdict = stability.get("verdict", "stable" if stability["stable"] else "unstable")
+    said = {"stable": "stable", "not told": "at the edge of stability, its growth not told from none,"}.get(verdict)
     known = stability.get("largest_growth_std")  # of a machine at rest in a mode: rounding
     growth = write_number(stability["largest_growth"], known if known and known > _ROUNDING else None, 3)
     at = f" at {name_state(fit.operating)}" if fit.operating else ""
-    text = f"The identified machine is {said} from {rpm[0]:.6g} to {rpm[-1]:.6g} rpm{at}; "
+    text = f"The identified machine is {said or 'UNSTABLE'} from {rpm[0]:.6g} to {rpm[-1]:.6g} rpm{at}; "
     text += f"the largest growth rate is {growth} 1/s."
     least = stability["smallest_logarithmic_decrement"]
     if least is not None:
@@ -49,7 +51,8 @@ def describe_modes(content: ReportContent) -> Section | None:
     text += "with an amplification factor below 2.5 is critically damped. "
     running = content.config.machine.prediction.speed_rpm
     text += f"Separation margins are from {running:.6g} rpm (machine.prediction.speed_rpm), in percent of it."
-    blocks: list[Block] = [Paragraph(text, warning=not stability["stable"]), *_warn_beyond(fit)]
+    told = Paragraph(text, warning=verdict == "unstable")
+    blocks: list[Block] = [*list_reservations(content), told, *_warn_beyond(fit)]
     blocks.append(_list_critical_speeds(rpm, identified))
     figures = () if len(rpm) < 2 else (_draw_campbell(content, fit, identified), _draw_stability(content, fit))
     return Section("modes", "Critical speeds and stability", (*blocks, *figures))

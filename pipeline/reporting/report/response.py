@@ -14,6 +14,7 @@ from pipeline.reporting.report.content import ReportContent
 from pipeline.reporting.report.figure import Axes, Curve, Figure, Panel
 from pipeline.reporting.report.measured import AMPLITUDE, RPM, vectors_of
 from pipeline.reporting.report.section import Amplitude, Cell, Mark, Paragraph, Section, Table
+from pipeline.reporting.report.verdicts import list_reservations
 
 SPEED_TOLERANCE = 5.0
 """Percent of the predicted critical speed (API 617, unbalanced rotor response verification test)."""
@@ -24,7 +25,7 @@ def describe_response(content: ReportContent) -> Section | None:
     """Verification as in API 617, and the prediction of an unbalance that no run has; None without a fit."""
     if content.fit is None:
         return None
-    blocks = [*_verify(content), *_predict(content)]
+    blocks = [*list_reservations(content), *_verify(content), *_predict(content)]
     return Section("response", "Unbalance response", tuple(blocks))
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from pipeline.reporting.report.content import ReportContent
 from pipeline.reporting.report.section import Cell, Mark, Paragraph, Section, Table
+from pipeline.trust.judgement import AS_FELT
 
 
 def describe_verdicts(content: ReportContent) -> Section:
@@ -19,6 +20,8 @@ def describe_verdicts(content: ReportContent) -> Section:
     machine = judged.get("machine")
     if machine:
         said = f"The machine as a whole: {machine['verdict']}. {_join(machine)}"
+        felt = machine.get("identified", "")
+        said += f" What is identified: {felt}." if felt == AS_FELT else ""
         blocks.append(Paragraph(said, warning=machine["verdict"] != "good"))
     bearings: list[list[Cell]] = [
         [
@@ -42,6 +45,12 @@ def describe_verdicts(content: ReportContent) -> Section:
     ]
     blocks.append(_make_table("Coefficients", ["coefficient", "verdict", "why", "next step"], rows))
     return Section("verdicts", title, tuple(blocks))
+
+
+def list_reservations(content: ReportContent) -> list[Paragraph]:
+    """The warning that stands beside all that follows from a rejected model."""
+    reservation = content.files.get("verdicts", {}).get("machine", {}).get("reservation")
+    return [Paragraph(reservation, warning=True)] if reservation else []
 
 
 def _make_table(caption: str, header: list[str], rows: list[list[Cell]]) -> Table:

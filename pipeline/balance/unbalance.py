@@ -1,4 +1,4 @@
-"""The unbalance that a vibration means, with intervals.
+"""The unbalance that a vibration means, with intervals, and whether any unbalance explains it.
 
 Generalised least squares of y = baseline + B U with the covariance of the noise and of the model's prediction. The
 D - N entries that the weights do not explain are covariates: a condition that leaves a large T^2 there has wider
@@ -6,21 +6,22 @@ intervals. Where the tail of the conditions is known (a Student t of ``tail`` co
 the conditional law has the covariance times (c tail + T^2) / (tail + D - N), with tail + D - N degrees of freedom;
 where only the freedom n of the covariance is, (n + T^2) / (n - D + N) with n - D + N (growth curves, Rao 1967).
 
-Legend: N planes, D = S P (speeds times channels).
+Legend: C conditions, S speeds, P channels, N planes, D = S P.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
+from pipeline.balance.bands import circle_radius, judge_distance
 from pipeline.balance.linear_vibration import LinearVibration
+from pipeline.balance.records import Readings
 from pipeline.errors import DataError
 from pipeline.problem.noise_levels import NoiseLevels, student_factor
-
-LEVEL = 0.95
-_STEPS = 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,30 +39,26 @@ class Unbalance:
         """(N,) kg m, standard deviation of the real and of the imaginary part."""
         return np.asarray(np.sqrt(np.diag(self.covariance).real / 2))
 
-    def half_width(self, level: float = LEVEL) -> np.ndarray:
+    def half_width(self, level: float = 0.95) -> np.ndarray:
         """(N,) kg m, half of the interval of the real and of the imaginary part."""
         return self.deviation * student_factor(self.freedom, level)
 
-    def magnitude_interval(self, level: float = LEVEL) -> np.ndarray:
+    def magnitude_interval(self, level: float = 0.95) -> np.ndarray:
         """(N, 2) kg m, lowest and highest magnitude. The magnitude of a noisy vector has a Rice distribution."""
         return np.array([_rice(abs(u), h, level) for u, h in zip(self.value, self.half_width(level), strict=True)])
 
-    def angle_half_width(self, level: float = LEVEL) -> np.ndarray:
+    def angle_half_width(self, level: float = 0.95) -> np.ndarray:
         """(N,) rad, half of the interval of the angle; pi where every angle is possible."""
         ratio = self.half_width(level) / np.maximum(abs(self.value), np.finfo(float).tiny)
         return np.where(ratio < 1, np.arcsin(np.minimum(ratio, 1)), np.pi)
 
 
-def estimate_unbalance(
-    model: LinearVibration, vector: np.ndarray, count: int = 1, present: np.ndarray | None = None
-) -> Unbalance:
-    """The weights that explain ``vector`` (D,) complex m, the mean of ``count`` records.
+def estimate_unbalance(model: LinearVibration, vector: np.ndarray, count: int = 1, steps: int = 30) -> Unbalance:
+    """The weights that explain ``vector`` (D,) complex m, the mean of ``count`` records; NaN where nothing was read.
 
-    ``present`` (D,) says which entries were measured; by default those that are not NaN. Raises DataError where they
-    are fewer than the planes.
+    Raises DataError where fewer entries were read than there are planes.
     """
-    kept = np.isfinite(vector) if present is None else np.asarray(present, dtype=bool)
-    n_planes = len(model.planes)
+    kept, n_planes = np.isfinite(vector), len(model.planes)
     if kept.sum() < n_planes:
         raise DataError(
             f"unbalance in {n_planes} planes must be read from at least {n_planes} vectors (channels times speeds), "
@@ -69,7 +66,7 @@ def estimate_unbalance(
         )
     noise = model.noise.covariance(np.array([count]))[0]
     value = np.zeros(n_planes, dtype=complex)
-    for _ in range(_STEPS):
+    for _ in range(steps):
         mean, spread = model.predict(value[None])
         slope = model.influence_at(value)[0][kept]
         total = (noise + spread[0])[np.ix_(kept, kept)]
@@ -88,7 +85,7 @@ def estimate_unbalance(
 
 def _corrected(noise: NoiseLevels, spare: int, squared: float) -> tuple[float, float]:
     """Degrees of freedom of the answer, and the factor of its covariance, where ``spare`` entries are covariates."""
-    if noise.tail is not None:  # the conditional law of a Student t
+    if noise.tail:  # the conditional law of a Student t
         left = noise.tail + spare
         return left, noise.stretch * (noise.tail + squared / noise.stretch) / left
     if noise.freedom <= 0 or not np.isfinite(noise.freedom):
@@ -118,3 +115,69 @@ def _rice(magnitude: float, half_width: float, level: float) -> tuple[float, flo
     high = optimize.brentq(lambda true: below(seen, true) - tail, 0.0, seen + 10)
     low = optimize.brentq(lambda true: below(x, true) - (1 - tail), 0.0, x) if below(x, 0.0) > 1 - tail else 0.0
     return float(low * deviation), float(high * deviation)
+
+
+# --- of many conditions ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Estimates:
+    """The unbalance of every condition in every plane, without the machine's own; beside the known one.
+
+    ``RARE`` is the chance below which a vibration is called inconsistent with any unbalance: one sound condition in a
+    hundred is.
+    """
+
+    RARE: ClassVar[float] = 0.01
+    readings: Readings
+    found: tuple[Unbalance, ...]  # C
+    chance: np.ndarray  # (C,) that a sound condition departs as far from any unbalance; NaN where it can't be known
+    label_chance: np.ndarray  # (C,) the same of the known weights; NaN where there are none
+
+    @property
+    def unbalance(self) -> np.ndarray:
+        """(C, N) complex kg m."""
+        return np.array([estimate.value for estimate in self.found])
+
+    @property
+    def radius(self) -> np.ndarray:
+        """(C, N) kg m, of the circle about each vector that holds 95 %."""
+        return np.array([circle_radius(np.diag(estimate.covariance).real, estimate.freedom) for estimate in self.found])
+
+    @property
+    def inconsistent(self) -> np.ndarray:
+        """(C,) mask of the conditions that no unbalance explains."""
+        return np.asarray(self.chance < self.RARE)
+
+    @property
+    def contradicted(self) -> np.ndarray:
+        """(C,) mask of the conditions whose vibration contradicts their known weights.
+
+        It is that of a whole table: one table of sound conditions in a hundred has any (Bonferroni).
+        """
+        return np.asarray(self.label_chance < self.RARE / len(self.found))
+
+
+def estimate_all(readings: Readings, models: Sequence[LinearVibration]) -> Estimates:
+    """The unbalance of each condition by its model of ``models`` (C). Raises DataError where too little was read."""
+    estimates, chance, labels = [], [], []
+    for c, vector in enumerate(readings.displacement.reshape(len(readings.names), -1)):
+        model, counts = models[c], readings.counts[c]
+        if not (counts > 0).any():
+            raise DataError(f"condition '{readings.names[c]}' must have at least one measured vector, but has none")
+        unbalance = estimate_unbalance(model, vector, int(counts[counts > 0].min()))
+        away = readings.unbalance[c] - unbalance.value
+        known = not np.isnan(away).any()
+        squared = float((away.conj() @ np.linalg.solve(unbalance.covariance, away)).real) if known else np.nan
+        estimates.append(unbalance)
+        chance.append(_judge_rest(unbalance, int((counts > 0).sum()) - len(away), model.noise))
+        labels.append(judge_distance(squared, len(away), unbalance.freedom))
+    return Estimates(
+        readings=readings, found=tuple(estimates), chance=np.array(chance), label_chance=np.array(labels, dtype=float)
+    )
+
+
+def _judge_rest(unbalance: Unbalance, spare: int, noise: NoiseLevels) -> float:
+    """The chance of what the weights leave in ``spare`` complex numbers, with the tails that conditions have."""
+    tail = noise.tail or noise.freedom - spare + 1
+    return judge_distance(unbalance.unexplained / noise.stretch, spare, tail)

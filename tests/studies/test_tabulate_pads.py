@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from reynolds import PadBearing, film_forces, tabulate_bearing
+from tabulate_pads import main
 
 from pipeline.laws.files import FOLDER, packaged_tables, read_film_table
-from pipeline.laws.reynolds import PadBearing, film_forces, tabulate_bearing
 from pipeline.laws.short_bearing import short_coefficients, short_eccentricity
-from pipeline.laws.tabulate import main
 
 LUND = np.loadtxt(FOLDER / "lund_thomsen_two_axial_groove.csv", delimiter=",", skiprows=5)
 TWO = (0.0, np.pi)
@@ -88,7 +88,7 @@ def test_the_command_writes_a_table_that_can_be_read(tmp_path: Path, capsys: pyt
     table = read_film_table(str(path))
     np.testing.assert_array_equal(table.preloads, [0.3, 0.5])
     np.testing.assert_allclose(np.exp(table.curves[0].nodes), np.geomspace(0.2, 2, 4), rtol=1e-4)
-    assert "tabulate own.csv --preloads 0.3 0.5" in path.read_text(encoding="utf-8")
+    assert "tabulate_pads.py own.csv --preloads 0.3 0.5" in path.read_text(encoding="utf-8")
     with pytest.raises(SystemExit):
         main([str(path), "--pads", "5", "--arc", "80"])
     assert "pads that fit into a turn" in capsys.readouterr().err

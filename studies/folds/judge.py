@@ -9,17 +9,10 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from peers import Peer
+from scores import Forward, Inverse, predict_records, read_weights, score_forward, score_inverse
+from splits import Split
 
-from pipeline.balance.peers import Peer
-from pipeline.balance.scores import (
-    Forward,
-    Inverse,
-    predict_records,
-    read_weights,
-    score_forward,
-    score_inverse,
-)
-from pipeline.balance.splits import Split
 from pipeline.data.conditions import gather_conditions
 from pipeline.data.dataset import VibrationDataset
 from pipeline.errors import DataError, IdentifiabilityError

@@ -1,4 +1,4 @@
-"""The stage on the measured rig's records: what it names, the bars that it holds, and mistakes in its settings."""
+"""The folds of the measured rig's records: what they name, the bars that they hold, and mistakes in their settings."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import Run
-from running import composed, strict_json
+from conftest import refused
+from folds import main, parse, run
+from running import FEW_SPEEDS, composed, strict_json
 
 from pipeline.errors import ConfigError
 
@@ -16,10 +17,11 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def folder(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The files of the stage, from the records."""
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The files of the command, from the records."""
     folder = tmp_path_factory.mktemp("rk4")
-    run("folds", ["experiment=rk4"], folder)
+    given = ["experiment=rk4", "tracking=none", f"output={folder}", "--calibration", "BASE", "A007", "A015"]
+    assert main([*given, "--heavy", "36 g mm"]) == 0
     return folder
 
 
@@ -70,8 +72,39 @@ def test_the_table_has_a_row_a_score(folder: Path) -> None:
 
 @pytest.mark.parametrize(
     ("given", "words"),
-    [("[]", "must name the condition without weights"), ("[BASE,A7]", "'A7' is none"), ("[A007]", "must begin with")],
+    [
+        # What the sentence proposes is not what the next one refuses.
+        ([], "must name the condition without weights.* such as --calibration BASE"),
+        (["BASE", "A7"], "'A7' is none"),
+        (["A007"], "must begin with"),
+    ],
 )
-def test_a_calibration_that_is_none_is_refused(given: str, words: str, run: Run, folder: Path) -> None:
+def test_a_calibration_that_is_none_is_refused(given: list[str], words: str, folder: Path) -> None:
     with pytest.raises(ConfigError, match=words):
-        run("folds", composed("experiment=rk4", "tracking=none", f"folds.calibration={given}"), folder)
+        run(composed("experiment=rk4", "tracking=none", f"output={folder}"), given)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ([], "measure the machine without weights, too"),
+        (["disc"], "must begin with"),
+        (["dics"], "did you mean 'disc'?"),
+    ],
+    ids=["one run", "a run with a weight", "a misspelt run"],
+)
+def test_a_machine_that_has_nothing_for_folds(given: list[str], words: str, tmp_path: Path) -> None:
+    with refused(words, kind=ConfigError):
+        run(composed("experiment=ball_bearing", "tracking=none", *FEW_SPEEDS, f"output={tmp_path}"), given)
+
+
+def test_options_that_mean_nothing_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    for given, words in (
+        (["--heavy", "36 kg"], "36 kg"),
+        (["--count", "1"], "a count of 2 or more"),
+        (["--rate", "0.5"], "a rate between 0 and 0.5"),
+    ):
+        with pytest.raises(SystemExit):
+            parse(["experiment=rk4", *given])
+        assert words in capsys.readouterr().err
+    assert parse(["experiment=rk4", "--heavy", "36 g mm"]).heavy == pytest.approx(36e-6)

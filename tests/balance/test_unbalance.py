@@ -7,7 +7,7 @@ import pytest
 from balancing import GRAM, SIZE, truth
 
 from pipeline.balance.influence import fit_influence
-from pipeline.balance.inverse import Unbalance, estimate_unbalance
+from pipeline.balance.unbalance import Unbalance, estimate_unbalance
 from pipeline.errors import DataError
 
 

@@ -7,11 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from balancing import GRAM, truth
+from folds import judge_drift
+from judge import judge, score
+from peers import influence_peers
+from scores import Forward, Inverse, floor_of_drift, score_forward, score_inverse
+from splits import list_splits, name_configuration
 
-from pipeline.balance.folds import judge, score
-from pipeline.balance.peers import influence_peers
-from pipeline.balance.scores import Forward, Inverse, floor_of_drift, score_forward, score_inverse
-from pipeline.balance.splits import list_splits, name_configuration
+from pipeline.balance.influence import fit_influence
 from pipeline.data.conditions import Conditions
 from pipeline.data.dataset import Excitation, VibrationDataset
 
@@ -98,6 +100,15 @@ def test_the_floor_of_drift_is_what_noise_of_that_size_leaves() -> None:
     assert low == pytest.approx(high) == pytest.approx(median) == pytest.approx(size / np.sqrt(3) / 1e-6)
     more = floor_of_drift(conditions, residual, tested, baseline, rng, conditions.of([0, 1, 2]))
     assert more["median_relative_error"][0] > median
+
+
+def test_a_drift_in_the_order_is_seen() -> None:
+    rng = np.random.default_rng(4)
+    machine = truth(rng)
+    conditions = machine.draw(rng, 50)
+    assert judge_drift(conditions, fit_influence(conditions)) > 0.01
+    conditions.displacement[:] += np.linspace(0, 2e-6, 50)[:, None, None]
+    assert judge_drift(conditions, fit_influence(conditions)) < 1e-6
 
 
 @pytest.mark.slow

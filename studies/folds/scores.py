@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.balance.influence import design_of
-from pipeline.balance.inverse import estimate_unbalance
 from pipeline.balance.linear_vibration import LinearVibration
+from pipeline.balance.unbalance import estimate_unbalance
 from pipeline.data.conditions import Conditions
 
 LOADED = 6e-6

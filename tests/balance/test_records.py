@@ -11,9 +11,8 @@ from conftest import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.balance.estimates import Estimates, estimate_all
-from pipeline.balance.readings import average_records, describe_conditions
-from pipeline.balance.records_prediction import predict_records
+from pipeline.balance.records import average_records, describe_conditions, predict_records
+from pipeline.balance.unbalance import Estimates, estimate_all
 from pipeline.errors import DataError
 from pipeline.ingest.records import Records
 

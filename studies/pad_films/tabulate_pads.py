@@ -1,4 +1,4 @@
-"""Makes a table of a bearing with fixed or tilting pads: ``python -m pipeline.laws.tabulate FILE --help``.
+"""Makes a table of a bearing with fixed or tilting pads: ``python studies/pad_films/tabulate_pads.py FILE --help``.
 
 The tables of the package that no publication has are made so; their heads have the arguments.
 """
@@ -12,13 +12,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from reynolds import PadBearing, tabulate_bearing
 
+from pipeline.files import write_text
 from pipeline.laws.files import COLUMNS, PRELOAD
-from pipeline.laws.reynolds import PadBearing, tabulate_bearing
 
 _HEAD = """\
 # Made by Reynolds' equation (isothermal, laminar, rigid; a film breaks where its pressure would fall below ambient):
-# python -m pipeline.laws.tabulate {command}
+# python studies/pad_films/tabulate_pads.py {command}
 # S = eta N L D / W (R / C)^2, N in 1/s; k = K W / C, c = B W / (w C); C is the clearance of the bore, and the preload
 # 1 - C / (clearance of the pads' own radius); x is the direction of the load.{reduced}
 """
@@ -38,7 +39,7 @@ def make_table(bearing: PadBearing, preloads: Sequence[float], sommerfeld: np.nd
 
 
 def _parse(arguments: Sequence[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m pipeline.laws.tabulate", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python studies/pad_films/tabulate_pads.py", description=__doc__)
     parser.add_argument("file", type=Path, help="the CSV file to write")
     parser.add_argument("--pads", type=int, default=2, help="how many, evenly spaced (2)")
     parser.add_argument("--first", type=float, default=0.0, help="degrees from the load to the middle of a pad (0)")
@@ -63,8 +64,6 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
 
 def main(arguments: Sequence[str]) -> int:
     """Write the table; 1 where a static place was not found."""
-    from pipeline.files import write_text
-
     given = _parse(arguments)
     centres = tuple(np.radians(given.first + 360 / given.pads * np.arange(given.pads)).tolist())
     elements = (int(given.elements[0]), int(given.elements[1]))

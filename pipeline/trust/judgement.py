@@ -1,0 +1,187 @@
+"""The Judgement: what an answer is worth, for each coefficient, bearing and the whole, made once.
+
+``verdicts.json`` holds it; every page and line on trust after a fit reads it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.trust.evidence import Evidence
+from pipeline.trust.misfit import describe_held_out
+from pipeline.trust.next_run import Gains, describe_run
+from pipeline.trust.verdict import (
+    CoefficientVerdict,
+    Reason,
+    Verdict,
+    gravest,
+    judge_coefficient,
+    judge_machine,
+    worst,
+)
+
+AS_FELT = "the bearings as the shaft feels them (film and support)"
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Verdicts on the coefficients, and what speaks against all of them."""
+
+    nodes: tuple[int, ...]  # of the bearings
+    verdicts: tuple[CoefficientVerdict, ...]
+    common: tuple[Reason, ...] = ()
+    held_out: tuple[str, ...] = ()  # how readings that the fit did not see are predicted, in words
+    as_felt: bool = False  # a support may be part of the coefficients
+
+    @property
+    def verdict(self) -> Verdict:
+        """On the whole."""
+        return _join(self.verdicts)
+
+    @property
+    def reservation(self) -> str:
+        """What is said beside everything that follows from a rejected model; empty for others."""
+        if self.verdict is not Verdict.NO:
+            return ""
+        why = gravest([*self.common, *(reason for judged in self.verdicts for reason in judged.reasons)])
+        held_out = f" ({'; '.join(self.held_out)})" if self.held_out else ""
+        return f"THE MODEL IS REJECTED, claim nothing from this{held_out}: {why[0].sentence if why else ''}"
+
+    def record(self) -> dict[str, Any]:
+        """For JSON: ``verdicts``, ``bearings`` and ``machine``; numbers that are not finite are null."""
+        return {
+            "verdicts": [_record(judged) for judged in self.verdicts],
+            "bearings": [
+                {"node": node} | _sum_up([judged for judged in self.verdicts if judged.node == node])
+                for node in self.nodes
+            ],
+            "machine": _sum_up(self.verdicts, self.common)
+            | {"reservation": self.reservation, "identified": AS_FELT if self.as_felt else "the bearings"},
+        }
+
+
+def judge(
+    evidence: Evidence,
+    gains: Gains,
+    mistakes: Sequence[Reason] = (),
+    as_felt: bool = False,
+) -> Judgement:
+    """The Judgement of a fit that states deviations.
+
+    Args:
+        gains: what candidate runs would add.
+        mistakes: what else speaks against the whole, such as single mistakes that would explain the readings.
+        as_felt: whether a support may be part of the coefficients.
+    """
+    common, nodes, shared = [*mistakes, *judge_machine(evidence)], evidence.answer.nodes, _list_common(evidence)
+    verdicts = []
+    places = np.argwhere(~np.isnan(evidence.deviations.values).all(axis=1)).tolist()
+    for (b, c), determined in zip(places, evidence.deviations.judge(), strict=True):
+        reasons, checks = judge_coefficient(evidence, determined, b, c)
+        reasons = gravest([*common, *(_add_step(reason, gains, b, c) for reason in reasons)])
+        verdicts.append(CoefficientVerdict(b + 1, nodes[b], COEFFICIENTS[c], tuple(reasons), checks | shared))
+    held_out = tuple(describe_held_out(kind, evidence.fit[kind], 3) for kind in _HELD_OUT if kind in evidence.fit)
+    return Judgement(nodes, tuple(verdicts), tuple(common), held_out, as_felt)
+
+
+_HELD_OUT = ("held_out_speeds", "held_out_runs")
+
+
+def refuse_without_deviations(
+    nodes: Sequence[int], coefficients: Sequence[Sequence[str]], as_felt: bool = False
+) -> Judgement:
+    """The Judgement of a fit by a residual, which weighs no noise and states no deviations."""
+    reason = Reason(
+        Verdict.WITH_CARE,
+        "This loss weighs no noise, so nobody knows how far its answer may be off.",
+        "Train with loss=response, which states deviations, and ask again.",
+    )
+    verdicts = [
+        CoefficientVerdict(b + 1, node, name, (reason,)) for b, node in enumerate(nodes) for name in coefficients[b]
+    ]
+    return Judgement(tuple(nodes), tuple(verdicts), (reason,), as_felt=as_felt)
+
+
+def _add_step(reason: Reason, gains: Gains, b: int, c: int, worth: float = 1.3) -> Reason:
+    """The run that would help most, where the reason has no step; one that helps less than ``worth`` is none."""
+    if reason.next:
+        return reason
+    run, gain = gains.best(b, c)
+    step = "No single run of machine.candidates helps much: use larger weights, more speeds, or probes elsewhere."
+    if gain >= worth:
+        step = f"Add a run with {describe_run(run)}: its deviation falls {gain:.2g} times."
+    return replace(reason, next=step)
+
+
+def _list_common(evidence: Evidence) -> dict[str, Any]:
+    """The figures that all coefficients share."""
+    from pipeline.data.vibration_files import to_rpm
+
+    square, rpm = evidence.fit["chi_square"], to_rpm(evidence.answer.speeds)
+    priors = sorted(evidence.priors.items(), key=lambda item: -abs(item[1]))
+    return {
+        "mismatch": {
+            "chi_square_over_expected": square["value"] / max(square["expected"], 1.0),
+            "probability": evidence.fit["mismatch"]["probability"],
+            "ljung_box_probability": evidence.fit["whiteness"].get("probability"),
+        },
+        "held_out": {
+            f"{kind}_over_noise": evidence.fit[kind]["mean_square_over_noise"]
+            for kind in _HELD_OUT
+            if kind in evidence.fit
+        },
+        "predicted_from_other_runs_over_noise": dict(evidence.predicted),
+        "superposition_over_noise": dict(evidence.superposed),
+        "model_parameters": next(({"most_moved": name, "prior_deviations": value} for name, value in priors), None),
+        "stability": {
+            "largest_growth": evidence.growth.largest,
+            "largest_growth_std": evidence.growth.deviation,
+            "unstable_from_rpm": evidence.growth.unstable_rpm,
+        },
+        "speeds": {"first_rpm": float(rpm[0]), "last_rpm": float(rpm[-1])},
+    }
+
+
+def _record(judged: CoefficientVerdict) -> dict[str, Any]:
+    return {
+        "bearing": judged.bearing,
+        "node": judged.node,
+        "coefficient": judged.coefficient,
+        "verdict": judged.verdict.value,
+        "reasons": [reason.sentence for reason in judged.reasons] or [judged.praise],
+        "next": judged.next,
+        "checks": _finite(judged.checks),
+    }
+
+
+def _join(verdicts: Sequence[CoefficientVerdict]) -> Verdict:
+    """Of several: no where nothing of them can be used."""
+    every = [judged.verdict for judged in verdicts]
+    usable = any(verdict is not Verdict.NO for verdict in every)
+    return Verdict.WITH_CARE if usable and worst(every) is Verdict.NO else worst(every)
+
+
+def _sum_up(verdicts: Sequence[CoefficientVerdict], common: Sequence[Reason] = ()) -> dict[str, Any]:
+    """Verdict, reason and next step of a bearing or the whole; reasons that are ``common`` come first."""
+    good = sum(judged.verdict is Verdict.GOOD for judged in verdicts)
+    bad = sorted(verdicts, key=lambda judged: -list(Verdict).index(judged.verdict))[:1]
+    reasons = [*gravest(common), *(reason for judged in bad for reason in gravest(judged.reasons))]
+    return {
+        "verdict": _join(verdicts).value,
+        "reason": " ".join([f"{good} of {len(verdicts)} coefficients are good.", *(r.sentence for r in reasons[:1])]),
+        "next": next((reason.next for reason in reasons if reason.next), None),
+    }
+
+
+def _finite(value: Any) -> Any:
+    """JSON has no infinity."""
+    if isinstance(value, dict):
+        return {key: _finite(entry) for key, entry in value.items()}
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    return value

@@ -1,0 +1,116 @@
+"""Whether model and noise explain the readings: the one place that says so, from ``fit`` of ``training.json``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pipeline.identification.quality import FAR_FROM_EXPECTED, MISMATCH
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """What a fit leaves over, beside what its noise would."""
+
+    size: float  # mean square over the noise, as far as it is known by itself; 1 where all is well
+    probability: float | None  # of such deviations, or larger ones, if model and noise are right
+    estimated: bool  # the noise was found from the readings
+    noise_factor: float  # noise that was found over the stated one, median over the channels; 1 where it is stated
+    of_stated: float  # mean square over the stated noise
+
+    @property
+    def distance(self) -> float:
+        """How many times their noise the readings lie from the fit, root mean square."""
+        return math.sqrt(self.size)
+
+    @property
+    def unlikely(self) -> bool:
+        """Whether right models hardly ever leave such deviations."""
+        return self.probability is not None and self.probability < MISMATCH
+
+    def explained(self, small: float = 1.5, wide: float = 3.0) -> bool:
+        """Whether model and noise explain the readings, or leave over no more than the bands are wider by.
+
+        What is left over beyond a noise that was found, and lies within the stated one all the same, is no more.
+
+        Args:
+            small: mean square over the noise, up to which what is left over is below the noise.
+            wide: estimated noise over the stated one, beyond which something other than noise is in it, if it wanders.
+        """
+        if self.estimated and self.of_stated < 1.0:
+            return True
+        if self.size >= FAR_FROM_EXPECTED or math.isnan(self.size):
+            return False
+        return not (self.unlikely and (self.size >= small or self.noise_factor >= wide))
+
+    @property
+    def sentence(self) -> str:
+        """In words, for every page and line that says whether the readings are explained."""
+        noise = "the noise that was found" if self.estimated else "the stated noise"
+        chance = "" if self.probability is None else f" (such deviations, or larger ones, {_tell(self.probability)})"
+        if not self.explained():
+            return f"the model and {noise} do not explain the readings{chance}"
+        if self.unlikely or self.size >= FAR_FROM_EXPECTED:
+            return (
+                f"the model and {noise} nearly explain the readings{chance}: what is left over is below the stated "
+                "noise, and the bands are wider by it"
+            )
+        return f"the model and {noise} explain the readings{chance}"
+
+    @property
+    def contradiction(self) -> tuple[str, str] | None:
+        """What speaks against the fit, and the next step; None where it explains the readings."""
+        if self.explained():
+            return None
+        if self.noise_factor > self.distance:
+            return (
+                f"The readings lie {self.noise_factor:.2g} times as far from the fit as the stated noise, and their "
+                "distance wanders over the speed.",
+                "State the noise as it is (stated_noise), or find what else is in the readings: runout, a support, a "
+                "wrong weight, a wrong probe.",
+            )
+        noise = "the noise that was found" if self.estimated else "stated noise"
+        return (
+            f"Model and {noise} do not explain the readings: they lie {self.distance:.2g} times as far from the fit as "
+            "their noise.",
+            "Check units, angles, weights, probes and rotor; state what may be a little wrong as "
+            "identify.model_parameters; use model=b_spline for coefficients with kinks.",
+        )
+
+
+def _tell(probability: float) -> str:
+    return f"have the probability {probability:.2g}"
+
+
+def measure_misfit(fit: Mapping[str, Any]) -> Misfit:
+    """Of ``fit`` in ``training.json`` or ``metrics.json``.
+
+    The probability is the smallest of three tests, chi-square, neighbours and all lags, times three (Bonferroni).
+
+    Where the noise was estimated from what the fit leaves over, its size says nothing by itself. Then it is compared
+    with what differs between neighbouring speeds, which a smooth error of the model leaves out: the mean square of the
+    differences is ``2 (1 - r)`` times that of the values, with the correlation r of neighbours (von Neumann 1941).
+    """
+    square, whiteness, mismatch = fit["chi_square"], fit["whiteness"], fit["mismatch"]
+    estimated = "noise_factor" in fit
+    size = total = square["value"] / max(square["expected"], 1.0)
+    if estimated:
+        wandering = 1.0 / (1.0 - min(max(whiteness["autocorrelation"], 0.0), 0.99))
+        size = wandering if mismatch["chi_square"] is None else max(size, wandering)
+    tests = (mismatch["chi_square"], mismatch["whiteness"], whiteness.get("probability"))
+    smallest = min((p for p in tests if p is not None), default=None)
+    probability = None if smallest is None else min(1.0, len(tests) * smallest)
+    factor = float(np.median(list(fit["noise_factor"].values()))) if estimated else 1.0
+    return Misfit(float(size), probability, estimated, factor, float(total * factor**2))
+
+
+def describe_held_out(kind: str, held_out: Mapping[str, Any], digits: int = 2) -> str:
+    """What the fit makes of readings that it did not see; ``kind`` is ``held_out_speeds`` or ``held_out_runs``."""
+    name, error = kind.replace("held_out_", "held-out "), held_out["error_percent"]
+    if error is None:
+        return f"{name} have no prediction: coefficients leave all bounds where nothing was fitted"
+    return f"{name} predicted to {error:.{digits}g} %"

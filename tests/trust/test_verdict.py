@@ -1,0 +1,161 @@
+"""What the rules make of evidence: each in the words that a user reads."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.problem.determination import Deviations
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.trust.evidence import Evidence, Growth
+from pipeline.trust.judgement import judge
+from pipeline.trust.misfit import measure_misfit
+from pipeline.trust.mistakes import Found
+from pipeline.trust.next_run import Gains
+from pipeline.trust.verdict import find_contradicted, judge_mistakes
+
+FIT: dict[str, Any] = {
+    "chi_square": {"value": 100.0, "expected": 100.0, "readings": 120, "numbers": 40},
+    "whiteness": {"autocorrelation": 0.0, "over_its_deviation": 0.0, "probability": 0.5},
+    "mismatch": {"chi_square": 0.5, "whiteness": 0.5, "probability": 0.8},
+}
+VALUES = dict(zip(COEFFICIENTS, (1e8, 1e6, -1e6, 1e8, 1e5, 1e3, -1e3, 1e5), strict=True))
+CERTAIN = {name: 0.01 * abs(value) for name, value in VALUES.items()}
+
+
+def gathered(deviation: dict[str, float] | None = None, **changed: Any) -> Evidence:
+    """One bearing at five speeds, all eight coefficients known to a percent, nothing against them."""
+    values = np.tile(list(VALUES.values()), (1, 5, 1))
+    spread = np.tile(list((CERTAIN | (deviation or {})).values()), (1, 5, 1))
+    fit = changed.pop("fit", FIT)
+    given: dict[str, Any] = {
+        "deviations": Deviations(BearingTable((3,), np.arange(1.0, 6.0), values), spread, "by this fit"),
+        "by_fit": spread,
+        "tolerances": {},
+        "moves": {},
+        "fit": fit,
+        "misfit": measure_misfit(fit),
+        "predicted": {"a": 1.0, "b": 1.0},
+        "superposed": {"a": 1.0, "b": 1.0},
+        "priors": {},
+        "growth": Growth(-1.0, 0.1, None),
+        "outcome": "converged",
+    }
+    return Evidence(**(given | changed))
+
+
+def record(evidence: Evidence, mistakes: list[Found] | None = None) -> dict[str, Any]:
+    return judge(evidence, Gains(), judge_mistakes(mistakes or [], list(find_contradicted(evidence)))).record()
+
+
+def of(judged: dict[str, Any], name: str) -> dict[str, Any]:
+    return next(entry for entry in judged["verdicts"] if entry["coefficient"] == name)
+
+
+def test_where_nothing_speaks_against_it_all_is_good() -> None:
+    judged = record(gathered())
+    assert judged["machine"]["verdict"] == "good"
+    assert judged["machine"]["reservation"] == ""
+    assert judged["bearings"][0]["reason"] == "8 of 8 coefficients are good."
+
+
+def test_verdict_and_determination_are_one_scale() -> None:
+    """What is called good is called well determined, and what is not determined is no."""
+    for share in (0.01, 0.049, 0.051, 0.08, 0.29, 0.31, 2.0):
+        evidence = gathered({"kxx": share * 1e8})
+        judged = of(record(evidence), "kxx")["verdict"]
+        (determined,) = [each for each in evidence.deviations.judge() if each.name == "kxx"]
+        words = {"good": "well determined", "with care": "weakly determined", "no": "not determined"}
+        assert determined.verdict.value == words[judged]
+
+
+@pytest.mark.parametrize(
+    ("name", "deviation", "verdict"),
+    [
+        ("kxy", 1e4, "good"),  # 0.01 % of the direct ones, 1 % of itself
+        ("kxy", 4e5, "good"),  # 40 % of itself, 0.4 % of the direct ones
+        ("kxy", 1e6, "with care"),
+        ("kxy", 4e6, "no"),
+        ("cyx", 4e2, "good"),
+        ("kxx", 4e7, "no"),
+    ],
+)
+def test_a_cross_term_is_judged_beside_the_direct_ones(name: str, deviation: float, verdict: str) -> None:
+    entry = of(record(gathered({name: deviation})), name)
+    assert entry["verdict"] == verdict
+    assert ("of the direct coefficients" in entry["reasons"][0]) is (verdict == "good")
+
+
+def test_a_cross_term_of_zero_has_a_verdict() -> None:
+    evidence = gathered({"kxy": 1e4})
+    evidence.answer.values[..., 1] = 0.0
+    assert of(record(evidence), "kxy")["verdict"] == "good"
+
+
+def test_a_growth_within_its_deviation_turns_nothing() -> None:
+    assert record(gathered(growth=Growth(0.35, 1.7, None)))["machine"]["verdict"] == "good"
+    judged = record(gathered(growth=Growth(9.0, 1.0, 2100.0)))
+    assert judged["machine"]["verdict"] == "with care"
+    assert "9 +- 1 1/s" in judged["machine"]["reason"]
+
+
+def test_a_run_is_blamed_where_sums_of_runs_object() -> None:
+    judged = record(gathered(superposed={"a": 16.0, "b": 2.0}, predicted={"a": 9.0, "b": 9.0}))["machine"]
+    assert "Run 'a' contradicts the sum of other runs: it lies 4 times its noise away." in judged["reason"]
+    assert "model" not in judged["reason"]
+    assert judged["next"].startswith("Check the weight, its angle and its plane in run 'a'")
+
+
+def test_the_model_may_be_at_fault_where_no_sum_of_runs_objects() -> None:
+    for superposed in ({"a": 1.0, "b": 1.0}, {}):
+        judged = record(gathered(superposed=superposed, predicted={"a": 16.0, "b": 2.0}))["machine"]
+        assert "Run 'a' contradicts the fit of the other runs" in judged["reason"]
+        assert "the model may be at fault" in judged["reason"]
+        assert judged["next"].startswith("Check the model, and the weight")
+
+
+@pytest.mark.parametrize(("superposed", "doubted"), [({"a": 1.0}, True), ({"a": 16.0}, False), ({}, True)])
+def test_a_single_mistake_is_doubted_where_no_sum_of_runs_objects(superposed: dict[str, float], doubted: bool) -> None:
+    single = Found("the weight of run 'a' is not as stated", "the weight of run 'a'", 9.0, False, single=True)
+    reason = record(gathered(superposed=superposed), [single])["machine"]["reason"]
+    assert "3 times better if this is so: the weight of run 'a'" in reason
+    assert ("the model may be at fault" in reason) is doubted
+    every = Found("all readings are 2 times too small", "the conventions", 9.0, True)
+    assert "may be at fault" not in record(gathered(superposed=superposed), [every])["machine"]["reason"]
+
+
+def test_a_coefficient_that_hangs_on_one_run_doubts_the_model_too() -> None:
+    move, spread = np.zeros((1, 5, 8)), np.ones((1, 5, 8))
+    move[..., 0] = 1e7
+    for superposed, doubted in (({"a": 1.0}, True), ({"a": 16.0}, False)):
+        entry = of(record(gathered(moves={"run a": (move, spread)}, superposed=superposed)), "kxx")
+        (reason,) = [text for text in entry["reasons"] if text.startswith("Without run a")]
+        assert ("the model may be at fault" in reason) is doubted
+
+
+def test_a_rejected_model_is_said_to_be_with_its_held_out_error() -> None:
+    fit = FIT | {"held_out_speeds": {"error_percent": 92.0, "mean_square_over_noise": 400.0}}
+    judged = record(gathered({name: 5.0 * abs(value) for name, value in VALUES.items()}, fit=fit))["machine"]
+    assert judged["verdict"] == "no"
+    assert "REJECTED" in judged["reservation"]
+    assert "held-out speeds predicted to 92 %" in judged["reservation"]
+
+
+def test_good_is_never_said_beside_readings_that_are_not_explained() -> None:
+    fit = FIT | {"chi_square": FIT["chi_square"] | {"value": 10_000.0}}
+    judged = record(gathered(fit=fit))
+    assert {entry["verdict"] for entry in judged["verdicts"]} == {"with care"}
+    assert "do not explain the readings: they lie 10 times as far" in judged["machine"]["reason"]
+
+
+def test_a_tolerance_larger_than_the_fits_own_share_is_named() -> None:
+    tolerance = np.zeros((1, 5, 8))
+    tolerance[..., 0] = 1e7
+    evidence = gathered({"kxx": 1.005e7}, by_fit=np.full((1, 5, 8), 1e6), tolerances={"probe_angle": tolerance})
+    entry = of(record(evidence), "kxx")
+    assert entry["verdict"] == "with care"
+    assert "A usual tolerance of probe angle" in entry["reasons"][0]
+    assert "identify.model_parameters.probe_angle" in entry["next"]
