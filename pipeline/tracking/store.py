@@ -57,15 +57,13 @@ def _open(uri: str, name: str, artifact_location: str | None) -> tuple[MlflowCli
     from mlflow.exceptions import MlflowException
 
     client = MlflowClient(tracking_uri=uri, registry_uri=uri)
-    experiment = client.get_experiment_by_name(name)
-    if experiment is None:
-        try:
-            return client, client.create_experiment(name, artifact_location)
-        except MlflowException:
-            # Another process may have made it between the two calls.
-            experiment = client.get_experiment_by_name(name)
-            if experiment is None:
-                raise
+    try:
+        # Not asked for first: another process may make it between two calls.
+        return client, client.create_experiment(name, artifact_location)
+    except MlflowException as error:
+        experiment = client.get_experiment_by_name(name) if error.error_code == "RESOURCE_ALREADY_EXISTS" else None
+        if not experiment:
+            raise
     if experiment.lifecycle_stage != "active":
         raise MlflowException(
             f"the experiment '{name}' was deleted there; "

@@ -103,9 +103,7 @@ def _log_parts(client: MlflowClient, run: Run, record: StageRecord, patience_sec
     parts.log("the parameters", lambda: _log_parameters(client, run_id, record))
     parts.log("the configuration", lambda: client.log_text(run_id, _write_yaml(record), "config.yaml"))
     # The model comes before the metrics, which belong to it too.
-    model_id: str | None = None
-    if (folder := record.model) is not None:
-        model_id = parts.log("the model", lambda: log_model(client, run, folder, flatten_parameters(record.parameters)))
+    model_id = parts.log("the model", partial(log_model, client, run, record)) if record.model else None
     not_finite += parts.log("the metrics", lambda: _log_metrics(client, run_id, final(), model_id)) or []
     not_finite += parts.log("the history", lambda: _log_metrics(client, run_id, history())) or []
     for path, artifact_folder in _sort_files(record.files):
@@ -156,7 +154,7 @@ def _log_parameters(client: MlflowClient, run_id: str, record: StageRecord) -> N
 def _write_yaml(record: StageRecord) -> str:
     import yaml
 
-    return str(yaml.safe_dump(simplify(record.parameters), sort_keys=False, allow_unicode=True))
+    return without_password(yaml.safe_dump(simplify(record.parameters), sort_keys=False, allow_unicode=True))
 
 
 def _log_metrics(
