@@ -94,10 +94,11 @@ def _summarize(place: int, trial: FrozenTrial) -> TrialSummary:
 def train_finalists(study: optuna.Study, problem: StudyProblem) -> list[Finalist]:
     """The default, then the best other trials, each trained with every seed of ``tuning.seeds``."""
     config = problem.config.tuning
-    complete = [(trial.value, place) for place, trial in list_results(study).items() if trial.state.name == "COMPLETE"]
+    results = list_results(study)
+    complete = [(trial.value, place) for place, trial in results.items() if trial.state.name == "COMPLETE"]
     chosen: dict[int, dict[str, Value]] = {0: {}}
     for _, place in sorted(complete):
-        values = translate(config.space, list_results(study)[place].params)
+        values = translate(config.space, results[place].params)
         if place and len(chosen) <= config.finalists and values not in chosen.values():
             chosen[place] = values
     # One training at a time, as in `stage=train`: a batch would go on until its slowest seed is done.
