@@ -9,8 +9,7 @@ from pipeline.errors import without_password
 from pipeline.reporting.console import say, table
 from pipeline.stages.execution import StageOutput
 from pipeline.tracking import find_trial_pages
-from pipeline.tuning.dashboard import gather_studies
-from pipeline.tuning.trials_file import TRIALS
+from pipeline.tuning.trials_file import TRIALS, gather_studies
 
 
 def run(config: Config) -> StageOutput:
