@@ -14,12 +14,16 @@ ROOMS: tuple[tuple[frozenset[str], str], ...] = (
         frozenset({"errors", "units", "files", "cache", "coefficients", "unknowns", "timeout", "processes"}),
         "words, files, and what is unknown",
     ),
-    (frozenset({"config"}), "what a configuration may say"),
+    (frozenset({"config"}), "sections of a configuration, units, sentences"),
     (frozenset({"laws"}), "bearings from few physical numbers"),
     (frozenset({"rotor"}), "shaft and discs as matrices; bearings over speed"),
     (frozenset({"data"}), "vibration, its files, sensors and noise"),
     (frozenset({"sweep"}), "passing a critical speed; the fit of a run-up"),
     (frozenset({"ingest"}), "recordings and tables of instruments"),
+    (
+        frozenset(f"config.{name}" for name in ("machine", "schema", "compose", "choice", "promotion", "own_machines")),
+        "a configuration composed of the sections of all rooms",
+    ),
     (frozenset({"problem"}), "the measurement, its equations, what it determines"),
     (frozenset({"identification"}), "models, losses, optimisers: fit(measurement, setup)"),
     (frozenset({"evaluation"}), "errors, thresholds"),
@@ -41,8 +45,9 @@ ROOMS: tuple[tuple[frozenset[str], str], ...] = (
 
 def room_of(module: str) -> int:
     """The place on the line of a module below ``pipeline``, such as ``data.files``; -1 where it has none."""
-    first = module.split(".")[0]
-    return next((i for i, (names, _) in enumerate(ROOMS) if first in names), -1)
+    first, *rest = module.split(".")
+    places = {name: i for i, (names, _) in enumerate(ROOMS) for name in names}
+    return places.get(f"{first}.{rest[0]}" if rest else first, places.get(first, -1))
 
 
 def count_imports() -> list[list[int]]:
@@ -77,7 +82,8 @@ def draw(path: Path) -> None:
     from matplotlib.figure import Figure
 
     counts = count_imports()
-    names = [min(room) if len(room) == 1 else "(words)" if "errors" in room else "(command)" for room, _ in ROOMS]
+    groups = {"errors": "(words)", "config.schema": "(composition)", "usage": "(command)"}
+    names = [next((group for name, group in groups.items() if name in room), min(room)) for room, _ in ROOMS]
     drawn = Figure(figsize=(11, 7.2), layout="constrained")
     FigureCanvasAgg(drawn)
     axes = drawn.subplots()

@@ -12,14 +12,13 @@ import numpy as np
 from running import composed
 
 from pipeline.coefficients import CoefficientName
-from pipeline.config.laws import LawsConfig
 from pipeline.config.models import HybridModelConfig, LawModelConfig, ModelConfig, NetworkModelConfig
 from pipeline.data.dataset import Excitation
 from pipeline.data.noise import NoiseModel
 from pipeline.data.simulate import add_noise, simulate
 from pipeline.identification.fit import default_setup
 from pipeline.identification.training import FitSetup
-from pipeline.laws.build import make_laws
+from pipeline.laws.build import LawsConfig, make_laws
 from pipeline.laws.law_set import LawSet
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.rotor.bearing_table import BearingTable

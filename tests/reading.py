@@ -14,10 +14,9 @@ from measured_files import PROBES, Vectors, probes_config, vectors_of, wide
 from pydantic import TypeAdapter
 
 from pipeline.config.compose import compose_mapping, validate
-from pipeline.config.recordings import RecordingsConfig
 from pipeline.config.schema import Config
 from pipeline.data.dataset import VibrationDataset
-from pipeline.ingest.dataset import read_measured_runs
+from pipeline.ingest.dataset import RecordingsConfig, read_measured_runs
 
 RPM = np.pi / 30
 GRID = np.arange(500.0, 3001.0, 250.0)

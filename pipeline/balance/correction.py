@@ -78,7 +78,7 @@ def place_holes(given: WeightsConfig, nodes: Sequence[int], source: SourceUnits)
     def place(plane: BalancePlaneConfig) -> Holes:
         turn = 2 * np.pi * np.arange(plane.holes) / plane.holes
         sense = 1 if plane.numbering == "with_rotation" else -1
-        return Holes(source.angle_from_x(plane.first_angle) + sense * turn, plane.radius, masses, given.most)
+        return Holes(source.recordings.angle_from_x(plane.first_angle) + sense * turn, plane.radius, masses, given.most)
 
     return [place(planes[node]) if node in planes else None for node in nodes]
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, PositiveFloat, model_validator
+from pydantic import BeforeValidator, Field, PositiveFloat
 
 from pipeline.config.quantities import Length, Mass, ShaftAngle
-from pipeline.config.section import NonNegativeInt, Section
+from pipeline.config.section import NonNegativeInt, Section, rule
 from pipeline.units import RAD_S_PER_RPM
 
 ANY = "any"
@@ -62,14 +63,13 @@ class WeightsConfig(Section):
     most: Annotated[int, Field(ge=1, le=3)] = 2
     tolerance: ToleranceConfig | None = None
 
-    @model_validator(mode="after")
-    def _lawful(self) -> WeightsConfig:
+    @rule
+    def _lawful(self) -> Iterator[str]:
         nodes = [plane.node for plane in self.planes]
         if len(set(nodes)) != len(nodes):
-            raise ValueError(f"must give every plane once, but planes has the nodes {nodes}")
+            yield f"must give every plane once, but planes has the nodes {nodes}"
         if not self.masses:
-            raise ValueError(f"must have at least one mass, or {ANY}, but masses is empty")
-        return self
+            yield f"must have at least one mass, or {ANY}, but masses is empty"
 
 
 class BalanceConfig(Section):
@@ -85,11 +85,10 @@ class BalanceConfig(Section):
     speeds_rpm: tuple[PositiveFloat, ...] = ()
     method: str | None = None
 
-    @model_validator(mode="after")
-    def _named(self) -> BalanceConfig:
-        if self.remove != "residual" and self.condition is None:
-            raise ValueError(f"must name a condition where remove is {self.remove}, but condition is null")
-        return self
+    @rule
+    def _named(self) -> Iterator[str]:
+        if self.remove != "residual" and not self.condition:
+            yield f"must name a condition where remove is {self.remove}, but condition is null"
 
 
 class PredictConfig(Section):

@@ -15,6 +15,7 @@ from pipeline.config.messages import quote_override
 from pipeline.config.own_machines import clean_name, make_absolute, store_machine
 from pipeline.config.promotion import is_overridden
 from pipeline.errors import ConfigError
+from pipeline.rotor.bearings import CHANGING
 
 if TYPE_CHECKING:
     from hydra.core.config_loader import ConfigLoader
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
 
 DEFAULTS = "default/"
 """The folder below ``conf/experiment`` that has the experiments of machines without one."""
-_CHANGING = {"cylindrical", "journal_table", "speed_table", "rotor_file"}
-"""Kinds of bearings whose coefficients change with the speed, or may."""
 _KINDS = ("kind", "format")
 """Keys that say what the others of their section may be."""
 
@@ -38,22 +37,22 @@ def choose(parsed: Sequence[Override], loader: ConfigLoader) -> list[Override]:
     """
     by_key = {override.key_or_group: override for override in parsed if not override.is_delete()}
     stage, file, machine, experiment = map(by_key.get, ("stage", "machine.file", "machine", "experiment"))
-    if stage is not None and "new" in re.findall(r"\w+", get_text(stage)):  # the file is yet to be written
+    if stage and "new" in re.findall(r"\w+", get_text(stage)):  # the file is yet to be written
         return [*parsed, *parse_overrides([] if "tracking" in by_key else ["tracking=none"], loader)]
     rest = [override for override in parsed if override is not file]
-    path = None if file is None else _locate(file)
-    if file is not None and path is not None:
-        if machine is not None:
+    path = _locate(file) if file else None
+    if file and path:
+        if machine:
             raise ConfigError(
                 f"a command must have one machine, but got {get_text(machine)} and {get_text(file)}: leave one out"
             )
         (machine,) = parse_overrides([f"machine={store_machine(path)}"], loader)
         rest.insert(0, machine)
-    elif machine is None or not isinstance(machine.value(), str) or machine.is_sweep_override():
+    elif not machine or not isinstance(machine.value(), str) or machine.is_sweep_override():
         return _begin_anew(rest, loader)
     rest = _begin_anew(rest, loader)
-    name = str(machine.value()) if path is None else clean_name(path)
-    if experiment is None:
+    name = clean_name(path) if path else str(machine.value())
+    if not experiment:
         more = [*_choose_experiment(_compose(rest, loader)), f"name={name}"]
     else:
         has_machine = str(machine.value()) not in list_options("machine") and isinstance(experiment.value(), str)
@@ -139,7 +138,7 @@ def _choose_experiment(composed: Mapping[str, Any]) -> list[str]:
     each = [bearings, *_look_up(composed, "machine.bearings.nodes").values()]
     kinds = {section.get("kind") for section in each if isinstance(section, Mapping)}
     saved = not bearings and bool(_look_up(composed, "machine.rotor").get("file"))
-    option = "fluid_film" if kinds & _CHANGING or saved else "rolling"
+    option = "fluid_film" if kinds & CHANGING or saved else "rolling"
     if _look_up(composed, "data").get("vibration") or recordings.get("format", "none") != "none":
         baseline = recordings.get("baseline")
         more = [f"data.baseline='{baseline}'"] if isinstance(baseline, str) else []
@@ -161,9 +160,9 @@ def name_choice(config: Config, overrides: Sequence[str], folder: Path | None) -
     """Return the overrides that chose machine and experiment, as a shell takes them in another command."""
     given = dict(override.lstrip("+").partition("=")[::2] for override in overrides)
     parts = []
-    if folder is not None:
+    if folder:
         parts.append(quote_override("--config-dir", str(folder)))
-    if config.machine.file is not None and config.stage != "new":
+    if config.machine.file and config.stage != "new":
         path, here = Path(config.machine.file), Path.cwd()
         short = path.relative_to(here) if path.is_relative_to(here) else path
         parts.append(quote_override("machine.file", str(short)))

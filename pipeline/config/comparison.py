@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated, Literal, get_args
 
-from pydantic import Field, PositiveInt, model_validator
+from pydantic import Field, PositiveInt
 
 from pipeline.config.identification import LossConfig, OptimizerConfig, TrainingConfig
 from pipeline.config.models import ModelConfig
 from pipeline.config.quantities import Damping, Deviation, Stiffness
-from pipeline.config.section import NonNegativeInt, Section, Share
+from pipeline.config.section import NonNegativeInt, Section, Share, rule
 
 MethodName = Literal[
     "least_squares",
@@ -45,11 +46,10 @@ class PriorConfig(Section):
     lowest_damping: Damping
     highest_damping: Damping
 
-    @model_validator(mode="after")
-    def _ascending(self) -> PriorConfig:
+    @rule
+    def _ascending(self) -> Iterator[str]:
         if self.lowest_stiffness >= self.highest_stiffness or self.lowest_damping >= self.highest_damping:
-            raise ValueError("must have lowest_stiffness < highest_stiffness and lowest_damping < highest_damping")
-        return self
+            yield "must have lowest_stiffness < highest_stiffness and lowest_damping < highest_damping"
 
 
 class FitConfig(Section):
@@ -90,21 +90,20 @@ class ComparisonConfig(Section):
     trained: FitConfig
     law: FitConfig
 
-    @model_validator(mode="after")
-    def _once(self) -> ComparisonConfig:
+    @rule
+    def _once(self) -> Iterator[str]:
         for key in ("methods", "noise", "sensors", "speeds"):
             values = getattr(self, key)
             if len(set(values)) != len(values):
-                raise ValueError(f"must name each of its {key} once, but got {list(values)}")
+                yield f"must name each of its {key} once, but got {list(values)}"
         for name in ("paper", "residual", "preconditioned", "response"):
             got, wanted = getattr(self, name).loss.kind, "residual" if name == "paper" else name
             if got != wanted:
-                raise ValueError(f"{name} must have loss={wanted}, but got {got}")
+                yield f"{name} must have loss={wanted}, but got {got}"
         if (self.trained.loss.kind, self.trained.loss.hidden) != ("response", "trained"):
-            raise ValueError("trained must have loss=response with hidden: trained")
+            yield "trained must have loss=response with hidden: trained"
         if (self.law.loss.kind, self.law.model.kind) != ("response", "law"):
-            raise ValueError("law must have loss=response and model=law")
-        return self
+            yield "law must have loss=response and model=law"
 
     def data_sets_of(self, method: MethodName) -> int:
         """How many data sets a method gets at most."""

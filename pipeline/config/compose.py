@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 _CACHED = "configurations"
 _PACKAGES = ("hydra-core", "pydantic", "pint")
 _PACKAGE = Path(__file__).parents[1]
+_ROOMS = ("config", "laws", "rotor", "data", "ingest")
+"""Those that have sections of the schema."""
 
 
 def compose_config(overrides: Sequence[str] = (), folder: Path | None = None) -> Config:
@@ -39,12 +41,12 @@ def compose_stages(overrides: Sequence[str] = (), folder: Path | None = None) ->
     ``folder`` is that of ``--config-dir``.
     """
     key = _identify(overrides, folder)
-    content = None if key is None else look_up(_CACHED, key)
-    configs = None if content is None else _read(content)
-    if configs is None:
+    content = look_up(_CACHED, key) if key else None
+    configs = _read(content or b"")
+    if not configs:
         configs = _validate_stages(compose_mapping(overrides, folder))
         content = json.dumps([config.model_dump(mode="json") for config in configs]).encode()
-        if key is not None and configs[0].machine.runs_file is None and _read(content) == configs:
+        if key and not configs[0].machine.runs_file and _read(content) == configs:
             keep(_CACHED, key, content)
     return [_complete(config, overrides, folder) for config in configs]
 
@@ -61,31 +63,32 @@ def _complete(config: Config, overrides: Sequence[str], folder: Path | None) -> 
     return apply_promoted(config, overrides).model_copy(update={"chosen_by": name_choice(config, overrides, folder)})
 
 
-def _identify(overrides: Sequence[str], folder: Path | None) -> str | None:
+def _identify(overrides: Sequence[str], folder: Path | None) -> str:
     """Identity of all that a configuration is composed from: ``conf``, the schema, the packages, the overrides, and the
-    files outside ``conf`` that they name. None where one of them can't be read."""
+    files outside ``conf`` that they name. Empty where one of them can't be read."""
     from pipeline.config.own_machines import list_files
 
-    schema = [*sorted(Path(__file__).parent.glob("*.py")), _PACKAGE / "coefficients.py", _PACKAGE / "unknowns.py"]
+    rooms = [path for room in _ROOMS for path in sorted((_PACKAGE / room).glob("*.py"))]
+    schema = [*rooms, _PACKAGE / "coefficients.py", _PACKAGE / "unknowns.py"]
     try:
         outside = list_files(overrides, folder)
         files = {path: path.read_bytes() for path in (*sorted(loader.CONF.rglob("*.yaml")), *schema, *outside)}
     except (OSError, ValueError):
-        return None
+        return ""
     if "$" in "".join(overrides) or any(b"$" in files[path] for path in outside):  # the environment resolves it
-        return None
+        return ""
     contents = (content_bytes for path, content in files.items() for content_bytes in (str(path), content))
     return hash_parts(*contents, *map(importlib.metadata.version, _PACKAGES), json.dumps(list(overrides)))
 
 
-def _read(content: bytes) -> list[Config] | None:
-    """The configurations of a command; None where the entry is damaged."""
+def _read(content: bytes) -> list[Config]:
+    """The configurations of a command; none where the entry is damaged, or there is none."""
     from pipeline.config.schema import Config
 
     try:
         return [Config.model_validate(mapping) for mapping in json.loads(content)]
     except (ValueError, TypeError):  # pydantic's errors are ValueErrors
-        return None
+        return []
 
 
 def _validate_stages(mapping: Mapping[str, Any]) -> list[Config]:

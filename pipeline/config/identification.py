@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Annotated, Literal
 
-from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+from pydantic import Field, PositiveFloat, PositiveInt
 
 from pipeline.coefficients import CoefficientName
-from pipeline.config.operating_point import OperatingPoint
+from pipeline.config.operating import Conditions
 from pipeline.config.quantities import Length, Mass, PositiveAngle, RotorSpeed, Stiffness, WeightLaw
-from pipeline.config.section import NonNegativeInt, Section, Share
+from pipeline.config.section import NonNegativeInt, Section, Share, rule
 from pipeline.unknowns import BearingUnknowns, Structure, UnknownSet, unknown_set
 
 
@@ -51,7 +51,7 @@ class ModelParametersConfig(Section):
     @property
     def deviations(self) -> dict[str, float]:
         """Those that are given, by kind."""
-        return {kind: value for kind, value in self if value is not None}
+        return {kind: value for kind, value in self if value}
 
 
 class IdentifyConfig(Section):
@@ -75,17 +75,16 @@ class IdentifyConfig(Section):
     known_within: Annotated[float, Field(gt=1)] | None = None
     bearings: dict[NonNegativeInt, OneBearingConfig] = Field(default_factory=dict)
 
-    @model_validator(mode="after")
-    def _lawful(self) -> IdentifyConfig:
+    @rule
+    def _lawful(self) -> Iterator[str]:
         if self.shared and self.bearings:
-            raise ValueError("shared makes all bearings alike, but bearings has exceptions: leave one of them out")
+            yield "shared makes all bearings alike, but bearings has exceptions: leave one of them out"
         for unknowns in (self.unknowns, *(bearing.unknowns or () for bearing in self.bearings.values())):
             if len(set(unknowns)) != len(unknowns):
-                raise ValueError(f"must name each unknown once, but got {list(unknowns)}")
+                yield f"must name each unknown once, but got {list(unknowns)}"
         self.at(-1)
         for node in self.bearings:
             self.at(node)
-        return self
 
     def at(self, node: int) -> BearingUnknowns:
         """Return what is unknown at the bearing of ``node``. Raises ValueError where half of a structure is known."""
@@ -127,13 +126,10 @@ class LossConfig(Section):
     hidden: Literal["drawn", "trained"] = "drawn"
     networks: Annotated[int, Field(ge=4, le=200, multiple_of=2)] = 8
 
-    @model_validator(mode="after")
-    def _trains_hidden(self) -> LossConfig:
+    @rule
+    def _trains_hidden(self) -> Iterator[str]:
         if self.hidden == "trained" and self.kind != "response":
-            raise ValueError(
-                f"hidden: trained must come with kind: response (others train all layers), got {self.kind}"
-            )
-        return self
+            yield f"hidden: trained must come with kind: response (others train all layers), got {self.kind}"
 
     @property
     def preconditioned(self) -> bool:
@@ -174,11 +170,10 @@ class OptimizerConfig(Section):
     lbfgs: LBFGSConfig
     levenberg_marquardt: LevenbergMarquardtConfig
 
-    @model_validator(mode="after")
-    def _some_steps(self) -> OptimizerConfig:
+    @rule
+    def _some_steps(self) -> Iterator[str]:
         if self.adam.steps + self.lbfgs.steps + self.levenberg_marquardt.steps == 0:
-            raise ValueError("must have a phase with steps > 0, but adam, lbfgs and levenberg_marquardt all have 0")
-        return self
+            yield "must have a phase with steps > 0, but adam, lbfgs and levenberg_marquardt all have 0"
 
 
 class TrainingConfig(Section):
@@ -187,21 +182,16 @@ class TrainingConfig(Section):
     holdout_every: NonNegativeInt
     holdout_runs: tuple[str, ...] = ()
     holdout_range: tuple[RotorSpeed, RotorSpeed] | None = None  # rad/s, speeds that are predicted, not fitted
-    holdout_operating: OperatingPoint = Field(default_factory=dict)  # SI, conditions that are predicted, not fitted
+    holdout_operating: Conditions = Field(default_factory=dict)  # SI, conditions that are predicted, not fitted
     tolerance: Share
 
-    @model_validator(mode="after")
-    def _leaves_training_speeds(self) -> TrainingConfig:
+    @rule
+    def _leaves_training_speeds(self) -> Iterator[str]:
         if self.holdout_every == 1:
-            raise ValueError(
-                "must have holdout_every = 0 (none) or at least 2, but got 1, which leaves no speed to train on"
-            )
-        if self.holdout_range is not None and self.holdout_range[0] > self.holdout_range[1]:
+            yield "must have holdout_every = 0 (none) or at least 2, but got 1, which leaves no speed to train on"
+        if self.holdout_range and self.holdout_range[0] > self.holdout_range[1]:
             low, high = self.holdout_range
-            raise ValueError(
-                f"must have holdout_range = [from, to] with from <= to, but got {low:g} and {high:g} rad/s"
-            )
-        return self
+            yield f"must have holdout_range = [from, to] with from <= to, but got {low:g} and {high:g} rad/s"
 
 
 class RobustnessConfig(Section):
@@ -216,11 +206,10 @@ class RobustnessConfig(Section):
     seeds: tuple[NonNegativeInt, ...] = Field(min_length=1)
     workers: PositiveInt = 1  # processes of refits
 
-    @model_validator(mode="after")
-    def _ascending(self) -> RobustnessConfig:
+    @rule
+    def _ascending(self) -> Iterator[str]:
         if self.lowest_stiffness >= self.highest_stiffness:
-            raise ValueError(
+            yield (
                 "must have lowest_stiffness < highest_stiffness, "
                 f"but got {self.lowest_stiffness:g} and {self.highest_stiffness:g} N/m"
             )
-        return self

@@ -153,7 +153,7 @@ def _check_group_values(parsed: Sequence[Override], loader: ConfigLoader) -> Non
 def _explain_missing(error: Any) -> str:
     group, _, name = (error.missing_cfg_file or "").rpartition("/")
     place = re.match(r"In '([^']+)'", str(error))
-    inside = place is not None and place[1] not in (ROOT_CONFIG, "hydra/config")
+    inside = place and place[1] not in (ROOT_CONFIG, "hydra/config")
     return (f"in conf/{place[1]}.yaml, " if place and inside else "") + explain_option(
         group, name, error.options or list_options(group)
     )

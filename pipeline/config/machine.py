@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from pydantic import Field, PositiveFloat, ValidationInfo, field_validator, model_validator
+from pydantic import Field, PositiveFloat, ValidationInfo, field_validator
 
-from pipeline.config.as_built import AsBuiltConfig
 from pipeline.config.balance import WeightsConfig
-from pipeline.config.bearings import BearingConfig, PerNodeBearingConfig, RotorFileBearingConfig
-from pipeline.config.laws import LawsConfig
-from pipeline.config.measured import MeasuredRunConfig, convert_phase
-from pipeline.config.operating import States
-from pipeline.config.operating_point import OperatingPoint
-from pipeline.config.recordings import AnyRecordingsConfig, NoRecordingsConfig, RecordingsConfig
+from pipeline.config.measured import AnyRecordingsConfig, MeasuredRunConfig
+from pipeline.config.operating import Conditions, States
 from pipeline.config.rotor import RotorConfig
-from pipeline.config.run_up import RunUpConfig
 from pipeline.config.runs import CandidateConfig, ForceConfig, ProbesConfig, RunConfig, SpeedsConfig, UnbalanceConfig
-from pipeline.config.section import NonNegativeInt, Section
+from pipeline.config.section import NonNegativeInt, Section, rule
+from pipeline.data.as_built import AsBuiltConfig
+from pipeline.ingest.dataset import RecordingsConfig
+from pipeline.ingest.run_up import RunUpConfig
+from pipeline.laws.build import LawsConfig
+from pipeline.rotor.bearings import BearingConfig, RotorFileBearingConfig
 
 
 class PredictionConfig(Section):
@@ -32,7 +31,7 @@ class PredictionConfig(Section):
     node: NonNegativeInt
     speed_rpm: PositiveFloat
     unbalances: tuple[UnbalanceConfig, ...] = Field(min_length=1)
-    operating: OperatingPoint = Field(default_factory=dict)
+    operating: Conditions = Field(default_factory=dict)
 
 
 class MachineConfig(Section):
@@ -71,7 +70,7 @@ class MachineConfig(Section):
     def _saved_bearings(cls, value: Any, info: ValidationInfo) -> Any:
         if value is not None:
             return value
-        if "rotor" in info.data and info.data["rotor"].file is None:
+        if "rotor" in info.data and not info.data["rotor"].file:
             raise ValueError("must be given, but is missing")
         return RotorFileBearingConfig(kind="rotor_file")
 
@@ -83,7 +82,7 @@ class MachineConfig(Section):
         if "recordings" not in info.data:  # they are wrong, and that is told
             return SpeedsConfig(start_rpm=1, stop_rpm=1, step_rpm=1)
         recordings = info.data["recordings"]
-        if isinstance(recordings, NoRecordingsConfig) or recordings.speeds is None:
+        if not recordings.speeds:
             raise ValueError("must be given (start_rpm, stop_rpm, step_rpm), but is missing")
         return recordings.speeds
 
@@ -95,7 +94,7 @@ class MachineConfig(Section):
         if "recordings" not in info.data:
             return [RunConfig(name="x", forces=(ForceConfig(node=0, magnitude=1.0),))]
         recordings = info.data["recordings"]
-        if isinstance(recordings, NoRecordingsConfig):
+        if not recordings.recorded:
             raise ValueError("must be given (a list of runs, each with unbalances or forces), but is missing")
         excited = {run.name: run for run in recordings.runs if run.unbalances or run.forces}
         return [_plan_run(run, recordings) for run in excited.values()]
@@ -126,46 +125,43 @@ class MachineConfig(Section):
         largest = max(weight.magnitude for weight in weights)
         return CandidateConfig(unbalance_nodes=nodes, unbalance=largest, **_NO_FORCE)
 
-    @model_validator(mode="after")
-    def _is_built_of_the_same_parts(self) -> MachineConfig:
+    @rule
+    def _is_built_of_the_same_parts(self) -> Iterator[str]:
         built = self.as_built
-        if built is None:
-            return self
-        if self.rotor.file is not None and (built.refinement > 1 or built.beam):
+        if not built:
+            return
+        if self.rotor.file and (built.refinement > 1 or built.beam):
             key = "refinement" if built.refinement > 1 else next(iter(built.beam))
-            raise ValueError(f"as_built.{key} must be left out for a rotor of a file, whose elements are its own")
+            yield f"as_built.{key} must be left out for a rotor of a file, whose elements are its own"
         elements = sum(section.elements for section in self.rotor.shaft)
-        if built.shaft is not None and (count := sum(section.elements for section in built.shaft)) != elements:
-            raise ValueError(f"as_built.shaft must have the {elements} elements of the model's shaft, but got {count}")
+        if built.shaft and (count := sum(section.elements for section in built.shaft)) != elements:
+            yield f"as_built.shaft must have the {elements} elements of the model's shaft, but got {count}"
         alone = "method=time" if built.in_time else "pedestal_stiffness" if built.pedestal_stiffness else ""
         if alone and any(run.frequency_hz or run.frequency_ratio for run in self.runs):
-            raise ValueError(f"as_built.{alone} needs runs that turn with the rotor, but one does not")
-        return self
+            yield f"as_built.{alone} needs runs that turn with the rotor, but one does not"
 
-    @model_validator(mode="after")
-    def _names(self) -> MachineConfig:
+    @rule
+    def _names(self) -> Iterator[str]:
         names = [run.name for run in self.runs]
         if len(set(names)) != len(names):
-            raise ValueError(f"must give every run a name of its own, but got {names}")
-        return self
+            yield f"must give every run a name of its own, but got {names}"
 
-    @model_validator(mode="after")
-    def _nodes_exist(self) -> MachineConfig:
-        if self.rotor.file is not None:
-            return self
-        if self.bearings.kind == "rotor_file":
-            raise ValueError("must give rotor.file where bearings.kind is rotor_file, but rotor.file is null")
-        if isinstance(self.bearings, PerNodeBearingConfig):
-            without = [node for node in self.rotor.bearing_nodes if node not in self.bearings.nodes]
-            if without:
-                raise ValueError(
-                    f"bearings.nodes must have a bearing for every bearing node of the rotor, but node {without[0]} "
-                    f"has none (it has {', '.join(map(str, self.bearings.nodes))})"
-                )
+    @rule
+    def _nodes_exist(self) -> Iterator[str]:
+        if self.rotor.file:
+            return
+        if self.bearings.saved:
+            yield "must give rotor.file where bearings.kind is rotor_file, but rotor.file is null"
+        placed = self.bearings.places
+        if placed and (without := [node for node in self.rotor.bearing_nodes if node not in placed]):
+            yield (
+                f"bearings.nodes must have a bearing for every bearing node of the rotor, but node {without[0]} has "
+                f"none (it has {', '.join(map(str, placed))})"
+            )
         for node in self.laws.bearings if self.laws else ():
             if node not in self.rotor.bearing_nodes:
                 where = ", ".join(map(str, self.rotor.bearing_nodes))
-                raise ValueError(f"laws.bearings must have bearing nodes of the rotor ({where}), but has node {node}")
+                yield f"laws.bearings must have bearing nodes of the rotor ({where}), but has node {node}"
         last = self.rotor.n_nodes - 1
         used = [
             (f"run '{run.name}'", node)
@@ -179,8 +175,7 @@ class MachineConfig(Section):
             used += [("probes.at", probe.node) for probe in self.probes.at]
         for what, node in [*used, ("prediction.node", self.prediction.node)]:
             if node > last:
-                raise ValueError(f"must use nodes 0 to {last} of the rotor, but {what} got node {node}")
-        return self
+                yield f"must use nodes 0 to {last} of the rotor, but {what} got node {node}"
 
 
 _NO_FORCE: dict[str, Any] = {"force_nodes": (), "force": 1.0, "whirls": (), "phases_deg": (0.0, 90.0, 180.0, 270.0)}
@@ -199,7 +194,7 @@ def _plan_run(run: MeasuredRunConfig, recordings: AnyRecordingsConfig) -> RunCon
             UnbalanceConfig(
                 node=unbalance.node,
                 magnitude=unbalance.magnitude,
-                phase=convert_phase(unbalance.phase, recordings.shaft_angle or "from_x", recordings.tacho.angle),
+                phase=recordings.angle_from_x(unbalance.phase),
             )
             for unbalance in run.unbalances
         ),

@@ -6,10 +6,10 @@ equations behind the words are in :mod:`pipeline.ingest.conventions`. Values are
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Literal
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from pydantic import BeforeValidator, Field, PositiveFloat, model_validator
+from pydantic import BeforeValidator, Field, PositiveFloat
 
 from pipeline.config.motion import MotionConfig, Sensitivity, find_volts, to_motion
 from pipeline.config.operating import Conditions, Differences
@@ -17,12 +17,17 @@ from pipeline.config.quantities import (
     AnyDamping,
     AnyStiffness,
     Deviation,
-    Force,
     ShaftAngle,
-    UnbalanceMagnitude,
 )
-from pipeline.config.runs import SpeedsConfig
-from pipeline.config.section import NonNegativeInt, Section
+from pipeline.config.runs import ForceConfig, SpeedsConfig, UnbalanceConfig
+from pipeline.config.section import NonNegativeInt, Section, rule
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from pipeline.ingest.order_tracking import Signals
+    from pipeline.ingest.records import Records
+    from pipeline.ingest.tracks import RunTracks
 
 AmplitudeKind = Literal["zero_to_peak", "peak_to_peak", "rms"]
 PhaseSense = Literal["lag", "lead"]
@@ -60,13 +65,6 @@ Known = Annotated[Text | KnownConfig | None, BeforeValidator(_parse_known)]
 """The coefficients that are not identified: a file, the machine's ``bearings``, or values."""
 
 
-def convert_phase(phase: float, shaft_angle: str, tacho: float | None) -> float:
-    """Angle p (rad) from x at the pulse of an unbalance at ``phase`` (rad) as ``shaft_angle`` says; tacho's in rad."""
-    if shaft_angle == "from_x" or tacho is None:
-        return phase
-    return tacho + phase if shaft_angle == "with_rotation" else tacho - phase
-
-
 class VectorConventionsConfig(MotionConfig):
     """The meaning of complex numbers over the speed: unit and kind of size, sense of the angle, unit of the speed."""
 
@@ -94,19 +92,15 @@ class ProbeConfig(Section):
     mounted: Literal["shaft", "casing"] | None = None
 
 
-class MeasuredUnbalanceConfig(Section):
+class MeasuredUnbalanceConfig(UnbalanceConfig):
     """An unbalance (kg m) that was on the shaft in a run; ``phase`` as ``shaft_angle`` says."""
 
-    node: NonNegativeInt
-    magnitude: UnbalanceMagnitude
     phase: ShaftAngle
 
 
-class MeasuredForceConfig(Section):
+class MeasuredForceConfig(ForceConfig):
     """A rotating force F e^{jp} [1, -j] (forward) or [1, +j] (backward) on x and y, time zero at the tacho pulse."""
 
-    node: NonNegativeInt
-    magnitude: Force
     phase: ShaftAngle
     whirl: Literal["forward", "backward"]
 
@@ -123,23 +117,32 @@ class MeasuredRunConfig(Section):
     unbalances: tuple[MeasuredUnbalanceConfig, ...] = ()
     forces: tuple[MeasuredForceConfig, ...] = ()
 
+    @property
+    def asynchronous(self) -> bool:
+        """True where the response has a frequency of its own."""
+        return False
+
+    def frequencies(self, speeds: np.ndarray) -> np.ndarray:
+        """(S,) rad/s of the vibration at the rotor ``speeds`` (S,) rad/s."""
+        return speeds
+
     def sources(self, file: str | None) -> tuple[str, ...]:
         """The files of this run; ``file`` is that of the runs that name none. Raises ValueError where there is none."""
-        if self.file is None and file is None:
+        if not (self.file or file):
             raise ValueError(f"run '{self.name}' must have a file, but it has none (and there is no file for all)")
         return (self.file or file or "",)
 
 
-def _check_repeated(runs: Sequence[MeasuredRunConfig]) -> None:
-    """Raise ValueError for runs of one name that differ in more than their operating conditions, or not in these."""
+def _check_repeated(runs: Sequence[MeasuredRunConfig]) -> Iterator[str]:
+    """What is wrong with runs of one name that differ in more than their operating conditions, or not in these."""
     states = [tuple(sorted(run.operating.items())) for run in runs]
     if len(set(states)) < len(states):
-        raise ValueError(
+        yield (
             f"must give every run a name of its own, or operating conditions of its own, but '{runs[0].name}' is there "
             f"{len(runs)} times"
         )
     if any((run.unbalances, run.forces) != (runs[0].unbalances, runs[0].forces) for run in runs):
-        raise ValueError(f"must have the same excitation in runs of one name, but those of '{runs[0].name}' differ")
+        yield f"must have the same excitation in runs of one name, but those of '{runs[0].name}' differ"
 
 
 class SlowRollVectorConfig(Section):
@@ -157,23 +160,99 @@ class SlowRollConfig(Section):
     amplitude: AmplitudeKind | None = None
     phase: PhaseSense | None = None
 
-    @model_validator(mode="after")
-    def _one_way(self) -> SlowRollConfig:
-        if (self.below_rpm is None) == (not self.vectors):
+    @rule
+    def _one_way(self) -> Iterator[str]:
+        if (not self.below_rpm) == (not self.vectors):
             got = "both" if self.vectors else "neither"
-            raise ValueError(f"must give either below_rpm or vectors, but got {got}")
-        if self.vectors and (self.amplitude is None or self.phase is None):
-            raise ValueError(
+            yield f"must give either below_rpm or vectors, but got {got}"
+        if self.vectors and not (self.amplitude and self.phase):
+            yield (
                 "must give amplitude (zero_to_peak, peak_to_peak or rms) and phase (lag or lead) where it has vectors, "
                 "but one is missing"
             )
-        return self
 
 
 class TachoAngleConfig(Section):
     """The angle of the tacho probe from x towards y; null where no unbalance is measured from its mark."""
 
     angle: ShaftAngle | None = None
+
+
+class AnyRecordingsConfig(Section):
+    """What every format of recordings answers, and where there is nothing to read."""
+
+    if TYPE_CHECKING:  # each format has its own
+
+        @property
+        def recorded(self) -> bool:
+            """Whether there is something to read."""
+
+        @property
+        def format(self) -> str:
+            """The name of the format."""
+
+        @property
+        def file(self) -> str | None:
+            """Of the runs that name none."""
+
+        @property
+        def speeds(self) -> SpeedsConfig | None:
+            """Those that run-ups are interpolated to."""
+
+        @property
+        def shaft_angle(self) -> Literal["with_rotation", "against_rotation", "from_x"] | None:
+            """How angles of weights are measured."""
+
+        @property
+        def tacho(self) -> TachoAngleConfig:
+            """Its angle, and its pulses."""
+
+        @property
+        def probes(self) -> Mapping[str, ProbeConfig]:
+            """By name."""
+
+        @property
+        def runs(self) -> Sequence[MeasuredRunConfig]:
+            """Each with what excited it; one may come several times, at other operating conditions."""
+
+    @property
+    def vectors(self) -> VectorConventionsConfig:
+        """The meaning of the vectors of records; um zero-to-peak, phase lead for recordings of runs."""
+        usual = {"length": "um", "amplitude": "zero_to_peak", "phase": "lead", "speed": "rpm"}
+        return VectorConventionsConfig.model_validate(usual)
+
+    @property
+    def planes(self) -> tuple[int, ...]:
+        """The nodes of the planes whose weights each record states; none for recordings of runs."""
+        return ()
+
+    def angle_from_x(self, angle: float) -> float:
+        """rad from x at the pulse of an unbalance whose ``angle`` (rad) is measured as ``shaft_angle`` says."""
+        if self.shaft_angle in (None, "from_x") or self.tacho.angle is None:
+            return angle
+        return self.tacho.angle + angle if self.shaft_angle == "with_rotation" else self.tacho.angle - angle
+
+    def read_signals(self, run: MeasuredRunConfig) -> list[Signals]:
+        """The time signals of a run, a value a file, in m; none where there are vectors alone. Raises DataError."""
+        return []
+
+    def read_records(self, file: str | None = None) -> Records:
+        """The records of a table that states :attr:`planes`, or of another ``file`` like it. Raises DataError."""
+        raise NotImplementedError
+
+
+class NoRecordingsConfig(AnyRecordingsConfig):
+    """Nothing to read: the data are simulated, or the two files of training are there already."""
+
+    format: Literal["none"]
+
+    recorded: ClassVar[Literal[False]] = False
+    file: ClassVar[None] = None
+    speeds: ClassVar[None] = None
+    shaft_angle: ClassVar[None] = None
+    tacho: ClassVar[TachoAngleConfig] = TachoAngleConfig()
+    probes: ClassVar[Mapping[str, ProbeConfig]] = {}
+    runs: ClassVar[tuple[MeasuredRunConfig, ...]] = ()
 
 
 class OrderTrackingConfig(Section):
@@ -187,22 +266,12 @@ class OrderTrackingConfig(Section):
     revolutions: Annotated[float, Field(ge=2)] | None = None
     most_lag: Annotated[float, Field(gt=0, lt=0.5)] = 0.01
 
-
-class CsvConfig(Section):
-    """The format of a CSV file; ``skip_rows`` are lines before the header."""
-
-    delimiter: Annotated[str, Field(min_length=1, max_length=1)] = ","
-    decimal: Literal[".", ","] = "."
-    skip_rows: NonNegativeInt = 0
-
-    @model_validator(mode="after")
-    def _apart(self) -> CsvConfig:
-        if self.delimiter == self.decimal:
-            raise ValueError(f"must have a delimiter that is not the decimal mark, but both are {self.decimal!r}")
-        return self
+    def shortest(self, fewest: float = 8.0) -> float:
+        """Revolutions of the shortest window."""
+        return self.revolutions or fewest
 
 
-class MeasuredConfig(Section):
+class MeasuredConfig(AnyRecordingsConfig):
     """All formats share these keys; each adds ``probes`` and ``runs``. Runs that name no file are in ``file``.
 
     ``known`` gives the coefficients that are not identified: a table, ``bearings`` (those of the machine), or
@@ -223,63 +292,78 @@ class MeasuredConfig(Section):
     same_conditions: Differences = Field(default_factory=dict)
     synthetic: bool = False
 
-    def check_units(self, unit: str, probes: Mapping[str, ProbeConfig]) -> None:
-        """Raise ValueError for probes that do not fit numbers in ``unit``."""
+    recorded: ClassVar[Literal[True]] = True
+
+    @property
+    def most_lag(self) -> float:
+        """The share of its speed by which the swept peak of a time signal may lag."""
+        return 0.0
+
+    def describe(self) -> str:
+        """What the numbers in the files are taken for."""
+        raise NotImplementedError
+
+    def read(self) -> tuple[RunTracks, ...]:
+        """The 1X vectors of all runs. Raises DataError."""
+        raise NotImplementedError
+
+    def check_units(self, unit: str) -> Iterator[str]:
+        """What is wrong with probes that do not fit numbers in ``unit``."""
         voltage = find_volts(unit) is not None
-        for name, probe in probes.items():
-            if voltage and probe.scale is None:
-                raise ValueError(
+        for name, probe in self.probes.items():
+            if voltage and not probe.scale:
+                yield (
                     f"probe '{name}' must have a scale (such as 7.87 V/mm or 100 mV/g) for a signal in {unit}, but it "
                     "has none"
                 )
-            if not voltage and probe.scale is not None:
-                raise ValueError(
-                    f"probe '{name}' must have no scale where signals are in {unit}, but it has {probe.scale}"
-                )
+            if not voltage and probe.scale:
+                yield f"probe '{name}' must have no scale where signals are in {unit}, but it has {probe.scale}"
             order, _ = to_motion(unit, probe.scale)
-            if order and probe.mounted is None:
-                raise ValueError(
+            if order and not probe.mounted:
+                yield (
                     f"probe '{name}' must say what it moves with where it measures "
                     f"{'velocities' if order == 1 else 'accelerations'}, but it has no 'mounted': give mounted: casing "
                     "(beside a bearing) or mounted: shaft (a shaft rider, a laser)"
                 )
             if not order and probe.mounted == "casing":
-                raise ValueError(
+                yield (
                     f"probe '{name}' must measure velocities or accelerations where it has mounted: casing, but its "
                     "displacements are the shaft's: leave mounted out"
                 )
 
-    def check_shared(
-        self, runs: Sequence[MeasuredRunConfig], probes: Mapping[str, ProbeConfig], tacho: TachoAngleConfig
-    ) -> None:
-        """Raise ValueError for what runs, probes and tacho must have together."""
-        names = [run.name for run in runs]
-        for run in runs:
-            _check_repeated([other for other in runs if other.name == run.name])
-        if self.baseline is not None and self.baseline not in names:
-            raise ValueError(f"must have the baseline among its runs {names}, but baseline is '{self.baseline}'")
-        for run in runs:
+    @rule
+    def _fits_together(self) -> Iterator[str]:
+        if self.planes:  # each row of a table of records says what acted
+            return
+        names = [run.name for run in self.runs]
+        for run in self.runs:
+            yield from _check_repeated([other for other in self.runs if other.name == run.name])
+        if self.baseline and self.baseline not in names:
+            yield f"must have the baseline among its runs {names}, but baseline is '{self.baseline}'"
+        for run in self.runs:
             run.sources(self.file)
             excited = bool(run.unbalances or run.forces)
             if excited and run.name == self.baseline:
-                raise ValueError(f"must have nothing that excites the baseline run '{run.name}', but it has some")
+                yield f"must have nothing that excites the baseline run '{run.name}', but it has some"
             if not excited and run.name != self.baseline:
-                raise ValueError(
+                yield (
                     f"run '{run.name}' must have unbalances or forces, but it has none: add them, or name it "
                     "as baseline"
                 )
-        if any(run.unbalances for run in runs) and self.shaft_angle is None:
-            raise ValueError(
+        weighted = any(run.unbalances for run in self.runs)
+        if weighted and not self.shaft_angle:
+            yield (
                 "must say in shaft_angle how phases of unbalances are measured (with_rotation or against_rotation from "
                 "the mark, or from_x at the pulse), but it is missing"
             )
-        if any(run.unbalances for run in runs) and self.shaft_angle != "from_x" and tacho.angle is None:
-            raise ValueError(
+        if weighted and self.shaft_angle != "from_x" and self.tacho.angle is None:
+            yield (
                 "must give tacho.angle where phases of unbalances are measured from the mark, but it is missing: give "
                 "it, or the phases from x with shaft_angle=from_x"
             )
-        vectors = set(self.slow_roll.vectors) if self.slow_roll is not None else set()
-        if vectors and vectors != set(probes):
-            raise ValueError(
-                f"slow_roll.vectors must have one vector a probe ({', '.join(probes)}), but it has {', '.join(vectors)}"
+        vectors = set(self.slow_roll.vectors if self.slow_roll else ())
+        if vectors and vectors != set(self.probes):
+            yield (
+                f"slow_roll.vectors must have one vector a probe ({', '.join(self.probes)}), but it has "
+                f"{', '.join(vectors)}"
             )

@@ -12,7 +12,6 @@ from pipeline.errors import nearest
 if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError
 
-_LONGEST_SHOWN = 80
 _LAWS = {  # where pydantic speaks of Python's types
     "model_type": "must be a group of keys",
     "model_attributes_type": "must be a group of keys",
@@ -43,11 +42,11 @@ def suggest(name: str, candidates: Iterable[str]) -> str:
     return f" {matches}" if matches.startswith("(") else f"; {matches}"
 
 
-def quote_value(value: Any) -> str:
+def quote_value(value: Any, longest: int = 80) -> str:
     """``value`` as it would be written in a config, shortened."""
     literals = {None: "null", True: "true", False: "false"}
-    text = literals[value] if value is None or isinstance(value, bool) else repr(value)
-    return text if len(text) <= _LONGEST_SHOWN else text[: _LONGEST_SHOWN - 3] + "..."
+    text = literals[value] if isinstance(value, bool | None) else repr(value)
+    return text if len(text) <= longest else text[: longest - 3] + "..."
 
 
 def _explain(item: Any, mapping: Mapping[str, Any], model: type[BaseModel]) -> str:

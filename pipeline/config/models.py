@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, get_args
+from collections.abc import Iterator
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from pipeline.config.quantities import Damping, Stiffness
-from pipeline.config.section import Section
+from pipeline.config.section import Section, rule
 
 
 class _CoefficientModelConfig(Section):
@@ -15,6 +16,20 @@ class _CoefficientModelConfig(Section):
     initialisation: Literal["guess", "per_speed"]
     initial_stiffness: Stiffness
     initial_damping: Damping
+
+    varies: ClassVar[bool] = True
+    """Whether coefficients change with the speed, and with what else varies."""
+    of_speed_alone: ClassVar[bool] = False
+    has_laws: ClassVar[bool] = False
+    """Whether it is made of the laws of ``machine.laws``."""
+    corrects_laws: ClassVar[bool] = False
+    trains_hidden: ClassVar[bool] = False
+    """Whether it has hidden layers that can be trained."""
+
+    @property
+    def shape(self) -> dict[str, Any]:
+        """The fields of a :class:`pipeline.identification.model.CoefficientModel` that the kind decides."""
+        return {"hidden": ()}
 
     def as_chebyshev(self, degree: int) -> FunctionsModelConfig:
         """The Chebyshev series of this degree, linear in its parameters."""
@@ -35,12 +50,20 @@ class ConstantModelConfig(_CoefficientModelConfig):
 
     kind: Literal["constant"]
 
+    varies: ClassVar[bool] = False
+
 
 class _LayersConfig(_CoefficientModelConfig):
     width: Annotated[int, Field(ge=1, le=512)]
     depth: Annotated[int, Field(ge=1, le=8)]
     activation: Literal["tanh", "silu", "sine"]
     input_scaling: Literal["rpm", "log_rpm"]
+
+    @property
+    def shape(self) -> dict[str, Any]:
+        """The layers."""
+        layers = (self.width,) * self.depth
+        return {"hidden": layers, "activation": self.activation, "input_scaling": self.input_scaling}
 
 
 class NetworkModelConfig(_LayersConfig):
@@ -52,11 +75,20 @@ class NetworkModelConfig(_LayersConfig):
     kind: Literal["network"]
     trend: bool
 
+    trains_hidden: ClassVar[bool] = True
+
+    @property
+    def shape(self) -> dict[str, Any]:
+        """The layers, and whether the inputs pass by them."""
+        return super().shape | {"trend": self.trend}
+
 
 class LawModelConfig(_CoefficientModelConfig):
     """The bearing laws of ``machine.laws``, whose few numbers are fitted (loss ``response``)."""
 
     kind: Literal["law"]
+
+    has_laws: ClassVar[bool] = True
 
 
 class HybridModelConfig(_LayersConfig):
@@ -66,6 +98,14 @@ class HybridModelConfig(_LayersConfig):
     """
 
     kind: Literal["hybrid"]
+
+    has_laws: ClassVar[bool] = True
+    corrects_laws: ClassVar[bool] = True
+
+    @property
+    def shape(self) -> dict[str, Any]:
+        """The layers of the correction."""
+        return super().shape | {"fades": True}
 
 
 class FunctionsModelConfig(_CoefficientModelConfig):
@@ -79,11 +119,18 @@ class FunctionsModelConfig(_CoefficientModelConfig):
     input_scaling: Literal["rpm", "log_rpm"]
     trend: bool
 
-    @model_validator(mode="after")
-    def _cubic(self) -> FunctionsModelConfig:
+    of_speed_alone: ClassVar[bool] = True
+
+    @property
+    def shape(self) -> dict[str, Any]:
+        """The functions."""
+        functions = {"functions": self.kind, "n_functions": self.count}
+        return {"hidden": (), "input_scaling": self.input_scaling, "trend": self.trend} | functions
+
+    @rule
+    def _cubic(self) -> Iterator[str]:
         if self.kind == "b_spline" and self.count < 4:
-            raise ValueError(f"must have count of at least 4 for cubic B-splines, but got {self.count}")
-        return self
+            yield f"must have count of at least 4 for cubic B-splines, but got {self.count}"
 
 
 ModelConfig = Annotated[

@@ -7,6 +7,7 @@ velocities and 2 for accelerations.
 from __future__ import annotations
 
 import contextlib
+import math
 import re
 from typing import Annotated, Any
 
@@ -46,12 +47,11 @@ def find_volts(unit: str) -> float | None:
 
 def to_motion(unit: str, scale: str | None) -> tuple[int, float]:
     """Order k, and size in m/s^k, of one ``unit``; of a voltage by the sensitivity ``scale``."""
-    volts = find_volts(unit)
-    motion = find_motion(unit)
-    if volts is not None and scale is not None:
+    if scale:
         order, sensitivity = _find_sensitivity(scale)
-        return order, volts / sensitivity
-    assert motion is not None, unit  # the schema has seen to it
+        return order, (find_volts(unit) or math.nan) / sensitivity
+    motion = find_motion(unit)
+    assert motion, unit  # the schema has seen to it
     return motion
 
 
@@ -83,11 +83,11 @@ def _check_name(value: Any, key: str) -> str:
     if not isinstance(value, str) or not _NAME.fullmatch(value):
         raise ValueError(f"must be a unit (such as {examples}), but got {value!r}")
     motion, volts = find_motion(value), find_volts(value)
-    is_ = "voltage" if volts is not None else KINDS[motion[0]] if motion is not None else None
-    if is_ == key or (key == "signal_unit" and is_ is not None):
+    is_ = "voltage" if volts else KINDS[motion[0]] if motion else ""
+    if is_ == key or (key == "signal_unit" and is_):
         return value
     units = {"voltage": "V", "signal_unit": f"V or {' or '.join(_SI)}"} | dict(zip(KINDS, _SI, strict=True))
-    instead = f": give {is_}: {value} in its place" if is_ is not None else ""
+    instead = f": give {is_}: {value} in its place" if is_ else ""
     raise ValueError(f"must be a unit of {units[key]} (such as {examples}), but got {value!r}{instead}")
 
 
@@ -111,19 +111,20 @@ class MotionConfig(Section):
     @property
     def unit(self) -> str:
         """The one that was given."""
-        return next(unit for name in (*KINDS, "voltage") if (unit := getattr(self, name)) is not None)
+        return next(unit for name in (*KINDS, "voltage") if (unit := getattr(self, name)))
 
     @field_validator("length", mode="after")
     @classmethod
     def _one(cls, value: str | None, info: ValidationInfo) -> str | None:
-        others = [name for name in ("velocity", "acceleration", "voltage") if info.data.get(name) is not None]
+        others = [name for name in ("velocity", "acceleration", "voltage") if info.data.get(name)]
         wrong = {"velocity", "acceleration", "voltage"} - info.data.keys()  # and that is told
-        if value is None and not others and not wrong:
+        given = [*(["length"] if value else []), *others]
+        if not given and not wrong:
             raise ValueError(
                 "must be given (um, mil ...), or velocity (mm/s ...), acceleration (g ...) or voltage (mV ...) in its "
                 "place, but is missing"
             )
-        if len([value, *others] if value is not None else others) > 1:
-            text = " and ".join([*(["length"] if value is not None else []), *others])
+        if len(given) > 1:
+            text = " and ".join(given)
             raise ValueError(f"must be the one unit of the amplitudes, but got {text}: leave out all but one")
         return value

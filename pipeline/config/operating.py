@@ -45,9 +45,6 @@ UNITS = (
 """A column of any other name is a condition where it ends in one of these."""
 _NO_DEGREES = ("C", "F")
 """pint has other units of these names."""
-_DIGITS = 12
-_COLDEST = 150.0
-"""K; a temperature below it, as a number alone, was meant in another unit."""
 _QUANTITY = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(\D.*?)\s*")
 
 
@@ -64,10 +61,10 @@ class ConditionColumn:
         base: np.ndarray = to_base(values.astype(float), self.unit)
         return base
 
-    def from_si(self, values: np.ndarray) -> np.ndarray:
-        """Values in SI in the unit of the column, of so many digits that 45 degC is written as 45."""
+    def from_si(self, values: np.ndarray, digits: int = 12) -> np.ndarray:
+        """Values in SI in the unit of the column, of so many ``digits`` that 45 degC is written as 45."""
         written: np.ndarray = from_base(values.astype(float), self.unit)
-        written[...] = [float(f"{value:.{_DIGITS}g}") for value in written]
+        written[...] = [float(f"{value:.{digits}g}") for value in written]
         return written
 
 
@@ -103,12 +100,14 @@ def find_columns(columns: Iterable[str], others: Sequence[str] = ()) -> dict[str
     found: dict[str, ConditionColumn] = {}
     for column in columns:
         condition = None if column in others else find_column(column)
-        if condition is not None and condition.name in found:
+        if not condition:
+            continue
+        if condition.name in found:
             raise ValueError(
                 f"must have each condition once, but {condition.name} is in '{found[condition.name].column}' and "
                 f"'{column}': leave one out"
             )
-        found |= {} if condition is None else {condition.name: condition}
+        found[condition.name] = condition
     return found
 
 
@@ -118,7 +117,7 @@ def column_of(name: str) -> ConditionColumn:
     if word in WRITTEN:
         return ConditionColumn(f"{name}_{WRITTEN[word]}", name, WRITTEN[word])
     column = find_column(name)
-    if column is None or column.name != name:
+    if not column or column.name != name:
         raise ValueError(
             f"must name a condition by a last word that says what it is ({', '.join(WRITTEN)}) or by its unit "
             f"(preheat_degC), but got '{name}'"
@@ -126,10 +125,11 @@ def column_of(name: str) -> ConditionColumn:
     return column
 
 
-def to_quantity(name: str, value: Any, difference: bool = False) -> float:
+def to_quantity(name: str, value: Any, difference: bool = False, coldest: float = 150.0) -> float:
     """A value of the condition ``name``, such as ``45 degC``, in SI; a number is in SI already.
 
-    A ``difference`` of temperatures in degC is one in K. Raises ValueError for what is no such quantity.
+    A ``difference`` of temperatures in degC is one in K; a temperature below ``coldest`` (K), as a number alone, was
+    meant in another unit. Raises ValueError for what is no such quantity.
     """
     unit = column_of(name).unit
     warm = unit in ("degC", "degF")
@@ -138,19 +138,18 @@ def to_quantity(name: str, value: Any, difference: bool = False) -> float:
         raise ValueError(f"{name} must be a quantity ({example}), but got {value!r}")
     if isinstance(value, str) and not is_number(value):
         parts = _QUANTITY.fullmatch(value)
-        given = (
-            "" if parts is None else f"delta_{parts[2]}" if difference and parts[2] in ("degC", "degF") else parts[2]
-        )
+        given = parts[2] if parts else ""
+        given = f"delta_{given}" if difference and given in ("degC", "degF") else given
         try:
-            right = parts is not None and same_dimension(given, unit)
+            right = parts and same_dimension(given, unit)
         except ValueError:
             right = False
-        if parts is None or not right:
+        if not parts or not right:
             raise ValueError(f"{name} must be a quantity with a unit of its kind ({example}), but got {value!r}")
         number = float(to_base(float(parts[1]), given))
     else:
         number = float(value)
-        if warm and not difference and 0 < number < _COLDEST:
+        if warm and not difference and 0 < number < coldest:
             raise ValueError(f"{name} must carry its unit ({example}): a number alone is in K, but got {value}")
     if not math.isfinite(number) or (difference and number < 0) or (warm and not difference and number <= 0):
         law = "zero or more" if difference else "above absolute zero" if warm else "finite"
@@ -159,11 +158,9 @@ def to_quantity(name: str, value: Any, difference: bool = False) -> float:
 
 
 def _read_mapping(value: Any) -> dict[str, Any]:
-    if value is None:
-        return {}
-    if not isinstance(value, Mapping):
+    if not isinstance(value, Mapping | None):
         raise ValueError(f"must be conditions by name, such as {{oil_temperature: 45 degC}}, but got {value!r}")
-    return {str(name): entry for name, entry in value.items()}
+    return {str(name): entry for name, entry in (value or {}).items()}
 
 
 def _read_states(value: Any) -> dict[str, tuple[float, ...]]:

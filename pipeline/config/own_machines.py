@@ -41,7 +41,7 @@ def list_files(overrides: Sequence[str], folder: Path | None) -> list[Path]:
     """
     given = [text.lstrip("+") for text in overrides]
     named = [text[len(FILE_KEY) :].strip().strip("'\"") for text in given if text.startswith(FILE_KEY)]
-    inside = [] if folder is None else [path for _, path in _list_folder(folder)]
+    inside = [path for _, path in _list_folder(folder)] if folder else []
     return inside + [make_absolute(path) for path in named[-1:]]
 
 
@@ -52,7 +52,7 @@ def store_files(folder: Path | None) -> Iterator[None]:
 
     before = deepcopy(ConfigStore.instance().repo)
     try:
-        if folder is not None:
+        if folder:
             _store_folder(folder)
         yield
     finally:

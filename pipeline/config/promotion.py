@@ -6,10 +6,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from pipeline.config.messages import explain_schema_errors
 from pipeline.config.models import model_fields
+from pipeline.config.section import Section
 from pipeline.config.tuning import HeldOutLoss, Key, Value
 from pipeline.errors import ConfigError, DataError
 
@@ -21,10 +22,8 @@ UNTUNED_STAGES = ("tune", "samplers", "dashboard", "promote", "check", "new")
 """Stages that see the configured values: a study begins from them."""
 
 
-class PromotedTrial(BaseModel):
+class PromotedTrial(Section):
     """``best.yaml``: the values that a study promoted; empty where the configured default is the best."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     study: str
     trial: int = Field(ge=0)
@@ -128,7 +127,7 @@ def apply_promoted(config: Config, overrides: Sequence[str]) -> Config:
         return config
     folder = find_study(config)
     promoted = read_promoted(folder)
-    if promoted is None:
+    if not promoted:
         return config
     given = {override.lstrip("+~").partition("=")[0].partition("@")[0] for override in overrides}
     in_force = {key: value for key, value in promoted.values.items() if not is_overridden(key, given)}

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from pydantic import PositiveInt, model_validator
+from collections.abc import Iterator
+
+from pydantic import PositiveInt
 
 from pipeline.config.quantities import Bore, Density, Inertia, Length, Mass, Pressure
-from pipeline.config.section import NonNegativeInt, Section
+from pipeline.config.section import NonNegativeInt, Section, rule
 
 
 class MaterialConfig(Section):
@@ -28,14 +30,11 @@ class ShaftSegmentConfig(Section):
     inner_diameter: Bore = 0.0
     elements: PositiveInt = 1
 
-    @model_validator(mode="after")
-    def _hollow(self) -> ShaftSegmentConfig:
+    @rule
+    def _hollow(self) -> Iterator[str]:
         for name, outer in (("outer_diameter", self.outer_diameter), ("end_diameter", self.end_diameter)):
-            if outer is not None and self.inner_diameter >= outer:
-                raise ValueError(
-                    f"must have inner_diameter < {name}, but got {self.inner_diameter:g} m and {outer:g} m"
-                )
-        return self
+            if outer and self.inner_diameter >= outer:
+                yield f"must have inner_diameter < {name}, but got {self.inner_diameter:g} m and {outer:g} m"
 
 
 class DiscConfig(Section):
@@ -49,21 +48,20 @@ class DiscConfig(Section):
     diametral_inertia: Inertia | None = None
     polar_inertia: Inertia | None = None
 
-    @model_validator(mode="after")
-    def _one_description(self) -> DiscConfig:
+    @rule
+    def _one_description(self) -> Iterator[str]:
         geometry = (self.width, self.inner_diameter, self.outer_diameter)
         inertia = (self.mass, self.diametral_inertia, self.polar_inertia)
-        complete = [all(v is not None for v in group) for group in (geometry, inertia)]
-        given = [any(v is not None for v in group) for group in (geometry, inertia)]
+        complete = [all(group) for group in (geometry, inertia)]
+        given = [any(group) for group in (geometry, inertia)]
         if given != complete or sum(complete) != 1:
-            raise ValueError(
+            yield (
                 "must give either width, inner_diameter and outer_diameter, or mass, diametral_inertia and "
                 f"polar_inertia, but got {sorted(self.model_fields_set - {'node'})}"
             )
         inner, outer = self.inner_diameter, self.outer_diameter
-        if inner is not None and outer is not None and inner >= outer:
-            raise ValueError(f"must have inner_diameter < outer_diameter, but got {inner:g} m and {outer:g} m")
-        return self
+        if inner and outer and inner >= outer:
+            yield f"must have inner_diameter < outer_diameter, but got {inner:g} m and {outer:g} m"
 
 
 class RotorConfig(Section):
@@ -82,22 +80,19 @@ class RotorConfig(Section):
         """Nodes of the shaft; a rotor of a file has its own."""
         return sum(segment.elements for segment in self.shaft) + 1
 
-    @model_validator(mode="after")
-    def _nodes_exist(self) -> RotorConfig:
-        if self.file is not None:
-            return self
-        if not self.shaft or self.material is None or not self.bearing_nodes:
-            raise ValueError("must give shaft, material and bearing_nodes (or file, a rotor saved by ROSS)")
+    @rule
+    def _nodes_exist(self) -> Iterator[str]:
+        if self.file:
+            return
+        if not self.shaft or not self.material or not self.bearing_nodes:
+            yield "must give shaft, material and bearing_nodes (or file, a rotor saved by ROSS)"
         last = sum(segment.elements for segment in self.shaft)
         if len(set(self.bearing_nodes)) != len(self.bearing_nodes):
-            raise ValueError(f"must name each bearing node once, but got bearing_nodes {list(self.bearing_nodes)}")
+            yield f"must name each bearing node once, but got bearing_nodes {list(self.bearing_nodes)}"
         for what, nodes in (
             ("bearing_nodes", self.bearing_nodes),
             ("discs", [disc.node for disc in self.discs]),
         ):
             for node in nodes:
                 if node > last:
-                    raise ValueError(
-                        f"must use nodes 0 to {last} (the shaft has {last} elements), but {what} got node {node}"
-                    )
-        return self
+                    yield f"must use nodes 0 to {last} (the shaft has {last} elements), but {what} got node {node}"

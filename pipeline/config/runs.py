@@ -5,13 +5,14 @@ SI, angles in rad, speeds in rpm.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated, Literal
 
-from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+from pydantic import Field, PositiveFloat, PositiveInt
 
 from pipeline.config.operating import States
 from pipeline.config.quantities import Angle, Deviation, Force, UnbalanceMagnitude
-from pipeline.config.section import NonNegativeInt, Section, Share
+from pipeline.config.section import NonNegativeInt, Section, Share, rule
 
 
 class SpeedsConfig(Section):
@@ -21,11 +22,10 @@ class SpeedsConfig(Section):
     stop_rpm: PositiveFloat
     step_rpm: PositiveFloat
 
-    @model_validator(mode="after")
-    def _ascending(self) -> SpeedsConfig:
+    @rule
+    def _ascending(self) -> Iterator[str]:
         if self.start_rpm > self.stop_rpm:
-            raise ValueError(f"must have start_rpm <= stop_rpm, but got {self.start_rpm:g} and {self.stop_rpm:g}")
-        return self
+            yield f"must have start_rpm <= stop_rpm, but got {self.start_rpm:g} and {self.stop_rpm:g}"
 
     def rpm(self) -> list[float]:
         """The speeds, ascending, in rpm."""
@@ -63,20 +63,19 @@ class RunConfig(Section):
     frequency_hz: PositiveFloat | None = None
     frequency_ratio: PositiveFloat | None = None
 
-    @model_validator(mode="after")
-    def _excited(self) -> RunConfig:
+    @rule
+    def _excited(self) -> Iterator[str]:
         if not self.unbalances and not self.forces:
-            raise ValueError(f"run '{self.name}' must have an unbalance or a force, but it has none")
-        check_frequency(self.name, self.frequency_hz, self.frequency_ratio, bool(self.unbalances))
-        return self
+            yield f"run '{self.name}' must have an unbalance or a force, but it has none"
+        yield from check_frequency(self.name, self.frequency_hz, self.frequency_ratio, bool(self.unbalances))
 
 
-def check_frequency(name: str, hz: float | None, ratio: float | None, unbalanced: bool) -> None:
-    """Raise ValueError for a run with two frequencies of its own, or with one beside an unbalance."""
-    if hz is not None and ratio is not None:
-        raise ValueError(f"run '{name}' must have frequency_hz or frequency_ratio, but it has both")
+def check_frequency(name: str, hz: float | None, ratio: float | None, unbalanced: bool) -> Iterator[str]:
+    """What is wrong with a run with two frequencies of its own, or with one beside an unbalance."""
+    if hz and ratio:
+        yield f"run '{name}' must have frequency_hz or frequency_ratio, but it has both"
     if unbalanced and (hz or ratio):
-        raise ValueError(
+        yield (
             f"run '{name}' must have no unbalances where its forces have a frequency of their own (unbalances turn "
             "with the rotor), but it has some: put them into another run"
         )
@@ -92,11 +91,10 @@ class NoiseConfig(Section):
     multiplicative: Share
     drift: Deviation = 0.0
 
-    @model_validator(mode="after")
-    def _some(self) -> NoiseConfig:
+    @rule
+    def _some(self) -> Iterator[str]:
         if not self.additive and not self.multiplicative:
-            raise ValueError("must have an additive or a multiplicative part above zero, but both are zero")
-        return self
+            yield "must have an additive or a multiplicative part above zero, but both are zero"
 
 
 class ProbeConfig(Section):
@@ -135,11 +133,10 @@ class CandidateConfig(Section):
     whirls: tuple[Literal["forward", "backward"], ...]
     phases_deg: tuple[float, ...] = Field(min_length=1)
 
-    @model_validator(mode="after")
-    def _some(self) -> CandidateConfig:
+    @rule
+    def _some(self) -> Iterator[str]:
         if not self.unbalance_nodes and not (self.force_nodes and self.whirls):
-            raise ValueError("must have an unbalance node, or a force node and a whirl, but there is no candidate")
-        return self
+            yield "must have an unbalance node, or a force node and a whirl, but there is no candidate"
 
 
 class DesignConfig(Section):

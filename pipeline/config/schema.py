@@ -6,9 +6,10 @@ One class a concept, in the order of the straight line of data. Values are SI (s
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Literal, get_args
 
-from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+from pydantic import Field, PositiveFloat, PositiveInt
 
 from pipeline.config.balance import BalanceConfig, PredictConfig
 from pipeline.config.comparison import ComparisonConfig
@@ -16,10 +17,9 @@ from pipeline.config.identification import IdentifyConfig, LossConfig, Optimizer
 from pipeline.config.machine import MachineConfig
 from pipeline.config.measured import Known
 from pipeline.config.models import ModelConfig
-from pipeline.config.operating import Differences
-from pipeline.config.operating_point import OperatingPoint
+from pipeline.config.operating import Conditions, Differences
 from pipeline.config.runs import DesignConfig, NoiseConfig
-from pipeline.config.section import NonNegativeInt, Section
+from pipeline.config.section import NonNegativeInt, Section, rule
 from pipeline.config.tuning import HeldOutLoss, TuningConfig
 
 
@@ -74,7 +74,7 @@ class ExportConfig(Section):
 
     units: Literal["si", "us"]
     formats: tuple[ExportFormat, ...] = Field(min_length=1)
-    operating: tuple[OperatingPoint, ...] = ()
+    operating: tuple[Conditions, ...] = ()
 
 
 class NewConfig(Section):
@@ -133,21 +133,19 @@ class Config(Section):
         """The overrides that name this experiment in another command."""
         return self.chosen_by or f"experiment={self.name}"
 
-    @model_validator(mode="after")
-    def _fits_model_parameters(self) -> Config:
+    @rule
+    def _fits_model_parameters(self) -> Iterator[str]:
         if self.loss.kind != "response" and self.identify.model_parameters.deviations:
-            raise ValueError(
+            yield (
                 "identify.model_parameters must come with loss=response, which fits them with the coefficients, but "
                 f"got loss={self.loss.kind}"
             )
-        return self
 
-    @model_validator(mode="after")
-    def _trains_by_a_residual(self) -> Config:
+    @rule
+    def _trains_by_a_residual(self) -> Iterator[str]:
         other = self.stage == "robustness" and self.robustness.over != "refit"
         if self.loss.kind == "response" and other:
-            raise ValueError(
+            yield (
                 "robustness over seeds and guesses must have loss=residual or loss=preconditioned, but got "
                 "loss=response, which has a start of its own: use stage=robustness robustness=refits"
             )
-        return self

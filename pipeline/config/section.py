@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Callable, Iterator
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 NonNegativeInt = Annotated[int, Field(ge=0)]
 Share = Annotated[float, Field(ge=0, lt=1)]
@@ -15,3 +16,14 @@ class Section(BaseModel):
     """A part of a configuration: a key that it does not know is refused, and nothing changes it once it is made."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
+
+
+def rule(check: Callable[[Any], Iterator[str]]) -> Any:
+    """A method that yields a sentence for each law that its section breaks: the first is the section's error."""
+
+    def validate(section: Any) -> Any:
+        for sentence in check(section):
+            raise ValueError(sentence)
+        return section
+
+    return model_validator(mode="after")(validate)

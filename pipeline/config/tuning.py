@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, PositiveFloat, PositiveInt, field_validator, model_validator
+from pydantic import Field, PositiveFloat, PositiveInt, field_validator
 
-from pipeline.config.section import NonNegativeInt, Section
+from pipeline.config.section import NonNegativeInt, Section, rule
 
 Value = bool | int | float | str
 Key = Annotated[str, Field(pattern=r"^(model|loss|optimizer)(\.[A-Za-z_]+)+$|^training\.tolerance$")]
@@ -81,13 +81,12 @@ class _Range(_Dimension):
     def describe(self, name: str) -> str:
         return f"{name} goes from {self.low:g} to {self.high:g}"
 
-    @model_validator(mode="after")
-    def _ascending(self) -> _Range:
+    @rule
+    def _ascending(self) -> Iterator[str]:
         if self.low > self.high:
-            raise ValueError(f"must have low <= high, but got {self.low:g} and {self.high:g}")
+            yield f"must have low <= high, but got {self.low:g} and {self.high:g}"
         if self.log and self.low <= 0:
-            raise ValueError(f"must have low > 0 on a logarithmic scale, but got {self.low:g}")
-        return self
+            yield f"must have low > 0 on a logarithmic scale, but got {self.low:g}"
 
 
 class IntegerRange(_Range):
@@ -114,11 +113,10 @@ class Choice(_Dimension):
     def translate(self, parameter: Value) -> dict[str, Value]:
         return {self.key: parameter}
 
-    @model_validator(mode="after")
-    def _once(self) -> Choice:
+    @rule
+    def _once(self) -> Iterator[str]:
         if len(set(self.choices)) != len(self.choices):
-            raise ValueError(f"must name each choice once, but got {list(self.choices)}")
-        return self
+            yield f"must name each choice once, but got {list(self.choices)}"
 
 
 class Preset(_Dimension):
@@ -190,25 +188,22 @@ class TuningConfig(Section):
             )
         return url
 
-    @model_validator(mode="after")
-    def _space(self) -> TuningConfig:
+    @rule
+    def _space(self) -> Iterator[str]:
         seen: dict[str, Any] = {}
         for name, dimension in self.space.items():
-            _check_condition(name, dimension, seen)
+            yield from _check_condition(name, dimension, seen)
             seen[name] = dimension
-        return self
 
 
-def _check_condition(name: str, dimension: _Dimension, earlier: Mapping[str, _Dimension]) -> None:
+def _check_condition(name: str, dimension: _Dimension, earlier: Mapping[str, _Dimension]) -> Iterator[str]:
     for other, values in dimension.when.items():
         known = earlier[other].options() if other in earlier else ()
         if not known:
-            raise ValueError(
-                f"must have conditions on choices that stand before them, but space.{name}.when names '{other}'"
-            )
+            yield f"must have conditions on choices that stand before them, but space.{name}.when names '{other}'"
         unknown = [value for value in values if value not in known]
         if unknown or not values:
-            raise ValueError(
+            yield (
                 f"must have conditions that can hold, but space.{name}.when.{other} has {unknown or 'no value'} and "
                 f"the choices are {list(known)}"
             )

@@ -6,13 +6,16 @@ keep the node numbers of the model.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Any, Literal
 
 import numpy as np
+from pydantic import Field, PositiveInt
 
-from pipeline.config.as_built import AsBuiltConfig
-from pipeline.config.rotor import RotorConfig
+from pipeline.config.quantities import Mass, PositiveAngle, Stiffness
+from pipeline.config.rotor import RotorConfig, ShaftSegmentConfig
+from pipeline.config.section import NonNegativeInt, Section, Share, rule
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.data.sensors import Channels, project
 from pipeline.data.simulate import simulate
@@ -21,6 +24,53 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.parameters import OF_COUPLING, OF_DISC, OF_SHAFT, ModelParameter, update_rotor
 from pipeline.rotor.stored import load_rotor
+
+
+class AsBuiltConfig(Section):
+    """The machine that makes the data, where it is not the one that the fit assumes: no identification reads it.
+
+    Its vibration is that of the dynamic stiffness (``frequency``), or of integration in ``time``.
+
+    Numbers of rotor and coupling are what they differ by, as a share where they have no unit. Weights and probes differ
+    by normal deviates of the given standard deviations. ``shaft`` takes the place of the model's and has as many
+    elements; ``shear_effects`` and ``rotary_inertia`` are those of its beam. A pedestal stands under every bearing and
+    moves in x and y alike; the model's bearings stand on rock.
+    """
+
+    method: Literal["frequency", "time"] = "frequency"
+    refinement: PositiveInt = 1  # elements for each one of the model
+    shaft: tuple[ShaftSegmentConfig, ...] | None = None
+    shear_effects: bool | None = None
+    rotary_inertia: bool | None = None
+    youngs_modulus: float = Field(default=0.0, gt=-1)
+    density: float = Field(default=0.0, gt=-1)
+    disc_mass: float = Field(default=0.0, gt=-1)
+    disc_inertia: float = Field(default=0.0, gt=-1)
+    coupling_stiffness: Stiffness | None = None
+    coupling_mass: Mass | None = None
+    coupling_node: NonNegativeInt = 0  # of the model
+    pedestal_stiffness: Stiffness | None = None
+    pedestal_mass: Mass | None = None
+    unbalance_magnitude: Share = 0.0
+    unbalance_phase: PositiveAngle | None = None
+    probe_gain: Share = 0.0
+    probe_angle: PositiveAngle | None = None
+
+    @property
+    def in_time(self) -> bool:
+        """Whether the vibration is integrated."""
+        return self.method == "time"
+
+    @property
+    def beam(self) -> dict[str, Any]:
+        """What takes the place of the same keys of the rotor."""
+        given = {name: getattr(self, name) for name in ("shaft", "shear_effects", "rotary_inertia")}
+        return {name: value for name, value in given.items() if value is not None}
+
+    @rule
+    def _stands(self) -> Iterator[str]:
+        if self.pedestal_mass and not self.pedestal_stiffness:
+            yield "must have a pedestal_stiffness beside pedestal_mass, but it is missing"
 
 
 def build_rotor(rotor: RotorConfig, built: AsBuiltConfig) -> RotorModel:
@@ -50,7 +100,7 @@ def stand_on_pedestals(bearings: BearingTable, built: AsBuiltConfig) -> BearingT
 
     Film and pedestal are springs in series: no vibration of the shaft tells one from the other.
     """
-    if built.pedestal_stiffness is None:
+    if not built.pedestal_stiffness:
         return bearings
     film, w = bearings.impedance(), bearings.speeds[:, None, None]
     pedestal = (built.pedestal_stiffness - w**2 * (built.pedestal_mass or 0.0)) * np.eye(2)

@@ -130,9 +130,6 @@ def _make_keys(rpm: np.ndarray, states: Operating) -> np.ndarray:
     return np.stack([np.round(rpm, 6), *(round_digits(values) for values in states.values())], axis=1)
 
 
-_ROUNDING = 1e-9
-
-
 def read_known(
     path: Path,
     nodes: Sequence[int],
@@ -178,15 +175,15 @@ def read_known(
     return BearingTable(tuple(nodes), speeds, values, operating)
 
 
-def _interpolate_known(table: Columns, rpm: np.ndarray, where: str) -> Columns:
-    """The coefficients of one bearing at one state, at speeds in rpm."""
+def _interpolate_known(table: Columns, rpm: np.ndarray, where: str, rounding: float = 1e-9) -> Columns:
+    """The coefficients of one bearing at one state, at speeds in rpm; ends may be missed by the share ``rounding``."""
     order = np.argsort(table["speed_rpm"], kind="stable")
     given = table["speed_rpm"][order]
     if np.isnan(given).any() and len(given) > 1:
         raise DataError(f"{where} must have speed_rpm in every row, or one row that holds at all speeds")
     if (np.diff(given) == 0).any():
         raise DataError(f"{where} must have one row a bearing and speed, but some are there twice")
-    if rpm.min() < given[0] * (1 - _ROUNDING) or rpm.max() > given[-1] * (1 + _ROUNDING):
+    if rpm.min() < given[0] * (1 - rounding) or rpm.max() > given[-1] * (1 + rounding):
         raise DataError(
             f"{where} must cover the speeds of the data ({rpm.min():.6g} to {rpm.max():.6g} rpm), but it has "
             f"{given[0]:.6g} to {given[-1]:.6g} rpm: nothing is extrapolated"

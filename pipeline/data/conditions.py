@@ -104,13 +104,12 @@ def gather_conditions(dataset: VibrationDataset, planes: tuple[int, ...] | None 
     )
 
 
-TURNING = 0.05
-"""Share of the nominal speed by which a record's own speed may differ and still be a record at that speed."""
+def _read_unbalance(dataset: VibrationDataset, planes: tuple[int, ...], turning: float = 0.05) -> np.ndarray:
+    """(R, N) complex, kg m.
 
-
-def _read_unbalance(dataset: VibrationDataset, planes: tuple[int, ...]) -> np.ndarray:
-    """(R, N) complex, kg m."""
-    apart = np.argwhere(abs(dataset.frequencies / dataset.speeds[:, None] - 1) > TURNING)
+    A record's own speed may differ by the share ``turning`` of the nominal one and still be a record at that speed.
+    """
+    apart = np.argwhere(abs(dataset.frequencies / dataset.speeds[:, None] - 1) > turning)
     if len(apart):
         raise DataError(
             f"influence of weights must come from runs that turn with the rotor, but run '{dataset.runs[apart[0][1]]}' "

@@ -82,7 +82,7 @@ class VibrationDataset:
     def fingerprint(self) -> str:
         """Identity of the data: equal for equal numbers."""
         digest = hashlib.sha256(repr((self.runs, self.channels, self.excitations)).encode())
-        if self.conditions is not None:
+        if self.conditions:
             digest.update(repr(self.conditions).encode())
         digest.update(np.ascontiguousarray(self.speeds).tobytes())
         digest.update(np.ascontiguousarray(self.displacement).tobytes())
@@ -101,7 +101,7 @@ class VibrationDataset:
         """The ``runs`` (indices) alone."""
         names = tuple(self.runs[r] for r in runs)
         acting = tuple(excitation for excitation in self.excitations if excitation.run in names)
-        repeated = None if self.conditions is None else tuple(self.conditions[r] for r in runs)
+        repeated = tuple(self.conditions[r] for r in runs) if self.conditions else None
         return self._select(slice(None), runs, runs=names, excitations=acting, conditions=repeated)
 
     def _select(self, speeds: np.ndarray | slice, where: np.ndarray | slice, **beside: Any) -> VibrationDataset:
@@ -143,27 +143,23 @@ class VibrationDataset:
         places = [self.channels.index((node, of)) for of in DIRECTIONS.values()]
         return np.asarray(np.tensordot(self.displacement[:, places], project_direction(angle), (1, 0)))
 
-    def resolution(self) -> tuple[np.ndarray, np.ndarray]:
+    def resolution(self, span: float = 1e-6) -> tuple[np.ndarray, np.ndarray]:
         """Which lateral DOF the channels determine by themselves, (D,), and how, (D, P): ``q = resolution @ channels``.
 
         Probes of one node whose angles span the plane give its x and y, by least squares; a single one gives x or y if
-        it looks along it, and nothing otherwise.
+        it looks along it, and nothing otherwise. Two look along the same line below an angle of the sine ``span``.
         """
         dof, rows = [], []
         for node in dict.fromkeys(node for node, _ in self.channels):
             probes = [p for p, (n, _) in enumerate(self.channels) if n == node]
             cosines = np.array([project_direction(self.channels[p][1]) for p in probes])
-            inverse = np.linalg.pinv(cosines, rcond=_SPAN)
+            inverse = np.linalg.pinv(cosines, rcond=span)
             for direction in range(2):
-                if abs(inverse[direction] @ cosines[:, direction] - 1) < _SPAN:
+                if abs(inverse[direction] @ cosines[:, direction] - 1) < span:
                     dof.append(translation_dof(node, direction))
                     rows.append(np.zeros(len(self.channels)))
                     rows[-1][probes] = inverse[direction]
         return np.array(dof, dtype=int), np.array(rows).reshape(len(dof), len(self.channels))
-
-
-_SPAN = 1e-6
-"""Sine of the angle below which two probes look along the same line."""
 
 
 def project_direction(angle: float) -> tuple[float, float]:

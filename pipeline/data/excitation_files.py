@@ -43,11 +43,11 @@ def read_excitations(path: Path, n_nodes: int | None = None) -> tuple[Excitation
     _check_words(table["kind"], ("unbalance", "force"), path, "kind")
     _check_words(table["whirl"], ("forward", "backward"), path, "whirl")
     nodes, magnitudes = read_nodes(table["node"], path, n_nodes), table["magnitude"]
-    lowest = np.where(table["kind"] == "unbalance", magnitudes, magnitudes - _TINY)
-    if (lowest < 0).any():
+    wrong = (magnitudes < 0) | ((magnitudes == 0) & (table["kind"] == "force"))
+    if wrong.any():
         raise DataError(
             f"'{path}' must have magnitudes above zero (an unbalance of zero is a run without weight), but got "
-            f"{magnitudes[lowest < 0].min():g}"
+            f"{magnitudes[wrong].min():g}"
         )
     rows = zip(
         table["run"], table["kind"], nodes, magnitudes, np.radians(table["phase_deg"]), table["whirl"], strict=True
@@ -56,9 +56,6 @@ def read_excitations(path: Path, n_nodes: int | None = None) -> tuple[Excitation
         Excitation(str(run), kind, int(node), float(magnitude), float(phase), whirl)
         for run, kind, node, magnitude, phase, whirl in rows
     )
-
-
-_TINY = 1e-300
 
 
 def read_nodes(values: np.ndarray, path: Path, n_nodes: int | None) -> np.ndarray:

@@ -14,7 +14,7 @@ import numpy as np
 from pipeline.config.operating import ConditionColumn, column_of, find_columns
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.operating import name_state, write_condition
-from pipeline.data.tables import PLAIN, Columns, TextFormat, read_table
+from pipeline.data.tables import PLAIN, Columns, CsvConfig, read_table
 from pipeline.errors import DataError
 
 Operating = Mapping[str, np.ndarray]
@@ -22,7 +22,7 @@ Operating = Mapping[str, np.ndarray]
 
 
 def read_with_conditions(
-    path: Path, columns: Mapping[str, str], optional: Mapping[str, str] | None = None, text: TextFormat = PLAIN
+    path: Path, columns: Mapping[str, str], optional: Mapping[str, str] | None = None, text: CsvConfig = PLAIN
 ) -> tuple[Columns, dict[str, np.ndarray]]:
     """A table as :func:`pipeline.data.tables.read_table`, and its operating conditions (n,), SI; NaN where it is blank.
 

@@ -48,6 +48,18 @@ def simulate(
     """
     runs = tuple(dict.fromkeys(excitation.run for excitation in excitations))
     response = solve_response(rotor, bearings, excitations, runs, own_frequencies)
+    return show_everywhere(rotor, bearings, response, excitations, own_frequencies)
+
+
+def show_everywhere(
+    rotor: RotorModel,
+    bearings: BearingTable,
+    response: np.ndarray,
+    excitations: tuple[Excitation, ...],
+    own_frequencies: np.ndarray | None = None,
+) -> VibrationDataset:
+    """x and y at every node, of a ``response`` (S, n, R) in m and rad."""
+    runs = tuple(dict.fromkeys(excitation.run for excitation in excitations))
     channels = tuple((node, angle) for node in range(rotor.n_nodes) for angle in DIRECTIONS.values())
     measured = [translation_dof(node, direction) for node in range(rotor.n_nodes) for direction in range(TRANSLATIONS)]
     shown = response[:, measured]

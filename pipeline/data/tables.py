@@ -9,14 +9,15 @@ import csv
 import math
 import warnings
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import islice, zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
+from pydantic import Field
 
+from pipeline.config.section import NonNegativeInt, Section, rule
 from pipeline.data.mat_files import read_mat
 from pipeline.errors import DataError, nearest
 from pipeline.files import write_beside
@@ -30,23 +31,27 @@ Columns = dict[str, np.ndarray]
 """Name -> values: float arrays of numbers, object arrays of texts."""
 
 
-@dataclass(frozen=True)
-class TextFormat:
+class CsvConfig(Section):
     """The format of a CSV file; ``skip_rows`` are lines before the header (also in an Excel sheet)."""
 
-    delimiter: str = ","
-    decimal: str = "."
-    skip_rows: int = 0
+    delimiter: Annotated[str, Field(min_length=1, max_length=1)] = ","
+    decimal: Literal[".", ","] = "."
+    skip_rows: NonNegativeInt = 0
+
+    @rule
+    def _apart(self) -> Iterator[str]:
+        if self.delimiter == self.decimal:
+            yield f"must have a delimiter that is not the decimal mark, but both are {self.decimal!r}"
 
 
-PLAIN = TextFormat()
+PLAIN = CsvConfig()
 
 
 def read_table(
     path: Path,
     columns: Mapping[str, str],
     optional: Mapping[str, str] | Callable[[list[str]], Mapping[str, str]] | None = None,
-    text: TextFormat = PLAIN,
+    text: CsvConfig = PLAIN,
 ) -> Columns:
     """The ``columns`` of a CSV, Excel (.xlsx, first sheet), Parquet or MAT file, and those ``optional`` ones it has.
 
@@ -78,13 +83,13 @@ def read_table(
     return columns_read
 
 
-def list_columns(path: Path, text: TextFormat = PLAIN) -> list[str]:
+def list_columns(path: Path, text: CsvConfig = PLAIN) -> list[str]:
     """The names of the columns, in their order. Raises DataError as :func:`read_table`."""
     return _read_any(path, {}, text)[0]
 
 
 def _read_any(
-    path: Path, columns: Mapping[str, str], text: TextFormat
+    path: Path, columns: Mapping[str, str], text: CsvConfig
 ) -> tuple[list[str], Sequence[Sequence[Any] | np.ndarray]]:
     if not path.is_file():
         raise DataError(f"'{path}' must exist, but there is no such file")
@@ -129,7 +134,7 @@ def _to_number(value: Any, decimal: str) -> float:
     return number if math.isfinite(number) else math.inf
 
 
-def _read_csv(path: Path, text: TextFormat) -> tuple[list[str], Sequence[Sequence[str]]]:
+def _read_csv(path: Path, text: CsvConfig) -> tuple[list[str], Sequence[Sequence[str]]]:
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             rows = [row for row in csv.reader(islice(file, text.skip_rows, None), delimiter=text.delimiter) if row]
@@ -145,7 +150,7 @@ def _read_csv(path: Path, text: TextFormat) -> tuple[list[str], Sequence[Sequenc
     return header, [column[1:] for column in zip_longest(*rows, fillvalue="")]
 
 
-def _read_excel(path: Path, text: TextFormat) -> tuple[list[str], Sequence[Sequence[Any]]]:
+def _read_excel(path: Path, text: CsvConfig) -> tuple[list[str], Sequence[Sequence[Any]]]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of styles and validations, which hold no data

@@ -13,18 +13,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.data.dataset import DIRECTIONS, Excitation, VibrationDataset, assemble_forces
+from pipeline.data.dataset import Excitation, VibrationDataset, assemble_forces
+from pipeline.data.simulate import show_everywhere
 from pipeline.errors import PipelineError
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.model import TRANSLATIONS, RotorModel, bearing_dof, seal_dof, translation_dof
+from pipeline.rotor.model import RotorModel, bearing_dof, seal_dof
 from pipeline.units import RAD_S_PER_RPM
-
-STEPS = 720
-"""A revolution; the error falls with their square."""
-_ALPHA = -0.05
-_DOUBLINGS = 12
-"""The number of revolutions before the reading is two to this power."""
-_SETTLED = 1e-6
 
 
 def integrate(rotor: RotorModel, bearings: BearingTable, excitations: tuple[Excitation, ...]) -> VibrationDataset:
@@ -35,43 +29,55 @@ def integrate(rotor: RotorModel, bearings: BearingTable, excitations: tuple[Exci
     runs = tuple(dict.fromkeys(excitation.run for excitation in excitations))
     forces = assemble_forces(rotor, excitations, runs, bearings.speeds)
     response = np.stack([_settle(rotor, bearings, s, forces[s]) for s in range(len(bearings.speeds))])
-    channels = tuple((node, angle) for node in range(rotor.n_nodes) for angle in DIRECTIONS.values())
-    measured = [translation_dof(node, direction) for node in range(rotor.n_nodes) for direction in range(TRANSLATIONS)]
-    shown = response[:, measured]
-    return VibrationDataset(bearings.speeds, runs, channels, shown, excitations, operating=bearings.operating)
+    return show_everywhere(rotor, bearings, response, excitations)
 
 
-def _settle(rotor: RotorModel, bearings: BearingTable, s: int, force: np.ndarray) -> np.ndarray:
-    """(n, R) complex 1X vectors of the steady state at the speed ``s``, of a ``force`` (n, R)."""
+def _settle(
+    rotor: RotorModel,
+    bearings: BearingTable,
+    s: int,
+    force: np.ndarray,
+    steps: int = 720,
+    alpha: float = -0.05,
+    doublings: int = 12,
+    settled: float = 1e-6,
+) -> np.ndarray:
+    """(n, R) complex 1X vectors of the steady state at the speed ``s``, of a ``force`` (n, R).
+
+    The error falls with the square of the ``steps`` a revolution; ``alpha`` is the method's damping. Before the reading
+    are two to the power ``doublings`` revolutions; a steady state changes by a share of ``settled`` at most.
+    """
     speed, n = float(bearings.speeds[s]), rotor.n_dof
-    step, load = _one_step(rotor, bearings, s, 2 * np.pi / STEPS / speed)
-    turns = np.exp(2j * np.pi * np.arange(STEPS + 1) / STEPS)
-    shown = (1 + _ALPHA) * turns[1:] - _ALPHA * turns[:-1]  # the method's mean of two moments
+    step, load = _one_step(rotor, bearings, s, 2 * np.pi / steps / speed, alpha)
+    turns = np.exp(2j * np.pi * np.arange(steps + 1) / steps)
+    shown = (1 + alpha) * turns[1:] - alpha * turns[:-1]  # the method's mean of two moments
     pushed = np.einsum("k,nr->knr", shown, load @ force).real
     state = np.zeros((3 * n, force.shape[1]))
     for push in pushed:
         state = step @ state + push
     # From rest, one revolution leads to this state; m of them to (1 + P + .. + P^(m-1)) of it.
-    turn = np.linalg.matrix_power(step, STEPS)
+    turn = np.linalg.matrix_power(step, steps)
     before = state
     with np.errstate(over="ignore", invalid="ignore"):  # of an unstable rotor
-        for _ in range(_DOUBLINGS):
+        for _ in range(doublings):
             before, state = state, state + turn @ state
             turn = turn @ turn
         change = np.abs(state - before).max()
-    if not change <= _SETTLED * np.abs(state).max():
+    if not change <= settled * np.abs(state).max():
         raise PipelineError(
             f"the vibration must settle to be read, but at {speed / RAD_S_PER_RPM:g} rpm it still changes after "
-            f"{2**_DOUBLINGS} revolutions: use machine.as_built.method=frequency, or stable bearings"
+            f"{2**doublings} revolutions: use machine.as_built.method=frequency, or stable bearings"
         )
     total = np.zeros((n, force.shape[1]), dtype=complex)
     for k, push in enumerate(pushed):
         total += state[:n] * turns[k].conj()
         state = step @ state + push
-    return 2 / STEPS * total  # least squares over a whole revolution
+    return 2 / steps * total  # least squares over a whole revolution
 
 
-def _one_step(rotor: RotorModel, bearings: BearingTable, s: int, h: float) -> tuple[np.ndarray, np.ndarray]:
+def _one_step(
+    rotor: RotorModel, bearings: BearingTable, s: int, h: float, alpha: float
+) -> tuple[np.ndarray, np.ndarray]:
     """The matrix A (3 n, 3 n) of a step of ``h`` seconds, and (3 n, n) what a force adds."""
     n, places = rotor.n_dof, bearing_dof(rotor)
     stiffness = rotor.stiffness.copy()
@@ -84,7 +90,7 @@ def _one_step(rotor: RotorModel, bearings: BearingTable, s: int, h: float) -> tu
     for block, rows in zip(rotor.seals.matrices(bearings.speeds[[s]])[:, 0], seal_dof(rotor), strict=True):
         for matrix, stacked in zip((stiffness, damping, mass), block, strict=True):
             matrix[np.ix_(rows, rows)] += stacked
-    beta, gamma, more = (1 - _ALPHA) ** 2 / 4, (1 - 2 * _ALPHA) / 2, 1 + _ALPHA
+    beta, gamma, more = (1 - alpha) ** 2 / 4, (1 - 2 * alpha) / 2, 1 + alpha
     k, c = h**2 * stiffness, h * damping
     system = mass + more * (gamma * c + beta * k)
     now = np.hstack([k, c + more * k, more * ((1 - gamma) * c + (0.5 - beta) * k)])

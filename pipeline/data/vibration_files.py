@@ -76,7 +76,7 @@ def write_vibration(path: Path, dataset: VibrationDataset, marks: Mapping[str, s
     }
     if dataset.own_frequencies is not None:
         columns[_FREQUENCY] = np.repeat(dataset.own_frequencies.T.ravel() / (2 * np.pi), n_channels)
-    if dataset.conditions is not None:
+    if dataset.conditions:
         columns[_CONDITION] = np.repeat(np.array(dataset.conditions, dtype=object), n_speeds * n_channels)
     if not dataset.complete:
         rows = np.repeat(dataset.present.T.ravel(), n_channels)
@@ -106,7 +106,7 @@ def read_dataset(
 def require_made_for(vibration: Path, rotor: RotorModel) -> None:
     """Raise DataError where the file says that it was generated for another rotor."""
     made_for = (read_marks(vibration) or {}).get("rotor")
-    if made_for is not None and made_for != rotor.fingerprint:
+    if made_for and made_for != rotor.fingerprint:
         raise DataError(
             f"'{vibration}' must have been made for this rotor ({rotor.fingerprint}), but it was made for another "
             f"({made_for}): "
@@ -150,7 +150,7 @@ def read_measured(
     measured = dict.fromkeys(table["run"].tolist())
     # The order of the rows means nothing: that of the runs is the excitations', then the alphabet's.
     runs = (*(run for run in acting if run in measured), *sorted(measured.keys() - acting.keys()))
-    if baseline is not None:
+    if baseline:
         _check_baseline(baseline, runs, acting, vibration, excitation)
     for run in runs:
         if run not in acting and run != baseline:
@@ -164,7 +164,7 @@ def read_measured(
     dataset = _assemble(table, points, (nodes, angles), vibration, runs, excitations)
     if dataset.own_frequencies is not None:
         _check_synchronous(dataset, vibration)
-    return dataset if baseline is None else subtract_baseline(dataset, baseline)
+    return subtract_baseline(dataset, baseline) if baseline else dataset
 
 
 def _check_baseline(

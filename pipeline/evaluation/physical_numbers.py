@@ -7,11 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.config.bearings import PerNodeBearingConfig
-from pipeline.config.laws import LawsConfig
 from pipeline.config.machine import MachineConfig
-from pipeline.config.oil import OilConfig
 from pipeline.data.noise import NOMINAL_95
+from pipeline.laws.build import LawsConfig
+from pipeline.laws.oil import OilConfig
 
 _MODELLED_AS = {"load": "static_load"}
 """What a number of a law is called in the section of a modelled bearing, where that is another name."""
@@ -47,10 +46,10 @@ def find_true_numbers(machine: MachineConfig) -> dict[str, float]:
     laws, bearings = machine.laws, machine.bearings
     if laws is None:
         return {}
-    per_node = bearings.nodes if isinstance(bearings, PerNodeBearingConfig) else dict.fromkeys(laws.bearings, bearings)
+    modelled_at = {node: bearings.at(node) for node in bearings.places or laws.bearings}
     numbers: dict[str, float] = {}
     for node, law in laws.bearings.items():
-        modelled = per_node.get(node)
+        modelled = modelled_at.get(node)
         for name in type(law).model_fields:
             value = getattr(modelled, _MODELLED_AS.get(name, name), None)
             if isinstance(value, float):
@@ -61,7 +60,7 @@ def find_true_numbers(machine: MachineConfig) -> dict[str, float]:
 
 def _find_oil(laws: LawsConfig, modelled: float | OilConfig | None) -> dict[str, float]:
     """The oil's viscosity at the reference of the laws' oil, and the slope of its logarithm there."""
-    from pipeline.laws.build import known_number, make_oil
+    from pipeline.laws.build import known_number
 
     if laws.oil is None or modelled is None:
         return {}
@@ -69,7 +68,7 @@ def _find_oil(laws: LawsConfig, modelled: float | OilConfig | None) -> dict[str,
         return {"oil.viscosity": modelled}
     import torch
 
-    oil, reference = make_oil(modelled, known_number), getattr(laws.oil, "reference", None)
+    oil, reference = modelled.make(known_number), getattr(laws.oil, "reference", None)
     near = torch.tensor([-1.0, 0.0, 1.0], dtype=torch.float64) + (oil.reference if reference is None else reference)
     log = oil.log_viscosity(torch.zeros(1, 0, dtype=torch.float64), near)[0][0].numpy()
     found = {"oil.viscosity": float(np.exp(log[1])), "oil.slope": float(log[0] - log[2]) / 2}

@@ -8,13 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.coefficients import CoefficientName
-from pipeline.config.models import (
-    ConstantModelConfig,
-    HybridModelConfig,
-    LawModelConfig,
-    ModelConfig,
-    NetworkModelConfig,
-)
+from pipeline.config.models import ModelConfig
 from pipeline.errors import ConfigError
 from pipeline.identification.inputs import SPEED, varying
 from pipeline.identification.model import CoefficientModel
@@ -32,24 +26,13 @@ def coefficient_model(
     constant = CoefficientModel(
         unknowns=unknowns, inputs=(SPEED,), parametrisation=config.parametrisation, scale=rows, hidden=None
     )
-    if isinstance(config, ConstantModelConfig):
+    if not config.varies:
         return constant
     inputs = varying(points)
-    ranges = tuple((float(points[name].min()), float(points[name].max())) for name in inputs)
-    made = replace(constant, inputs=inputs, hidden=(), input_scaling="log_rpm", ranges=ranges)
-    if isinstance(config, LawModelConfig):
-        return made
-    made = replace(made, input_scaling=config.input_scaling)
-    if isinstance(config, (NetworkModelConfig, HybridModelConfig)):
-        made = replace(made, hidden=(config.width,) * config.depth, activation=config.activation)
-    if isinstance(config, HybridModelConfig):
-        return replace(made, fades=True)
-    made = replace(made, trend=config.trend)
-    if isinstance(config, NetworkModelConfig):
-        return made
-    if len(inputs) > 1:
+    if config.of_speed_alone and len(inputs) > 1:
         raise ConfigError(
             f"model.kind={config.kind} is made of functions of the speed alone, but the data have {inputs[1]}, too: "
             "choose model=network_operating"
         )
-    return replace(made, functions=config.kind, n_functions=config.count)
+    ranges = tuple((float(points[name].min()), float(points[name].max())) for name in inputs)
+    return replace(constant, **{"inputs": inputs, "ranges": ranges, "input_scaling": "log_rpm"} | config.shape)

@@ -16,7 +16,6 @@ import numpy as np
 
 from pipeline.coefficients import is_direct
 from pipeline.config.identification import LevenbergMarquardtConfig
-from pipeline.config.models import HybridModelConfig
 from pipeline.identification.basis import Basis
 from pipeline.identification.optimizers import levenberg_marquardt, until_still
 from pipeline.identification.problem import OutputError, output_error
@@ -127,4 +126,4 @@ def first_weights(problem: OutputError, theta: np.ndarray) -> torch.Tensor:
 
 def corrects(setup: FitSetup) -> bool:
     """Whether a network corrects the laws."""
-    return isinstance(setup.model, HybridModelConfig)
+    return setup.model.corrects_laws

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.config.models import HybridModelConfig, LawModelConfig
 from pipeline.errors import ConfigError
 from pipeline.unknowns import UnknownSet
 
@@ -101,7 +100,7 @@ def for_model(measurement: Measurement, setup: FitSetup) -> Measurement:
 
     Raises ConfigError where there are none, or for a loss that they don't go with.
     """
-    if not isinstance(setup.model, (LawModelConfig, HybridModelConfig)):
+    if not setup.model.has_laws:
         return measurement if measurement.laws is None else measurement.without_laws()
     if measurement.laws is None:
         raise ConfigError(

@@ -23,7 +23,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.config.models import NetworkModelConfig
 from pipeline.errors import ConfigError
 from pipeline.identification.basis import Basis
 from pipeline.identification.basis_error import MeanSquareError
@@ -87,7 +86,7 @@ def train_hidden(fit: OutputErrorFit, setup: FitSetup, progress: Progress | None
     """
     import torch
 
-    if not isinstance(setup.model, NetworkModelConfig):
+    if not setup.model.trains_hidden:
         raise ConfigError(
             f"loss.hidden=trained must have a model with hidden layers, but got model.kind={setup.model.kind}: choose "
             "model=network_fluid_film model.width=8, or loss.hidden=drawn"

@@ -29,7 +29,14 @@ import math
 
 import numpy as np
 
-from pipeline.config.measured import AmplitudeKind, PhaseSense, SpeedUnit
+from pipeline.config.measured import (
+    AmplitudeKind,
+    MeasuredConfig,
+    MeasuredRunConfig,
+    PhaseSense,
+    SpeedUnit,
+)
+from pipeline.data.dataset import Excitation
 from pipeline.units import RAD_S_PER_RPM
 
 _TO_PEAK: dict[AmplitudeKind, float] = {"zero_to_peak": 1.0, "peak_to_peak": 0.5, "rms": math.sqrt(2.0)}
@@ -58,3 +65,21 @@ def to_displacement(vectors: np.ndarray, order: int, frequencies: np.ndarray) ->
         return vectors
     with np.errstate(divide="ignore", invalid="ignore"):  # at standstill, which is refused later
         return vectors / (1j * frequencies) ** order
+
+
+def list_acting(config: MeasuredConfig, run: MeasuredRunConfig) -> list[Excitation]:
+    """What excited a run; the phases of unbalances as angles from x at the pulse."""
+    acting = [
+        Excitation(
+            run.name,
+            "unbalance",
+            unbalance.node,
+            unbalance.magnitude,
+            config.angle_from_x(unbalance.phase),
+        )
+        for unbalance in run.unbalances
+    ]
+    forces = [
+        Excitation(run.name, "force", force.node, force.magnitude, force.phase, force.whirl) for force in run.forces
+    ]
+    return acting + forces

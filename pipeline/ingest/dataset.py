@@ -1,5 +1,8 @@
 """From the 1X vectors of probes to displacements in x and y, and what excited them.
 
+Probes at any mounting angle show v_i = x cos a_i + y sin a_i at each node, solved by least squares. How much the sweep
+of a run-up biases the peak that its vectors show: the rate from the tacho, the bias from the model.
+
 Legend: S speeds, P probes, R runs, N nodes.
 """
 
@@ -7,35 +10,36 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
-from pipeline.config.measured import MeasuredRunConfig, SlowRollConfig, convert_phase
-from pipeline.config.recordings import (
-    AnyRecordingsConfig,
-    RossRecordingsConfig,
-    SignalConfig,
-    TableRecordingsConfig,
-    TableRunConfig,
-    UffRecordingsConfig,
-)
-from pipeline.config.records import RecordsConfig
-from pipeline.data.dataset import Excitation, VibrationDataset
-from pipeline.errors import DataError
-from pipeline.ingest.conventions import to_vectors
+from pipeline.config.measured import MeasuredConfig, NoRecordingsConfig, ProbeConfig, SlowRollConfig
+from pipeline.data.dataset import DIRECTIONS, VibrationDataset
+from pipeline.errors import ConfigError, DataError
+from pipeline.ingest.conventions import list_acting, to_vectors
 from pipeline.ingest.operating import find_conditions, name_recordings, to_points
 from pipeline.ingest.plausibility import note_dead
-from pipeline.ingest.probes import check_probes, resolve
-from pipeline.ingest.ross_results import read_ross_runs
-from pipeline.ingest.sweeps import measure_sweep, note_sweep
-from pipeline.ingest.table import read_table_runs
+from pipeline.ingest.records import RecordsConfig
+from pipeline.ingest.ross_results import RossRecordingsConfig
+from pipeline.ingest.table import TableRecordingsConfig
 from pipeline.ingest.tracks import LARGEST, RunTracks, format_rpm, to_common_speeds
-from pipeline.ingest.uff import read_uff_runs
-from pipeline.ingest.waveform import read_signal_runs
-from pipeline.sweep.bias import SweepBias
+from pipeline.ingest.uff import UffRecordingsConfig
+from pipeline.ingest.waveform import WaveformRecordingsConfig
+from pipeline.sweep.bias import SweepBias, describe_bias, find_mode, measure_bias, read_peak
 from pipeline.units import RAD_S_PER_RPM
 
-_CONTRADICTION = 0.05
+RecordingsConfig = Annotated[
+    NoRecordingsConfig
+    | TableRecordingsConfig
+    | RecordsConfig
+    | UffRecordingsConfig
+    | WaveformRecordingsConfig
+    | RossRecordingsConfig,
+    Field(discriminator="format"),
+]
+"""Every format of recordings."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,41 +54,44 @@ class MeasuredRuns:
     """By run: of the run-ups that show a peak."""
 
 
-def read_measured_runs(config: AnyRecordingsConfig) -> MeasuredRuns:
-    """Read all runs and bring them to common speeds and to x and y. Raises DataError and ConfigError."""
+def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> MeasuredRuns:
+    """Read all runs and bring them to common speeds and to x and y. Raises DataError and ConfigError.
+
+    Probes at a node that miss each other by more than the share ``contradiction`` of what they measure are named.
+    """
     check_probes(config.probes)
-    runs = _read_runs(config)
+    runs = config.read()
     notes = [note for run in runs for note in run.notes] + _note_zeros(runs)
     for run in runs:
         sizes = {probe: float(np.sqrt((np.abs(track.vectors) ** 2).mean())) for probe, track in run.tracks.items()}
         notes += note_dead(run.name, sizes)
-    asynchronous = {run.name for run in config.runs if isinstance(run, TableRunConfig) and run.asynchronous}
-    if config.slow_roll is not None:  # runout turns with the shaft
+    asynchronous = {run.name for run in config.runs if run.asynchronous}
+    if config.slow_roll:  # runout turns with the shaft
         slow = config.slow_roll
         runs = tuple(run if run.name in asynchronous else remove_runout(run, slow) for run in runs)
     sweeps: dict[str, SweepBias] = {}
     for run in runs:
-        bias = measure_sweep(run, config.tracking.most_lag) if isinstance(config, SignalConfig) else None
-        sweeps |= {run.name: bias} if bias is not None else {}
+        bias = measure_sweep(run, config.most_lag)
+        sweeps |= {run.name: bias} if bias else {}
         notes += note_sweep(run, bias)
-    wanted = None if config.speeds is None else np.array(config.speeds.rpm()) * RAD_S_PER_RPM
+    wanted = np.array(config.speeds.rpm()) * RAD_S_PER_RPM if config.speeds else None
     speeds, vectors = to_common_speeds(runs, wanted, config.interpolation)
-    resolved = resolve(config.probes, vectors)
-    _check_size(resolved.displacement, runs)
+    channels, displacement, misfits = resolve(config.probes, vectors)
+    _check_size(displacement, runs)
     conditions = find_conditions(config, runs, speeds)
     labels = name_recordings(config, conditions)
     acting = [
         replace(excitation, run=label)
         for label, run in zip(labels, config.runs, strict=True)
-        for excitation in _list_acting(config, run)
+        for excitation in list_acting(config, run)
     ]
     recorded = VibrationDataset(
         speeds,
         labels,
-        resolved.channels,
-        resolved.displacement,
+        channels,
+        displacement,
         tuple(acting),
-        _list_frequencies(config.runs, speeds) if asynchronous else None,
+        np.stack([run.frequencies(speeds) for run in config.runs], axis=1) if asynchronous else None,
     )
     dataset = recorded
     if conditions:
@@ -94,31 +101,19 @@ def read_measured_runs(config: AnyRecordingsConfig) -> MeasuredRuns:
     notes += [
         f"the probes at node {node} contradict each other by {100 * misfit:.2g} % of what they measure: check "
         "their angles, polarity and scale"
-        for node, misfit in resolved.misfit.items()
-        if misfit > _CONTRADICTION
+        for node, misfit in misfits.items()
+        if misfit > contradiction
     ]
     return MeasuredRuns(dataset, recorded, runs, tuple(dict.fromkeys(notes)), sweeps)
-
-
-def _read_runs(config: AnyRecordingsConfig) -> tuple[RunTracks, ...]:
-    """The 1X vectors of all runs, from whichever format they are in. Raises DataError."""
-    if isinstance(config, TableRecordingsConfig):
-        return read_table_runs(config)
-    if isinstance(config, RossRecordingsConfig):
-        return read_ross_runs(config, list_excitations(config))
-    if isinstance(config, UffRecordingsConfig) and not config.tacho.recorded:
-        return read_uff_runs(config)
-    assert not isinstance(config, RecordsConfig)  # each of its rows is a reading: nothing is tracked
-    return read_signal_runs(config)
 
 
 def remove_runout(run: RunTracks, slow_roll: SlowRollConfig) -> RunTracks:
     """The run with the runout of every probe subtracted. Raises DataError where nothing was measured that slowly."""
     tracks = {}
     for probe, track in run.tracks.items():
-        if slow_roll.below_rpm is None:
-            assert slow_roll.amplitude is not None  # the schema has seen to it
-            assert slow_roll.phase is not None
+        if not slow_roll.below_rpm:
+            assert slow_roll.amplitude  # the schema has seen to it
+            assert slow_roll.phase
             given = slow_roll.vectors[probe]
             size, angle = np.array(given.amplitude), np.array(given.phase)
             runout = complex(to_vectors(size, angle, 1.0, slow_roll.amplitude, slow_roll.phase))
@@ -133,31 +128,6 @@ def remove_runout(run: RunTracks, slow_roll: SlowRollConfig) -> RunTracks:
             runout = complex(vectors.mean())
         tracks[probe] = track.minus(runout)
     return replace(run, tracks=tracks)
-
-
-def list_excitations(config: AnyRecordingsConfig) -> tuple[Excitation, ...]:
-    """What excited the runs; the phases of unbalances as angles from x at the pulse."""
-    runs = {run.name: run for run in config.runs}  # recordings of one run have the same
-    return tuple(excitation for run in runs.values() for excitation in _list_acting(config, run))
-
-
-def _list_acting(config: AnyRecordingsConfig, run: MeasuredRunConfig) -> list[Excitation]:
-    acting: list[Excitation] = []
-    for unbalance in run.unbalances:
-        phase = convert_phase(unbalance.phase, config.shaft_angle or "from_x", config.tacho.angle)
-        acting.append(Excitation(run.name, "unbalance", unbalance.node, unbalance.magnitude, phase))
-    acting += [
-        Excitation(run.name, "force", force.node, force.magnitude, force.phase, force.whirl) for force in run.forces
-    ]
-    return acting
-
-
-def _list_frequencies(runs: Sequence[MeasuredRunConfig], speeds: np.ndarray) -> np.ndarray:
-    """(S, R) rad/s."""
-    columns = []
-    for run in runs:
-        columns.append(run.frequencies(speeds) if isinstance(run, TableRunConfig) else speeds)
-    return np.stack(columns, axis=1)
 
 
 def _note_zeros(runs: Sequence[RunTracks]) -> list[str]:
@@ -178,3 +148,77 @@ def _check_size(displacement: np.ndarray, runs: Sequence[RunTracks]) -> None:
             f"displacements must be below {LARGEST:g} m, but run '{runs[int(largest.argmax())].name}' has "
             f"{largest.max():.3g} m: check the unit (machine.recordings.conventions, or scale and signal_unit)"
         )
+
+
+def check_probes(probes: Mapping[str, ProbeConfig], least_spread: float = np.radians(10.0)) -> None:
+    """Raise ConfigError for a node at which x and y can't be told apart.
+
+    Probes that are nearer to one line than ``least_spread`` (rad) amplify their errors by more than eight.
+    """
+    for node in sorted({probe.node for probe in probes.values()}):
+        here = {name: probe for name, probe in probes.items() if probe.node == node}
+        if len(here) == 1:
+            raise ConfigError(
+                f"machine.recordings.probes must have two probes at a node to give x and y, but node {node} has one "
+                f"only: '{next(iter(here))}'; add the other, or leave the node out"
+            )
+        angles = np.array([probe.angle for probe in here.values()])
+        if np.abs(np.sin(angles[:, None] - angles)).max() < np.sin(least_spread):
+            text = ", ".join(f"'{name}' at {np.degrees(probe.angle):g} deg" for name, probe in here.items())
+            raise ConfigError(
+                f"machine.recordings.probes must span the plane at each node, but those of node {node} lie within "
+                f"{np.degrees(least_spread):g} deg of one line: {text}"
+            )
+
+
+def resolve(
+    probes: Mapping[str, ProbeConfig], vectors: np.ndarray
+) -> tuple[tuple[tuple[int, float], ...], np.ndarray, dict[int, float]]:
+    """x and y at every node, of the ``vectors`` (S, P, R) of the probes in this order; see :func:`check_probes`.
+
+    Returns:
+        2 N channels (node, angle in degrees) of x and y; their displacement (S, 2 N, R), complex, m; by node the root
+        mean square of what the probes contradict each other over that of their vectors, 0 for two probes.
+    """
+    nodes = sorted({probe.node for probe in probes.values()})
+    place = np.array([probe.node for probe in probes.values()])
+    angles = np.array([probe.angle for probe in probes.values()])
+    parts, misfit = [], {}
+    for node in nodes:
+        here = np.flatnonzero(place == node)
+        matrix = np.stack([np.cos(angles[here]), np.sin(angles[here])], axis=1)
+        seen = vectors[:, here]
+        solved = np.einsum("dp,spr->sdr", np.linalg.pinv(matrix), seen)
+        rest = seen - np.einsum("pd,sdr->spr", matrix, solved)
+        size = np.sqrt((np.abs(seen) ** 2).mean())
+        misfit[node] = float(np.sqrt((np.abs(rest) ** 2).mean()) / size) if size > 0 and len(here) > 2 else 0.0
+        parts.append(solved)
+    channels = tuple((node, angle) for node in nodes for angle in DIRECTIONS.values())
+    return channels, np.concatenate(parts, axis=1), misfit
+
+
+def measure_sweep(run: RunTracks, most: float) -> SweepBias | None:
+    """The bias at the largest peak of the probe that has most of it; ``most`` is the share that a peak may lag.
+
+    None for a run without times, and where no probe shows a peak with half the power on both sides.
+    """
+    if run.times is None or len(run.times) < 3:
+        return None
+    biases: list[SweepBias] = []
+    for track in run.tracks.values():
+        reading = read_peak(track.speeds, np.abs(track.vectors))
+        if reading:
+            rates = np.gradient(track.speeds, run.times)
+            rate = float(np.interp(reading.frequency, track.speeds, rates))
+            biases.append(measure_bias(*find_mode(reading, rate), rate, most))
+    return max(biases, key=lambda bias: abs(bias.peak_shift), default=None)
+
+
+def note_sweep(run: RunTracks, bias: SweepBias | None) -> list[str]:
+    """A sentence where the peak lags by more than it may."""
+    if not bias or abs(bias.peak_shift) <= bias.most:
+        return []
+    return [
+        f"run '{run.name}' is no sequence of steady states: {describe_bias(bias)}; run it slower, or fit the ramp "
+        "with stage=runup"
+    ]

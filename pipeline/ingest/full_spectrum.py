@@ -13,12 +13,6 @@ import numpy as np
 from pipeline.config.measured import ProbeConfig
 from pipeline.ingest.order_tracking import Signals
 
-_TURNS = 32
-"""Turns in a part: orders are told apart by 1/32, and by twice that after the window."""
-_PER_TURN = 32
-_HIGHEST = 4.0
-_MOST_PARTS = 48
-
 
 @dataclass(frozen=True, eq=False)
 class FullSpectra:
@@ -30,32 +24,41 @@ class FullSpectra:
     centre: np.ndarray  # (T, 2) m, mean x and y
 
 
-def measure_full_spectra(signals: Signals, probes: Mapping[str, ProbeConfig], node: int) -> FullSpectra | None:
+def measure_full_spectra(
+    signals: Signals,
+    probes: Mapping[str, ProbeConfig],
+    node: int,
+    part_turns: int = 32,
+    per_turn: int = 32,
+    highest: float = 4.0,
+    most_parts: int = 48,
+) -> FullSpectra | None:
     """Spectra of the ``node`` from the probes there, resampled at equal angles; None for a record that is too short.
 
-    ``signals`` have one column for each of ``probes``, in their order.
+    ``signals`` have one column for each of ``probes``, in their order. A part has so many turns: orders are told apart
+    by one over it, and by twice that after the window; they are shown up to the ``highest``, of ``most_parts``.
     """
     angles = np.array([probe.angle for probe in probes.values() if probe.node == node])
     columns = [p for p, probe in enumerate(probes.values()) if probe.node == node]
     inverse = np.linalg.pinv(np.stack([np.cos(angles), np.sin(angles)], axis=1))
     record = signals.between_pulses()
     turns = np.asarray(record.angle.angle(record.time)) / (2 * np.pi)
-    count = int((turns[-1] - turns[0]) // _TURNS)
+    count = int((turns[-1] - turns[0]) // part_turns)
     if count < 1:
         return None
-    shown = np.unique(np.linspace(0, count - 1, min(count, _MOST_PARTS)).round().astype(int))
-    step = np.arange(_TURNS * _PER_TURN) / _PER_TURN
+    shown = np.unique(np.linspace(0, count - 1, min(count, most_parts)).round().astype(int))
+    step = np.arange(part_turns * per_turn) / per_turn
     window = np.hanning(len(step))
-    orders = np.fft.fftshift(np.fft.fftfreq(len(step), 1 / _PER_TURN))
-    keep = np.abs(orders) <= _HIGHEST
+    orders = np.fft.fftshift(np.fft.fftfreq(len(step), 1 / per_turn))
+    keep = np.abs(orders) <= highest
     speeds, spectra, centres = [], [], []
     for shown_component in shown:
-        at = np.interp(turns[0] + shown_component * _TURNS + step, turns, record.time)
+        at = np.interp(turns[0] + shown_component * part_turns + step, turns, record.time)
         xy = inverse @ np.stack([np.interp(at, record.time, record.values[:, p]) for p in columns])
         centre = xy.mean(axis=1)
         moving = (xy[0] - centre[0]) + 1j * (xy[1] - centre[1])
         spectrum_lines = np.abs(np.fft.fftshift(np.fft.fft(moving * window))) / window.sum()
-        speeds.append(2 * np.pi * _TURNS / (at[-1] - at[0]) * (len(step) - 1) / len(step))
+        speeds.append(2 * np.pi * part_turns / (at[-1] - at[0]) * (len(step) - 1) / len(step))
         spectra.append(spectrum_lines[keep])
         centres.append(centre)
     return FullSpectra(np.array(speeds), orders[keep], np.array(spectra), np.array(centres))

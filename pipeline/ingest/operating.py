@@ -11,8 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.config.measured import MeasuredRunConfig
-from pipeline.config.recordings import AnyRecordingsConfig
+from pipeline.config.measured import MeasuredConfig, MeasuredRunConfig
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.operating import name_state
 from pipeline.data.operating_points import find_points, read_with_conditions, require_complete
@@ -24,7 +23,7 @@ from pipeline.units import RAD_S_PER_RPM
 Conditions = dict[str, np.ndarray]
 
 
-def find_conditions(config: AnyRecordingsConfig, runs: Sequence[RunTracks], speeds: np.ndarray) -> Conditions:
+def find_conditions(config: MeasuredConfig, runs: Sequence[RunTracks], speeds: np.ndarray) -> Conditions:
     """Name -> (S, R) SI at ``speeds`` (S,) rad/s: what ``operating`` of a run says, or the file, or the columns.
 
     Raises DataError for a condition that some recordings lack, and for speeds or times that the file does not cover.
@@ -49,8 +48,8 @@ def find_conditions(config: AnyRecordingsConfig, runs: Sequence[RunTracks], spee
     return {name: np.stack([own[name] for own in conditions], axis=1) for name in names}
 
 
-def _read_log(config: AnyRecordingsConfig) -> tuple[Columns, Conditions] | None:
-    if config.conditions_file is None:
+def _read_log(config: MeasuredConfig) -> tuple[Columns, Conditions] | None:
+    if not config.conditions_file:
         return None
     path = Path(config.conditions_file)
     places = {"speed_rpm": "number", "time_s": "number"}
@@ -78,7 +77,7 @@ def _look_up(
             f"{where} must have rows of run '{run.name}', but it has {nearest(run.name, set(table['run']))}"
         )
     key = next((name for name in ("speed_rpm", "time_s") if name in table), None)
-    if key is None:
+    if not key:
         if len(rows) > 1:
             raise DataError(
                 f"{where} must have one row a run where it has no speed_rpm and no time_s, but run '{run.name}' has "
@@ -104,7 +103,7 @@ def _look_up(
     return {name: np.interp(wanted, given, values[rows][order]) for name, values in operating.items()}
 
 
-def name_recordings(config: AnyRecordingsConfig, conditions: Conditions) -> tuple[str, ...]:
+def name_recordings(config: MeasuredConfig, conditions: Conditions) -> tuple[str, ...]:
     """R names: that of the run, with its conditions where several recordings have it."""
     names = [run.name for run in config.runs]
     return tuple(

@@ -32,20 +32,6 @@ from pipeline.ingest.tacho import ShaftAngle
 from pipeline.ingest.tracks import format_rpm
 
 _TURN = 2 * np.pi
-FEWEST_REVOLUTIONS = 8.0
-MOST_SAMPLES = 30000
-_GROWTH = 4 / 3
-_LEAST_SPAN = 0.005
-"""Half the speed span of the shortest window, over the speed: no resonance of a shaft in bearings is sharper."""
-_WIDEST_FIRST = 8
-"""Times the fewest revolutions: where the speed is held, the first window need not be the whole hold."""
-_NOISE_LIMIT = 9.0
-"""What noise explains of a squared difference, over its variance (chi-square of two: it is passed once in 90)."""
-_HOPELESS = 100.0
-"""Longer windows are not tried where one is worse than the best by so much."""
-_OTHER_DEGREE = 2
-_WORST_CONDITION = 1e6
-_NOTHING = 1e-30  # m^2, of a variance
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,8 +100,10 @@ def fit_steady(signals: Signals, settings: OrderTrackingConfig) -> tuple[float, 
     return mean, answer.vectors
 
 
-def fit_sweep(signals: Signals, speeds: np.ndarray, settings: OrderTrackingConfig) -> np.ndarray:
+def fit_sweep(signals: Signals, speeds: np.ndarray, settings: OrderTrackingConfig, other_degree: int = 2) -> np.ndarray:
     """1X vectors (S, P) of a run-up or run-down at ``speeds`` (S,) rad/s, each where it is passed first.
+
+    ``other_degree`` is that of the polynomials beside 1X at most.
 
     Raises DataError where a window around a speed is not inside the record: nothing is extrapolated.
     """
@@ -124,7 +112,7 @@ def fit_sweep(signals: Signals, speeds: np.ndarray, settings: OrderTrackingConfi
     _check_sampling(signals, float(speeds.max()), settings)
     turning = np.exp(1j * signals.angle.angle(signals.time))
     degree = 6 if settings.degree is None else settings.degree
-    basis = _Basis((_OTHER_DEGREE, degree, *[min(_OTHER_DEGREE, degree)] * (settings.orders - 1)))
+    basis = _Basis((other_degree, degree, *[min(other_degree, degree)] * (settings.orders - 1)))
     fits = []
     for centre, speed in zip(centres, speeds, strict=True):
         halves = _list_windows(signals, float(centre), float(speed), settings)
@@ -136,14 +124,14 @@ def find_range(signals: Signals, settings: OrderTrackingConfig) -> tuple[float, 
     """The lowest and the highest speed (rad/s) around which a window fits into the record."""
     _, speed = _fit_windows(signals, settings, 4001)
     turned = np.diff(signals.angle.angle(np.array([signals.angle.start, signals.angle.end])))
-    if not len(speed) or turned <= _TURN * (settings.revolutions or FEWEST_REVOLUTIONS):
+    if not len(speed) or turned <= _TURN * (settings.shortest()):
         return np.inf, -np.inf
     return float(speed.min()), float(speed.max())
 
 
 def _fit_windows(signals: Signals, settings: OrderTrackingConfig, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Those of ``count`` times (s) around which a window fits into the record, and the speeds (rad/s) there."""
-    inner = _TURN * (settings.revolutions or FEWEST_REVOLUTIONS) / 2
+    inner = _TURN * (settings.shortest()) / 2
     time = np.linspace(signals.angle.start, signals.angle.end, count)
     speed = signals.angle.speed(time)
     # A window is even in time: the faster half has more of its revolutions.
@@ -158,7 +146,7 @@ def find_passages(signals: Signals, speeds: np.ndarray, settings: OrderTrackingC
     """
     low, high = find_range(signals, settings)
     if low > high or speeds.min() < low * (1 - 1e-6) or speeds.max() > high * (1 + 1e-6):
-        revolutions = settings.revolutions or FEWEST_REVOLUTIONS
+        revolutions = settings.shortest()
         range_ = f"{format_rpm(low)} to {format_rpm(high)} rpm" if low <= high else "nothing"
         raise DataError(
             f"{signals.where} must cover machine.recordings.speeds ({format_rpm(speeds.min())} to "
@@ -177,20 +165,34 @@ def find_passages(signals: Signals, speeds: np.ndarray, settings: OrderTrackingC
     return centres
 
 
-def _list_windows(signals: Signals, centre: float, speed: float, settings: OrderTrackingConfig) -> list[float]:
-    """Half lengths of the windows to try, ascending, s."""
-    if settings.revolutions is not None:
+def _list_windows(
+    signals: Signals,
+    centre: float,
+    speed: float,
+    settings: OrderTrackingConfig,
+    most_samples: int = 30000,
+    growth: float = 4 / 3,
+    least_span: float = 0.005,
+    widest_first: int = 8,
+) -> list[float]:
+    """Half lengths of the windows to try, ascending, s: each ``growth`` times the one before, up to ``most_samples``.
+
+    ``least_span`` is half the speed span of the shortest, over the speed: no resonance of a shaft in bearings is
+    sharper. Where the speed is held, the first need not be the whole hold: ``widest_first`` times the fewest
+    revolutions.
+    """
+    if settings.revolutions:
         return [0.5 * settings.revolutions * _TURN / speed]
     room = min(centre - signals.angle.start, signals.angle.end - centre)
     step = (signals.time[-1] - signals.time[0]) / (len(signals.time) - 1)
-    most = min(room, 0.5 * MOST_SAMPLES * step)
+    most = min(room, 0.5 * most_samples * step)
     around = signals.angle.speed(np.array([centre - 0.1 * room, centre + 0.1 * room]))
     rate = abs(float(around[1] - around[0])) / (0.2 * room)
-    half = 0.5 * FEWEST_REVOLUTIONS * _TURN / speed
-    wide = min(_LEAST_SPAN * speed / rate if rate > 0 else most, _WIDEST_FIRST * half)
+    half = 0.5 * settings.shortest() * _TURN / speed
+    wide = min(least_span * speed / rate if rate > 0 else most, widest_first * half)
     halves = [min(max(half, wide), max(half, most))]
-    while halves[-1] * _GROWTH <= most:
-        halves.append(halves[-1] * _GROWTH)
+    while halves[-1] * growth <= most:
+        halves.append(halves[-1] * growth)
     return halves
 
 
@@ -221,10 +223,10 @@ def _fit_each(
         yield _Answer(solution[a] - 1j * solution[b], noise * (inverse[a, a] + inverse[b, b]))
 
 
-def _invert(gram: np.ndarray, where: str) -> np.ndarray:
+def _invert(gram: np.ndarray, where: str, worst_condition: float = 1e6) -> np.ndarray:
     """Inverse of the sums, scaled: powers of x in a short window are small.
 
-    Raises DataError where orders are not apart.
+    Raises DataError where orders are not apart: beyond the ``worst_condition`` number.
     """
     scale = 1 / np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
     scaled = gram * scale * scale[:, None]
@@ -232,7 +234,7 @@ def _invert(gram: np.ndarray, where: str) -> np.ndarray:
         inverse: np.ndarray = np.linalg.inv(scaled)
     except np.linalg.LinAlgError:
         inverse = np.full_like(scaled, np.inf)
-    if np.abs(inverse).sum(axis=0).max() * np.abs(scaled).sum(axis=0).max() > _WORST_CONDITION:
+    if np.abs(inverse).sum(axis=0).max() * np.abs(scaled).sum(axis=0).max() > worst_condition:
         raise DataError(
             f"{where} must have enough revolutions in a window to tell the orders apart, but it has not: give fewer "
             "machine.recordings.tracking.orders, a smaller machine.recordings.tracking.degree, or more "
@@ -241,25 +243,31 @@ def _invert(gram: np.ndarray, where: str) -> np.ndarray:
     return inverse * scale * scale[:, None]
 
 
-def _choose(answers: Iterator[_Answer]) -> np.ndarray:
-    """(P,) of the window with the least error, as far as the shorter windows can tell."""
+def _choose(
+    answers: Iterator[_Answer], noise_limit: float = 9.0, hopeless: float = 100.0, nothing: float = 1e-30
+) -> np.ndarray:
+    """(P,) of the window with the least error, as far as the shorter windows can tell.
+
+    Noise explains ``noise_limit`` of a squared difference, over its variance (chi-square of two: it is passed once in
+    90). Longer windows are not tried where one is worse than the best by the factor ``hopeless``. No variance is below
+    ``nothing`` (m^2).
+    """
     seen: list[_Answer] = []
-    best, least = None, np.inf
+    best, least = np.zeros(0, dtype=complex), np.inf
     for answer in answers:
         excess = np.zeros_like(answer.variance)
         for shorter in seen:
             # The long window has the short one's samples: their difference varies by what the short one has more.
             spread = np.maximum(shorter.variance - answer.variance, 0.01 * shorter.variance)
             gap = np.abs(answer.vectors - shorter.vectors) ** 2
-            excess = np.maximum(excess, gap - _NOISE_LIMIT * spread)
+            excess = np.maximum(excess, gap - noise_limit * spread)
         seen.append(answer)
-        size = np.maximum(seen[0].variance, _NOTHING)
+        size = np.maximum(seen[0].variance, nothing)
         error = float(((excess + answer.variance) / size).max())
-        if best is None or error < least:
+        if error < least or not len(best):
             best, least = answer.vectors, error
-        elif error > _HOPELESS * least:
+        elif error > hopeless * least:
             break
-    assert best is not None
     return best
 
 

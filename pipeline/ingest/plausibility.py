@@ -14,14 +14,6 @@ from pipeline.errors import ConfigError
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 
-DEAD = 0.01
-"""Share of what the probes read (median), below which one is not connected."""
-CLIPPED = 0.01
-"""Share of the samples at one of the two ends of the signal; a sine of a thousand levels has one in a hundred."""
-
-FAR_OFF = 300.0
-"""No bearing changes the vibration by as much; a forgotten unit (um for m, mm for um) changes it by a thousand."""
-
 
 def compare_size(dataset: VibrationDataset, rotor: RotorModel, stiffness: float, damping: float) -> float:
     """Measured over modelled amplitude, median over speeds, channels and excited runs.
@@ -42,10 +34,16 @@ def compare_size(dataset: VibrationDataset, rotor: RotorModel, stiffness: float,
     return float(np.median(measured[both] / modelled[both])) if both.any() else float("nan")
 
 
-def note_size(dataset: VibrationDataset, rotor: RotorModel, stiffness: float, damping: float) -> list[str]:
-    """A sentence where amplitudes are far from the model's."""
+def note_size(
+    dataset: VibrationDataset, rotor: RotorModel, stiffness: float, damping: float, far_off: float = 300.0
+) -> list[str]:
+    """A sentence where amplitudes are far from the model's.
+
+    No bearing changes the vibration by the factor ``far_off``; a forgotten unit (um for m, mm for um) changes it by a
+    thousand.
+    """
     ratio = compare_size(dataset, rotor, stiffness, damping)
-    if not (np.isfinite(ratio) and (ratio > FAR_OFF or ratio < 1 / FAR_OFF)):
+    if not (np.isfinite(ratio) and (ratio > far_off or ratio < 1 / far_off)):
         return []
     text = f"{ratio:.2g} times larger" if ratio > 1 else f"{1 / ratio:.2g} times smaller"
     return [
@@ -74,24 +72,30 @@ def note_whirl(dataset: VibrationDataset) -> list[str]:
     return notes
 
 
-def note_dead(run: str, sizes: Mapping[str, float]) -> list[str]:
-    """A sentence for each probe of a ``run`` that reads next to nothing, from the root mean squares of all, m."""
+def note_dead(run: str, sizes: Mapping[str, float], dead: float = 0.01) -> list[str]:
+    """A sentence for each probe of a ``run`` that reads next to nothing, from the root mean squares of all, m.
+
+    Below the share ``dead`` of what the probes read (median) one is not connected.
+    """
     usual = float(np.median(list(sizes.values())))
     return [
         f"probe '{probe}' of run '{run}' reads {100 * size / usual:.2g} % of what the probes read (median): is it "
         "dead, or is its scale that of another unit?"
         for probe, size in sizes.items()
-        if 0 < size < DEAD * usual
+        if 0 < size < dead * usual
     ]
 
 
-def note_clipping(where: str, signals: Mapping[str, np.ndarray]) -> list[str]:
-    """A sentence for each probe whose signal stays at its largest or smallest value: it left its range."""
+def note_clipping(where: str, signals: Mapping[str, np.ndarray], clipped: float = 0.01) -> list[str]:
+    """A sentence for each probe whose signal stays at its largest or smallest value: it left its range.
+
+    That is more than the share ``clipped`` of its samples; a sine of a thousand levels has one in a hundred there.
+    """
     notes = []
     for probe, signal in signals.items():
         ends = [signal == signal.max(), signal == signal.min()]
         held = max(float((end[1:] & end[:-1]).mean()) for end in ends) if np.ptp(signal) > 0 else 0.0
-        if held > CLIPPED:
+        if held > clipped:
             notes.append(
                 f"{where}, probe '{probe}': the signal stays at one end of its range in {100 * held:.2g} % of the "
                 "samples: it is clipped, so that its amplitudes are too small; measure again with a wider range"

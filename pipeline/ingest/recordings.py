@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 
 from pipeline.data.mat_files import read_mat
-from pipeline.data.tables import TextFormat, read_table
+from pipeline.data.tables import CsvConfig, read_table
 from pipeline.errors import DataError, nearest
 
-_TOO_LARGE = 1e30  # no instrument writes it
 _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 
 
@@ -39,7 +38,7 @@ class Recording:
     channels: Mapping[str, np.ndarray]  # (n,) each
 
 
-def read_recording(path: Path, names: Sequence[str], clock: Clock, text: TextFormat) -> Recording:
+def read_recording(path: Path, names: Sequence[str], clock: Clock, text: CsvConfig) -> Recording:
     """The channels ``names`` of a file.
 
     Raises DataError: no such file or channel, a damaged or truncated file, no sample rate, NaN, channels of unequal
@@ -63,14 +62,19 @@ def read_recording(path: Path, names: Sequence[str], clock: Clock, text: TextFor
     return check_recording(path, channels, clock, rate)
 
 
-def check_recording(path: Path, channels: Mapping[str, np.ndarray], clock: Clock, stated: float | None) -> Recording:
-    """The recording of ``channels`` (n,) each, with the sample rate that its file states in Hz (None: it does not)."""
+def check_recording(
+    path: Path, channels: Mapping[str, np.ndarray], clock: Clock, stated: float | None, too_large: float = 1e30
+) -> Recording:
+    """The recording of ``channels`` (n,) each, with the sample rate that its file states in Hz (None: it does not).
+
+    No instrument writes a number that is ``too_large``.
+    """
     lengths = {name: len(values) for name, values in channels.items()}
     if len(set(lengths.values())) > 1:
         text = ", ".join(f"'{name}' {count}" for name, count in lengths.items())
         raise DataError(f"'{path}' must have as many samples in every channel, but it has {text}")
     for name, values in channels.items():
-        bad = np.flatnonzero(~(np.abs(values) < _TOO_LARGE))
+        bad = np.flatnonzero(~(np.abs(values) < too_large))
         if len(bad):
             raise DataError(
                 f"'{path}' must have finite numbers, but channel '{name}' has {values[bad[0]]} at sample {bad[0] + 1} "
@@ -85,7 +89,7 @@ def check_recording(path: Path, channels: Mapping[str, np.ndarray], clock: Clock
 def _read_time(
     path: Path, channels: Mapping[str, np.ndarray], clock: Clock, stated: float | None, count: int
 ) -> np.ndarray:
-    if clock.channel is not None:
+    if clock.channel:
         time = channels[clock.channel] * _SECONDS[clock.unit or "s"]
         back = np.flatnonzero(np.diff(time) <= 0)
         if len(back):
@@ -95,13 +99,13 @@ def _read_time(
                 "machine.recordings.sample_rate in its place"
             )
         return time
-    if clock.rate is not None and stated is not None and abs(clock.rate / stated - 1) > 1e-6:
+    if clock.rate and stated and abs(clock.rate / stated - 1) > 1e-6:
         raise DataError(
             f"'{path}' must have the sample rate of the configuration ({clock.rate:g} Hz), but it says {stated:g} Hz: "
             "leave machine.recordings.sample_rate out"
         )
     rate = clock.rate or stated
-    if rate is None:
+    if not rate:
         raise DataError(
             f"'{path}' must come with a sample rate, but it has none and the configuration neither: give "
             "machine.recordings.sample_rate (such as 5120 Hz), or machine.recordings.time, the channel with the times"
@@ -148,7 +152,7 @@ def _read_hdf5(path: Path, names: Sequence[str], attribute: str | None) -> tuple
 
 def _read_rate(path: Path, attribute: str | None, places: Sequence[Any]) -> float | None:
     """Hz, of the first of ``places`` that has the attribute; their groups are asked too."""
-    if attribute is None:
+    if not attribute:
         return None
     for place in [*places, *(place.parent for place in places)]:
         if attribute in place.attrs:

@@ -5,21 +5,165 @@ Legend: n records, S nominal speeds, P probes, N planes, R runs.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import BeforeValidator, Field
 
-from pipeline.config.measured import convert_phase
+from pipeline.config.measured import (
+    MeasuredConfig,
+    MeasuredRunConfig,
+    ProbeConfig,
+    TachoAngleConfig,
+    Text,
+    VectorConventionsConfig,
+)
 from pipeline.config.motion import to_motion
-from pipeline.config.records import RecordsConfig
+from pipeline.config.quantities import to_si
+from pipeline.config.section import NonNegativeInt, Section, rule
 from pipeline.data.dataset import SYNCHRONOUS, Excitation, VibrationDataset
-from pipeline.data.tables import read_table
+from pipeline.data.tables import CsvConfig, read_table
 from pipeline.errors import DataError
 from pipeline.ingest.conventions import RAD_S, to_displacement, to_lead
-from pipeline.ingest.table import read_format
 from pipeline.ingest.tracks import LARGEST, format_rpm
+
+
+class ComplexColumnsConfig(Section):
+    """The two columns of a complex number."""
+
+    real: Text
+    imaginary: Text
+
+
+class RecordProbeConfig(ProbeConfig):
+    """A probe with its columns."""
+
+    columns: ComplexColumnsConfig
+
+
+def _check_unit(value: Any) -> str:
+    to_si(f"1 {value}", "kg * m", "100 g mm")
+    return str(value)
+
+
+class RecordWeightConfig(Section):
+    """The weight that was on one plane in each record: complex, in ``unit``, its angle as ``shaft_angle`` says."""
+
+    node: NonNegativeInt
+    unit: Annotated[str, BeforeValidator(_check_unit)]
+    columns: ComplexColumnsConfig
+
+    @property
+    def size(self) -> float:
+        """One unit in kg m."""
+        return to_si(f"1 {self.unit}", "kg * m", "100 g mm")
+
+
+class RecordColumnsConfig(Section):
+    """Names of columns. Records of one ``condition`` repeat each other: nothing on the machine was changed."""
+
+    speed: Text
+    condition: Text
+    record: Text
+
+
+class RecordsConfig(MeasuredConfig):
+    """A table with a row for every record at a constant speed: CSV or Excel.
+
+    Records whose speeds differ by less than :data:`pipeline.data.dataset.SYNCHRONOUS` belong to one nominal speed, and
+    keep their own. Each probe stays a channel of its own: its angle may be an uncertain number of the model.
+    """
+
+    format: Literal["records"]
+    conventions: VectorConventionsConfig
+    columns: RecordColumnsConfig
+    csv: CsvConfig = CsvConfig()
+    tacho: TachoAngleConfig = TachoAngleConfig()
+    probes: dict[str, RecordProbeConfig] = Field(min_length=1)
+    weights: tuple[RecordWeightConfig, ...] = Field(min_length=1)
+
+    @property
+    def vectors(self) -> VectorConventionsConfig:
+        """The meaning of the vectors."""
+        return self.conventions
+
+    @property
+    def planes(self) -> tuple[int, ...]:
+        """The nodes of the planes whose weights each record states."""
+        return tuple(weight.node for weight in self.weights)
+
+    @property
+    def runs(self) -> tuple[MeasuredRunConfig, ...]:
+        """None: the table says what the runs are."""
+        return ()
+
+    @rule
+    def _lawful(self) -> Iterator[str]:
+        if not self.file:
+            yield "must name the file with the records, but file is missing"
+        if not self.shaft_angle:
+            yield (
+                "must say in shaft_angle how angles of weights are measured (with_rotation or against_rotation from "
+                "the mark, or from_x at the pulse), but it is missing"
+            )
+        if self.shaft_angle != "from_x" and self.tacho.angle is None:
+            yield (
+                "must give tacho.angle where angles of weights are measured from the mark, but it is missing: where "
+                "nobody knows it, give 0 deg and identify.model_parameters.weight_angle"
+            )
+        for key in ("baseline", "speeds", "slow_roll", "conditions_file", "same_conditions"):
+            if getattr(self, key):
+                yield f"must have no {key} for a table of records, but it has one: leave it out"
+        yield from self.check_units(self.conventions.unit)
+        places = [(probe.node, probe.angle) for probe in self.probes.values()]
+        if len(set(places)) != len(places):
+            yield "must give every probe a place of its own (node and angle), but two have the same"
+        nodes = [weight.node for weight in self.weights]
+        if len(set(nodes)) != len(nodes):
+            yield f"must give every plane of weights once, but weights has the nodes {nodes}"
+
+    def read_records(self, file: str | None = None) -> Records:
+        """The records of the configured file, or of another ``file`` with the same columns.
+
+        Columns of probes or of weights that are missing or blank there are read as NaN. Raises DataError.
+        """
+        path, named = Path(file or self.file or ""), self.columns
+        probes = [probe.columns for probe in self.probes.values()]
+        weights = [weight.columns for weight in self.weights]
+        pairs = [(columns.real, columns.imaginary) for columns in (*probes, *weights)]
+        kinds = {named.speed: "number", named.condition: "text", named.record: "text"}
+        optional = {name: "number or blank" for pair in pairs for name in pair}
+        table = read_table(path, kinds, optional, self.csv)
+        blank = np.full(len(table[named.speed]), np.nan)
+        parts = [table.get(real, blank) + 1j * table.get(imaginary, blank) for real, imaginary in pairs]
+        values = np.stack(parts, axis=1)
+        speeds = table[named.speed] * RAD_S[self.conventions.speed]
+        if (speeds <= 0).any():
+            raise DataError(f"'{path}' must have speeds above zero, but got {format_rpm(speeds.min())} rpm")
+        n_probes, said = len(probes), self.conventions
+        displacement = np.empty((len(speeds), n_probes), dtype=complex)
+        for p, probe in enumerate(self.probes.values()):
+            order, size = to_motion(said.unit, probe.scale)
+            displacement[:, p] = to_displacement(to_lead(values[:, p], size, said.amplitude, said.phase), order, speeds)
+        if np.nanmax(np.abs(displacement), initial=0.0) > LARGEST:
+            raise DataError(
+                f"'{path}' must have amplitudes below {LARGEST:g} m, but got {np.nanmax(np.abs(displacement)):.3g} m: "
+                "check machine.recordings.conventions"
+            )
+        return Records(
+            source=f"'{path}'",
+            conditions=tuple(table[named.condition].tolist()),
+            numbers=tuple(table[named.record].tolist()),
+            speeds=speeds,
+            probes=tuple(self.probes),
+            channels=tuple((probe.node, float(np.degrees(probe.angle)) % 360.0) for probe in self.probes.values()),
+            displacement=displacement,
+            planes=self.planes,
+            unbalance=_read_weights(self, values[:, n_probes:]),
+        )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -49,49 +193,10 @@ class Records:
         )
 
 
-def read_records(config: RecordsConfig, file: str | Path | None = None) -> Records:
-    """The records of the configured file, or of another ``file`` with the same columns.
-
-    Columns of probes or of weights that are missing or blank there are read as NaN. Raises DataError.
-    """
-    path, named = Path(file or config.file or ""), config.columns
-    probes = [probe.columns for probe in config.probes.values()]
-    pairs = [(columns.real, columns.imaginary) for columns in (*probes, *(weight.columns for weight in config.weights))]
-    kinds = {named.speed: "number", named.condition: "text", named.record: "text"}
-    optional = {name: "number or blank" for pair in pairs for name in pair}
-    table = read_table(path, kinds, optional, read_format(config.csv))
-    blank = np.full(len(table[named.speed]), np.nan)
-    values = np.stack([table.get(real, blank) + 1j * table.get(imaginary, blank) for real, imaginary in pairs], axis=1)
-    speeds = table[named.speed] * RAD_S[config.conventions.speed]
-    if (speeds <= 0).any():
-        raise DataError(f"'{path}' must have speeds above zero, but got {format_rpm(speeds.min())} rpm")
-    n_probes, said = len(probes), config.conventions
-    displacement = np.empty((len(speeds), n_probes), dtype=complex)
-    for p, probe in enumerate(config.probes.values()):
-        order, size = to_motion(said.unit, probe.scale)
-        displacement[:, p] = to_displacement(to_lead(values[:, p], size, said.amplitude, said.phase), order, speeds)
-    if np.nanmax(np.abs(displacement), initial=0.0) > LARGEST:
-        raise DataError(
-            f"'{path}' must have amplitudes below {LARGEST:g} m, but got {np.nanmax(np.abs(displacement)):.3g} m: "
-            "check machine.recordings.conventions"
-        )
-    return Records(
-        source=f"'{path}'",
-        conditions=tuple(table[named.condition].tolist()),
-        numbers=tuple(table[named.record].tolist()),
-        speeds=speeds,
-        probes=tuple(config.probes),
-        channels=tuple((probe.node, float(np.degrees(probe.angle)) % 360.0) for probe in config.probes.values()),
-        displacement=displacement,
-        planes=tuple(weight.node for weight in config.weights),
-        unbalance=_read_weights(config, values[:, n_probes:]),
-    )
-
-
 def _read_weights(config: RecordsConfig, values: np.ndarray) -> np.ndarray:
     """(n, N) kg m, of complex ``values`` in the file's units."""
     sizes = np.array([weight.size for weight in config.weights])
-    turned = np.vectorize(lambda s: convert_phase(s, config.shaft_angle or "from_x", config.tacho.angle))
+    turned = np.vectorize(config.angle_from_x)
     return np.asarray(np.abs(values) * sizes * np.exp(1j * turned(np.angle(values))))
 
 

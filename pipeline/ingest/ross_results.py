@@ -8,53 +8,71 @@ Legend: S speeds, n DOF of ROSS (six a node).
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from pydantic import Field
 
-from pipeline.config.recordings import RossRecordingsConfig
+from pipeline.config.measured import MeasuredConfig, MeasuredRunConfig, ProbeConfig, TachoAngleConfig
+from pipeline.config.section import rule
 from pipeline.data.dataset import Excitation, project_direction
 from pipeline.errors import DataError
+from pipeline.ingest.conventions import list_acting
 from pipeline.ingest.tracks import RunTracks, sort_track
 
 _KIND = "ForcedResponseResults"
-_DOF = 6
 _NEXT = 'save what run_unbalance_response or run_forced_response gave, as response.save("run.toml")'
 
 
-def read_ross_runs(config: RossRecordingsConfig, excitations: Sequence[Excitation]) -> tuple[RunTracks, ...]:
-    """The runs of the configuration, of which ``excitations`` say what acted.
+class RossRecordingsConfig(MeasuredConfig):
+    """Responses that ROSS saved: displacements of every node in m over the rotor speed."""
 
-    Raises DataError: no such file, another result of ROSS, JSON (ROSS writes no complex numbers there), a node that the
-    rotor of the file has not, other unbalances than the configuration's.
-    """
-    runs = []
-    for run in config.runs:
-        path = Path(run.sources(config.file)[0])
-        content = _load(path)
-        speeds = np.asarray(content["speed_range"], dtype=float)
-        response = _to_complex(path, content["forced_resp"])
-        if response.ndim != 2 or response.shape[1] != len(speeds):
-            raise DataError(
-                f"'{path}' must have a value a speed and DOF, but its shape is {response.shape} of {len(speeds)} speeds"
-            )
-        _check_unbalances(
-            path, content.get("unbalance"), [excitation for excitation in excitations if excitation.run == run.name]
+    format: Literal["ross"]
+    tacho: TachoAngleConfig = TachoAngleConfig()
+    probes: dict[str, ProbeConfig] = Field(min_length=1)
+    runs: tuple[MeasuredRunConfig, ...] = Field(min_length=1)
+
+    @rule
+    def _lawful(self) -> Iterator[str]:
+        yield from self.check_units("m")
+
+    def describe(self) -> str:
+        """What the numbers in the files are taken for."""
+        return "complex, m, zero-to-peak, of ROSS"
+
+    def read(self) -> tuple[RunTracks, ...]:
+        """The 1X vectors of all runs.
+
+        Raises DataError: no such file, another result of ROSS, JSON (ROSS writes no complex numbers there), a node that
+        the rotor of the file has not, other unbalances than the configuration's.
+        """
+        return tuple(_read_run(self, run) for run in self.runs)
+
+
+def _read_run(config: RossRecordingsConfig, run: MeasuredRunConfig, dof: int = 6) -> RunTracks:
+    """The 1X vectors of a run of ROSS, which has so many ``dof`` a node."""
+    path = Path(run.sources(config.file)[0])
+    content = _load(path)
+    speeds = np.asarray(content["speed_range"], dtype=float)
+    response = _to_complex(path, content["forced_resp"])
+    if response.ndim != 2 or response.shape[1] != len(speeds):
+        raise DataError(
+            f"'{path}' must have a value a speed and DOF, but its shape is {response.shape} of {len(speeds)} speeds"
         )
-        tracks = {}
-        for name, probe in config.probes.items():
-            if _DOF * probe.node + 1 >= len(response):
-                raise DataError(
-                    f"'{path}' must have the node {probe.node} of probe '{name}', but it has {len(response) // _DOF} "
-                    "nodes: is it of another rotor?"
-                )
-            x, y = response[_DOF * probe.node], response[_DOF * probe.node + 1]
-            direction = project_direction(float(np.round(np.degrees(probe.angle), 9)))
-            tracks[name] = sort_track(speeds, x * direction[0] + y * direction[1], f"'{path}', probe '{name}',")
-        runs.append(RunTracks(run.name, f"'{path}'", tracks, tracks))
-    return tuple(runs)
+    _check_unbalances(path, content.get("unbalance"), list_acting(config, run))
+    tracks = {}
+    for name, probe in config.probes.items():
+        if dof * probe.node + 1 >= len(response):
+            raise DataError(
+                f"'{path}' must have the node {probe.node} of probe '{name}', but it has {len(response) // dof} "
+                "nodes: is it of another rotor?"
+            )
+        x, y = response[dof * probe.node], response[dof * probe.node + 1]
+        direction = project_direction(float(np.round(np.degrees(probe.angle), 9)))
+        tracks[name] = sort_track(speeds, x * direction[0] + y * direction[1], f"'{path}', probe '{name}',")
+    return RunTracks(run.name, f"'{path}'", tracks, tracks)
 
 
 def _load(path: Path) -> dict[str, Any]:

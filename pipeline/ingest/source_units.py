@@ -7,10 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.config.measured import convert_phase
+from pipeline.config.measured import AnyRecordingsConfig
 from pipeline.config.motion import to_motion
-from pipeline.config.recordings import NoRecordingsConfig, RecordingsConfig
-from pipeline.config.records import RecordsConfig
 from pipeline.ingest.conventions import to_displacement, to_lead
 
 GRAM_MILLIMETRE = 1e-6
@@ -22,35 +20,30 @@ class SourceUnits:
     """The conventions of a machine's recordings; um zero-to-peak, phase lead and angles from x where it has no table of
     records."""
 
-    recordings: RecordingsConfig
+    recordings: AnyRecordingsConfig
 
     @property
     def unit(self) -> str:
         """Of vectors."""
-        return self.recordings.conventions.unit if isinstance(self.recordings, RecordsConfig) else "um"
+        return self.recordings.vectors.unit
 
     @property
     def probes(self) -> tuple[str, ...]:
         """The names of the probes in the order of the channels; none where there is no table of records."""
-        return tuple(self.recordings.probes) if isinstance(self.recordings, RecordsConfig) else ()
+        return tuple(self.recordings.probes) if self.recordings.planes else ()
 
     def vectors(self, displacement: np.ndarray, speeds: np.ndarray) -> np.ndarray:
         """(n, P) complex in the table's unit, of ``displacement`` (n, P) m at the probes and ``speeds`` (n,) rad/s."""
-        if not isinstance(self.recordings, RecordsConfig):
-            return displacement * 1e6
-        lag = self.recordings.conventions.phase == "lag"
         values = displacement / self.sizes(speeds)
-        return np.asarray(values.conj() if lag else values)
+        return np.asarray(values.conj() if self.recordings.vectors.phase == "lag" else values)
 
     def sizes(self, speeds: np.ndarray) -> np.ndarray:
         """(n, P) complex m: one unit of each probe's vector at these ``speeds`` (n,) rad/s."""
-        if not isinstance(self.recordings, RecordsConfig):
-            return np.full((len(speeds), 1), 1e-6 + 0j)
-        said, columns = self.recordings.conventions, []
-        for probe in self.recordings.probes.values():
-            order, size = to_motion(said.unit, probe.scale)
-            one = to_lead(np.ones(len(speeds), dtype=complex), size, said.amplitude, "lead")
-            columns.append(to_displacement(one, order, speeds))
+        said, columns = self.recordings.vectors, []
+        for scale in [self.recordings.probes[name].scale for name in self.probes] or [None]:
+            order, size = to_motion(said.unit, scale)
+            unit = to_lead(np.ones(len(speeds), dtype=complex), size, said.amplitude, "lead")
+            columns.append(to_displacement(unit, order, speeds))
         return np.stack(columns, axis=1)
 
     def weights(self, unbalance: np.ndarray) -> np.ndarray:
@@ -58,13 +51,7 @@ class SourceUnits:
         turned = self._turned(np.angle(unbalance).ravel()).reshape(np.shape(unbalance))
         return np.asarray(np.abs(unbalance) / GRAM_MILLIMETRE * np.exp(1j * turned))
 
-    def angle_from_x(self, shaft_angle: float) -> float:
-        """rad from x at the pulse, of an angle on the shaft as the recordings measure it."""
-        if isinstance(self.recordings, NoRecordingsConfig):
-            return shaft_angle
-        return convert_phase(shaft_angle, self.recordings.shaft_angle or "from_x", self.recordings.tacho.angle)
-
     def _turned(self, angles: Iterable[float]) -> np.ndarray:
-        begin = self.angle_from_x(0.0)
-        sense = np.sign(self.angle_from_x(1.0) - begin)
+        begin = self.recordings.angle_from_x(0.0)
+        sense = np.sign(self.recordings.angle_from_x(1.0) - begin)
         return sense * (np.array(list(angles)) - begin)

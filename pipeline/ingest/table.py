@@ -5,38 +5,123 @@ Wide: a row a speed, two columns a probe. Long: a row a run, probe and speed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
+from pydantic import Field, PositiveFloat
 
-from pipeline.config.measured import CsvConfig
+from pipeline.config.measured import (
+    ConventionsConfig,
+    MeasuredConfig,
+    MeasuredRunConfig,
+    ProbeConfig,
+    TachoAngleConfig,
+    Text,
+)
 from pipeline.config.motion import to_motion
-from pipeline.config.recordings import TableRecordingsConfig, TableRunConfig
-from pipeline.data.tables import Columns, TextFormat, read_table
+from pipeline.config.operating import ConditionColumns
+from pipeline.config.runs import check_frequency
+from pipeline.config.section import Section, rule
+from pipeline.data.tables import Columns, CsvConfig, read_table
 from pipeline.errors import DataError, nearest
 from pipeline.ingest.conventions import RAD_S, to_displacement, to_vectors
 from pipeline.ingest.tracks import RunTracks, Track, sort_track
 
-_BROAD = 2.0
-"""Phases that differ by more than this pass a resonance if they are radians, and hardly differ if they are degrees."""
+
+class TableColumnsConfig(Section):
+    """Names of columns; all but ``speed`` and ``conditions`` are of the long layout."""
+
+    speed: Text
+    conditions: ConditionColumns = Field(default_factory=dict)
+    run: Text = "run"
+    probe: Text = "probe"
+    amplitude: Text = "amplitude"
+    phase: Text = "phase"
 
 
-def read_table_runs(config: TableRecordingsConfig) -> tuple[RunTracks, ...]:
-    """The runs of the configuration, each from its file.
+class ColumnPairConfig(Section):
+    """The two columns of a probe in the wide layout."""
 
-    Raises DataError; see :func:`pipeline.data.tables.read_table` for what a table must be.
-    """
-    runs = []
-    for run in config.runs:
-        path = Path(run.sources(config.file)[0])
-        rows = _read_wide(config, run, path) if config.layout == "wide" else _read_long(config, run, path)
-        tracks = {name: _make_track(config, run, name, row) for name, row in rows.items()}
-        phases = np.concatenate([phase for _, _, phase, _ in rows.values()])
-        notes = note_cut(path) + _note_unit(phases, config.conventions.phase_unit, path)
-        conditions = _read_conditions(config, run, path)
-        runs.append(RunTracks(run.name, f"'{path}'", tracks, tracks, notes, conditions=conditions))
-    return tuple(runs)
+    amplitude: Text
+    phase: Text
+
+
+class TableProbeConfig(ProbeConfig):
+    """A probe with its columns (wide layout), or with the text that stands for it in the probe column (long)."""
+
+    columns: ColumnPairConfig | None = None
+    label: Text | None = None
+
+
+class TableRunConfig(MeasuredRunConfig):
+    """``columns``: of probes that are called otherwise in this file; ``frequency_*``: of forces, not the rotor's."""
+
+    columns: dict[str, ColumnPairConfig] = Field(default_factory=dict)
+    frequency_hz: PositiveFloat | None = None
+    frequency_ratio: PositiveFloat | None = None
+
+    @property
+    def asynchronous(self) -> bool:
+        """True where the response has a frequency of its own."""
+        return bool(self.frequency_hz or self.frequency_ratio)
+
+    def frequencies(self, speeds: np.ndarray) -> np.ndarray:
+        """(S,) rad/s of the vibration at the rotor ``speeds`` (S,) rad/s."""
+        hz, ratio = self.frequency_hz, self.frequency_ratio
+        return 0 * speeds + 2 * math.pi * hz if hz else speeds * (ratio or 1.0)
+
+    @rule
+    def _synchronous(self) -> Iterator[str]:
+        yield from check_frequency(self.name, self.frequency_hz, self.frequency_ratio, bool(self.unbalances))
+
+
+class TableRecordingsConfig(MeasuredConfig):
+    """Amplitudes and phases over the speed, CSV or Excel: wide (two columns a probe) or long (a row a probe)."""
+
+    format: Literal["table"]
+    layout: Literal["wide", "long"]
+    conventions: ConventionsConfig
+    columns: TableColumnsConfig
+    csv: CsvConfig = CsvConfig()
+    tacho: TachoAngleConfig = TachoAngleConfig()
+    probes: dict[str, TableProbeConfig] = Field(min_length=1)
+    runs: tuple[TableRunConfig, ...] = Field(min_length=1)
+    leave_out: tuple[str, ...] = ()
+
+    @rule
+    def _lawful(self) -> Iterator[str]:
+        yield from self.check_units(self.conventions.unit)
+        for run in self.runs:
+            for name, probe in self.probes.items():
+                if self.layout == "wide" and not probe.columns and name not in run.columns:
+                    yield f"probe '{name}' must have columns in the wide layout, but it has none"
+
+    def describe(self) -> str:
+        """What the numbers in the files are taken for."""
+        said = self.conventions
+        return (
+            f"{said.unit}, {said.amplitude.replace('_', '-')}, phase {said.phase} in {said.phase_unit}, speed in "
+            f"{said.speed}"
+        )
+
+    def read(self) -> tuple[RunTracks, ...]:
+        """The 1X vectors of all runs, each from its file.
+
+        Raises DataError; see :func:`pipeline.data.tables.read_table` for what a table must be.
+        """
+        runs = []
+        for run in self.runs:
+            path = Path(run.sources(self.file)[0])
+            rows = _read_wide(self, run, path) if self.layout == "wide" else _read_long(self, run, path)
+            tracks = {name: _make_track(self, run, name, row) for name, row in rows.items()}
+            phases = np.concatenate([phase for _, _, phase, _ in rows.values()])
+            notes = note_cut(path) + _note_unit(phases, self.conventions.phase_unit, path)
+            conditions = _read_conditions(self, run, path)
+            runs.append(RunTracks(run.name, f"'{path}'", tracks, tracks, notes, conditions=conditions))
+        return tuple(runs)
 
 
 def _read_conditions(
@@ -49,7 +134,7 @@ def _read_conditions(
     columns = {name: condition.column for name, condition in named.conditions.items()}
     kinds = dict.fromkeys((named.speed, *columns.values()), "number")
     kinds |= {named.run: "text"} if config.layout == "long" else {}
-    table = read_table(path, kinds, text=read_format(config.csv))
+    table = read_table(path, kinds, text=config.csv)
     if config.layout == "long":
         table = _select(table, named.run, run.name)
     speeds, at = np.unique(table[named.speed], return_inverse=True)
@@ -67,19 +152,14 @@ _Rows = tuple[np.ndarray, np.ndarray, np.ndarray, str]
 """Speed, amplitude and phase (S,) of one probe in one run, in the file's units; and its name in messages."""
 
 
-def read_format(csv: CsvConfig) -> TextFormat:
-    """How the configuration says that CSV files are written."""
-    return TextFormat(csv.delimiter, csv.decimal, csv.skip_rows)
-
-
 def _read_wide(config: TableRecordingsConfig, run: TableRunConfig, path: Path) -> dict[str, _Rows]:
     pairs = {name: run.columns.get(name) or probe.columns for name, probe in config.probes.items()}
     columns = [config.columns.speed, *(c for pair in pairs.values() if pair for c in (pair.amplitude, pair.phase))]
-    table = read_table(path, dict.fromkeys(columns, "number"), text=read_format(config.csv))
+    table = read_table(path, dict.fromkeys(columns, "number"), text=config.csv)
     return {
         name: _take_rows(table, config.columns.speed, pair.amplitude, pair.phase, f"'{path}'")
         for name, pair in pairs.items()
-        if pair is not None  # the schema has seen to it
+        if pair  # the schema has seen to it
     }
 
 
@@ -87,7 +167,7 @@ def _read_long(config: TableRecordingsConfig, run: TableRunConfig, path: Path) -
     names = config.columns
     kinds = {names.run: "text", names.probe: "text"}
     kinds |= dict.fromkeys((names.speed, names.amplitude, names.phase), "number")
-    table = read_table(path, kinds, text=read_format(config.csv))
+    table = read_table(path, kinds, text=config.csv)
     _check_runs(config, list(dict.fromkeys(table[names.run])), path)
     mine = _select(table, names.run, run.name)
     if not len(mine[names.run]):
@@ -133,10 +213,13 @@ def _make_track(config: TableRecordingsConfig, run: TableRunConfig, probe: str, 
     return sort_track(speeds, to_displacement(vectors, order, run.frequencies(speeds)), where)
 
 
-def _note_unit(phases: np.ndarray, unit: str, path: Path) -> tuple[str, ...]:
-    """A note on phases, as in the file, that look like the other unit."""
+def _note_unit(phases: np.ndarray, unit: str, path: Path, broad: float = 2.0) -> tuple[str, ...]:
+    """A note on phases, as in the file, that look like the other unit.
+
+    Those that differ by more than ``broad`` pass a resonance if they are radians, and hardly differ if degrees.
+    """
     largest = np.abs(phases).max()
-    if unit == "deg" and largest <= 2 * np.pi and np.ptp(phases) > _BROAD:
+    if unit == "deg" and largest <= 2 * np.pi and np.ptp(phases) > broad:
         said, other = "degrees", "radians (machine.recordings.conventions.phase_unit=rad)"
     elif unit == "rad" and largest > 6 * np.pi:
         said, other = "radians", "degrees (machine.recordings.conventions.phase_unit=deg)"

@@ -16,7 +16,6 @@ import numpy as np
 
 from pipeline.errors import DataError
 
-LEAST_REVOLUTIONS = 4
 _TURN = 2 * np.pi
 
 
@@ -91,15 +90,17 @@ def find_pulses(
     return Pulses(time[before] + share * step, float(np.median(step)), sharp)
 
 
-def fit_angle(pulses: np.ndarray, per_revolution: int, where: str, marks: np.ndarray | None = None) -> ShaftAngle:
+def fit_angle(
+    pulses: np.ndarray, per_revolution: int, where: str, marks: np.ndarray | None = None, least_revolutions: int = 4
+) -> ShaftAngle:
     """The angle from ``pulses`` (N,) s; with several a revolution, ``marks`` (M,) s says where zero is.
 
     Raises DataError for too few pulses, and for missing or doubled ones.
     """
-    least = max(LEAST_REVOLUTIONS * per_revolution + 1, 6)
+    least = max(least_revolutions * per_revolution + 1, 6)
     if len(pulses) < least:
         raise DataError(
-            f"{where} must have at least {least} tacho pulses ({LEAST_REVOLUTIONS} revolutions), but it has "
+            f"{where} must have at least {least} tacho pulses ({least_revolutions} revolutions), but it has "
             f"{len(pulses)}: give a longer record, or check tacho.threshold"
         )
     _check_regular(pulses, where)
@@ -143,16 +144,12 @@ def _fit_spline(pulses: np.ndarray, turns: np.ndarray) -> Any:
 
     n = len(pulses)
     period = np.gradient(pulses)
-    best = None
+    fits = []
     for knots in _list_knots(pulses, period):
-        ends = np.pad(knots, 3, mode="edge")
-        spline = make_lsq_spline(pulses, turns, ends, k=3, w=period)
+        spline = make_lsq_spline(pulses, turns, np.pad(knots, 3, mode="edge"), k=3, w=period)
         rest = (turns - spline(pulses)) * period
-        criterion = float(rest @ rest) / (1 - (len(knots) + 2) / n) ** 2
-        if best is None or criterion < best[0]:
-            best = criterion, spline
-    assert best is not None
-    return best[1]
+        fits.append((float(rest @ rest) / (1 - (len(knots) + 2) / n) ** 2, spline))
+    return min(fits, key=lambda fit: fit[0])[1]
 
 
 def _list_knots(pulses: np.ndarray, period: np.ndarray) -> list[np.ndarray]:

@@ -13,11 +13,8 @@ import numpy as np
 from pipeline.errors import DataError
 from pipeline.units import RAD_S_PER_RPM
 
-SAME_SPEED = 1e-3
-"""Speeds of two runs are the same where they differ by less than this share."""
 LARGEST = 1.0
 """m, what the file of training takes."""
-_FASTEST = 1e5  # rad/s
 ROUNDING = 1e-5
 """Speeds in files have few digits: so much may the end of a range be missed by."""
 
@@ -51,11 +48,14 @@ class RunTracks:
     conditions: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)  # rad/s and SI (n,) each
 
 
-def sort_track(speeds: np.ndarray, vectors: np.ndarray, where: str) -> Track:
-    """A track of rows in any order. Raises DataError for impossible speeds and sizes, and speeds there twice."""
+def sort_track(speeds: np.ndarray, vectors: np.ndarray, where: str, fastest: float = 1e5) -> Track:
+    """A track of rows in any order.
+
+    Raises DataError for impossible speeds (above ``fastest``, rad/s) and sizes, and speeds there twice.
+    """
     if (speeds <= 0).any():
         raise DataError(f"{where} must have speeds above zero, but got {format_rpm(speeds.min())} rpm")
-    if (speeds > _FASTEST).any():
+    if (speeds > fastest).any():
         raise DataError(f"{where} must have speeds of a rotor, but got {format_rpm(speeds.max())} rpm: check the unit")
     sizes = np.hypot(vectors.real, vectors.imag)
     if not (sizes <= LARGEST).all():
@@ -95,9 +95,15 @@ def to_common_speeds(runs: Sequence[RunTracks], speeds: np.ndarray | None, kind:
 
 
 def _require_same(
-    run: RunTracks, probe: str, track: Track, speeds: np.ndarray, every: Sequence[tuple[RunTracks, str, Track]]
+    run: RunTracks,
+    probe: str,
+    track: Track,
+    speeds: np.ndarray,
+    every: Sequence[tuple[RunTracks, str, Track]],
+    same: float = 1e-3,
 ) -> None:
-    if len(track.speeds) == len(speeds) and np.allclose(track.speeds, speeds, rtol=SAME_SPEED, atol=0):
+    """Raise DataError for speeds that differ by more than the share ``same``."""
+    if len(track.speeds) == len(speeds) and np.allclose(track.speeds, speeds, rtol=same, atol=0):
         return
     first = every[0][0].name
     start = max(float(one.speeds[0]) for _, _, one in every) / RAD_S_PER_RPM

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Literal
 
 import numpy as np
+from pydantic import Field, PositiveFloat
 
-from pipeline.config.measured import VectorConventionsConfig
+from pipeline.config.measured import MeasuredRunConfig, ProbeConfig, Text, VectorConventionsConfig
 from pipeline.config.motion import KINDS, find_motion, to_motion
-from pipeline.config.recordings import UffRecordConfig, UffRecordingsConfig, UffRunConfig
+from pipeline.config.section import Section, rule
 from pipeline.errors import DataError, nearest
 from pipeline.ingest.conventions import RAD_S, to_displacement, to_lead
-from pipeline.ingest.recordings import open_measured
+from pipeline.ingest.order_tracking import Signals
+from pipeline.ingest.recordings import Clock, check_recording, open_measured
 from pipeline.ingest.tracks import RunTracks, sort_track
+from pipeline.ingest.waveform import Edge, Loaded, SignalConfig, SignalRunConfig, TachoSignalConfig
 
 _MARK = re.compile(rb"    -1(?=[ \t]*(?:[\r\n]|$))")
 _TIME, _FREQUENCY, _RPM = 17, 18, 19
@@ -24,6 +27,103 @@ _ORDERS = {8: 0, 11: 1, 12: 2}
 _HELD = ("displacements", "velocities", "accelerations")
 _FORCES = (9, 13)
 _ABSCISSA = {_FREQUENCY: ("Hz", "rad/s"), _RPM: ("rpm",)}
+
+
+class UffRecordConfig(Section):
+    """A dataset 58 is found by a text that one of its ID lines or its response entity is, or by its response DOF."""
+
+    record: Text | None = None
+    response: tuple[int, int] | None = None
+
+
+class UffProbeConfig(ProbeConfig, UffRecordConfig):
+    """A probe with its record."""
+
+    @rule
+    def _named(self) -> Iterator[str]:
+        if not (self.record or self.response):
+            yield "must give record (an ID) or response ([node, direction] in the file), but got neither"
+
+
+class UffTachoConfig(TachoSignalConfig, UffRecordConfig):
+    """The record of the tacho, where the file has time signals; see :class:`pipeline.ingest.waveform.TachoConfig`."""
+
+    edge: Edge | None = None
+    threshold: float | None = None
+    hysteresis: PositiveFloat | None = None
+
+    mark_channel: ClassVar[None] = None
+    pulses_per_revolution: ClassVar[int] = 1
+
+    @property
+    def recorded(self) -> bool:
+        """True where the file has time signals."""
+        return bool(self.record or self.response)
+
+
+class UffRunConfig(SignalRunConfig):
+    """``label``: a text among the ID lines of this run's records, where a file has several runs."""
+
+    label: Text | None = None
+
+
+class UffRecordingsConfig(SignalConfig):
+    """Datasets 58 of universal files: complex functions of the speed, or (with the tacho's record) time signals."""
+
+    format: Literal["uff58"]
+    conventions: VectorConventionsConfig | None = None
+    tacho: UffTachoConfig = UffTachoConfig()
+    probes: dict[str, UffProbeConfig] = Field(min_length=1)
+    runs: tuple[UffRunConfig, ...] = Field(min_length=1)
+
+    @rule
+    def _lawful(self) -> Iterator[str]:
+        if not self.tacho.recorded:
+            if not self.conventions:
+                yield (
+                    "must give conventions (length, amplitude, phase, speed) for functions of the speed, but they are "
+                    "missing: give them, or the tacho's record for time signals"
+                )
+            else:
+                yield from self.check_units(self.conventions.unit)
+            if any(run.files for run in self.runs):
+                yield "must give one file a run for functions of the speed, but a run has files"
+            return
+        if self.conventions:
+            yield "must leave conventions out for time signals (signal_unit and scale say all), but it has"
+        if not self.tacho.edge:
+            yield "must give tacho.edge (rising or falling) where the tacho is recorded, but it is missing"
+        yield from self.check_signals()
+
+    def describe(self) -> str:
+        """What the numbers in the files are taken for."""
+        said = self.conventions
+        if not said:
+            return super().describe()
+        kind = said.amplitude.replace("_", "-")
+        return f"complex, {said.unit}, {kind}, angle a phase {said.phase}, speed in {said.speed}"
+
+    def read(self) -> tuple[RunTracks, ...]:
+        """The 1X vectors of all runs, of complex functions of the speed or of time signals. Raises DataError."""
+        if not self.conventions:
+            return super().read()
+        files = {source: read_uff(Path(source)) for source in dict.fromkeys(map(self._locate, self.runs))}
+        return tuple(_read_functions(self, self.conventions, run, files[self._locate(run)]) for run in self.runs)
+
+    def _locate(self, run: UffRunConfig) -> str:
+        return run.sources(self.file)[0]
+
+    def read_signals(self, run: MeasuredRunConfig) -> list[Signals]:
+        """The time signals of a run, a value a file, in m; none of functions of the speed. Raises DataError."""
+        return super().read_signals(run) if self.tacho.recorded else []
+
+    def load(self, run: UffRunConfig, path: Path) -> Loaded:  # type: ignore[override]
+        """One file of a run. Raises DataError."""
+        records, pulses = find_signals(self, run, path)
+        signals = {name: record.values for name, record in zip(self.probes, records, strict=True)}
+        tacho = "the tacho"
+        channels = signals | {tacho: pulses.values, "time": pulses.abscissa}
+        return Loaded(check_recording(path, channels, Clock("time", "s"), None), signals, tacho)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -42,7 +142,7 @@ class UffRecord:
 
     def is_called(self, text: str | None) -> bool:
         """True where ``text`` is one of the texts; None is any."""
-        return text is None or text.strip() in self.texts
+        return not text or text.strip() in self.texts
 
     @property
     def name(self) -> str:
@@ -80,11 +180,11 @@ def find_record(file: UffFile, wanted: UffRecordConfig, label: str | None, what:
         for record in file.records
         if record.is_called(wanted.record)
         and record.is_called(label)
-        and (wanted.response is None or record.response == wanted.response)
+        and record.response == (wanted.response or record.response)
     ]
     words = " and ".join(
-        [f"ID '{text}'" for text in (wanted.record, label) if text is not None]
-        + ([f"response {list(wanted.response)}"] if wanted.response is not None else [])
+        [f"ID '{text}'" for text in (wanted.record, label) if text]
+        + ([f"response {list(wanted.response)}"] if wanted.response else [])
     )
     if not fits:
         every = {text for record in file.records for text in (*record.texts, str(list(record.response)))}
@@ -98,19 +198,6 @@ def find_record(file: UffFile, wanted: UffRecordConfig, label: str | None, what:
             "the run's label, or by record and response together"
         )
     return fits[0]
-
-
-def read_uff_runs(config: UffRecordingsConfig) -> tuple[RunTracks, ...]:
-    """The runs of the configuration, of complex functions of the speed. Raises DataError."""
-    assert config.conventions is not None  # the schema has seen to it
-    files: dict[str, UffFile] = {}
-    runs = []
-    for run in config.runs:
-        source = run.sources(config.file)[0]
-        if source not in files:
-            files[source] = read_uff(Path(source))
-        runs.append(_read_functions(config, config.conventions, run, files[source]))
-    return tuple(runs)
 
 
 def _read_functions(
@@ -156,7 +243,7 @@ def _note_contradictions(record: UffRecord, file: UffFile, said: VectorConventio
     notes = []
     labelled_size, followed = _read_unit(record.ordinate_label), find_motion(said.unit)
     stated = labelled_size or (file.metre if said.unit != "g" else None)
-    if followed is not None and stated is not None and not np.isclose(stated, followed[1], rtol=1e-3):
+    if followed and stated and not np.isclose(stated, followed[1], rtol=1e-3):
         text = f"'{record.ordinate_label}'" if labelled_size else f"{stated:g} m (dataset 164)"
         key = KINDS[followed[0]]
         notes.append(
@@ -180,7 +267,7 @@ def _read_unit(label: str) -> float | None:
     """Size in SI units of what a label names; None where it names nothing that a probe measures."""
     label = re.sub(r"(?i)\s*(pk-?pk|p-?p|0-?p|pk|rms)$", "", label.strip())
     motion = find_motion(label) if re.fullmatch(r"[^\W\d_][^\d_]*\^?2?", label) else None
-    return None if motion is None else motion[1]
+    return motion[1] if motion else None
 
 
 def _read_sets(path: Path) -> list[dict[str, Any]]:

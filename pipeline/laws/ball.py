@@ -5,25 +5,42 @@ Legend: G members, S operating points, Th unknown numbers, 8 coefficients. SI un
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
+from pydantic import PositiveInt
 
+from pipeline.config.guesses import AngleNumber, ForceNumber, LengthNumber
+from pipeline.config.quantities import ShaftAngle
+from pipeline.config.section import Section
 from pipeline.laws.numbers import Number, add_slope
 from pipeline.laws.points import Points, turn_axes
 
 if TYPE_CHECKING:
     import torch
 
-_STIFFNESS = 13.0e6
-"""N^(2/3) m^(-4/3), of steel balls."""
-_DAMPING = 1.25e-5
-"""s: damping over stiffness."""
-_BALLS, _ACROSS = (8, 12, 16), (0.46, 0.64, 0.73)
-_FLATTEST = 1e-6
-"""The cosine that a contact angle meets which a fit puts beyond a right angle."""
 _NUMBERS = ("ball_diameter", "contact_angle", "load")
+
+
+class BallLawConfig(Section):
+    """A ball bearing: Hertzian contacts (Friswell et al. 2010, pages 182-185), as the modelled ``ball``."""
+
+    kind: Literal["ball"]
+    n_balls: PositiveInt
+    ball_diameter: LengthNumber
+    contact_angle: AngleNumber
+    load: ForceNumber
+    load_angle: ShaftAngle = -math.pi / 2
+
+    has_film: ClassVar[bool] = False
+
+    def make(self, where: str, number: Callable[[Section, str], Number]) -> BallLaw:
+        """The law of the bearing at ``where``, its numbers made by ``number(section, name)``."""
+        numbers = {name: number(self, name) for name in _NUMBERS}
+        return BallLaw(n_balls=self.n_balls, load_angle=self.load_angle, **numbers)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,24 +53,34 @@ class BallLaw:
     load: Number  # N
     load_angle: float  # rad
 
-    needs_oil = False
     inputs = ()
 
-    def evaluate(self, theta: torch.Tensor, points: Points) -> tuple[torch.Tensor, torch.Tensor]:
-        """(G, S, 8) coefficients in N/m and N s/m, and (G, S, 8, Th) their slopes."""
+    def evaluate(
+        self,
+        theta: torch.Tensor,
+        points: Points,
+        stiffness: float = 13.0e6,
+        damping: float = 1.25e-5,
+        flattest: float = 1e-6,
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """(G, S, 8) coefficients in N/m and N s/m, and (G, S, 8, Th) their slopes.
+
+        ``stiffness`` (N^(2/3) m^(-4/3)) is that of steel balls, ``damping`` (s) what is usual over the stiffness, both
+        as ROSS has them; ``flattest`` is the cosine that a contact angle meets which a fit puts beyond a right angle.
+        """
         import torch
 
         angle = self.contact_angle.of(theta)
-        cosine = torch.cos(angle).clamp(min=_FLATTEST)
+        cosine = torch.cos(angle).clamp(min=flattest)
         third = (self.ball_diameter.log(theta) + self.load.log(theta)) / 3
-        axial = _STIFFNESS * self.n_balls ** (2 / 3) * torch.exp(third + 5 / 3 * cosine.log())
-        ratio = np.polyval(np.polyfit(_BALLS, _ACROSS, 2), self.n_balls)
-        shape = turn_axes(self.load_angle) @ [1, 0, 0, ratio, _DAMPING, 0, 0, _DAMPING * ratio]
+        axial = stiffness * self.n_balls ** (2 / 3) * torch.exp(third + 5 / 3 * cosine.log())
+        ratio = np.polyval(np.polyfit((8, 12, 16), (0.46, 0.64, 0.73), 2), self.n_balls)  # across over along the load
+        shape = turn_axes(self.load_angle) @ [1, 0, 0, ratio, damping, 0, 0, damping * ratio]
         values = (axial * torch.from_numpy(shape))[:, None].expand(-1, len(points.speeds), -1)
         slopes = values.new_zeros(*values.shape, theta.shape[1])
         add_slope(slopes, self.ball_diameter, values / 3)
         add_slope(slopes, self.load, values / 3)
-        bent = -5 / 3 * angle * torch.sin(angle) / cosine * (cosine > _FLATTEST)
+        bent = -5 / 3 * angle * torch.sin(angle) / cosine * (cosine > flattest)
         add_slope(slopes, self.contact_angle, values * bent[:, None])
         return values, slopes
 

@@ -14,7 +14,6 @@ from pipeline.laws.table import Curve, FilmTable
 FOLDER = Path(__file__).with_name("tables")
 COLUMNS = ("S", "Kxx", "Kxy", "Kyx", "Kyy", "Bxx", "Bxy", "Byx", "Byy")
 PRELOAD = "preload"
-_FEWEST = 4
 
 
 def packaged_tables() -> tuple[str, ...]:
@@ -57,7 +56,7 @@ def read_film_table(table: str) -> FilmTable:
     return make_film_table(rows, table)
 
 
-def make_film_table(rows: np.ndarray | Sequence[Sequence[float]], name: str) -> FilmTable:
+def make_film_table(rows: np.ndarray | Sequence[Sequence[float]], name: str, fewest: int = 4) -> FilmTable:
     """The table of ``rows`` (n, 9) over S, or (n, 10) with a preload in the last column.
 
     Raises ConfigError as :func:`read_film_table`.
@@ -72,10 +71,8 @@ def make_film_table(rows: np.ndarray | Sequence[Sequence[float]], name: str) -> 
     for preload in preloads if len(rows) else [0.0]:
         same_preload = rows[own == preload]
         where = f" at the preload {preload:g}" if len(preloads) > 1 else ""
-        if len(same_preload) < _FEWEST:
-            raise ConfigError(
-                f"a bearing's table must have {_FEWEST} rows{where}, but '{name}' has {len(same_preload)}"
-            )
+        if len(same_preload) < fewest:
+            raise ConfigError(f"a bearing's table must have {fewest} rows{where}, but '{name}' has {len(same_preload)}")
         if same_preload[0, 0] <= 0 or (np.diff(same_preload[:, 0]) <= 0).any():
             raise ConfigError(
                 f"a bearing's table must have ascending Sommerfeld numbers above zero{where}, but '{name}' has not: "

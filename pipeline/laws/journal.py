@@ -9,20 +9,116 @@ Legend: G members, S operating points, Th unknown numbers, 8 coefficients. SI un
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
+from pipeline.config.guesses import CONDITION, LengthNumber, LoadNumber, PureNumber, middle
+from pipeline.config.quantities import ShaftAngle
+from pipeline.config.section import Section, rule
+from pipeline.errors import ConfigError
+from pipeline.laws.files import read_film_table
 from pipeline.laws.numbers import Number, add_slope
 from pipeline.laws.points import LOAD, Points, turn_axes
+from pipeline.laws.short_bearing import short_table
 from pipeline.laws.table import FilmTable
 
 if TYPE_CHECKING:
     import torch
 
 _NUMBERS = ("diameter", "length", "clearance", "load", "share", "preload")
+
+
+class _JournalLawConfig(Section):
+    """What every journal bearing has."""
+
+    journal_diameter: LengthNumber
+    length: LengthNumber
+    radial_clearance: LengthNumber
+    static_load: LoadNumber
+    load_share: PureNumber = 1.0
+
+    has_film: ClassVar[bool] = True
+
+    if TYPE_CHECKING:  # each kind has its own
+        kind: Literal["short_journal", "journal_table"]
+        load_angle: ShaftAngle
+
+    @rule
+    def _turns_in_its_bore(self) -> Iterator[str]:
+        radius, clearance = middle(self.journal_diameter) / 2, middle(self.radial_clearance)
+        if clearance >= radius:
+            yield (
+                f"radial_clearance must be smaller than the journal's radius, but it is {1e3 * clearance:g} mm and "
+                f"the radius {1e3 * radius:g} mm: correct the unit of the one that is wrong"
+            )
+
+    @rule
+    def _shares_a_condition(self) -> Iterator[str]:
+        if self.static_load != CONDITION and self.load_share != 1.0:
+            yield "load_share must be left out where static_load is not `condition`, but it is given"
+
+    def read_table(self, where: str) -> FilmTable:
+        """The dimensionless coefficients. Raises ConfigError: no such table, a preload that does not fit it."""
+        raise NotImplementedError
+
+    def make(self, where: str, number: Callable[[Section, str], Number]) -> JournalLaw:
+        """The law of the bearing at ``where``, its numbers made by ``number(section, name)``. Raises ConfigError."""
+        loaded, absent, table = self.static_load == CONDITION, Number(1.0), self.read_table(where)
+        return JournalLaw(
+            kind=self.kind,
+            table=table,
+            diameter=number(self, "journal_diameter"),
+            length=number(self, "length"),
+            clearance=number(self, "radial_clearance"),
+            load=absent if loaded else number(self, "static_load"),
+            share=number(self, "load_share") if loaded else absent,
+            preload=number(self, "preload") if table.has_preload else absent,
+            loaded=loaded,
+            load_angle=self.load_angle,
+        )
+
+
+class ShortJournalLawConfig(_JournalLawConfig):
+    """A short journal bearing in closed form (Friswell et al. 2010, page 177), as the modelled ``cylindrical``."""
+
+    kind: Literal["short_journal"]
+    load_angle: ShaftAngle = -math.pi / 2
+
+    def read_table(self, where: str) -> FilmTable:
+        """That of the closed form."""
+        return short_table()
+
+
+class JournalTableLawConfig(_JournalLawConfig):
+    """A journal bearing from a table over the Sommerfeld number, packaged (by its name) or a CSV file.
+
+    A table with a column ``preload`` needs a ``preload``.
+    """
+
+    kind: Literal["journal_table"]
+    table: str
+    preload: PureNumber | None = None
+    load_angle: ShaftAngle = 0.0
+
+    @rule
+    def _is_a_preload(self) -> Iterator[str]:
+        if self.preload is not None and middle(self.preload) >= 1:
+            yield f"preload must be between 0 and 1, but got {middle(self.preload):g}"
+
+    def read_table(self, where: str) -> FilmTable:
+        """The named one, of the package or of a file."""
+        table = read_film_table(self.table)
+        if table.has_preload == (self.preload is not None):
+            return table
+        span = f"from {table.preloads[0]:g} to {table.preloads[-1]:g}" if table.has_preload else "none"
+        verb = "give" if table.has_preload else "leave out"
+        raise ConfigError(
+            f"machine.laws.bearings.{where} must have a preload where its table has some, but '{self.table}' has "
+            f"{span}: {verb} preload"
+        )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -39,8 +135,6 @@ class JournalLaw:
     preload: Number
     loaded: bool
     load_angle: float  # rad
-
-    needs_oil = True
 
     @property
     def inputs(self) -> tuple[str, ...]:

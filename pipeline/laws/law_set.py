@@ -23,6 +23,11 @@ if TYPE_CHECKING:
     import torch
 
 _COLUMNS = {OIL_TEMPERATURE: "oil_temperature_degC", LOAD: "load_N"}
+_LAWS: dict[str, type[JournalLaw | BallLaw]] = {
+    "short_journal": JournalLaw,
+    "journal_table": JournalLaw,
+    "ball": BallLaw,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +42,7 @@ class LawSet:
     @property
     def inputs(self) -> tuple[str, ...]:
         """Names of the operating conditions that it needs besides the speed."""
-        oil = {OIL_TEMPERATURE} if self.oil is not None and self.oil.needs_temperature else set()
+        oil = {OIL_TEMPERATURE} if self.oil and self.oil.needs_temperature else set()
         return tuple(sorted(oil.union(*(law.inputs for law in self.laws))))
 
     def numbers(self, theta: np.ndarray) -> np.ndarray:
@@ -81,7 +86,7 @@ class LawSet:
             if not (np.asarray(values) > 0).all():
                 raise DataError(f"the bearing laws need {what} above zero, but got {np.min(values):g} (SI, K)")
         log_viscosity, slopes = theta.new_zeros(len(theta), len(speeds)), theta.new_zeros(1, 1, theta.shape[1])
-        if self.oil is not None:
+        if self.oil:
             temperature = given.get(OIL_TEMPERATURE, torch.full((len(speeds),), self.oil.reference).double())
             log_viscosity, slopes = self.oil.log_viscosity(theta, temperature)
         return Points(torch.from_numpy(np.array(speeds, dtype=float)), given, log_viscosity, slopes)
@@ -90,7 +95,7 @@ class LawSet:
         """A JSON-able twin, the rows of its tables included."""
         return {
             "nodes": list(self.nodes),
-            "oil": None if self.oil is None else self.oil.to_record(),
+            "oil": self.oil and self.oil.to_record(),
             "laws": [law.to_record() for law in self.laws],
             "parameters": [asdict(parameter) for parameter in self.parameters],
         }
@@ -98,10 +103,9 @@ class LawSet:
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> LawSet:
         """The laws of :meth:`to_record`."""
-        laws = (BallLaw if entry["kind"] == "ball" else JournalLaw for entry in record["laws"])
         return cls(
             nodes=tuple(record["nodes"]),
-            laws=tuple(law.from_record(entry) for law, entry in zip(laws, record["laws"], strict=True)),
-            oil=None if record["oil"] is None else Oil.from_record(record["oil"]),
+            laws=tuple(_LAWS[entry["kind"]].from_record(entry) for entry in record["laws"]),
+            oil=Oil.from_record(record["oil"]) if record["oil"] else None,
             parameters=tuple(LawParameter(**parameter) for parameter in record["parameters"]),
         )

@@ -19,10 +19,6 @@ import numpy as np
 if TYPE_CHECKING:
     import torch
 
-_STEEPEST = 2.0
-_ROOM = 1e-6
-"""A point that lies so little beyond the rows (as a share of S) was made of a row."""
-
 
 @dataclass(frozen=True, eq=False)
 class Curve:
@@ -30,7 +26,7 @@ class Curve:
 
     nodes: np.ndarray  # (n,) ascending
     columns: np.ndarray  # (n, k)
-    powers: bool = True  # False: straight lines beyond the ends in any case
+    steepest: float = 2.0  # a steeper power beyond the ends is a straight line; below zero: straight in any case
 
     @cached_property
     def _pieces(self) -> tuple[torch.Tensor, ...]:
@@ -41,7 +37,7 @@ class Curve:
         ends, slopes = self.columns[[0, -1]], spline(self.nodes[[0, -1]], 1)
         with np.errstate(divide="ignore", invalid="ignore"):
             power = slopes / ends
-        steep = ~(np.abs(power) <= (_STEEPEST if self.powers else -1.0))
+        steep = ~(np.abs(power) <= self.steepest)
         arrays = (
             self.nodes,
             np.moveaxis(spline.c, 0, 1),
@@ -105,7 +101,7 @@ class FilmTable:
     @cached_property
     def _shares(self) -> Curve:
         """What each curve counts at a preload: a spline is linear in its values."""
-        return Curve(self.preloads, np.eye(len(self.preloads)), powers=False)
+        return Curve(self.preloads, np.eye(len(self.preloads)), steepest=-1.0)
 
     def tabulate(self, log_s: np.ndarray, preload: float) -> np.ndarray:
         """(S, 8) at ``log_s`` (S,) within the rows, without torch."""
@@ -118,12 +114,15 @@ class FilmTable:
             np.tensordot(CubicSpline(self.preloads, np.eye(len(self.preloads)))(preload), columns, axes=1)
         )
 
-    def outside(self, log_s: np.ndarray, preload: np.ndarray) -> np.ndarray:
-        """(G, S) True where ``log_s`` (G, S) or ``preload`` (G, 1) lies beyond the rows."""
+    def outside(self, log_s: np.ndarray, preload: np.ndarray, room: float = 1e-6) -> np.ndarray:
+        """(G, S) True where ``log_s`` (G, S) or ``preload`` (G, 1) lies beyond the rows.
+
+        A point that lies so little beyond them (``room``, as a share of S) was made of a row.
+        """
         low, high = self.span
-        beyond = (log_s < low - _ROOM) | (log_s > high + _ROOM)
+        beyond = (log_s < low - room) | (log_s > high + room)
         if self.has_preload:
-            beyond |= (preload < self.preloads[0] - _ROOM) | (preload > self.preloads[-1] + _ROOM)
+            beyond |= (preload < self.preloads[0] - room) | (preload > self.preloads[-1] + room)
         return np.asarray(beyond)
 
     def to_record(self) -> list[dict[str, Any]]:

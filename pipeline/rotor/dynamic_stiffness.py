@@ -69,6 +69,7 @@ def solve(
     right: np.ndarray,
     impedance: np.ndarray | None = None,
     impedance_dof: np.ndarray | None = None,
+    chunk_size: int = 16,
 ) -> np.ndarray:
     """Solve ``D(w) X = right`` at every speed.
 
@@ -78,6 +79,7 @@ def solve(
         right: (S, m, R) complex.
         impedance: (B, S, k, k) complex blocks added at ``impedance_dof`` (B, k), positions within
             ``system.dof``.
+        chunk_size: speeds that are assembled at once: few enough to stay in the processor's cache.
 
     Returns:
         (S, m, R) complex. Raises PipelineError where D is singular or the result is not finite.
@@ -88,10 +90,10 @@ def solve(
     # Right-hand sides in Fortran order, too: LAPACK then leaves the solution in their place, and nothing is copied.
     solution = np.array(right.swapaxes(1, 2), dtype=complex, order="C")
     # LAPACK's band storage in Fortran order, seen in C order as (speed, column, row), with u rows of room for
-    # pivoting. A chunk of speeds is assembled at once: small enough to stay in the processor's cache.
-    band = np.empty((min(_CHUNK, len(speeds)), size, 3 * width + 1), dtype=complex)
-    for start in range(0, len(speeds), _CHUNK):
-        chunk = slice(start, min(start + _CHUNK, len(speeds)))
+    # pivoting. A chunk of speeds is assembled at once.
+    band = np.empty((min(chunk_size, len(speeds)), size, 3 * width + 1), dtype=complex)
+    for start in range(0, len(speeds), chunk_size):
+        chunk = slice(start, min(start + chunk_size, len(speeds)))
         blocks = None if impedance is None else impedance[:, chunk]
         _assemble(system, frequencies[chunk], speeds[chunk], blocks, impedance_dof, band)
         for s in range(chunk.start, chunk.stop):
@@ -102,9 +104,6 @@ def solve(
     if not finite.all():
         raise _singular(speeds[~finite][0])
     return np.ascontiguousarray(solution.swapaxes(1, 2))
-
-
-_CHUNK = 16
 
 
 def _singular(speed: float) -> PipelineError:

@@ -6,6 +6,7 @@ pointed elsewhere.
 
 from __future__ import annotations
 
+import itertools
 import os
 import sys
 import warnings
@@ -17,31 +18,13 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.coefficients import COEFFICIENTS
-from pipeline.config.bearings import (
-    BallBearingConfig,
-    BearingConfig,
-    CylindricalBearingConfig,
-    PerNodeBearingConfig,
-    RotorFileBearingConfig,
-)
-from pipeline.config.guesses import CONDITION
 from pipeline.config.rotor import RotorConfig, ShaftSegmentConfig
-from pipeline.errors import ConfigError
-from pipeline.laws.points import LOAD, OIL_TEMPERATURE
+from pipeline.errors import ConfigError, nearest
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.journal_table import (
-    Operating,
-    follows_conditions,
-    pick_condition,
-    tabulate,
-)
+from pipeline.rotor.bearings import BearingConfig, Operating, flatten, pick_condition
 from pipeline.rotor.model import RotorModel
-from pipeline.rotor.ross_file import read_rotor_file
 from pipeline.rotor.supports import Stand, find_seals, find_stands
 
-GRAVITY = 9.80665  # m/s^2
-_SPLINE_POINTS = 4
 _LATERAL = (0, 1, 3, 4)
 """x, y, alpha, beta among ROSS's six DOF of a node (x, y, z, alpha, beta, theta)."""
 
@@ -75,7 +58,7 @@ def assemble(config: RotorConfig) -> RotorModel:
 
     Raises ConfigError where ``config.file`` can't be read.
     """
-    rotor = _make_rotor(config)
+    rotor = make_rotor(config)
     lateral = np.array([rotor.number_dof * node + dof for node in range(len(rotor.nodes)) for dof in _LATERAL])
     last, stands = len(rotor.nodes) - 1, _find_stands(rotor)
     beside = {*map(id, rotor.bearing_elements), *(id(mass) for mass in rotor.point_mass_elements if mass.n > last)}
@@ -94,7 +77,7 @@ def assemble(config: RotorConfig) -> RotorModel:
         disc_nodes=tuple(int(disc.n) for disc in rotor.disk_elements),
         total_mass=float(rotor.m),
         seals=find_seals(rotor.bearing_elements, last, ross().SealElement),
-        supported_nodes=tuple(stand.node for stand in stands if config.file is not None and stand.supported),
+        supported_nodes=tuple(stand.node for stand in stands if config.file and stand.supported),
     )
 
 
@@ -117,19 +100,27 @@ def _sum_elements(rotor: Any, elements: Sequence[Any], lateral: np.ndarray) -> l
     return [matrix[np.ix_(lateral, lateral)] for matrix in sums]
 
 
-def make_rotor(config: RotorConfig) -> Any:
-    """ROSS's own rotor without bearings, or as its file has it. Raises ConfigError for a file that can't be read."""
-    return _make_rotor(config)
-
-
 def ross_rotor(config: RotorConfig, bearing: BearingConfig, speeds: np.ndarray) -> Any:
-    """ROSS's own rotor with bearings, for its analyses (and as an oracle in tests). ``speeds`` (S,) rad/s."""
-    rotor = _make_rotor(config)
-    if isinstance(bearing, RotorFileBearingConfig):
+    """ROSS's own rotor with bearings, for its analyses (and as an oracle in tests). ``speeds`` (S,) rad/s.
+
+    Raises ConfigError where bearings follow operating conditions.
+    """
+    rotor = make_rotor(config)
+    if bearing.saved:
         return rotor
+    nodes, elements = _find_bearings(config, rotor), []
+    for node in nodes:
+        single = bearing.at(node)
+        for name in single.conditions:
+            pick_condition({}, name, 0)
+        elements.append(single.make_element(ross(), node, speeds, _share_weight(rotor, nodes)))
     seals = [element for element in rotor.bearing_elements if isinstance(element, ross().SealElement)]
-    bearings = _make_elements(config, bearing, rotor, speeds)
-    return ross().Rotor(rotor.shaft_elements, rotor.disk_elements, [*bearings, *seals])
+    return ross().Rotor(rotor.shaft_elements, rotor.disk_elements, [*elements, *seals])
+
+
+def _share_weight(rotor: Any, nodes: Sequence[int], gravity: float = 9.80665) -> float:
+    """N, of the rotor's weight at each of its bearings (``gravity`` in m/s^2, ISO 80000-3)."""
+    return float(rotor.m * gravity / len(nodes))
 
 
 def bearing_table(
@@ -139,100 +130,30 @@ def bearing_table(
 
     Raises ConfigError where a bearing needs a condition that is not there, or gives no finite coefficients.
     """
-    rotor = _make_rotor(config)
-    speeds = np.asarray(speeds, dtype=float)
-    if isinstance(bearing, RotorFileBearingConfig):
+    rotor = make_rotor(config)
+    speeds, operating = np.asarray(speeds, dtype=float), operating or {}
+    if bearing.saved:
         stands = _find_stands(rotor)
         nodes = tuple(stand.node for stand in stands)
-        values = np.array([[_flatten(*stand.blocks(speed)) for speed in speeds] for stand in stands])
+        values = np.array([[flatten(*stand.blocks(speed)) for speed in speeds] for stand in stands])
     else:
         nodes = _find_bearings(config, rotor)
-        share = rotor.m * GRAVITY / len(nodes)
-        values = np.stack([_tabulate_at(_select(bearing, node), speeds, operating or {}, share) for node in nodes])
+        share = _share_weight(rotor, nodes)
+        values = np.stack([bearing.at(node).tabulate(speeds, operating, share, ross()) for node in nodes])
     if not np.isfinite(values).all():
         raise ConfigError(
             "Modelled bearing coefficients must be finite, but ROSS gave some that are not: check the bearing's "
             "load and geometry"
         )
-    return BearingTable(nodes, speeds, values, operating or {})
+    return BearingTable(nodes, speeds, values, operating)
 
 
-def _tabulate_at(bearing: BearingConfig, speeds: np.ndarray, operating: Operating, share: float) -> np.ndarray:
-    """(S, 8) of one bearing; ``share`` is its part of the rotor's weight, N."""
-    table = tabulate(bearing, speeds, operating, share)
-    if table is not None:
-        return table
-    if isinstance(bearing, BallBearingConfig) and bearing.static_load == CONDITION:
-        loads, group = np.unique(pick_condition(operating, LOAD, len(speeds)), return_inverse=True)
-        given = [bearing.model_copy(update={"static_load": float(load)}) for load in loads]
-        return np.stack([_tabulate_at(loaded, speeds[:1], {}, share)[0] for loaded in given])[group]
-    ascending, group = np.unique(speeds, return_inverse=True)  # ROSS's splines over the speed ask for that
-    element = _make_element(bearing, 0, ascending, share)
-    return np.array([_flatten(element.K(speed), element.C(speed)) for speed in ascending])[group]
-
-
-def _select(bearing: BearingConfig, node: int) -> BearingConfig:
-    """The bearing at a node. Raises ConfigError where there is none."""
-    if not isinstance(bearing, PerNodeBearingConfig):
-        return bearing
-    if node not in bearing.nodes:
-        raise ConfigError(
-            f"machine.bearings.nodes must have a bearing for every bearing node, but node {node} has none (it has "
-            f"{', '.join(map(str, bearing.nodes))})"
-        )
-    return bearing.nodes[node]
-
-
-def _flatten(stiffness: np.ndarray, damping: np.ndarray) -> list[float]:
-    """The eight coefficients of matrices over x and y (and more)."""
-    blocks = {"k": stiffness, "c": damping}
-    return [float(blocks[name[0]]["xy".index(name[1]), "xy".index(name[2])]) for name in COEFFICIENTS]
-
-
-def _make_elements(config: RotorConfig, bearing: BearingConfig, rotor: Any, speeds: np.ndarray) -> list[Any]:
-    """ROSS bearing elements of ``bearing`` at every bearing node of the rotor."""
-    nodes = _find_bearings(config, rotor)
-    share = rotor.m * GRAVITY / len(nodes)
-    return [_make_element(_select(bearing, node), node, speeds, share) for node in nodes]
-
-
-def _make_element(bearing: BearingConfig, node: int, speeds: np.ndarray, share: float) -> Any:
-    """ROSS's element; ``share`` is the bearing's part of the rotor's weight, N."""
+def make_rotor(config: RotorConfig) -> Any:
+    """ROSS's own rotor without bearings, or as its file has it. Raises ConfigError for a file that can't be read."""
+    if config.file:
+        return read_rotor_file(Path(config.file))
     rs = ross()
-    if follows_conditions(bearing):
-        pick_condition({}, LOAD if getattr(bearing, "static_load", None) == CONDITION else OIL_TEMPERATURE, 0)
-    if isinstance(bearing, BallBearingConfig):
-        return rs.BallBearingElement(
-            n=node,
-            n_balls=bearing.n_balls,
-            d_balls=bearing.ball_diameter,
-            fs=bearing.static_load,
-            alpha=bearing.contact_angle,
-        )
-    if isinstance(bearing, CylindricalBearingConfig):
-        return rs.CylindricalBearing(
-            n=node,
-            speed=[float(speed) for speed in speeds],
-            weight=bearing.static_load or share,
-            bearing_length=bearing.length,
-            journal_diameter=bearing.journal_diameter,
-            radial_clearance=bearing.radial_clearance,
-            oil_viscosity=bearing.oil_viscosity,
-        )
-    table = tabulate(bearing, speeds, {}, share)
-    assert table is not None, bearing.kind
-    columns = {name: [float(v) for v in column] for name, column in zip(COEFFICIENTS, table.T, strict=True)}
-    if len(speeds) < _SPLINE_POINTS:  # too few for ROSS's spline over the speed
-        return rs.BearingElement(n=node, **{name: column[0] for name, column in columns.items()})
-    return rs.BearingElement(n=node, **columns, frequency=[float(speed) for speed in speeds])
-
-
-def _make_rotor(config: RotorConfig) -> Any:
-    """ROSS's rotor without bearings, or as its file has it."""
-    if config.file is not None:
-        return read_rotor_file(ross(), Path(config.file))
-    rs = ross()
-    if config.material is None:
+    if not config.material:
         raise ConfigError("machine.rotor.material must be given for a rotor without machine.rotor.file")
     material = rs.Material(
         "rotor",
@@ -255,7 +176,7 @@ def _make_rotor(config: RotorConfig) -> Any:
     ]
     discs = [
         rs.DiskElement(n=disc.node, m=disc.mass, Id=disc.diametral_inertia, Ip=disc.polar_inertia)
-        if disc.mass is not None
+        if disc.mass
         else rs.DiskElement.from_geometry(
             n=disc.node, material=material, width=disc.width, i_d=disc.inner_diameter, o_d=disc.outer_diameter
         )
@@ -267,14 +188,14 @@ def _make_rotor(config: RotorConfig) -> Any:
 def _diameters(segment: ShaftSegmentConfig) -> Iterator[tuple[float, float]]:
     """Outer diameters of each element at its ends, m."""
     first, count = segment.outer_diameter, segment.elements
-    rise = 0.0 if segment.end_diameter is None else (segment.end_diameter - first) / count
+    rise = ((segment.end_diameter or first) - first) / count
     for i in range(count):
         yield first + i * rise, first + (i + 1) * rise
 
 
 def _find_bearings(config: RotorConfig, rotor: Any) -> tuple[int, ...]:
     """Where the bearings stand: in a rotor file that has bearings, the file says so."""
-    if config.file is not None and (stands := _find_stands(rotor)):
+    if config.file and (stands := _find_stands(rotor)):
         return tuple(stand.node for stand in stands)
     if not config.bearing_nodes:
         raise ConfigError(
@@ -282,3 +203,74 @@ def _find_bearings(config: RotorConfig, rotor: Any) -> tuple[int, ...]:
             "machine.rotor.bearing_nodes"
         )
     return config.bearing_nodes
+
+
+def read_rotor_file(file: Path) -> Any:
+    """ROSS's rotor of a file that it saved (.toml, .json), read element by element.
+
+    Its own loader knows half of its classes only, and solves the oil film of some again, though the file has the
+    coefficients.
+
+    Raises ConfigError: no such file, none that ROSS saved, an element of another class, several shafts.
+    """
+    rs = ross()
+    if not file.is_file():
+        raise ConfigError(
+            f"machine.rotor.file must be a rotor saved by ROSS (.toml or .json), but there is no file '{file}'"
+        )
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            data = rs.utils.load_data(file)
+            elements = [
+                _find_class(name, content, file).read_toml_data(content)
+                for name, content in data.items()
+                if name not in ("parameters", "ross_version") and not name.startswith("_")
+            ]
+            _check_shaft([element.n for element in elements if isinstance(element, rs.ShaftElement)], file)
+            kinds = (rs.ShaftElement, rs.DiskElement, rs.BearingElement, rs.PointMass)
+            parts = [[element for element in elements if isinstance(element, kind)] for kind in kinds]
+            return rs.Rotor(*parts, **data["parameters"])
+    except ConfigError:
+        raise
+    except Exception as error:  # ROSS's elements and its rotor raise many kinds
+        raise ConfigError(
+            f"machine.rotor.file must be a rotor saved by ROSS (.toml or .json), but '{file}' can't be read as one "
+            f"({type(error).__name__}: {error})"
+        ) from error
+
+
+def _find_class(name: str, content: Any, file: Path) -> Any:
+    """The class that reads an element that is called CLASS_TAG in the file: the simplest that has its matrices."""
+    rs, word = ross(), name.partition("_")[0]
+    ross_class = getattr(rs, word, None)
+    kinds = (rs.ShaftElement, rs.DiskElement, rs.BearingElement, rs.PointMass)
+    if not isinstance(ross_class, type) or not issubclass(ross_class, kinds):
+        known = sorted(
+            name for name, candidate in vars(rs).items() if isinstance(candidate, type) and issubclass(candidate, kinds)
+        )
+        raise ConfigError(
+            f"machine.rotor.file must have elements that ROSS {rs.__version__} knows, but '{file}' has a '{word}': "
+            f"{nearest(word, known)}; put a DiskElement, BearingElement or ShaftElement of its values in its place"
+        )
+    if issubclass(ross_class, rs.DiskElement) and "m" in content:
+        return rs.DiskElement
+    count, speeds = len(content.get("kxx") or []), len(content.get("frequency") or [])
+    if issubclass(ross_class, rs.BearingElement) and count in (1, speeds):
+        return rs.SealElement if issubclass(ross_class, rs.SealElement) else rs.BearingElement
+    return ross_class
+
+
+def _check_shaft(starts: list[Any], file: Path) -> None:
+    """Raise ConfigError where the elements, at the nodes ``starts``, are not one shaft from node 0 on."""
+    nodes = sorted({int(start) for start in starts})
+    if not nodes:
+        raise ConfigError(f"machine.rotor.file must have a shaft, but '{file}' has no ShaftElement")
+    if nodes[0] != 0:
+        raise ConfigError(f"machine.rotor.file must have a shaft from node 0 on, but '{file}' begins at {nodes[0]}")
+    for a, b in itertools.pairwise(nodes):
+        if b != a + 1:
+            raise ConfigError(
+                f"machine.rotor.file must have one shaft, but that of '{file}' ends at node {a + 1} and another begins "
+                f"at node {b} (rotors on one axis or joined by gears): save the rotor that was measured by itself"
+            )

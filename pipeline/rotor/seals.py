@@ -11,7 +11,6 @@ from functools import cached_property
 import numpy as np
 
 COLUMNS = tuple(f"{kind}{axes}" for kind in "kcm" for axes in ("xx", "xy", "yx", "yy"))
-_SPLINE_POINTS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,13 +43,13 @@ class Seals:
 NO_SEALS = Seals(np.zeros((0, 3 + len(COLUMNS))))
 
 
-def _interpolate(at: np.ndarray, values: np.ndarray, speeds: np.ndarray) -> np.ndarray:
+def _interpolate(at: np.ndarray, values: np.ndarray, speeds: np.ndarray, spline_points: int = 4) -> np.ndarray:
     """(S, 12): constant, a polynomial through two or three points, or a spline, as ROSS 2.3.0 has it."""
     if len(at) == 1:
         return np.tile(values[0], (len(speeds), 1))
     from scipy.interpolate import UnivariateSpline, interp1d
 
-    if len(at) < _SPLINE_POINTS:
+    if len(at) < spline_points:
         curve = interp1d(at, values, kind=len(at) - 1, axis=0, fill_value="extrapolate")
         return np.asarray(curve(speeds))
     return np.stack([UnivariateSpline(at, column)(speeds) for column in values.T], axis=1)

@@ -11,16 +11,15 @@ from typing import Any
 import numpy as np
 
 from pipeline.cache import hash_parts, keep, look_up
-from pipeline.config.bearings import BearingConfig
 from pipeline.config.rotor import RotorConfig
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.journal_table import table_bytes
+from pipeline.rotor.bearings import BearingConfig
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.seals import Seals
 
 KIND = "rotors"
 _BEARINGS = "bearings"
-_CODE = ("ross_adapter", "ross_file", "supports", "journal_table")
+_CODE = ("ross_adapter", "supports", "bearings")
 _LAWS = ("files", "oil", "points", "short_bearing", "table")
 _MADE_BY = [
     *(Path(__file__).with_name(f"{name}.py") for name in _CODE),
@@ -33,12 +32,12 @@ _SEALS = "seals"
 
 def hash_rotor(config: RotorConfig) -> str:
     """Identity of what a rotor is assembled from: configuration, its file's bytes, ROSS's version, and our own code."""
-    file = Path(config.file) if config.file is not None else None
+    file = Path(config.file or "")
     return hash_parts(
         # Where a rotor file lies makes no other rotor.
         json.dumps(config.model_dump(mode="json", exclude={"file"}), sort_keys=True),
-        file.read_bytes() if file is not None and file.is_file() else b"",
-        "" if file is None else file.suffix,
+        file.read_bytes() if file.is_file() else b"",
+        file.suffix,
         importlib.metadata.version("ross-rotordynamics"),
         *(path.read_bytes() for path in _MADE_BY),
     )
@@ -51,7 +50,7 @@ def load_rotor(config: RotorConfig) -> RotorModel:
     """
     key = hash_rotor(config)
     kept = _look_up(KIND, key, {*_ARRAYS, *_REST, _SEALS})
-    if kept is not None:
+    if kept:
         return RotorModel(
             **{name: kept[name] for name in _ARRAYS},
             bearing_nodes=tuple(kept["bearing_nodes"].astype(int).tolist()),
@@ -78,10 +77,10 @@ def load_modelled_bearings(
     """
     speeds, operating = np.ascontiguousarray(speeds, dtype=float), operating or {}
     states = [entry for name, values in operating.items() for entry in (name, np.array(values, dtype=float).tobytes())]
-    ingredients = (bearing.model_dump_json(), table_bytes(bearing))
+    ingredients = (bearing.model_dump_json(), bearing.read_bytes())
     key = hash_parts(hash_rotor(config), *ingredients, speeds.tobytes(), *states)
     kept = _look_up(_BEARINGS, key, {"nodes", "values"})
-    if kept is not None:
+    if kept:
         return BearingTable(tuple(kept["nodes"].astype(int).tolist()), speeds, kept["values"], operating)
     from pipeline.rotor.ross_adapter import bearing_table
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.config.bearings import PerNodeBearingConfig
 from pipeline.config.messages import quote_override
 from pipeline.config.runs import CandidateConfig
 from pipeline.config.schema import Config
@@ -51,10 +50,7 @@ class Designer:
 
     def _clearances(self) -> np.ndarray:
         """(B,) m, infinite for a bearing that states none."""
-        spec = self.config.machine.bearings
-        bearings = [
-            spec.nodes[node] if isinstance(spec, PerNodeBearingConfig) else spec for node in self.rotor.bearing_nodes
-        ]
+        bearings = [self.config.machine.bearings.at(node) for node in self.rotor.bearing_nodes]
         return np.array([getattr(bearing, "radial_clearance", np.inf) for bearing in bearings])
 
     def measure(self, runs: Runs) -> Measurement:

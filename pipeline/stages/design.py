@@ -42,7 +42,7 @@ from pipeline.units import RAD_S_PER_RPM
 
 def run(config: Config) -> StageOutput:
     """``design.json`` and ``designed_excitation.yaml``, which can be used at once."""
-    if config.model.kind in ("law", "hybrid"):
+    if config.model.has_laws:
         return reach_numbers(config)
     if config.design.accuracy is not None:
         return reach_accuracy(config, config.design.accuracy)

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.config.records import RecordsConfig
 from pipeline.config.schema import Config
 from pipeline.data.operating_points import list_columns
 from pipeline.data.tables import write_table
@@ -114,7 +113,7 @@ def judge(config: Config, measurement: Measurement, diagnosis: Diagnosis) -> Dev
 
 def describe_noise(config: Config) -> str:
     """The stated noise, such as ``0.1 % noise``, or what takes its place in records of conditions."""
-    if isinstance(config.machine.recordings, RecordsConfig):
+    if config.machine.recordings.planes:
         return "the noise of the conditions"
     noise = config.stated_noise
     parts = [f"{100 * noise.multiplicative:g} %"] if noise.multiplicative else []

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
 from pipeline.balance.records import predict_records
-from pipeline.config.records import RecordsConfig
 from pipeline.config.schema import Config
 from pipeline.data.tables import list_columns, read_table, write_table
 from pipeline.ingest.source_units import SourceUnits
-from pipeline.ingest.table import read_format
 from pipeline.reporting.balance_tables import tabulate_predicted
 from pipeline.reporting.console import say
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.vibration_models import list_missing, load_models, load_records
 from pipeline.stages.workspace import locate_files
+
+if TYPE_CHECKING:
+    from pipeline.ingest.records import RecordsConfig
 
 
 def run(config: Config) -> StageOutput:
@@ -26,11 +28,10 @@ def run(config: Config) -> StageOutput:
     fitted = load_models(config)
     method = fitted.pick(config.predict.method, "predict.method")
     predicted = predict_records(records, fitted.models[method])
-    recordings = config.machine.recordings
-    assert isinstance(recordings, RecordsConfig)  # load_records has seen to it
+    recordings = cast("RecordsConfig", config.machine.recordings)  # load_records has seen to it
     pairs = [(probe.columns.real, probe.columns.imaginary) for probe in recordings.probes.values()]
     vectors = {name for pair in pairs for name in pair}
-    text = read_format(recordings.csv)
+    text = recordings.csv
     kept = {name: "text" for name in list_columns(Path(file), text) if name not in vectors}
     source = SourceUnits(recordings)
     table = tabulate_predicted(read_table(Path(file), kept, text=text), records, predicted, source, pairs, method)

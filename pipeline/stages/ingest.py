@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, cast
+
 import numpy as np
 
-from pipeline.config.recordings import (
-    AnyRecordingsConfig,
-    NoRecordingsConfig,
-    RossRecordingsConfig,
-    TableRecordingsConfig,
-    UffRecordingsConfig,
-    WaveformRecordingsConfig,
-)
-from pipeline.config.records import RecordsConfig
+from pipeline.config.measured import MeasuredConfig
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import write_coefficients
 from pipeline.data.dataset import VibrationDataset
@@ -34,6 +28,9 @@ from pipeline.stages.workspace import Workspace, list_known, locate_files, requi
 from pipeline.sweep.bias import SweepBias
 from pipeline.units import RAD_S_PER_RPM
 
+if TYPE_CHECKING:
+    from pipeline.ingest.records import RecordsConfig
+
 
 def _require_own_work(work: Workspace) -> None:
     """Raise DataError for files that ingest did not write."""
@@ -54,15 +51,15 @@ def run(config: Config) -> StageOutput:
     """
     work, ingest = locate_files(config), config.machine.recordings
     _require_own_work(work)
-    if isinstance(ingest, NoRecordingsConfig):
+    if not ingest.recorded:
         raise ConfigError(
             "ingest must have recordings to read, but machine.recordings.format is none: say in a machine file "
             "what was recorded (stage=new new.data=recordings machine.file=FILE writes one; docs/ingest.md)"
         )
     rotor = load_rotor(config.machine.rotor)
     require_nodes(rotor, "machine.recordings.probes", [probe.node for probe in ingest.probes.values()])
-    if isinstance(ingest, RecordsConfig):
-        return ingest_records(config, ingest, work, rotor)
+    if ingest.planes:
+        return ingest_records(config, cast("RecordsConfig", ingest), work, rotor)
     for measured_run in ingest.runs:
         acting = [
             *(unbalance.node for unbalance in measured_run.unbalances),
@@ -102,17 +99,17 @@ def run(config: Config) -> StageOutput:
     )
 
 
-def _list_probes(ingest: AnyRecordingsConfig) -> dict[str, tuple[int, float]]:
+def _list_probes(ingest: MeasuredConfig) -> dict[str, tuple[int, float]]:
     """Node and angle in degrees of each probe."""
     return {name: (probe.node, float(np.degrees(probe.angle))) for name, probe in ingest.probes.items()}
 
 
-def _summarize(measured: MeasuredRuns, ingest: AnyRecordingsConfig, notes: list[str]) -> dict[str, object]:
+def _summarize(measured: MeasuredRuns, ingest: MeasuredConfig, notes: list[str]) -> dict[str, object]:
     dataset = measured.dataset
     rpm = to_rpm(measured.recorded.speeds)
     return {
         "format": ingest.format,
-        "conventions": describe_conventions(ingest),
+        "conventions": ingest.describe(),
         "speeds": {"count": len(rpm), "first_rpm": float(rpm[0]), "last_rpm": float(rpm[-1])},
         "nodes": sorted({node for node, _ in dataset.channels}),
         "baseline": ingest.baseline,
@@ -151,28 +148,7 @@ def _summarize_run(measured: MeasuredRuns, index: int) -> dict[str, object]:
     }
 
 
-def describe_conventions(ingest: AnyRecordingsConfig) -> str:
-    """Describe what the numbers in the files were taken for."""
-    if isinstance(ingest, TableRecordingsConfig):
-        said = ingest.conventions
-        return (
-            f"{said.unit}, {said.amplitude.replace('_', '-')}, phase {said.phase} in {said.phase_unit}, speed in "
-            f"{said.speed}"
-        )
-    if isinstance(ingest, UffRecordingsConfig) and ingest.conventions is not None:
-        vector = ingest.conventions
-        return (
-            f"complex, {vector.unit}, {vector.amplitude.replace('_', '-')}, angle a phase {vector.phase}, speed in "
-            f"{vector.speed}"
-        )
-    if isinstance(ingest, RossRecordingsConfig):
-        return "complex, m, zero-to-peak, of ROSS"
-    assert isinstance(ingest, (UffRecordingsConfig, WaveformRecordingsConfig))
-    records = "records at constant speed" if ingest.records == "constant_speed" else "run-ups"
-    return f"time signals in {ingest.signal_unit}, {records}, tacho edge {ingest.tacho.edge}"
-
-
-def _report(config: Config, ingest: AnyRecordingsConfig, measured: MeasuredRuns, work: Workspace) -> None:
+def _report(config: Config, ingest: MeasuredConfig, measured: MeasuredRuns, work: Workspace) -> None:
     dataset = measured.dataset
     rows = []
     for i, run in enumerate(measured.runs):
@@ -191,7 +167,7 @@ def _report(config: Config, ingest: AnyRecordingsConfig, measured: MeasuredRuns,
         )
     header = ["run", "file", "speeds", "rpm", "largest, um", "excited by"]
     made = "synthetic recordings" if ingest.synthetic else "read"
-    table(f"{config.name}: {made} as {describe_conventions(ingest)}", header, rows)
+    table(f"{config.name}: {made} as {ingest.describe()}", header, rows)
     probes = ", ".join(
         f"{name} (node {probe.node}, {np.degrees(probe.angle):g} deg)" for name, probe in ingest.probes.items()
     )

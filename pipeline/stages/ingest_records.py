@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.config.records import RecordsConfig
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import write_coefficients
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.excitation_files import write_excitation
 from pipeline.data.vibration_files import to_rpm, write_vibration
 from pipeline.files import write_json
-from pipeline.ingest.records import read_records, to_dataset
+from pipeline.ingest.records import RecordsConfig, to_dataset
 from pipeline.reporting.console import say, table
 from pipeline.reporting.ingest_figures import draw_records
 from pipeline.rotor.model import RotorModel
@@ -23,7 +22,7 @@ from pipeline.stages.workspace import Workspace, list_known, require_nodes
 def ingest_records(config: Config, ingest: RecordsConfig, work: Workspace, rotor: RotorModel) -> StageOutput:
     """The same files as for other formats; the figure has the vector of every record at each probe and speed."""
     require_nodes(rotor, "machine.recordings.weights", [weight.node for weight in ingest.weights])
-    dataset = to_dataset(read_records(ingest))
+    dataset = to_dataset(ingest.read_records())
     known = load_known(config, ingest.known, "machine.recordings.known", rotor.bearing_nodes, dataset.speeds)
     written = [write_excitation(work.excitation, dataset)]
     if known is not None:

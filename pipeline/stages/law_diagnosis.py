@@ -22,7 +22,7 @@ def diagnose_laws(config: Config, measurement: Measurement, noise: str) -> dict[
 
     Raises DataError for an operating condition that the laws need and the data lack.
     """
-    if measurement.laws is None or config.model.kind not in ("law", "hybrid"):
+    if measurement.laws is None or not config.model.has_laws:
         return {}
     information, warmer = inform(measurement), try_warmer(measurement)
     header, further = ["number", "guess", "known to, %", "with these data, %"], None

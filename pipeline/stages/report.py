@@ -10,14 +10,12 @@ from typing import Any
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.config.recordings import NoRecordingsConfig, UffRecordingsConfig, WaveformRecordingsConfig
 from pipeline.config.schema import Config
 from pipeline.data.tables import read_table
 from pipeline.errors import DataError, IdentifiabilityError
 from pipeline.files import hash_file, read_json
 from pipeline.identification.uncertainty import load_uncertainty
 from pipeline.ingest.full_spectrum import measure_full_spectra
-from pipeline.ingest.waveform import read_signals
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, warn
 from pipeline.reporting.report.content import FitContent, ReportContent, Waveforms
@@ -182,17 +180,13 @@ def _read_reference(path: Path) -> dict[str, np.ndarray]:
 def _read_waveforms(config: Config) -> list[Waveforms]:
     """Spectra of the first runs, where there are time signals at hand; a warning where their files are gone."""
     recordings = config.machine.recordings
-    signals = isinstance(recordings, WaveformRecordingsConfig) or (
-        isinstance(recordings, UffRecordingsConfig) and recordings.tacho.recorded
-    )
-    if not signals or config.data.vibration is not None:
+    if config.data.vibration is not None:
         return []
-    assert isinstance(recordings, WaveformRecordingsConfig | UffRecordingsConfig)
     waveforms: list[Waveforms] = []
     nodes = sorted({probe.node for probe in recordings.probes.values()})[:_MOST_WAVEFORMS]
     for measured in recordings.runs[:_MOST_WAVEFORMS]:
         try:
-            records = read_signals(recordings, measured)
+            records = recordings.read_signals(measured)
         except DataError as error:
             warn(f"the report has no spectra of run '{measured.name}': {error}")
             continue
@@ -216,11 +210,8 @@ def _describe_origin(config: Config, work: Workspace, measurement: Measurement) 
     for path in (work.vibration, work.excitation, work.folder / "model.safetensors"):
         if path.exists():
             origin[path.name] = f"sha256 {hash_file(path)}"
-    if not isinstance(recordings, NoRecordingsConfig):
-        for source in dict.fromkeys(
-            s for measured in recordings.runs for s in measured.sources(getattr(recordings, "file", None))
-        ):
-            origin[str(source)] = f"sha256 {hash_file(Path(source)) or 'not at hand'}"
+    for source in dict.fromkeys(s for measured in recordings.runs for s in measured.sources(recordings.file)):
+        origin[str(source)] = f"sha256 {hash_file(Path(source)) or 'not at hand'}"
     if config.report.reference is not None:
         origin["reference"] = f"{config.report.reference}, sha256 {hash_file(Path(config.report.reference))}"
     tags: dict[str, Any] = describe_provenance()

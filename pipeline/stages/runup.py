@@ -6,13 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.config.run_up import RunUpConfig
 from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
 from pipeline.data.vibration_files import to_rpm
 from pipeline.errors import ConfigError
 from pipeline.files import write_json
-from pipeline.ingest.run_up import read_run_up
+from pipeline.ingest.run_up import RunUpConfig, read_run_up
 from pipeline.reporting.console import say, table, warn
 from pipeline.reporting.run_up_figure import draw_run_up
 from pipeline.stages.execution import StageOutput

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.config.recordings import NoRecordingsConfig
 from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
 from pipeline.evaluation.contradiction import find_contradiction
@@ -113,12 +112,9 @@ def assess(
 
 def _list_probes(config: Config) -> tuple[Probe, ...]:
     """The probes that x and y were made of; none where the channels are the probes."""
-    recordings = config.machine.recordings
-    if isinstance(recordings, NoRecordingsConfig):
-        return ()
     return tuple(
         Probe(name, probe.node, round(float(np.degrees(probe.angle)), 9) % 360.0)
-        for name, probe in recordings.probes.items()
+        for name, probe in config.machine.recordings.probes.items()
     )
 
 

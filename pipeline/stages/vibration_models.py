@@ -12,12 +12,11 @@ from pipeline.balance.consistency import find_contradictions
 from pipeline.balance.influence import Influence, fit_influence
 from pipeline.balance.linear_vibration import LinearVibration
 from pipeline.balance.physical import Physical, restore_physical
-from pipeline.config.records import RecordsConfig
 from pipeline.config.schema import Config
 from pipeline.data.conditions import Conditions, gather_conditions
 from pipeline.errors import ConfigError, IdentifiabilityError, nearest
 from pipeline.identification.uncertainty import load_uncertainty
-from pipeline.ingest.records import Records, read_records
+from pipeline.ingest.records import Records
 from pipeline.reporting.console import say
 from pipeline.stages.measurement import load_dataset, load_identified, load_measurement
 from pipeline.stages.workspace import locate_files
@@ -25,8 +24,7 @@ from pipeline.stages.workspace import locate_files
 
 def list_planes(config: Config) -> tuple[int, ...] | None:
     """The nodes of the planes that the recordings have weights in; None where they do not say."""
-    recordings = config.machine.recordings
-    return tuple(weight.node for weight in recordings.weights) if isinstance(recordings, RecordsConfig) else None
+    return config.machine.recordings.planes or None
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,12 +102,12 @@ def _load_physical(config: Config, conditions: Conditions) -> Physical | None:
 def load_records(config: Config, file: str, key: str) -> Records:
     """The records of ``file``, read as those of the machine. Raises ConfigError where the machine has no such table."""
     recordings = config.machine.recordings
-    if not isinstance(recordings, RecordsConfig):
+    if not recordings.planes:
         raise ConfigError(
             f"{key} must be a table like that of machine.recordings with format records, but this machine's format is "
             f"{recordings.format}: leave it out"
         )
-    return read_records(recordings, file)
+    return recordings.read_records(file)
 
 
 def list_missing(records: Records) -> Sequence[str]:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.config.run_up import RunUpConfig
 from pipeline.sweep.bias import SteadyReading, SweepBias, measure_bias
 from pipeline.sweep.fit import ModalFit, RunUp, choose_modes, choose_sense, fit_decay, read_smoothed_peak
+
+if TYPE_CHECKING:
+    from pipeline.ingest.run_up import RunUpConfig
 
 
 @dataclass(frozen=True)

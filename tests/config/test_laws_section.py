@@ -9,10 +9,10 @@ import pytest
 from pydantic import ValidationError
 
 from pipeline.config.compose import compose_config
-from pipeline.config.laws import LawsConfig
 from pipeline.config.messages import explain_schema_errors
 from pipeline.config.quantities import to_si
 from pipeline.errors import ConfigError
+from pipeline.laws.build import LawsConfig
 
 OIL = {"law": "exponential", "reference": "55 degC", "viscosity": {"guess": "20 mPa s", "within": 5}, "slope": 0.03}
 SIZES = {"journal_diameter": "99.6 mm", "length": "49.9 mm", "static_load": "892.7 N"}

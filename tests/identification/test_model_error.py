@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 from conftest import Artifacts
 
-from pipeline.config.as_built import AsBuiltConfig
 from pipeline.config.compose import compose_config
-from pipeline.data.as_built import build_rotor, simulate_as_built
+from pipeline.data.as_built import AsBuiltConfig, build_rotor, simulate_as_built
 from pipeline.data.sensors import measure
 from pipeline.identification.answer import conclude
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error

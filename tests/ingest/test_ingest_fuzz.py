@@ -33,9 +33,8 @@ from measured_files import (
 )
 from pydantic import TypeAdapter
 
-from pipeline.config.recordings import RecordingsConfig
 from pipeline.errors import ConfigError, DataError
-from pipeline.ingest.dataset import MeasuredRuns, read_measured_runs
+from pipeline.ingest.dataset import MeasuredRuns, RecordingsConfig, read_measured_runs
 
 pytestmark = pytest.mark.slow
 

@@ -7,12 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.config.records import RecordsConfig
 from pipeline.data.dataset import synchronous
 from pipeline.data.excitation_files import write_excitation
 from pipeline.data.vibration_files import read_measured, write_vibration
 from pipeline.errors import DataError
-from pipeline.ingest.records import find_speeds, read_records, to_dataset
+from pipeline.ingest.records import RecordsConfig, find_speeds, to_dataset
 
 HEADER = "condition,acq,rpm,U_re,U_im,a_re,a_im,b_re,b_im\n"
 ROWS = (
@@ -49,7 +48,7 @@ def write(path: Path, rows: str = ROWS) -> Path:
 
 
 def test_conventions_units_and_conditions(tmp_path: Path) -> None:
-    dataset = to_dataset(read_records(configure(write(tmp_path / "a table.csv"))))
+    dataset = to_dataset(configure(write(tmp_path / "a table.csv")).read_records())
     assert dataset.runs == ("base.1", "base.2", "trial.1")
     assert dataset.conditions == ("base", "base", "trial")
     # Half of 1 + 2j mil, conjugated: a lag.
@@ -62,7 +61,7 @@ def test_conventions_units_and_conditions(tmp_path: Path) -> None:
 
 
 def test_files_give_back_the_data_set(tmp_path: Path) -> None:
-    dataset = to_dataset(read_records(configure(write(tmp_path / "a.csv"))))
+    dataset = to_dataset(configure(write(tmp_path / "a.csv")).read_records())
     vibration = write_vibration(tmp_path / "v.csv", dataset)
     again = read_measured(vibration, write_excitation(tmp_path / "e.csv", dataset))
     assert again.runs == dataset.runs
@@ -73,7 +72,7 @@ def test_files_give_back_the_data_set(tmp_path: Path) -> None:
 
 
 def test_blank_weights_are_kept_for_who_asks_for_them(tmp_path: Path) -> None:
-    records = read_records(configure(write(tmp_path / "a.csv", "x,1,1000,,,1,2,0,0.5\n")))
+    records = configure(write(tmp_path / "a.csv", "x,1,1000,,,1,2,0,0.5\n")).read_records()
     assert np.isnan(records.unbalance).all()
     with pytest.raises(DataError, match="must have the weights of every plane in every row, but row 1"):
         to_dataset(records)
@@ -91,7 +90,7 @@ def test_blank_weights_are_kept_for_who_asks_for_them(tmp_path: Path) -> None:
 )
 def test_mistakes_in_the_table(tmp_path: Path, rows: str, law: str) -> None:
     with pytest.raises(DataError, match=law):
-        to_dataset(read_records(configure(write(tmp_path / "a.csv", rows))))
+        to_dataset(configure(write(tmp_path / "a.csv", rows)).read_records())
 
 
 def test_a_run_up_is_no_table_of_records() -> None:

@@ -10,11 +10,11 @@ import pytest
 from conftest import refused
 from reading import parsed, read
 
-from pipeline.config.bearings import LinearBearingConfig
 from pipeline.config.rotor import RotorConfig
 from pipeline.data.sensors import project
 from pipeline.data.simulate import simulate
-from pipeline.ingest.dataset import list_excitations
+from pipeline.ingest.conventions import list_acting
+from pipeline.rotor.bearings import LinearBearingConfig
 from pipeline.rotor.ross_adapter import assemble, bearing_table, ross, ross_rotor
 from pipeline.units import RAD_S_PER_RPM
 
@@ -60,7 +60,8 @@ def section(folder: Path, **changes: Any) -> dict[str, Any]:
 
 def test_a_response_of_ross_is_the_data_set_of_the_simulation(folder: Path) -> None:
     found = read(section(folder))
-    acting = list_excitations(parsed(section(folder)))
+    config = parsed(section(folder))
+    acting = tuple(excitation for run in config.runs for excitation in list_acting(config, run))
     rotor = assemble(ROTOR)
     made = simulate(rotor, bearing_table(ROTOR, BEARING, SPEEDS), acting, None)
     made = project(made, ((1, 0.0), (1, 90.0), (5, 0.0), (5, 90.0)))

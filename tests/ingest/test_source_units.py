@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.config.recordings import NoRecordingsConfig
-from pipeline.config.records import RecordsConfig
-from pipeline.ingest.records import read_records
+from pipeline.config.measured import NoRecordingsConfig
+from pipeline.ingest.records import RecordsConfig
 from pipeline.ingest.source_units import SourceUnits
 
 TABLE = "name,rpm,acq,U_re,U_im,a_re,a_im\none,1000,1,3,4,1,2\ntwo,1500,1,-3,0.5,0.25,-7\n"
@@ -44,12 +43,12 @@ def test_what_is_read_comes_back(conventions: dict[str, str], shaft_angle: str, 
     mounted = {"mounted": "shaft"} if "velocity" in conventions else {}
     probes = {"a": {"node": 1, "angle": "0 deg", "columns": {"real": "a_re", "imaginary": "a_im"}} | mounted}
     config = _configure(path, conventions=conventions, shaft_angle=shaft_angle, probes=probes)
-    records, source = read_records(config), SourceUnits(config)
+    records, source = config.read_records(), SourceUnits(config)
     np.testing.assert_allclose(source.vectors(records.displacement, records.speeds)[:, 0], [1 + 2j, 0.25 - 7j])
     np.testing.assert_allclose(source.weights(records.unbalance)[:, 0], [3 + 4j, -3 + 0.5j])
     assert source.unit == next(iter(conventions.values()))
     for angle in (0.0, 1.0, -2.0):
-        turned = source.weights(1e-6 * np.exp(1j * np.array([source.angle_from_x(angle)])))
+        turned = source.weights(1e-6 * np.exp(1j * np.array([source.recordings.angle_from_x(angle)])))
         np.testing.assert_allclose(turned, np.exp(1j * np.array([angle])))
 
 

@@ -11,12 +11,11 @@ import pandas as pd
 import pytest
 from conftest import refused
 from measured_files import CONVENTIONS, PROBES, Vectors, long, probes_config, table_config, wide
-from reading import DISC, GRID, ONE, RPM, RUNOUT, RUNS, TURNS, check_read, notes, read, seen, wide_runs
+from reading import DISC, GRID, ONE, RPM, RUNOUT, RUNS, TURNS, check_read, notes, parsed, read, seen, wide_runs
 
-from pipeline.config.measured import convert_phase
 from pipeline.data.coefficient_files import read_known
 from pipeline.data.excitation_files import write_excitation
-from pipeline.data.tables import TextFormat, read_table
+from pipeline.data.tables import CsvConfig, read_table
 from pipeline.data.vibration_files import write_vibration
 from pipeline.errors import ConfigError
 
@@ -43,9 +42,9 @@ def test_the_high_spot_of_a_stiff_rotor_is_where_the_unbalance_is(tmp_path: Path
 
 
 def test_angles_on_the_shaft() -> None:
-    assert convert_phase(0.3, "with_rotation", 1.0) == pytest.approx(1.3)
-    assert convert_phase(0.3, "against_rotation", 1.0) == pytest.approx(0.7)
-    assert convert_phase(0.3, "from_x", None) == pytest.approx(0.3)
+    config = parsed(table_config([{"name": "a", "file": "a.csv", "unbalances": [DISC]}], tacho={"angle": 1.0}))
+    for sense, angle in (("with_rotation", 1.3), ("against_rotation", 0.7), ("from_x", 0.3)):
+        assert config.model_copy(update={"shaft_angle": sense}).angle_from_x(0.3) == pytest.approx(angle)
 
 
 @pytest.mark.parametrize("ending", [".csv", ".xlsx"])
@@ -342,4 +341,4 @@ def test_a_row_with_more_fields_than_the_header_is_refused(tmp_path: Path) -> No
     with refused("must be a CSV table, but it can't be read as one"):
         read_table(path, {"a": "number", "b": "number"})
     path.write_text("a;b\n1,5;2\n3,5;4\n")
-    assert read_table(path, {"a": "number"}, text=TextFormat(";", ","))["a"].tolist() == [1.5, 3.5]
+    assert read_table(path, {"a": "number"}, text=CsvConfig(delimiter=";", decimal=","))["a"].tolist() == [1.5, 3.5]

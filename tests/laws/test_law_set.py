@@ -12,13 +12,11 @@ import pytest
 import torch
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.config.bearings import JournalTableConfig
-from pipeline.config.laws import LawsConfig
 from pipeline.errors import ConfigError, DataError
-from pipeline.laws.build import make_laws
+from pipeline.laws.build import LawsConfig, make_laws
 from pipeline.laws.files import FOLDER, read_film_table
 from pipeline.laws.law_set import LawSet
-from pipeline.rotor.journal_table import journal_coefficients
+from pipeline.rotor.bearings import JournalTableConfig
 from pipeline.rotor.ross_adapter import ross
 
 SPEEDS = np.linspace(30.0, 450.0, 7)
@@ -109,7 +107,7 @@ def test_a_table_is_the_modelled_bearing() -> None:
     for modelled, law in ((by_rows, LUND), (ELLIPTICAL, ELLIPTICAL)):
         config = JournalTableConfig.model_validate({**modelled, "oil_viscosity": 0.0166})
         ours = known(laws(law, oil=constant(0.0166)))[0]
-        theirs = journal_coefficients(config, SPEEDS)
+        theirs = config.tabulate(SPEEDS, {})
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9 * np.abs(theirs).max())
 
 

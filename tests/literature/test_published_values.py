@@ -13,12 +13,12 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.config.bearings import CylindricalBearingConfig
 from pipeline.config.compose import compose_config
 from pipeline.config.rotor import RotorConfig
 from pipeline.data.dataset import Excitation
 from pipeline.data.simulate import solve_response
 from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.bearings import CylindricalBearingConfig
 from pipeline.rotor.model import translation_dof
 from pipeline.rotor.ross_adapter import assemble, bearing_table
 from pipeline.twin.modes import find_modes, measure_stability

@@ -11,10 +11,9 @@ import pytest
 import torch
 from small_rotor import SPEEDS, small_machine
 
-from pipeline.config.laws import LawsConfig
 from pipeline.data.noise import NoiseModel
 from pipeline.errors import IdentifiabilityError
-from pipeline.laws.build import make_laws
+from pipeline.laws.build import LawsConfig, make_laws
 from pipeline.problem.law_information import (
     FURTHER,
     LawInformation,

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from conftest import refused
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.config.bearings import PerNodeBearingConfig
-from pipeline.config.laws import LawsConfig
+from pipeline.config.guesses import ModelledLoad
+from pipeline.config.quantities import Angle, Length
 from pipeline.config.rotor import RotorConfig
 from pipeline.errors import ConfigError
-from pipeline.laws.build import make_laws
+from pipeline.laws.build import LawsConfig, make_laws
+from pipeline.rotor.bearings import PerNodeBearingConfig, _Bearing
 from pipeline.rotor.ross_adapter import bearing_table, ross, ross_rotor
 from pipeline.rotor.stored import load_modelled_bearings
 
@@ -127,3 +128,42 @@ def test_kept_coefficients_are_those_of_their_conditions_and_file(tmp_path: Path
         given = bearings({**TABLE, "table": str(path), "static_load": "500 N", "oil_viscosity": 0.02})
         found.append(load_modelled_bearings(ROTOR, given, SPEEDS).coefficient("kyy"))
     np.testing.assert_allclose(found[1], 2 * found[0])
+
+
+class RollerBearingConfig(_Bearing):
+    """A kind that somebody adds: what it is, and ROSS's element of it."""
+
+    kind: Literal["roller"]
+    n_rollers: int
+    roller_length: Length
+    static_load: ModelledLoad
+    contact_angle: Angle
+
+    def make_element(self, ross: Any, node: int, speeds: np.ndarray, share: float, spline_points: int = 4) -> Any:
+        return ross.RollerBearingElement(
+            n=node,
+            n_rollers=self.n_rollers,
+            l_rollers=self.roller_length,
+            fs=self.static_load,
+            alpha=self.contact_angle,
+        )
+
+
+def test_a_new_kind_that_ross_models_follows_its_load_without_more_code() -> None:
+    given = {"kind": "roller", "n_rollers": 8, "roller_length": "16 mm", "contact_angle": "0 deg"}
+    follows = RollerBearingConfig.model_validate(given | {"static_load": "condition"})
+    values = follows.tabulate(SPEEDS, STATES, 0.0, ross())
+    for load in (700.0, 2000.0):
+        fixed = RollerBearingConfig.model_validate(given | {"static_load": load})
+        at = STATES["load"] == load
+        np.testing.assert_allclose(values[at], fixed.tabulate(SPEEDS[at], {}, 0.0, ross()), rtol=1e-12)
+    assert values[0, 0] < values[-1, 0]
+    with refused("need the operating condition load, but there is none", kind=ConfigError):
+        follows.tabulate(SPEEDS, {}, 0.0, ross())
+
+
+def test_a_constant_oil_may_be_a_number_or_a_law() -> None:
+    named = {"static_load": "500 N", "oil_viscosity": {"law": "constant", "viscosity": "20 mPa s"}}
+    plain = {"static_load": "500 N", "oil_viscosity": "20 mPa s"}
+    tables = [bearing_table(ROTOR, bearings({**SHORT, **oil}), SPEEDS[:5]).values for oil in (named, plain)]
+    np.testing.assert_array_equal(*tables)

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from conftest import refused
 
-from pipeline.config.bearings import RotorFileBearingConfig
 from pipeline.config.rotor import RotorConfig
 from pipeline.data.dataset import Excitation, VibrationDataset, require_synchronous
 from pipeline.data.sensors import list_directions, project
@@ -21,6 +20,7 @@ from pipeline.data.time_integration import integrate
 from pipeline.errors import ConfigError, DataError
 from pipeline.problem.residual import bearing_equations
 from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.bearings import RotorFileBearingConfig
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.parameters import ModelParameter, rotor_change
 from pipeline.rotor.ross_adapter import assemble, bearing_table, ross

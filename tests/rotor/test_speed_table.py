@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.config.bearings import SpeedTableConfig
 from pipeline.config.compose import compose_config
 from pipeline.errors import ConfigError
-from pipeline.rotor.journal_table import interpolate_coefficients
+from pipeline.rotor.bearings import SpeedTableConfig
 from pipeline.units import RAD_S_PER_RPM
 
 FIRST, SECOND = (1000.0, *range(1, 9)), (3000.0, *range(11, 19))
@@ -16,14 +15,14 @@ FIRST, SECOND = (1000.0, *range(1, 9)), (3000.0, *range(11, 19))
 
 def test_between_the_rows_are_straight_lines() -> None:
     table = SpeedTableConfig(kind="speed_table", rows=(FIRST, SECOND))
-    found = interpolate_coefficients(table, np.array([1000.0, 1500.0, 3000.0]) * RAD_S_PER_RPM)
+    found = table.tabulate(np.array([1000.0, 1500.0, 3000.0]) * RAD_S_PER_RPM)
     np.testing.assert_allclose(found, [FIRST[1:], np.array(FIRST[1:]) + 2.5, SECOND[1:]], rtol=1e-12)
 
 
 def test_speeds_beyond_the_rows_are_refused() -> None:
     table = SpeedTableConfig(kind="speed_table", rows=(FIRST, SECOND))
     with pytest.raises(ConfigError, match="must span all speeds, but it has 1000 to 3000 rpm and 3100 rpm is needed"):
-        interpolate_coefficients(table, np.array([1500.0, 3100.0]) * RAD_S_PER_RPM)
+        table.tabulate(np.array([1500.0, 3100.0]) * RAD_S_PER_RPM)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from pipeline.config.bearings import CylindricalBearingConfig, PerNodeBearingConfig
 from pipeline.config.compose import compose_config
 from pipeline.config.schema import Config
 from pipeline.data import time_integration
@@ -17,6 +16,7 @@ from pipeline.data.dataset import VibrationDataset, assemble_forces, subtract_ba
 from pipeline.data.sensors import list_directions, measure, project
 from pipeline.errors import ConfigError, PipelineError
 from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.bearings import CylindricalBearingConfig, PerNodeBearingConfig
 from pipeline.rotor.model import RotorModel, bearing_dof
 from pipeline.rotor.stored import load_rotor
 from pipeline.stages import refit_study

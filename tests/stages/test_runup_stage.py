@@ -12,9 +12,8 @@ import pytest
 from conftest import refused
 
 from pipeline.config.compose import compose_config
-from pipeline.config.run_up import RunUpConfig
 from pipeline.errors import ConfigError
-from pipeline.ingest.run_up import read_run_up
+from pipeline.ingest.run_up import RunUpConfig, read_run_up
 from pipeline.stages import run_stage
 
 TABLE = "examples/rk4/run_up.csv"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.config.recordings import NoRecordingsConfig
 from pipeline.reporting.report.content import ReportContent
 from pipeline.reporting.report.section import Paragraph, Section, Table, write_number
 
@@ -44,16 +43,14 @@ def describe_balancing(content: ReportContent) -> Section | None:
 def _to_shaft(content: ReportContent, phase: float) -> float:
     """The angle (deg) as the machine's file counts those of weights, from an angle from x at the tacho pulse."""
     recordings = content.config.machine.recordings
-    if isinstance(recordings, NoRecordingsConfig) or recordings.tacho.angle is None:
+    if recordings.tacho.angle is None:
         return phase
     tacho = float(np.degrees(recordings.tacho.angle))
     return {"with_rotation": phase - tacho, "against_rotation": tacho - phase}.get(recordings.shaft_angle or "", phase)
 
 
 def _name_angle(content: ReportContent) -> str:
-    recordings = content.config.machine.recordings
-    sense = "from_x" if isinstance(recordings, NoRecordingsConfig) else recordings.shaft_angle or "from_x"
     return {
         "with_rotation": "are from the tacho mark, with the rotation",
         "against_rotation": "are from the tacho mark, against the rotation",
-    }.get(sense, "are from x towards y, at the tacho pulse")
+    }.get(content.config.machine.recordings.shaft_angle or "", "are from x towards y, at the tacho pulse")

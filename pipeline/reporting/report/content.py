@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.config.recordings import NoRecordingsConfig
 from pipeline.config.schema import Config
 from pipeline.data.dataset import VibrationDataset, name_direction, project_direction
 from pipeline.data.operating import name_state
@@ -100,7 +99,7 @@ class ReportContent:
     def probes(self) -> tuple[View, ...]:
         """Every probe: those that recorded, or the channels of the data where these are all that is known."""
         data, recordings = self.dataset, self.config.machine.recordings
-        if isinstance(recordings, NoRecordingsConfig) or not self.config_owns_data:
+        if not recordings.probes or not self.config_owns_data:
             unit = np.eye(len(data.channels))
             return tuple(
                 View(name_channel(channel), channel[0], channel[1], unit[p]) for p, channel in enumerate(data.channels)
