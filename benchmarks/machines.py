@@ -39,7 +39,7 @@ class Machine:
     @property
     def frequencies(self) -> np.ndarray | None:
         """(S, R) rad/s of the excitation; None where it turns with the rotor."""
-        from pipeline.stages.generate import configure_frequencies
+        from pipeline.problem.configured import configure_frequencies
 
         return configure_frequencies(self.config, self.speeds)
 
@@ -67,7 +67,7 @@ class Machine:
 
     def measured(self, dataset: VibrationDataset, config: Config) -> Measurement:
         """Other data of the machine, as another configuration asks about them; the bearings are the known ones."""
-        from pipeline.stages.measurement import build_measurement
+        from pipeline.problem.configured import build_measurement
 
         return build_measurement(config, self.rotor, dataset, self.bearings)
 
@@ -84,8 +84,8 @@ def machine(*overrides: str) -> Machine:
     import numpy as np
 
     from pipeline.config.compose import compose_config
+    from pipeline.problem.configured import configure_excitations
     from pipeline.rotor.ross_adapter import assemble, bearing_table
-    from pipeline.stages.generate import configure_excitations
     from pipeline.units import RAD_S_PER_RPM
 
     config = compose_config(overrides)

@@ -12,8 +12,8 @@ import os
 import re
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, cast
@@ -46,14 +46,17 @@ def _run_command(arguments: list[str]) -> None:
         print(format_usage())
     elif "--version" in arguments:
         print(f"pipeline {__version__}")
+    elif all(map(_is_plain, arguments)):
+        _run_stages(arguments)
     else:
-        folder, others = _split_folder(arguments)
-        if all(map(_is_plain, others)):
-            _run_stages(others, folder)
+        options = _parse_options(arguments)
+        # A folder of machines is read here and not by Hydra.
+        given, options.config_dir = options.config_dir, None
+        folder = None if given is None else Path(os.path.abspath(Path(given).expanduser()))
+        if not _list_commands(options) and all(map(_is_plain, options.overrides)):
+            _run_stages(options.overrides, folder)
         else:
-            from pipeline.usage import parse_options
-
-            _run_hydra(parse_options(others), folder)
+            _run_hydra(options, folder)
 
 
 def _is_plain(argument: str) -> bool:
@@ -61,34 +64,45 @@ def _is_plain(argument: str) -> bool:
     return "=" in argument and not argument.startswith("-") and not _parse_key(argument).startswith("hydra")
 
 
-def _split_folder(arguments: list[str]) -> tuple[Path | None, list[str]]:
-    """The folder of ``--config-dir``, which is read here and not by Hydra, and the other arguments."""
-    folder, others, rest = None, [], iter(arguments)
-    for argument in rest:
-        option, equals, value = argument.partition("=")
-        if option not in ("--config-dir", "-cd"):
-            others.append(argument)
-            continue
-        value = value if equals else next(rest, "")
-        if not value:
-            raise ConfigError("--config-dir must be followed by a folder, but nothing follows it")
-        folder = Path(os.path.abspath(Path(value).expanduser()))
-    return folder, others
-
-
-def _run_stages(overrides: list[str], folder: Path | None) -> None:
+def _run_stages(overrides: list[str], folder: Path | None = None) -> None:
     """All stages are checked before the first one runs; the first that fails is the last that runs."""
     from pipeline.config.compose import compose_stages
-    from pipeline.stages import run_stage
+    from pipeline.stages import run_stages
     from pipeline.tracking import recorder_beside
 
     configs = compose_stages(overrides, folder)
     with recorder_beside(configs[0].tracking.enabled):
-        for config in configs:
-            run_stage(config)
+        run_stages(configs)
 
 
 # --- Hydra ---------------------------------------------------------------------------------------
+
+
+def _parse_options(arguments: list[str]) -> Namespace:
+    """Hydra's options that this pipeline takes, also after overrides. Raises ConfigError for options that are unknown,
+    refused or don't go together."""
+    from hydra._internal.utils import get_args_parser
+
+    parser = get_args_parser()
+    parser.error = _refuse  # type: ignore[method-assign]
+    options = parser.parse_intermixed_args(arguments)
+    for name in ("config_path", "config_name", "experimental_rerun"):
+        if getattr(options, name) is not None:
+            _refuse(f"--{name.replace('_', '-')} is not for this pipeline, configured in conf/config.yaml")
+    if len(_list_commands(options)) > 1:
+        _refuse("there is more than one of --multirun, --cfg, --info, --shell-completion and --hydra-help")
+    if options.resolve and not options.cfg:
+        _refuse("--resolve goes with --cfg job")
+    return options
+
+
+def _list_commands(options: Namespace) -> list[Any]:
+    every = (options.multirun, options.cfg, options.info, options.shell_completion, options.hydra_help)
+    return [command for command in every if command]
+
+
+def _refuse(message: str) -> NoReturn:
+    raise ConfigError(f"the options must be Hydra's, but {message}; `python -m pipeline --help` lists the usual ones")
 
 
 def _run_hydra(options: Namespace, folder: Path | None) -> None:
@@ -96,12 +110,12 @@ def _run_hydra(options: Namespace, folder: Path | None) -> None:
     from pipeline.config.compose import prepare_for_hydra
 
     if options.shell_completion or options.hydra_help:
-        _call_hydra(Job(), [*options.overrides, *options.flags], options.cfg)
+        _call_hydra(Job(), options)
         return
     with prepare_for_hydra(options.overrides, folder) as options.overrides:
         job, started = _check(options), time.time()
         try:
-            _call_hydra(job, [*options.overrides, *options.flags], options.cfg)
+            _call_hydra(job, options)
         finally:  # also of the jobs that ended well beside one that failed
             if len(job.folders) > 1:
                 from pipeline.stages.jobs import compare_jobs
@@ -109,23 +123,26 @@ def _run_hydra(options: Namespace, folder: Path | None) -> None:
                 compare_jobs(job.folders, started)
 
 
-def _call_hydra(job: Job, arguments: list[str], shows: str | None) -> None:
-    """Hydra's own entry point, on ``conf/``."""
-    import hydra
+def _call_hydra(job: Job, options: Namespace) -> None:
+    """What ``hydra.main`` does, on ``conf/``."""
+    from hydra import version
+    from hydra._internal.utils import _run_hydra, get_args_parser
     from hydra.errors import HydraException
     from omegaconf.errors import OmegaConfBaseException
 
     from pipeline.config.loader import CONF, ROOT_CONFIG, VERSION_BASE
 
-    with _replace_command(["pipeline", *arguments]):
-        try:
-            hydra.main(config_path=str(CONF), config_name=ROOT_CONFIG, version_base=VERSION_BASE)(job)()
-        except SystemExit as stop:
-            # Hydra's 1, such as for --cfg job with an unknown --package, is not that of stage=check.
-            raise SystemExit(MISTAKE if shows and stop.code == 1 else stop.code) from None
-        except (HydraException, OmegaConfBaseException) as error:
-            # Only what the check can't see: Hydra's own settings, such as hydra.sweep.dir.
-            raise ConfigError(f"Hydra must be able to start this, but says: {error}") from None
+    version.setbase(VERSION_BASE)
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # its errors are raised to us instead of printed
+    sys.argv[0] = "pipeline"  # the command that a shell completes
+    try:
+        _run_hydra(options, get_args_parser(), job, str(CONF), ROOT_CONFIG)
+    except SystemExit as stop:
+        # Hydra's 1, such as for --cfg job with an unknown --package, is not that of stage=check.
+        raise SystemExit(MISTAKE if options.cfg and stop.code == 1 else stop.code) from None
+    except (HydraException, OmegaConfBaseException) as error:
+        # Only what the check can't see: Hydra's own settings, such as hydra.sweep.dir.
+        raise ConfigError(f"Hydra must be able to start this, but says: {error}") from None
 
 
 def _check(options: Namespace) -> Job:
@@ -135,7 +152,7 @@ def _check(options: Namespace) -> Job:
     if options.cfg or options.info:
         compose_mapping(options.overrides)
         return Job()
-    if not options.multirun:
+    if not options.multirun and "hydra.mode=MULTIRUN" not in options.overrides:
         compose_stages(options.overrides)
         return Job()
     jobs, fixed = expand_sweeps(options.overrides)
@@ -168,19 +185,6 @@ def _locate_jobs(job: Job, jobs: list[list[str]]) -> dict[str, str]:
     return folders
 
 
-@contextmanager
-def _replace_command(argv: list[str]) -> Iterator[None]:
-    """The command line that Hydra reads, and its errors raised to us instead of printed."""
-    from pipeline.processes import change_environment
-
-    before, sys.argv = sys.argv, argv
-    try:
-        with change_environment({"HYDRA_FULL_ERROR": "1"}):
-            yield
-    finally:
-        sys.argv = before
-
-
 @dataclass(frozen=True)
 class Job:
     """What Hydra calls with each composed configuration, perhaps in another process.
@@ -208,7 +212,7 @@ class Job:
         from omegaconf import OmegaConf
 
         from pipeline.config.compose import list_stages, validate_stages
-        from pipeline.stages import run_stage
+        from pipeline.stages import run_stages
 
         overrides = list(_get_job().overrides.task)
         if self.multirun:
@@ -219,8 +223,7 @@ class Job:
                 composed.tuning.study = self.folder(composed.tuning.study, overrides)
             print(f"{self._describe()} -> {composed.output}", flush=True)
         mapping: Any = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
-        for config in validate_stages(mapping, overrides):
-            run_stage(config)
+        run_stages(validate_stages(mapping, overrides))
 
     def _describe(self) -> str:
         return f"[{_get_job().job.num + 1}/{self.count}] {' '.join(_get_job().overrides.task)}"

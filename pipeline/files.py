@@ -7,7 +7,7 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,16 +22,12 @@ def write_beside(path: Path, write: Callable[[Path], object]) -> Path:
     """
     beside = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write(beside)
-        with beside.open("rb+") as file:
-            os.fsync(file.fileno())
-        os.replace(beside, path)
-    except OSError as error:
-        raise StorageError(
-            f"'{path}' must be writable, but saving failed ({error.strerror or error}): "
-            "free the disk or choose another folder with output=FOLDER"
-        ) from error
+        with _explain_storage(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write(beside)
+            with beside.open("rb+") as file:
+                os.fsync(file.fileno())
+            os.replace(beside, path)
     finally:
         # A folder that is missing, or is no folder, has been reported by the error above.
         with contextlib.suppress(OSError):
@@ -46,24 +42,31 @@ def write_folder(path: Path, write: Callable[[Path], object]) -> Path:
     """
     beside, old = (path.with_name(f".{path.name}.{os.getpid()}{ending}") for ending in ("", ".old"))
     try:
-        if path.exists() and not path.is_dir():
-            raise NotADirectoryError(0, "there is a file of that name")
-        beside.mkdir(parents=True)
-        write(beside)
-        if path.exists():
-            os.replace(path, old)
-        os.replace(beside, path)
-    except OSError as error:
-        if old.exists():
+        with _explain_storage(path):
+            if path.exists() and not path.is_dir():
+                raise NotADirectoryError(0, "there is a file of that name")
+            beside.mkdir(parents=True)
+            write(beside)
+            if path.exists():
+                os.replace(path, old)
+            os.replace(beside, path)
+    finally:
+        if old.exists() and not path.exists():
             os.replace(old, path)
+        for folder in (beside, old):
+            shutil.rmtree(folder, ignore_errors=True)
+    return path
+
+
+@contextlib.contextmanager
+def _explain_storage(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
         raise StorageError(
             f"'{path}' must be writable, but saving failed ({error.strerror or error}): "
             "free the disk or choose another folder with output=FOLDER"
         ) from error
-    finally:
-        for folder in (beside, old):
-            shutil.rmtree(folder, ignore_errors=True)
-    return path
 
 
 def write_text(path: Path, text: str) -> Path:

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -141,3 +141,37 @@ def unknown_set(of: Mapping[int, BearingUnknowns], shared: bool = False, planes:
         for coefficient, (leader, sign) in place.items():
             expansion[b, COEFFICIENTS.index(coefficient), names.index(leader)] = sign
     return UnknownSet(names, expansion, shared, planes)
+
+
+# --- from what a model puts out to unknowns -------------------------------------------------------------
+
+
+def scale_outputs(outputs: Any, size: Any, positive: Any, base: Any = 0.0) -> tuple[Any, Any]:
+    """Unknowns, N/m and N s/m, and their derivative by the ``outputs`` x of a model.
+
+    ``size exp(x)`` where an unknown must be ``positive`` (mask), ``base + size x`` elsewhere. For arrays of NumPy and
+    for tensors of torch that broadcast, and whose last axis is the unknowns'.
+    """
+    if isinstance(outputs, np.ndarray):
+        library: Any = np
+    else:
+        import torch as library
+    if positive.all():
+        values = size * library.exp(outputs)
+        return values, values
+    # The exponential sees zeros in place of the others: an overflow there would spoil their gradient.
+    growth = library.exp(library.where(positive, outputs, 0.0))
+    values = library.where(positive, size * growth, base + size * outputs)
+    return values, library.where(positive, values, size)
+
+
+def outputs_of(values: Any, size: Any, positive: Any, least: float = 1e-3) -> Any:
+    """The outputs that :func:`scale_outputs` makes ``values`` of; what must be positive is kept above a share ``least``
+    of its size, since measured values may have any sign.
+    """
+    relative = values / size
+    if isinstance(relative, np.ndarray):
+        return np.where(positive, np.log(np.maximum(relative, least)), relative)
+    import torch
+
+    return torch.where(positive, relative.clamp(min=least).log(), relative)

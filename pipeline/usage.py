@@ -1,15 +1,9 @@
-"""The options of ``python -m pipeline``: their parser, and what ``--help`` prints."""
+"""What ``python -m pipeline --help`` prints."""
 
 from __future__ import annotations
 
 import re
 import textwrap
-from typing import TYPE_CHECKING, NoReturn
-
-from pipeline.errors import ConfigError
-
-if TYPE_CHECKING:
-    from argparse import Namespace
 
 
 def format_usage() -> str:
@@ -84,48 +78,3 @@ def _description(experiment: str) -> str:
     text = (CONF / "experiment" / f"{experiment}.yaml").read_text(encoding="utf-8")
     match = re.search(r"^description: *[>|]?-?\s*(.+)$", text, re.MULTILINE)
     return match[1].strip().strip("'\"") if match else ""
-
-
-_SWITCHES = (("--multirun", "-m"), ("--run", "-r"), ("--resolve",), ("--shell-completion", "-sc"), ("--hydra-help",))
-_INFO = ["all", "config", "defaults", "defaults-tree", "plugins", "searchpath"]
-_REFUSED = (("--config-path", "-cp"), ("--config-name", "-cn"), ("--experimental-rerun",))
-
-
-def parse_options(arguments: list[str]) -> Namespace:
-    """Hydra's options that this pipeline takes, also after overrides; ``overrides`` and ``flags`` are the two kinds.
-
-    ``multirun`` is true for ``hydra.mode=MULTIRUN`` too.
-
-    :raises ConfigError: for options that are unknown, refused or don't go together
-    """
-    from argparse import ArgumentParser
-
-    class Parser(ArgumentParser):
-        def error(self, message: str) -> NoReturn:
-            _refuse(message)
-
-    parser = Parser(add_help=False)
-    parser.add_argument("overrides", nargs="*")
-    for names in _SWITCHES:
-        parser.add_argument(*names, action="store_true")
-    parser.add_argument("--cfg", "-c", choices=["job", "hydra", "all"])
-    parser.add_argument("--package", "-p")
-    parser.add_argument("--info", "-i", nargs="?", const="all", choices=_INFO)
-    for names in _REFUSED:
-        parser.add_argument(*names, dest=names[0])
-    options = parser.parse_intermixed_args(arguments)
-    for name, *_ in _REFUSED:
-        if getattr(options, name) is not None:
-            _refuse(f"{name} is not for this pipeline, configured in conf/config.yaml")
-    commands = [options.multirun, options.cfg, options.info, options.shell_completion, options.hydra_help]
-    if sum(map(bool, commands)) > 1:
-        _refuse("there is more than one of --multirun, --cfg, --info, --shell-completion and --hydra-help")
-    if options.resolve and not options.cfg:
-        _refuse("--resolve goes with --cfg job")
-    options.multirun = options.multirun or (not any(commands) and "hydra.mode=MULTIRUN" in options.overrides)
-    options.flags = [argument for argument in arguments if argument not in options.overrides]
-    return options
-
-
-def _refuse(message: str) -> NoReturn:
-    raise ConfigError(f"the options must be Hydra's, but {message}; `python -m pipeline --help` lists the usual ones")

@@ -53,7 +53,7 @@ def test_the_code_of_a_stage_is_what_it_imports() -> None:
     code = graph.hash_code()
     assert set(code) >= {stage for name in STAGES if name != "code" for stage in stages_of(STAGES[name]["cmd"])}
     assert {"pipeline", "config", "data", "rotor", "laws", "stages"} <= set(code["generate"])
-    assert {"identification", "tracking", "tuning"}.isdisjoint(code["generate"])
+    assert {"identification", "evaluation", "methods", "tracking", "tuning"}.isdisjoint(code["generate"])
     assert {"identification", "problem"} <= set(code["train"])
     assert "tracking" not in {room for rooms in code.values() for room in rooms}
 

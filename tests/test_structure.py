@@ -218,7 +218,7 @@ HEAVY = [
         (["pipeline.config.compose", "pipeline.stages.execution", "pipeline.stages.measurement"], HEAVY),
         (["pipeline.stages.ingest"], HEAVY),
         (["pipeline.stages.train", "pipeline.stages.evaluate", "pipeline.stages.check"], HEAVY),
-        (["pipeline.tracking", "pipeline.reporting.figures", "pipeline.twin.modes"], HEAVY),
+        (["pipeline.tracking", "pipeline.reporting.matplotlib_figures", "pipeline.twin.modes"], HEAVY),
     ],
     ids=lambda value: value[0].removeprefix("pipeline.") if value[0].startswith("pipeline") else None,
 )

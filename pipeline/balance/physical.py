@@ -21,7 +21,7 @@ from pipeline.identification.answer import restore
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.problem import OutputError, output_error
 from pipeline.identification.uncertainty import Uncertainty
-from pipeline.problem.condition_noise import follow_residuals, spread_conditions, to_dataset
+from pipeline.problem.condition_noise import NO_LEVELS, follow_residuals, spread_conditions, to_dataset
 from pipeline.problem.force_parameters import PARTS
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise_levels import NoiseLevels
@@ -100,7 +100,7 @@ class Physical(LinearVibration):
         import torch
 
         dataset = to_dataset(spread_conditions(unbalance, self.planes, self.speeds, self.channels))
-        measurement = replace(self.measurement, dataset=dataset, drift=None)
+        measurement = replace(self.measurement, dataset=dataset, drift=NO_LEVELS)
         made = output_error(measurement, self.problem.basis, self.problem.plane_scale)
         plain = replace(made.readings, precision=tuple(map(torch.ones_like, made.readings.precision)), common=())
         return replace(self.problem, sensors=made.sensors, readings=plain, features=made.features)
@@ -127,5 +127,5 @@ def read_levels(problem: OutputError, weights: torch.Tensor) -> NoiseLevels:
     """The noise that the residuals of a fit show, to conditions whose noise has levels."""
     (predicted,), (measured,) = problem.predicted(weights), problem.readings.measured
     rest = (predicted - measured)[0].flatten(0, 1).T.numpy()
-    assert problem.measurement.drift is not None
+    assert problem.measurement.drift
     return follow_residuals(problem.measurement.drift, rest, problem.n_fitted).levels

@@ -76,12 +76,12 @@ def judge_method(
     answer, outcome, reason = _ask(method, data, MethodOptions(settings, seed, machine.laws))
     seconds = time.process_time() - started  # of the processor: what else runs does not count
     errors: dict[str, dict[str, CoefficientResult]] = {}
-    if answer is not None and np.isfinite(answer.coefficients.values).all():
+    if answer and np.isfinite(answer.coefficients.values).all():
         errors = _measure_errors(data, answer, machine, case)
-    elif answer is not None:
+    elif answer:
         outcome = Reason.NOT_FINITE.name.lower()
     # Clean data have no noise that chi-square could be held against.
-    doubt = answer.doubt if answer is not None and case.noise else ""
+    doubt = answer.doubt if answer and case.noise else ""
     return Result(
         **asdict(case),
         method=method,
@@ -108,7 +108,7 @@ def _measure_errors(
     data: Measurement, answer: Estimate, machine: Machine, case: Case
 ) -> dict[str, dict[str, CoefficientResult]]:
     truth = machine.truth(case)
-    result: dict[str, dict[str, CoefficientResult]] = {}
+    errors: dict[str, dict[str, CoefficientResult]] = {}
     for b, node in enumerate(truth.nodes):
         for name in data.unknowns.coefficients(b):
             relative = measure_relative_errors(answer.coefficients, truth, name)[b]
@@ -125,7 +125,7 @@ def _measure_errors(
                     "median_deviation": median if np.isfinite(median) else None,
                     "within_interval": float(measure_coverage(off, deviation)),
                 }
-            result.setdefault(str(node), {})[name] = CoefficientResult(
+            errors.setdefault(str(node), {})[name] = CoefficientResult(
                 median_error=float(np.median(relative)), p95_error=float(np.percentile(relative, 95)), **stated
             )
-    return result
+    return errors

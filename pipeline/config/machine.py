@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from pydantic import Field, PositiveFloat, ValidationInfo, field_validator
@@ -32,6 +32,69 @@ class PredictionConfig(Section):
     speed_rpm: PositiveFloat
     unbalances: tuple[UnbalanceConfig, ...] = Field(min_length=1)
     operating: Conditions = Field(default_factory=dict)
+
+
+_NO_FORCE: dict[str, Any] = {"force_nodes": (), "force": 1.0, "whirls": (), "phases_deg": (0.0, 90.0, 180.0, 270.0)}
+_ANY_FORCE = ForceConfig(node=0, magnitude=1.0)
+
+
+def _follow(key: str, source: str, derive: Callable[[Any], Any], stand_in: Any) -> Any:
+    """A validator of a ``key`` that is left out: it follows from the ``source`` before it. Where that one is wrong, and
+    that is told, a ``stand_in`` takes its place.
+    """
+
+    def fill(cls: type[Section], value: Any, info: ValidationInfo) -> Any:
+        if value is not None:
+            return value
+        return derive(info.data[source]) if source in info.data else stand_in
+
+    return field_validator(key, mode="before")(classmethod(fill))
+
+
+def _save_bearings(rotor: RotorConfig) -> RotorFileBearingConfig:
+    if not rotor.file:
+        raise ValueError("must be given, but is missing")
+    return RotorFileBearingConfig(kind="rotor_file")
+
+
+def _record_speeds(recordings: AnyRecordingsConfig) -> SpeedsConfig:
+    if not recordings.speeds:
+        raise ValueError("must be given (start_rpm, stop_rpm, step_rpm), but is missing")
+    return recordings.speeds
+
+
+def _record_runs(recordings: AnyRecordingsConfig) -> list[RunConfig]:
+    if not recordings.recorded:
+        raise ValueError("must be given (a list of runs, each with unbalances or forces), but is missing")
+    excited = {run.name: run for run in recordings.runs if run.unbalances or run.forces}
+    return [_plan_run(run, recordings) for run in excited.values()]
+
+
+def _weigh(runs: Sequence[RunConfig]) -> CandidateConfig:
+    """Weights at the nodes of the ``runs``, as large as their largest."""
+    weights = [weight for run in runs for weight in run.unbalances]
+    if not weights:
+        raise ValueError("must be given where no run has an unbalance, but is missing")
+    nodes = tuple(sorted({weight.node for weight in weights}))
+    return CandidateConfig(unbalance_nodes=nodes, unbalance=max(weight.magnitude for weight in weights), **_NO_FORCE)
+
+
+def _plan_run(run: MeasuredRunConfig, recordings: AnyRecordingsConfig) -> RunConfig:
+    """A recorded run as one that could be simulated: phases as angles from x."""
+    return RunConfig(
+        name=run.name,
+        unbalances=tuple(
+            UnbalanceConfig(
+                node=unbalance.node,
+                magnitude=unbalance.magnitude,
+                phase=recordings.angle_from_x(unbalance.phase),
+            )
+            for unbalance in run.unbalances
+        ),
+        forces=tuple(ForceConfig(**force.model_dump()) for force in run.forces),
+        frequency_hz=getattr(run, "frequency_hz", None),
+        frequency_ratio=getattr(run, "frequency_ratio", None),
+    )
 
 
 class MachineConfig(Section):
@@ -65,39 +128,10 @@ class MachineConfig(Section):
     balance: WeightsConfig | None = None
     laws: LawsConfig | None = None
 
-    @field_validator("bearings", mode="before")
-    @classmethod
-    def _saved_bearings(cls, value: Any, info: ValidationInfo) -> Any:
-        if value is not None:
-            return value
-        if "rotor" in info.data and not info.data["rotor"].file:
-            raise ValueError("must be given, but is missing")
-        return RotorFileBearingConfig(kind="rotor_file")
-
-    @field_validator("speeds", mode="before")
-    @classmethod
-    def _recorded_speeds(cls, value: Any, info: ValidationInfo) -> Any:
-        if value is not None:
-            return value
-        if "recordings" not in info.data:  # they are wrong, and that is told
-            return SpeedsConfig(start_rpm=1, stop_rpm=1, step_rpm=1)
-        recordings = info.data["recordings"]
-        if not recordings.speeds:
-            raise ValueError("must be given (start_rpm, stop_rpm, step_rpm), but is missing")
-        return recordings.speeds
-
-    @field_validator("runs", mode="before")
-    @classmethod
-    def _recorded_runs(cls, value: Any, info: ValidationInfo) -> Any:
-        if value is not None:
-            return value
-        if "recordings" not in info.data:
-            return [RunConfig(name="x", forces=(ForceConfig(node=0, magnitude=1.0),))]
-        recordings = info.data["recordings"]
-        if not recordings.recorded:
-            raise ValueError("must be given (a list of runs, each with unbalances or forces), but is missing")
-        excited = {run.name: run for run in recordings.runs if run.unbalances or run.forces}
-        return [_plan_run(run, recordings) for run in excited.values()]
+    _bearings = _follow("bearings", "rotor", _save_bearings, RotorFileBearingConfig(kind="rotor_file"))
+    _speeds = _follow("speeds", "recordings", _record_speeds, SpeedsConfig(start_rpm=1, stop_rpm=1, step_rpm=1))
+    _runs = _follow("runs", "recordings", _record_runs, [RunConfig(name="x", forces=(_ANY_FORCE,))])
+    _candidates = _follow("candidates", "runs", _weigh, CandidateConfig(unbalance_nodes=(0,), unbalance=1, **_NO_FORCE))
 
     @field_validator("prediction", mode="before")
     @classmethod
@@ -105,25 +139,13 @@ class MachineConfig(Section):
         alone = value is None or (isinstance(value, Mapping) and set(value) == {"operating"})
         if not alone or not {"speeds", "runs"} <= info.data.keys():
             return value or PredictionConfig(node=0, speed_rpm=1, unbalances=(UnbalanceConfig(node=0, magnitude=1.0),))
-        first = next(iter(_list_weights(info.data["runs"]).values()), ())
+        first = next((run.unbalances for run in info.data["runs"] if run.unbalances), ())
         if not first:
             raise ValueError("must be given where no run has an unbalance, but is missing")
         turned = tuple(weight.model_copy(update={"phase": weight.phase + math.pi / 2}) for weight in first)
         rpm = info.data["speeds"].rpm()
         at = {"node": first[0].node, "speed_rpm": rpm[len(rpm) // 2], "unbalances": turned}
         return PredictionConfig.model_validate(at | dict(value or {}))
-
-    @field_validator("candidates", mode="before")
-    @classmethod
-    def _weights_of_the_runs(cls, value: Any, info: ValidationInfo) -> Any:
-        if value is not None or "runs" not in info.data:
-            return value or CandidateConfig(unbalance_nodes=(0,), unbalance=1.0, **_NO_FORCE)
-        weights = [weight for run in _list_weights(info.data["runs"]).values() for weight in run]
-        if not weights:
-            raise ValueError("must be given where no run has an unbalance, but is missing")
-        nodes = tuple(sorted({weight.node for weight in weights}))
-        largest = max(weight.magnitude for weight in weights)
-        return CandidateConfig(unbalance_nodes=nodes, unbalance=largest, **_NO_FORCE)
 
     @rule
     def _is_built_of_the_same_parts(self) -> Iterator[str]:
@@ -176,29 +198,3 @@ class MachineConfig(Section):
         for what, node in [*used, ("prediction.node", self.prediction.node)]:
             if node > last:
                 yield f"must use nodes 0 to {last} of the rotor, but {what} got node {node}"
-
-
-_NO_FORCE: dict[str, Any] = {"force_nodes": (), "force": 1.0, "whirls": (), "phases_deg": (0.0, 90.0, 180.0, 270.0)}
-
-
-def _list_weights(runs: Sequence[RunConfig]) -> dict[str, tuple[UnbalanceConfig, ...]]:
-    """The unbalances of each run that has some."""
-    return {run.name: run.unbalances for run in runs if run.unbalances}
-
-
-def _plan_run(run: MeasuredRunConfig, recordings: AnyRecordingsConfig) -> RunConfig:
-    """A recorded run as one that could be simulated: phases as angles from x."""
-    return RunConfig(
-        name=run.name,
-        unbalances=tuple(
-            UnbalanceConfig(
-                node=unbalance.node,
-                magnitude=unbalance.magnitude,
-                phase=recordings.angle_from_x(unbalance.phase),
-            )
-            for unbalance in run.unbalances
-        ),
-        forces=tuple(ForceConfig(**force.model_dump()) for force in run.forces),
-        frequency_hz=getattr(run, "frequency_hz", None),
-        frequency_ratio=getattr(run, "frequency_ratio", None),
-    )

@@ -8,11 +8,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt
 
 from pipeline.config.operating import States
 from pipeline.config.quantities import Angle, Deviation, Force, UnbalanceMagnitude
 from pipeline.config.section import NonNegativeInt, Section, Share, rule
+from pipeline.units import RAD_S_PER_RPM
 
 
 class SpeedsConfig(Section):
@@ -31,6 +33,10 @@ class SpeedsConfig(Section):
         """The speeds, ascending, in rpm."""
         count = int((self.stop_rpm - self.start_rpm) / self.step_rpm + 1e-9) + 1
         return [self.start_rpm + i * self.step_rpm for i in range(count)]
+
+    def rad_s(self) -> np.ndarray:
+        """(S,) the same in rad/s."""
+        return np.array(self.rpm()) * RAD_S_PER_RPM
 
 
 class UnbalanceConfig(Section):

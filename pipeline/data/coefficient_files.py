@@ -44,10 +44,10 @@ def write_coefficients(
         "speed_rpm": np.tile(to_rpm(table.speeds), n_bearings),
         **{name: np.tile(values, n_bearings) for name, values in list_columns(table.operating).items()},
     }
-    for name in COEFFICIENTS:
-        written = np.array([of is None or name in of[node] for node in table.nodes])
-        if written.any():
-            columns[name] = np.where(written[:, None], table.coefficient(name), np.nan).ravel()
+    named = of or dict.fromkeys(table.nodes, COEFFICIENTS)
+    for name in _list_kinds(named, table.nodes):
+        written = np.array([name in named[node] for node in table.nodes])
+        columns[name] = np.where(written[:, None], table.coefficient(name), np.nan).ravel()
     if deviation is not None:
         columns |= {f"{name}_std": deviation[..., c].ravel() for c, name in enumerate(COEFFICIENTS)}
     return write_table(path, columns)
@@ -65,11 +65,8 @@ def read_coefficients(
 
     Raises DataError where a bearing or a point has no row.
     """
-    operating = operating or {}
-    every = [name for name in COEFFICIENTS if of is None or any(name in of[node] for node in nodes)]
-    kinds = {"bearing_node": "number", "speed_rpm": "number"}
-    for name in every:
-        kinds[name] = "number" if of is None or all(name in of[node] for node in nodes) else "number or blank"
+    operating, of = operating or {}, of or dict.fromkeys(nodes, COEFFICIENTS)
+    kinds = {"bearing_node": "number", "speed_rpm": "number"} | _list_kinds(of, nodes)
     table, states = _read_states(path, kinds, {}, operating)
     at_node = table["bearing_node"]
     used = {name: operating[name] for name in states}
@@ -84,19 +81,27 @@ def read_coefficients(
         if not len(rows):
             has = sorted({int(n) for n in at_node})
             raise DataError(f"'{path}' must have rows for the bearing at node {node}, but it has bearings at {has}")
-        names = list(COEFFICIENTS if of is None else of[node])
         place = {key: row for key, row in zip(map(tuple, given[rows].tolist()), rows.tolist(), strict=True)}
         found = [place.get(key, -1) for key in map(tuple, wanted.tolist())]
-        columns = np.stack([at_node, *(table[name] for name in names)])[:, found]
+        columns = np.stack([at_node, *(table[name] for name in of[node])])[:, found]
         missing = np.flatnonzero((np.array(found) < 0) | np.isnan(columns).any(axis=0))
         if len(missing):
             raise DataError(
                 f"'{path}' must have every speed of the data, but {len(missing)} are missing for the bearing at node "
                 f"{node} (the first: {wanted[missing[0], 0]:g} rpm{describe_point(used, missing[0], ', ')})"
             )
-        for name, column in zip(names, columns[1:], strict=True):
+        for name, column in zip(of[node], columns[1:], strict=True):
             values[b, :, COEFFICIENTS.index(name)] = column
     return BearingTable(tuple(nodes), speeds, values, operating)
+
+
+def _list_kinds(of: Mapping[int, Sequence[str]], nodes: Sequence[int]) -> dict[str, str]:
+    """The columns of the coefficients that ``of`` names at some node: one that others lack may be blank."""
+    return {
+        name: "number" if all(name in of[node] for node in nodes) else "number or blank"
+        for name in COEFFICIENTS
+        if any(name in of[node] for node in nodes)
+    }
 
 
 def _read_states(
@@ -146,10 +151,8 @@ def read_known(
     not cover.
     """
     operating = operating or {}
-    every = [name for name in COEFFICIENTS if any(name in of[node] for node in nodes)]
-    by_all = {name: all(name in of[node] for node in nodes) for name in every}
-    kinds = {name: "number" if by_all[name] else "number or blank" for name in every}
-    table, states = _read_states(path, {"bearing_node": "number"} | kinds, {"speed_rpm": "number or blank"}, operating)
+    kinds = {"bearing_node": "number"} | _list_kinds(of, nodes)
+    table, states = _read_states(path, kinds, {"speed_rpm": "number or blank"}, operating)
     table.setdefault("speed_rpm", np.full(len(table["bearing_node"]), np.nan))
     values = np.zeros((len(nodes), len(speeds), len(COEFFICIENTS)))
     given = _make_keys(np.zeros(len(table["bearing_node"])), states)

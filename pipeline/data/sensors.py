@@ -25,6 +25,12 @@ class Sensors:
     slow_roll_readings: int = 0  # how many the runout is taken from, which is then subtracted
 
 
+def name_channel(node: int, angle: float) -> tuple[int, float]:
+    """The channel of a probe whose ``angle`` is in rad."""
+    # An angle such as 45 deg is a text or a number of radians: rounded, it is 45 again.
+    return node, round(float(np.degrees(angle)), 9) % 360.0
+
+
 def list_directions(nodes: tuple[int, ...]) -> Channels:
     """x and y at the nodes."""
     return tuple((node, angle) for node in nodes for angle in DIRECTIONS.values())

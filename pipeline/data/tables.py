@@ -29,6 +29,8 @@ SCHEMA = "1"
 _MARK = "bearing_identification."
 Columns = dict[str, np.ndarray]
 """Name -> values: float arrays of numbers, object arrays of texts."""
+_Table = tuple[list[str], Sequence[Sequence[Any] | np.ndarray]]
+"""The names of the columns, and the columns."""
 
 
 class CsvConfig(Section):
@@ -88,18 +90,10 @@ def list_columns(path: Path, text: CsvConfig = PLAIN) -> list[str]:
     return _read_any(path, {}, text)[0]
 
 
-def _read_any(
-    path: Path, columns: Mapping[str, str], text: CsvConfig
-) -> tuple[list[str], Sequence[Sequence[Any] | np.ndarray]]:
+def _read_any(path: Path, columns: Mapping[str, str], text: CsvConfig) -> _Table:
     if not path.is_file():
         raise DataError(f"'{path}' must exist, but there is no such file")
-    if path.suffix == ".parquet":
-        return _read_parquet(path)
-    if path.suffix.lower() in (".xlsx", ".xlsm"):
-        return _read_excel(path, text)
-    if path.suffix.lower() == ".mat":
-        return _read_mat(path, columns)
-    return _read_csv(path, text)
+    return _READERS.get(path.suffix.lower(), _read_csv)(path, columns, text)
 
 
 def _to_numbers(path: Path, name: str, column: Sequence[Any] | np.ndarray, kind: str, decimal: str) -> np.ndarray:
@@ -134,7 +128,7 @@ def _to_number(value: Any, decimal: str) -> float:
     return number if math.isfinite(number) else math.inf
 
 
-def _read_csv(path: Path, text: CsvConfig) -> tuple[list[str], Sequence[Sequence[str]]]:
+def _read_csv(path: Path, columns: Mapping[str, str], text: CsvConfig) -> _Table:
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             rows = [row for row in csv.reader(islice(file, text.skip_rows, None), delimiter=text.delimiter) if row]
@@ -150,7 +144,7 @@ def _read_csv(path: Path, text: CsvConfig) -> tuple[list[str], Sequence[Sequence
     return header, [column[1:] for column in zip_longest(*rows, fillvalue="")]
 
 
-def _read_excel(path: Path, text: CsvConfig) -> tuple[list[str], Sequence[Sequence[Any]]]:
+def _read_excel(path: Path, columns: Mapping[str, str], text: CsvConfig) -> _Table:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of styles and validations, which hold no data
@@ -167,20 +161,20 @@ def _read_excel(path: Path, text: CsvConfig) -> tuple[list[str], Sequence[Sequen
         ) from None
     while rows and not any(value is not None for value in rows[-1]):
         rows.pop()
-    columns = list(zip_longest(header, *rows))[: len(header)]
-    return [str(name) for name in header], [column[1:] for column in columns]
+    table = list(zip_longest(header, *rows))[: len(header)]
+    return [str(name) for name in header], [column[1:] for column in table]
 
 
-def _read_mat(path: Path, columns: Mapping[str, str]) -> tuple[list[str], Sequence[Sequence[Any] | np.ndarray]]:
+def _read_mat(path: Path, columns: Mapping[str, str], text: CsvConfig) -> _Table:
     mat = read_mat(path, columns)
     lengths = {name: len(values) for name, values in mat.items()}
     if len(set(lengths.values())) > 1:
-        text = ", ".join(f"'{name}' {count}" for name, count in lengths.items())
-        raise DataError(f"'{path}' must have as many values in every variable, but it has {text}")
+        counts = ", ".join(f"'{name}' {count}" for name, count in lengths.items())
+        raise DataError(f"'{path}' must have as many values in every variable, but it has {counts}")
     return list(mat), [values if values.dtype.kind in "iuf" else values.tolist() for values in mat.values()]
 
 
-def _read_parquet(path: Path) -> tuple[list[str], Sequence[Sequence[Any] | np.ndarray]]:
+def _read_parquet(path: Path, columns: Mapping[str, str], text: CsvConfig) -> _Table:
     import pyarrow.lib
     import pyarrow.parquet as parquet
 
@@ -200,6 +194,15 @@ def _read_parquet(path: Path) -> tuple[list[str], Sequence[Sequence[Any] | np.nd
             "again with stage=generate"
         )
     return stored.column_names, table
+
+
+_READERS: dict[str, Callable[[Path, Mapping[str, str], CsvConfig], _Table]] = {
+    ".parquet": _read_parquet,
+    ".xlsx": _read_excel,
+    ".xlsm": _read_excel,
+    ".mat": _read_mat,
+}
+"""By a file's ending; any other is CSV."""
 
 
 def _to_array(column: Any) -> Sequence[Any] | np.ndarray:

@@ -21,14 +21,17 @@ from pipeline.rotor.model import RotorModel, bearing_dof, seal_dof
 from pipeline.units import RAD_S_PER_RPM
 
 
-def integrate(rotor: RotorModel, bearings: BearingTable, excitations: tuple[Excitation, ...]) -> VibrationDataset:
+def integrate(
+    rotor: RotorModel, bearings: BearingTable, excitations: tuple[Excitation, ...], steps: int = 720
+) -> VibrationDataset:
     """As :func:`pipeline.data.simulate.simulate`, of runs that turn with the rotor.
 
+    The error falls with the square of the ``steps`` a revolution.
     Raises PipelineError where the vibration does not settle, as that of an unstable rotor.
     """
     runs = tuple(dict.fromkeys(excitation.run for excitation in excitations))
     forces = assemble_forces(rotor, excitations, runs, bearings.speeds)
-    response = np.stack([_settle(rotor, bearings, s, forces[s]) for s in range(len(bearings.speeds))])
+    response = np.stack([_settle(rotor, bearings, s, forces[s], steps) for s in range(len(bearings.speeds))])
     return show_everywhere(rotor, bearings, response, excitations)
 
 
@@ -37,14 +40,14 @@ def _settle(
     bearings: BearingTable,
     s: int,
     force: np.ndarray,
-    steps: int = 720,
+    steps: int,
     alpha: float = -0.05,
     doublings: int = 12,
     settled: float = 1e-6,
 ) -> np.ndarray:
     """(n, R) complex 1X vectors of the steady state at the speed ``s``, of a ``force`` (n, R).
 
-    The error falls with the square of the ``steps`` a revolution; ``alpha`` is the method's damping. Before the reading
+    ``alpha`` is the method's damping. Before the reading
     are two to the power ``doublings`` revolutions; a steady state changes by a share of ``settled`` at most.
     """
     speed, n = float(bearings.speeds[s]), rotor.n_dof

@@ -34,7 +34,7 @@ from pipeline.data.operating_points import (
     require_complete,
 )
 from pipeline.data.tables import Columns, read_marks, write_table
-from pipeline.errors import DataError, nearest
+from pipeline.errors import ConfigError, DataError, nearest
 from pipeline.rotor.model import RotorModel
 from pipeline.units import RAD_S_PER_RPM
 
@@ -53,6 +53,19 @@ _CONDITION = "condition"
 def to_rpm(speeds: np.ndarray) -> np.ndarray:
     """rad/s to rpm, rounded so that 100 rpm is written as 100."""
     return np.round(speeds / RAD_S_PER_RPM, 9)
+
+
+def find_speed(rpm: float, speeds: np.ndarray, within: float = 1e-3) -> int:
+    """The index among ``speeds`` (S,) rad/s of machine.prediction.speed_rpm; ``within`` is a share: nominal speeds of
+    records are means with many digits. Raises ConfigError where none is as near."""
+    every = to_rpm(speeds)
+    nearest = int(np.abs(every - rpm).argmin())
+    if abs(every[nearest] - rpm) > within * rpm:
+        raise ConfigError(
+            "machine.prediction.speed_rpm must be one of the data's speeds (known coefficients are given there), but "
+            f"got {rpm:g}: the nearest is {every[nearest]:g}"
+        )
+    return nearest
 
 
 def write_vibration(path: Path, dataset: VibrationDataset, marks: Mapping[str, str] | None = None) -> Path:

@@ -10,8 +10,13 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.schema import Config
 from pipeline.data.noise import NOMINAL_95
+from pipeline.data.operating import split_states
+from pipeline.data.operating_points import spread_states
 from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.stored import load_modelled_bearings
 
 
 @dataclass(frozen=True)
@@ -68,3 +73,35 @@ def find_worst_mean(errors: CoefficientErrors, name: str) -> float:
 def measure_coverage(errors: np.ndarray, deviation: np.ndarray) -> np.ndarray:
     """Percent (over the last axis) of errors inside the nominal 95 % interval, 1.96 standard deviations."""
     return np.asarray(100.0 * (np.abs(errors) <= NOMINAL_95 * deviation).mean(axis=-1))
+
+
+def list_coverage(
+    identified: BearingTable, modelled: BearingTable, deviation: np.ndarray, names: Sequence[Sequence[str]]
+) -> dict[str, dict[str, float]]:
+    """By node and coefficient, percent of the speeds at which the modelled one lies in the nominal 95 % interval."""
+    inside = measure_coverage((identified.values - modelled.values).swapaxes(1, 2), deviation.swapaxes(1, 2))
+    return {
+        str(node): {name: float(inside[b, COEFFICIENTS.index(name)]) for name in names[b]}
+        for b, node in enumerate(identified.nodes)
+        if names[b]
+    }
+
+
+def model_unmeasured(config: Config, speeds: np.ndarray) -> BearingTable | None:
+    """The modelled coefficients at every different speed of ``speeds`` (rad/s) and all conditions that are asked for.
+
+    None where none are, or where data were measured.
+    """
+    wanted = config.machine.unmeasured
+    if not wanted or config.machine.recordings.format != "none":
+        return None
+    points = spread_states(np.unique(speeds), wanted)
+    return load_modelled_bearings(config.machine.rotor, config.machine.bearings, *points)
+
+
+def measure_unmeasured(
+    answer: BearingTable, modelled: BearingTable, names: Sequence[Sequence[str]]
+) -> dict[str, CoefficientErrors]:
+    """Errors at each condition, by its words such as ``40 degC``."""
+    states = split_states(modelled.speeds, modelled.operating)
+    return {state: measure_errors(answer.at(points), modelled.at(points), names) for state, points in states}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -39,6 +40,15 @@ def measure_numbers(numbers: Mapping[str, tuple[float, float]], machine: Machine
     """The errors of ``numbers`` (name -> value and standard deviation, SI) that the modelled machine has, too."""
     true = find_true_numbers(machine)
     return {name: NumberError(*number, true[name]) for name, number in numbers.items() if name in true}
+
+
+def judge_numbers(numbers: Mapping[str, Mapping[str, Any]], machine: MachineConfig) -> dict[str, Any]:
+    """The ``physical_numbers`` of a fit with their true values and errors, of a modelled machine."""
+    if machine.recordings.format != "none":
+        return dict(numbers)
+    errors = measure_numbers({name: (entry["value"], entry["deviation"]) for name, entry in numbers.items()}, machine)
+    more = {name: {"true": error.true, "error_percent": error.error_percent} for name, error in errors.items()}
+    return {name: {**entry, **more.get(name, {})} for name, entry in numbers.items()}
 
 
 def find_true_numbers(machine: MachineConfig) -> dict[str, float]:

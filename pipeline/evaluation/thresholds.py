@@ -68,6 +68,15 @@ class Check:
         """False for a missing metric and for NaN, too."""
         return self.value is not None and self.rule.allows(self.value)
 
+    @property
+    def share_of_limit(self) -> float | None:
+        """How near it is to its threshold: 1 and more fails; None where that is no share, or the value no number."""
+        if self.value is None or not math.isfinite(self.value):
+            return None
+        if self.rule.max:
+            return self.value / self.rule.max if self.rule.max > 0 else None
+        return self.rule.min / self.value if self.rule.min is not None and self.value > 0 else None
+
     def has_changed(self, share: float, of_limit: float = 0.01) -> bool:
         """Whether it moved by more than ``share`` of the committed value, and by more than ``of_limit`` of its limit.
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.identification.basis import Basis
+from pipeline.identification.blocks import Basis
 from pipeline.identification.identified import Fit, FittedParameter, IdentifiedModel, PhysicalNumber
-from pipeline.identification.law_evidence import describe_laws
 from pipeline.identification.output_error_fit import OutputErrorFit
 from pipeline.identification.problem import OutputError, output_error
 from pipeline.identification.quality import output_error_quality
@@ -27,7 +27,7 @@ def conclude(fit: OutputErrorFit) -> Fit:
     numbers, parameters = _list_numbers(fit, uncertainty), _list_parameters(fit, uncertainty)
     summary: dict[str, Any] = dict(quality.summary)
     if numbers:
-        summary |= describe_laws(fit, numbers)
+        summary |= _describe_laws(fit, numbers)
     if parameters:
         summary["model_parameters"] = {
             number.parameter.name: {
@@ -63,7 +63,7 @@ def restore(
 
     to_features = torch.as_tensor(uncertainty.weights)  # (M, F, K)
     basis = Basis(identified.model, identified.parameters, to_features, 0)
-    made = output_error(measurement, basis, uncertainty.plane_scale)
+    made = output_error(measurement.with_laws(identified.laws), basis, uncertainty.plane_scale)
     places, (member, unknown) = uncertainty.places, uncertainty.active.T.tolist()
     count = to_features.shape[-1]
     told = np.diag(uncertainty.covariance)[places.coefficients].reshape(len(member), -1)[:, :count] > 0
@@ -74,8 +74,7 @@ def restore(
     coordinates = (torch.linalg.pinv(to_features) @ output)[member, :, unknown] * kept
     weights = torch.zeros(1, 1, problem.size, dtype=torch.float64)
     weights[0, 0, problem.places.coefficients] = coordinates.flatten()
-    if identified.theta is not None:
-        weights[0, 0, problem.places.numbers] = identified.theta
+    weights[0, 0, problem.places.numbers] = identified.theta
     unbalance = torch.as_tensor(uncertainty.residual_unbalance / uncertainty.plane_scale)
     weights[0, 0, problem.places.planes] = torch.view_as_real(unbalance).flatten()
     weights[0, 0, problem.places.parameters] = torch.as_tensor(uncertainty.parameters)
@@ -83,10 +82,8 @@ def restore(
 
 
 def _list_numbers(fit: OutputErrorFit, uncertainty: Uncertainty) -> tuple[PhysicalNumber, ...]:
-    """The numbers of the bearing laws; none without laws."""
+    """The numbers of the bearing laws."""
     laws = fit.problem.measurement.laws
-    if laws is None:
-        return ()
     spread = np.sqrt(np.diag(uncertainty.covariance)[uncertainty.places.numbers])
     values = laws.numbers(fit.problem.theta(fit.weights)[0].numpy())
     return tuple(
@@ -103,3 +100,50 @@ def _list_parameters(fit: OutputErrorFit, uncertainty: Uncertainty) -> tuple[Fit
         fit.problem.measurement.parameters, uncertainty.parameters, uncertainty.parameter_deviation(), strict=True
     )
     return tuple(FittedParameter(parameter, float(value), float(spread)) for parameter, value, spread in every)
+
+
+def _describe_laws(fit: OutputErrorFit, numbers: Sequence[PhysicalNumber]) -> dict[str, Any]:
+    """Parts of ``metrics.json`` and ``training.json``; SI.
+
+    ``physical_numbers`` by name; ``law`` says how many guesses were tried and how many ended at this answer, and the
+    share of points beyond the table of each bearing; ``correction`` the root mean square of the network's correction
+    over the data, and that of its standard deviation, in percent of each coefficient (of a cross-coupled one, of the
+    size of the direct ones).
+    """
+    problem, laws, (n_starts, n_same) = fit.problem, fit.problem.measurement.laws, fit.start.law_starts
+    data, theta = problem.measurement.dataset, problem.theta(fit.weights)
+    outside = laws.outside(theta, data.speeds, data.operating)[0]
+    summary: dict[str, Any] = {
+        "physical_numbers": {
+            number.name: {
+                "value": number.value,
+                "deviation": number.deviation,
+                "unit": number.unit,
+                "guess": number.guess,
+                "determined": number.determined,
+            }
+            for number in numbers
+        },
+        "law": {"outside_table": {str(node): float(share) for node, share in zip(laws.nodes, outside, strict=True)}},
+    }
+    if n_starts:
+        summary["law"] |= {"starts": n_starts, "starts_at_this_answer": n_same}
+    if fit.start.by_evidence:
+        summary["correction"] = _correction(fit)
+    return summary
+
+
+def _correction(fit: OutputErrorFit) -> dict[str, dict[str, dict[str, float]]]:
+    """Node -> coefficient -> percent and its deviation."""
+    problem, unknowns = fit.problem, fit.problem.measurement.unknowns
+    outputs, spread = problem.outputs(fit.weights)[0].numpy(), fit.covariance()
+    count = problem.features.shape[-1]
+    result: dict[str, dict[str, dict[str, float]]] = {}
+    for a, (m, u) in enumerate(problem.active):
+        features, columns = problem.features[m].numpy(), slice(a * count, (a + 1) * count)
+        variance = np.einsum("sk,kl,sl->s", features, spread[columns, columns], features)
+        size = {"percent": outputs[m, :, u] ** 2, "deviation_percent": variance}
+        result.setdefault(str(problem.measurement.rotor.bearing_nodes[m]), {})[unknowns.names[u]] = {
+            name: float(100 * np.sqrt(squares.mean())) for name, squares in size.items()
+        }
+    return result

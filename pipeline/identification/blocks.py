@@ -1,15 +1,34 @@
 """The blocks of unknowns that are fitted together, one after the other in a flat vector, and their priors.
 
-Legend: G data sets or starts, Z weights, N rows of priors.
+The coefficients' block: a model's output layer over an orthonormal basis of its features, the smoothest first, whose
+outputs correct bearing laws of few numbers. A coefficient that must be positive is the law's times ``exp(output)``,
+another one the law's plus ``scale * output``: an output of zero leaves the law as it is. Without laws the ``scale``
+takes their place.
+
+Legend: G data sets or starts, Z weights, N rows of priors, M members, S operating points, F features (hidden units or
+fixed functions, trend and 1), K functions of the basis, U unknowns, Q parameters, Th numbers of bearing laws (theta,
+the logarithm of each over its guess).
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.errors import ConfigError
+from pipeline.identification.model import CoefficientModel
+from pipeline.laws.law_set import NO_LAWS, LawSet
+from pipeline.unknowns import UnknownSet
+
 if TYPE_CHECKING:
     import torch
+
+    from pipeline.identification.training import FitSetup
+    from pipeline.problem.measurement import Measurement
 
 
 @dataclass(frozen=True)
@@ -70,3 +89,166 @@ class Prior:
     def information(self) -> torch.Tensor:
         """(Z, Z)."""
         return self.rows.T @ self.rows
+
+
+# --- coefficients over a basis ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Basis:
+    """Output weights ``W = weights z`` for which the features at the training speeds are orthonormal."""
+
+    model: CoefficientModel
+    parameters: torch.Tensor  # (M, Q) of the model, whose hidden layers are kept
+    weights: torch.Tensor  # (M, F, K)
+    n_trend: int  # the first so many are the constant and the trend
+
+    @property
+    def n_features(self) -> int:
+        """K."""
+        return self.weights.shape[-1]
+
+    def at(self, points: Mapping[str, np.ndarray]) -> torch.Tensor:
+        """(M, S, K) the basis at ``points``: name -> (S,), the speed in rad/s."""
+        return self.model.features(self.parameters, self.model.scaled_inputs(points)) @ self.weights
+
+    def prior_precision(self, n_speeds: int, beyond_trend: float, beyond_constant: float = 1.0) -> torch.Tensor:
+        """(K,) of the weights: a coefficient deviates from its trend by ``beyond_trend``, as normal with mean zero.
+
+        From a constant, where there is no trend, by ``beyond_constant``, of outputs. Features are orthonormal over
+        ``n_speeds``: weights of variance v make outputs of variance v K / S.
+        """
+        import torch
+
+        spread = beyond_trend if self.model.trend else beyond_constant
+        count = self.n_features - self.n_trend
+        precision = torch.zeros(self.n_features, dtype=torch.float64)
+        precision[self.n_trend :] = count / (n_speeds * spread**2)
+        return precision
+
+    def parameters_of(self, coordinates: torch.Tensor) -> torch.Tensor:
+        """(G, M, Q) all parameters of the model, from ``coordinates`` (G, M, U, K)."""
+        import torch
+
+        output = (self.weights @ coordinates.mT).flatten(-2)  # (G, M, F U)
+        hidden = self.parameters[:, : self.parameters.shape[1] - output.shape[-1]]
+        return torch.cat([hidden.expand(len(output), *hidden.shape), output], dim=-1)
+
+
+def orthonormal_basis(model: CoefficientModel, parameters: torch.Tensor, points: Mapping[str, np.ndarray]) -> Basis:
+    """The basis for training at ``points``: name -> (S,), the speed in rad/s.
+
+    First the constant and the trend, then the combinations of hidden units that vary most beside them: broad units
+    overlap, so these are the smooth ones. Combinations that hardly vary are left out.
+    """
+    import torch
+
+    features = model.features(parameters, model.scaled_inputs(points))
+    count = 1 + model.n_trend
+    hidden, trend = features[..., :-count], features[..., -count:]
+    first, from_trend = _orthonormal(trend)
+    projection = first.mT @ hidden
+    _, from_hidden = _orthonormal(hidden - first @ projection)
+    weights = torch.cat(
+        [
+            torch.cat([torch.zeros(*hidden.shape[::2], first.shape[-1], dtype=hidden.dtype), from_hidden], dim=-1),
+            torch.cat([from_trend, -from_trend @ projection @ from_hidden], dim=-1),
+        ],
+        dim=1,
+    )
+    return Basis(model, parameters, weights, first.shape[-1])
+
+
+def _orthonormal(columns: torch.Tensor, negligible: float = 1e-6) -> tuple[torch.Tensor, torch.Tensor]:
+    """(M, S, K) orthonormal combinations of ``columns`` (M, S, F), the largest first, and the weights (M, F, K).
+
+    Combinations smaller than the ``negligible`` share of the largest need output weights that cancel to so many digits.
+    """
+    import torch
+
+    left, singular, right = torch.linalg.svd(columns, full_matrices=False)
+    count = int((singular > negligible * singular[:, :1]).all(dim=0).sum())
+    return left[..., :count], (right.mT / singular[:, None])[..., :count]
+
+
+# --- bearing laws ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class LawTerm:
+    """The laws at the points of a measurement."""
+
+    laws: LawSet
+    points: Mapping[str, np.ndarray]  # name -> (S,) the speed in rad/s, operating conditions in SI
+    leaders: tuple[int, ...]  # U indices of the coefficients that lead the unknowns
+
+    @property
+    def n_numbers(self) -> int:
+        """Th."""
+        return len(self.laws.parameters)
+
+    def prior_precision(self) -> torch.Tensor:
+        """(Th,) of theta: a guess is within its factor by one standard deviation of the logarithm."""
+        import torch
+
+        return torch.tensor([parameter.deviation**-2 for parameter in self.laws.parameters], dtype=torch.float64)
+
+    def evaluate(self, theta: torch.Tensor, farthest: float = 5.0) -> tuple[torch.Tensor, torch.Tensor]:
+        """(G, M, S, U) unknowns of ``theta`` (G, Th), N/m and N s/m, and their slopes (G, M, S, U, Th).
+
+        Beyond the ``farthest`` prior deviations nothing changes any more: a step of a fit that leads there is none.
+        """
+        import torch
+
+        limit = farthest * self.prior_precision().rsqrt()
+        inside = (theta.abs() <= limit).to(theta.dtype)
+        theta = torch.clamp(theta, -limit, limit)
+        operating = {name: values for name, values in self.points.items() if name != "speed"}
+        values, slopes = self.laws.coefficients(theta, self.points["speed"], operating)
+        return values[..., list(self.leaders)], slopes[..., list(self.leaders), :] * inside[:, None, None, None]
+
+    def correct(
+        self, model: CoefficientModel, theta: torch.Tensor, outputs: torch.Tensor, scale: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """The unknowns of ``theta`` (G, Th) with the model's ``outputs`` (G, M, S, U) and ``scale``, N/m and N s/m;
+        their derivative by the outputs; and (G, M, S, U, Th) that by theta.
+        """
+        import torch
+
+        if not self.laws:
+            return *model.physical(outputs, scale), outputs.new_zeros(*outputs.shape, 0)
+        positive, (base, slopes) = torch.tensor(model.positive), self.evaluate(theta)
+        values, by_output = model.physical(outputs, torch.where(positive, base, scale), base)
+        growth = torch.where(positive, torch.where(positive, outputs, 0.0).exp(), 1.0)
+        return values, by_output, slopes * growth[..., None]
+
+
+def law_term(laws: LawSet, unknowns: UnknownSet, points: Mapping[str, np.ndarray]) -> LawTerm:
+    """The laws for the members' unknowns. Raises ConfigError for bearings that share their coefficients."""
+    if laws and unknowns.shared:
+        raise ConfigError(
+            "identify.shared must be false where machine.laws gives each bearing its own, but it is true: leave it out"
+        )
+    return LawTerm(laws, points, tuple(COEFFICIENTS.index(name) for name in unknowns.names))
+
+
+def for_model(measurement: Measurement, setup: FitSetup) -> Measurement:
+    """The measurement as the configured model sees it: with bearing laws if it is made of them.
+
+    Raises ConfigError where there are none, or for a loss that they don't go with.
+    """
+    if not setup.model.has_laws:
+        return measurement.with_laws(NO_LAWS)
+    if not measurement.laws:
+        raise ConfigError(
+            f"model={setup.model.kind} must have machine.laws (what is known of bearings and oil, and guesses of the "
+            "rest), but the machine has none: write the section, or choose model=network_fluid_film"
+        )
+    kind, hidden = setup.loss.kind, setup.loss.hidden
+    if kind != "response" or hidden != "drawn":
+        came = f"loss.kind={kind}" if kind != "response" else f"loss.hidden={hidden}"
+        raise ConfigError(
+            f"model.kind={setup.model.kind} must go with loss.kind=response and loss.hidden=drawn, but got {came}: "
+            "choose loss=response"
+        )
+    return measurement

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.data.dataset import VibrationDataset
-from pipeline.identification.information import invert
 from pipeline.identification.output_error_start import prepare_output_error
-from pipeline.identification.problem import OutputError, output_error
+from pipeline.identification.problem import OutputError, invert, output_error
 from pipeline.identification.training import FitSetup
+from pipeline.problem.condition_noise import NO_LEVELS
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.ranking import find_least, rank, rank_indices
 
@@ -133,7 +133,7 @@ def _try_runs(
             measurement,
             dataset=VibrationDataset(speeds, (data.runs[run],), data.channels, read, acting),
             known=known,
-            drift=None,
+            drift=NO_LEVELS,
         )
         shown = output_error(other, problem.basis, problem.plane_scale).predicted(weights)[0][0].numpy()
         more = output_error(

@@ -1,6 +1,15 @@
-"""From a measurement to its coefficients: the one door of identification."""
+"""From a measurement to its coefficients: the one door of identification, and the losses behind one protocol.
+
+Nothing else asks which loss a configuration names. ``residual``: the residual of the equation of motion (paper, eq. 6).
+``preconditioned``: the same, multiplied at each speed by the pseudo-inverse of its derivative by the unknowns.
+``response``: the output error, predicted less measured displacements over the sensors' noise.
+"""
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
 
 from pipeline.config.identification import (
     AdamConfig,
@@ -11,11 +20,17 @@ from pipeline.config.identification import (
     TrainingConfig,
 )
 from pipeline.config.models import ConstantModelConfig, ModelConfig, NetworkModelConfig
+from pipeline.identification.blocks import for_model
 from pipeline.identification.identified import Fit
-from pipeline.identification.losses import loss_of
-from pipeline.identification.training import FitSetup, Progress
-from pipeline.problem.diagnosis import Diagnosis
+from pipeline.identification.training import FitSetup, Outcome, Progress, minimise
+from pipeline.problem.determination import Deviations
+from pipeline.problem.diagnosis import Diagnosis, diagnose_residual, diagnose_response
+from pipeline.problem.identifiability import Solvability, require_identifiable
+from pipeline.problem.law_information import require_temperatures
 from pipeline.problem.measurement import Guess, Measurement
+
+if TYPE_CHECKING:
+    from pipeline.identification.output_error_fit import OutputErrorFit
 
 
 def fit(
@@ -67,3 +82,168 @@ def default_setup(guess: Guess, constant: bool = False, noise: str = "stated") -
         ),
         TrainingConfig(holdout_every=0, tolerance=1e-6),
     )
+
+
+# --- losses ----------------------------------------------------------------------------------------------
+
+
+class Loss(Protocol):
+    """What a fit minimises, and what follows from that."""
+
+    @property
+    def label(self) -> str:
+        """The axis of a figure of the loss, with its unit."""
+        ...
+
+    @property
+    def weighs_noise(self) -> bool:
+        """Whether readings are weighed by their noise, so that deviations are stated and any sensors will do."""
+        ...
+
+    def diagnose(self, measurement: Measurement, setup: FitSetup) -> Diagnosis:
+        """What the measurement determines, before the fit. Raises DataError for sensors that do not suffice."""
+        ...
+
+    def expect(self, measurement: Measurement, setup: FitSetup, diagnosis: Diagnosis) -> Deviations:
+        """The coefficients before the fit, with the deviations that the stated noise will leave to it."""
+        ...
+
+    def fit(
+        self,
+        measurement: Measurement,
+        setup: FitSetup,
+        progress: Progress | None = None,
+        diagnosis: Diagnosis | None = None,
+    ) -> Fit:
+        """The fit; a ``diagnosis`` at hand is not made again. Raises as :func:`pipeline.identification.fit.fit`."""
+        ...
+
+
+class ResidualLoss:
+    """The residual at the bearings, preconditioned or not: it asks for x and y at every bearing."""
+
+    weighs_noise = False
+
+    def __init__(self, config: LossConfig) -> None:
+        unscaled = config.kind == "residual" and config.scaling == "none"
+        self.label = "root mean square residual (N)" if unscaled else _LABELS[config.kind]
+
+    def diagnose(self, measurement: Measurement, setup: FitSetup) -> Diagnosis:
+        """By least squares at each speed."""
+        return diagnose_residual(measurement, setup.constant)
+
+    def expect(self, measurement: Measurement, setup: FitSetup, diagnosis: Diagnosis) -> Deviations:
+        """The deviations of least squares at each speed by itself: the residual weighs no noise, so it promises no
+        more. A constant takes the weighted mean of its speeds.
+        """
+        if not setup.constant:
+            return diagnosis.deviations
+        with np.errstate(divide="ignore"):
+            pooled = 1 / np.sqrt((diagnosis.deviation**-2.0).sum(axis=1, keepdims=True))
+        every = np.broadcast_to(pooled, diagnosis.deviation.shape)
+        return Deviations(diagnosis.answer, every, "constants over all speeds")
+
+    def fit(
+        self,
+        measurement: Measurement,
+        setup: FitSetup,
+        progress: Progress | None = None,
+        diagnosis: Diagnosis | None = None,
+    ) -> Fit:
+        """Training, from a guess or from least squares."""
+        from pipeline.identification.quality import residual_quality
+        from pipeline.identification.residual_loss import initial_parameters, prepare_residual
+
+        training = prepare_residual(measurement, setup)
+        start = initial_parameters(training, setup, setup.seed)
+        minimum = minimise(training.problem, start, setup, held_out=training.held_out, progress=progress)
+        model = training.identified(minimum.parameters[0])
+        return Fit(
+            model=model,
+            outcome=minimum.outcomes[0],
+            loss=float(minimum.loss[0]),
+            held_out_loss=None if minimum.held_out_loss is None else float(minimum.held_out_loss[0]),
+            steps=minimum.steps,
+            seconds=minimum.seconds,
+            history=minimum.history,
+            uncertainty=None,
+            quality=residual_quality(measurement, model),
+        )
+
+
+class OutputErrorLoss:
+    """The maximum-likelihood loss under the sensors' noise, from whatever sensors there are."""
+
+    weighs_noise = True
+    label = "root mean square deviation of the readings\nover their noise (-)"
+
+    def diagnose(self, measurement: Measurement, setup: FitSetup) -> Diagnosis:
+        """By least squares of the forces at the bearings, or by the model's own features where sensors are few."""
+
+        def features(data: Measurement) -> np.ndarray:
+            from pipeline.identification.output_error_start import drawn_basis
+
+            points = data.dataset.points
+            return np.asarray(drawn_basis(setup, data, points).at(points).numpy())
+
+        return diagnose_response(measurement, setup.constant, features)
+
+    def expect(self, measurement: Measurement, setup: FitSetup, diagnosis: Diagnosis) -> Deviations:
+        """The Cramer-Rao bound of the fit that will be made, at its linear start, for all functions of the model, with
+        residual unbalance, model parameters and usual tolerances. The fit drops superfluous functions, so it may know
+        more.
+        """
+        from pipeline.identification.model_error import widen
+        from pipeline.identification.output_error_start import prepare_output_error
+
+        measurement = for_model(measurement, setup)
+        solvable = all(report.verdict is not Solvability.NOT_IDENTIFIABLE for report in diagnosis.reports)
+        if not measurement.laws and not (solvable and diagnosis.by_least_squares):
+            return diagnosis.deviations
+        start = prepare_output_error(measurement, setup)
+        problem, unknowns = start.problem, measurement.unknowns
+        values = unknowns.from_active(problem.unknowns(start.weights)[0][0].numpy())
+        wider, weights = widen(problem, start.weights)
+        spread = unknowns.expand_deviation(unknowns.from_active(wider.unknown_deviation(weights)[0]))
+        kind = "constants over all speeds" if setup.constant else "smooth functions over all speeds"
+        kind = "bearing laws of few numbers" if measurement.laws else kind
+        return Deviations(problem.measurement.table(values), spread, kind)
+
+    def fit(
+        self,
+        measurement: Measurement,
+        setup: FitSetup,
+        progress: Progress | None = None,
+        diagnosis: Diagnosis | None = None,
+    ) -> Fit:
+        """The fit by its rounds of precisions."""
+        from pipeline.identification.answer import conclude
+
+        measurement = for_model(measurement, setup)
+        if not setup.force and measurement.laws:
+            require_temperatures(measurement.laws, measurement.dataset.operating)
+        elif not setup.force:
+            require_identifiable((diagnosis or self.diagnose(measurement, setup)).reports)
+        return conclude(fit_sensors(measurement, setup, progress))
+
+
+def fit_sensors(measurement: Measurement, setup: FitSetup, progress: Progress | None = None) -> OutputErrorFit:
+    """The fit of :class:`OutputErrorLoss`, with the problem that it solved. Raises as its ``fit``."""
+    from pipeline.identification.output_error_fit import fit_output_error
+    from pipeline.identification.trained_fit import train_hidden
+
+    output_error = fit_output_error(measurement, setup, progress)
+    if setup.loss.hidden == "trained" and output_error.minimum.outcomes[0] is not Outcome.INTERRUPTED:
+        return train_hidden(output_error, setup, progress)
+    return output_error
+
+
+_LABELS = {
+    "residual": "root mean square residual\nover bearing force (-)",
+    "preconditioned": "root mean square distance of the unknowns\nover their scale (-)",
+}
+
+
+def loss_of(config: LossConfig) -> Loss:
+    """The loss that a configuration names."""
+    return OutputErrorLoss() if config.kind == "response" else ResidualLoss(config)

@@ -15,12 +15,31 @@ from pipeline.errors import ConfigError
 from pipeline.problem.measurement import Measurement
 
 
-def held_out_range(speeds: np.ndarray, training: TrainingConfig) -> np.ndarray:
+def held_out_points(speeds: np.ndarray, operating: Mapping[str, np.ndarray], training: TrainingConfig) -> np.ndarray:
+    """(S,) mask of the points that are not fitted: single speeds, a range of them, operating conditions.
+
+    ``speeds`` (S,) rad/s; ``operating`` has (S,) values in SI by name. Raises ConfigError as the functions below.
+    """
+    single = held_out_speeds(len(speeds), training.holdout_every)
+    mask = single | held_out_range(speeds, training)
+    return np.asarray(mask | held_out_conditions(operating, training, len(speeds)))
+
+
+def held_out_speeds(count: int, every: int) -> np.ndarray:
+    """(S,) mask of every ``every``-th speed; never the first and last, which would test extrapolation."""
+    mask = np.zeros(count, dtype=bool)
+    if every:
+        mask[every // 2 : -1 : every] = True
+        mask[:1] = False
+    return mask
+
+
+def held_out_range(speeds: np.ndarray, training: TrainingConfig, same: float = 1e-9) -> np.ndarray:
     """(S,) mask of the ``speeds`` (S,) rad/s in ``training.holdout_range``. Raises ConfigError for none or all."""
     if training.holdout_range is None:
         return np.zeros(len(speeds), dtype=bool)
     low, high = training.holdout_range
-    mask = (speeds > low * (1 - _SAME)) & (speeds < high * (1 + _SAME))
+    mask = (speeds > low * (1 - same)) & (speeds < high * (1 + same))
     if mask.all() or not mask.any():
         raise ConfigError(
             "training.holdout_range must hold some of the speeds and leave some, but it holds "
@@ -29,11 +48,10 @@ def held_out_range(speeds: np.ndarray, training: TrainingConfig) -> np.ndarray:
     return np.asarray(mask)
 
 
-_SAME = 1e-9
-
-
-def held_out_conditions(operating: Mapping[str, np.ndarray], training: TrainingConfig, n_points: int) -> np.ndarray:
-    """(S,) mask of the points at one of the conditions ``training.holdout_operating``, within a thousandth.
+def held_out_conditions(
+    operating: Mapping[str, np.ndarray], training: TrainingConfig, n_points: int, nearly: float = 1e-3
+) -> np.ndarray:
+    """(S,) mask of the points at one of the conditions ``training.holdout_operating``, ``nearly`` (a share).
 
     Raises ConfigError for a condition that the data lack, for a value that no point has, and where none is left.
     """
@@ -44,7 +62,7 @@ def held_out_conditions(operating: Mapping[str, np.ndarray], training: TrainingC
                 f"training.holdout_operating must name conditions of the data ({', '.join(operating) or 'none'}), but "
                 f"got '{name}'"
             )
-        here = np.abs(operating[name] - wanted) <= _NEARLY * abs(wanted)
+        here = np.abs(operating[name] - wanted) <= nearly * abs(wanted)
         if not here.any():
             values = ", ".join(dict.fromkeys(write_condition(name, value) for value in operating[name]))
             raise ConfigError(
@@ -55,9 +73,6 @@ def held_out_conditions(operating: Mapping[str, np.ndarray], training: TrainingC
     if mask.all() and n_points:
         raise ConfigError("training.holdout_operating must leave points to train on, but it holds all of them")
     return mask
-
-
-_NEARLY = 1e-3
 
 
 def held_out_runs(measurement: Measurement, training: TrainingConfig) -> np.ndarray:

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
+from pipeline.identification.blocks import law_term
 from pipeline.identification.inputs import points_of
-from pipeline.identification.law_term import Corrected, law_term
 from pipeline.identification.model import CoefficientModel
-from pipeline.identification.outcome import Outcome
+from pipeline.identification.training import Outcome
+from pipeline.laws.law_set import NO_LAWS, LawSet
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.parameters import ModelParameter
 from pipeline.unknowns import UnknownSet
@@ -22,7 +23,12 @@ if TYPE_CHECKING:
 
     from pipeline.identification.quality import Quality
     from pipeline.identification.uncertainty import Uncertainty
-    from pipeline.laws.law_set import LawSet
+
+
+def _no_numbers() -> torch.Tensor:
+    import torch
+
+    return torch.zeros(0, dtype=torch.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,28 +39,23 @@ class IdentifiedModel:
     unknowns: UnknownSet
     bearing_nodes: tuple[int, ...]
     parameters: torch.Tensor  # (M, Q)
-    laws: LawSet | None = None  # of the bearings, which the model corrects
-    theta: torch.Tensor | None = None  # (Th,) their numbers, as logarithms over the guesses
+    laws: LawSet = NO_LAWS  # of the bearings, which the model corrects
+    theta: torch.Tensor = field(default_factory=_no_numbers)  # (Th,) their numbers, as logarithms over the guesses
 
     def values(self, speeds: np.ndarray, operating: Mapping[str, np.ndarray] | None = None) -> np.ndarray:
         """(B, S, U) unknowns at ``speeds`` (S,) rad/s and ``operating`` conditions (name -> (S,) SI), N/m and N s/m."""
         import torch
 
         with torch.no_grad():
-            values = self.corrected(points_of(speeds, operating)).values.numpy()
+            values = self.corrected(points_of(speeds, operating))[0].numpy()
         return np.broadcast_to(values, (len(self.bearing_nodes), *values.shape[1:])).copy()
 
-    def corrected(self, points: Mapping[str, np.ndarray]) -> Corrected:
-        """(M, S, U) unknowns at ``points`` (name -> (S,)), with their derivatives by outputs and by theta."""
-        import torch
-
-        raw = self.model.raw(self.parameters, self.model.scaled_inputs(points))  # (M, S, U)
-        scale = self.model.scale_tensor()
-        if self.laws is None or self.theta is None:
-            slope = self.model.physical_slope(raw, scale)
-            return Corrected(self.model.physical(raw, scale), slope, torch.zeros(*raw.shape, 0, dtype=raw.dtype))
-        term = law_term(self.laws, self.unknowns, points)
-        return Corrected(*(array[0] for array in term.correct(self.model, self.theta[None], raw[None], scale)))
+    def corrected(self, points: Mapping[str, np.ndarray]) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """(M, S, U) unknowns at ``points`` (name -> (S,)), their derivative by outputs, and (M, S, U, Th) by theta."""
+        raw = self.model.raw(self.parameters, self.model.scaled_inputs(points))[None]  # (1, M, S, U)
+        term, scale = law_term(self.laws, self.unknowns, points), self.model.scale_tensor()
+        values, by_outputs, by_numbers = term.correct(self.model, self.theta[None], raw, scale)
+        return values[0], by_outputs[0], by_numbers[0]
 
     def coefficients(
         self, speeds: np.ndarray, operating: Mapping[str, np.ndarray] | None = None

@@ -1,27 +1,31 @@
 """Weighted linear least squares of the residual, in a model's features: a start that needs no guess.
 
-Legend: S speeds, M members, U unknowns, K features.
+And the weights of a problem that come nearest to coefficients that are known roughly.
+
+Legend: S speeds, M members, U unknowns, A those of them that members have, K features, Z weights.
 """
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
+from pipeline.identification.problem import OutputError
 from pipeline.problem.expansion import expand
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise import whiten
 from pipeline.problem.residual import LinearResidual, linear_residual
 
-_ROUNDS = 3
-"""The noise of the residual depends on the coefficients: so often the weights are made again."""
-_OUTLIER = 3.0
-"""Rows beyond so many standard deviations count less."""
+if TYPE_CHECKING:
+    import torch
 
 
-def linear_start(training: Measurement, features: np.ndarray, scale: np.ndarray) -> np.ndarray | None:
+def linear_start(training: Measurement, features: np.ndarray, scale: np.ndarray, rounds: int = 3) -> np.ndarray | None:
     """Unknowns (M, S, U) as combinations of the ``features`` (M, S, K); None for too few sensors.
 
-    ``scale`` (M, U) are sizes of the unknowns, N/m and N s/m.
+    ``scale`` (M, U) are sizes of the unknowns, N/m and N s/m. The noise of the residual depends on the coefficients: in
+    so many ``rounds`` the weights are made again.
     """
     less = training.subtract_unbalance()
     expansion = expand(less.response, less.dataset.displacement, less.deviation)
@@ -29,32 +33,82 @@ def linear_start(training: Measurement, features: np.ndarray, scale: np.ndarray)
         return None
     residual = linear_residual(expansion.equations, less.unknowns, less.known)
     covariance, values = expansion.force_covariance, None
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         values = _combine(whiten(residual, covariance), features, scale)
         covariance = expansion.residual_covariance(less.response, less.table(values))
     return values
 
 
-def _combine(white: LinearResidual, features: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """(M, S, U) least squares of ``A (Phi a) + y``, robust against single bad rows."""
+def _combine(
+    white: LinearResidual,
+    features: np.ndarray,
+    scale: np.ndarray,
+    rounds: int = 3,
+    outlier: float = 3.0,
+    tiny: float = 1e-300,
+) -> np.ndarray:
+    """(M, S, U) least squares of ``A (Phi a) + y``, robust: rows beyond ``outlier`` standard deviations count less."""
     members, n_speeds, _, n_unknowns = white.matrix.shape
     values = np.zeros((members, n_speeds, n_unknowns))
     for m in range(members):
         present = white.unknowns.present[m]
         matrix = white.matrix[m][..., present] * scale[m, present]
         weight = np.ones(matrix.shape[:2])
-        for _ in range(_ROUNDS):
+        for _ in range(rounds):
             rows = np.einsum("sru,sk->sruk", matrix * weight[..., None], features[m])
             flat = rows.reshape(-1, rows.shape[2] * rows.shape[3])
-            solution = np.linalg.lstsq(flat, -(white.offset[m] * weight).ravel(), rcond=_NEGLIGIBLE)[0]
+            solution = np.linalg.lstsq(flat, -(white.offset[m] * weight).ravel(), rcond=1e-10)[0]
             outputs = features[m] @ solution.reshape(rows.shape[2], rows.shape[3]).T
             rest = np.einsum("sru,su->sr", matrix, outputs) + white.offset[m]
-            size = _OUTLIER * max(np.median(np.abs(rest)) / _MEDIAN_OF_NORMAL, _TINY)
-            weight = np.sqrt(np.minimum(1.0, size / np.maximum(np.abs(rest), _TINY)))
+            # A normal value's median modulus is 0.6745 of its deviation.
+            size = outlier * max(np.median(np.abs(rest)) / 0.6745, tiny)
+            weight = np.sqrt(np.minimum(1.0, size / np.maximum(np.abs(rest), tiny)))
         values[m][:, present] = outputs * scale[m, present]
     return values
 
 
-_NEGLIGIBLE = 1e-10
-_TINY = 1e-300
-_MEDIAN_OF_NORMAL = 0.6745
+# --- weights near given coefficients -------------------------------------------------------------------
+
+
+def start_at(problem: OutputError, values: np.ndarray) -> torch.Tensor:
+    """(1, 1, Z) the weights that come nearest to unknowns (M, S, U), without residual unbalance, of the stated model.
+
+    ``problem`` is that of the training speeds, where the features are orthonormal: their coordinates are projections.
+    """
+    import torch
+
+    raw = _outputs(problem, values)
+    coordinates = (
+        torch.stack([problem.features[m].T @ raw[m, :, u] for m, u in problem.active]) * problem.kept
+    )  # (A, K)
+    weights = torch.zeros(1, 1, problem.size, dtype=coordinates.dtype)
+    weights[..., problem.places.coefficients] = coordinates.flatten()
+    weights[..., problem.places.parameters] = problem.sensors.solved_at
+    return weights
+
+
+def robust_start(problem: OutputError, values: np.ndarray, rounds: int = 20, smallest: float = 1e-12) -> torch.Tensor:
+    """As :func:`start_at`, of rough unknowns (M, S, U): single speeds that are far off count less (Huber 1964)."""
+    import torch
+
+    raw = _outputs(problem, values)
+    rows: list[torch.Tensor] = []
+    for m, u in problem.active:
+        features, target = problem.features[m], raw[m, :, u]
+        weight, solution = torch.ones_like(target), torch.zeros(features.shape[-1], dtype=target.dtype)
+        for _ in range(rounds):
+            weighted = features * weight[:, None]
+            ridge = smallest * torch.eye(len(solution), dtype=target.dtype)
+            solution = torch.linalg.solve(features.T @ weighted + ridge, weighted.T @ target)
+            off = (target - features @ solution).abs()
+            weight = 1 / (off / off.median().clamp(min=smallest)).clamp(min=1.0)
+        rows.append(solution * problem.kept[len(rows)])
+    rest = torch.zeros(problem.places.n_rest, dtype=raw.dtype)
+    return torch.cat([torch.stack(rows).flatten(), rest])[None, None]
+
+
+def _outputs(problem: OutputError, values: np.ndarray) -> torch.Tensor:
+    """(M, S, U) outputs of the model that give unknowns (M, S, U)."""
+    import torch
+
+    return problem.basis.model.raw_from(torch.tensor(values), problem.scale)

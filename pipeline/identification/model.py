@@ -11,32 +11,20 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from pipeline.coefficients import CoefficientName, is_direct
-from pipeline.identification.functions import activate, evaluate_functions
-from pipeline.identification.inputs import SPEED, fade, scale_inputs, trend_terms
+from pipeline.config.models import ModelConfig
+from pipeline.errors import ConfigError
+from pipeline.identification.inputs import SPEED, activate, evaluate_functions, fade, scale_inputs, trend_terms, varying
+from pipeline.unknowns import outputs_of, scale_outputs
 
 if TYPE_CHECKING:
     import torch
-
-_FIRST_LAYER_GAIN = 3.0
-"""Inputs lie in [-1, 1]; first-layer weights of this size spread the bends of the units over that range."""
-_SPREAD_GAIN = 1.0
-_REACH = 1.2
-_CONDITION_SHARE = 1 / 3
-"""Over its range a condition bends coefficients less than the speed does over its own: 20 K are a factor of two in an
-oil's viscosity, where the speed has seven, and both act by their product. Straight lines are no bends.
-"""
-_SMALLEST = 1e-3
-_OUTPUT_RIDGE = 1e-9
-"""Keeps the weights of a fitted last layer small enough to train on from."""
-_OUTPUT_GAIN = 0.1
-"""Small, so that an untrained network starts near its initial guess at every speed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,15 +100,23 @@ class CoefficientModel:
 
         return torch.as_tensor(evaluate_functions(self.functions, self.n_functions, inputs[:, 0].numpy()))
 
+    def _feed(self, parameters: torch.Tensor, inputs: torch.Tensor) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
+        """(..., S, n_in) what each layer is fed by, and (..., S, n_out) slopes of the hidden units."""
+        first = self._first_fed(inputs)
+        fed, slopes = [first.expand(*parameters.shape[:-1], *first.shape)], []
+        for weight, bias in self._layers(parameters)[:-1]:
+            value, slope = activate(self.activation, fed[-1] @ weight + bias)
+            fed.append(value)
+            slopes.append(slope)
+        fed[-1] = self._with_trend(fed[-1], inputs)
+        return fed, slopes
+
     def raw(self, parameters: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:
         """Network output (..., S, U) from parameters (..., Q) and scaled inputs (S, inputs)."""
         if self.hidden is None:
             return parameters[..., None, :].expand(*parameters.shape[:-1], len(inputs), len(self.unknowns))
-        value, layers = self._first_fed(inputs), self._layers(parameters)
-        for weight, bias in layers[:-1]:
-            value = activate(self.activation, value @ weight + bias)[0]
-        weight, bias = layers[-1]
-        return self._with_trend(value, inputs) @ weight + self._one(inputs) * bias
+        weight, bias = self._layers(parameters)[-1]
+        return self._feed(parameters, inputs)[0][-1] @ weight + self._one(inputs) * bias
 
     def _one(self, inputs: torch.Tensor) -> torch.Tensor:
         """(S, 1) what the bias of the output layer is multiplied by."""
@@ -139,17 +135,10 @@ class CoefficientModel:
         identity = torch.eye(n_unknowns, dtype=parameters.dtype)
         if self.hidden is None:
             return identity.expand(*parameters.shape[:-1], len(inputs), n_unknowns, n_unknowns)
-        layers = self._layers(parameters)
-        first = self._first_fed(inputs)
-        fed = [first.expand(*parameters.shape[:-1], *first.shape)]  # (..., S, n_in) into each layer
-        slopes: list[torch.Tensor] = []
-        for weight, bias in layers[:-1]:
-            value, slope = activate(self.activation, fed[-1] @ weight + bias)
-            fed.append(value)
-            slopes.append(slope)
-        fed[-1] = self._with_trend(fed[-1], inputs)
+        layers, (fed, slopes) = self._layers(parameters), self._feed(parameters, inputs)
         blocks: list[torch.Tensor] = []
-        sensitivity = identity.expand(*fed[-1].shape[:-1], n_unknowns, n_unknowns)  # of U outputs to a layer's sums
+        # Of U outputs to a layer's sums.
+        sensitivity = identity.expand(*parameters.shape[:-1], len(inputs), n_unknowns, n_unknowns)
         for layer in range(len(layers) - 1, -1, -1):
             weights = (fed[layer][..., None, :, None] * sensitivity[..., None, :]).flatten(-2)
             blocks = [weights, sensitivity, *blocks]
@@ -168,33 +157,23 @@ class CoefficientModel:
             start += (n_in + 1) * n_out
         return layers
 
-    def physical(self, raw: torch.Tensor, scale: torch.Tensor) -> torch.Tensor:
-        """Coefficients in N/m and N s/m from network output; ``scale`` broadcasts over (..., S, U)."""
-        if all(self.positive):
-            return scale * raw.exp()
-        return scale * (self._where_positive(lambda positive: positive.exp(), raw, raw) if any(self.positive) else raw)
+    def physical(
+        self, raw: torch.Tensor, scale: torch.Tensor, base: torch.Tensor | float = 0.0
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Coefficients in N/m and N s/m from network output, and their derivative by it.
 
-    def physical_slope(self, raw: torch.Tensor, scale: torch.Tensor) -> torch.Tensor:
-        """Derivative of :meth:`physical` with respect to ``raw``."""
-        if all(self.positive):
-            return self.physical(raw, scale)
-        return self._where_positive(lambda positive: scale * positive.exp(), raw, scale.expand_as(raw))
-
-    def _where_positive(
-        self, function: Callable[[torch.Tensor], torch.Tensor], raw: torch.Tensor, otherwise: torch.Tensor
-    ) -> torch.Tensor:
+        ``scale`` broadcasts over (..., S, U); cross-coupled coefficients are added to their ``base``.
+        """
         import torch
 
-        mask = torch.tensor(self.positive)
-        # The function sees zeros in place of the others: an overflow there would spoil their gradient.
-        return torch.where(mask, function(torch.where(mask, raw, torch.zeros_like(raw))), otherwise)
+        values, slope = scale_outputs(raw, scale, torch.tensor(self.positive), base)
+        return values, slope.expand_as(raw)
 
-    def raw_from(self, values: torch.Tensor, scale: torch.Tensor) -> torch.Tensor:
+    def raw_from(self, values: torch.Tensor, scale: torch.Tensor, least: float = 1e-3) -> torch.Tensor:
         """The network output that gives ``values`` (..., U); what must be positive is kept above a floor."""
         import torch
 
-        relative = values / scale
-        return torch.where(torch.tensor(self.positive), relative.clamp(min=_SMALLEST).log(), relative)
+        return torch.as_tensor(outputs_of(values, scale, torch.tensor(self.positive), least))
 
     def scale_tensor(self) -> torch.Tensor:
         """(bearings or 1, 1, U)."""
@@ -202,12 +181,18 @@ class CoefficientModel:
 
         return torch.tensor(self.scale, dtype=torch.float64)[:, None, :]
 
-    def initial_parameters(self, guess: np.ndarray, generator: torch.Generator) -> torch.Tensor:
-        """Parameters (M, Q) that start at ``guess`` (M, U), N/m and N s/m; M members."""
+    def initial_parameters(
+        self, guess: np.ndarray, generator: torch.Generator, first_gain: float = 3.0, output_gain: float = 0.1
+    ) -> torch.Tensor:
+        """Parameters (M, Q) that start at ``guess`` (M, U), N/m and N s/m; M members.
+
+        Inputs lie in [-1, 1]: first-layer weights of ``first_gain`` spread the bends of the units over that range.
+        Output weights of ``output_gain`` are small, so that an untrained network starts near its guess at every speed.
+        """
         import torch
 
-        start = torch.as_tensor(guess, dtype=torch.float64) / torch.tensor(self.scale, dtype=torch.float64)
-        start = torch.where(torch.tensor(self.positive), start.clamp(min=0.0).log(), start)
+        values, scale = torch.as_tensor(guess, dtype=torch.float64), torch.tensor(self.scale, dtype=torch.float64)
+        start = self.raw_from(values, scale, least=0.0)
         if self.hidden is None:
             return start
         members = len(start)
@@ -216,17 +201,22 @@ class CoefficientModel:
             weight = torch.randn(members, n_in * n_out, generator=generator, dtype=torch.float64) / math.sqrt(n_in)
             bias = torch.randn(members, n_out, generator=generator, dtype=torch.float64)
             if layer == len(self.sizes) - 1:
-                pieces += [_OUTPUT_GAIN * weight, start]
+                pieces += [output_gain * weight, start]
             elif layer == 0:
-                pieces += [_FIRST_LAYER_GAIN * weight, bias]
+                pieces += [first_gain * weight, bias]
             else:
                 pieces += [weight, 0.1 * bias]
         return torch.cat(pieces, dim=1)
 
-    def spread_parameters(self, guess: np.ndarray, generator: torch.Generator) -> torch.Tensor:
-        """As :meth:`initial_parameters`, with the bends of the first hidden units spread evenly over the inputs.
+    def spread_parameters(
+        self, guess: np.ndarray, generator: torch.Generator, reach: float = 1.2, condition_share: float = 1 / 3
+    ) -> torch.Tensor:
+        """As :meth:`initial_parameters`, with the bends of the first hidden units spread evenly over the inputs, and a
+        little beyond them (``reach``).
 
-        For hidden layers that are not trained: drawn freely, some leave gaps that no output layer fills.
+        For hidden layers that are not trained: drawn freely, some leave gaps that no output layer fills. Over its range
+        a condition bends coefficients less (``condition_share``) than the speed does over its own: 20 K are a factor of
+        two in an oil's viscosity, where the speed has seven, and both act by their product. Lines are no bends.
         """
         import torch
 
@@ -235,12 +225,12 @@ class CoefficientModel:
             return parameters
         members, width, n_in = len(parameters), self.hidden[0], len(self.inputs)
         jitter = torch.rand(members, width, generator=generator, dtype=torch.float64)
-        places = _REACH * (2 * (torch.arange(width, dtype=torch.float64) + jitter) / width - 1)
-        slopes = _SPREAD_GAIN * (0.5 + torch.rand(members, width, generator=generator, dtype=torch.float64))
+        places = reach * (2 * (torch.arange(width, dtype=torch.float64) + jitter) / width - 1)
+        slopes = 0.5 + torch.rand(members, width, generator=generator, dtype=torch.float64)
         directions = torch.ones(members, n_in, width, dtype=torch.float64)
         if n_in > 1:  # the bends lie across random directions, and reach from corner to corner along them
             directions = torch.randn(members, n_in, width, generator=generator, dtype=torch.float64)
-            share = [1.0 if name == SPEED else _CONDITION_SHARE for name in self.inputs]
+            share = [1.0 if name == SPEED else condition_share for name in self.inputs]
             directions = directions * torch.tensor(share, dtype=torch.float64)[:, None]
             directions = directions / directions.norm(dim=1, keepdim=True)
             places = places * directions.abs().sum(1)
@@ -252,17 +242,19 @@ class CoefficientModel:
         """(M, S, K) what the output layer is linear in, the last hidden units and 1, for (M, Q) and inputs (S, 1)."""
         import torch
 
-        first = self._first_fed(inputs)
-        fed = first.expand(len(parameters), *first.shape)
-        for weight, bias in self._layers(parameters)[:-1]:
-            fed = activate(self.activation, fed @ weight + bias)[0]
         bias_input = self._one(inputs).expand(len(parameters), len(inputs), 1)
-        return bias_input if self.hidden is None else torch.cat([self._with_trend(fed, inputs), bias_input], dim=-1)
+        if self.hidden is None:
+            return bias_input
+        fed = self._feed(parameters, inputs)[0][-1]
+        return torch.cat([fed.expand(len(parameters), *fed.shape[-2:]), bias_input], dim=-1)
 
-    def with_output_at(self, parameters: torch.Tensor, inputs: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
+    def with_output_at(
+        self, parameters: torch.Tensor, inputs: torch.Tensor, values: torch.Tensor, ridge: float = 1e-9
+    ) -> torch.Tensor:
         """Parameters (M, Q) whose last layer is fitted, by linear least squares, to give ``values`` (M, S, U).
 
-        The hidden layers stay as they are: a start near an answer that is known roughly.
+        The hidden layers stay as they are: a start near an answer that is known roughly. A ``ridge`` keeps the weights
+        small enough to train on from.
         """
         import torch
 
@@ -270,8 +262,32 @@ class CoefficientModel:
         if self.hidden is None:
             return targets.mean(dim=1)
         fed = self.features(parameters, inputs)
-        ridge = _OUTPUT_RIDGE * len(inputs) * torch.eye(fed.shape[-1], dtype=fed.dtype)
-        factor = torch.linalg.cholesky(fed.mT @ fed + ridge)
+        small = ridge * len(inputs) * torch.eye(fed.shape[-1], dtype=fed.dtype)
+        factor = torch.linalg.cholesky(fed.mT @ fed + small)
         output = torch.cholesky_solve(fed.mT @ targets, factor)  # (M, h + 1, U)
         n_in, n_out = self.sizes[-1]
         return torch.cat([parameters[:, : -(n_in + 1) * n_out], output.flatten(1)], dim=1)
+
+
+def coefficient_model(
+    config: ModelConfig, unknowns: tuple[CoefficientName, ...], points: Mapping[str, np.ndarray], scale: np.ndarray
+) -> CoefficientModel:
+    """The model that a configuration describes, for data at ``points``: name -> (S,), the speed in rad/s.
+
+    ``scale`` (M, U) is the size of each unknown, N/m and N s/m. Operating conditions that vary are inputs beside the
+    speed. Raises ConfigError for such conditions where the model is made of functions of the speed alone.
+    """
+    sizes = tuple(tuple(float(v) for v in row) for row in scale)
+    constant = CoefficientModel(
+        unknowns=unknowns, inputs=(SPEED,), parametrisation=config.parametrisation, scale=sizes, hidden=None
+    )
+    if not config.varies:
+        return constant
+    inputs = varying(points)
+    if config.of_speed_alone and len(inputs) > 1:
+        raise ConfigError(
+            f"model.kind={config.kind} is made of functions of the speed alone, but the data have {inputs[1]}, too: "
+            "choose model=network_operating"
+        )
+    ranges = tuple((float(points[name].min()), float(points[name].max())) for name in inputs)
+    return replace(constant, **{"inputs": inputs, "ranges": ranges, "input_scaling": "log_rpm"} | config.shape)

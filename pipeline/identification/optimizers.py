@@ -130,10 +130,8 @@ def _lbfgs_stepper(problem: LeastSquares, start: torch.Tensor, history: int) -> 
     return step
 
 
-_DAMPING_TRIES = 8
 _DAMPING_UP, _DAMPING_DOWN = 4.0, 0.2
 _DAMPING_FLOOR, _DAMPING_CEILING = 1e-16, 1e16
-_SMALLEST_DIAGONAL = 1e-12
 
 
 def levenberg_marquardt(
@@ -167,7 +165,13 @@ def levenberg_marquardt(
 
 
 def _damped_step(
-    problem: LeastSquares, current: torch.Tensor, squared: torch.Tensor, damping: torch.Tensor, by_diagonal: bool
+    problem: LeastSquares,
+    current: torch.Tensor,
+    squared: torch.Tensor,
+    damping: torch.Tensor,
+    by_diagonal: bool,
+    tries: int = 8,
+    smallest: float = 1e-12,
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Parameters (G, M, Q), squared residuals and dampings (G, M) after a step that climbs for no member."""
     import torch
@@ -176,9 +180,9 @@ def _damped_step(
     identity = torch.eye(current.shape[-1], dtype=current.dtype)
     diagonal = normal.diagonal(dim1=-2, dim2=-1)
     size = diagonal.mean(-1, keepdim=True).clamp(min=1e-300)
-    size = diagonal.clamp(min=_SMALLEST_DIAGONAL * size) if by_diagonal else size
+    size = diagonal.clamp(min=smallest * size) if by_diagonal else size
     accepted = torch.zeros_like(squared, dtype=torch.bool)
-    for _ in range(_DAMPING_TRIES):
+    for _ in range(tries):
         factor, info = torch.linalg.cholesky_ex(normal + (damping[..., None] * size)[..., None] * identity)
         step = -torch.cholesky_solve(gradient[..., None], factor)[..., 0]
         tried = problem.rows(current + step).square().sum(-1)

@@ -15,15 +15,12 @@ import numpy as np
 
 from pipeline.data.dataset import Excitation
 from pipeline.errors import ConfigError
-from pipeline.identification.basis_error import MeanSquareError, measure_error
-from pipeline.identification.evidence_prior import weigh_by_evidence, with_sigma
 from pipeline.identification.identified import IdentifiedModel
-from pipeline.identification.information import invert_information
-from pipeline.identification.outcome import Outcome
+from pipeline.identification.model_error import MeanSquareError, measure_error
 from pipeline.identification.output_error_start import OutputErrorStart, prepare_output_error
 from pipeline.identification.problem import OutputError
-from pipeline.identification.selection import add_features, drop_features
-from pipeline.identification.training import FitSetup, Minimum, Progress, minimise
+from pipeline.identification.selection import add_features, drop_features, weigh_by_evidence, with_sigma
+from pipeline.identification.training import FitSetup, Minimum, Outcome, Progress, minimise
 from pipeline.problem.measurement import Measurement
 
 if TYPE_CHECKING:
@@ -31,12 +28,6 @@ if TYPE_CHECKING:
 
 HUBER = 2.5
 """Readings beyond so many deviations (complex) count less; of good ones that is one in five hundred."""
-_ROUNDS = 8
-_SETTLED = 1e-3
-_CHOICE = 1
-"""The round after which superfluous features are dropped: the precisions are nearly right by then."""
-_NO_WORSE = 2.0
-"""So many times the loss before, dropping them may raise it to."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -57,22 +48,21 @@ class OutputErrorFit:
     @property
     def identified(self) -> IdentifiedModel:
         """The coefficients."""
-        unknowns = self.start.measurement.unknowns
-        nodes, parameters = self.start.measurement.rotor.bearing_nodes, self.problem.parameters(self.weights)[0]
-        laws, theta = self.problem.measurement.laws, self.problem.theta(self.weights)[0]
-        return IdentifiedModel(self.problem.model, unknowns, nodes, parameters, laws, None if laws is None else theta)
+        problem, measurement = self.problem, self.start.measurement
+        parameters, theta = problem.parameters(self.weights)[0], problem.theta(self.weights)[0]
+        nodes, laws = measurement.rotor.bearing_nodes, problem.measurement.laws
+        return IdentifiedModel(problem.model, measurement.unknowns, nodes, parameters, laws, theta)
 
     def covariance(self) -> np.ndarray:
         """(Z, Z) of the weights: the inverse of the information, the Cramer-Rao bound of the parametrisation."""
-        return np.asarray(invert_information(self.problem, self.weights)[0])
+        return np.asarray(self.problem.covariance(self.weights)[0])
 
     def error(self, inflation: float = 1.0) -> MeanSquareError:
         """What the weights are off by: their covariance, and what the functions of the speed can't follow.
 
         The readings' variances are ``inflation`` times as large as the fit took them; what was known before stays.
         """
-        problem = self.problem.with_noise(inflation)
-        return measure_error(problem, self.weights, invert_information(problem, self.weights)[0])
+        return measure_error(self.problem.scaled(inflation**-0.5), self.weights)
 
 
 def fit_output_error(measurement: Measurement, setup: FitSetup, progress: Progress | None = None) -> OutputErrorFit:
@@ -86,10 +76,13 @@ def fit_output_error(measurement: Measurement, setup: FitSetup, progress: Progre
     return fit
 
 
-def _refuse_lost(fit: OutputErrorFit) -> None:
-    """Raise ConfigError where a coefficient ran off so far that no reading feels it, and no deviation is finite."""
+def _refuse_lost(fit: OutputErrorFit, nothing: float = 1e-60) -> None:
+    """Raise ConfigError where a coefficient ran off so far that no reading feels it, and no deviation is finite.
+
+    Its weights then have less information than ``nothing``, as the logarithm of a coefficient that ran off to zero.
+    """
     felt = fit.problem.normal(fit.weights)[1][0, 0].diagonal()[fit.problem.places.coefficients]
-    unfelt = (felt.unflatten(-1, (len(fit.problem.active), -1)) < _NOTHING).all(-1)
+    unfelt = (felt.unflatten(-1, (len(fit.problem.active), -1)) < nothing).all(-1)
     lost = [fit.problem.active[a] for a in unfelt.nonzero().flatten().tolist()]
     if lost:
         nodes, names = fit.start.measurement.rotor.bearing_nodes, fit.start.measurement.unknowns.names
@@ -101,54 +94,68 @@ def _refuse_lost(fit: OutputErrorFit) -> None:
         )
 
 
-_NOTHING = 1e-60
-"""Information of a weight that no reading feels, such as the logarithm of a coefficient that ran off to zero."""
-
-
 def fit_from(
-    start: OutputErrorStart, setup: FitSetup, progress: Progress | None = None, *, near: bool = False
+    start: OutputErrorStart,
+    setup: FitSetup,
+    progress: Progress | None = None,
+    *,
+    near: bool = False,
+    rounds: int = 8,
+    settled: float = 1e-3,
+    choice: int = 1,
+    no_worse: float = 2.0,
 ) -> OutputErrorFit:
-    """:func:`fit_output_error` from a start that is prepared; from one ``near`` the answer at the full precision."""
+    """:func:`fit_output_error` from a start that is prepared; from one ``near`` the answer at the full precision.
+
+    Args:
+        rounds: at most so many, until no precision changes by more than ``settled``.
+        choice: the round after which superfluous features are dropped: the precisions are nearly right by then.
+        no_worse: so many times the loss before, dropping them may raise it to.
+    """
     problem, weights = start.problem, start.weights
     if start.from_guess:
         problem, weights = add_features(start, setup.optimizer.levenberg_marquardt)
     if start.by_evidence:
         problem = with_sigma(problem)
-    factor = np.ones(len(start.measurement.dataset.channels))
+    factor, shares = np.ones(len(start.measurement.dataset.channels)), _count_fully(problem)
     history: list[dict[str, float | str]] = []
     steps, seconds = 0, 0.0
-    approach = -len(_LESS_EXACT) if problem.places.n_parameters and not near else 0
-    for turn in range(approach, _ROUNDS):
-        minimum = minimise(_less_exact(problem, turn) if turn < 0 else problem, weights, setup, progress=progress)
+    approach = _LESS_EXACT if problem.places.n_parameters and not near else ()
+    selects = not problem.law.laws and not start.by_evidence
+    for turn in range(-len(approach), rounds):
+        less = problem.scaled(approach[turn]) if turn < 0 else problem
+        minimum = minimise(less, weights, setup, progress=progress)
         weights = minimum.parameters
         history += [dict(row) | {"step": steps + int(row["step"])} for row in minimum.history]
         steps, seconds = steps + minimum.steps, seconds + minimum.seconds
         if minimum.outcomes[0] is Outcome.INTERRUPTED:
-            shares = tuple(np.ones(precision.shape[1:]) for precision in problem.readings.precision)
+            shares = _count_fully(problem)
             break
-        if turn < 0:
-            problem = problem.update(weights)
-            continue
-        if setup.loss.noise == "estimated":
-            repeated = estimate_by_repeats(problem, weights)
-            factor = estimate_by_residuals(problem, weights) if repeated is None else repeated
+        if turn >= 0 and setup.loss.noise == "estimated":
+            factor = estimate_noise(problem, weights)
         problem = problem.update(weights)
+        if turn < 0:
+            continue
         before = problem
         problem, shares = reweigh(problem, weights, factor, setup.loss.robust)
-        if turn >= _CHOICE and start.by_evidence and bool(problem.kept.any()):
+        if turn >= choice and start.by_evidence and bool(problem.kept.any()):
             problem, weights = weigh_by_evidence(problem, weights)
-        selects = problem.measurement.laws is None and not start.by_evidence
-        if turn == _CHOICE and not start.from_guess and selects:
-            chosen, restart = drop_features(problem, weights, invert_information(problem, weights)[0])
+        if turn == choice and not start.from_guess and selects:
+            chosen, restart = drop_features(problem, weights, problem.covariance(weights)[0])
             # The choice takes the minimum for quadratic: where there is none yet, it may lead anywhere, or to NaN.
-            if float(chosen.loss(restart)) <= _NO_WORSE * float(problem.loss(weights)):
+            if float(chosen.loss(restart)) <= no_worse * float(problem.loss(weights)):
                 problem, weights = chosen, restart
-        if turn == _CHOICE and selects:
+        if turn == choice and selects:
             problem = problem.with_prior(setup.loss.beyond_trend)
-        if turn > _CHOICE and _change(problem, before) < _SETTLED:
+        if turn > choice and _change(problem, before) < settled:
             break
     whole = replace(minimum, history=tuple(history), steps=steps, seconds=seconds)
     return OutputErrorFit(start=start, problem=problem, minimum=whole, shares=shares, factor=factor)
+
+
+_LESS_EXACT = (0.03, 0.1, 0.3)
+"""Shares of the precision that a fit of model parameters goes through: far from the answer, exact readings would drive
+them many prior deviations away, into valleys of their own. While the readings count for less, the priors hold them."""
 
 
 def _change(problem: OutputError, before: OutputError) -> float:
@@ -157,14 +164,9 @@ def _change(problem: OutputError, before: OutputError) -> float:
     return max(float((new[new > 0] / old[new > 0]).log().abs().max()) for new, old in pairs)
 
 
-_LESS_EXACT = (0.03, 0.1, 0.3)
-"""Shares of the precision that a fit of model parameters goes through: far from the answer, exact readings would drive
-them many prior deviations away, into valleys of their own. While the readings count for less, the priors hold them."""
-
-
-def _less_exact(problem: OutputError, turn: int) -> OutputError:
-    """The problem with readings that count for less; ``turn`` is from -3 to -1."""
-    return replace(problem, readings=problem.readings.scaled(_LESS_EXACT[turn]))
+def _count_fully(problem: OutputError) -> tuple[np.ndarray, ...]:
+    """Shares of one for all readings."""
+    return tuple(np.ones(precision.shape[1:]) for precision in problem.readings.precision)
 
 
 # --- what the readings' noise is -------------------------------------------------------------------------
@@ -173,34 +175,24 @@ def _less_exact(problem: OutputError, turn: int) -> OutputError:
 def reweigh(
     problem: OutputError, weights: torch.Tensor, factor: np.ndarray, robust: bool
 ) -> tuple[OutputError, tuple[np.ndarray, ...]]:
-    """Precisions from the predicted amplitudes and, if ``robust``, Huber's for readings far off."""
-    import torch
+    """Precisions from the predicted amplitudes and, if ``robust``, Huber's for readings far off.
 
-    if problem.measurement.drift is not None:
-        return _weigh_conditions(problem)
-    readings, predicted, shares = problem.readings, problem.predicted(weights), []
-    for b, expected in enumerate(predicted):
-        deviation = torch.as_tensor(readings.deviation(b, expected.numpy(), factor))
-        off = (expected - readings.measured[b]).abs() / deviation
-        shares.append((HUBER / off.clamp(min=HUBER)) if robust else torch.ones_like(off))
-    problem = replace(problem, readings=readings.follow(predicted, factor, shares))
-    return problem, tuple(share[0].numpy() for share in shares)
-
-
-def _weigh_conditions(problem: OutputError) -> tuple[OutputError, tuple[np.ndarray, ...]]:
-    """Precisions by the levels of the noise, and a share for each run, as its condition belongs to the others.
-
-    The levels stay as they are: would they follow the residuals, a fit could leave a bias that the noise then explains.
-    Runs that are means of records turn with the rotor, and so are one block.
+    Where the noise is in levels, each run has the share of its condition, as that belongs to the others, and the levels
+    stay as they are: would they follow the residuals, a fit could leave a bias that the noise then explains.
     """
-    import torch
+    readings, drift, predicted, shares = problem.readings, problem.measurement.drift, problem.predicted(weights), []
+    for b, expected in enumerate(predicted):
+        off = (expected - readings.measured[b]).abs().numpy() / readings.deviation(b, expected.numpy(), factor)
+        share = HUBER / np.maximum(off, HUBER) if robust else np.ones_like(off)
+        shares.append(np.minimum(drift.weights, 1.0)[readings.runs[b]] * np.ones_like(off) if drift else share)
+    problem = replace(problem, readings=readings.follow(predicted, factor, shares))
+    return problem, tuple(share[0] for share in shares)
 
-    drift = problem.measurement.drift
-    assert drift is not None
-    deviation = drift.deviation()
-    share = np.minimum(drift.weights, 1.0) * np.ones(deviation.shape)
-    precision = torch.as_tensor(np.sqrt(2.0 * share) / deviation)[None]
-    return replace(problem, readings=replace(problem.readings, precision=(precision,))), (share,)
+
+def estimate_noise(problem: OutputError, weights: torch.Tensor) -> np.ndarray:
+    """(P,) deviation of each channel over the stated one: by runs that repeat each other, or by what the fit leaves."""
+    repeated = estimate_by_repeats(problem, weights)
+    return estimate_by_residuals(problem, weights) if repeated is None else repeated
 
 
 def estimate_by_residuals(problem: OutputError, weights: torch.Tensor) -> np.ndarray:
@@ -228,17 +220,15 @@ def estimate_by_repeats(problem: OutputError, weights: torch.Tensor) -> np.ndarr
     squares = []
     for b, predicted in enumerate(problem.predicted(weights)):
         runs, measured = problem.readings.runs[b], problem.readings.measured[b][0].numpy()
-        subtracted = problem.measurement.dataset.subtracted
         # All runs had the same baseline taken off: its noise cancels.
-        read = predicted[0].numpy() + (0.0 if subtracted is None else subtracted[..., runs])
-        deviation = problem.measurement.deviation_of(read)
-        here = np.broadcast_to(problem.readings.present(b).numpy() > 0, (len(read), 1, read.shape[2]))
+        deviation = problem.measurement.deviation_of(predicted[0].numpy() + problem.measurement.baseline[..., runs])
+        here = problem.readings.present(b).numpy()[:, 0] > 0  # (S, R)
         last: dict[tuple[Excitation, ...], int] = {}
         for r, run in enumerate(runs):
             # By what is stated: a fitted weight of one run is not that of another.
             before = last.get(key := problem.measurement.dataset.excitation_of(int(run)))
             if before is not None:
-                both = here[:, 0, r] & here[:, 0, before]
+                both = here[:, r] & here[:, before]
                 squares.append((np.abs((measured[..., r] - measured[..., before]) / deviation[..., r]) ** 2 / 2)[both])
             last[key] = r
     return np.sqrt(np.median(np.concatenate(squares), axis=0) / np.log(2.0)) if squares else None

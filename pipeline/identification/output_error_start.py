@@ -4,43 +4,33 @@ From a random start the output error may stick; the residual, linear in the coef
 sensors are too few to tell the forces at the bearings, the start is the configured guess in several sizes, and what a
 stationary Kalman smoother makes of each speed by itself.
 
-Legend: G starts, S speeds, P channels, R runs, M members, U unknowns, A those of them that members have, K features, Z
-weights.
+Legend: G starts, S speeds, P channels, R runs, M members, U unknowns, Th numbers of bearing laws, Z weights.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.identification.basis import Basis, orthonormal_basis
-from pipeline.identification.configured_model import coefficient_model
-from pipeline.identification.evidence_prior import add_beyond, with_sigma
-from pipeline.identification.held_out import held_out_conditions, held_out_range, held_out_runs
-from pipeline.identification.law_start import (
-    LawStart,
-    corrects,
-    first_weights,
-    scale_by_laws,
-    start_laws,
-    without_correction,
-)
-from pipeline.identification.law_term import for_model
-from pipeline.identification.linear_start import linear_start
-from pipeline.identification.model import CoefficientModel
+from pipeline.coefficients import is_direct
+from pipeline.config.identification import LevenbergMarquardtConfig
+from pipeline.identification.blocks import Basis, for_model, orthonormal_basis
+from pipeline.identification.held_out import held_out_points, held_out_runs
+from pipeline.identification.linear_start import linear_start, start_at
+from pipeline.identification.model import coefficient_model
+from pipeline.identification.optimizers import levenberg_marquardt, until_still
 from pipeline.identification.problem import OutputError, output_error
-from pipeline.identification.training import FitSetup, held_out_speeds, initial_guess
+from pipeline.identification.selection import add_beyond, with_sigma
+from pipeline.identification.training import FitSetup, initial_guess
 from pipeline.problem.kalman_filter import filter_bearings
 from pipeline.problem.measurement import Guess, Measurement
 
 if TYPE_CHECKING:
     import torch
-
-_GUESSES = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
-"""Where the sensors are too few for a linear start, the configured guess is tried in these sizes."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -51,11 +41,10 @@ class OutputErrorStart:
     keep: np.ndarray  # (S,) mask of the training speeds
     problem: OutputError  # of the training speeds and runs
     weights: torch.Tensor  # (G, 1, Z); several where they are guesses
-    held_out_speeds: OutputError | None
-    held_out_runs: OutputError | None
+    held_out: Mapping[str, OutputError]  # what is predicted in place of fitted: held_out_speeds, held_out_runs
     from_guess: bool  # the sensors were too few for a linear start
-    filtered: np.ndarray | None  # (M, S, U) at the training speeds: what a filter made of few sensors
-    law: LawStart | None = None  # of bearing laws: the numbers, and how many guesses led there
+    filtered: np.ndarray | None = None  # (M, S, U) at the training speeds: what a filter made of few sensors
+    law_starts: tuple[int, int] = (0, 0)  # guesses of the laws' numbers that were fitted, and that led to this start
 
     @property
     def by_evidence(self) -> bool:
@@ -64,85 +53,56 @@ class OutputErrorStart:
         return bool(self.problem.kept.any()) and (model.fades or len(model.inputs) > 1)
 
 
+@lru_cache(maxsize=1)
 def prepare_output_error(measurement: Measurement, setup: FitSetup) -> OutputErrorStart:
     """The problem on the training speeds and runs, and where it starts.
+
+    The last one is kept: what a fit is expected to tell, and the fit, have the same start.
 
     Raises ConfigError for held-out runs that the data lack, or that leave no other.
     """
     measurement = for_model(measurement, setup)
-    unknowns, speeds = measurement.unknowns, measurement.dataset.speeds
     held_out = held_out_runs(measurement, setup.training)
-    keep = ~held_out_speeds(len(speeds), setup.training.holdout_every) & ~held_out_range(speeds, setup.training)
-    keep &= ~held_out_conditions(measurement.dataset.operating, setup.training, len(speeds))
+    keep = ~held_out_points(measurement.dataset.speeds, measurement.dataset.operating, setup.training)
     runs = np.setdiff1d(np.arange(len(measurement.dataset.runs)), held_out)
     plane_scale = _plane_scale(measurement)  # solves the response, of which all problems are parts
     training = align_weights(measurement.select(keep, runs))
-    sizes = Guess(setup.model.initial_stiffness, setup.model.initial_damping).sizes(unknowns)
-    basis = drawn_basis(setup, training, measurement.dataset.points, sizes)
-    if training.laws is not None:
-        first = _start_by_laws(training, setup, basis, plane_scale)
-    else:
-        first = _start_by_coefficients(training, setup, basis, plane_scale)
-
-    def held_out_part(keep: np.ndarray | None, runs: np.ndarray) -> OutputError:
-        return output_error(measurement.select(keep, runs), first.basis, plane_scale)
-
-    return OutputErrorStart(
-        measurement=measurement,
-        keep=keep,
-        problem=first.problem,
-        weights=first.weights,
-        held_out_speeds=None if keep.all() else held_out_part(~keep, runs),
-        held_out_runs=held_out_part(None, held_out) if len(held_out) else None,
-        from_guess=first.from_guess,
-        filtered=first.filtered,
-        law=first.law,
-    )
+    basis = drawn_basis(setup, training, measurement.dataset.points)
+    begin = _start_by_laws if training.laws else _start_by_coefficients
+    problem, first = begin(training, setup, basis, plane_scale)
+    left_out: dict[str, Measurement] = {}
+    if not keep.all():
+        left_out["held_out_speeds"] = measurement.select(~keep, runs)
+    if len(held_out):
+        left_out["held_out_runs"] = measurement.select(None, held_out)
+    predicted = {name: output_error(other, problem.basis, plane_scale) for name, other in left_out.items()}
+    return OutputErrorStart(measurement=measurement, keep=keep, problem=problem, held_out=predicted, **first)
 
 
-class _First(NamedTuple):
-    problem: OutputError
-    weights: torch.Tensor  # (G, 1, Z)
-    from_guess: bool
-    filtered: np.ndarray | None
-    law: LawStart | None
+def _start_by_coefficients(
+    training: Measurement, setup: FitSetup, basis: Basis, plane_scale: float
+) -> tuple[OutputError, dict[str, Any]]:
+    """Near the least squares of the residual; near guesses where the sensors are too few for that.
 
-    @property
-    def basis(self) -> Basis:
-        return self.problem.basis
-
-
-def _start_by_coefficients(training: Measurement, setup: FitSetup, basis: Basis, plane_scale: float) -> _First:
-    """Near the least squares of the residual; near guesses where the sensors are too few for that."""
+    Guesses are the configured one in several sizes.
+    """
     import torch
 
     unknowns, values = training.unknowns, None
     if training.guess.within is None:
         values = linear_start(training, basis.at(training.dataset.points).numpy(), np.array(basis.model.scale))
-    starts, filtered = [values], None
-    if values is None:
-        shape = (unknowns.n_members, len(training.dataset.speeds), len(unknowns.names))
-        guess = initial_guess(setup, unknowns)
-        starts = [np.broadcast_to(size * guess[:, None], shape) for size in _GUESSES]
-        filtered = _filter(training)
-    else:
-        basis = replace(basis, model=_scaled_by(basis.model, values))
-    problem = output_error(training, basis, plane_scale)
-    weights = torch.cat([start_at(problem, start) for start in starts if start is not None])
     # Free at once, the features of several inputs would follow the noise of points: the fit starts at their trend.
-    return _First(problem, weights, values is None or len(basis.model.inputs) > 1, filtered, None)
-
-
-def _start_by_laws(training: Measurement, setup: FitSetup, basis: Basis, plane_scale: float) -> _First:
-    """At the best numbers of bearing laws, without a correction."""
-    law = start_laws(training, basis, plane_scale)
-    rows = scale_by_laws(output_error(training, basis, plane_scale), law.theta)
-    basis = replace(basis, model=replace(basis.model, scale=rows))
-    if corrects(setup):
-        problem = with_sigma(output_error(training, add_beyond(basis), plane_scale))
-    else:
-        problem = without_correction(output_error(training, basis, plane_scale))
-    return _First(problem, first_weights(problem, law.theta), False, None, law)
+    if values is not None:
+        medians = np.median(np.abs(values), axis=1)  # sizes from the data in place of guessed ones
+        sizes = np.where(medians > 0, medians, basis.model.scale).tolist()
+        basis = replace(basis, model=replace(basis.model, scale=tuple(map(tuple, sizes))))
+        problem = output_error(training, basis, plane_scale)
+        return problem, {"weights": start_at(problem, values), "from_guess": len(basis.model.inputs) > 1}
+    problem = output_error(training, basis, plane_scale)
+    shape = (unknowns.n_members, len(training.dataset.speeds), len(unknowns.names))
+    guess = np.broadcast_to(initial_guess(setup, unknowns)[:, None], shape)
+    weights = torch.cat([start_at(problem, size * guess) for size in (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)])
+    return problem, {"weights": weights, "from_guess": True, "filtered": _filter(training)}
 
 
 def align_weights(measurement: Measurement) -> Measurement:
@@ -166,40 +126,34 @@ def align_weights(measurement: Measurement) -> Measurement:
     return measurement.update(values)
 
 
-def drawn_basis(setup: FitSetup, training: Measurement, points: Mapping[str, np.ndarray], sizes: np.ndarray) -> Basis:
+def drawn_basis(setup: FitSetup, training: Measurement, points: Mapping[str, np.ndarray]) -> Basis:
     """The features of the configured model over the ``points`` (name -> (S,)), orthonormal at those of ``training``.
 
-    ``sizes`` (M, U), N/m and N s/m, are what an output of 1 stands for.
+    An output of 1 stands for the configured guess.
     """
     import torch
 
+    sizes = Guess(setup.model.initial_stiffness, setup.model.initial_damping).sizes(training.unknowns)
     model = coefficient_model(setup.model, training.unknowns.names, points, sizes)
     generator = torch.Generator().manual_seed(setup.seed)
     drawn = model.spread_parameters(initial_guess(setup, training.unknowns), generator)
     return orthonormal_basis(model, drawn, training.dataset.points)
 
 
-def _filter(training: Measurement) -> np.ndarray | None:
-    """Unknowns (M, S, U) of each training speed by itself; None where the sensors are too few for that, too."""
+def _filter(training: Measurement, least_settled: float = 0.5) -> np.ndarray | None:
+    """Unknowns (M, S, U) of each training speed by itself; None where the sensors are too few for that, too.
+
+    The filter must have settled at the share ``least_settled`` of the speeds to be a start.
+    """
     less = training.subtract_unbalance()
     if 2 * less.dataset.displacement[0].size < len(less.unknowns.active):
         return None
     values, settled = filter_bearings(less)
-    if settled.mean() < _LEAST_SETTLED:
+    if settled.mean() < least_settled:
         return None
     order = np.flatnonzero(settled)
     nearest = order[np.abs(np.arange(len(settled))[:, None] - order).argmin(axis=1)]
     return values[:, nearest]
-
-
-_LEAST_SETTLED = 0.5
-"""Share of the speeds at which the filter must have settled to be a start."""
-
-
-def _scaled_by(model: CoefficientModel, values: np.ndarray) -> CoefficientModel:
-    """The model with the sizes of unknowns (M, S, U) found in the data in place of guessed ones."""
-    medians = np.median(np.abs(values), axis=1)
-    return replace(model, scale=tuple(map(tuple, np.where(medians > 0, medians, model.scale).tolist())))
 
 
 def _plane_scale(measurement: Measurement) -> float:
@@ -210,51 +164,97 @@ def _plane_scale(measurement: Measurement) -> float:
     return float(np.median(np.abs(measurement.dataset.displacement)) / np.median(units[0]))
 
 
-# --- weights near given coefficients -------------------------------------------------------------------
+# --- bearing laws ----------------------------------------------------------------------------------------
 
 
-def start_at(problem: OutputError, values: np.ndarray) -> torch.Tensor:
-    """(1, 1, Z) the weights that come nearest to unknowns (M, S, U), without residual unbalance, of the stated model.
+def _start_by_laws(
+    training: Measurement, setup: FitSetup, basis: Basis, plane_scale: float
+) -> tuple[OutputError, dict[str, Any]]:
+    """At the best numbers of bearing laws, without a correction.
 
-    ``problem`` is that of the training speeds, where the features are orthonormal: their coordinates are projections.
+    Laws have few numbers, and the readings depend on them far from linearly: a clearance that is wrong by three times
+    makes other critical speeds. So many guesses, spread evenly over what was thought possible, are judged at a few
+    operating points; the best of them, and the guess itself, are fitted there, and the whole fit goes on from the best.
+    """
+    theta, *counts = _fit_laws(training, basis, plane_scale)
+    made = output_error(training, basis, plane_scale)
+    basis = replace(basis, model=replace(basis.model, scale=_scale_by_laws(made, theta)))
+    if setup.model.corrects_laws:
+        problem = with_sigma(output_error(training, add_beyond(basis), plane_scale))
+    else:
+        problem = _without_correction(output_error(training, basis, plane_scale))
+    weights = _weights_of(problem, theta)
+    return problem, {"weights": weights, "from_guess": False, "law_starts": tuple(counts)}
+
+
+def _fit_laws(
+    training: Measurement,
+    basis: Basis,
+    plane_scale: float,
+    points: int = 24,
+    fitted: int = 7,
+    same: float = 1e-3,
+) -> tuple[torch.Tensor, int, int]:
+    """The numbers (Th,) from which the readings are explained best, how many guesses were fitted, and how many of them
+    ended there: at losses that differ by less than the share ``same`` of the lowest. The correction stays zero.
+
+    With :func:`_spread` and ``fitted`` guesses at so many ``points``, guesses that are 3 times off in every clearance
+    and 5 times in the viscosity lead to the same answer.
     """
     import torch
 
-    raw = _raw(problem, values)
-    coordinates = (
-        torch.stack([problem.features[m].T @ raw[m, :, u] for m, u in problem.active]) * problem.kept
-    )  # (A, K)
-    weights = torch.zeros(1, 1, problem.size, dtype=coordinates.dtype)
-    weights[..., problem.places.coefficients] = coordinates.flatten()
+    count = len(training.dataset.speeds)
+    few = np.unique(np.linspace(0, count - 1, min(count, points)).round().astype(int))
+    problem = _without_correction(output_error(training.select(few), basis, plane_scale))
+    section = LevenbergMarquardtConfig(steps=60, patience=1, initial_damping=1e-2)
+    judged = _spread(problem)
+    order = problem.loss(judged)[1:, 0].nan_to_num(float("inf")).argsort()[:fitted]
+    starts = torch.cat([judged[:1], judged[1:][order]])
+    ends = levenberg_marquardt(problem, starts, section, until_still(1e-4), by_diagonal=True)
+    losses = problem.loss(ends)[:, 0].nan_to_num(float("inf"))
+    best = int(losses.argmin())
+    return problem.theta(ends)[best], len(ends), int((losses < losses[best] * (1 + same)).sum())
+
+
+def _spread(problem: OutputError, count: int = 255, reach: float = 2.0) -> torch.Tensor:
+    """(G, 1, Z) the guess, and ``count`` starts that fill the space of the numbers evenly (Sobol 1967), to ``reach``
+    prior deviations on either side.
+    """
+    import torch
+    from scipy.stats import qmc
+
+    drawn = qmc.Sobol(problem.law.n_numbers, scramble=False).random(count + 1)[1:]
+    numbers = torch.as_tensor(reach * (2 * drawn - 1)) * problem.law.prior_precision().rsqrt()
+    return _weights_of(problem, torch.cat([torch.zeros_like(numbers[:1]), numbers]))
+
+
+def _without_correction(problem: OutputError) -> OutputError:
+    """The same with the laws alone: no feature is kept."""
+    import torch
+
+    return replace(problem, kept=torch.zeros_like(problem.kept))
+
+
+def _scale_by_laws(problem: OutputError, theta: torch.Tensor) -> tuple[tuple[float, ...], ...]:
+    """(M, U) sizes of the unknowns by the laws: of a cross-coupled one, that of the direct ones of its kind."""
+    values, _ = problem.law.evaluate(theta[None])
+    names, rows = problem.measurement.unknowns.names, []
+    for medians in values[0].abs().median(dim=1).values.tolist():
+        by_law, sizes = dict(zip(names, medians, strict=True)), []
+        for name, size in by_law.items():
+            direct = [v for n, v in by_law.items() if n[0] == name[0] and is_direct(n)]
+            known = not is_direct(name) and direct and min(direct) > 0
+            sizes.append(float(np.exp(np.mean(np.log(direct)))) if known else size)
+        rows.append(tuple(size if size > 0 else 1.0 for size in sizes))
+    return tuple(rows)
+
+
+def _weights_of(problem: OutputError, theta: torch.Tensor) -> torch.Tensor:
+    """(G, 1, Z) the numbers (Th,) or (G, Th), without a correction."""
+    import torch
+
+    numbers = torch.atleast_2d(theta)
+    weights = torch.zeros(len(numbers), 1, problem.size, dtype=torch.float64)
+    weights[:, 0, problem.places.numbers] = numbers
     weights[..., problem.places.parameters] = problem.sensors.solved_at
     return weights
-
-
-def robust_start(problem: OutputError, values: np.ndarray) -> torch.Tensor:
-    """As :func:`start_at`, of rough unknowns (M, S, U): single speeds that are far off count less (Huber 1964)."""
-    import torch
-
-    raw = _raw(problem, values)
-    rows: list[torch.Tensor] = []
-    for m, u in problem.active:
-        features, target = problem.features[m], raw[m, :, u]
-        weight, solution = torch.ones_like(target), torch.zeros(features.shape[-1], dtype=target.dtype)
-        for _ in range(_ROBUST_ROUNDS):
-            weighted = features * weight[:, None]
-            ridge = _RIDGE * torch.eye(len(solution), dtype=target.dtype)
-            solution = torch.linalg.solve(features.T @ weighted + ridge, weighted.T @ target)
-            off = (target - features @ solution).abs()
-            weight = 1 / (off / off.median().clamp(min=_SMALLEST)).clamp(min=1.0)
-        rows.append(solution * problem.kept[len(rows)])
-    rest = torch.zeros(problem.places.n_rest, dtype=raw.dtype)
-    return torch.cat([torch.stack(rows).flatten(), rest])[None, None]
-
-
-_ROBUST_ROUNDS, _RIDGE, _SMALLEST = 20, 1e-12, 1e-12
-
-
-def _raw(problem: OutputError, values: np.ndarray) -> torch.Tensor:
-    """(M, S, U) outputs of the model that give unknowns (M, S, U)."""
-    import torch
-
-    return problem.basis.model.raw_from(torch.tensor(values), problem.scale)

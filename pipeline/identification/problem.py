@@ -24,31 +24,22 @@ planes, T model parameters, Z = A K + Th + 2 N + T weights.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from pipeline.identification.basis import Basis
-from pipeline.identification.blocks import Places, Prior
-from pipeline.identification.law_term import LawTerm, law_term
+from pipeline.identification.blocks import Basis, LawTerm, Places, Prior, law_term
 from pipeline.identification.model import CoefficientModel
-from pipeline.identification.readings import Readings, gather_readings
-from pipeline.identification.sensor_model import SensorModel, sensor_model
+from pipeline.identification.readings import Readings, SensorModel, gather_readings, sensor_model
 from pipeline.problem.measurement import Measurement
 
 if TYPE_CHECKING:
     import torch
 
-
-class Machine(NamedTuple):
-    """What the readings follow from."""
-
-    outputs: torch.Tensor  # (G, M, S, U) of the coefficient model
-    numbers: torch.Tensor  # (G, Th) theta of the bearing laws
-    unbalance: torch.Tensor  # (G, N) complex residual unbalance, kg m
-    parameters: torch.Tensor  # (G, T) model parameters, in prior deviations
+Kind = TypeVar("Kind", bound="OutputError")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -63,7 +54,7 @@ class OutputError:
     precision: torch.Tensor  # (K,) or (A, K) of a feature's weight before the data; 0 for none
     scale: torch.Tensor  # (M, 1, U) what outputs of 1 stand for, N/m and N s/m
     plane_scale: float  # kg m that a weight of 1 stands for
-    law: LawTerm | None  # what the model's outputs correct; None for the scale
+    law: LawTerm  # what the model's outputs correct
 
     @property
     def measurement(self) -> Measurement:
@@ -83,9 +74,8 @@ class OutputError:
     @cached_property
     def places(self) -> Places:
         """Where each block lies among the weights."""
-        numbers = 0 if self.law is None else self.law.n_numbers
-        unknowns = self.measurement.unknowns
-        return Places(self._n_coefficients(), numbers, len(unknowns.planes), len(self.measurement.parameters))
+        n_planes, n_parameters = len(self.measurement.unknowns.planes), len(self.measurement.parameters)
+        return Places(self._n_coefficients(), self.law.n_numbers, n_planes, n_parameters)
 
     def _n_coefficients(self) -> int:
         return len(self.active) * int(self.features.shape[-1])
@@ -115,8 +105,7 @@ class OutputError:
         """
         import torch
 
-        numbers = torch.zeros(0) if self.law is None else self.law.prior_precision()
-        rest = [numbers, torch.zeros(2 * self.places.n_planes), torch.ones(self.places.n_parameters)]
+        rest = [self.law.prior_precision(), torch.zeros(2 * self.places.n_planes), torch.ones(self.places.n_parameters)]
         precision = torch.cat([(self.precision * self.kept).flatten(), *rest]).to(self.precision.dtype)
         rows, aims = [torch.diag(precision.sqrt())], [torch.zeros_like(precision)]
         guess, unknowns = self.measurement.guess, self.measurement.unknowns
@@ -137,12 +126,6 @@ class OutputError:
         return self.features[[m for m, _ in self.active]] * self.kept[:, None]
 
     # --- from weights to the machine -----------------------------------------------------------------
-
-    def state(self, weights: torch.Tensor) -> Machine:
-        """What the readings follow from."""
-        return Machine(
-            self.outputs(weights), self.theta(weights), self.unbalance(weights), self.model_parameters(weights)
-        )
 
     def outputs(self, weights: torch.Tensor) -> torch.Tensor:
         """(G, M, S, U) outputs of the model."""
@@ -182,27 +165,16 @@ class OutputError:
         """(G, S, A) active unknowns in N/m and N s/m, their derivative by the model's outputs, and (G, S, A, Th) that
         by theta.
         """
-        return self._unknowns(self.state(weights))
-
-    def _unknowns(self, state: Machine) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        import torch
-
         member, unknown = [m for m, _ in self.active], [u for _, u in self.active]
-        outputs, scale = state.outputs, self.scale
-        if self.law is not None:
-            values, slope, by_numbers = self.law.correct(self.model, state.numbers, outputs, scale)
-        else:
-            values, slope = self.model.physical(outputs, scale), self.model.physical_slope(outputs, scale)
-            by_numbers = torch.zeros(*outputs.shape, 0, dtype=outputs.dtype)
-        values, slope = (every[:, member, :, unknown].movedim(0, -1) for every in (values, slope))
-        return values, slope, by_numbers[:, member, :, unknown].movedim(0, -2)
+        every = self.law.correct(self.model, self.theta(weights), self.outputs(weights), self.scale)
+        values, slope, by_numbers = (array[:, member, :, unknown] for array in every)  # (A, G, S, ..)
+        return values.movedim(0, -1), slope.movedim(0, -1), by_numbers.movedim(0, -2)
 
     # --- from the machine to the sensors -------------------------------------------------------------
 
     def predicted(self, weights: torch.Tensor) -> list[torch.Tensor]:
         """(G, S, P, R) m of every block."""
-        state = self.state(weights)
-        return self.sensors.predict(self._unknowns(state)[0], state.unbalance, state.parameters)
+        return self.sensors.predict(self.unknowns(weights)[0], self.unbalance(weights), self.model_parameters(weights))
 
     def deviations(self, weights: torch.Tensor) -> list[torch.Tensor]:
         """(G, S, P, R) complex of every block, whitened: predicted minus measured, of unit variance in each part."""
@@ -212,20 +184,22 @@ class OutputError:
             whitened.append(readings.mix(b, readings.whiten(b, off))[..., 0])
         return whitened
 
-    def _local(self, state: Machine, b: int) -> torch.Tensor:
-        """(G, S, P, R, A + Th + 2 N + T + 1) complex rows of block b: derivatives of the readings over their own noise
-        by outputs, theta, parts of the residual unbalance and model parameters, and last what they deviate by.
+    def _local(self, weights: torch.Tensor) -> Iterator[torch.Tensor]:
+        """(G, S, P, R, A + Th + 2 N + T + 1) complex rows of each block: derivatives of the readings over their own
+        noise by outputs, theta, parts of the residual unbalance and model parameters, and last what they deviate by.
         """
         import torch
 
-        precision = self.readings.precision[b][..., None]
-        values, slope, by_numbers = self._unknowns(state)
-        told = self.sensors.derive(b, values, state.unbalance, state.parameters)
-        by_planes = self.plane_scale * torch.stack([told.by_planes, 1j * told.by_planes], dim=-1).flatten(-2)
-        by_theta = told.by_unknowns @ by_numbers.to(told.by_unknowns.dtype)[:, :, None]
-        columns = [told.by_unknowns * slope[:, :, None, None], by_theta, by_planes, told.by_parameters]
-        deviations = self.readings.subtract_from(b, told.readings)[..., None]
-        return self.readings.whiten(b, torch.cat([*(column * precision for column in columns), deviations], dim=-1))
+        values, slope, by_numbers = self.unknowns(weights)
+        unbalance, parameters = self.unbalance(weights), self.model_parameters(weights)
+        for b, precision in enumerate(self.readings.precision):
+            expected, by_unknowns, by_planes, by_parameters = self.sensors.derive(b, values, unbalance, parameters)
+            by_pairs = self.plane_scale * torch.stack([by_planes, 1j * by_planes], dim=-1).flatten(-2)
+            by_theta = by_unknowns @ by_numbers.to(by_unknowns.dtype)[:, :, None]
+            columns = [by_unknowns * slope[:, :, None, None], by_theta, by_pairs, by_parameters]
+            deviations = self.readings.subtract_from(b, expected)[..., None]
+            rows = torch.cat([*(column * precision[..., None] for column in columns), deviations], dim=-1)
+            yield self.readings.whiten(b, rows)
 
     # --- what is minimised ----------------------------------------------------------------------------
 
@@ -240,9 +214,13 @@ class OutputError:
         """(G, 1) root mean square of the whitened deviations: 1 where nothing but the stated noise is left."""
         return (self.rows(weights).square().sum(-1) / self.readings.size).sqrt()
 
-    def rounding(self) -> torch.Tensor:
-        """(1,) the loss that the readings round to."""
-        return self.readings.rounding()
+    def rounding(self, precision: float = 1e-13) -> torch.Tensor:
+        """(1,) the loss that the readings round to: their size over their noise, times their ``precision``."""
+        import torch
+
+        pairs = zip(self.readings.measured, self.readings.precision, strict=True)
+        squared = [(measured * weight).abs().square().sum((1, 2, 3)).max() for measured, weight in pairs]
+        return precision * (torch.stack(squared).sum() / self.readings.size).sqrt()[None]
 
     def scatter(self) -> float:
         """None: the readings are weighed by their noise."""
@@ -259,7 +237,7 @@ class OutputError:
         """
         import torch
 
-        whole = self._gather_tied(weights) if self.readings.mixing else self._gather(weights)
+        whole = self._gather(weights)
         gradient, matrix = whole[:, :-1, -1], whole[:, :-1, :-1]
         left = torch.diag((~self.fitted()).to(weights.dtype))
         gradient = gradient + self.prior.gradient(weights[:, 0])
@@ -267,14 +245,16 @@ class OutputError:
 
     def _gather(self, weights: torch.Tensor) -> torch.Tensor:
         """(G, Z + 1, Z + 1) products of all columns, the deviations' last: each speed's are small, and spread over the
-        features afterwards, so that no large derivative is made.
+        features afterwards, so that no large derivative is made, unless noise ties the speeds.
         """
         import torch
 
-        state = self.state(weights)
+        if self.readings.mixing:
+            columns = self.columns(weights)
+            return columns.mT @ columns
         products = []
-        for b in range(len(self.readings.runs)):
-            local = self._local(state, b).flatten(2, 3)
+        for rows in self._local(weights):
+            local = rows.flatten(2, 3)
             parts = torch.cat([local.real, local.imag], dim=2)
             products.append(parts.mT @ parts)
         return self._spread(torch.stack(products).sum(0), weights)
@@ -295,11 +275,6 @@ class OutputError:
         whole[:, outer:, outer:] = local[:, :, n_active:, n_active:].sum(1)
         return whole
 
-    def _gather_tied(self, weights: torch.Tensor) -> torch.Tensor:
-        """As :meth:`_gather`, where noise ties the speeds: of the whole derivative."""
-        columns = self.columns(weights)
-        return columns.mT @ columns
-
     def columns(self, weights: torch.Tensor) -> torch.Tensor:
         """(G, rows, Z + 1) derivative of the readings' rows by the weights, and the rows themselves: large."""
         import torch
@@ -312,9 +287,8 @@ class OutputError:
         """(G, S, P, R, Z + 1) complex of every block, as :meth:`columns`."""
         import torch
 
-        state, blocks = self.state(weights), []
-        for b in range(len(self.readings.runs)):
-            local = self._local(state, b)
+        blocks = []
+        for b, local in enumerate(self._local(weights)):
             by_output, rest = local[..., : len(self.active)], local[..., len(self.active) :]
             spread = torch.einsum("gspra,ask->gsprak", by_output, self._carrier.to(local.dtype)).flatten(-2)
             blocks.append(self.readings.mix(b, torch.cat([spread, rest], dim=-1)))
@@ -326,6 +300,26 @@ class OutputError:
 
         priors = self.prior.rows.expand(len(weights), -1, -1)
         return torch.cat([self.columns(weights)[..., :-1], priors], dim=1)[:, None]
+
+    # --- what is known of the weights --------------------------------------------------------------------
+
+    def covariance(self, weights: torch.Tensor) -> np.ndarray:
+        """(G, Z, Z) inverse of the information at the weights (G, 1, Z); zero for those that are not fitted."""
+        fitted = self.fitted().numpy()
+        return np.asarray(invert(self.normal(weights)[1][:, 0]) * (fitted[:, None] & fitted))
+
+    def unknown_deviation(self, weights: torch.Tensor) -> np.ndarray:
+        """(G, S, A) standard deviation of the active unknowns, N/m and N s/m, by :meth:`covariance`."""
+        spread, count, deviations = self.covariance(weights), self.features.shape[-1], []
+        _, slope, by_numbers = (array.numpy() for array in self.unknowns(weights))
+        numbers = np.arange(self.places.numbers.start, self.places.numbers.stop)
+        for a, (m, _) in enumerate(self.active):
+            by_features = self.features[m].numpy() * slope[..., a, None]  # (G, S, K)
+            slopes = np.concatenate([by_features, by_numbers[:, :, a]], axis=-1)
+            columns = np.concatenate([np.arange(a * count, (a + 1) * count), numbers])
+            block = spread[:, columns[:, None], columns]
+            deviations.append(np.sqrt(np.einsum("gsk,gkl,gsl->gs", slopes, block, slopes, optimize=True)))
+        return np.stack(deviations, axis=-1)
 
     # --- fewer features ------------------------------------------------------------------------------
 
@@ -348,9 +342,13 @@ class OutputError:
         """The same with the prior of the basis, which is this wide."""
         return replace(self, precision=self.basis.prior_precision(self.features.shape[1], beyond_trend))
 
-    def with_noise(self, inflation: float) -> OutputError:
-        """The same with readings whose variances are so many times as large."""
-        return replace(self, readings=self.readings.scaled(inflation**-0.5))
+    def scaled(self, share: torch.Tensor | float) -> OutputError:
+        """The same with readings whose precision is this ``share`` of what it was."""
+        return replace(self, readings=self.readings.scaled(share))
+
+    def of_kind(self, kind: type[Kind], **changes: Any) -> Kind:
+        """The problem as one of another ``kind``, with these ``changes``."""
+        return kind(**{entry.name: getattr(self, entry.name) for entry in fields(OutputError)} | changes)
 
     def update(self, weights: torch.Tensor) -> OutputError:
         """The same with the rotor solved anew at the model parameters of the weights (1, 1, Z), to first order until
@@ -366,7 +364,7 @@ def output_error(measurement: Measurement, basis: Basis, plane_scale: float) -> 
     """The problem at the speeds and runs of the measurement; ``plane_scale`` kg m is a weight of 1."""
     import torch
 
-    laws, points = measurement.laws, measurement.dataset.points
+    points = measurement.dataset.points
     return OutputError(
         sensors=sensor_model(measurement),
         readings=gather_readings(measurement),
@@ -376,5 +374,17 @@ def output_error(measurement: Measurement, basis: Basis, plane_scale: float) -> 
         precision=torch.zeros(basis.n_features, dtype=torch.float64),
         scale=basis.model.scale_tensor(),
         plane_scale=plane_scale,
-        law=None if laws is None else law_term(laws, measurement.unknowns, points),
+        law=law_term(measurement.laws, measurement.unknowns, points),
     )
+
+
+def invert(information: torch.Tensor) -> np.ndarray:
+    """(.., Z, Z) inverse of (.., Z, Z), whatever the sizes of the weights; large where nothing is known."""
+    import torch
+
+    size = information.diagonal(dim1=-2, dim2=-1).clamp(min=1e-300).sqrt()
+    scaled = information / size[..., :, None] / size[..., None, :]
+    values, vectors = torch.linalg.eigh(scaled)
+    values = values.clamp(min=float(np.finfo(float).eps) * 10)
+    inverse = (vectors / values[..., None, :]) @ vectors.mT
+    return np.asarray((inverse / size[..., :, None] / size[..., None, :]).numpy())

@@ -88,7 +88,7 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
     by_prior = np.einsum("zy,yz->z", fit.covariance(), fit.problem.prior.information().numpy())
     used = fit.problem.n_fitted - float(by_prior.sum())
     correlation, significance = autocorrelation(plain)
-    bad = () if fit.problem.measurement.drift is not None else _bad_points(fit, plain)
+    bad = () if fit.problem.measurement.drift else _bad_points(fit, plain)
     summary: dict[str, object] = {
         "chi_square": {"value": value, "expected": readings - used / 2, "readings": readings, "numbers": used},
         "whiteness": {
@@ -98,10 +98,10 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
         },
         "bad_points": len(bad),
     }
-    if fit.problem.measurement.drift is not None:
+    if fit.problem.measurement.drift:
         summary["inconsistent_runs"] = inconsistent
     # With levels, the model's own error is common to all conditions: its size and order are no draws of a noise.
-    levels = fit.problem.measurement.drift is not None
+    levels = bool(fit.problem.measurement.drift)
     estimated = not np.allclose(fit.factor, 1.0)
     repeated = _count_repeated(fit) if estimated else 0
     # A guess of a law's number is no reading: that it was off speaks against nothing.
@@ -113,9 +113,7 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
     summary["mismatch"] = mismatch(
         square if sized else None, freedom, np.nan if levels else significance, repeated if estimated else np.inf
     )
-    for name, other in (("held_out_speeds", fit.start.held_out_speeds), ("held_out_runs", fit.start.held_out_runs)):
-        if other is not None:
-            summary[name] = _held_out(fit, other)
+    summary |= {name: _held_out(fit, other) for name, other in fit.start.held_out.items()}
     if estimated:
         channels = fit.start.measurement.dataset.channels
         summary["noise_factor"] = {
@@ -186,7 +184,7 @@ def mismatch(
 def _list_inconsistent(fit: OutputErrorFit) -> list[str]:
     """Runs that are conditions of their own, and do not belong to the others."""
     data, drift = fit.problem.measurement.dataset, fit.problem.measurement.drift
-    return [] if drift is None else [run for run, w in zip(data.runs, drift.weights, strict=True) if w < NAMED]
+    return [run for run, w in zip(data.runs, drift.weights, strict=bool(drift)) if w < NAMED]
 
 
 def _plain_deviations(fit: OutputErrorFit) -> list[np.ndarray]:
@@ -195,7 +193,7 @@ def _plain_deviations(fit: OutputErrorFit) -> list[np.ndarray]:
     Noise in levels is estimated from the runs that belong to each other: the others are not among them.
     """
     drift = fit.problem.measurement.drift
-    kept = slice(None) if drift is None else np.flatnonzero(drift.weights >= NAMED)
+    kept = np.flatnonzero(drift.weights >= NAMED) if drift else slice(None)
     import torch
 
     readings = fit.problem.readings

@@ -1,22 +1,31 @@
-"""What the sensors read, block by block, and its noise: one place where rows are whitened.
+"""What the sensors read, and what they would read for given unknowns: values, derivatives, and noise.
 
-Legend: G data sets or starts, S speeds, P channels, R runs of a block, n columns.
+One place where rows are whitened, block by block of runs that share their frequencies.
+
+Legend: G data sets or starts, S speeds, P channels, R runs of a block, B bearings, A active unknowns, N balance planes,
+T model parameters, n columns.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pipeline.problem.measurement import Measurement
+from pipeline.problem.response import (
+    ResponseBlock,
+    derive,
+    derive_by_parameters,
+    impedance_change,
+    respond,
+)
 
 if TYPE_CHECKING:
     import torch
-
-_ROUNDING = 1e-13
-_TINY = 1e-30
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -26,9 +35,11 @@ class Readings:
     measurement: Measurement
     runs: tuple[np.ndarray, ...]  # of each block
     measured: tuple[torch.Tensor, ...]  # (G or 1, S, P, R) m
-    precision: tuple[torch.Tensor, ...]  # likewise, 1/m: root of 2 over the reading's own deviation: both parts count
-    common: tuple[torch.Tensor, ...]  # likewise, a subtracted baseline's deviation over the own one; none without
     mixing: tuple[torch.Tensor, ...]  # (R, S P, S P) where noise ties probes and speeds together; none elsewhere
+    precision: tuple[
+        torch.Tensor, ...
+    ] = ()  # (G or 1, S, P, R) 1/m: root of 2 over the own deviation: both parts count
+    common: tuple[torch.Tensor, ...] = ()  # likewise, a subtracted baseline's deviation over the own one; none without
 
     @property
     def size(self) -> int:
@@ -47,7 +58,7 @@ class Readings:
             return rows
         u = self.common[b][..., None]
         square = u.square().sum(3, keepdim=True)
-        share = (1 - (1 + square).rsqrt()) / square.clamp(min=_TINY)
+        share = (1 - (1 + square).rsqrt()) / square.clamp(min=1e-30)
         return rows - share * u * (u * rows).sum(3, keepdim=True)
 
     def mix(self, b: int, rows: torch.Tensor) -> torch.Tensor:
@@ -61,88 +72,142 @@ class Readings:
         mixed = torch.einsum("rij,gjrn->girn", self.mixing[b], rows.flatten(1, 2))
         return torch.unflatten(mixed, 1, rows.shape[1:3])
 
-    def rounding(self) -> torch.Tensor:
-        """(1,) the loss that the readings round to: their size over their noise, times their precision."""
-        import torch
-
-        pairs = zip(self.measured, self.precision, strict=True)
-        squared = [(measured * precision).abs().square().sum((1, 2, 3)).max() for measured, precision in pairs]
-        return _ROUNDING * (torch.stack(squared).sum() / self.size).sqrt()[None]
-
     # --- other precisions --------------------------------------------------------------------------
 
     def scaled(self, shares: torch.Tensor | float) -> Readings:
         """The same with precisions times ``shares``."""
         return replace(self, precision=tuple(precision * shares for precision in self.precision))
 
-    def deviation(self, b: int, predicted: np.ndarray, factor: np.ndarray | None = None) -> np.ndarray:
+    def deviation(self, b: int, predicted: np.ndarray, factor: np.ndarray | float = 1.0) -> np.ndarray:
         """(.., S, P, R) m of the ``predicted`` readings of block b; ``factor`` (P,) over the stated noise."""
-        subtracted = self.measurement.dataset.subtracted
-        taken = None if subtracted is None else subtracted[..., self.runs[b]]
-        return self.measurement.deviation_of(predicted, taken, factor)
+        return self.measurement.deviation_of(predicted, self.measurement.baseline[..., self.runs[b]], factor)
 
     def present(self, b: int) -> torch.Tensor:
         """(S, 1, R) one where a run of block b was measured, zero elsewhere."""
-        return _weigh_present(self.measurement, self.runs[b])
+        import torch
 
-    def follow(self, predicted: list[torch.Tensor], factor: np.ndarray, shares: list[torch.Tensor]) -> Readings:
-        """The same with the noise of ``predicted`` readings, of which ``shares`` count, by block.
+        return torch.as_tensor(self.measurement.dataset.present[:, self.runs[b]], dtype=torch.float64)[:, None]
+
+    def follow(
+        self,
+        predicted: Sequence[torch.Tensor],
+        factor: np.ndarray | float = 1.0,
+        shares: Sequence[np.ndarray] = (),
+    ) -> Readings:
+        """The same with the noise of ``predicted`` readings, of which ``shares`` count (all of them), by block.
 
         The deviation of a reading follows from the predicted amplitude, not from the measured one, whose noise would
-        bias a fit.
+        bias a fit. Runs that the same baseline was taken off share its noise: what is weighed is each reading's own.
         """
         import torch
 
-        noise = [
-            split_noise(self.measurement, runs, expected.numpy(), factor)
-            for runs, expected in zip(self.runs, predicted, strict=True)
-        ]
-        precision = [
-            np.sqrt(2.0) / torch.as_tensor(alone) * share.sqrt() * self.present(b)
-            for b, ((alone, _), share) in enumerate(zip(noise, shares, strict=True))
-        ]
-        common = tuple(torch.as_tensor(shared) for _, shared in noise if shared is not None)
-        return replace(self, precision=tuple(precision), common=common)
+        measurement, precision, common = self.measurement, [], []
+        for b, expected in enumerate(predicted):
+            taken, share = measurement.baseline[..., self.runs[b]], np.asarray(shares[b] if shares else 1.0)
+            alone = measurement.deviation_of(expected.numpy() + taken, factor=factor)
+            precision.append(torch.as_tensor(np.sqrt(2.0 * share) / alone) * self.present(b))
+            if measurement.baseline.any():
+                shared = np.where(taken != 0, measurement.deviation_of(taken, factor=factor), 0.0) / alone
+                common.append(torch.as_tensor(shared))
+        return replace(self, precision=tuple(precision), common=tuple(common))
 
 
 def gather_readings(measurement: Measurement) -> Readings:
     """The readings of a measurement, with the stated noise of what was read."""
     import torch
 
-    displacement = measurement.dataset.displacement
     every = tuple(np.asarray(block.runs) for block in measurement.response.blocks)
-    noise = [split_noise(measurement, runs, displacement[None][..., runs]) for runs in every]
-    mixing = () if measurement.drift is None else (torch.as_tensor(measurement.drift.mixing()),)
-    return Readings(
-        measurement=measurement,
-        runs=every,
-        measured=tuple(torch.as_tensor(displacement[None][..., runs]) for runs in every),
-        precision=tuple(
-            torch.as_tensor(np.sqrt(2.0) / alone) * _weigh_present(measurement, runs)
-            for (alone, _), runs in zip(noise, every, strict=True)
-        ),
-        common=tuple(torch.as_tensor(shared) for _, shared in noise if shared is not None),
-        mixing=tuple(levels[torch.as_tensor(runs)] for levels in mixing for runs in every),
-    )
+    measured = tuple(torch.as_tensor(measurement.dataset.displacement[None][..., runs]) for runs in every)
+    levels = measurement.drift.mixing() if measurement.drift else ()
+    mixing = tuple(torch.as_tensor(levels[runs]) for runs in every if len(levels))
+    return Readings(measurement=measurement, runs=every, measured=measured, mixing=mixing).follow(measured)
 
 
-def _weigh_present(measurement: Measurement, runs: np.ndarray) -> torch.Tensor:
+# --- what they would read -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class SensorModel:
+    """The response of a measurement's rotor, of first order in the model parameters about those it was solved at."""
+
+    measurement: Measurement
+    blocks: tuple[ResponseBlock, ...]  # of tensors
+
+    @cached_property
+    def solved_at(self) -> torch.Tensor:
+        """(T,) model parameters."""
+        import torch
+
+        return torch.as_tensor(self.measurement.parameter_values)
+
+    @cached_property
+    def _influence(self) -> torch.Tensor:
+        """(8 B, A) which coefficients each active unknown moves."""
+        import torch
+
+        influence = self.measurement.unknowns.influence
+        return torch.as_tensor(influence.reshape(influence.shape[0] * influence.shape[1], -1))
+
+    @cached_property
+    def _known(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """(S, 8 B) N/m and N s/m, the other coefficients, zero where identified; (S, 8 B, T) their derivative."""
+        import torch
+
+        measurement, n_speeds = self.measurement, len(self.measurement.dataset.speeds)
+        others = np.where(measurement.unknowns.identified[:, None], 0.0, measurement.updated_known.values)  # (B, S, 8)
+        slopes = measurement.known_variation.reshape(n_speeds, len(self._influence), len(self.solved_at))
+        return torch.as_tensor(others.swapaxes(0, 1).reshape(n_speeds, -1)), torch.as_tensor(slopes)
+
+    @cached_property
+    def _variations(self) -> tuple[ResponseBlock, ...]:
+        """The blocks' derivatives by the model parameters; none where there are none."""
+        import torch
+
+        return tuple(block.converted(torch.as_tensor) for block in self.measurement.variations)
+
+    def _place(self, b: int, values: torch.Tensor, parameters: torch.Tensor) -> tuple[ResponseBlock, torch.Tensor]:
+        """Block b at the model parameters, and dH, (G, S, 2 B, 2 B) N/m, of its bearings."""
+        shift, (known, by_parameters) = parameters - self.solved_at, self._known
+        block = self.blocks[b].vary(self._variations[b], shift) if self._variations else self.blocks[b]
+        known = known + (by_parameters @ shift[:, None, :, None])[..., 0]
+        eight = (values @ self._influence.T + known).unflatten(-1, (-1, 8))  # (G, S, B, 8)
+        return block, impedance_change(eight, block.frequencies, self.measurement.response.reference)
+
+    def predict(self, values: torch.Tensor, unbalance: torch.Tensor, parameters: torch.Tensor) -> list[torch.Tensor]:
+        """(G, S, P, R) m of every block.
+
+        Args:
+            values: (G, S, A) active unknowns, N/m and N s/m.
+            unbalance: (G, N) complex, kg m.
+            parameters: (G, T) in prior deviations.
+        """
+        placed = (self._place(b, values, parameters) for b in range(len(self.blocks)))
+        return [respond(block, change, unbalance, False).sensors for block, change in placed]
+
+    def derive(
+        self, b: int, values: torch.Tensor, unbalance: torch.Tensor, parameters: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Readings of block b, and their derivatives (G, S, P, R, ..) by what :meth:`predict` takes: A unknowns, N
+        planes (by 1 kg m), T model parameters.
+        """
+        import torch
+
+        block, change = self._place(b, values, parameters)
+        response = respond(block, change, unbalance)
+        by_coefficient = derive(block, response).flatten(-2)  # (G, S, P, R, 8 B)
+        shape, kind = response.sensors.shape, by_coefficient.dtype
+        by_planes = torch.zeros(*shape, unbalance.shape[-1], dtype=kind)
+        if response.unit_sensors.shape[-1]:
+            by_planes = response.unit_sensors[:, :, :, None, :].expand(by_planes.shape)
+        by_parameters = torch.zeros(*shape, len(self.solved_at), dtype=kind)
+        if self._variations:
+            by_model = derive_by_parameters(self._variations[b], response, change, unbalance)
+            by_parameters = by_model + by_coefficient @ self._known[1].to(kind)[:, None]
+        return response.sensors, by_coefficient @ self._influence.to(kind), by_planes, by_parameters
+
+
+def sensor_model(measurement: Measurement) -> SensorModel:
+    """That of a measurement, at the values of its model parameters."""
     import torch
 
-    return torch.as_tensor(measurement.dataset.present[:, runs], dtype=torch.float64)[:, None]
-
-
-def split_noise(
-    measurement: Measurement, runs: np.ndarray, displacement: np.ndarray, factor: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """Each reading's own deviation (.., S, P, R), m, and that of the baseline over it; None where none was subtracted.
-
-    The ``runs`` that the same baseline was taken off share its noise. ``displacement`` (.., S, P, R) m is what is left,
-    ``factor`` (P,) a channel's deviation over the stated one.
-    """
-    subtracted = measurement.dataset.subtracted
-    if subtracted is None:
-        return measurement.deviation_of(displacement, None, factor), None
-    taken = subtracted[..., np.asarray(runs)]
-    alone = measurement.deviation_of(displacement + taken, None, factor)
-    return alone, np.where(taken != 0, measurement.deviation_of(taken, None, factor), 0.0) / alone
+    return SensorModel(measurement, tuple(block.converted(torch.as_tensor) for block in measurement.response.blocks))

@@ -16,20 +16,21 @@ bearings, S speeds, U unknowns, Q parameters.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from pipeline.errors import ConfigError
-from pipeline.identification.configured_model import coefficient_model
+from pipeline.identification.blocks import for_model
+from pipeline.identification.held_out import held_out_speeds
 from pipeline.identification.identified import IdentifiedModel
-from pipeline.identification.law_term import for_model
-from pipeline.identification.model import CoefficientModel
-from pipeline.identification.training import FitSetup, held_out_speeds, initial_guess, root_mean_square
+from pipeline.identification.model import CoefficientModel, coefficient_model
+from pipeline.identification.training import FitSetup, initial_guess, root_mean_square
 from pipeline.problem.identifiability import judge_identifiability, require_identifiable
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.residual import BearingEquations, LinearResidual
+from pipeline.rotor.bearing_table import BearingTable
 
 if TYPE_CHECKING:
     import torch
@@ -48,14 +49,14 @@ class ResidualProblem:
 
     def rows(self, parameters: torch.Tensor) -> torch.Tensor:
         """(G, M, rows) from parameters (G, M, Q)."""
-        coefficients = self.model.physical(self.model.raw(parameters, self.inputs), self.scale)
+        coefficients, _ = self.model.physical(self.model.raw(parameters, self.inputs), self.scale)
         residual = (self.matrix @ coefficients[..., None])[..., 0] + self.offset  # (G, M, N, U)
         return residual.reshape(len(parameters), len(self.scale), -1)
 
     def jacobian(self, parameters: torch.Tensor) -> torch.Tensor:
         """(G, M, rows, Q) derivative of :meth:`rows`."""
         raw = self.model.raw(parameters, self.inputs)
-        slope = self.model.physical_slope(raw, self.scale)[..., None]  # (G, M, N, U, 1)
+        slope = self.model.physical(raw, self.scale)[1][..., None]  # (G, M, N, U, 1)
         derivative = self.model.raw_jacobian(parameters, self.inputs) * slope
         return (self.matrix @ derivative).reshape(len(parameters), len(self.scale), -1, parameters.shape[-1])
 
@@ -257,3 +258,53 @@ def initial_parameters(
         _, answer = problem.per_speed(setup.loss.regularisation)
         start = training.model.with_output_at(start, problem.inputs, torch.as_tensor(answer) * problem.scale)
     return start[None]
+
+
+# --- without training ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class ChebyshevFit:
+    """The series of the degree with the lowest held-out loss."""
+
+    degree: int
+    held_out_loss: float
+    identified: IdentifiedModel
+
+    def table(self, known: BearingTable) -> BearingTable:
+        """All eight coefficients: the identified ones, and the known ones from ``known``."""
+        return self.identified.table(known)
+
+
+def fit_chebyshev(measurement: Measurement, setup: FitSetup) -> ChebyshevFit | None:
+    """The Chebyshev series in the scaled speed, of an even degree up to 40, that the held-out speeds like best.
+
+    The coefficients enter the residual linearly, so each degree has one least-squares answer: no start, no
+    optimiser, no luck. None for constants, and where no speed is held out.
+    """
+    import torch
+
+    if setup.constant or not setup.training.holdout_every:
+        return None
+    n_speeds = len(measurement.dataset.speeds)
+    n_training = n_speeds - int(held_out_speeds(n_speeds, setup.training.holdout_every).sum())
+    best: ChebyshevFit | None = None
+    for degree in range(2, 41, 2):
+        if degree + 1 > n_training:
+            break
+        training = prepare_residual(measurement, replace(setup, model=setup.model.as_chebyshev(degree), force=True))
+        parameters = torch.stack([_solve(member) for member in training.problem.members()])[None]  # (1, M, Q)
+        assert training.held_out is not None
+        loss = float(training.per_speed_held_out_loss(parameters)[0])
+        if best is None or loss < best.held_out_loss:
+            best = ChebyshevFit(degree, loss, training.identified(parameters[0]))
+    return best
+
+
+def _solve(problem: ResidualProblem) -> torch.Tensor:
+    """(Q,) the least squares of a member's rows, which are linear in the parameters."""
+    import torch
+
+    zero = torch.zeros(1, 1, problem.model.n_parameters, dtype=torch.float64)
+    jacobian, rows = problem.jacobian(zero)[0, 0].numpy(), problem.rows(zero)[0, 0].numpy()
+    return torch.as_tensor(np.linalg.lstsq(jacobian, -rows, rcond=1e-15)[0])

@@ -1,39 +1,42 @@
-"""How many features each unknown gets: as many as the data determine.
+"""How many features each unknown gets, and how large those may be that correct bearing laws: the data say so.
 
 A model with few features can't follow the coefficients, one with many follows the noise. The features are nested,
 from smooth to wavy, and more of them must lower Akaike's criterion: chi-square falls by more than 2 for each further
-weight (Akaike 1974). So less noise keeps more of them, and no truth is needed. A tie goes to fewer features: what a
-criterion differs by from one processor to another decides nothing.
+weight (Akaike 1974; a superfluous one lowers it by 1 on average). So less noise keeps more of them, and no truth is
+needed. A tie goes to fewer features: what a criterion differs by from one processor to another decides nothing.
 
-Legend: G starts, A unknowns, K features, Z weights.
+A network that corrects bearing laws, or a trend of several inputs, keeps all features. It is a sum of them whose
+weights are normal about zero: a Gaussian process of variance sigma^2 over the data (each feature has its share of it:
+the wavy ones little). sigma is that of the greatest likelihood (empirical Bayes; by MacKay's fixed point, 1992), and
+the same for all coefficients of a bearing: a law that is off in one of them is off in all, and one by one some would
+come out as exactly right, with bands that are too narrow. Where the law is right sigma goes to zero and nothing is
+corrected; its size is the evidence against the law. Where nobody measured, the correction is zero, and uncertain by
+sigma.
+
+Legend: G starts, M members, S operating points, A active unknowns, K features, Z weights.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from pipeline.config.identification import LevenbergMarquardtConfig
+from pipeline.identification.blocks import Basis
+from pipeline.identification.linear_start import robust_start
 from pipeline.identification.optimizers import levenberg_marquardt, until_still
-from pipeline.identification.output_error_start import OutputErrorStart, robust_start
-from pipeline.identification.problem import OutputError
+from pipeline.identification.problem import OutputError, invert
 
 if TYPE_CHECKING:
     import torch
 
-COLLAPSED = 0.02
-"""Below this fraction of its initial guess a coefficient counts as collapsed."""
+    from pipeline.identification.output_error_start import OutputErrorStart
+
 AKAIKE = 2.0
-"""A weight must lower chi-square by this in his criterion; a superfluous one lowers it by 1 on average."""
 TIE = 0.01
 """Criteria closer than this are equal: between processors they differ by 1e-7, between the best two choices by 0.3."""
-_KEPT_STARTS, _SAME_VALLEY, _EQUAL = 3, 1e-2, 1e-6
-_LOOK_AHEAD = 3
-"""So many orders in a row without a better criterion end the growth."""
-_NEARLY = 1e-5
-"""Share of the loss below which a step ends the search of an order: the fit itself goes on from there."""
 
 
 def drop_features(
@@ -62,13 +65,16 @@ def drop_features(
     return chosen, torch.where(chosen.fitted(), torch.as_tensor(best[2]), 0.0)[None, None]
 
 
-def add_features(start: OutputErrorStart, config: LevenbergMarquardtConfig) -> tuple[OutputError, torch.Tensor]:
+def add_features(
+    start: OutputErrorStart, config: LevenbergMarquardtConfig, look_ahead: int = 3, nearly: float = 1e-5
+) -> tuple[OutputError, torch.Tensor]:
     """The problem with as many features as count, and its best minimum (1, 1, Z), where there is no linear start.
 
     From several guesses constants are fitted first, then feature by feature is added: far from the answer, many at once
     would follow one speed here and another there. What a filter made of each speed is tried with every number of
-    features. It ends when Akaike's criterion, of the minima themselves, has not fallen for some features. Where the
-    likelihood says how large the features are, it ends at the trend, and keeps all.
+    features. It ends when Akaike's criterion, of the minima themselves, has not fallen for ``look_ahead`` features.
+    Where the likelihood says how large the features are, it ends at the trend, and keeps all. The search of an order
+    ends with a step that lowers no loss by the share ``nearly``: the fit itself goes on from there.
     """
     import torch
 
@@ -82,13 +88,13 @@ def add_features(start: OutputErrorStart, config: LevenbergMarquardtConfig) -> t
         tried = torch.cat([tried, *(revive(limited, start[None]) for start in tried)])
         if start.filtered is not None:
             tried = torch.cat([robust_start(limited, start.filtered), tried])
-        tried = levenberg_marquardt(limited, tried, config, until_still(_NEARLY), by_diagonal=True)
+        tried = levenberg_marquardt(limited, tried, config, until_still(nearly), by_diagonal=True)
         losses = limited.loss(tried)[:, 0].nan_to_num(float("inf"))
         weights, before = tried[_distinct(losses.tolist())], order
         criterion = float(losses.min()) ** 2 * limited.readings.size + AKAIKE * limited.n_fitted
         if criterion < best[0] - TIE:  # a tie stays with fewer
             best = (criterion, order, limited.with_features(weights[:1], count))
-        elif order >= best[1] + _LOOK_AHEAD:
+        elif order >= best[1] + look_ahead:
             break
     if start.by_evidence:
         return problem, best[2]
@@ -96,16 +102,17 @@ def add_features(start: OutputErrorStart, config: LevenbergMarquardtConfig) -> t
     return replace(problem, kept=kept), best[2]
 
 
-def revive(problem: OutputError, weights: torch.Tensor) -> torch.Tensor:
+def revive(problem: OutputError, weights: torch.Tensor, collapsed: float = 0.02) -> torch.Tensor:
     """(0 or 1, 1, Z) the weights (1, 1, Z) with collapsed unknowns put back to their guess; none is collapsed: 0.
 
-    What must be positive is an exponential: once it has all but vanished, nothing draws it back.
+    What must be positive is an exponential: once it has all but vanished, below the fraction ``collapsed`` of its
+    guess, nothing draws it back.
     """
     import torch
 
     values, active = problem.unknowns(weights)[0][0].abs().median(dim=0).values, problem.active  # (A,)
     positive = torch.tensor([problem.model.positive[u] for _, u in active])
-    gone = positive & (values < COLLAPSED * torch.stack([problem.scale[m, 0, u] for m, u in active]))
+    gone = positive & (values < collapsed * torch.stack([problem.scale[m, 0, u] for m, u in active]))
     if not gone.any():
         return weights[:0]
     revived, outer = weights.clone(), problem.places.coefficients
@@ -113,12 +120,146 @@ def revive(problem: OutputError, weights: torch.Tensor) -> torch.Tensor:
     return revived
 
 
-def _distinct(losses: list[float]) -> list[int]:
+def _distinct(losses: list[float], most: int = 3, same_valley: float = 1e-2, equal: float = 1e-6) -> list[int]:
     """The best few that lie in valleys of their own, the best first; of equals the one that was given first."""
     kept: list[int] = []
     rest = sorted(range(len(losses)), key=lambda i: losses[i])
-    while rest and len(kept) < _KEPT_STARTS:
+    while rest and len(kept) < most:
         lowest = losses[rest[0]]
-        kept.append(min(i for i in rest if losses[i] <= lowest * (1 + _EQUAL)))
-        rest = [i for i in rest if losses[i] > lowest * (1 + _SAME_VALLEY)]
+        kept.append(min(i for i in rest if losses[i] <= lowest * (1 + equal)))
+        rest = [i for i in rest if losses[i] > lowest * (1 + same_valley)]
     return kept
+
+
+# --- how large corrections are ---------------------------------------------------------------------------
+
+
+LAW_STANDS = 0.05
+"""Above this probability of as large a gain by chance a law is not corrected."""
+
+
+def add_beyond(basis: Basis) -> Basis:
+    """The basis with one more function: what nobody measured, which is zero at the data and one far from them."""
+    import torch
+
+    beyond = torch.zeros_like(basis.weights[..., :1])
+    beyond[:, -2] = 1.0  # the output layer's own input for it, before the bias
+    return replace(basis, weights=torch.cat([basis.weights, beyond], dim=-1), n_trend=0)
+
+
+def unit_precision(problem: OutputError) -> torch.Tensor:
+    """(A, K) precisions of the weights for a sigma of one."""
+    to_features, free = problem.basis.weights[[m for m, _ in problem.active]], problem.basis.n_trend  # (A, F, K)
+    share = (
+        to_features.square().sum(1).reciprocal()
+    )  # squared size of a feature over the data, for weights of equal variance
+    share[:, :free] = 0.0
+    if problem.basis.model.fades:
+        share[:, -1] = 0.0
+    precision = share.sum(1, keepdim=True) / (share * problem.features.shape[1])
+    precision[:, :free] = 0.0
+    if problem.basis.model.fades:
+        precision[:, -1] = 1.0
+    return precision
+
+
+def with_sigma(problem: OutputError, sigma: np.ndarray | float = 0.1) -> OutputError:
+    """The problem with a correction of ``sigma`` (A,), outputs: one of 0.1 changes a coefficient by ten percent."""
+    import torch
+
+    return replace(
+        problem, precision=unit_precision(problem) / torch.as_tensor(sigma, dtype=torch.float64)[..., None] ** 2
+    )
+
+
+def weigh_by_evidence(problem: OutputError, weights: torch.Tensor) -> tuple[OutputError, torch.Tensor]:
+    """The problem with sigma of the greatest likelihood, and the weights (1, 1, Z) to go on from.
+
+    Bearing laws stay as they are unless that is more likely by far: by as much as one right law in twenty would show.
+    """
+    import torch
+
+    evidence = _expand(problem, weights)
+    sigma = _likeliest_sigma(evidence)
+    n_bearings = len({m for m, _ in problem.active})
+    if problem.basis.model.fades and chance_of_gain(2 * _gain(evidence, sigma), n_bearings) > LAW_STANDS:
+        kept = torch.zeros_like(problem.kept)
+        left = replace(problem, kept=kept)
+        return left, torch.where(left.fitted(), weights, torch.zeros_like(weights))
+    return with_sigma(problem, sigma), weights
+
+
+class _Evidence(NamedTuple):
+    """The readings' likelihood, quadratic in the weights: ``right' z - z' data z / 2``, other priors included."""
+
+    data: np.ndarray  # (Z, Z)
+    right: np.ndarray  # (Z,)
+    unit: np.ndarray  # (A, K) precisions of the correction's weights for a sigma of one
+    alike: np.ndarray  # (A, A) one for unknowns of the same bearing: these have the same sigma
+    sigma: np.ndarray  # (A,) at hand
+
+    def posterior(self, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Mean (Z,) and covariance (Z, Z) of the weights for a ``sigma`` (A,)."""
+        import torch
+
+        spread = invert(torch.as_tensor(self.data + np.diag(self.precision(sigma))))
+        return spread @ self.right, spread
+
+    def precision(self, sigma: np.ndarray) -> np.ndarray:
+        """(Z,) of the correction's weights; zero for the others."""
+        return np.pad((self.unit / sigma[:, None] ** 2).ravel(), (0, len(self.right) - self.unit.size))
+
+
+def _expand(problem: OutputError, weights: torch.Tensor) -> _Evidence:
+    """The likelihood about the minimum ``weights`` (1, 1, Z)."""
+    unit, outer = unit_precision(problem).numpy(), problem.places.n_coefficients
+    gradient, matrix = (array[0, 0].numpy() for array in problem.normal(weights))
+    precision = (problem.precision * problem.kept).flatten().numpy()
+    # At the minimum ``matrix z = matrix at - gradient``, whatever the precisions of the correction.
+    right = matrix @ weights[0, 0].numpy() - gradient
+    data = matrix - np.diag(np.pad(precision, (0, len(matrix) - outer)))
+    bearing = np.array([m for m, _ in problem.active])
+    sigma = np.sqrt(unit[:, -1] / precision.reshape(unit.shape)[:, -1])
+    return _Evidence(data, right, unit, (bearing[:, None] == bearing).astype(float), sigma)
+
+
+def _likeliest_sigma(
+    evidence: _Evidence, rounds: int = 60, still: float = 1e-2, smallest: float = 1e-4, tiny: float = 1e-12
+) -> np.ndarray:
+    """(A,) by MacKay's fixed point; a correction of a hundredth of a percent, the ``smallest``, is none."""
+    sigma, unit = evidence.sigma, evidence.unit
+    for _ in range(rounds):
+        mean, spread = evidence.posterior(sigma)
+        # How many of an unknown's weights the readings determine.
+        free = unit.ravel() > 0
+        told = (1.0 - (evidence.precision(sigma) * np.diag(spread))[: unit.size]) * free
+        squares = (mean[: unit.size] ** 2 * unit.ravel()).reshape(unit.shape).sum(axis=1)
+        told = told.reshape(unit.shape).sum(axis=1)
+        likelier = np.sqrt(evidence.alike @ squares / np.maximum(evidence.alike @ told, tiny))
+        before, sigma = sigma, np.maximum(likelier, smallest)
+        if (np.abs(np.log(sigma / before)) < still).all():
+            break
+    return sigma
+
+
+def _gain(evidence: _Evidence, sigma: np.ndarray) -> float:
+    """How much the logarithm of the likelihood, over all weights, rises from no correction to that of ``sigma``."""
+    size, precision = evidence.unit.size, evidence.precision(sigma)
+    whole, rest = evidence.data + np.diag(precision), evidence.data[size:, size:]
+    both = 0.0
+    for sign, matrix, right in ((1.0, whole, evidence.right), (-1.0, rest, evidence.right[size:])):
+        scale = 1 / np.sqrt(np.diag(matrix))
+        scaled = matrix * scale[:, None] * scale
+        quadratic = (right * scale) @ np.linalg.solve(scaled, right * scale)
+        both += sign * 0.5 * (quadratic - np.linalg.slogdet(scaled)[1] + 2 * np.log(scale).sum())
+    return float(both + 0.5 * np.log(precision[:size]).sum())
+
+
+def chance_of_gain(square: float, count: int) -> float:
+    """How likely twice such a gain is where nothing is to be corrected: each of ``count`` variances is then zero or not
+    by even odds, and gains chi-square (Self and Liang 1987).
+    """
+    from scipy.special import comb, gammaincc
+
+    freedom = np.arange(1, count + 1)
+    return float((comb(count, freedom) * gammaincc(freedom / 2, max(square, 0.0) / 2)).sum() / 2.0**count)

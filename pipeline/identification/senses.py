@@ -23,8 +23,9 @@ import numpy as np
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.data.dataset import VibrationDataset
 from pipeline.errors import ConfigError
+from pipeline.identification.linear_start import start_at
 from pipeline.identification.output_error_fit import HUBER, OutputErrorFit, fit_from
-from pipeline.identification.output_error_start import prepare_output_error, start_at
+from pipeline.identification.output_error_start import prepare_output_error
 from pipeline.identification.quality import FAR_FROM_EXPECTED
 from pipeline.identification.training import FitSetup
 from pipeline.problem.measurement import Measurement
@@ -64,7 +65,7 @@ class Sense:
         known, drift = measurement.known, measurement.drift
         if self.mirrored:
             known = replace(known, values=known.values * _MIRRORED)
-        if self.lag and drift is not None:
+        if self.lag:
             drift = drift.conjugated()
         return replace(measurement, dataset=self._turn(measurement.dataset), known=known, drift=drift)
 

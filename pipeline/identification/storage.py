@@ -14,12 +14,11 @@ from pipeline.errors import DataError
 from pipeline.files import read_json, write_beside, write_json
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.model import CoefficientModel
+from pipeline.laws.law_set import NO_LAWS, LawSet
 from pipeline.unknowns import UnknownSet
 
 if TYPE_CHECKING:
     import torch
-
-    from pipeline.laws.law_set import LawSet
 
 SCHEMA = 3
 WEIGHTS, ARCHITECTURE = "model.safetensors", "model.json"
@@ -30,23 +29,19 @@ def save_model(folder: Path, identified: IdentifiedModel) -> list[Path]:
     from safetensors.torch import save
 
     weights = {"parameters": identified.parameters.contiguous()}
-    if identified.theta is not None:
+    if identified.laws:
         weights["theta"] = identified.theta.contiguous()
     description = {
         "schema": SCHEMA,
         "bearing_nodes": list(identified.bearing_nodes),
         "model": asdict(identified.model),
-        "laws": None if identified.laws is None else identified.laws.to_record(),
+        "laws": identified.laws.to_record() if identified.laws else None,
         "expansion": identified.unknowns.expansion.astype(int).tolist(),
     }
     return [
-        write_beside(folder / WEIGHTS, lambda beside: _write(beside, save(weights))),
+        write_beside(folder / WEIGHTS, lambda beside: beside.write_bytes(save(weights))),
         write_json(folder / ARCHITECTURE, description),
     ]
-
-
-def _write(path: Path, content: bytes) -> None:
-    path.write_bytes(content)
 
 
 def identified_names(folder: Path) -> list[str]:
@@ -73,7 +68,8 @@ def load_model(folder: Path) -> IdentifiedModel:
         nodes = TypeAdapter(tuple[int, ...]).validate_python(description["bearing_nodes"])
         expansion = np.array(description["expansion"], dtype=float)
         numbers = load_file(folder / WEIGHTS)
-        parameters, theta = numbers["parameters"], numbers.get("theta")
+        parameters = numbers["parameters"]
+        theta = numbers.get("theta", parameters.new_zeros(0))
         laws = _read_laws(description.get("laws"), theta)
         if parameters.shape != (len(model.scale), model.n_parameters):
             raise ValueError(f"{tuple(parameters.shape)} numbers do not fit the architecture")
@@ -91,13 +87,9 @@ def load_model(folder: Path) -> IdentifiedModel:
     return IdentifiedModel(model, UnknownSet(model.unknowns, expansion, shared), nodes, parameters, laws, theta)
 
 
-def _read_laws(record: Mapping[str, Any] | None, theta: torch.Tensor | None) -> LawSet | None:
-    """The bearing laws of a description; None without them. Raises ValueError for numbers that do not fit them."""
-    from pipeline.laws.law_set import LawSet
-
-    if record is None:
-        return None
-    laws = LawSet.from_record(record)
-    if theta is None or theta.shape != (len(laws.parameters),) or not theta.isfinite().all():
+def _read_laws(record: Mapping[str, Any] | None, theta: torch.Tensor) -> LawSet:
+    """The bearing laws of a description. Raises ValueError for numbers that do not fit them."""
+    laws = LawSet.from_record(record) if record else NO_LAWS
+    if theta.shape != (len(laws.parameters),) or not theta.isfinite().all():
         raise ValueError("the numbers do not fit the bearing laws")
     return laws

@@ -24,17 +24,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.errors import ConfigError
-from pipeline.identification.basis import Basis
-from pipeline.identification.basis_error import MeanSquareError
+from pipeline.identification.blocks import Basis
 from pipeline.identification.inputs import SPEED
 from pipeline.identification.model import CoefficientModel
+from pipeline.identification.model_error import MeanSquareError, noise_alone
 from pipeline.identification.optimizers import levenberg_marquardt, until_still
-from pipeline.identification.outcome import Outcome
 from pipeline.identification.output_error_fit import OutputErrorFit
 from pipeline.identification.problem import OutputError
-from pipeline.identification.readings import Readings
-from pipeline.identification.trained_network import TrainedNetworks, trained_networks
-from pipeline.identification.training import FitSetup, Progress, initial_guess
+from pipeline.identification.trained_network import TrainedNetworks
+from pipeline.identification.training import FitSetup, Outcome, Progress, initial_guess
 
 if TYPE_CHECKING:
     import torch
@@ -42,8 +40,6 @@ if TYPE_CHECKING:
 FEWEST_SPEEDS = 4
 _TOLERANCE, _PATIENCE = 1e-3, 5
 """Training ends when no network's loss on its other half fell by this share in so many steps."""
-_CONFIDENCE = 0.95
-"""The intervals that Student's factor makes right."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -70,13 +66,7 @@ class TrainedFit(OutputErrorFit):
 
     def error(self, inflation: float = 1.0) -> MeanSquareError:
         """The scatter: networks of their own follow what the mean can't."""
-        return MeanSquareError(
-            inflation * self.scatter,
-            self.problem.places,
-            np.arange(self.problem.size),
-            0,
-            np.zeros(len(self.problem.active)),
-        )
+        return noise_alone(self.problem, inflation * self.scatter)
 
 
 def train_hidden(fit: OutputErrorFit, setup: FitSetup, progress: Progress | None = None) -> TrainedFit:
@@ -100,16 +90,14 @@ def train_hidden(fit: OutputErrorFit, setup: FitSetup, progress: Progress | None
         )
     generator, section = torch.Generator().manual_seed(setup.seed), setup.optimizer.levenberg_marquardt
     halves = _halves(count, len(speeds), generator)
-    half, other = (_weigh(problem.readings, share) for share in (halves, (2 - halves) * (halves != 1)))
+    half, other = (problem.scaled(share.sqrt()[:, :, None, None]) for share in (halves, (2 - halves) * (halves != 1)))
     signs = torch.randn(count // 2, problem.places.n_parameters, generator=generator, dtype=torch.float64)
     aims = torch.stack([signs, -signs], dim=1).flatten(0, 1)
     every = fit.weights.repeat(count, 1, 1)
-    linear = levenberg_marquardt(replace(problem, readings=half), every, section, until_still())
+    linear = levenberg_marquardt(half, every, section, until_still())
     inputs = problem.basis.model.scaled_inputs(problem.measurement.dataset.points)
     start = _start(problem, linear, inputs, setup, generator)
-    training, judging = (
-        trained_networks(replace(problem, readings=readings), inputs, aims) for readings in (half, other)
-    )
+    training, judging = (weighed.of_kind(TrainedNetworks, inputs=inputs, aims=aims) for weighed in (half, other))
     watch = _Judge(judging=judging, total=section.steps, progress=progress, best=start, score=judging.loss(start))
     interrupted = False
     try:
@@ -161,19 +149,11 @@ def _halves(count: int, n_speeds: int, generator: torch.Generator) -> torch.Tens
     """
     import torch
 
-    first = torch.rand(count // 2, n_speeds // 2, generator=generator) < _HALF
+    first = torch.rand(count // 2, n_speeds // 2, generator=generator) < 0.5
     inner = torch.stack([first, ~first], dim=-1).flatten(1)[:, : n_speeds - 2]
     share = torch.ones(count, n_speeds, dtype=torch.float64)
     share[:, 1:-1] = 2.0 * torch.stack([inner, ~inner], dim=1).flatten(0, 1)
     return share
-
-
-_HALF = 0.5
-
-
-def _weigh(readings: Readings, share: torch.Tensor) -> Readings:
-    """The readings, those of each speed counted so often (G, S)."""
-    return readings.scaled(share.sqrt()[:, :, None, None])
 
 
 def _start(
@@ -183,7 +163,7 @@ def _start(
     import torch
 
     model, guess = problem.basis.model, initial_guess(setup, problem.measurement.unknowns)
-    values = model.physical(problem.outputs(linear), problem.scale)
+    values, _ = model.physical(problem.outputs(linear), problem.scale)
     networks = [
         model.with_output_at(model.spread_parameters(guess, generator), inputs, value).flatten() for value in values
     ]
@@ -211,19 +191,12 @@ def _mean(fit: OutputErrorFit, training: TrainedNetworks, watch: _Judge, interru
     )
 
     def of(other: OutputError) -> _Mean:
-        at = basis.at(other.measurement.dataset.points)
-        kept = torch.ones(len(before.active), basis.n_features, dtype=torch.bool)
-        none = torch.zeros(basis.n_features, dtype=torch.float64)
-        return _Mean(
-            sensors=other.sensors,
-            readings=other.readings,
+        return other.of_kind(
+            _Mean,
             basis=basis,
-            features=at,
-            kept=kept,
-            precision=none,
-            scale=other.scale,
-            plane_scale=other.plane_scale,
-            law=None,
+            features=basis.at(other.measurement.dataset.points),
+            kept=torch.ones(len(before.active), basis.n_features, dtype=torch.bool),
+            precision=torch.zeros(basis.n_features, dtype=torch.float64),
             numbers=round(spent) + before.places.n_parameters,
         )
 
@@ -232,11 +205,11 @@ def _mean(fit: OutputErrorFit, training: TrainedNetworks, watch: _Judge, interru
     if float(problem.loss(answer[None, None]).square()) > float(((fitted_square + predicted) / 2).min()):
         answer = each[int(watch.score[:, 0].argmin())]
     off = (each - answer).numpy() * _student(len(each) // 2)  # the networks come in pairs
-    held_out = (None if other is None else of(other) for other in (start.held_out_speeds, start.held_out_runs))
+    held_out = {name: of(other) for name, other in start.held_out.items()}
     steps = fit.minimum.steps
     history = (*fit.minimum.history, *(row | {"step": steps + i} for i, row in enumerate(watch.history)))
     return TrainedFit(
-        start=replace(start, held_out_speeds=next(held_out), held_out_runs=next(held_out)),
+        start=replace(start, held_out=held_out),
         problem=problem,
         minimum=replace(
             fit.minimum,
@@ -252,11 +225,11 @@ def _mean(fit: OutputErrorFit, training: TrainedNetworks, watch: _Judge, interru
     )
 
 
-def _student(freedom: int) -> float:
+def _student(freedom: int, confidence: float = 0.95) -> float:
     """Factor of a deviation told by so many differences, for which intervals of the normal distribution hold."""
     from scipy.stats import norm, t
 
-    tail = (1 + _CONFIDENCE) / 2
+    tail = (1 + confidence) / 2
     return float(t.ppf(tail, freedom) / norm.ppf(tail))
 
 

@@ -6,7 +6,7 @@ A unknowns that members have, N balance planes, T model parameters, Y = M Q + 2 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -77,9 +77,3 @@ class TrainedNetworks(OutputError):
                 whole[:, beside, here] = whole[:, here, beside].mT
         whole[:, outer:, :outer] = whole[:, :outer, outer:].mT
         return whole
-
-
-def trained_networks(problem: OutputError, inputs: torch.Tensor, aims: torch.Tensor) -> TrainedNetworks:
-    """The networks of the problem's model, at its readings, with ``inputs`` (S, 1) and ``aims`` (G, T)."""
-    parts = {entry.name: getattr(problem, entry.name) for entry in fields(OutputError)}
-    return TrainedNetworks(**parts, inputs=inputs, aims=aims)

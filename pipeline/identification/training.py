@@ -1,4 +1,4 @@
-"""Training (paper, Algorithm 1): phases of an optimiser, held-out speeds, the best state, a named outcome.
+"""Training (paper, Algorithm 1): phases of an optimiser, the best state, a named outcome.
 
 Legend: G trainings done at once, M members of each, Q parameters.
 """
@@ -8,7 +8,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,7 +18,6 @@ from pipeline.config.identification import LossConfig, OptimizerConfig, Training
 from pipeline.config.models import ModelConfig
 from pipeline.identification import optimizers
 from pipeline.identification.optimizers import LeastSquares
-from pipeline.identification.outcome import Outcome
 from pipeline.unknowns import UnknownSet
 
 if TYPE_CHECKING:
@@ -25,20 +25,34 @@ if TYPE_CHECKING:
 
     from pipeline.config.schema import Config
 
-_DIVERGED_FACTOR = 10.0
-"""A final loss this far above the first one is a divergence, not a slow start."""
+
+class Outcome(StrEnum):
+    """The end of a training, and what to try next where it fell short."""
+
+    CONVERGED = (
+        "converged: the loss hardly falls any more (by less than training.tolerance, or than the scatter of the data "
+        "tells, in the phase's patience)"
+    )
+    BUDGET_SPENT = (
+        "budget spent: the loss still fell at the last step; give the last phase more steps "
+        "(such as optimizer.levenberg_marquardt.steps=1000)"
+    )
+    DIVERGED = (
+        "diverged: the loss is not finite or ended above its start; "
+        "try a smaller optimizer.adam.learning_rate, model.parametrisation=log or loss.scaling=per_speed"
+    )
+    INTERRUPTED = "interrupted: the best state so far was kept"
+
+    @property
+    def label(self) -> str:
+        """Short form for tables and tags."""
+        return self.name.lower()
 
 
-class Watch(Protocol):
-    """Something that follows the best state (G, M, Q) of a training; what it raises ends the training."""
-
-    def __call__(self, phase: str, step: int, total: int, best: torch.Tensor, /) -> None: ...
-
-
-class Progress(Protocol):
-    """Something that shows a training while it runs, such as a progress bar."""
-
-    def __call__(self, phase: str, step: int, total: int, loss: float, /) -> None: ...
+Watch = Callable[[str, int, int, "torch.Tensor"], None]
+"""Follows the best state (G, M, Q) of a training, by phase, step and their total; what it raises ends the training."""
+Progress = Callable[[str, int, int, float], None]
+"""Shows a training while it runs, by phase, step, their total and the loss, such as a progress bar."""
 
 
 @dataclass(frozen=True)
@@ -52,10 +66,13 @@ class FitSetup:
     seed: int = 0
     force: bool = False  # fit what the data do not determine, too
 
+    def __hash__(self) -> int:
+        return hash((self.model, self.optimizer, self.seed, self.force))  # not of mappings, which have none
+
     @property
     def constant(self) -> bool:
         """Whether the coefficients are the same at every speed."""
-        return self.model.kind == "constant"
+        return not self.model.varies
 
 
 def setup_of(config: Config) -> FitSetup:
@@ -66,15 +83,6 @@ def setup_of(config: Config) -> FitSetup:
 def phases(config: OptimizerConfig) -> tuple[str, ...]:
     """The optimiser's phases that have steps, in their order."""
     return tuple(name for name in type(config).model_fields if getattr(config, name).steps)
-
-
-def held_out_speeds(count: int, every: int) -> np.ndarray:
-    """(S,) mask of every ``every``-th speed; never the first and last, which would test extrapolation."""
-    mask = np.zeros(count, dtype=bool)
-    if every:
-        mask[every // 2 : -1 : every] = True
-        mask[:1] = False
-    return mask
 
 
 def initial_guess(setup: FitSetup, unknowns: UnknownSet, stiffness: float | None = None) -> np.ndarray:
@@ -136,22 +144,20 @@ class _Monitor:
 
     def begin(self, phase: str, total: int, patience: int) -> None:
         self.phase, self.total, self.patience, self.phase_start = phase, total, patience, self.step
-        self.reference = self.stale = None
+        self.rounding = self.problem.rounding()
 
     def __call__(self, parameters: torch.Tensor, losses: torch.Tensor) -> torch.Tensor:
         import torch
 
         self.last_loss = losses
         score = losses if self.held_out is None else self.held_out.loss(parameters).detach()
-        if self.best is None:
+        if not self.step:
             self.best, self.best_score, self.first_loss = parameters.clone(), score.clone(), losses.clone()
         better = (score < self.best_score) | self.best_score.isnan()
         self.best = torch.where(better[..., None], parameters, self.best)
         self.best_score = torch.where(better, score, self.best_score)
-        if self.rounding is None:
-            self.rounding = self.problem.rounding()
         known = torch.maximum(losses, self.rounding)  # NaN stays
-        if self.reference is None:
+        if self.step == self.phase_start:
             self.reference, self.stale = known, torch.zeros_like(losses)
         # A small gain tells of a minimum where the step was a second-order one; a gradient's may cross a plateau.
         second_order = self.phase == "levenberg_marquardt"
@@ -236,11 +242,12 @@ def root_mean_square(losses: torch.Tensor) -> np.ndarray:
     return np.asarray(losses.square().mean(dim=1).sqrt().numpy())
 
 
-def _outcomes(monitor: _Monitor, interrupted: bool) -> tuple[Outcome, ...]:
+def _outcomes(monitor: _Monitor, interrupted: bool, diverged_factor: float = 10.0) -> tuple[Outcome, ...]:
+    """A final loss ``diverged_factor`` times above the first one is a divergence, not a slow start."""
     losses = monitor.last_loss
     if interrupted:
         return (Outcome.INTERRUPTED,) * len(losses)
-    diverged = (~losses.isfinite() | (losses > _DIVERGED_FACTOR * monitor.first_loss)).any(dim=1).numpy()
+    diverged = (~losses.isfinite() | (losses > diverged_factor * monitor.first_loss)).any(dim=1).numpy()
     converged = monitor.converged()
     return tuple(
         Outcome.DIVERGED if d else Outcome.CONVERGED if c else Outcome.BUDGET_SPENT

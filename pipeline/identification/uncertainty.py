@@ -2,7 +2,7 @@
 
 The covariance is the mean square error of the weights: of the noise (the inverse of the information, the Cramer-Rao
 bound of the network's output layer) and of what the functions of the speed can't follow
-(:mod:`pipeline.identification.basis_error`). Legend: M members, S speeds, B bearings, F features, K members of their
+(:mod:`pipeline.identification.model_error`). Legend: M members, S speeds, B bearings, F features, K members of their
 basis, L local functions, A active unknowns, Th numbers of bearing laws, N balance planes, T model parameters, Z = A (K
 + L) + Th + 2 N + T weights.
 """
@@ -20,19 +20,16 @@ from pipeline.coefficients import COEFFICIENTS
 from pipeline.data.noise import NOMINAL_95
 from pipeline.errors import DataError
 from pipeline.files import write_beside
-from pipeline.identification.basis_error import evaluate_local
 from pipeline.identification.blocks import Places
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.inputs import points_of
+from pipeline.identification.model_error import Unfitted, evaluate_local, measure_tolerances
 from pipeline.identification.quality import Quality
-from pipeline.identification.tolerances import Unfitted, measure_tolerances
 
 if TYPE_CHECKING:
     from pipeline.identification.output_error_fit import OutputErrorFit
 
 UNCERTAINTY = "uncertainty.safetensors"
-_WIDEST = 5.0
-"""Standard deviation of a logarithm, beyond which a coefficient is not known at all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,12 +81,14 @@ class Uncertainty:
         speeds: np.ndarray,
         operating: Mapping[str, np.ndarray] | None = None,
         covariance: np.ndarray | None = None,
+        widest: float = 5.0,
     ) -> np.ndarray:
         """(B, S, 8) standard deviations, N/m and N s/m; NaN for coefficients that were not identified.
 
         A coefficient that is an exponential has a log-normal error: its deviation is that whose nominal 95 % interval
         has the upper end of the log-normal one. The two differ where the coefficient is known to a few tens of percent.
-        ``covariance`` (Z, Z) is a part of the whole one, which is the default.
+        ``covariance`` (Z, Z) is a part of the whole one, which is the default. Beyond the ``widest`` deviation of its
+        logarithm a coefficient is not known at all.
         """
         whole = self.covariance if covariance is None else covariance
         with np.errstate(over="ignore", invalid="ignore"):  # of coefficients that ran away
@@ -99,7 +98,7 @@ class Uncertainty:
             deviation = np.sqrt(np.maximum(variance, 0.0))
             unknowns, identified_values = identified.unknowns, identified.values(speeds, operating)
             values = np.abs(unknowns.expand(identified_values[: unknowns.n_members], np.zeros_like(deviation)))
-            share = np.minimum(deviation / np.where(values > 0, values, np.inf), _WIDEST)
+            share = np.minimum(deviation / np.where(values > 0, values, np.inf), widest)
             positive = np.abs(unknowns.expansion[..., list(identified.model.positive)]).sum(axis=-1)  # (B, 8)
             deviation = np.where(positive[:, None] > 0, values * np.expm1(NOMINAL_95 * share) / NOMINAL_95, deviation)
         return np.where(unknowns.identified[:, None], deviation, np.nan)
@@ -135,7 +134,7 @@ class Uncertainty:
 
 def measure_uncertainty(fit: OutputErrorFit, quality: Quality) -> Uncertainty:
     """The uncertainty of a fit: of noise and functions, as much wider as its deviations say, and of the tolerances."""
-    problem, error = fit.problem.with_noise(quality.inflation), fit.error(quality.inflation)
+    problem, error = fit.problem.scaled(quality.inflation**-0.5), fit.error(quality.inflation)
     unfitted = measure_tolerances(problem, fit.weights, error.fitted, len(error.matrix))
     return Uncertainty(
         problem.basis.weights.numpy(),
@@ -157,7 +156,7 @@ def save_uncertainty(folder: Path, uncertainty: Uncertainty | None) -> Path:
 
     parts = {} if uncertainty is None else _parts(uncertainty)
     content = save({name: np.ascontiguousarray(array) for name, array in parts.items()})
-    return write_beside(folder / UNCERTAINTY, lambda beside: _write(beside, content))
+    return write_beside(folder / UNCERTAINTY, lambda beside: beside.write_bytes(content))
 
 
 def _parts(uncertainty: Uncertainty) -> dict[str, np.ndarray]:
@@ -175,10 +174,6 @@ def _parts(uncertainty: Uncertainty) -> dict[str, np.ndarray]:
         "tolerance_moves": uncertainty.unfitted.moves,
         "tolerances": uncertainty.unfitted.second,
     }
-
-
-def _write(path: Path, content: bytes) -> None:
-    path.write_bytes(content)
 
 
 def load_uncertainty(folder: Path, identified: IdentifiedModel) -> Uncertainty | None:
@@ -206,7 +201,7 @@ def load_uncertainty(folder: Path, identified: IdentifiedModel) -> Uncertainty |
         )
         size = (
             len(uncertainty.active) * (uncertainty.weights.shape[-1] + uncertainty.n_local)
-            + (0 if identified.theta is None else len(identified.theta))
+            + len(identified.theta)
             + 2 * len(uncertainty.planes)
             + len(uncertainty.parameters)
         )

@@ -5,7 +5,7 @@ Legend: n samples, P probes, T parts of a record, K orders.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,3 +62,14 @@ def measure_full_spectra(
         spectra.append(spectrum_lines[keep])
         centres.append(centre)
     return FullSpectra(np.array(speeds), orders[keep], np.array(spectra), np.array(centres))
+
+
+def join_full_spectra(records: Sequence[Signals], probes: Mapping[str, ProbeConfig], node: int) -> FullSpectra | None:
+    """:func:`measure_full_spectra` of all records of a run; None where all are too short."""
+    parts = [spectra for r in records if (spectra := measure_full_spectra(r, probes, node)) is not None]
+    if not parts:
+        return None
+    speeds, spectrum, centre = (
+        np.concatenate([getattr(spectra, key) for spectra in parts]) for key in ("speeds", "spectrum", "centre")
+    )
+    return FullSpectra(speeds, parts[0].orders, spectrum, centre)

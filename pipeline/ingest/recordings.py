@@ -5,7 +5,7 @@ Legend: n samples.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -46,12 +46,8 @@ def read_recording(path: Path, names: Sequence[str], clock: Clock, text: CsvConf
     """
     wanted = list(dict.fromkeys([*names, *([clock.channel] if clock.channel else [])]))
     ending = path.suffix.lower()
-    if ending in (".h5", ".hdf5", ".hdf"):
-        channels, rate = _read_hdf5(path, wanted, clock.attribute)
-    elif ending == ".tdms":
-        channels, rate = _read_tdms(path, wanted)
-    elif ending == ".mat":
-        channels, rate = _read_mat(path, wanted, clock.attribute)
+    if ending in _READERS:
+        channels, rate = _READERS[ending](path, wanted, clock.attribute)
     elif ending in (".csv", ".txt", ".xlsx", ".xlsm", ".parquet"):
         channels, rate = read_table(path, dict.fromkeys(wanted, "number"), text=text), None
     else:
@@ -178,7 +174,7 @@ def _read_mat(path: Path, names: Sequence[str], rate: str | None) -> tuple[dict[
     return {name: mat[name].astype(float) for name in names}, None if stated is None else float(stated[0])
 
 
-def _read_tdms(path: Path, names: Sequence[str]) -> tuple[dict[str, np.ndarray], float | None]:
+def _read_tdms(path: Path, names: Sequence[str], attribute: str | None) -> tuple[dict[str, np.ndarray], float | None]:
     import logging
 
     from nptdms import TdmsFile
@@ -200,3 +196,11 @@ def _read_tdms(path: Path, names: Sequence[str]) -> tuple[dict[str, np.ndarray],
         text = ", ".join(f"{rate:g} Hz" for rate in sorted(rates))
         raise DataError(f"'{path}' must have channels of one sample rate, but it has {text}")
     return channels, next(iter(rates), None)
+
+
+_READERS: dict[str, Callable[[Path, Sequence[str], str | None], tuple[dict[str, np.ndarray], float | None]]] = {
+    **dict.fromkeys((".h5", ".hdf5", ".hdf"), _read_hdf5),
+    ".tdms": _read_tdms,
+    ".mat": _read_mat,
+}
+"""By a file's ending: the channels, and the sample rate in Hz that the file states."""

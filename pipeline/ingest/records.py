@@ -90,6 +90,12 @@ class RecordsConfig(MeasuredConfig):
         """The meaning of the vectors."""
         return self.conventions
 
+    def describe(self) -> str:
+        """What the numbers in the files are taken for."""
+        said = self.conventions
+        kind = said.amplitude.replace("_", "-")
+        return f"complex, {said.unit}, {kind}, angle a phase {said.phase}, speed in {said.speed}"
+
     @property
     def planes(self) -> tuple[int, ...]:
         """The nodes of the planes whose weights each record states."""

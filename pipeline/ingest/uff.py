@@ -161,14 +161,22 @@ class UffFile:
 
 def read_uff(path: Path) -> UffFile:
     """Read a universal file. Raises DataError for a missing, damaged or truncated one, or one without datasets 58."""
-    sets = _read_sets(path)
-    records = tuple(_make_record(path, content) for content in sets if content.get("type") == 58)
+    import pyuff
+
+    with open_measured(path, "universal file"):
+        content = path.read_bytes()
+        stored = pyuff.UFF(str(path))
+        count = int(stored.get_n_sets())
+        if len(_MARK.findall(content)) != 2 * count or not content.rstrip().endswith(b"-1"):
+            raise DataError(f"'{path}' must be a complete universal file, but it ends within a dataset: copy it again")
+        sets: list[dict[str, Any]] = [stored.read_sets(i) for i in range(count)]
+    records = tuple(_make_record(path, dataset) for dataset in sets if dataset.get("type") == 58)
     if not records:
         raise DataError(
             f"'{path}' must have datasets 58 (functions at nodal DOF), but it has "
-            + (f"datasets {', '.join(str(content.get('type')) for content in sets[:10])}" if sets else "no dataset")
+            + (f"datasets {', '.join(str(dataset.get('type')) for dataset in sets[:10])}" if sets else "no dataset")
         )
-    units = [content for content in sets if content.get("type") == 164]
+    units = [dataset for dataset in sets if dataset.get("type") == 164]
     factor = float(units[0].get("length", 0.0)) if units else 0.0
     return UffFile(path, records, 1 / factor if factor > 0 else None)
 
@@ -268,18 +276,6 @@ def _read_unit(label: str) -> float | None:
     label = re.sub(r"(?i)\s*(pk-?pk|p-?p|0-?p|pk|rms)$", "", label.strip())
     motion = find_motion(label) if re.fullmatch(r"[^\W\d_][^\d_]*\^?2?", label) else None
     return motion[1] if motion else None
-
-
-def _read_sets(path: Path) -> list[dict[str, Any]]:
-    import pyuff
-
-    with open_measured(path, "universal file"):
-        content = path.read_bytes()
-        file = pyuff.UFF(str(path))
-        count = int(file.get_n_sets())
-        if len(_MARK.findall(content)) != 2 * count or not content.rstrip().endswith(b"-1"):
-            raise DataError(f"'{path}' must be a complete universal file, but it ends within a dataset: copy it again")
-        return [file.read_sets(i) for i in range(count)]
 
 
 def _make_record(path: Path, content: dict[str, Any]) -> UffRecord:

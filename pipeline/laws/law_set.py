@@ -39,6 +39,10 @@ class LawSet:
     oil: Oil | None  # None where no bearing has a film
     parameters: tuple[LawParameter, ...]  # Th
 
+    def __bool__(self) -> bool:
+        """Whether any bearing has a law."""
+        return bool(self.laws)
+
     @property
     def inputs(self) -> tuple[str, ...]:
         """Names of the operating conditions that it needs besides the speed."""
@@ -109,3 +113,7 @@ class LawSet:
             oil=Oil.from_record(record["oil"]) if record["oil"] else None,
             parameters=tuple(LawParameter(**parameter) for parameter in record["parameters"]),
         )
+
+
+NO_LAWS = LawSet((), (), None, ())
+"""Of a machine whose bearings have none."""

@@ -13,8 +13,7 @@ import numpy as np
 
 from pipeline.config.comparison import FitConfig
 from pipeline.errors import IdentifiabilityError
-from pipeline.identification.fit import fit
-from pipeline.identification.losses import loss_of
+from pipeline.identification.fit import fit, loss_of
 from pipeline.identification.trained_fit import FEWEST_SPEEDS
 from pipeline.identification.training import FitSetup
 from pipeline.methods.method import (

@@ -30,6 +30,7 @@ from pipeline.methods.method import (
     stack_rows,
 )
 from pipeline.problem.measurement import Measurement
+from pipeline.unknowns import outputs_of, scale_outputs
 
 GROWTH = (1, 2, 4, 6, 9, 13, 19, 28, 41)
 """Spline coefficients an unknown: a constant, a power law, cubic splines; the last size is a value for each speed."""
@@ -51,16 +52,16 @@ class SplineProblem:
 
     def values(self, x: np.ndarray) -> np.ndarray:
         """(M, S, U) unknowns."""
-        return self.task.unknowns.from_active(np.where(self.positive, self.slope(x), self.size * x))
+        return self.task.unknowns.from_active(scale_outputs(x, self.size, self.positive)[0])
 
     def from_values(self, values: np.ndarray, least: float = 1e-3) -> np.ndarray:
         """(S, A) from unknowns (M, S, U); what must be positive is kept above the share ``least`` of its size."""
-        relative = np.stack([values[m, :, u] for m, u in self.task.unknowns.active], axis=1) / self.size
-        return np.where(self.positive, np.log(np.maximum(relative, least)), relative)
+        every = np.stack([values[m, :, u] for m, u in self.task.unknowns.active], axis=1)
+        return np.asarray(outputs_of(every, self.size, self.positive, least))
 
     def slope(self, x: np.ndarray) -> np.ndarray:
         """(S, A) derivative of the unknowns by x."""
-        return np.asarray(self.size * np.where(self.positive, np.exp(np.where(self.positive, x, 0.0)), 1.0))
+        return np.asarray(np.broadcast_to(scale_outputs(x, self.size, self.positive)[1], x.shape))
 
     def unbalance(self, pairs: np.ndarray) -> np.ndarray:
         """(N,) complex kg m, from real and imaginary parts (2 N,)."""
@@ -84,7 +85,7 @@ class SplineProblem:
 
     def reweighted(self, x: np.ndarray, pairs: np.ndarray) -> SplineProblem:
         """The same with weights from the predicted readings: the measured ones share their noise, which biases."""
-        deviation = self.task.deviation_of(self.predict(x, pairs), self.task.dataset.subtracted)
+        deviation = self.task.deviation_of(self.predict(x, pairs), self.task.baseline)
         return replace(self, weight=np.sqrt(2.0) / deviation)
 
 

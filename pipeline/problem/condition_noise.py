@@ -20,11 +20,15 @@ NAMED = 0.3
 
 @dataclass(frozen=True, eq=False)
 class ConditionNoise:
-    """Levels of noise, and what they mean for each run."""
+    """Levels of noise, and what they mean for each run; :data:`NO_LEVELS` where readings have noise of their own."""
 
     levels: NoiseLevels
     counts: np.ndarray  # (R,) records behind each run
     weights: np.ndarray  # (R,) about 1; small for a run that does not belong to the others
+
+    def __bool__(self) -> bool:
+        """Whether the noise is in levels."""
+        return bool(len(self.counts))
 
     def covariance(self) -> np.ndarray:
         """(R, D, D) complex, m^2."""
@@ -51,6 +55,8 @@ class ConditionNoise:
 
     def select(self, speeds: np.ndarray, runs: np.ndarray | None) -> ConditionNoise:
         """The same at the ``speeds`` (mask or index) and for the ``runs`` (indices; None for all)."""
+        if not self:
+            return self
         n_speeds, n_channels, _ = self.levels.record.shape
         kept = np.arange(n_speeds * n_channels).reshape(n_speeds, n_channels)[speeds].ravel()
         levels = replace(
@@ -58,6 +64,12 @@ class ConditionNoise:
         )
         chosen = np.arange(len(self.counts)) if runs is None else runs
         return ConditionNoise(levels, self.counts[chosen], self.weights[chosen])
+
+
+NO_LEVELS = ConditionNoise(
+    NoiseLevels(np.zeros((0, 0, 0), dtype=complex), np.zeros((0, 0), dtype=complex), 0.0), np.zeros(0), np.zeros(0)
+)
+"""Noise that is not in levels: nothing ties readings together."""
 
 
 def follow_residuals(noise: ConditionNoise, residual: np.ndarray, numbers: float) -> ConditionNoise:

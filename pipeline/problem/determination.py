@@ -83,8 +83,8 @@ class Deviations:
         return np.divide(self.values, sizes, out=np.full(sizes.shape, np.inf), where=sizes > 0)
 
     def judge(self) -> tuple[Determined, ...]:
-        """A verdict on each coefficient that is identified, bearing by bearing."""
-        relative, judged = self.relative, []
+        """A verdict on each coefficient that is identified, bearing by bearing, at the speeds where it is a number."""
+        relative, judged = self.relative[:, self.table.bounded], []
         for b, c in np.argwhere(~np.isnan(self.values).all(axis=1)):
             share = relative[b, :, c]
             lost = float(np.mean(~(share < WEAKLY_BELOW)))

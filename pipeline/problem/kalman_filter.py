@@ -22,20 +22,6 @@ from pipeline.problem.measurement import Measurement
 from pipeline.problem.residual import linear_residual, per_speed_least_squares
 from pipeline.problem.response import respond
 
-_ROUNDS, _ROUNDS_AT_ONCE = 300, 25
-_SETTLED = 1e-10
-"""Relative change in a round below which a speed is done."""
-_STEP = 3.0
-"""Direct coefficients get no more than so many times larger or smaller in a round."""
-_SIZES = (1.0, 10.0, 0.1)
-"""The guess is tried in these sizes, the later ones where the earlier ones left something unexplained."""
-_PRIOR = 1.0
-"""Root mean square of the unknown force beforehand, as a share of the bearing force."""
-_EXPLAINED = 2.0
-"""Mean square over the noise up to which readings count as explained."""
-_HOPELESS = 0.1
-"""Share of the speeds that must settle from the first guess for others to be tried."""
-
 
 @dataclass(frozen=True, eq=False)
 class BearingFilter:
@@ -54,8 +40,11 @@ class BearingFilter:
         left_over = (predicted - data.dataset.displacement) / data.deviation
         return np.asarray((np.abs(left_over) ** 2).mean(axis=(1, 2)))
 
-    def update(self, values: np.ndarray, measured: np.ndarray) -> np.ndarray:
-        """(M, S, U) unknowns after one update of every run by ``measured`` (S, P, R), and least squares."""
+    def update(self, values: np.ndarray, measured: np.ndarray, share: float = 1.0) -> np.ndarray:
+        """(M, S, U) unknowns after one update of every run by ``measured`` (S, P, R), and least squares.
+
+        Beforehand the root mean square of the unknown force is a ``share`` of the bearing force.
+        """
         data = self.measurement
         table, equations = data.table(values), data.response
         force = np.empty((len(table.speeds), 2 * len(table.nodes), measured.shape[2]), dtype=complex)
@@ -65,7 +54,7 @@ class BearingFilter:
             impedance = table.impedance(block.frequencies)  # (B, S, 2, 2)
             bearing = _product(impedance, response.bearings)
             for i, run in enumerate(block.runs):
-                prior = (_PRIOR * np.abs(bearing[:, :, i])) ** 2
+                prior = (share * np.abs(bearing[:, :, i])) ** 2
                 gain = _gain(response.receptance_sensors, prior, data.deviation[:, :, run])
                 unknown = gain @ (measured[:, :, run] - response.sensors[:, :, i])[..., None]
                 motion = response.bearings[:, :, [i]] + response.receptance_bearings @ unknown
@@ -75,15 +64,26 @@ class BearingFilter:
         return per_speed_least_squares(linear_residual(equations_at, data.unknowns, data.known))[0]
 
 
-def filter_bearings(measurement: Measurement) -> tuple[np.ndarray, np.ndarray]:
-    """Unknowns (M, S, U) that an update leaves as they are, and (S,) where that was reached."""
+def filter_bearings(
+    measurement: Measurement,
+    sizes: tuple[float, ...] = (1.0, 10.0, 0.1),
+    explained: float = 2.0,
+    hopeless: float = 0.1,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Unknowns (M, S, U) that an update leaves as they are, and (S,) where that was reached.
+
+    Args:
+        sizes: the guess is tried in these, the later ones where the earlier ones left something unexplained.
+        explained: mean square over the noise up to which readings count as such.
+        hopeless: share of the speeds that must settle from the first guess for others to be tried.
+    """
     problem, unknowns = BearingFilter(measurement), measurement.unknowns
     n_speeds, guess = len(measurement.dataset.speeds), measurement.guess.sizes(unknowns)
     direct = np.array([is_direct(name) for name in unknowns.names])
     start = np.repeat((guess * direct)[:, None], n_speeds, axis=1)
     best, settled, least = start.copy(), np.zeros(n_speeds, dtype=bool), np.full(n_speeds, np.inf)
-    for size in _SIZES:
-        todo = np.flatnonzero(~(settled & (least <= _EXPLAINED)))
+    for size in sizes:
+        todo = np.flatnonzero(~(settled & (least <= explained)))
         if not len(todo):
             break
         waiting = problem.at(todo)
@@ -92,25 +92,37 @@ def filter_bearings(measurement: Measurement) -> tuple[np.ndarray, np.ndarray]:
         better = left_over < least[todo]
         best[:, todo[better]], least[todo[better]] = values[:, better], left_over[better]
         settled[todo[better]] = True
-        if settled.mean() < _HOPELESS:
+        if settled.mean() < hopeless:
             break
     return best, settled
 
 
-def _settle(problem: BearingFilter, values: np.ndarray, direct: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rounds from ``values`` (M, S, U) until each speed is done, and (S,) which are."""
+def _settle(
+    problem: BearingFilter,
+    values: np.ndarray,
+    direct: np.ndarray,
+    rounds: int = 300,
+    at_once: int = 25,
+    longest: float = 3.0,
+    settled: float = 1e-10,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rounds from ``values`` (M, S, U) until each speed is done, and (S,) which are.
+
+    A speed is done where a round changes no unknown by more than the share ``settled``, asked after so many rounds
+    ``at_once``. Direct coefficients get no more than the ``longest`` times larger or smaller in a round.
+    """
     values, still = values.copy(), np.zeros(values.shape[1], dtype=bool)
     with np.errstate(all="ignore"):  # of speeds that run away
-        for _ in range(_ROUNDS // _ROUNDS_AT_ONCE):
+        for _ in range(rounds // at_once):
             todo = np.flatnonzero(~still)
             if not len(todo):
                 break
             waiting, estimates = problem.at(todo), values[:, todo]
-            for _ in range(_ROUNDS_AT_ONCE):
+            for _ in range(at_once):
                 new = waiting.update(estimates, waiting.measurement.dataset.displacement)
-                new = np.where(direct, np.clip(new, estimates / _STEP, estimates * _STEP), new)
+                new = np.where(direct, np.clip(new, estimates / longest, estimates * longest), new)
                 new = np.where(np.isfinite(new), new, estimates)
-                change = np.abs(new - estimates) <= _SETTLED * np.maximum(np.abs(new), np.abs(estimates))
+                change = np.abs(new - estimates) <= settled * np.maximum(np.abs(new), np.abs(estimates))
                 estimates = new
             values[:, todo], still[todo] = estimates, np.all(change, axis=(0, 2))
     return values, still

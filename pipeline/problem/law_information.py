@@ -10,9 +10,10 @@ over its guess), N balance planes, T model parameters, Z = Th + 2 N + T.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -195,7 +196,7 @@ def require_temperatures(laws: LawSet, operating: Mapping[str, np.ndarray], same
 
 
 def _laws_of(measurement: Measurement) -> LawSet:
-    assert measurement.laws is not None
+    assert measurement.laws
     return measurement.laws
 
 
@@ -208,3 +209,36 @@ def _evaluate(measurement: Measurement) -> tuple[np.ndarray, np.ndarray]:
     values, slopes = laws.coefficients(theta, data.speeds, data.operating)
     leaders = [COEFFICIENTS.index(name) for name in measurement.unknowns.names]
     return values[0].numpy()[..., leaders], slopes[0].numpy()[..., leaders, :]
+
+
+def summarize_numbers(information: LawInformation, further: np.ndarray | None) -> dict[str, dict[str, Any]]:
+    """By name, SI; ``further`` (Th,) percent, with one more oil temperature."""
+    result = {}
+    for i, parameter in enumerate(information.parameters):
+        result[parameter.name] = {
+            "guess": parameter.guess,
+            "value": parameter.guess,
+            "deviation": float(parameter.guess * information.deviation[i]),
+            "unit": parameter.unit,
+            "prior_percent": float(100 * information.prior[i]),
+            "deviation_percent": float(100 * information.deviation[i]),
+            "determined": bool(information.determined[i]),
+        }
+        if further is not None:
+            result[parameter.name][f"deviation_percent_{FURTHER:g}_K_warmer"] = float(further[i])
+    return result
+
+
+def describe_open(information: LawInformation) -> list[str]:
+    """A sentence on each combination of numbers that stays at its prior; none where all is told."""
+    said = []
+    for free in information.free:
+        with_, against = ([name for name, share in free.items() if (share > 0) == same] for same in (True, False))
+        text = _join(with_) + (f", against {_join(against)}" if against else " together" if len(with_) > 1 else "")
+        cure = "it" if len(free) == 1 else "one of them"
+        said.append(f"these data do not tell {text}: give {cure} as a known number, or measure what tells it")
+    return said
+
+
+def _join(names: Sequence[str]) -> str:
+    return f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else names[0]

@@ -7,7 +7,7 @@ coefficients), N balance planes.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import KW_ONLY, InitVar, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -16,8 +16,8 @@ import numpy as np
 from pipeline.coefficients import CoefficientName
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.noise import NoiseModel
-from pipeline.laws.law_set import LawSet
-from pipeline.problem.condition_noise import ConditionNoise
+from pipeline.laws.law_set import NO_LAWS, LawSet
+from pipeline.problem.condition_noise import NO_LEVELS, ConditionNoise
 from pipeline.problem.force_parameters import bow_force, update_excitations
 from pipeline.problem.model_parameters import known_change, runout, sensor_matrix, turns_with_rotor
 from pipeline.problem.reference_response import response_equations, response_variations
@@ -27,9 +27,6 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.parameters import ModelParameter, update_rotor
 from pipeline.unknowns import BearingUnknowns, Structure, UnknownSet, unknown_set
-
-_LEAST = 1e-15
-"""m; a reading of zero without additive noise would have none at all."""
 
 
 @dataclass(frozen=True)
@@ -60,8 +57,13 @@ class Measurement:
     parameters: tuple[ModelParameter, ...] = ()  # T, uncertain numbers of the model
     values: tuple[float, ...] = ()  # of them, in prior deviations, where the response is evaluated; none for all zero
     tolerances: tuple[ModelParameter, ...] = ()  # further ones that are not fitted, but widen what is known
-    drift: ConditionNoise | None = None  # noise in levels, of runs that are means of records; None for ``noise``
-    laws: LawSet | None = None  # of the bearings, for models that are made of them
+    drift: ConditionNoise = NO_LEVELS  # noise in levels, of runs that are means of records, in place of ``noise``
+    laws: LawSet = NO_LAWS  # of the bearings, for models that are made of them
+    solved: InitVar[ResponseEquations | None] = None  # :attr:`response`, where it is at hand
+
+    def __post_init__(self, solved: ResponseEquations | None) -> None:
+        if solved is not None:
+            vars(self)["response"] = solved
 
     @classmethod
     def read(
@@ -116,23 +118,35 @@ class Measurement:
         return cls(model, dataset, table, noise, unknown, guess)
 
     @cached_property
+    def baseline(self) -> np.ndarray:
+        """(S, P, R) m that was taken off the readings; zero where nothing was."""
+        taken = self.dataset.subtracted
+        return np.zeros_like(self.dataset.displacement) if taken is None else taken
+
+    @cached_property
     def deviation(self) -> np.ndarray:
         """(S, P, R) m, root mean square of each reading's noise, by the readings' sizes or by its levels; infinite
         where a run was not measured.
         """
-        if self.drift is not None:
-            return self.drift.deviation()
-        stated = self.deviation_of(self.dataset.displacement, self.dataset.subtracted)
+        stated = self.deviation_of(self.dataset.displacement, self.baseline)
         return np.where(self.dataset.present[:, None], stated, np.inf)
 
     def deviation_of(
-        self, displacement: np.ndarray, subtracted: np.ndarray | None = None, factor: np.ndarray | None = None
+        self,
+        displacement: np.ndarray,
+        baseline: np.ndarray | float = 0.0,
+        factor: np.ndarray | float = 1.0,
+        least: float = 1e-15,
     ) -> np.ndarray:
-        """(.., S, P, R) m of readings of another size; ``factor`` (P,) is a channel's deviation over the stated one."""
-        if self.drift is not None:
+        """(.., S, P, R) m of readings of another size, that a ``baseline`` was taken off.
+
+        ``factor`` (P,) is a channel's deviation over the stated one. A reading of zero without additive noise would
+        have none at all: it has the ``least``.
+        """
+        if self.drift:
             return np.asarray(np.broadcast_to(self.drift.deviation(), np.shape(displacement)))
-        size = self.noise.deviation(displacement, subtracted)
-        return np.asarray(np.maximum(size if factor is None else size * factor[:, None], _LEAST))
+        size = self.noise.deviation(displacement, np.asarray(baseline)) * np.asarray(factor)[..., None]
+        return np.asarray(np.maximum(size, least))
 
     @cached_property
     def equations(self) -> BearingEquations:
@@ -147,20 +161,16 @@ class Measurement:
     @cached_property
     def response(self) -> ResponseEquations:
         """The response at the sensors, at the :attr:`values` of the model parameters."""
-        rotor, data, sensors, bow = self.updated_rotor, self.dataset, None, None
-        if self.parameters:
-            data = update_excitations(data, self.parameters, self.parameter_values)
-            sensors = sensor_matrix(data, rotor, self.parameters, self.parameter_values)
-            bow = bow_force(self.parameters, self.parameter_values, self.rotor)
+        rotor, parameters, values = self.updated_rotor, self.parameters, self.parameter_values
+        data = update_excitations(self.dataset, parameters, values)
+        sensors, bow = sensor_matrix(data, rotor, parameters, values), bow_force(parameters, values, self.rotor)
         solved = response_equations(rotor, data, self.guess.stiffness, self.unknowns.planes, sensors, bow)
-        shown = runout(self.parameters, self.parameter_values, len(data.channels))
-        return solved.shifted(shown[:, None] * self.synchronous()) if shown.any() else solved
+        shown = runout(parameters, values, len(data.channels))
+        return solved.shifted(shown[:, None] * self.synchronous())
 
     @cached_property
     def variations(self) -> tuple[ResponseBlock, ...]:
         """The derivatives of the response's blocks by the model parameters, leading with T; empty without any."""
-        if not self.parameters:
-            return ()
         stiffness, planes = self.guess.stiffness, self.unknowns.planes
         return response_variations(self.rotor, self.dataset, stiffness, planes, self.parameters, self.parameter_values)
 
@@ -172,11 +182,8 @@ class Measurement:
     @property
     def updated_known(self) -> BearingTable:
         """The known coefficients at the :attr:`values` of the model parameters."""
-        if not self.parameters:
-            return self.known
-        return replace(
-            self.known, values=self.known.values + (self.known_variation @ self.parameter_values).swapaxes(0, 1)
-        )
+        change = (self.known_variation @ self.parameter_values).swapaxes(0, 1)
+        return replace(self.known, values=self.known.values + change)
 
     @property
     def known_variation(self) -> np.ndarray:
@@ -209,22 +216,18 @@ class Measurement:
         """The same at the ``speeds`` (mask or index) and for the ``runs`` (ascending indices); None for all."""
         keep = np.arange(len(self.dataset.speeds)) if speeds is None else speeds
         dataset = self.dataset.at(keep)
-        selected = replace(
+        return replace(
             self,
             dataset=dataset if runs is None else dataset.of_runs(runs),
             known=self.known.at(keep),
-            drift=None if self.drift is None else self.drift.select(keep, runs),
+            drift=self.drift.select(keep, runs),
+            # What is solved once is not solved again for some of it.
+            solved=self.response.at(keep, runs) if "response" in vars(self) else None,
         )
-        if "response" in vars(self):  # what is solved once is not solved again for a part of it
-            vars(selected)["response"] = self.response.at(keep, runs)
-        return selected
 
-    def without_laws(self) -> Measurement:
-        """The same for a model of curves."""
-        curves = replace(self, laws=None)
-        if "response" in vars(self):
-            vars(curves)["response"] = self.response
-        return curves
+    def with_laws(self, laws: LawSet) -> Measurement:
+        """The same for a model of these bearing laws, which :data:`pipeline.laws.law_set.NO_LAWS` are curves alone."""
+        return self if laws is self.laws else replace(self, laws=laws, solved=vars(self).get("response"))
 
     def table(self, values: np.ndarray) -> BearingTable:
         """All eight coefficients, from unknowns (M, S, U) and the known ones."""
@@ -242,28 +245,26 @@ class Measurement:
         unknowns, data = replace(self.unknowns, planes=()), self.dataset
         turning = next((b.runs for b in self.response.blocks if b.unit_sensors.shape[-1] and len(b.runs) > 1), None)
         if turning is None:
-            subtracted = replace(self, unknowns=unknowns, parameters=(), values=())
-            vars(subtracted)["response"] = replace(self.response, planes=())
-            return subtracted
+            solved = replace(self.response, planes=())
+            return replace(self, unknowns=unknowns, parameters=(), values=(), solved=solved)
         first = turning[0]
         rest = np.delete(np.arange(len(data.runs)), first)
         turns = np.isin(rest, turning)
-        before = np.zeros_like(data.displacement) if data.subtracted is None else data.subtracted
+        before = self.baseline
         taken = data.displacement[..., [first]] * turns
         less = data.of_runs(rest)
         # Of two runs with the same baseline the readings themselves differ: the baseline cancels with its noise.
         read = np.where(turns, before[..., [first]] + data.displacement[..., [first]], before[..., rest])
-        subtracted = replace(
+        blocks = [_less_first(block, first, rest) for block in self.response.blocks]
+        return replace(
             self,
             dataset=replace(less, displacement=less.displacement - taken, subtracted=read),
-            drift=None if self.drift is None else self.drift.select(np.arange(len(data.speeds)), rest),
+            drift=self.drift.select(np.arange(len(data.speeds)), rest),
             unknowns=unknowns,
             parameters=(),
             values=(),
+            solved=replace(self.response, planes=(), blocks=tuple(b for b in blocks if len(b.runs))),
         )
-        blocks = [_less_first(block, first, rest) for block in self.response.blocks]
-        vars(subtracted)["response"] = replace(self.response, planes=(), blocks=tuple(b for b in blocks if len(b.runs)))
-        return subtracted
 
 
 def _less_first(block: ResponseBlock, first: int, rest: np.ndarray) -> ResponseBlock:

@@ -8,7 +8,7 @@ Legend: T parameters, S speeds, P channels, R runs, B bearings, n lateral DOF. S
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -45,10 +45,9 @@ def model_parameters(
     ``deviations`` has prior standard deviations by kind. Raises ConfigError for a kind that the machine does not have.
     """
     parameters: list[ModelParameter] = []
+    places = _list_places(rotor, dataset, known, unknowns)
     for kind, deviation in deviations.items():
-        kind_parameters = [
-            ModelParameter(kind, deviation, *place) for place in _places(kind, rotor, dataset, known, unknowns)
-        ]
+        kind_parameters = [ModelParameter(kind, deviation, *place) for place in places.get(kind, ())]
         if kind in OF_COUPLING:
             if not coupling_node < rotor.n_nodes:
                 raise ConfigError(
@@ -89,11 +88,13 @@ def usual_tolerances(
     stated: Collection[str], rotor: RotorModel, dataset: VibrationDataset, known: BearingTable, unknowns: UnknownSet
 ) -> tuple[ModelParameter, ...]:
     """The numbers of :data:`USUAL` that the machine has and whose kinds are not ``stated``."""
-    numbers = []
-    for kind, deviation in USUAL.items():
-        places = () if kind in stated else _places(kind, rotor, dataset, known, unknowns)
-        numbers += [ModelParameter(kind, deviation, *place) for place in places]
-    return tuple(numbers)
+    places = _list_places(rotor, dataset, known, unknowns)
+    return tuple(
+        ModelParameter(kind, deviation, *place)
+        for kind, deviation in USUAL.items()
+        if kind not in stated
+        for place in places[kind]
+    )
 
 
 _MISSING = {
@@ -128,43 +129,38 @@ def _require_on_shaft(parameters: Sequence[ModelParameter], rotor: RotorModel, d
             )
 
 
-def _places(
-    kind: str, rotor: RotorModel, dataset: VibrationDataset, known: BearingTable, unknowns: UnknownSet
-) -> Iterator[tuple[str, int, str]]:
-    """(label, place, detail) of what ``kind`` belongs to."""
-    if kind in OF_SHAFT:
-        yield "", 0, ""
-    if kind in OF_DISC:
-        for node in dict.fromkeys(rotor.disc_nodes):
-            yield f"node {node}", node, ""
-    if kind in OF_WEIGHT:
-        for i, weight in number_excitations(dataset.excitations):
-            if weight.kind == "unbalance":
-                yield f"{weight.run} node {weight.node}", i, weight.run
-    if kind == "weight_angle" and any(excitation.kind == "unbalance" for excitation in dataset.excitations):
-        yield "", 0, ""
-    if kind == "weight_law" and any(excitation.kind == "unbalance" for excitation in dataset.excitations):
-        for component in PARTS:
-            yield component, 0, component
-    if kind == "bearing_position":
-        for b, node in enumerate(rotor.bearing_nodes):
-            yield f"node {node}", b, ""
+def _list_places(
+    rotor: RotorModel, dataset: VibrationDataset, known: BearingTable, unknowns: UnknownSet
+) -> dict[str, list[tuple[str, int, str]]]:
+    """Kind -> (label, place, detail) of what the machine has of it; a coupling is where the configuration says."""
+    everywhere, parts = [("", 0, "")], list(PARTS)
+    weights = [
+        (f"{weight.run} node {weight.node}", i, weight.run)
+        for i, weight in number_excitations(dataset.excitations)
+        if weight.kind == "unbalance"
+    ]
+    discs = [(f"node {node}", node, "") for node in dict.fromkeys(rotor.disc_nodes)]
+    probes = [(f"node {node} {name_direction(angle)}", p, "") for p, (node, angle) in enumerate(dataset.channels)]
     shown = dataset.subtracted is None and turns_with_rotor(dataset).any()
-    if kind == "bow" and shown and len(rotor.bearing_nodes) > 1:
-        for node in dict.fromkeys(rotor.disc_nodes):
-            if node not in rotor.bearing_nodes:
-                for component in PARTS:
-                    yield f"node {node} {component}", node, component
-    if kind in OF_PROBE:
-        for p, (node, angle) in enumerate(dataset.channels):
-            yield f"node {node} {name_direction(angle)}", p, ""
-    if kind == "runout" and shown:
-        for p, (node, angle) in enumerate(dataset.channels):
-            for component in PARTS:
-                yield f"node {node} {name_direction(angle)} {component}", p, component
-    if kind == "known_coefficients":
-        for b, c in np.argwhere(~unknowns.identified & known.values.any(axis=1)):
-            yield f"{COEFFICIENTS[c]} node {known.nodes[b]}", int(b), COEFFICIENTS[c]
+    bent = [(label, node) for label, node, _ in discs if node not in rotor.bearing_nodes]
+    free = np.argwhere(~unknowns.identified & known.values.any(axis=1))
+    return {
+        **dict.fromkeys(OF_SHAFT, everywhere),
+        **dict.fromkeys(OF_DISC, discs),
+        **dict.fromkeys(OF_WEIGHT, weights),
+        **dict.fromkeys(OF_PROBE, probes),
+        "weight_angle": everywhere if weights else [],
+        "weight_law": [(component, 0, component) for component in parts if weights],
+        "bearing_position": [(f"node {node}", b, "") for b, node in enumerate(rotor.bearing_nodes)],
+        "bow": [
+            (f"{label} {component}", node, component)
+            for label, node in bent
+            for component in parts
+            if shown and len(rotor.bearing_nodes) > 1
+        ],
+        "runout": [(f"{label} {component}", p, component) for label, p, _ in probes for component in parts if shown],
+        "known_coefficients": [(f"{COEFFICIENTS[c]} node {known.nodes[b]}", int(b), COEFFICIENTS[c]) for b, c in free],
+    }
 
 
 def turns_with_rotor(dataset: VibrationDataset) -> np.ndarray:

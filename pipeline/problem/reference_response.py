@@ -135,7 +135,10 @@ def response_variations(
     """The derivatives of every block by the parameters, leading with T, at their ``values`` (T,).
 
     ``rotor`` and ``dataset`` are the stated ones. Bearings are not varied here: they follow from their coefficients.
+    Empty without parameters.
     """
+    if not parameters:
+        return ()
     updated, data = update_rotor(rotor, parameters, values), update_excitations(dataset, parameters, values)
     sensors, bow = sensor_matrix(dataset, updated, parameters, values), bow_force(parameters, values, rotor)
     places, everything, system = bearing_places(updated), np.arange(rotor.n_dof), banded(updated)

@@ -214,28 +214,30 @@ class ResponseEquations:
 
     def predict(self, bearings: BearingTable, unbalance: np.ndarray | None = None) -> np.ndarray:
         """(S, P, R) m, of the bearings at the same speeds; residual ``unbalance`` (N,) complex, kg m."""
-        result = np.empty((len(self.speeds), self.n_channels, self.n_runs), dtype=complex)
-        for block in self.blocks:
-            response = respond(block, self.change(bearings, block), unbalance, derivative=False)
-            result[..., block.runs] = response.sensors
-        return result
+        return self._gather(lambda block: respond(block, self.change(bearings, block), unbalance, False).sensors)
 
     def sensitivity(self, bearings: BearingTable, unbalance: np.ndarray | None = None) -> np.ndarray:
         """(S, P, R, B, 8) derivative of :meth:`predict` by the coefficients."""
-        shape = (len(self.speeds), self.n_channels, self.n_runs, len(self.bearing_nodes), 8)
-        result = np.empty(shape, dtype=complex)
-        for block in self.blocks:
-            result[:, :, block.runs] = derive(block, respond(block, self.change(bearings, block), unbalance))
-        return result
+        shape = (len(self.bearing_nodes), 8)
+        return self._gather(
+            lambda block: derive(block, respond(block, self.change(bearings, block), unbalance)), *shape
+        )
 
     def derive_by_unbalance(self, bearings: BearingTable) -> np.ndarray:
         """(S, P, R, N) derivative of :meth:`predict` by the residual unbalance, m over kg m."""
-        shape = (len(self.speeds), self.n_channels, self.n_runs, len(self.planes))
-        result = np.zeros(shape, dtype=complex)
+
+        def by_unbalance(block: ResponseBlock) -> Array:
+            if not block.unit_sensors.shape[-1]:
+                return 0.0
+            return respond(block, self.change(bearings, block), derivative=False).unit_sensors[:, :, None]
+
+        return self._gather(by_unbalance, len(self.planes))
+
+    def _gather(self, make: Callable[[ResponseBlock], Array], *shape: int) -> np.ndarray:
+        """(S, P, R, ..) of all runs, from what is made (S, P, R of the block, ..) of each block."""
+        result = np.empty((len(self.speeds), self.n_channels, self.n_runs, *shape), dtype=complex)
         for block in self.blocks:
-            if block.unit_sensors.shape[-1]:
-                response = respond(block, self.change(bearings, block), derivative=False)
-                result[:, :, block.runs] = response.unit_sensors[:, :, None]
+            result[:, :, block.runs] = make(block)
         return result
 
     def change(self, bearings: BearingTable, block: ResponseBlock) -> np.ndarray:

@@ -16,13 +16,7 @@ from pipeline.data.vibration_files import to_rpm
 from pipeline.ingest.records import Records
 from pipeline.ingest.source_units import GRAM_MILLIMETRE, SourceUnits
 from pipeline.reporting.console import say, table
-from pipeline.reporting.write_numbers import format_deviation
-
-_LEAST = 1e-3  # g mm
-_SPEEDS = 6
-"""Most speeds on screen."""
-_SHOWN = 40
-"""Most conditions on screen; all are in the file."""
+from pipeline.reporting.write_numbers import write_number
 
 
 def tabulate_estimates(
@@ -32,7 +26,6 @@ def tabulate_estimates(
     rows: list[dict[str, Any]] = []
     for method, estimates in by_method.items():
         values, given = source.weights(estimates.unbalance), source.weights(estimates.readings.unbalance)
-        radius = estimates.radius / GRAM_MILLIMETRE
         for c, (name, unbalance) in enumerate(zip(estimates.readings.names, estimates.found, strict=True)):
             sizes, angle = unbalance.magnitude_interval() / GRAM_MILLIMETRE, np.degrees(unbalance.angle_half_width())
             half, known = unbalance.half_width() / GRAM_MILLIMETRE, estimates.readings.unbalance[c]
@@ -44,15 +37,15 @@ def tabulate_estimates(
                     "magnitude_high_g_mm": sizes[n, 1],
                     "angle_band_deg": angle[n],
                     "part_band_g_mm": half[n],
-                    "circle_g_mm": radius[c, n],
+                    "circle_g_mm": estimates.radius[c, n] / GRAM_MILLIMETRE,
                 }
                 if not np.isnan(known[n]):
                     row |= _show_complex("known", given[c, n])
                     row["known_within_95"] = int(abs(known[n] - unbalance.value[n]) <= estimates.radius[c, n])
                 row |= {
-                    "chance": _blank(estimates.chance[c]),
+                    "chance": estimates.chance[c],
                     "inconsistent": int(estimates.inconsistent[c]),
-                    "label_chance": _blank(estimates.label_chance[c]),
+                    "label_chance": estimates.label_chance[c],
                     "contradicted": int(estimates.contradicted[c]),
                     "vectors": int((estimates.readings.counts[c] > 0).sum()),
                 }
@@ -73,11 +66,13 @@ def _show_complex(name: str, value: complex) -> dict[str, float]:
     }
 
 
-def print_estimates(name: str, method: str, estimates: Estimates, planes: Sequence[int], source: SourceUnits) -> None:
-    """The unbalance of every condition by one method; of many conditions the first ones and those with a remark."""
+def print_estimates(
+    name: str, method: str, estimates: Estimates, planes: Sequence[int], source: SourceUnits, most: int = 40
+) -> None:
+    """The unbalance of every condition by one method; of more than ``most`` the first ones and those with a remark."""
     names, remarks = estimates.readings.names, [_remark(estimates, c) for c in range(len(estimates.found))]
     shown = [c for c, remark in enumerate(remarks) if remark]
-    first = len(names) if len(names) <= _SHOWN else _SHOWN - len(shown)
+    first = len(names) if len(names) <= most else most - len(shown)
     shown = sorted({*shown, *range(first)})
     rows = [[names[c], *_show_condition(estimates, c, source), remarks[c]] for c in shown]
     header = ["condition", *(f"node {node}, {what}" for node in planes for what in ("g mm", "deg", "known")), "remark"]
@@ -90,25 +85,20 @@ def _show_condition(estimates: Estimates, c: int, source: SourceUnits) -> list[s
     unbalance, cells = estimates.found[c], []
     values, known = source.weights(unbalance.value), source.weights(estimates.readings.unbalance[c])
     half, angle = unbalance.half_width() / GRAM_MILLIMETRE, np.degrees(unbalance.angle_half_width())
-    for n, value in enumerate(values):
-        known_to = _blank(half[n])
-        cells.append(_show_size(abs(value)) if known_to is None else format_deviation(float(abs(value)), known_to))
-        cells.append("any" if angle[n] >= 180 else f"{_show_angle(value)} +- {angle[n]:.1f}")
-        cells.append("-" if np.isnan(known[n]) else _show_known(known[n]))
+    for value, known_to, turn, given in zip(values, half, angle, known, strict=True):
+        cells.append(_show_size(abs(value), known_to))
+        cells.append("any" if turn >= 180 else f"{_show_angle(value)} +- {turn:.1f}")
+        size = f"{write_number(abs(given))} at {_show_angle(given)}" if abs(given) > 0 else "0"
+        cells.append("-" if np.isnan(given) else size)
     return cells
 
 
-def _show_known(value: complex) -> str:
-    return f"{abs(value):.4g} at {_show_angle(value)}" if abs(value) > 0 else "0"
-
-
 def _remark(estimates: Estimates, c: int) -> str:
-    said = []
-    if estimates.inconsistent[c]:
-        said.append(f"no unbalance explains it ({estimates.chance[c]:.1g})")
-    if estimates.contradicted[c]:
-        said.append(f"contradicts its weights ({estimates.label_chance[c]:.1g})")
-    return ", ".join(said)
+    remarks = (
+        (estimates.inconsistent, "no unbalance explains it", estimates.chance),
+        (estimates.contradicted, "contradicts its weights", estimates.label_chance),
+    )
+    return ", ".join(f"{text} ({write_number(chance[c], digits=1)})" for at, text, chance in remarks if at[c])
 
 
 def describe_sheet(
@@ -127,10 +117,7 @@ def describe_sheet(
         }
         for n, node in enumerate(planes)
     ]
-    return {
-        "planes": rows,
-        "tolerance": judge_tolerance(sheet, tolerance),
-    }
+    return {"planes": rows, "tolerance": judge_tolerance(sheet, tolerance)}
 
 
 def print_sheet(
@@ -139,21 +126,22 @@ def print_sheet(
     """Which mass goes into which hole, what remains in each plane, and whether the tolerance holds."""
     rows = []
     for plane in describe_sheet(sheet, planes, source, tolerance)["planes"]:
-        weights = ", ".join(f"{w['mass_g']:.4g} g in hole {w['hole']}" for w in plane["weights"]) or "no weight"
+        weights = [f"{write_number(w['mass_g'])} g in hole {w['hole']}" for w in plane["weights"]]
         vectors = [
             f"{_show_size(plane[f'{vector}_g_mm'])} at {plane[f'{vector}_angle_deg'] % 360:.0f} deg"
-            for vector in _VECTORS
+            for vector in ("unbalance", "remaining")
         ]
         bounds = [_show_bound(plane[key]) for key in ("circle_g_mm", "remaining_at_most_g_mm")]
-        rows.append([f"node {plane['node']}", weights, *vectors, *bounds])
+        rows.append([f"node {plane['node']}", ", ".join(weights) or "no weight", *vectors, *bounds])
     header = ["plane", "put in", "unbalance, g mm", "remains, g mm", "+- (95 % circle)", "at most (95 %)"]
     table(title, header, rows)
+    verdicts = {"met": "is met", "not met": "is not met", "open": "may or may not be met"}
     for plane in judge_tolerance(sheet, tolerance):
-        verdict = {"met": "is met", "not met": "is not met", "open": "may or may not be met"}[plane["verdict"]]
+        permissible = write_number(plane["permissible_g_mm"], digits=3)
         say(
             f"bearing at node {plane['node']}: {_show_size(plane['remaining_g_mm'])} g mm remain "
-            f"(at most {_show_bound(plane['at_most_g_mm'])}, 95 %), permissible are {plane['permissible_g_mm']:.3g}: "
-            f"the tolerance {verdict}"
+            f"(at most {_show_bound(plane['at_most_g_mm'])}, 95 %), permissible are {permissible}: "
+            f"the tolerance {verdicts[plane['verdict']]}"
         )
 
 
@@ -161,17 +149,14 @@ def print_fewer(sheets: Sequence[BalanceSheet], planes: Sequence[int], source: S
     """What at most one, two ... weights a plane leave: whether another screw is worth it."""
     rows = []
     for k, sheet in enumerate(sheets, 1):
-        put = [", ".join(f"{1e3 * w.mass:.4g} g in {w.hole}" for w in weight) or "none" for weight in sheet.weights]
+        put = [", ".join(f"{write_number(1e3 * w.mass)} g in {w.hole}" for w in ws) or "none" for ws in sheet.weights]
         left = ", ".join(_show_size(float(size)) for size in np.abs(source.weights(sheet.remaining)))
         grams = 1e3 * sum(w.mass for weight in sheet.weights for w in weight)
         vibration = 1e6 * float(np.sqrt(np.nanmean(np.abs(sheet.after) ** 2)))
-        rows.append([str(k), *put, left, f"{vibration:.3g}", f"{grams:.4g}"])
+        rows.append([str(k), *put, left, write_number(vibration, digits=3), write_number(grams)])
     holes = [f"node {node}: in hole" for node in planes]
     header = ["weights a plane at most", *holes, "remain, g mm", "vibration after, um (root mean square)", "g in all"]
     table("would fewer do?", header, rows)
-
-
-_VECTORS = ("unbalance", "remaining")
 
 
 def judge_tolerance(sheet: BalanceSheet, tolerance: Tolerance | None) -> list[dict[str, Any]]:
@@ -209,31 +194,31 @@ def tabulate_vibration_change(
     names = source.probes or tuple(f"node {node}, {angle:g} deg" for node, angle in channels)
     return [
         {
-            "speed_rpm": float(to_rpm(speeds[s : s + 1])[0]),
+            "speed_rpm": float(rpm),
             "probe": names[p],
             "unit": source.unit,
-            "before": None if np.isnan(before[s, p]) else float(before[s, p]),
-            "after": None if np.isnan(after[s, p]) else float(after[s, p]),
+            "before": _blank(before[s, p]),
+            "after": _blank(after[s, p]),
             "band_95": _blank(half[s, p]),
         }
-        for s in range(shape[0])
+        for s, rpm in enumerate(to_rpm(speeds))
         for p in range(shape[1])
     ]
 
 
-def print_vibration_change(rows: Sequence[Mapping[str, Any]], unit: str) -> None:
-    """Amplitudes before and after, of many speeds a few that are evenly spread."""
+def print_vibration_change(rows: Sequence[Mapping[str, Any]], unit: str, most: int = 6) -> None:
+    """Amplitudes before and after, of more than ``most`` speeds so many that are evenly spread."""
     read = [row for row in rows if row["before"] is not None]
     speeds = sorted({row["speed_rpm"] for row in read})
-    every = max(1, -(-len(speeds) // _SPEEDS))
+    every = max(1, -(-len(speeds) // most))
     shown = speeds[::-every]
     header = ["probe", "rpm", f"before, {unit}", f"after, {unit}"]
     lines = [
         [
             row["probe"],
             f"{row['speed_rpm']:.0f}",
-            f"{row['before']:.3g}",
-            format_deviation(row["after"], row["band_95"]),
+            write_number(row["before"], digits=3),
+            write_number(row["after"], row["band_95"]),
         ]
         for row in read
         if row["speed_rpm"] in shown
@@ -244,11 +229,12 @@ def print_vibration_change(rows: Sequence[Mapping[str, Any]], unit: str) -> None
 
 
 def _show_bound(size: float | None) -> str:
-    return "unknown" if size is None else f"{size:.3g}"
+    return "unknown" if size is None else write_number(size, digits=3)
 
 
-def _show_size(size: float) -> str:
-    return f"{size:.3g}" if size >= _LEAST else "0"
+def _show_size(size: float, known_to: float = np.nan, least: float = 1e-3) -> str:
+    """In g mm, with its 95 % band where that is known; nothing below the ``least``."""
+    return write_number(size, known_to, 3) if size >= least or np.isfinite(known_to) else "0"
 
 
 def _show_angle(value: complex) -> str:

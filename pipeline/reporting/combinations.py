@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 from pipeline.identification.combinations import WORTH, Combinations
+from pipeline.reporting.write_numbers import write_number
 from pipeline.units import RAD_S_PER_RPM
 
 
 def describe_combinations(combinations: Combinations) -> str:
     """Sentences: the best and the least known combination, the run that would tell more, and the tolerances."""
-    text = f"known best is {combinations.strongest.words} (+- {100 * combinations.strongest.deviation:.2g} %), "
-    text += f"known least is {combinations.weakest.words} (+- {100 * combinations.weakest.deviation:.2g} %)"
+    ends = (("best", combinations.strongest), ("least", combinations.weakest))
+    text = ", ".join(f"known {which} is {end.words} (+- {_show(100 * end.deviation)} %)" for which, end in ends)
     run = combinations.next_run
     if run is not None:
-        rpm = run.speed / RAD_S_PER_RPM
-        text += f"; '{run.run}' at {rpm:.4g} rpm besides would tell that to +- {100 * run.deviation:.2g} %"
+        rpm, deviation = write_number(run.speed / RAD_S_PER_RPM), _show(100 * run.deviation)
+        text += f"; '{run.run}' at {rpm} rpm besides would tell that to +- {deviation} %"
     told = {kind: span for kind, span in combinations.parameters.items() if span[0] < WORTH}
     untold = [kind for kind in combinations.parameters if kind not in told]
     if told:
@@ -26,8 +28,11 @@ def describe_combinations(combinations: Combinations) -> str:
     return text + "."
 
 
+_show = partial(write_number, digits=2)
+
+
 def _describe_span(least: float, most: float) -> str:
-    return f"{least:.2g}" if most - least < 0.05 else f"{least:.2g} to {most:.2g}"
+    return _show(least) if most - least < 0.05 else f"{_show(least)} to {_show(most)}"
 
 
 def summarize_combinations(combinations: Combinations) -> dict[str, Any]:

@@ -14,9 +14,10 @@ from textwrap import wrap
 import numpy as np
 
 from pipeline.comparison.cases import Case
-from pipeline.comparison.result import Result
+from pipeline.comparison.result import CoefficientResult, Result
 from pipeline.methods.catalogue import METHODS
-from pipeline.reporting.console import format_markdown
+from pipeline.reporting.tables import Table, format_markdown
+from pipeline.reporting.write_numbers import write_number
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,11 +68,12 @@ class Comparison:
             return any(max(mine[i], others[i]) >= ROUNDING_PERCENT and mine[i] != others[i] for i in common)
         if len(common) < 2:
             return False
-        from scipy.stats import t
+        from scipy.stats import ttest_1samp
 
-        difference = np.array([mine[i] - others[i] for i in common])
-        bar = t.ppf(0.975, len(common) - 1) * difference.std(ddof=1) / np.sqrt(len(common))
-        return bool(abs(difference.mean()) > bar)
+        differences = [mine[i] - others[i] for i in common]
+        if np.ptp(differences) == 0:
+            return differences[0] != 0
+        return bool(ttest_1samp(differences, 0.0).pvalue < 0.05)
 
     def level_with_best(self, case: Case, name: str | None = None) -> set[str]:
         """The best method and those that are not told from it, of those that always answer.
@@ -165,13 +167,13 @@ ROUNDING_PERCENT = 1e-8
 def format_error(error: float) -> str:
     """An error in percent, to two digits where it has them."""
     if error < ROUNDING_PERCENT:
-        return f"< {ROUNDING_PERCENT:g}".replace("e-0", "e-")
-    return f"{error:.0f}" if 100 <= error < 1e5 else f"{error:.2g}"
+        return f"< {write_number(ROUNDING_PERCENT)}"
+    return write_number(error, digits=3 if error >= 100 else 2)
 
 
 def format_spread(spread: float) -> str:
     """A standard deviation in percent, to one digit where it has them."""
-    return f"{spread:.0f}" if 9.5 <= spread < 1e5 else f"{spread:.1g}"
+    return write_number(spread, digits=2 if spread >= 9.5 else 1)
 
 
 def format_noise(noise: float) -> str:
@@ -188,60 +190,50 @@ def describe_case(case: Case, *keys: str) -> str:
     return ", ".join(texts[key] for key in keys)
 
 
-Table = tuple[str, list[str], list[list[str]]]
-
-
 def make_tables(comparison: Comparison) -> list[Table]:
-    """(title, header, rows) of every table; the first column names the method, bold is marked by ``**``."""
-    main = comparison.main
+    """Every table; the first column names the method, bold is marked by ``**``."""
+    main, methods = comparison.main, comparison.methods
     noise, speeds = comparison.along("noise"), [case for case in comparison.along("speeds") if case != main]
     title = f"sensors: {describe_case(main, 'sensors', 'speeds')}"
     if speeds:
         title += f"; fewer speeds at {format_noise(main.noise)} noise"
-    columns = [*((case, describe_case(case, "noise")) for case in noise)]
+    columns = [(case, describe_case(case, "noise")) for case in noise]
     columns += [(case, describe_case(case, "speeds")) for case in speeds]
     first = _make_table(comparison, title, columns)
-    first[1].append("inside")
-    for row, method in zip(first[2], comparison.methods, strict=True):
-        held = comparison.coverage(method, main)
-        row.append("" if held is None else f"{held:.0f}")
-    made = [first]
+    shares = ["" if held is None else f"{held:.0f}" for held in (comparison.coverage(m, main) for m in methods)]
+    rows = [[*row, share] for row, share in zip(first.rows, shares, strict=True)]
+    tables = [Table(title, [*first.header, "inside"], rows)]
     others = [case for case in comparison.along("sensors") if case.sensors != main.sensors]
     if others:
         pairs = [replace(case, noise=level.noise) for case in others for level in noise]
-        columns = [(case, describe_case(case, "sensors", "noise")) for case in pairs]
         names = " or ".join(SENSOR_TEXT[case.sensors] for case in others)
-        made.append(_make_table(comparison, f"sensors: {names}, {describe_case(main, 'speeds')}", columns))
+        columns = [(case, describe_case(case, "sensors", "noise")) for case in pairs]
+        tables.append(_make_table(comparison, f"sensors: {names}, {describe_case(main, 'speeds')}", columns))
     each = []
-    for m in comparison.methods:
+    for m in methods:
         errors = comparison.by_coefficient(m)
         cells = [comparison.format_entry(m, main, name) if name in errors else "" for name in comparison.names]
         each.append([comparison.label(m, [main]), *cells])
-    made.append(
-        (f"each coefficient; {describe_case(main, 'noise', 'sensors', 'speeds')}", ["method", *comparison.names], each)
-    )
-    return made
+    title = f"each coefficient; {describe_case(main, 'noise', 'sensors', 'speeds')}"
+    return [*tables, Table(title, ["method", *comparison.names], each)]
 
 
 def _make_table(comparison: Comparison, title: str, columns: Sequence[tuple[Case, str]]) -> Table:
     cases = [case for case, _ in columns]
     rows = [[comparison.label(m, cases), *(comparison.cell(m, case) for case in cases)] for m in comparison.methods]
-    return title, ["method", *(name for _, name in columns)], rows
+    return Table(title, ["method", *(name for _, name in columns)], rows)
 
 
 def write_markdown(comparison: Comparison) -> str:
     """Write all tables as Markdown; methods that answer in no case of a table are named below it."""
-    parts = []
-    for title, header, rows in make_tables(comparison):
-        answers = [any(any(c.isdigit() for c in cell) for cell in row[1:]) for row in rows]
-        shown = [row for row, answered in zip(rows, answers, strict=True) if answered]
-        silent = {row[0]: row[1] for row, answered in zip(rows, answers, strict=True) if not answered and row[1]}
-        text = f"Median error in percent, {title}:\n\n{format_markdown(header, shown)}"
-        if silent:
-            named = "; ".join(f"{name} ({reason})" for name, reason in silent.items())
-            text += "\n" + "\n".join(wrap(f"No answer: {named}.", 100)) + "\n"
-        parts.append(text)
-    return "\n".join(parts)
+    texts = []
+    for made in make_tables(comparison):
+        answered = [row for row in made.rows if any(character.isdigit() for cell in row[1:] for character in str(cell))]
+        text = f"Median error in percent, {made.caption}:\n\n{format_markdown(made.header, answered)}"
+        named = "; ".join(f"{row[0]} ({row[1]})" for row in made.rows if row not in answered and row[1])
+        below = "\n".join(["", *wrap(f"No answer: {named}.", 100), ""]) if named else ""
+        texts.append(text + below)
+    return "\n".join(texts)
 
 
 def tabulate(comparison: Comparison) -> list[dict[str, object]]:
@@ -278,14 +270,13 @@ def tabulate(comparison: Comparison) -> list[dict[str, object]]:
 
 def _summarize(answered: Sequence[Result], node: str, name: str) -> dict[str, object]:
     """Over the data sets; None for what none of them has."""
+    import pandas as pd
+
     answers = [r.coefficients[node][name] for r in answered if name in r.coefficients.get(node, {})]
-    errors = np.array([answer.median_error for answer in answers])
-    several = {"std": lambda e: np.std(e, ddof=1)} if len(answers) > 1 else {}
-    several |= {"median": np.median, "min": np.min, "max": np.max} if len(answers) else {}
-    result: dict[str, object] = {"median_error_percent": float(errors.mean()) if len(answers) else None}
-    for key in ("std", "median", "min", "max"):
-        result[f"median_error_percent_{key}"] = float(several[key](errors)) if key in several else None
-    for key in ("p95_error", "median_deviation", "within_interval"):
-        values = [value for answer in answers if (value := getattr(answer, key)) is not None]
-        result[f"{key}_percent"] = float(np.mean(values)) if values else None
-    return result
+    columns = list(CoefficientResult.model_fields)
+    table = pd.DataFrame([answer.model_dump() for answer in answers], columns=columns, dtype=float)
+    errors = table["median_error"]
+    numbers = {f"median_error_percent_{key}": getattr(errors, key)() for key in ("std", "median", "min", "max")}
+    numbers = {"median_error_percent": errors.mean(), **numbers}
+    numbers |= {f"{key}_percent": table[key].mean() for key in ("p95_error", "median_deviation", "within_interval")}
+    return {key: None if np.isnan(number) else float(number) for key, number in numbers.items()}

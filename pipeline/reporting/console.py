@@ -1,4 +1,4 @@
-"""Lines, tables and progress on the terminal, and the tables as Markdown."""
+"""Lines, tables and progress on the terminal."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING
+
+from pipeline.reporting.tables import Cell, Table
+from pipeline.reporting.write_numbers import write_number
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -39,23 +42,23 @@ def warn(text: str) -> None:
     _open_console(True).print(f"warning: {text}", markup=False, style="yellow")
 
 
-def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+def table(title: str, header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> None:
     """Print a table on stdout; the first column is left-aligned, the others right."""
+    print_table(Table(title, header, rows))
+
+
+def print_table(shown: Table) -> None:
+    """The same of a table that other media show too; nothing of one without rows."""
     from rich import box
-    from rich.table import Table
+    from rich.table import Table as Drawing
 
-    drawn = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
-    for i, name in enumerate(header):
+    drawn = Drawing(title=shown.caption, title_justify="left", box=box.SIMPLE_HEAD)
+    for i, name in enumerate(shown.header):
         drawn.add_column(name, justify="left" if i == 0 else "right", no_wrap=True)
-    for row in rows:
-        drawn.add_row(*row)
-    _open_console(False).print(drawn, markup=False, crop=False)
-
-
-def format_markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Write the same table as Markdown, for a file."""
-    lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
-    return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows)]) + "\n"
+    for row in shown.rows:
+        drawn.add_row(*map(str, row))
+    if shown.rows:
+        _open_console(False).print(drawn, markup=False, crop=False)
 
 
 @contextmanager
@@ -66,7 +69,11 @@ def training_progress(name: str) -> Iterator[Progress]:
         def update(phase: str, step: int, total: int, loss: float) -> None:
             rate = f"{bar.tasks[0].speed:.0f} steps/s" if bar.tasks[0].speed else ""
             bar.update(
-                task, description=f"{name} {phase}", completed=step, total=total, words=f"loss {loss:.3g} {rate}"
+                task,
+                description=f"{name} {phase}",
+                completed=step,
+                total=total,
+                words=f"loss {write_number(loss)} {rate}",
             )
 
         yield update
@@ -78,7 +85,7 @@ def study_progress(name: str, total: int) -> Iterator[StudyProgress]:
     with _show_bar(name, total) as (bar, task):
 
         def update(done: int, best: float | None) -> None:
-            text = f"trials, best held-out loss {'-' if best is None else f'{best:.3g}'}, left:"
+            text = f"trials, best held-out loss {write_number(best)}, left:"
             bar.update(task, completed=done, words=text)
 
         yield update

@@ -11,7 +11,9 @@ import numpy as np
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.evaluation.errors import CoefficientErrors
 from pipeline.problem.determination import Deviations, describe_determined, read_determined
+from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.console import table
+from pipeline.reporting.write_numbers import format_engineering, write_number
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.trust.misfit import describe_held_out, measure_misfit
 
@@ -33,27 +35,22 @@ def make_error_table(
     """
     import pandas as pd
 
-    rows = []
+    shown, rows = Coefficients.collect(answer, modelled, names, deviation), []
     judged = () if deviation is None else Deviations(answer, deviation, "").judge()
     verdicts = {(determined.node, determined.name): determined.verdict.value for determined in judged}
     for b, node in enumerate(answer.nodes):
         for name in names[b]:
-            if errors is not None and name not in errors[node]:
+            error = (errors or {node: {}})[node].get(name)
+            if shown.compared and error is None:
                 continue  # a modelled coefficient of zero has no relative error
+            c = COEFFICIENTS.index(name)
+            share = np.median(shown.deviation[b, :, c] / np.abs(answer.values[b, :, c]))
             row: dict[str, Any] = {"bearing_node": node, "coefficient": name}
-            if modelled is not None:
-                row["modelled"] = modelled.coefficient(name)[b].mean()
-            row["identified"] = answer.coefficient(name)[b].mean()
-            if errors is not None:
-                row |= asdict(errors[node][name])
-            if beside is not None:
-                row["least_squares_mean_error_percent"] = beside[node][name].mean_error_percent
-            if deviation is not None:
-                c = COEFFICIENTS.index(name)
-                row["median_std_percent"] = float(100 * np.median(deviation[b, :, c] / np.abs(answer.values[b, :, c])))
-                row["verdict"] = verdicts[node, name]
-            rows.append(row)
-    return pd.DataFrame(rows)
+            row |= {"modelled": shown.modelled[b, :, c].mean(), "identified": answer.values[b, :, c].mean()}
+            row |= asdict(error) if error else {}
+            row |= {"least_squares_mean_error_percent": beside[node][name].mean_error_percent} if beside else {}
+            rows.append(row | {"median_std_percent": float(100 * share), "verdict": verdicts.get((node, name))})
+    return pd.DataFrame(rows).dropna(axis=1, how="all")
 
 
 def print_error_table(name: str, errors: pd.DataFrame) -> None:
@@ -84,7 +81,7 @@ _SHOWN = {
 def _format(column: str, value: float | str) -> str:
     if isinstance(value, str):
         return value
-    return f"{value / 1e5:.5f}e5" if column in ("modelled", "identified") else f"{value:.2g}"
+    return format_engineering(value) if column in ("modelled", "identified") else write_number(value, digits=2)
 
 
 def describe_verdicts(about: Mapping[str, Any]) -> str:
@@ -100,7 +97,9 @@ def describe_quality(quality: Mapping[str, Any]) -> str:
     """Say how well a fit explains its readings, from the summary of its quality; no truth is needed."""
     if "residual" in quality:
         residual = quality["residual"]["mean_over_bearing_force"]
-        return f"no modelled coefficients, so no errors; residual {residual:.3g} of the bearing force"
+        return (
+            f"no modelled coefficients, so no errors; residual {write_number(residual, digits=3)} of the bearing force"
+        )
     fit = quality["fit"]
     square, white = fit["chi_square"], fit["whiteness"]
     lines = [
@@ -112,7 +111,8 @@ def describe_quality(quality: Mapping[str, Any]) -> str:
     lines.append(measure_misfit(fit).sentence)
     for kind in ("held_out_speeds", "held_out_runs"):
         if kind in fit:
-            square = fit[kind]["mean_square_over_noise"]
-            beside = f" (root mean square), mean square over the noise {square:.3f}, where 1 is expected"
-            lines.append(describe_held_out(kind, fit[kind], 3) + (beside if square is not None else ""))
+            told, square = describe_held_out(kind, fit[kind], 3), fit[kind]["mean_square_over_noise"]
+            if square is not None:
+                told += f" (root mean square), mean square over the noise {square:.3f}, where 1 is expected"
+            lines.append(told)
     return "\n".join(lines)

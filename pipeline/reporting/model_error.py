@@ -9,33 +9,41 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.identification.identified import FittedParameter
-from pipeline.reporting.console import table
-from pipeline.reporting.figures import open_figure
+from pipeline.reporting.console import print_table
+from pipeline.reporting.figure import BLACK, Axes, Curve, Figure, HeatMap, Panel
+from pipeline.reporting.matplotlib_figures import write_figure
+from pipeline.reporting.tables import Table
+from pipeline.reporting.write_numbers import write_number
 from pipeline.rotor.parameters import UNITS
 
 
 def print_parameters(name: str, fitted: Sequence[FittedParameter]) -> None:
     """Stated tolerance and fitted value of every model parameter."""
+    rows = [(p.parameter.name, p.parameter.kind, p.parameter.deviation, p.value, p.deviation) for p in fitted]
+    print_table(list_parameters(f"{name}: model parameters, against what is stated", rows))
+
+
+def list_parameters(caption: str, fitted: Sequence[tuple[str, str, float, float, float]], told: float = 0.9) -> Table:
+    """A row a parameter: name, kind, prior deviation in its unit, value and posterior deviation over the prior's.
+
+    Where the posterior is more than ``told`` of the prior, the data tell nothing.
+    """
     rows = []
-    for parameter in fitted:
-        kind, prior = parameter.parameter.kind, parameter.parameter.deviation
-        told = "" if parameter.deviation < TOLD else "as stated: the data do not tell"
-        text = f"{_format(kind, parameter.value * prior)} +- {_format(kind, parameter.deviation * prior)}"
-        rows.append([parameter.parameter.name, f"0 +- {_format(kind, prior)}", text, told])
-    table(f"{name}: model parameters, against what is stated", ["parameter", "stated", "found", ""], rows)
+    for label, kind, prior, value, deviation in fitted:
+        unit, factor = _choose_unit(kind)
+        found = write_number(factor * prior * value, factor * prior * deviation)
+        remark = "" if deviation < told else "as stated: the data do not tell"
+        stated = f"0 +- {write_number(factor * prior, digits=3)}"
+        rows.append([label, unit, stated, found, write_number(value, digits=2), remark])
+    return Table(caption, ["parameter", "unit", "stated", "found", "over its tolerance", ""], rows)
 
 
-TOLD = 0.9
-"""Posterior over prior deviation, above which the data tell nothing."""
-
-
-def _format(kind: str, value: float) -> str:
-    """In an engineer's units."""
+def _choose_unit(kind: str) -> tuple[str, float]:
+    """An engineer's unit, and what the parameter's is multiplied by."""
     unit = UNITS[kind]
-    if not unit:
-        return f"{100 * value:.2g} %"
-    shown, factor = {"rad": ("deg", float(np.degrees(1))), "m": ("mm", 1e3)}.get(unit, (unit, 1.0))
-    return f"{factor * value:.3g} {shown}"
+    if kind in ("bow", "runout"):
+        return "um", 1e6
+    return {"": ("%", 100.0), "rad": ("deg", float(np.degrees(1))), "m": ("mm", 1e3)}.get(unit, (unit, 1.0))
 
 
 @dataclass(frozen=True)
@@ -49,32 +57,32 @@ class Budget:
     @property
     def rows(self) -> list[str]:
         """Each kind with its tolerance."""
-        return [f"{kind} ({_format(kind, self.tolerances[kind])})" for kind in self.percent]
+        units = {kind: _choose_unit(kind) for kind in self.percent}
+        sizes = {kind: write_number(factor * self.tolerances[kind], digits=3) for kind, (_, factor) in units.items()}
+        return [f"{kind} ({sizes[kind]} {units[kind][0]})" for kind in self.percent]
 
 
 def print_budget(name: str, budget: Budget) -> None:
     """Coefficients down, tolerances across."""
     rows = [
-        [coefficient, *(f"{values[a]:.2g}" for values in budget.percent.values())]
+        [coefficient, *(write_number(float(values[a]), digits=2) for values in budget.percent.values())]
         for a, coefficient in enumerate(budget.coefficients)
     ]
     title = f"{name}: systematic budget, what each tolerance does to a coefficient in percent (medians over speed)"
-    table(title, ["coefficient", *budget.rows], rows)
+    print_table(Table(title, ["coefficient", *budget.rows], rows))
 
 
 def draw_budget(path: Path, budget: Budget) -> Path:
     """A map of tolerances against coefficients: darker for more percent, with the numbers."""
     values = np.array(list(budget.percent.values()))
-    height, width = 1.8 + 0.4 * len(values), 3.2 + 0.62 * values.shape[1]
-    with open_figure(path, 1, 1, width, height) as axes:
-        ax = axes[0, 0]
-        ax.grid(False)
-        shade = np.log10(np.clip(values, 0.1, 100.0))
-        ax.imshow(shade, cmap="Blues", vmin=-1, vmax=2, aspect="auto")
-        for i, j in np.ndindex(values.shape):
-            colour = "white" if shade[i, j] > 1 else "black"
-            ax.text(j, i, f"{values[i, j]:.2g}", ha="center", va="center", fontsize=7, color=colour)
-        ax.set_xticks(range(values.shape[1]), budget.coefficients, rotation=60, ha="right", fontsize=8)
-        ax.set_yticks(range(len(values)), budget.rows, fontsize=8)
-        ax.set_title("change of the coefficient by the tolerance in brackets (%, median over speed)", fontsize=9)
-    return path
+    shade = np.log10(np.clip(values, 0.1, 100.0))
+    down, across = np.meshgrid(*map(np.arange, values.shape), indexing="ij")
+    numbers = []
+    for colour, chosen in (("#ffffff", shade > 1), (BLACK, shade <= 1)):
+        texts = [write_number(float(value), digits=2) for value in values[chosen]]
+        numbers.append(Curve(across[chosen], down[chosen] + 0.12, "", colour, "none", texts=texts))
+    heat = HeatMap(np.arange(values.shape[1]), np.arange(values.shape[0]), shade, "", "Blues", (-1.0, 2.0))
+    title = "change of the coefficient by the tolerance in brackets (%, median over speed)"
+    axes = Axes(numbers, "", y_names=budget.rows)
+    panel = Panel(title, "", [axes], heat=heat, x_names=budget.coefficients, wide=True)
+    return write_figure(path, Figure("budget", "", [panel], columns=1))

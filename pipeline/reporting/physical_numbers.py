@@ -11,8 +11,9 @@ import numpy as np
 from pipeline.config.schema import Config
 from pipeline.data.operating import write_condition
 from pipeline.evaluation.contradiction import find_contradiction, list_contradicted
-from pipeline.reporting.console import table
-from pipeline.reporting.write_numbers import format_deviation
+from pipeline.reporting.console import print_table
+from pipeline.reporting.tables import Table
+from pipeline.reporting.write_numbers import write_number
 
 _ZERO_CELSIUS = 273.15
 _UNITS = {
@@ -68,27 +69,23 @@ def list_numbers(found: Mapping[str, Mapping[str, Any]], config: Config) -> list
 
 def print_numbers(name: str, numbers: Sequence[EngineersNumber]) -> None:
     """A row a number; nothing of a fit without bearing laws."""
-    if numbers:
-        title = f"{name}: numbers of the bearing laws (+- standard deviation)"
-        table(title, NUMBERS_HEADER, list_number_rows(numbers))
+    print_table(tabulate_numbers(f"{name}: numbers of the bearing laws (+- standard deviation)", numbers))
 
 
-NUMBERS_HEADER = ("number", "found", "unit", "+- %", "guess", "")
-
-
-def list_number_rows(numbers: Sequence[EngineersNumber]) -> list[list[str]]:
-    """Rows below ``NUMBERS_HEADER``."""
-    return [
+def tabulate_numbers(caption: str, numbers: Sequence[EngineersNumber]) -> Table:
+    """A row a number."""
+    rows = [
         [
             number.label,
-            format_deviation(number.value, number.deviation),
+            write_number(number.value, number.deviation),
             number.unit,
-            f"{number.percent:.2g}",
-            f"{number.guess:.4g}",
+            write_number(number.percent, digits=2),
+            write_number(number.guess),
             "" if number.determined else "the data do not tell it",
         ]
         for number in numbers
     ]
+    return Table(caption, ["number", "found", "unit", "+- %", "guess", ""], rows)
 
 
 def describe_law(quality: Mapping[str, Any], kind: str) -> list[str]:
@@ -100,8 +97,8 @@ def describe_law(quality: Mapping[str, Any], kind: str) -> list[str]:
     for node, share in law.get("outside_table", {}).items():
         if share > 0:
             phrases.append(
-                f"At {100 * share:.2g} % of the points the bearing of node {node} lies beyond the end of its table, "
-                "whose last coefficients are continued there: give a table that goes further."
+                f"At {write_number(100 * share, digits=2)} % of the points the bearing of node {node} lies beyond the "
+                "end of its table, whose last coefficients are continued there: give a table that goes further."
             )
     if law.get("starts", 1) > 1:
         phrases.append(
@@ -110,16 +107,15 @@ def describe_law(quality: Mapping[str, Any], kind: str) -> list[str]:
     return phrases
 
 
-_NOTHING = 0.01
-"""Percent."""
-
-
-def _describe_correction(node: str, coefficients: Mapping[str, Mapping[str, float]]) -> str:
+def _describe_correction(
+    node: str, coefficients: Mapping[str, Mapping[str, float]], least_percent: float = 0.01
+) -> str:
     """How much a network corrects the law of a bearing: what stands out of its own deviation speaks against the law."""
-    if all(entry["percent"] < _NOTHING and entry["deviation_percent"] < _NOTHING for entry in coefficients.values()):
+    if all(max(entry["percent"], entry["deviation_percent"]) < least_percent for entry in coefficients.values()):
         return f"The network corrects nothing of the law of node {node}: the readings do not ask for it."
     shown = ", ".join(
-        f"{name} {entry['percent']:.2g} +- {entry['deviation_percent']:.2g} %" for name, entry in coefficients.items()
+        f"{name} {write_number(entry['percent'], digits=2)} +- {write_number(entry['deviation_percent'], digits=2)} %"
+        for name, entry in coefficients.items()
     )
     out = list_contradicted(coefficients)
     against = f"That of {', '.join(out)} speaks against the law" if out else "None of it speaks against the law"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,10 +13,10 @@ import numpy as np
 from pipeline.config.promotion import get_value, has_value
 from pipeline.config.schema import Config
 from pipeline.evaluation.errors import find_worst_mean, measure_errors
-from pipeline.identification.chebyshev import ChebyshevFit
 from pipeline.identification.identified import IdentifiedModel
-from pipeline.reporting.console import format_markdown
-from pipeline.reporting.write_numbers import write_value
+from pipeline.identification.residual_loss import ChebyshevFit
+from pipeline.reporting.tables import format_markdown
+from pipeline.reporting.write_numbers import write_number, write_value
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.tuning.finalists import Finalist, TrialSummary
 from pipeline.tuning.judging import describe_objective
@@ -49,20 +49,19 @@ class StudyReport:
     @cached_property
     def errors(self) -> dict[int, dict[str, np.ndarray]]:
         """Trial -> coefficient -> (seeds,) mean error over speed in percent, worse bearing; empty without a truth."""
-        if self.modelled is None:
-            return {}
-        errors = {f.trial: [self._errors(model) for model in f.models] for f in self.finalists}
+        errors = {f.trial: [self._measure(model) for model in f.models] for f in self.finalists}
         return {
-            trial: {name: np.array([error[name] for error in each]) for name in each[0]}
+            trial: {name: np.array([error[name] for error in each]) for name in self.names}
             for trial, each in errors.items()
+            if self.modelled is not None
         }
 
     @cached_property
     def chebyshev_errors(self) -> dict[str, float]:
         """The same of the Chebyshev series."""
-        return {} if self.chebyshev is None else self._errors(self.chebyshev.identified)
+        return {} if self.chebyshev is None else self._measure(self.chebyshev.identified)
 
-    def _errors(self, model: IdentifiedModel) -> dict[str, float]:
+    def _measure(self, model: IdentifiedModel) -> dict[str, float]:
         if self.modelled is None:
             return {}
         errors = measure_errors(model.table(self.known), self.modelled, model.unknowns.by_bearing)
@@ -147,22 +146,26 @@ def _divide(before: float, after: float) -> float | None:
     return before / after if np.isfinite(before) and after > 0 else None
 
 
+_show = partial(write_number, digits=2)
+
+
 def judge_study(report: StudyReport) -> str:
     """Say in a sentence whether tuning helped."""
-    default, best = report.default, report.best
-    if best is not default:
+    before, after = report.default.median, report.best.median
+    stated, chosen, gain = (write_number(number, digits=3) for number in (before, after, before / after))
+    if report.best is not report.default:
         return (
-            f"trial {best.trial} is worth promoting: median held-out loss {best.median:.3g}, "
-            f"{default.median / best.median:.3g} times below the default's {default.median:.3g}"
+            f"trial {report.best.trial} is worth promoting: median held-out loss {chosen}, "
+            f"{gain} times below the default's {stated}"
         )
-    if default.median < ROUNDING_LEVEL:
+    if before < ROUNDING_LEVEL:
         return (
             f"the configured default stays: its held-out loss is below {ROUNDING_LEVEL:g}, which is rounding, and "
             "tuning can't help"
         )
     return (
-        f"the configured default stays: over {len(default.losses)} seeds no finalist lowers its median held-out loss "
-        f"{default.median:.3g} by {report.config.tuning.least_gain:g} times, with every seed below its luckiest one, "
+        f"the configured default stays: over {len(report.default.losses)} seeds no finalist lowers its median held-out "
+        f"loss {stated} by {report.config.tuning.least_gain:g} times, with every seed below its luckiest one, "
         "so tuning does not help"
     )
 
@@ -180,14 +183,7 @@ def write_report(report: StudyReport) -> str:
         command += f" training.holdout_every={config.training.holdout_every}"
     if tuning.study != config.name:
         command += f" tuning.study={tuning.study} (and what else was overridden when the study was begun)"
-    missing = {
-        name
-        for name, present in (
-            ("importance", report.importances),
-            ("learning_curves", any(trial.curve for trial in report.trials)),
-        )
-        if not present
-    }
+    drawn = {"importance": report.importances, "learning_curves": any(trial.curve for trial in report.trials)}
     parts = [
         f"# Study `{tuning.study}`",
         f"**Question.** Which hyperparameters identify {', '.join(report.names)} of `{config.name}` best - "
@@ -204,7 +200,7 @@ def write_report(report: StudyReport) -> str:
         _list_values(report),
         _say_importance(report),
         "`trials.csv` has every trial, `finalists.csv` every finalist and seed, `best.yaml` what training uses.",
-        *(f"![{_FIGURES[name]}](figures/{name}.png)" for name in _FIGURES if name not in missing),
+        *(f"![{title}](figures/{name}.png)" for name, title in _FIGURES.items() if drawn.get(name, True)),
     ]
     return "\n\n".join(paragraph for paragraph in parts if paragraph) + "\n"
 
@@ -226,20 +222,25 @@ def _compare(report: StudyReport) -> str:
     rows = []
     for f in report.finalists:
         title = "default" if f.trial == 0 else f"trial {f.trial}"
-        losses = f.losses[np.isfinite(f.losses)]
-        span = f"{f.median:.3g} ({losses.min():.2g} to {losses.max():.2g})" if len(losses) else "diverged"
-        errors = [report.errors[f.trial][name] for name in names]
-        cells = [f"{np.median(e):.2g} ({e.min():.2g} to {e.max():.2g})" for e in errors]
         if f is report.best:
             title = f"**{title}, {'chosen' if f.trial else 'which stays'}**"
+        losses = f.losses[np.isfinite(f.losses)]
+        span = _write_span(f.median, losses, 3) if len(losses) else "diverged"
+        errors = [report.errors[f.trial][name] for name in names]
+        cells = [_write_span(float(np.median(error)), error) for error in errors]
         rows.append([title, span, *cells, f"{f.seconds / len(f.losses):.1f} s"])
     if (series := report.chebyshev) is not None:
-        cells = [f"{report.chebyshev_errors[name]:.2g}" for name in names]
-        rows.append([f"Chebyshev series, degree {series.degree}", f"{series.held_out_loss:.3g}", *cells, ""])
+        cells = [_show(report.chebyshev_errors[name]) for name in names]
+        loss = write_number(series.held_out_loss, digits=3)
+        rows.append([f"Chebyshev series, degree {series.degree}", loss, *cells, ""])
     caption = f"Median over {len(report.config.tuning.seeds)} seeds (lowest to highest)"
     if names:
         caption += "; errors are the mean over speed of the worse bearing, evaluated after the choice"
     return f"{format_markdown(head, rows)}\n{caption}."
+
+
+def _write_span(middle: float, values: np.ndarray, digits: int = 2) -> str:
+    return f"{write_number(middle, digits=digits)} ({_show(values.min())} to {_show(values.max())})"
 
 
 def _explain_limits(report: StudyReport) -> list[str]:
@@ -250,41 +251,36 @@ def _explain_limits(report: StudyReport) -> list[str]:
     room = report.default.median / series.held_out_loss
     text = (
         "**What limits it.** A Chebyshev series of the speed, fitted by linear least squares (one answer, no "
-        f"training), reaches a held-out loss of {series.held_out_loss:.3g} at its best degree, {series.degree}. "
+        f"training), reaches a held-out loss of {write_number(series.held_out_loss, digits=3)} at its best degree, "
+        f"{series.degree}. "
     )
-    if room > 1:
-        text += f"Smooth functions of the speed hardly do better: the default had a factor of {room:.2g} to gain there."
-    else:
-        text += "The default network is below that already."
+    better = f"Smooth functions of the speed hardly do better: the default had a factor of {_show(room)} to gain there."
+    text += better if room > 1 else "The default network is below that already."
     if best is report.default:
         return [text]
-    sentences = [text + f" The chosen values have {max(best.median / series.held_out_loss, 1.0):.2g} left."]
-    if report.errors:
-        gains, worse = [], []
-        for name, limit in report.chebyshev_errors.items():
-            before, after = report.medians(name)
-            gains.append(f"{name} {before:.2g} to {after:.2g} % ({before / after:.2g} times; series {limit:.2g} %)")
-            worse += [name] if after > before else []
-        sentences.append(f"Median errors, default to chosen: {', '.join(gains)}.")
-        if worse:
-            sentences.append(
-                f"A lower held-out loss is not a better {' and '.join(worse)} here: so close to the limit, the loss "
-                "can't tell which of two answers is nearer to the truth."
-            )
+    sentences = [f"{text} The chosen values have {_show(max(best.median / series.held_out_loss, 1.0))} left."]
+    gains, worse = [], []
+    for name, limit in report.chebyshev_errors.items():
+        before, after = report.medians(name)
+        gain = f"{_show(before / after)} times; series {_show(limit)} %"
+        gains.append(f"{name} {_show(before)} to {_show(after)} % ({gain})")
+        worse += [name] if after > before else []
+    sentences += [f"Median errors, default to chosen: {', '.join(gains)}."] if gains else []
+    if worse:
+        sentences.append(
+            f"A lower held-out loss is not a better {' and '.join(worse)} here: so close to the limit, the loss "
+            "can't tell which of two answers is nearer to the truth."
+        )
     return sentences
 
 
 def _list_values(report: StudyReport) -> str:
     before = {k: get_value(report.config, k) if has_value(report.config, k) else "-" for k in report.best.values}
     changed = {key: value for key, value in report.best.values.items() if before[key] != value}
-    if not changed:
-        return ""
     rows = [[f"`{key}`", write_value(before[key]), write_value(value)] for key, value in changed.items()]
-    return format_markdown(["value", "default", "chosen"], rows).rstrip()
+    return format_markdown(["value", "default", "chosen"], rows).rstrip() if rows else ""
 
 
 def _say_importance(report: StudyReport) -> str:
-    if not report.importances:
-        return ""
     shares = ", ".join(f"{name} {100 * share:.0f} %" for name, share in list(report.importances.items())[:4])
-    return f"What sets the best trials apart (importance by PED-ANOVA): {shares}."
+    return f"What sets the best trials apart (importance by PED-ANOVA): {shares}." if shares else ""

@@ -6,6 +6,7 @@ import math
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -16,16 +17,16 @@ from pipeline.config.schema import Config
 from pipeline.data.dataset import VibrationDataset, name_direction
 from pipeline.data.operating import find_nearest, name_state, split_states
 from pipeline.data.vibration_files import to_rpm
-from pipeline.evaluation.errors import measure_relative_errors
+from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.error_table import describe_verdicts
-from pipeline.reporting.write_numbers import format_deviation, format_engineering
+from pipeline.reporting.twin_tables import measure_sizes, show, summarize_modes
+from pipeline.reporting.write_numbers import count, format_engineering, write_number
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.trust.misfit import describe_held_out, measure_misfit
 from pipeline.twin.mode_deviations import Behaviour
 from pipeline.twin.modes import Stability
 from pipeline.twin.prediction import PredictedVibration
-from pipeline.units import RAD_S_PER_RPM
 
 WIDTH = 100
 _INDENT = " " * 13
@@ -79,23 +80,24 @@ class Results:
         """The conditions of the prediction, such as ``, 70 degC``; no words without any."""
         return f", {name_state(self.operating)}" if self.operating else ""
 
+    @cached_property
+    def coefficients(self) -> Coefficients:
+        """The answer as figures and tables have it."""
+        return Coefficients.collect(self.identified, self.modelled, self.unknowns, self.deviation)
+
     def nearest(self) -> tuple[str, Results]:
         """The measured state that is nearest to the prediction's, and the results at its points alone."""
         label, points = find_nearest(self.dataset.speeds, self.dataset.operating, self.operating)
         shown = replace(self.shown, measured=self.shown.measured[points], predicted=self.shown.predicted[points])
-        return label, replace(
-            self,
-            dataset=self.dataset.at(points),
-            identified=self.identified.at(points),
-            modelled=None if self.modelled is None else self.modelled.at(points),
-            deviation=None if self.deviation is None else self.deviation[:, points],
-            shown=shown,
-        )
+        at = replace(self, dataset=self.dataset.at(points), identified=self.identified.at(points), shown=shown)
+        at.__dict__["coefficients"] = self.coefficients.at(points)
+        return label, at
 
 
 def write_summary(config: Config, results: Results, picture: Path) -> str:
     """Write the whole screen; it ends with a newline."""
     head = _wrap(f"{config.name}: {config.description}", "", 1)
+    modes: Mapping[str, Any] = summarize_modes(results.behaviour, config.machine.prediction.speed_rpm)
     rejected = "OF A REJECTED MODEL: " if results.judged["reservation"] else ""
     parts = [
         *_wrap_entry("machine", _describe_machine(config, results)),
@@ -107,8 +109,8 @@ def write_summary(config: Config, results: Results, picture: Path) -> str:
         *_wrap_entry("verdict", _describe_verdict(results)),
         *_wrap_entry("fit", _describe_fit(results.training)),
         *_wrap_entry("", _describe_run(results)),
-        *_wrap_entry("critical", rejected + _list_critical_speeds(results)),
-        *_wrap_entry("stability", rejected + _describe_stability(results.behaviour)),
+        *_wrap_entry("critical", rejected + _list_critical_speeds(results, modes["critical_speeds"])),
+        *_wrap_entry("stability", rejected + _describe_stability(modes["stability"])),
         *_wrap_entry("prediction", rejected + _describe_prediction(config, results)),
         *[line for text in results.beyond for line in _wrap_entry("beyond", f"{text}: the bands grow there")],
         f"{'picture':<{len(_INDENT)}}{picture}",
@@ -130,7 +132,7 @@ def _describe_machine(config: Config, results: Results) -> str:
     rotor = results.rotor
     source = f", from '{config.machine.rotor.file}'" if config.machine.rotor.file else ""
     return (
-        f"{rotor.n_nodes} nodes, {rotor.total_mass:.4g} kg, bearings at {_name_nodes(rotor.bearing_nodes)}, "
+        f"{rotor.n_nodes} nodes, {write_number(rotor.total_mass)} kg, bearings at {_name_nodes(rotor.bearing_nodes)}, "
         f"discs at {_name_nodes(rotor.disc_nodes)}{source}"
     )
 
@@ -143,8 +145,8 @@ def _describe_data(config: Config, results: Results) -> str:
     less = f", less the run {config.data.baseline}" if config.data.baseline else ""
     kind = "measured" if results.modelled is None else "modelled"
     return (
-        f"{kind}, {_count(len(data.runs), 'run')} ({_join(data.runs)}){less}; {_count(len(rpm), 'speed')} from "
-        f"{rpm[0]:g} to {rpm[-1]:g} rpm{at}; {_count(len(data.channels), 'channel')} at {_name_nodes(nodes)}"
+        f"{kind}, {count(len(data.runs), 'run')} ({_join(data.runs)}){less}; {count(len(rpm), 'speed')} from "
+        f"{rpm[0]:g} to {rpm[-1]:g} rpm{at}; {count(len(data.channels), 'channel')} at {_name_nodes(nodes)}"
     )
 
 
@@ -162,25 +164,21 @@ def _pick_columns(config: Config, results: Results) -> list[tuple[str, int]]:
 
 def _list_coefficients(config: Config, results: Results) -> list[str]:
     """A row a bearing and coefficient, at up to three speeds or states; constants have one value."""
-    columns = _pick_columns(config, results)
-    at = [s for _, s in columns]
+    shown, columns = results.coefficients, _pick_columns(config, results)
     several = len(columns) > 1 and bool(results.identified.operating)
     speed = f" at {results.rpm[results.at]:g} rpm" if several else ""
-    known = "" if results.deviation is None else " +- one standard deviation"
-    against = f", and the median error over the {'points' if several else 'speeds'}"
-    against = against if results.modelled is not None else ""
-    lines = [f"identified{speed}{known}{against}", f"{'':20}" + "".join(f"{head:>22}" for head, _ in columns)]
-    if results.modelled is not None:
-        lines[-1] += f"{'error %':>12}"
+    known = " +- one standard deviation" if np.isfinite(shown.deviation).any() else ""
+    against = f", and the median error over the {'points' if several else 'speeds'}" if shown.compared else ""
+    heads = "".join(f"{head:>22}" for head, _ in columns) + (f"{'error %':>12}" if shown.compared else "")
+    lines = [f"identified{speed}{known}{against}", f"{'':20}{heads}"]
     rows = [(b, name) for b, names in enumerate(results.unknowns) for name in names]
     for b, name in rows[:_MOST_ROWS]:
-        row = f"  {f'node {results.identified.nodes[b]} {name}, {unit(name)}':<18}"
-        for s in at:
-            deviation = None if results.deviation is None else float(results.deviation[b, s, COEFFICIENTS.index(name)])
-            row += f"{format_engineering(float(results.identified.coefficient(name)[b, s]), deviation):>22}"
-        if results.modelled is not None:
-            row += f"{np.median(measure_relative_errors(results.identified, results.modelled, name)[b]):>12.2g}"
-        lines.append(row)
+        row, c = f"  {f'node {results.identified.nodes[b]} {name}, {unit(name)}':<18}", COEFFICIENTS.index(name)
+        for _, s in columns:
+            value, deviation = shown.identified.values[b, s, c], shown.deviation[b, s, c]
+            row += f"{format_engineering(float(value), float(deviation)):>22}"
+        error = float(np.median(shown.measure_errors(b, name)))
+        lines.append(row + (f"{write_number(error, digits=2):>12}" if shown.compared else ""))
     if len(rows) > _MOST_ROWS:
         lines.append(f"  and {len(rows) - _MOST_ROWS} more in 'identified_coefficients.csv'")
     return lines
@@ -197,8 +195,9 @@ def _describe_fit(training: Mapping[str, Any]) -> str:
     """Say what the fit leaves over, and how well it predicts what was held out."""
     if "fit" not in training:
         loss, held_out = training.get("loss"), training.get("held_out_loss")
-        text = "the loss overflowed" if loss is None else f"residual {loss:.2g} of the bearing force"
-        return text + (f", {held_out:.2g} at held-out speeds" if held_out is not None else "")
+        left = f"residual {write_number(loss, digits=2)} of the bearing force"
+        seen = "" if held_out is None else f", {write_number(held_out, digits=2)} at held-out speeds"
+        return ("the loss overflowed" if loss is None else left) + seen
     fit = training["fit"]
     square = fit["chi_square"]
     text = (
@@ -213,54 +212,49 @@ def _describe_fit(training: Mapping[str, Any]) -> str:
 
 def _describe_run(results: Results) -> str:
     shown = results.shown
-    text = f"{shown.error_percent:.2g} % (root mean square, {_count(shown.measured.shape[1], 'channel')})"
+    share = write_number(shown.error_percent, digits=2)
+    text = f"{share} % (root mean square, {count(shown.measured.shape[1], 'channel')})"
     if shown.held_out:
         return f"held-out run {shown.name} predicted to {text}"
     return f"run {shown.name}, which was fitted, reproduced to {text}"
 
 
-def _list_critical_speeds(results: Results) -> str:
-    rpm, behaviour = results.rpm, results.behaviour
-    listed = []
-    for critical in behaviour.critical:
-        known_to = (None, None) if behaviour.deviations is None else behaviour.deviations.of_critical(critical)
-        speed = format_deviation(critical.speed / RAD_S_PER_RPM, known_to[0] and known_to[0] / RAD_S_PER_RPM)
-        listed.append(
-            f"{speed} rpm (logarithmic decrement {format_deviation(critical.logarithmic_decrement, known_to[1])})"
-        )
+def _list_critical_speeds(results: Results, critical: Mapping[str, Any]) -> str:
+    rpm = results.rpm
+    listed = [
+        f"{show(mode, 'rpm')} rpm (logarithmic decrement {show(mode, 'logarithmic_decrement')})"
+        for mode in critical.values()
+    ]
     return f"{_join(listed)}, between {rpm[0]:g} and {rpm[-1]:g} rpm{results.state}"
 
 
-def _describe_stability(behaviour: Behaviour) -> str:
-    margin, known_to = behaviour.margin, behaviour.margin_deviations
-    growth = format_deviation(margin.largest_growth, known_to[0])
+def _describe_stability(stability: Mapping[str, Any]) -> str:
+    growth = show(stability, "largest_growth")
     verdict = {
         Stability.STABLE: "stable at all speeds",
         Stability.NOT_TOLD: f"at the edge of stability, growth {growth} 1/s: not told from none",
         Stability.UNSTABLE: f"UNSTABLE, growth {growth} 1/s",
-    }[behaviour.stability]
-    if margin.smallest_logarithmic_decrement is None or margin.at_speed is None:
+    }[Stability(stability["verdict"])]
+    if stability["smallest_logarithmic_decrement"] is None or stability["at_rpm"] is None:
         return f"{verdict}; no whirling mode below twice the top speed"
-    decrement = format_deviation(margin.smallest_logarithmic_decrement, known_to[1])
-    return f"{verdict}; smallest logarithmic decrement {decrement} at {margin.at_speed / RAD_S_PER_RPM:g} rpm"
+    decrement = show(stability, "smallest_logarithmic_decrement")
+    return f"{verdict}; smallest logarithmic decrement {decrement} at {stability['at_rpm']:g} rpm"
 
 
 def _describe_prediction(config: Config, results: Results) -> str:
     """The vibration at the prediction's speed, and the largest of all speeds."""
     identified = results.vibration["identified"]
-    rpm, size = to_rpm(identified.speeds), 1e6 * np.abs(identified.displacement)
+    rpm, (size, deviation) = to_rpm(identified.speeds), measure_sizes(identified)
     acting = _join(
         f"{1e6 * unbalance.magnitude:g} g mm at node {unbalance.node}"
         for unbalance in config.machine.prediction.unbalances
     )
-    phrases = []
-    for d, direction in enumerate("xy"):
-        deviation = None if identified.deviation is None else float(1e6 * identified.deviation[results.at, d])
-        phrases.append(f"{direction} {format_deviation(float(size[results.at, d]), deviation)} um")
+    at = zip("xy", size[results.at].tolist(), deviation[results.at].tolist(), strict=True)
+    phrases = [f"{direction} {write_number(value, known, 5)} um" for direction, value, known in at]
     s, d = np.unravel_index(size.argmax(), size.shape)
     return (
         f"node {identified.node} at {rpm[results.at]:g} rpm{results.state}: {', '.join(phrases)} (zero-to-peak); "
-        f"at most {size[s, d]:.4g} um in {'xy'[d]} at {rpm[s]:g} rpm; under {acting}"
+        f"at most {write_number(float(size[s, d]))} um in {'xy'[d]} at {rpm[s]:g} rpm; under {acting}"
     )
 
 
@@ -280,7 +274,3 @@ def _name_nodes(nodes: Iterable[int]) -> str:
     if len(every) > 3 and every == list(range(every[0], every[-1] + 1)):
         return f"nodes {every[0]} to {every[-1]}"
     return f"node{'s' if len(every) != 1 else ''} {_join(every)}"
-
-
-def _count(number: int, name: str) -> str:
-    return f"{number} {name}{'s' if number != 1 else ''}"

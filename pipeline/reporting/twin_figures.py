@@ -4,48 +4,50 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from pipeline.data.vibration_files import to_rpm
-from pipeline.reporting.figures import (
+from pipeline.reporting.figure import (
+    BLACK,
     BLUE,
     GREY,
     LOOKS,
     MICROMETRES,
     ORANGE,
-    draw_band,
-    draw_markers,
-    open_figure,
-    place_legend,
+    RPM,
+    Axes,
+    Curve,
+    Figure,
+    Panel,
+    mark,
 )
-from pipeline.reporting.twin_tables import RAD_S_PER_HERTZ
+from pipeline.reporting.matplotlib_figures import write_figure
+from pipeline.reporting.twin_tables import RAD_S_PER_HERTZ, list_deviations, measure_sizes
 from pipeline.twin.mode_deviations import Behaviour
 from pipeline.twin.modes import follow_modes
 from pipeline.twin.prediction import PredictedVibration, sample_motion
 
 
-def _draw(ax: Any, name: str, x: np.ndarray, y: np.ndarray, colour: str) -> None:
-    if name == "modelled":
-        ax.plot(x, y, color=colour, lw=1.5, label="modelled")
-    else:
-        draw_markers(ax, x, y, colour, "predicted by the twin")
+def _draw(name: str, x: np.ndarray, y: np.ndarray, colour: str) -> Curve:
+    return Curve(x, y, name, colour) if name == "modelled" else mark(x, y, "predicted by the twin", colour)
 
 
 def draw_time(path: Path, vibration: Mapping[str, PredictedVibration], at: int, state: str = "") -> Path:
     """Figure 6 (a) and (b): x and y of the node over two turns; ``state`` names the operating conditions."""
-    with open_figure(path, 2, 1, 8.0, 5.6, sharex=True) as axes:
-        for name, predicted in vibration.items():
-            time, curve = sample_motion(predicted.displacement[at], predicted.speeds[at])
-            for d, colour in enumerate((BLUE, ORANGE)):
-                _draw(axes[d, 0], name, 1e3 * time, MICROMETRES * curve[:, d], colour)
-                axes[d, 0].set_ylabel(f"{'xy'[d]}-displacement (µm)")
-        where = f"node {predicted.node} at {to_rpm(predicted.speeds)[at]:g} rpm{_beside(state)}"
-        axes[0, 0].figure.suptitle(f"{where}, unbalance never seen in training")
-        axes[1, 0].set_xlabel("time (ms)")
-        place_legend(axes[0, 0])
-    return path
+    rows: list[list[Curve]] = [[], []]
+    for name, predicted in vibration.items():
+        time, motion = sample_motion(predicted.displacement[at], predicted.speeds[at])
+        for row, shift, colour in zip(rows, motion.T, (BLUE, ORANGE), strict=True):
+            row.append(_draw(name, 1e3 * time, MICROMETRES * shift, colour))
+    axes = [Axes(row, f"{direction}-displacement (µm)") for direction, row in zip("xy", rows, strict=True)]
+    title = f"{_name_place(vibration, at, state)}, unbalance never seen in training"
+    return write_figure(path, Figure("time", "", [Panel(title, "time (ms)", axes, wide=True)], columns=1))
+
+
+def _name_place(vibration: Mapping[str, PredictedVibration], at: int, state: str) -> str:
+    predicted = vibration["identified"]
+    return f"node {predicted.node} at {to_rpm(predicted.speeds)[at]:g} rpm" + _beside(state)
 
 
 def _beside(state: str) -> str:
@@ -54,42 +56,31 @@ def _beside(state: str) -> str:
 
 def draw_orbit(path: Path, vibration: Mapping[str, PredictedVibration], at: int, state: str = "") -> Path:
     """The orbit of the node at one speed; ``state`` names the operating conditions."""
-    with open_figure(path, 1, 1, 5.4, 5.2) as axes:
-        ax = axes[0, 0]
-        for name, predicted in vibration.items():
-            _, curve = sample_motion(predicted.displacement[at], predicted.speeds[at], turns=1.0)
-            _draw(ax, name, MICROMETRES * curve[:, 0], MICROMETRES * curve[:, 1], BLUE)
-        where = f"at {to_rpm(predicted.speeds)[at]:g} rpm{_beside(state)}"
-        ax.figure.suptitle(f"orbit of node {predicted.node} {where}")
-        ax.set(xlabel="x-displacement (µm)", ylabel="y-displacement (µm)")
-        ax.set_aspect("equal", adjustable="datalim")
-        place_legend(ax)
-    return path
+    curves = []
+    for name, predicted in vibration.items():
+        x, y = MICROMETRES * sample_motion(predicted.displacement[at], predicted.speeds[at], turns=1.0)[1].T
+        curves.append(_draw(name, x, y, BLUE))
+    title, axes = f"orbit of {_name_place(vibration, at, state)}", Axes(curves, "y-displacement (µm)")
+    return write_figure(path, Figure("orbit", "", [Panel(title, "x-displacement (µm)", [axes], equal=True)]))
 
 
 def draw_response(path: Path, vibration: Mapping[str, PredictedVibration], state: str = "") -> Path:
     """Amplitude and phase over all speeds, and the error of the prediction; ``state`` names the conditions."""
-    rows = 1 + len(vibration)
-    identified = vibration["identified"]
+    identified, panels = vibration["identified"], []
     rpm = to_rpm(identified.speeds)
-    with open_figure(path, rows, 2, 10.5, 2.4 * rows, sharex=True) as axes:
-        for d, (direction, colour) in enumerate(zip("xy", (BLUE, ORANGE), strict=True)):
-            for name, predicted in vibration.items():
-                q = predicted.displacement[:, d]
-                _draw(axes[0, d], name, rpm, MICROMETRES * np.abs(q), colour)
-                _draw(axes[1, d], name, rpm, np.degrees(np.unwrap(np.angle(q))), colour)
-            if identified.deviation is not None:
-                size = MICROMETRES * np.abs(identified.displacement[:, d])
-                draw_band(axes[0, d], rpm, size, MICROMETRES * identified.deviation[:, d], colour, 1e-12)
-            if "modelled" in vibration:
-                error = identified.error_percent(vibration["modelled"])[:, d]
-                axes[2, d].semilogy(rpm, np.maximum(error, 1e-14), color=GREY, lw=1.2)
-            axes[0, d].set(title=f"{direction} of node {identified.node}{_beside(state)}", yscale="log")
-            axes[-1, d].set_xlabel("rotor speed (rpm)")
-        for row, label in zip(axes, ("amplitude (µm)", "phase (deg)", "error (%)"), strict=False):
-            row[0].set_ylabel(label)
-        axes[0, 0].legend()
-    return path
+    for d, (direction, colour) in enumerate(zip("xy", (BLUE, ORANGE), strict=True)):
+        sizes, phases, errors = [], [], []
+        for name, predicted in vibration.items():
+            q = predicted.displacement[:, d]
+            phases.append(_draw(name, rpm, np.degrees(np.unwrap(np.angle(q))), colour))
+            size, deviation = (values[:, d] for values in measure_sizes(predicted))
+            sizes += [Curve(rpm, size, "", colour, "none", band=2 * deviation), _draw(name, rpm, size, colour)]
+            if name == "modelled":
+                errors.append(Curve(rpm, np.maximum(identified.error_percent(predicted)[:, d], 1e-14), "", GREY))
+        axes = [Axes(sizes, "amplitude (µm)", scale="log"), Axes(phases, "phase (deg)")]
+        axes += [Axes(errors, "error (%)", scale="log")] * bool(errors)
+        panels.append(Panel(f"{direction} of node {identified.node}{_beside(state)}", RPM, axes))
+    return write_figure(path, Figure("response", "", panels))
 
 
 def draw_campbell(path: Path, behaviour: Mapping[str, Behaviour], state: str = "") -> Path:
@@ -98,49 +89,28 @@ def draw_campbell(path: Path, behaviour: Mapping[str, Behaviour], state: str = "
     Modes up to twice the top speed; the modelled machine as lines, the identified one as markers. ``state`` names the
     operating conditions.
     """
-    modes = behaviour["identified"].modes
-    rpm, top = to_rpm(modes.speeds), 2.0 * modes.speeds.max() / RAD_S_PER_HERTZ
-    with open_figure(path, 2, 1, 8.0, 8.0, sharex=True, height_ratios=(3, 2)) as axes:
-        frequencies, decrements = axes[:, 0]
-        synchronous = modes.speeds / RAD_S_PER_HERTZ
-        frequencies.plot(rpm, synchronous, color=GREY, ls="--", lw=1.2, label="rotor speed (1X)")
-        decrements.axhline(0.0, color=GREY, ls="--", lw=1.2)
-        for name, machine in behaviour.items():
-            _draw_modes(axes[:, 0], name, machine, top)
-        frequencies.set(ylabel="damped natural frequency (Hz)", ylim=(0.0, top), title=state)
-        decrements.set(xlabel="rotor speed (rpm)", ylabel="logarithmic decrement (stable above 0)")
-        decrements.set_yscale("symlog", linthresh=0.1)
-        decrements.yaxis.set_major_formatter("{x:g}")
-        _show_each_once(frequencies)
-    return path
-
-
-def _draw_modes(axes: Any, name: str, behaviour: Behaviour, top: float) -> None:
-    rpm, order = to_rpm(behaviour.modes.speeds), follow_modes(behaviour.modes)
-
-    def follow(values: np.ndarray, scale: float = 1.0) -> np.ndarray:
-        return np.take_along_axis(values, order, axis=1) / scale
-
-    hertz = follow(behaviour.modes.frequency, RAD_S_PER_HERTZ)
-    seen = hertz <= top  # false for NaN
-    lines = [np.where(seen, line, np.nan) for line in (hertz, follow(behaviour.modes.logarithmic_decrement))]
-    for k in np.flatnonzero(seen.any(axis=0)):
-        colour = LOOKS[k % len(LOOKS)][0]
-        for ax, line in zip(axes, lines, strict=True):
-            _draw(ax, name, rpm, line[:, k], colour)
-        if behaviour.deviations is not None:
-            draw_band(
-                axes[0], rpm, lines[0][:, k], follow(behaviour.deviations.frequency, RAD_S_PER_HERTZ)[:, k], colour
-            )
-            draw_band(axes[1], rpm, lines[1][:, k], follow(behaviour.deviations.logarithmic_decrement)[:, k], colour)
-    if name == "identified":
-        for critical in behaviour.critical:
-            speed = critical.speed / RAD_S_PER_HERTZ
-            axes[0].plot(60.0 * speed, speed, "k*", ms=11, label="critical speed")
-
-
-def _show_each_once(ax: Any) -> None:
-    """A legend with one entry for all modes of a kind."""
-    handles, labels = ax.get_legend_handles_labels()
-    first = dict(zip(reversed(labels), reversed(handles), strict=True))
-    ax.legend(list(first.values())[::-1], list(first)[::-1], loc="upper left")
+    speeds = behaviour["identified"].modes.speeds
+    rpm, top = to_rpm(speeds), 2.0 * speeds.max() / RAD_S_PER_HERTZ
+    frequencies = [Curve(rpm, speeds / RAD_S_PER_HERTZ, "rotor speed (1X)", GREY, "dash")]
+    decrements = [Curve(rpm, np.zeros(len(rpm)), "", GREY, "dash")]
+    for name, machine in behaviour.items():
+        modes, deviations, order = machine.modes, list_deviations(machine), follow_modes(machine.modes)
+        quantities = (
+            (modes.frequency / RAD_S_PER_HERTZ, 2 * deviations[0] / RAD_S_PER_HERTZ),
+            (modes.logarithmic_decrement, 2 * deviations[1]),
+        )
+        followed = [[np.take_along_axis(v, order, axis=1) for v in pair] for pair in quantities]
+        seen = followed[0][0] <= top  # false for NaN
+        for k in np.flatnonzero(seen.any(axis=0)):
+            colour = LOOKS[k % len(LOOKS)][0]
+            for curves, (values, band) in zip((frequencies, decrements), followed, strict=True):
+                line = np.where(seen[:, k], values[:, k], np.nan)
+                curves += [Curve(rpm, line, "", colour, "none", band=band[:, k]), _draw(name, rpm, line, colour)]
+    critical = np.array([mode.speed for mode in behaviour["identified"].critical]) / RAD_S_PER_HERTZ
+    if len(critical):
+        frequencies.append(Curve(60.0 * critical, critical, "critical speed", BLACK, "none", "*", full=True, size=8))
+    axes = [
+        Axes(frequencies, "damped natural\nfrequency (Hz)", y_range=(0.0, top)),
+        Axes(decrements, "logarithmic decrement\n(stable above 0)", scale="symlog"),
+    ]
+    return write_figure(path, Figure("campbell", "", [Panel(state, RPM, axes, wide=True)], columns=1))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,11 +12,14 @@ from pipeline.data.operating import name_state
 from pipeline.data.operating_points import list_columns
 from pipeline.data.vibration_files import to_rpm
 from pipeline.reporting.console import say, table
-from pipeline.reporting.write_numbers import format_deviation
+from pipeline.reporting.write_numbers import write_number
 from pipeline.twin.mode_deviations import Behaviour
 from pipeline.twin.modes import amplify, require_separation
 from pipeline.twin.prediction import PredictedVibration
 from pipeline.units import RAD_S_PER_RPM
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 RAD_S_PER_HERTZ = 2.0 * np.pi
 
@@ -42,13 +45,10 @@ def summarize_modes(behaviour: Behaviour, running_rpm: float) -> dict[str, objec
 
 
 def _summarize_critical(behaviour: Behaviour, i: int, running_rpm: float) -> dict[str, float | None]:
-    critical = behaviour.critical[i]
+    critical, deviations = behaviour.critical[i], behaviour.deviations
     rpm, decrement = critical.speed / RAD_S_PER_RPM, critical.logarithmic_decrement
-    speed_std, decrement_std = (
-        (0.0, 0.0) if behaviour.deviations is None else behaviour.deviations.of_critical(critical)
-    )
-    amplified = amplify(decrement, decrement_std)
-    factor, factor_std = (None, None) if amplified is None else amplified
+    speed_std, decrement_std = (0.0, 0.0) if deviations is None else deviations.of_critical(critical)
+    factor, factor_std = amplify(decrement, decrement_std) or (None, None)
     entry: dict[str, float | None] = {
         "rpm": rpm,
         "logarithmic_decrement": decrement,
@@ -56,41 +56,49 @@ def _summarize_critical(behaviour: Behaviour, i: int, running_rpm: float) -> dic
         "separation_margin_percent": 100.0 * abs(rpm / running_rpm - 1.0),
         "separation_margin_required_percent": require_separation(factor, rpm > running_rpm),
     }
-    if behaviour.deviations is not None:
-        entry |= {
-            "rpm_std": speed_std / RAD_S_PER_RPM,
-            "logarithmic_decrement_std": decrement_std,
-            "amplification_factor_std": factor_std,
-            "separation_margin_percent_std": 100.0 * speed_std / RAD_S_PER_RPM / running_rpm,
-        }
-    return entry
+    stated = {
+        "rpm_std": speed_std / RAD_S_PER_RPM,
+        "logarithmic_decrement_std": decrement_std,
+        "amplification_factor_std": factor_std,
+        "separation_margin_percent_std": 100.0 * speed_std / RAD_S_PER_RPM / running_rpm,
+    }
+    return entry if deviations is None else entry | stated
 
 
-def tabulate_modes(behaviour: Mapping[str, Behaviour], operating: Mapping[str, float]) -> dict[str, Any]:
+def list_deviations(behaviour: Behaviour) -> tuple[np.ndarray, np.ndarray]:
+    """(S, K) standard deviations of frequencies (rad/s) and logarithmic decrements; NaN where the fit states none."""
+    stated, nothing = behaviour.deviations, np.full_like(behaviour.modes.frequency, np.nan)
+    return (nothing, nothing) if stated is None else (stated.frequency, stated.logarithmic_decrement)
+
+
+def measure_sizes(predicted: PredictedVibration) -> tuple[np.ndarray, np.ndarray]:
+    """(S, 2) amplitudes in um, zero-to-peak, and their standard deviations; NaN where the fit states none."""
+    size = 1e6 * np.abs(predicted.displacement)
+    return size, np.full_like(size, np.nan) if predicted.deviation is None else 1e6 * predicted.deviation
+
+
+def tabulate_modes(behaviour: Mapping[str, Behaviour], operating: Mapping[str, float]) -> pd.DataFrame:
     """Columns of ``modes.csv``: a row a system, speed and mode that oscillates, by ascending frequency.
 
     ``operating`` are the conditions (SI) of all rows.
     """
-    columns: dict[str, list[Any]] = {}
+    import pandas as pd
+
+    frames = []
     for name, machine in behaviour.items():
-        present = ~np.isnan(machine.modes.frequency)
+        modes, (frequency_std, decrement_std) = machine.modes, list_deviations(machine)
+        present = ~np.isnan(modes.frequency)
         speed, mode = np.nonzero(present)
         rows = {
-            "system": np.full(len(speed), name, dtype=object),
-            "speed_rpm": to_rpm(machine.modes.speeds)[speed],
+            "speed_rpm": to_rpm(modes.speeds)[speed],
             "mode": mode + 1,
-            "frequency_hz": machine.modes.frequency[present] / RAD_S_PER_HERTZ,
-            "logarithmic_decrement": machine.modes.logarithmic_decrement[present],
-            "frequency_std_hz": np.full(len(speed), np.nan),
-            "logarithmic_decrement_std": np.full(len(speed), np.nan),
+            "frequency_hz": modes.frequency[present] / RAD_S_PER_HERTZ,
+            "logarithmic_decrement": modes.logarithmic_decrement[present],
+            "frequency_std_hz": frequency_std[present] / RAD_S_PER_HERTZ,
+            "logarithmic_decrement_std": decrement_std[present],
         }
-        if machine.deviations is not None:
-            rows["frequency_std_hz"] = machine.deviations.frequency[present] / RAD_S_PER_HERTZ
-            rows["logarithmic_decrement_std"] = machine.deviations.logarithmic_decrement[present]
-        rows |= _repeat_conditions(operating, len(speed))
-        for key, values in rows.items():
-            columns.setdefault(key, []).extend(values)
-    return columns
+        frames.append(pd.DataFrame({"system": name, **rows, **_repeat_conditions(operating, len(speed))}))
+    return pd.concat(frames, ignore_index=True)
 
 
 def _repeat_conditions(operating: Mapping[str, float], count: int) -> dict[str, np.ndarray]:
@@ -128,30 +136,40 @@ def print_twin(
     state = f", at {name_state(operating)}" if operating else ""
     rows, criticals = [], []
     for name, predicted in vibration.items():
-        size = 1e6 * np.abs(predicted.displacement[at])
-        known_to = [None, None] if predicted.deviation is None else list(1e6 * predicted.deviation[at])
-        shown = [format_deviation(float(s), d) for s, d in zip(size, known_to, strict=True)]
-        rows.append([name, *shown, _show(summary[name]["stability"], "smallest_logarithmic_decrement")])
-        for critical in summary[name]["critical_speeds"].values():
-            keys = ("rpm", "logarithmic_decrement", "amplification_factor", "separation_margin_percent")
-            asked = f"{critical['separation_margin_required_percent']:.0f}"
-            criticals.append([name, *(_show(critical, key) for key in keys), asked])
+        size, known_to = measure_sizes(predicted)
+        shown = [write_number(*known, 5) for known in zip(size[at].tolist(), known_to[at].tolist(), strict=True)]
+        rows.append([name, *shown, show(summary[name]["stability"], "smallest_logarithmic_decrement")])
+        criticals += [[name, *cells] for cells in list_critical(summary[name]["critical_speeds"])]
     header = ["system", f"x at {rpm:g} rpm, um", f"y at {rpm:g} rpm, um", "smallest log decrement"]
     title = f"{config.name}: node {prediction.node} under an unbalance never seen{state} (+- standard deviation)"
     table(title, header, rows)
-    if criticals:
-        header = ["system", "rpm", "log decrement", "amplification factor", "separation, %", "API 617 asks, %"]
-        table(f"critical speeds{state}; separation is that from {rpm:g} rpm", header, criticals)
-    else:
+    table(f"critical speeds{state}; separation is that from {rpm:g} rpm", ["system", *CRITICAL], criticals)
+    if not criticals:
         say(f"critical speeds{state}: none in the range of speeds")
     if "displacement" in summary:
         errors = (
-            f"{direction} {e['mean_error_percent']:.2g} % mean, {e['max_error_percent']:.2g} % max"
+            f"{direction} {write_number(e['mean_error_percent'], digits=2)} % mean, "
+            f"{write_number(e['max_error_percent'], digits=2)} % max"
             for direction, e in summary["displacement"].items()
         )
         say(f"error of the displacement over all speeds: {'; '.join(errors)}")
 
 
-def _show(entry: Mapping[str, Any], key: str) -> str:
+CRITICAL = {
+    "rpm": "rpm",
+    "log decrement": "logarithmic_decrement",
+    "amplification factor": "amplification_factor",
+    "separation, %": "separation_margin_percent",
+    "API 617 asks, %": "separation_margin_required_percent",
+}
+"""Columns of a table of critical speeds, and their keys in ``prediction.json``."""
+
+
+def list_critical(critical: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
+    """A row a critical speed below ``CRITICAL``."""
+    return [[show(mode, key) for key in CRITICAL.values()] for mode in critical.values()]
+
+
+def show(entry: Mapping[str, Any], key: str) -> str:
     """A number with its deviation; "none" where there is none."""
-    return "none" if entry[key] is None else format_deviation(entry[key], entry.get(f"{key}_std"))
+    return "none" if entry[key] is None else write_number(entry[key], entry.get(f"{key}_std"), 5)

@@ -1,40 +1,59 @@
-"""Numbers with their deviations, in words."""
+"""The one writer of numbers: an engineer's digits, with the deviation where there is one."""
 
 from __future__ import annotations
 
 import math
 
 
+def write_number(value: float | None, deviation: float | None = None, digits: int = 4) -> str:
+    """A number to so many ``digits``, or with its standard deviation to two of that; a dash for what is no number.
+
+    Powers of ten stand only below 1e-4 and from 1e6 on: ``6000``, ``12.34``, ``12.346 +- 0.051``, ``2000 +- 11000``,
+    ``3.2e-7``.
+    """
+    if value is None or math.isnan(value):
+        return "–"
+    if math.isinf(value):
+        return f"{value:g} +- {deviation:g}" if deviation else f"{value:g}"
+    if deviation is None or not math.isfinite(deviation) or deviation <= 0:
+        return _round(value, digits) + (" +- 0" if deviation == 0 else "")
+    place = math.floor(math.log10(float(f"{deviation:.1e}"))) - 1  # of the last digit
+    if value:
+        place = max(place, math.floor(math.log10(abs(value))) - _MOST_DIGITS)
+    if place < -_MOST_DECIMALS:
+        return f"{value:.{digits}g} +- {deviation:.2g}"
+    return " +- ".join(f"{round(number, -place):.{max(-place, 0)}f}" for number in (value, deviation))
+
+
+_MOST_DIGITS, _MOST_DECIMALS = 5, 9
+"""After the first one, however small the deviation is; and after the point."""
+
+
+def _round(value: float, digits: int) -> str:
+    rounded = float(f"{value:.{digits - 1}e}")
+    if rounded and not 1e-4 <= abs(rounded) < 1e6:
+        mantissa, _, power = f"{rounded:.{digits - 1}e}".partition("e")
+        return f"{float(mantissa):g}e{int(power)}"
+    return f"{rounded:.{max(digits, 6)}g}"
+
+
 def format_engineering(value: float, deviation: float | None = None) -> str:
     """Write a number by powers of 1000, such as ``(12.34 +- 0.05)e6``."""
     size = max(abs(value), deviation or 0.0)
-    if not math.isfinite(size) or size == 0:
-        return format_deviation(value, deviation)
-    power = 3 * math.floor(math.log10(size) / 3)
-    shown = format_deviation(value / 10**power, None if deviation is None else deviation / 10**power)
-    if power == 0:
+    power = 3 * math.floor(math.log10(size) / 3) if size and math.isfinite(size) else 0
+    shown = write_number(value / 10**power, deviation and deviation / 10**power, 5)
+    if not power:
         return shown
-    return f"{shown}e{power}" if deviation is None else f"({shown})e{power}"
-
-
-def format_deviation(value: float, deviation: float | None) -> str:
-    """Write two digits of the deviation, or five of a value without one."""
-    size = max(abs(value), deviation or 0.0)
-    if not math.isfinite(size) or size == 0:
-        return f"{value:g}" if deviation is None else f"{value:g} +- {deviation:g}"
-    whole = math.floor(math.log10(size))
-    if not deviation:
-        return f"{value:.{max(4 - whole, 0)}f}" + ("" if deviation is None else " +- 0")
-    decimals = min(max(1 - math.floor(math.log10(deviation)), 0), max(_MOST_DIGITS - whole, 0))
-    return f"{value:.{decimals}f} +- {deviation:.{decimals}f}"
-
-
-_MOST_DIGITS = 5
-"""After the first one, however small the deviation is."""
+    return f"({shown})e{power}" if "+-" in shown else f"{shown}e{power}"
 
 
 def write_value(value: object) -> str:
-    """Write a value of the configuration: four digits of a number that is not whole."""
+    """Write a value of the configuration or of a summary: four digits of a number that is not whole."""
     if value is None:
         return "no number"
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    return write_number(value) if isinstance(value, float) else str(value)
+
+
+def count(number: int, name: str) -> str:
+    """Such as ``1 run`` and ``2 runs``."""
+    return f"{number} {name}{'s' if number != 1 else ''}"

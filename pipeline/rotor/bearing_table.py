@@ -48,6 +48,11 @@ class BearingTable:
             return stiffness + 1j * w[:, None, None] * damping
         return stiffness[:, :, None] + 1j * w[:, :, None, None] * damping[:, :, None]
 
+    @property
+    def bounded(self) -> np.ndarray:
+        """(S,) mask of the points at which every coefficient is a number far from where its square overflows."""
+        return np.asarray((np.abs(self.values) < 1e100).all(axis=(0, 2)))  # false for NaN
+
     def at(self, keep: np.ndarray) -> BearingTable:
         """The same at the points that the mask or index ``keep`` selects."""
         operating = {name: values[keep] for name, values in self.operating.items()}

@@ -88,13 +88,13 @@ class _Bearing(Section):
         element = self.make_element(ross, 0, ascending, share)
         return np.array([flatten(element.K(speed), element.C(speed)) for speed in ascending])[group]
 
-    def make_element(self, ross: Any, node: int, speeds: np.ndarray, share: float, spline_points: int = 4) -> Any:
-        """ROSS's element at ``speeds`` (S,) rad/s, ascending; here of the table, constant where its points are too few
-        for ROSS's spline.
+    def make_element(self, ross: Any, node: int, speeds: np.ndarray, share: float) -> Any:
+        """ROSS's element at ``speeds`` (S,) rad/s, ascending; here of the table, constant where four points, which
+        ROSS's spline needs, are not there.
         """
         table = self.tabulate(speeds, {}, share, ross)
         columns = {name: [float(v) for v in column] for name, column in zip(COEFFICIENTS, table.T, strict=True)}
-        if len(speeds) < spline_points:
+        if len(speeds) < 4:
             return ross.BearingElement(n=node, **{name: column[0] for name, column in columns.items()})
         return ross.BearingElement(n=node, **columns, frequency=[float(speed) for speed in speeds])
 
@@ -110,7 +110,7 @@ class BallBearingConfig(_Bearing):
 
     changes: ClassVar[bool] = False
 
-    def make_element(self, ross: Any, node: int, speeds: np.ndarray, share: float, spline_points: int = 4) -> Any:
+    def make_element(self, ross: Any, node: int, speeds: np.ndarray, share: float) -> Any:
         """ROSS's element."""
         return ross.BallBearingElement(
             n=node,
@@ -143,7 +143,7 @@ class CylindricalBearingConfig(_Bearing):
         pure = short_coefficients(short_eccentricity(viscosity * speeds * slim / load))
         return np.asarray(_scale(pure, load, self.radial_clearance, speeds) @ turn_axes(-np.pi / 2).T)
 
-    def make_element(self, ross: Any, node: int, speeds: np.ndarray, share: float, spline_points: int = 4) -> Any:
+    def make_element(self, ross: Any, node: int, speeds: np.ndarray, share: float) -> Any:
         """ROSS's element."""
         return ross.CylindricalBearing(
             n=node,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from pipeline.cache import hash_parts, keep, look_up
 from pipeline.config.rotor import RotorConfig
+from pipeline.errors import ConfigError
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.bearings import BearingConfig
 from pipeline.rotor.model import RotorModel
@@ -112,3 +113,10 @@ def _look_up(kind: str, key: str, names: set[str]) -> dict[str, np.ndarray] | No
         }
     except (SafetensorError, ValueError):
         return None
+
+
+def require_nodes(rotor: RotorModel, key: str, nodes: Sequence[int]) -> None:
+    """Raise ConfigError for a node that a rotor from a file lacks; other rotors are checked with the configuration."""
+    for node in nodes:
+        if node >= rotor.n_nodes:
+            raise ConfigError(f"{key} must use nodes 0 to {rotor.n_nodes - 1} of the rotor, but got node {node}")

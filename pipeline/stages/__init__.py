@@ -1,11 +1,11 @@
 """The stages: each loads, calls, saves and reports; the computation knows no files.
 
-``run_stage`` imports a stage when it is asked for, so that help and errors come at once.
+A stage is imported when it is asked for, so that help and errors come at once.
 """
 
 from __future__ import annotations
 
-import importlib
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from pipeline.config.stage_names import STAGES
@@ -14,16 +14,23 @@ if TYPE_CHECKING:
     from pipeline.config.schema import Config
 
 
-def run_stage(config: Config) -> None:
-    """Run ``config.stage``; of ``predict`` with records of the user's own, those alone.
+def run_stages(configs: Iterable[Config]) -> None:
+    """Run ``config.stage`` of each, one after the other; those of one experiment share what they make.
 
     Raises PipelineError for a user's mistake, SystemExit for an exit code.
     """
+    from pipeline.stages.analysis import Analysis
     from pipeline.stages.execution import execute
 
-    given_records = config.stage == "predict" and config.predict.records is not None
-    name = "given_records" if given_records else config.stage
-    execute(config, importlib.import_module(f"pipeline.stages.{name}").run)
+    analysis: Analysis | None = None
+    for config in configs:
+        analysis = analysis.at(config) if analysis else Analysis(config)
+        execute(analysis)
 
 
-__all__ = ["STAGES", "run_stage"]
+def run_stage(config: Config) -> None:
+    """:func:`run_stages` of one."""
+    run_stages([config])
+
+
+__all__ = ["STAGES", "run_stage", "run_stages"]

@@ -30,6 +30,7 @@ from pipeline.reporting.balance_tables import (
 )
 from pipeline.reporting.console import say
 from pipeline.rotor.model import RotorModel
+from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_measurement
 from pipeline.stages.vibration_models import (
@@ -41,9 +42,10 @@ from pipeline.stages.workspace import locate_files
 from pipeline.units import RAD_S_PER_RPM
 
 
-def run(config: Config) -> StageOutput:
+def run(analysis: Analysis) -> StageOutput:
     """``balance.csv``, ``balance.json`` and ``figures/balance.png``; on screen the unbalance of each condition, and the
     balance sheet where ``machine.balance`` says where weights can be put."""
+    config = analysis.config
     measurement, work = load_measurement(config), locate_files(config)
     fitted, source, file = load_models(config), SourceUnits(config.machine.recordings), config.balance.records
     method = fitted.pick(config.balance.method, "balance.method")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 from pipeline.config.schema import Config
@@ -17,16 +16,18 @@ from pipeline.evaluation.thresholds import (
 )
 from pipeline.files import write_json
 from pipeline.reporting.console import say, table, warn
+from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
 
 THRESHOLDS = Path(__file__).parents[2] / "conf" / "thresholds"
 
 
-def run(config: Config) -> StageOutput:
+def run(analysis: Analysis) -> StageOutput:
     """Print what changed since the committed metrics, then every metric beside its threshold; write ``check.json``.
 
     Exits with 1 if a limit is exceeded or a metric is missing. ``check.commit`` makes these metrics the committed ones.
     """
+    config = analysis.config
     known = sorted(path.stem for path in THRESHOLDS.glob("*.yaml"))
     chosen = config.check.experiments or known
     for name in chosen:
@@ -41,16 +42,7 @@ def run(config: Config) -> StageOutput:
         folder = Path(config.output).parent / name
         checks += check_experiment(name, read_rules(THRESHOLDS / f"{name}.yaml"), folder, committed)
     _print_changed(checks, config.check.changed)
-    rows = [
-        [
-            c.experiment,
-            c.metric,
-            "missing" if c.value is None else f"{c.value:.3g}",
-            str(c.rule),
-            "ok" if c.met else "FAILED",
-        ]
-        for c in checks
-    ]
+    rows = [[c.experiment, c.metric, *_show(c)] for c in checks]
     table("metrics against thresholds", ["experiment", "metric", "value", "limit", ""], rows)
     failed = [c for c in checks if not c.met]
     if config.check.commit:
@@ -65,16 +57,15 @@ def run(config: Config) -> StageOutput:
     return StageOutput(summary, files=[path], exit_code=1 if failed else 0)
 
 
+def _show(check: Check) -> list[str]:
+    """Value, limit, and whether it holds."""
+    value = "missing" if check.value is None else f"{check.value:.3g}"
+    return [value, str(check.rule), "ok" if check.met else "FAILED"]
+
+
 def _print_changed(checks: list[Check], share: float) -> None:
     rows = [
-        [
-            c.experiment,
-            f"{c.rule.file.removesuffix('.json')}: {c.metric}",
-            f"{c.committed:.3g}",
-            "missing" if c.value is None else f"{c.value:.3g}",
-            str(c.rule),
-            "ok" if c.met else "FAILED",
-        ]
+        [c.experiment, f"{c.rule.file.removesuffix('.json')}: {c.metric}", f"{c.committed:.3g}", *_show(c)]
         for c in checks
         if c.has_changed(share)
     ]
@@ -100,10 +91,6 @@ def _compute_shares(checks: list[Check]) -> dict[str, float]:
     """The metric nearest to its threshold in each experiment, as a share of it; 1 and more fails."""
     shares: dict[str, float] = {}
     for c in checks:
-        if c.value is None or not math.isfinite(c.value):
-            continue
-        if c.rule.max is not None and c.rule.max > 0:
-            shares[c.experiment] = max(shares.get(c.experiment, 0.0), c.value / c.rule.max)
-        if c.rule.min is not None and c.value > 0:
-            shares[c.experiment] = max(shares.get(c.experiment, 0.0), c.rule.min / c.value)
+        if c.share_of_limit is not None:
+            shares[c.experiment] = max(shares.get(c.experiment, 0.0), c.share_of_limit)
     return shares

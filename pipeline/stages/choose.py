@@ -10,29 +10,28 @@ from pipeline.files import write_json
 from pipeline.identification.choice import Judged, choose, judge_models, setup_model
 from pipeline.identification.training import setup_of
 from pipeline.reporting.console import say, table
+from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput, use_threads
-from pipeline.stages.measurement import load_measurement
-from pipeline.stages.workspace import locate_files
+from pipeline.stages.measurement import prepare
 
-_KINDS = ("law", "hybrid", "network")
-"""From simple to free: a tie goes to the first."""
 _MODELS = {"law": "law", "hybrid": "hybrid", "network": "network_operating"}
+"""From simple to free: a tie goes to the first."""
 
 
-def run(config: Config) -> StageOutput:
+def run(analysis: Analysis) -> StageOutput:
     """``choice.json`` and ``choice.csv``: a row a model.
 
     Raises ConfigError for data of a single state; as a fit does.
     """
-    measurement = load_measurement(config)
+    config, measurement = analysis.config, prepare(analysis)
     use_threads(config)
     setup = setup_of(config)
-    kinds = _KINDS if measurement.laws is not None else _KINDS[-1:]
+    kinds = list(_MODELS) if measurement.laws else ["network"]
     setups = {kind: setup_model(setup, kind) for kind in kinds}
     judged = judge_models(measurement, setups, lambda what: say(f"{config.name}: fits {what}"))
     chosen = choose(judged)
     _print(config, judged, chosen)
-    folder = locate_files(config).folder
+    folder = analysis.files.folder
     summary = {
         "chosen": chosen.name,
         "models": {model.name: asdict(model) | {"rejected": model.rejected} for model in judged},

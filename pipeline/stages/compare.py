@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,26 +10,28 @@ import numpy as np
 
 from pipeline.comparison.cases import Case, Machine, choose_main_case, list_cases
 from pipeline.comparison.runner import ComparisonSetup, MethodRun, compare
-from pipeline.config.comparison import ComparisonConfig, MethodName
 from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError
 from pipeline.files import write_json, write_text
 from pipeline.laws.build import make_laws
 from pipeline.methods.catalogue import METHODS
+from pipeline.problem.configured import model_machine
 from pipeline.reporting.comparison_figures import draw_comparison
 from pipeline.reporting.comparison_tables import Comparison, make_tables, tabulate, write_markdown
 from pipeline.reporting.console import comparison_progress, say, table
+from pipeline.rotor.stored import require_nodes
+from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput, use_threads
-from pipeline.stages.generate import model_machine
-from pipeline.stages.workspace import locate_files, require_nodes
+from pipeline.stages.workspace import locate_files
 
 
-def run(config: Config) -> StageOutput:
+def run(analysis: Analysis) -> StageOutput:
     """``comparison.csv`` (a row a method, case, bearing and coefficient), ``.json``, ``.md`` and a figure.
 
     Raises ConfigError for measured data, whose truth nobody knows.
     """
+    config = analysis.config
     if config.machine.recordings.format != "none":
         raise ConfigError(
             "compare must have a modelled machine, whose coefficients are known, but the data are measured: "
@@ -37,11 +40,13 @@ def run(config: Config) -> StageOutput:
     use_threads(config)
     machine = build_machine(config)
     require_nodes(machine.rotor, "comparison.location", [config.comparison.location or 0])
-    setup = ComparisonSetup(machine, config.identify, config.comparison, config.seed)
-    n_speeds = machine.n_speeds
-    cases = list_cases(config.comparison, n_speeds)
+    asked, n_speeds = config.comparison, machine.n_speeds
+    setup = ComparisonSetup(machine, config.identify, asked, config.seed)
     runs = [
-        MethodRun(m, case) for case in cases for m in config.comparison.methods if _asks(config.comparison, m, case)
+        MethodRun(method, case)
+        for case in list_cases(asked, n_speeds)
+        for method in asked.methods
+        if case.data_set < asked.data_sets_of(method)
     ]
     folder = locate_files(config).folder
     try:
@@ -50,8 +55,7 @@ def run(config: Config) -> StageOutput:
     except KeyboardInterrupt:
         say(f"{config.name}: interrupted; what is done is kept, and the same command goes on from there")
         raise SystemExit(130) from None
-    names = tuple(config.identify.named())
-    comparison = Comparison(tuple(results), choose_main_case(config.comparison, n_speeds), names)
+    comparison = Comparison(tuple(results), choose_main_case(asked, n_speeds), tuple(config.identify.named()))
     summary = summarize(comparison)
     _print(config, comparison)
     written: list[Path] = [
@@ -64,46 +68,48 @@ def run(config: Config) -> StageOutput:
     return StageOutput(summary, tags, written)
 
 
-def _asks(settings: ComparisonConfig, method: MethodName, case: Case) -> bool:
-    return case.data_set < settings.data_sets_of(method)
-
-
 def build_machine(config: Config) -> Machine:
     """The configured machine, and its vibration without noise at every node."""
     rotor, modelled, vibration = model_machine(config)
-    laws = None if config.machine.laws is None else make_laws(config.machine.laws, rotor.bearing_nodes)
+    given = config.machine.laws
+    laws = make_laws(given, rotor.bearing_nodes) if given else None
     machine = Machine(rotor, modelled, vibration, config.machine.probes.seed, laws)
     require_nodes(machine.rotor, "identify.unbalance_planes", config.identify.unbalance_planes)
     return machine
 
 
+def _list_noises(
+    comparison: Comparison, method: str, measure: Callable[[str, Case], float]
+) -> dict[str, dict[str, float]]:
+    """What is measured by sensors and noise, where it is finite."""
+    by_sensors = {
+        sensors.sensors: {
+            f"{100 * noise.noise:g}_percent".replace(".", "_"): value
+            for noise in comparison.along("noise")
+            if np.isfinite(value := measure(method, replace(sensors, noise=noise.noise)))
+        }
+        for sensors in comparison.along("sensors")
+    }
+    return {sensors: values for sensors, values in by_sensors.items() if values}
+
+
 def summarize(comparison: Comparison) -> dict[str, object]:
     """Numbers by method, sensors and noise, and the response loss against the best other method in the main case."""
-    methods: dict[str, object] = {}
-    for method in comparison.methods:
-        errors: dict[str, dict[str, float]] = {}
-        spread: dict[str, dict[str, float]] = {}
-        for sensors in comparison.along("sensors"):
-            for noise in comparison.along("noise"):
-                case = replace(sensors, noise=noise.noise)
-                if np.isfinite(error := comparison.error(method, case)):
-                    key = f"{100 * noise.noise:g}_percent".replace(".", "_")
-                    errors.setdefault(sensors.sensors, {})[key] = error
-                    if len(comparison.entries(method, case)) > 1:
-                        spread.setdefault(sensors.sensors, {})[key] = comparison.spread(method, case)
-        by_speeds = {
-            str(case.speeds): comparison.error(method, case)
-            for case in comparison.along("speeds")
-            if np.isfinite(comparison.error(method, case))
-        }
-        methods[method] = {
-            "median_error_percent": errors,
-            "standard_deviation_percent": spread,
-            "median_error_percent_by_speeds": by_speeds,
+    methods = {
+        method: {
+            "median_error_percent": _list_noises(comparison, method, comparison.error),
+            "standard_deviation_percent": _list_noises(comparison, method, comparison.spread),
+            "median_error_percent_by_speeds": {
+                str(case.speeds): error
+                for case in comparison.along("speeds")
+                if np.isfinite(error := comparison.error(method, case))
+            },
             "median_error_percent_by_coefficient": comparison.by_coefficient(method),
             "within_95_percent_interval": comparison.coverage(method, comparison.main),
             "outcomes": comparison.outcomes().get(method, {}),
         }
+        for method in comparison.methods
+    }
     summary: dict[str, object] = {"methods": methods}
     if "response" in comparison.methods:
         main, names = comparison.main, comparison.names
@@ -117,8 +123,8 @@ def summarize(comparison: Comparison) -> dict[str, object]:
 
 
 def _print(config: Config, comparison: Comparison) -> None:
-    for title, header, rows in make_tables(comparison):
-        table(f"{config.name}: {title}", header, rows)
+    for made in make_tables(comparison):
+        table(f"{config.name}: {made.caption}", made.header, made.rows)
     for method, outcomes in comparison.outcomes().items():
         for outcome in outcomes.values():
             say(f"{METHODS[method].label}: {outcome}")

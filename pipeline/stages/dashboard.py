@@ -7,13 +7,15 @@ from pathlib import Path
 from pipeline.config.schema import Config
 from pipeline.errors import without_password
 from pipeline.reporting.console import say, table
+from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
 from pipeline.tracking import find_trial_pages
 from pipeline.tuning.trials_file import TRIALS, gather_studies
 
 
-def run(config: Config) -> StageOutput:
+def run(analysis: Analysis) -> StageOutput:
     """Every ``studies/NAME/trials.jsonl`` in the database, and on each trial that MLflow has a note with its page."""
+    config = analysis.config
     shown = gather_studies(config.tuning, _list_files(config), find_trial_pages(config.tracking))
     storage = without_password(config.tuning.storage)
     rows = [[study.name, str(study.trials), str(study.linked)] for study in shown]

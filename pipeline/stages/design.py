@@ -5,88 +5,46 @@ With ``design.accuracy`` the runs and speeds that reach it, see :mod:`pipeline.s
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from pipeline.config.messages import quote_override
 from pipeline.config.schema import Config
-from pipeline.data.dataset import Excitation
-from pipeline.data.simulate import simulate
-from pipeline.errors import ConfigError
-from pipeline.files import write_json, write_text
 from pipeline.identification.quality import finite
 from pipeline.problem.design import (
-    choose,
-    plan_covariance,
     predict_deviations,
-    run_information,
     simulate_deviations,
-    unknown_sizes,
-    whiten_plan,
 )
 from pipeline.problem.measurement import Measurement
+from pipeline.problem.planning import choose_best
 from pipeline.reporting.console import say, table
-from pipeline.rotor.stored import load_modelled_bearings, load_rotor
+from pipeline.rotor.stored import load_rotor
 from pipeline.stages.accuracy_design import reach_accuracy
+from pipeline.stages.analysis import Analysis
 from pipeline.stages.diagnose import describe_noise
 from pipeline.stages.execution import StageOutput
-from pipeline.stages.generate import configure_excitations, configure_frequencies
 from pipeline.stages.law_design import reach_numbers
-from pipeline.stages.measurement import build_measurement
-from pipeline.stages.planned_runs import format_runs, list_candidates
-from pipeline.stages.workspace import locate_files, require_nodes
-from pipeline.units import RAD_S_PER_RPM
+from pipeline.stages.planned_runs import write_design
 
 
-def run(config: Config) -> StageOutput:
+def run(analysis: Analysis) -> StageOutput:
     """``design.json`` and ``designed_excitation.yaml``, which can be used at once."""
+    config = analysis.config
     if config.model.has_laws:
-        return reach_numbers(config)
+        return reach_numbers(analysis)
     if config.design.accuracy is not None:
-        return reach_accuracy(config, config.design.accuracy)
-    design, rotor = config.design, load_rotor(config.machine.rotor)
-    possible = list_candidates(config.machine.candidates)
-    require_nodes(rotor, "machine.candidates", [weight.node for acting in possible for weight in acting])
-    if design.runs > len(possible):
-        raise ConfigError(f"design.runs must be at most the {len(possible)} candidates, but got {design.runs}")
-    every = np.array(config.machine.speeds.rpm()) * RAD_S_PER_RPM
-    speeds = every[np.unique(np.linspace(0, len(every) - 1, min(design.speeds, len(every))).round().astype(int))]
-    prior = load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
-
-    def plan(acting: Sequence[Excitation], run_speeds: np.ndarray | None = None) -> Measurement:
-        return build_measurement(config, rotor, simulate(rotor, prior, tuple(acting), run_speeds), prior)
-
-    everything = plan(list(itertools.chain.from_iterable(possible)))
-    white = whiten_plan(everything, everything.dataset, plan_covariance(everything))
-    information = run_information(white, len(possible), unknown_sizes(everything))
-    present = everything.unknowns.present
-    chosen = [possible[c] for c in choose(information, present, design.runs, design.criterion)]
-    plans = {
-        "configured": plan(configure_excitations(config), configure_frequencies(config, speeds)),
-        "designed": plan(list(itertools.chain.from_iterable(chosen))),
-    }
+        return reach_accuracy(analysis, config.design.accuracy)
+    rotor = load_rotor(config.machine.rotor)
+    chosen, plans = choose_best(config, rotor)
     summary = _summarize(config, plans)
     _print(config, summary, [acting[0].run for acting in chosen])
-    folder = locate_files(config).folder
-    written = [
-        write_text(folder / "designed_excitation.yaml", format_runs(config, chosen, config.machine.speeds)),
-        write_json(folder / "design.json", summary | {"runs": [acting[0].run for acting in chosen]}),
-    ]
-    say(
-        f"use them with: python -m pipeline stage=train {config.chosen} "
-        f"{quote_override('machine.runs_file', str(written[0]))} {quote_override('output', f'{folder}_designed')}"
-    )
+    written = write_design(analysis, chosen, config.machine.speeds, summary)
     return StageOutput(summary, {"rotor_fingerprint": rotor.fingerprint}, written)
 
 
 def _summarize(config: Config, plans: Mapping[str, Measurement]) -> dict[str, object]:
     predicted = {name: predict_deviations(plan) for name, plan in plans.items()}
-    summary: dict[str, object] = {
-        "stated_noise": config.stated_noise.model_dump(),
-        "predicted": _to_json(predicted),
-    }
+    summary: dict[str, object] = {"predicted": _to_json(predicted)}
     summary["worst"] = {name: finite(max(deviations.values())) for name, deviations in predicted.items()}
     summary["gain"] = finite(max(predicted["configured"].values()) / max(predicted["designed"].values()))
     if config.design.simulations > 1:

@@ -1,8 +1,9 @@
-"""Run a stage: missing inputs first, then the stage, then its record."""
+"""Run a stage, then record it."""
 
 from __future__ import annotations
 
 import hashlib
+import importlib
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -10,18 +11,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from pipeline.config.schema import Config
-from pipeline.reporting.console import say, warn
+from pipeline.reporting.console import warn
+from pipeline.stages.analysis import Analysis
 from pipeline.tracking import StageRecord, track
-
-
-def make_missing(config: Config, stage: str, *needed: Path) -> None:
-    """Run ``stage`` first if one of the files that it makes is missing, and say so."""
-    from pipeline.stages import run_stage
-
-    missing = [path for path in needed if not path.exists()]
-    if missing:
-        say(f"'{missing[0]}' is missing: running stage={stage} first")
-        run_stage(config.model_copy(update={"stage": stage}))
 
 
 def use_threads(config: Config) -> None:
@@ -44,17 +36,25 @@ class StageOutput:
     exit_code: int = 0
 
 
-def execute(config: Config, run: Callable[[Config], StageOutput]) -> None:
-    """Run a stage and record it. The files are complete before the first word to MLflow."""
-    started = time.time()
-    output = run(config)
+def execute(analysis: Analysis) -> None:
+    """Run a stage and record it; of ``predict`` with records of the user's own, those alone."""
+    config = analysis.config
+    given_records = config.stage == "predict" and config.predict.records is not None
+    name = "given_records" if given_records else config.stage
+    record(analysis, importlib.import_module(f"pipeline.stages.{name}").run)
+
+
+def record(analysis: Analysis, run: Callable[[Analysis], StageOutput]) -> None:
+    """Run and record what a stage, or a study, does. The files are complete before the first word to MLflow."""
+    config, started = analysis.config, time.time()
+    output = run(analysis)
     # The comparison's many settings are of its own stage alone.
     parameters = config.model_dump(mode="json", exclude=None if config.stage == "compare" else {"comparison"})
     # Stages of one experiment with the same configuration share this tag.
     apart = ("stage", "tracking", "check", "comparison", "report", "balance", "predict")
     shared = {key: parameters[key] for key in parameters if key not in apart}
     group = hashlib.sha256(json.dumps(shared, sort_keys=True).encode()).hexdigest()[:12]
-    record = StageRecord(
+    stage_record = StageRecord(
         experiment=config.name if config.stage != "check" else "check",  # it looks at all of them
         stage=config.stage,
         started=started,
@@ -68,7 +68,7 @@ def execute(config: Config, run: Callable[[Config], StageOutput]) -> None:
         children=output.children,
         status="KILLED" if output.exit_code == 130 else "FINISHED",
     )
-    for sentence in track(record, config.tracking):
+    for sentence in track(stage_record, config.tracking):
         warn(sentence)
     if output.exit_code:
         raise SystemExit(output.exit_code)

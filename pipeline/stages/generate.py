@@ -2,40 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from pipeline.config.schema import Config
-from pipeline.data.as_built import build_rotor, misplace_probes, simulate_as_built
 from pipeline.data.coefficient_files import write_coefficients
-from pipeline.data.dataset import Excitation, VibrationDataset, require_synchronous
 from pipeline.data.excitation_files import write_excitation
-from pipeline.data.operating_points import describe_points, group_rows, spread_states
-from pipeline.data.sensors import Channels, Sensors, list_directions, measure
-from pipeline.data.simulate import simulate
+from pipeline.data.operating_points import describe_points
 from pipeline.data.tables import read_marks
 from pipeline.data.vibration_files import write_vibration
 from pipeline.errors import DataError
+from pipeline.problem.configured import find_idle, list_known, model_machine, read_probes
 from pipeline.reporting.console import say, warn
-from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.model import RotorModel
-from pipeline.rotor.stored import load_modelled_bearings, load_rotor
+from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.workspace import (
     hash_origin,
-    list_known,
-    locate_files,
-    require_nodes,
     require_own,
 )
 from pipeline.twin.modes import StabilityMargin, find_modes, measure_stability
 from pipeline.units import RAD_S_PER_RPM
 
 
-def run(config: Config) -> StageOutput:
+def run(analysis: Analysis) -> StageOutput:
     """Vibration, excitation, and the modelled and the known coefficients."""
-    work = locate_files(config)
+    config, work = analysis.config, analysis.files
     require_own(work, "generate")
     marks = read_marks(work.vibration)
     if marks is not None and "origin" not in marks:
@@ -77,112 +66,8 @@ def run(config: Config) -> StageOutput:
     )
 
 
-def model_machine(config: Config, seed: int | None = None) -> tuple[RotorModel, BearingTable, VibrationDataset]:
-    """The configured machine, and its vibration without noise at every node; as it was built, if it says so.
-
-    ``seed`` draws what weights are off by; None for that of the probes.
-    """
-    rpm = np.array(config.machine.speeds.rpm())
-    speeds, operating = spread_states(rpm * RAD_S_PER_RPM, config.machine.operating)
-    rotor, built = load_rotor(config.machine.rotor), config.machine.as_built
-    list_known(config, rotor.bearing_nodes)  # refuses exceptions without a bearing
-    bearings = load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds, operating)
-    runs, residual = configure_excitations(config), _configure_residual(config)
-    require_nodes(rotor, "machine.runs", [excitation.node for excitation in (*runs, *residual)])
-    acting, frequencies = (*runs, *residual), configure_frequencies(config, speeds)
-    if built is None:
-        complete = simulate(rotor, bearings, acting, frequencies)
-        require_synchronous(rotor, complete)
-    else:
-        require_nodes(rotor, "machine.as_built.coupling_node", [built.coupling_node])
-        generator = np.random.default_rng([config.machine.probes.seed if seed is None else seed, 1])
-        fine = build_rotor(config.machine.rotor, built)
-        complete = simulate_as_built(fine, built, bearings, acting, frequencies, generator)
-    # The residual unbalance is in the vibration and nobody knows of it.
-    return rotor, bearings, replace(complete, excitations=runs)
-
-
-def read_probes(
-    config: Config, rotor: RotorModel, complete: VibrationDataset, seed: int | None = None
-) -> VibrationDataset:
-    """What the probes make of a vibration with x and y at every node; ``seed`` as :func:`model_machine`."""
-    seed, probes, built = (
-        config.machine.probes.seed if seed is None else seed,
-        configure_sensors(config, rotor),
-        config.machine.as_built,
-    )
-    if built is not None and probes.channels is not None:
-        complete = misplace_probes(complete, built, probes.channels, np.random.default_rng([seed, 2]))
-        probes = replace(probes, channels=None)
-    return measure(complete, probes, np.random.default_rng(seed))
-
-
-def find_idle(bearings: BearingTable) -> list[str]:
-    """The operating conditions that take several values and change no coefficient."""
-    idle = []
-    for name, values in bearings.operating.items():
-        others = [bearings.speeds, *(levels for other, levels in bearings.operating.items() if other != name)]
-        changes = any(np.ptp(bearings.values[:, rows], axis=1).any() for rows in group_rows(np.stack(others, axis=1)))
-        if np.ptp(values) > 0 and not changes:
-            idle.append(name)
-    return idle
-
-
 def _describe_margin(margin: StabilityMargin) -> str:
     if margin.smallest_logarithmic_decrement is None or margin.at_speed is None:
         return "no whirling mode below twice the top speed"
     at = margin.at_speed / RAD_S_PER_RPM
     return f"smallest logarithmic decrement {margin.smallest_logarithmic_decrement:.3f} at {at:.0f} rpm"
-
-
-def configure_excitations(config: Config) -> tuple[Excitation, ...]:
-    """The configured runs."""
-    acting: list[Excitation] = []
-    for run in config.machine.runs:
-        acting += [
-            Excitation(run.name, "unbalance", unbalance.node, unbalance.magnitude, unbalance.phase)
-            for unbalance in run.unbalances
-        ]
-        acting += [
-            Excitation(run.name, "force", force.node, force.magnitude, force.phase, force.whirl) for force in run.forces
-        ]
-    return tuple(acting)
-
-
-def _configure_residual(config: Config) -> tuple[Excitation, ...]:
-    """The configured residual unbalance, in every run that turns with the rotor."""
-    turning = [run for run in config.machine.runs if not run.frequency_hz and not run.frequency_ratio]
-    return tuple(
-        Excitation(run.name, "unbalance", weight.node, weight.magnitude, weight.phase)
-        for run in turning
-        for weight in config.machine.residual_unbalance
-    )
-
-
-def configure_sensors(config: Config, rotor: RotorModel) -> Sensors:
-    """The configured sensors."""
-    spec = config.machine.probes
-    channels: Channels | None = None
-    if spec.at == "bearings":
-        channels = list_directions(rotor.bearing_nodes)
-    elif spec.at != "all":
-        require_nodes(rotor, "machine.probes.at", [probe.node for probe in spec.at])
-        # An angle such as 45 deg is a text or a number of radians: rounded, it is 45 again.
-        channels = tuple((probe.node, round(float(np.degrees(probe.angle)), 9) % 360.0) for probe in spec.at)
-    return Sensors(
-        channels, spec.additive, spec.multiplicative, spec.runout, spec.quantisation, spec.slow_roll_readings
-    )
-
-
-def configure_frequencies(config: Config, speeds: np.ndarray) -> np.ndarray | None:
-    """(S, R) rad/s of the configured runs at ``speeds`` (S,) rad/s; None where all are synchronous."""
-    runs = config.machine.runs
-    if not any(run.frequency_hz or run.frequency_ratio for run in runs):
-        return None
-    columns = [
-        np.full(len(speeds), 2 * np.pi * run.frequency_hz)
-        if run.frequency_hz
-        else speeds * (run.frequency_ratio or 1.0)
-        for run in runs
-    ]
-    return np.stack(columns, axis=1)

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from pipeline.balance.records import predict_records
-from pipeline.config.schema import Config
 from pipeline.data.tables import list_columns, read_table, write_table
 from pipeline.ingest.source_units import SourceUnits
 from pipeline.reporting.balance_tables import tabulate_predicted
 from pipeline.reporting.console import say
+from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.vibration_models import list_missing, load_models, load_records
 from pipeline.stages.workspace import locate_files
@@ -21,8 +21,9 @@ if TYPE_CHECKING:
     from pipeline.ingest.records import RecordsConfig
 
 
-def run(config: Config) -> StageOutput:
+def run(analysis: Analysis) -> StageOutput:
     """``predicted_records.csv``: a row for each record, in its order. No fit of bearings is needed."""
+    config = analysis.config
     file = config.predict.records or ""
     records = load_records(config, file, "predict.records")
     fitted = load_models(config)

@@ -7,10 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.config.schema import Config
-from pipeline.identification.uncertainty import load_uncertainty
-from pipeline.stages.measurement import load_identified, load_measurement, update_measurement
-from pipeline.stages.workspace import locate_files
+from pipeline.stages.analysis import Analysis
+from pipeline.stages.measurement import restore
 from pipeline.sweep.readings import compare_natural_frequency
 from pipeline.twin.beyond import expect_criticals
 from pipeline.units import RAD_S_PER_RPM
@@ -19,19 +17,17 @@ _AROUND = np.linspace(0.5, 2.0, 61)
 """Where critical speeds are looked for, as shares of the run-up's first natural frequency."""
 
 
-def compare_identified(config: Config, run_up: Mapping[str, Any]) -> dict[str, Any]:
+def compare_identified(analysis: Analysis, run_up: Mapping[str, Any]) -> dict[str, Any]:
     """The first identified critical speed against the first natural frequency of ``run_up.json``.
 
     Empty where a fit states no deviations, or finds no critical speed there. Raises ConfigError as
     :func:`pipeline.twin.beyond.expect_criticals`.
     """
-    measurement = load_measurement(config)
-    identified = load_identified(config, measurement)
-    uncertainty = load_uncertainty(locate_files(config).folder, identified)
-    if uncertainty is None:
+    answer = restore(analysis)
+    if answer.uncertainty is None:
         return {}
     speeds = run_up["natural_frequency"]["rpm"] * _AROUND * RAD_S_PER_RPM
-    expected = expect_criticals(update_measurement(measurement, uncertainty), identified, uncertainty, speeds)
+    expected = expect_criticals(answer.measurement, answer.model, answer.uncertainty, speeds)
     if not expected:
         return {}
     first = expected[0]

@@ -4,31 +4,29 @@ from __future__ import annotations
 
 import time
 
-from pipeline.config.schema import Config
 from pipeline.config.stage_names import RESULTS, STAGES
 from pipeline.errors import PipelineError
 from pipeline.reporting.console import say, warn
-from pipeline.stages import run_stage
+from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
-from pipeline.stages.workspace import locate_files
 
 
-def run(config: Config) -> StageOutput:
+def run(analysis: Analysis) -> StageOutput:
     """Read or simulate the data, diagnose, train; then each stage of the results. One of these that can't be made is
     skipped with its reason, and what an earlier command left of it is removed.
 
     Raises PipelineError for data that can't be read, and for coefficients that they do not determine.
     """
-    started, work = time.perf_counter(), locate_files(config)
+    config, work, started = analysis.config, analysis.files, time.perf_counter()
     made, skipped = [], []
     source = "generate" if config.machine.recordings.format == "none" else "ingest"
     for stage in (*([source] if work.own else []), "diagnose", "train"):
-        _run(config, stage)
+        analysis.run(stage)
     for stage, file in RESULTS.items():
         if stage not in STAGES:
             continue
         try:
-            _run(config, stage)
+            analysis.run(stage)
             made.append(work.folder / file)
         except PipelineError as error:
             (work.folder / file).unlink(missing_ok=True)
@@ -38,7 +36,3 @@ def run(config: Config) -> StageOutput:
     files = ", ".join(f"'{path}'" for path in (work.identified, *made))
     say(f"{config.name}: results after {time.perf_counter() - started:.0f} s in {files}{also}")
     return StageOutput(metrics={"identify.skipped": float(len(skipped))}, tags={"skipped": ", ".join(skipped)})
-
-
-def _run(config: Config, stage: str) -> None:
-    run_stage(config.model_copy(update={"stage": stage}))

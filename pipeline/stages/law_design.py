@@ -2,139 +2,61 @@
 
 from __future__ import annotations
 
-import itertools
 import shlex
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 
-from pipeline.config.messages import quote_override
 from pipeline.config.operating import column_of
 from pipeline.config.schema import Config
 from pipeline.data.operating import name_state
-from pipeline.data.sensors import list_directions, project
-from pipeline.data.simulate import simulate
-from pipeline.errors import ConfigError, nearest
-from pipeline.files import write_json, write_text
+from pipeline.errors import ConfigError
 from pipeline.laws.build import make_laws
-from pipeline.laws.journal import JournalLaw
-from pipeline.laws.law_set import LawSet
-from pipeline.problem.accuracy import scale_to_limits
-from pipeline.problem.law_design import LawCandidates, LawPlan, plan_by_states
-from pipeline.problem.law_information import add_rows, guess_table, inform, law_rows
-from pipeline.problem.measurement import Measurement
+from pipeline.problem.law_design import (
+    LawCandidates,
+    LawPlan,
+    State,
+    clearances_of,
+    guess_at,
+    inform_candidates,
+    list_states,
+    plan_by_states,
+)
+from pipeline.problem.planning import Planner, list_possible
 from pipeline.problem.ranking import find_least
 from pipeline.reporting.console import say, table
-from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_rotor
+from pipeline.stages.analysis import Analysis
 from pipeline.stages.diagnose import describe_noise
 from pipeline.stages.execution import StageOutput
-from pipeline.stages.generate import configure_sensors
-from pipeline.stages.measurement import build_measurement
-from pipeline.stages.planned_runs import Runs, format_runs, list_candidates, scale_runs
-from pipeline.stages.workspace import locate_files, require_nodes
-from pipeline.units import RAD_S_PER_RPM
-
-State = Mapping[str, float]
-"""Condition -> its value, SI."""
+from pipeline.stages.planned_runs import write_design
 
 
-@dataclass(frozen=True)
-class LawDesigner:
-    """A machine whose bearings are as the laws' guesses have them."""
-
-    config: Config
-    rotor: RotorModel
-    laws: LawSet
-
-    def bearings(self, state: State) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """Speeds (S,) rad/s, and the conditions at each of them."""
-        speeds = np.array(self.config.machine.speeds.rpm()) * RAD_S_PER_RPM
-        return speeds, {name: np.full(len(speeds), value) for name, value in state.items()}
-
-    def measure(self, runs: Runs, state: State) -> Measurement:
-        """What the probes would read, without noise."""
-        prior = guess_table(self.laws, *self.bearings(state))
-        complete = simulate(self.rotor, prior, tuple(itertools.chain.from_iterable(runs)))
-        channels = configure_sensors(self.config, self.rotor).channels
-        seen = complete if channels is None else project(complete, channels)
-        return build_measurement(self.config, self.rotor, seen, prior)
-
-    def limit(self, runs: Runs, states: Sequence[State]) -> Runs:
-        """The runs, made smaller where an orbit would leave its share of the clearance in one of the states."""
-        clearance = [law.clearance.value if isinstance(law, JournalLaw) else np.inf for law in self.laws.laws]
-        scales = []
-        for state in states:
-            prior = guess_table(self.laws, *self.bearings(state))
-            complete = simulate(self.rotor, prior, tuple(itertools.chain.from_iterable(runs)))
-            motion = project(complete, list_directions(self.rotor.bearing_nodes)).displacement
-            limits = self.config.design.clearance * np.array(clearance)
-            scales.append(scale_to_limits(motion.reshape(len(motion), -1, 2, len(runs)), limits))
-        return scale_runs(runs, np.min(scales, axis=0))
-
-
-def reach_numbers(config: Config) -> StageOutput:
+def reach_numbers(analysis: Analysis) -> StageOutput:
     """``design.json`` and ``designed_excitation.yaml``, which can be used at once.
 
     Raises ConfigError for an accuracy, laws or conditions that are missing.
     """
-    rotor, machine, accuracy = load_rotor(config.machine.rotor), config.machine, config.design.accuracy
+    config, machine, accuracy = analysis.config, analysis.config.machine, analysis.config.design.accuracy
+    rotor = load_rotor(machine.rotor)
     if machine.laws is None or accuracy is None:
         missing = "machine.laws" if machine.laws is None else "design.accuracy (such as 0.02)"
         raise ConfigError(
             f"stage=design with model={config.model.kind} must have {missing}, but there is none: write it, or choose "
             "another model"
         )
-    designer = LawDesigner(config, rotor, make_laws(machine.laws, rotor.bearing_nodes))
-    states, possible = _list_states(config, designer.laws), list_candidates(machine.candidates)
-    require_nodes(rotor, "machine.candidates", [weight.node for acting in possible for weight in acting])
-    allowed = designer.limit(possible, states)
-    candidates = _inform(config, designer, allowed, states)
+    laws = make_laws(machine.laws, rotor.bearing_nodes)
+    states, planner = list_states(config, laws), Planner(config, rotor, clearances_of(laws))
+    tables = [guess_at(config, laws, state) for state in states]
+    allowed = planner.limit(list_possible(config, rotor), *tables)
+    candidates = inform_candidates(planner, laws, allowed, tables)
     plans = plan_by_states(candidates, len(states), config.design.runs, accuracy)
     best = plans[find_least({i: plan.worst for i, plan in enumerate(plans)})]
-    chosen = [allowed[c] for c in best.runs]
-    summary = _summarize(candidates, plans, best, states, accuracy)
-    summary |= {"runs": [acting[0].run for acting in chosen], "stated_noise": config.stated_noise.model_dump()}
     _print(config, candidates, plans, best, states)
-    folder = locate_files(config).folder
-    written = [
-        write_text(folder / "designed_excitation.yaml", format_runs(config, chosen, machine.speeds)),
-        write_json(folder / "design.json", summary),
-    ]
-    say(
-        f"use them with: python -m pipeline stage=train {config.chosen} "
-        f"{quote_override('machine.runs_file', str(written[0]))} {quote_override('output', f'{folder}_designed')}"
-        + _override_states([states[t] for t in best.states])
-    )
+    summary = _summarize(candidates, plans, best, states, accuracy)
+    overrides = _override_states([states[t] for t in best.states])
+    written = write_design(analysis, [allowed[c] for c in best.runs], machine.speeds, summary, overrides)
     return StageOutput({"worst": best.worst}, {"rotor_fingerprint": rotor.fingerprint}, written)
-
-
-def _list_states(config: Config, laws: LawSet) -> list[State]:
-    """Every combination of the conditions that could be set. Raises ConfigError for one that is missing."""
-    given = config.design.operating or config.machine.operating
-    for name in laws.inputs:
-        if name not in given:
-            raise ConfigError(
-                f"design.operating must have {name}, which the bearing laws need, but it has "
-                f"{', '.join(given) or 'nothing'}: add the values that could be set, such as "
-                f"{{{name}: [{', '.join(f'{n} {column_of(name).unit}' for n in (40, 55, 70))}]}}"
-            )
-    return [dict(zip(given, values, strict=True)) for values in itertools.product(*given.values())]
-
-
-def _inform(config: Config, designer: LawDesigner, runs: Runs, states: Sequence[State]) -> LawCandidates:
-    names = [parameter.name for parameter in designer.laws.parameters]
-    asked = config.design.numbers or names
-    for name in asked:
-        if name not in names:
-            raise ConfigError(
-                f"design.numbers must be unknown numbers of machine.laws, but got {name}: {nearest(name, names)}"
-            )
-    plans = [designer.measure(runs, state) for state in states]
-    nothing = inform(plans[0])
-    readings = [[add_rows(rows) for rows in np.moveaxis(law_rows(plan), 2, 0)] for plan in plans]
-    return LawCandidates(nothing.alone(), np.array(readings), np.array([name in asked for name in names]))
 
 
 def _summarize(

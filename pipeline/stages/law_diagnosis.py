@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
-
-import numpy as np
 
 from pipeline.config.schema import Config
 from pipeline.data.operating import write_condition
 from pipeline.errors import IdentifiabilityError
 from pipeline.laws.points import OIL_TEMPERATURE
-from pipeline.problem.law_information import FURTHER, LawInformation, inform, require_temperatures, try_warmer
+from pipeline.problem.law_information import (
+    describe_open,
+    inform,
+    require_temperatures,
+    summarize_numbers,
+    try_warmer,
+)
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, table, warn
 from pipeline.reporting.physical_numbers import list_numbers
@@ -22,7 +25,7 @@ def diagnose_laws(config: Config, measurement: Measurement, noise: str) -> dict[
 
     Raises DataError for an operating condition that the laws need and the data lack.
     """
-    if measurement.laws is None or not config.model.has_laws:
+    if not measurement.laws or not config.model.has_laws:
         return {}
     information, warmer = inform(measurement), try_warmer(measurement)
     header, further = ["number", "guess", "known to, %", "with these data, %"], None
@@ -43,36 +46,3 @@ def diagnose_laws(config: Config, measurement: Measurement, noise: str) -> dict[
     except IdentifiabilityError as error:
         warn(f"{config.name}: {error}")
     return {"physical_numbers": summary, "free_combinations": list(information.free)}
-
-
-def summarize_numbers(information: LawInformation, further: np.ndarray | None) -> dict[str, dict[str, Any]]:
-    """By name, SI; ``further`` (Th,) percent, with one more oil temperature."""
-    result = {}
-    for i, parameter in enumerate(information.parameters):
-        result[parameter.name] = {
-            "guess": parameter.guess,
-            "value": parameter.guess,
-            "deviation": float(parameter.guess * information.deviation[i]),
-            "unit": parameter.unit,
-            "prior_percent": float(100 * information.prior[i]),
-            "deviation_percent": float(100 * information.deviation[i]),
-            "determined": bool(information.determined[i]),
-        }
-        if further is not None:
-            result[parameter.name][f"deviation_percent_{FURTHER:g}_K_warmer"] = float(further[i])
-    return result
-
-
-def describe_open(information: LawInformation) -> list[str]:
-    """A sentence on each combination of numbers that stays at its prior; none where all is told."""
-    said = []
-    for free in information.free:
-        with_, against = ([name for name, share in free.items() if (share > 0) == same] for same in (True, False))
-        text = _join(with_) + (f", against {_join(against)}" if against else " together" if len(with_) > 1 else "")
-        cure = "it" if len(free) == 1 else "one of them"
-        said.append(f"these data do not tell {text}: give {cure} as a known number, or measure what tells it")
-    return said
-
-
-def _join(names: Sequence[str]) -> str:
-    return f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else names[0]

@@ -7,17 +7,18 @@ from pathlib import Path
 
 from pipeline.config.messages import quote_override
 from pipeline.config.own_machines import clean_name, make_absolute
-from pipeline.config.schema import Config
 from pipeline.errors import ConfigError, DataError
 from pipeline.files import write_text
 from pipeline.reporting.console import say
+from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
 
 TEMPLATE = Path(__file__).with_name("machine_file.yaml")
 
 
-def run(config: Config) -> StageOutput:
+def run(analysis: Analysis) -> StageOutput:
     """The machine file, and the next command. Raises ConfigError without ``machine.file``, DataError where it is."""
+    config = analysis.config
     if config.machine.file is None:
         raise ConfigError("stage=new must know the file to write, but has none: add machine.file=my_machine.yaml")
     path = make_absolute(config.machine.file)

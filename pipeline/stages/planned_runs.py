@@ -1,45 +1,42 @@
-"""The runs that an experimenter could make, and the file that a design writes of those that are chosen."""
+"""The files that a design writes: what it predicts, and the runs that are chosen."""
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 
-from pipeline.config.runs import CandidateConfig, SpeedsConfig
+from pipeline.config.messages import quote_override
+from pipeline.config.runs import SpeedsConfig
 from pipeline.config.schema import Config
 from pipeline.data.dataset import Excitation
+from pipeline.files import write_json, write_text
+from pipeline.reporting.console import say
+from pipeline.stages.analysis import Analysis
 
 
-def list_candidates(can: CandidateConfig) -> tuple[tuple[Excitation, ...], ...]:
-    """Every run that could be made: single unbalances, pairs of them, and rotating forces."""
-    made: list[tuple[Excitation, ...]] = []
-
-    def unbalance(name: str, node: int, degrees: float) -> Excitation:
-        return Excitation(name, "unbalance", node, can.unbalance, float(np.radians(degrees)))
-
-    for node in can.unbalance_nodes:  # the phase of a single source does not matter
-        made.append((unbalance(f"unbalance_{node}", node, 0.0),))
-    for (first, second), degrees in itertools.product(itertools.combinations(can.unbalance_nodes, 2), can.phases_deg):
-        name = f"unbalance_{first}_and_{second}_at_{degrees:g}_deg"
-        made.append((unbalance(name, first, 0.0), unbalance(name, second, degrees)))
-    for node, whirl in itertools.product(can.force_nodes, can.whirls):
-        made.append((Excitation(f"{whirl}_force_{node}", "force", node, can.force, 0.0, whirl),))
-    return tuple(made)
-
-
-Runs = tuple[tuple[Excitation, ...], ...]
-"""What acts in each run."""
-
-
-def scale_runs(runs: Runs, scale: np.ndarray) -> Runs:
-    """The runs with all that acts in each times its ``scale`` (R,)."""
-    return tuple(
-        tuple(replace(weight, magnitude=weight.magnitude * float(s)) for weight in acting)
-        for acting, s in zip(runs, scale, strict=True)
+def write_design(
+    analysis: Analysis,
+    chosen: Sequence[Sequence[Excitation]],
+    speeds: SpeedsConfig,
+    summary: Mapping[str, object],
+    overrides: str = "",
+) -> list[Path]:
+    """``design.json`` and ``designed_excitation.yaml``, which can be used at once: the command, with ``overrides``, is
+    said."""
+    config, folder = analysis.config, analysis.files.folder
+    about = {"runs": [acting[0].run for acting in chosen], "stated_noise": config.stated_noise.model_dump()}
+    written = [
+        write_text(folder / "designed_excitation.yaml", format_runs(config, chosen, speeds)),
+        write_json(folder / "design.json", {**summary, **about}),
+    ]
+    say(
+        f"use them with: python -m pipeline stage=train {config.chosen} "
+        f"{quote_override('machine.runs_file', str(written[0]))} {quote_override('output', f'{folder}_designed')}"
+        + overrides
     )
+    return written
 
 
 def format_runs(config: Config, chosen: Sequence[Sequence[Excitation]], speeds: SpeedsConfig) -> str:

@@ -11,15 +11,17 @@ from pipeline.errors import ConfigError
 from pipeline.files import read_json, write_beside
 from pipeline.reporting.console import say, table
 from pipeline.reporting.write_numbers import write_value
+from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.tune import AGAIN, SUMMARY
 
 
-def run(config: Config) -> StageOutput:
+def run(analysis: Analysis) -> StageOutput:
     """Say what changes in ``tuning.promoted``, then copy ``tuning.folder`` there.
 
     :raises ConfigError: where there is no such study, or it is of another experiment
     """
+    config = analysis.config
     source, target = Path(config.tuning.folder), Path(config.tuning.promoted)
     promoted = read_promoted(source)
     if promoted is None:

@@ -14,22 +14,21 @@ from pipeline.config.schema import Config
 from pipeline.data.tables import read_table
 from pipeline.errors import DataError, IdentifiabilityError
 from pipeline.files import hash_file, read_json
-from pipeline.identification.uncertainty import load_uncertainty
-from pipeline.ingest.full_spectrum import measure_full_spectra
+from pipeline.ingest.full_spectrum import join_full_spectra
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, warn
 from pipeline.reporting.report.content import FitContent, ReportContent, Waveforms
 from pipeline.reporting.report.page import write_page
 from pipeline.reporting.report.pdf import write_pdf
 from pipeline.reporting.report.sections import list_sections
+from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
-from pipeline.stages.measurement import load_identified, load_measurement, load_modelled, update_measurement
-from pipeline.stages.predict import OPERATING, choose_operating
+from pipeline.stages.measurement import load_modelled, prepare, restore
+from pipeline.stages.predict import load_twin
 from pipeline.stages.verdict import load_judgement
-from pipeline.stages.workspace import Workspace, locate_files
+from pipeline.stages.workspace import Workspace
 from pipeline.tracking.provenance import describe_provenance
-from pipeline.twin.at_conditions import evaluate_at, say_beyond
-from pipeline.twin.modes import find_modes
+from pipeline.twin.at_conditions import say_beyond
 
 _TABLES: dict[str, tuple[dict[str, str], dict[str, str]]] = {
     "residual_unbalance": (dict.fromkeys(("node", "magnitude", "phase_deg", "magnitude_std"), "number"), {}),
@@ -52,10 +51,9 @@ _MOST_WAVEFORMS = 2
 """Runs, and nodes of each, whose spectra are drawn."""
 
 
-def run(config: Config) -> StageOutput:
+def run(analysis: Analysis) -> StageOutput:
     """``report.html`` and ``report.pdf``."""
-    work = locate_files(config)
-    content = collect_content(config)
+    config, work, content = analysis.config, analysis.files, collect_content(analysis)
     sections = list_sections(content)
     title = f"Bearing identification: {config.name.replace('_', ' ')}"
     made = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime())
@@ -68,18 +66,18 @@ def run(config: Config) -> StageOutput:
     return StageOutput(tags={"data_fingerprint": content.dataset.fingerprint}, files=written)
 
 
-def collect_content(config: Config) -> ReportContent:
+def collect_content(analysis: Analysis) -> ReportContent:
     """Read what the sections speak of; stages whose files are missing or older than the fit run first.
 
     Raises DataError for a reference table that breaks its laws.
     """
-    work, measurement = locate_files(config), load_measurement(config)
-    reference = None if config.report.reference is None else _read_reference(Path(config.report.reference))
-    fit = _read_fit(config, measurement)
-    _make_current(config, work, fit)
+    config, work, measurement = analysis.config, analysis.files, prepare(analysis)
+    reference = {} if config.report.reference is None else _read_reference(Path(config.report.reference))
+    fit = _read_fit(analysis)
+    _make_current(analysis, fit)
     names = {"ingest", "diagnosis"} | ({"training", "metrics", "prediction"} if fit else set())
     contents = {name: work.folder / f"{name}.json" for name in names}
-    judged = {} if fit is None else {"verdicts": load_judgement(config, measurement)}
+    judged = {} if fit is None else {"verdicts": load_judgement(analysis)}
     return ReportContent(
         config=config,
         measurement=measurement,
@@ -92,64 +90,45 @@ def collect_content(config: Config) -> ReportContent:
     )
 
 
-def _make_current(config: Config, work: Workspace, fit: FitContent | None) -> None:
+def _make_current(analysis: Analysis, fit: FitContent | None) -> None:
     """Run the stages whose files the report reads, where they are missing or older than what they follow from."""
-    from pipeline.stages import run_stage
-
-    needed = {"diagnose": ("diagnosis.json", work.vibration)}
-    if fit is not None:
-        needed |= {"evaluate": ("metrics.json", work.training), "predict": ("modes.csv", work.training)}
-    for stage, (name, source) in needed.items():
-        path = work.folder / name
-        if not path.exists() or _is_older(path, source):
-            why = f"is missing, or older than '{source}'"
-        elif stage == "predict" and fit is not None and _is_elsewhere(work, fit):
-            why = "is of other operating conditions"
-        else:
-            continue
-        say(f"'{path}' {why}: running stage={stage} first")
-        run_stage(config.model_copy(update={"stage": stage}))
+    work = analysis.files
+    analysis.require("diagnose", work.folder / "diagnosis.json", behind=work.vibration)
+    if fit is None:
+        return
+    analysis.require("evaluate", work.metrics, behind=work.training)
+    modes = work.folder / "modes.csv"
+    analysis.require("predict", modes, behind=work.training)
+    if read_json(work.folder / "prediction.json").get("operating", {}) != dict(fit.operating):
+        say(f"'{modes}' is of other operating conditions: running stage=predict first")
+        analysis.run("predict")
 
 
-def _is_elsewhere(work: Workspace, fit: FitContent) -> bool:
-    """Whether the prediction is of other conditions than those that are asked for."""
-    return bool(read_json(work.folder / "prediction.json").get("operating", {}) != dict(fit.operating))
-
-
-def _is_older(path: Path, source: Path) -> bool:
-    return path.exists() and source.exists() and path.stat().st_mtime < source.stat().st_mtime
-
-
-def _read_fit(config: Config, measurement: Measurement) -> FitContent | None:
+def _read_fit(analysis: Analysis) -> FitContent | None:
     """The fit, training first where it is missing; None, with a warning, where the data determine nothing."""
+    config = analysis.config
     try:
-        identified = load_identified(config, measurement)
+        answer = restore(analysis)
     except IdentifiabilityError as error:
         warn(f"{error}\n{config.name}: the report has what was measured and the diagnosis alone")
         return None
-    work, data = locate_files(config), measurement.dataset
-    uncertainty = load_uncertainty(work.folder, identified)
-    updated = update_measurement(measurement, uncertainty)
-    bearings, operating = identified.table(updated.updated_known), choose_operating(config, data)
-    at_conditions = evaluate_at(identified, updated, operating, OPERATING)[1]
-    factors = read_json(work.training).get("fit", {}).get("noise_factor")
+    updated, data = answer.measurement, answer.measurement.dataset
+    twin = load_twin(analysis)
+    at_conditions = twin.systems["identified"]
+    factors = read_json(analysis.files.training).get("fit", {}).get("noise_factor")
     factor = np.array(list(factors.values())) if factors and len(factors) == len(data.channels) else None
-    every, chosen = (
-        None if uncertainty is None else uncertainty.deviation(identified, at.speeds, at.operating)
-        for at in (bearings, at_conditions)
-    )
     return FitContent(
-        bearings=bearings,
-        deviation=every,
-        unknowns=identified.unknowns.by_bearing,
-        modelled=load_modelled(config, measurement),
-        predicted=updated.response.predict(bearings, None if uncertainty is None else uncertainty.residual_unbalance),
-        noise=measurement.deviation_of(data.displacement, data.subtracted, factor),
+        bearings=answer.table,
+        deviation=answer.deviation(answer.table),
+        unknowns=answer.names,
+        modelled=load_modelled(config, updated),
+        predicted=updated.response.predict(answer.table, answer.unbalance),
+        noise=updated.deviation_of(data.displacement, updated.baseline, 1.0 if factor is None else factor),
         at_conditions=at_conditions,
-        at_deviation=chosen,
-        operating=operating,
-        beyond=say_beyond(data.operating, operating),
-        modes=find_modes(updated.updated_rotor, at_conditions),
+        at_deviation=answer.deviation(at_conditions),
+        operating=twin.operating,
+        beyond=say_beyond(data.operating, twin.operating),
+        modes=twin.behaviour["identified"].modes,
         rotor=updated.updated_rotor,
     )
 
@@ -191,12 +170,10 @@ def _read_waveforms(config: Config) -> list[Waveforms]:
             warn(f"the report has no spectra of run '{measured.name}': {error}")
             continue
         for node in nodes:
-            parts = [one for r in records if (one := measure_full_spectra(r, recordings.probes, node)) is not None]
-            if parts:
-                joined = [
-                    np.concatenate([getattr(one, key) for one in parts]) for key in ("speeds", "spectrum", "centre")
-                ]
-                waveforms.append(Waveforms(node, measured.name, joined[0], parts[0].orders, joined[1], joined[2]))
+            spectra = join_full_spectra(records, recordings.probes, node)
+            if spectra is not None:
+                shown = (spectra.speeds, spectra.orders, spectra.spectrum, spectra.centre)
+                waveforms.append(Waveforms(node, measured.name, *shown))
     return waveforms
 
 

@@ -9,26 +9,21 @@ import numpy as np
 
 from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
-from pipeline.errors import ConfigError, PipelineError
-from pipeline.evaluation.errors import CoefficientErrors, measure_errors
+from pipeline.errors import ConfigError
+from pipeline.evaluation.repeats import summarize_starts, tabulate_starts
 from pipeline.files import write_json
-from pipeline.identification.outcome import Outcome
 from pipeline.identification.residual_loss import ResidualTraining, initial_parameters, prepare_residual
-from pipeline.identification.training import FitSetup, Minimum, minimise, setup_of
-from pipeline.problem.measurement import Measurement
+from pipeline.identification.training import FitSetup, Minimum, Outcome, minimise, setup_of
 from pipeline.reporting.console import say, table, training_progress
-from pipeline.reporting.figures import draw_robustness
-from pipeline.rotor.bearing_table import BearingTable
+from pipeline.reporting.training_figures import draw_robustness
+from pipeline.stages.analysis import Analysis
 from pipeline.stages.diagnose import say_diagnosis
 from pipeline.stages.execution import StageOutput, use_threads
-from pipeline.stages.measurement import load_measurement, load_modelled
-from pipeline.stages.predict import find_same_run, list_unseen
+from pipeline.stages.measurement import load_modelled, prepare
 from pipeline.stages.train import say_promoted
-from pipeline.stages.workspace import locate_files
-from pipeline.twin.prediction import predict
+from pipeline.twin.twin import measure_unseen
 
 if TYPE_CHECKING:
-    import pandas as pd
     import torch
 
 
@@ -40,13 +35,14 @@ def choose_starts(config: Config) -> np.ndarray:
     return np.geomspace(spec.lowest_stiffness, spec.highest_stiffness, spec.count)
 
 
-def run(config: Config) -> StageOutput:
+def run(analysis: Analysis) -> StageOutput:
     """``robustness.json``, a table with the final error of every start, and Figure 2."""
+    config = analysis.config
     if config.robustness.over == "refit":
         from pipeline.stages import refit_study
 
-        return refit_study.run(config)
-    measurement, setup = load_measurement(config), setup_of(config)
+        return refit_study.run(analysis)
+    measurement, setup = prepare(analysis), setup_of(config)
     use_threads(config)
     say_promoted(config)
     if config.robustness.over == "initial_guess" and not any(name.startswith("k") for name in config.identify.named()):
@@ -55,7 +51,7 @@ def run(config: Config) -> StageOutput:
             "robustness=seeds"
         )
     training = prepare_residual(measurement, setup)
-    say_diagnosis(config, measurement)
+    say_diagnosis(analysis)
     starts = choose_starts(config)
     with training_progress(f"{config.name}: {len(starts)} at once") as progress:
         minimum = minimise(
@@ -67,11 +63,12 @@ def run(config: Config) -> StageOutput:
             record_trajectory=setup.constant,
         )
     modelled = load_modelled(config, measurement)  # read when training is over
-    work = locate_files(config)
+    work = analysis.files
     answers = [training.identified(parameter).table(measurement.known) for parameter in minimum.parameters]
-    rows = _tabulate(config, minimum, answers, starts, modelled, measurement)
-    summary = _summarize(minimum, rows)
-    error = None if modelled is None else _measure_displacement(config, measurement, answers, modelled)
+    names = measurement.unknowns.by_bearing
+    rows = tabulate_starts(config.robustness.over, starts, minimum, answers, modelled, names)
+    summary = summarize_starts(minimum, rows)
+    error = measure_unseen(config.machine, measurement, answers, modelled)
     if error is not None:
         summary["displacement"] = {"worst_mean_error_percent": error}
     _print(config, summary, minimum)
@@ -96,89 +93,6 @@ def _start(config: Config, training: ResidualTraining, setup: FitSetup, starts: 
     if config.robustness.over == "seed":
         return torch.cat([initial_parameters(training, setup, int(seed)) for seed in starts])
     return torch.cat([initial_parameters(training, setup, config.seed, float(guess)) for guess in starts])
-
-
-def _tabulate(
-    config: Config,
-    minimum: Minimum,
-    answers: list[BearingTable],
-    starts: np.ndarray,
-    modelled: BearingTable | None,
-    measurement: Measurement,
-) -> pd.DataFrame:
-    """One row a start, bearing and coefficient; the error is NaN where there is no truth."""
-    import pandas as pd
-
-    rows, names = [], measurement.unknowns.by_bearing
-    for g, (start, answer) in enumerate(zip(starts, answers, strict=True)):
-        errors = None if modelled is None else measure_errors(answer, modelled, names)
-        for b, node in enumerate(answer.nodes):
-            for name in names[b]:
-                rows.append(
-                    {
-                        config.robustness.over: start,
-                        "bearing_node": node,
-                        "coefficient": name,
-                        "mean_value": float(answer.coefficient(name)[b].mean()),
-                        "mean_error_percent": _get_error(errors, node, name, "mean"),
-                        "median_error_percent": _get_error(errors, node, name, "median"),
-                        "p95_error_percent": _get_error(errors, node, name, "p95"),
-                        "loss": float(minimum.loss[g]),
-                        "outcome": minimum.outcomes[g].label,
-                    }
-                )
-    return pd.DataFrame(rows)
-
-
-def _get_error(errors: CoefficientErrors | None, node: int, name: str, kind: str) -> float:
-    error = None if errors is None else errors[node].get(name)
-    return float("nan") if error is None else float(getattr(error, f"{kind}_error_percent"))
-
-
-def _summarize(minimum: Minimum, rows: pd.DataFrame) -> dict[str, Any]:
-    labels = [outcome.label for outcome in minimum.outcomes]
-    coefficients: dict[str, dict[str, dict[str, float]]] = {}
-    for (node, name), group in rows.groupby(["bearing_node", "coefficient"], sort=False):
-        errors = group["mean_error_percent"]
-        if errors.notna().all():
-            values = {
-                "worst_mean_error_percent": float(errors.max()),
-                "median_mean_error_percent": float(errors.median()),
-                "worst_median_error_percent": float(group["median_error_percent"].max()),
-                "worst_p95_error_percent": float(group["p95_error_percent"].max()),
-            }
-            coefficients.setdefault(str(node), {})[str(name)] = values
-    return {
-        "starts": len(labels),
-        "outcomes": {label: labels.count(label) for label in sorted(set(labels))},
-        "worst_loss": float(minimum.loss.max()),
-        "coefficients": coefficients,
-    }
-
-
-def _measure_displacement(
-    config: Config, measurement: Measurement, answers: list[BearingTable], modelled: BearingTable
-) -> float | None:
-    """Error of the vibration never seen, percent: the mean over speed, of the worst start and direction.
-
-    None where this rotor lacks the prediction's nodes, a run has the very unbalance, or a start has no finite answer.
-    """
-    unseen, node, rotor = list_unseen(config), config.machine.prediction.node, measurement.rotor
-    if max(node, *(force.node for force in unseen)) >= rotor.n_nodes or find_same_run(
-        unseen, measurement.dataset.excitations
-    ):
-        return None
-    worst = 0.0
-    try:
-        true = predict(rotor, modelled, unseen, node)
-        for answer in answers:
-            if not np.isfinite(answer.values).all():
-                return None
-            error = predict(rotor, answer, unseen, node).error_percent(true).mean(axis=0).max()
-            worst = max(worst, float(error))
-    except PipelineError:  # a diverged start may have a singular machine
-        return None
-    return worst if np.isfinite(worst) else None
 
 
 def _print(config: Config, summary: Mapping[str, Any], minimum: Minimum) -> None:

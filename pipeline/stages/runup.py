@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
 from pipeline.data.vibration_files import to_rpm
 from pipeline.errors import ConfigError
 from pipeline.files import write_json
 from pipeline.ingest.run_up import RunUpConfig, read_run_up
 from pipeline.reporting.console import say, table, warn
-from pipeline.reporting.run_up_figure import draw_run_up
+from pipeline.reporting.measured_figures import draw_run_up
+from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.identified_criticals import compare_identified
 from pipeline.stages.workspace import locate_files
@@ -23,11 +23,12 @@ from pipeline.sweep.readings import Reading, RunUpAnalysis, analyse_run_up, read
 from pipeline.units import RAD_S_PER_RPM
 
 
-def run(config: Config) -> StageOutput:
+def run(analysis: Analysis) -> StageOutput:
     """``run_up.json``, ``run_up.csv`` and ``figures/run_up.png``.
 
     Raises ConfigError where the machine has no run-up, and DataError as :func:`pipeline.ingest.run_up.read_run_up`.
     """
+    config = analysis.config
     settings = config.machine.run_up
     if settings is None:
         raise ConfigError(
@@ -35,25 +36,25 @@ def run(config: Config) -> StageOutput:
             "(docs/run_up.md)"
         )
     run_up, rate = read_run_up(settings)
-    analysis = analyse_run_up(run_up, settings)
-    summary = _summarize(settings, analysis, rate)
+    reading = analyse_run_up(run_up, settings)
+    summary = _summarize(settings, reading, rate)
     work = locate_files(config)
     if work.training.exists():
-        summary["identified"] = compare_identified(config, summary)
-    steady = respond_as_steady(analysis.run_up, analysis.chosen)
-    vectors = {"measured": analysis.run_up.vectors, "ramp": analysis.chosen.fitted, "steady": steady}
-    columns = {"rpm": to_rpm(analysis.run_up.speeds)}
+        summary["identified"] = compare_identified(analysis, summary)
+    steady = respond_as_steady(reading.run_up, reading.chosen)
+    vectors = {"measured": reading.run_up.vectors, "ramp": reading.chosen.fitted, "steady": steady}
+    columns = {"rpm": to_rpm(reading.run_up.speeds)}
     for name, values in vectors.items():  # phases are leads
         columns |= {f"{name}_um": 1e6 * np.abs(values), f"{name}_lead_deg": np.degrees(np.angle(values))}
     written = [
         write_json(work.folder / "run_up.json", summary),
         write_table(work.folder / "run_up.csv", columns),
-        draw_run_up(work.figure("run_up"), analysis.run_up, analysis.chosen, steady, settings.probe),
+        draw_run_up(work.figure("run_up"), reading.run_up, reading.chosen, steady, settings.probe),
     ]
-    _say(config.name, settings, analysis)
+    _say(config.name, settings, reading)
     for mode in summary.get("identified", {}).values():
         say(f"{config.name}: {mode['sentence']}")
-    shown = {"natural_frequency_rpm": summary["natural_frequency"]["rpm"], "misfit": analysis.chosen.misfit}
+    shown = {"natural_frequency_rpm": summary["natural_frequency"]["rpm"], "misfit": reading.chosen.misfit}
     return StageOutput(metrics={"runup": shown}, files=written)
 
 

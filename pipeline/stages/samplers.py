@@ -11,17 +11,18 @@ from pipeline.data.tables import write_table
 from pipeline.files import write_json
 from pipeline.reporting.console import say, study_progress, table, warn
 from pipeline.reporting.study_figures import draw_samplers
+from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
-from pipeline.stages.measurement import load_measurement
+from pipeline.stages.measurement import prepare
 from pipeline.stages.tune import follow_progress, pose_study
 from pipeline.tuning.finalists import TrialSummary, replace_sampler, summarize
 from pipeline.tuning.parallel import run_study
 from pipeline.tuning.worker import ROUNDING
 
 
-def run(config: Config) -> StageOutput:
+def run(analysis: Analysis) -> StageOutput:
     """``samplers.csv``, ``samplers.json`` and a figure in ``studies/NAME/``: the best loss after each trial."""
-    problem = pose_study(config, load_measurement(config))
+    config, problem = analysis.config, pose_study(analysis.config, prepare(analysis))
     folder, spec = Path(config.tuning.folder), config.tuning.comparison
     best: dict[str, list[np.ndarray]] = {sampler: [] for sampler in spec.samplers}
     seconds: dict[str, float] = dict.fromkeys(spec.samplers, 0.0)

@@ -4,24 +4,24 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.config.schema import Config
 from pipeline.files import write_json
 from pipeline.identification.quality import finite
 from pipeline.identification.senses import try_senses
 from pipeline.identification.training import setup_of
 from pipeline.reporting.console import say, table
+from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput, use_threads
-from pipeline.stages.measurement import load_measurement
-from pipeline.stages.workspace import locate_files
+from pipeline.stages.measurement import prepare
 
 
-def run(config: Config) -> StageOutput:
+def run(analysis: Analysis) -> StageOutput:
     """``senses.json``: every sense with its chi-square beyond the least, and the sentence.
 
     Raises ConfigError as :func:`pipeline.identification.senses.try_senses`.
     """
+    config = analysis.config
     use_threads(config)
-    measurement, work = load_measurement(config), locate_files(config)
+    measurement = prepare(analysis)
     senses = try_senses(measurement, setup_of(config), lambda sense: say(f"{config.name}: {sense.words}"))
     header = ["phase of readings", "angle of weights", "rotation", "chi-square beyond the least", "the same mirrored"]
     rows, listed = [], []
@@ -44,5 +44,5 @@ def run(config: Config) -> StageOutput:
     say(f"{config.name}: {senses.sentence}")
     summary = {"sentence": senses.sentence, "least": senses.least, "expected": senses.expected, "gained": senses.gained}
     summary |= {"senses": listed}
-    written = [write_json(work.folder / "senses.json", summary)]
+    written = [write_json(analysis.files.folder / "senses.json", summary)]
     return StageOutput({"least": senses.least}, {"data_fingerprint": measurement.dataset.fingerprint}, written)

@@ -2,80 +2,74 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from pipeline.config.schema import Config
 from pipeline.data.as_built import stand_on_pedestals
 from pipeline.files import read_json, write_text
-from pipeline.identification.losses import loss_of
-from pipeline.identification.uncertainty import Uncertainty
-from pipeline.problem.measurement import Measurement
+from pipeline.identification.fit import loss_of
+from pipeline.identification.restored import Answer
 from pipeline.reporting.console import say
 from pipeline.reporting.physical_numbers import list_numbers
 from pipeline.reporting.summary_figure import draw_summary
 from pipeline.reporting.summary_text import Results, ShownRun, write_summary
-from pipeline.reporting.write_numbers import format_deviation
-from pipeline.rotor.bearing_table import BearingTable
+from pipeline.reporting.write_numbers import write_number
+from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
-from pipeline.stages.measurement import load_measurement, load_modelled, update_measurement
-from pipeline.stages.predict import Twin, build_twin
+from pipeline.stages.measurement import AGAIN, load_modelled, restore
+from pipeline.stages.predict import load_twin
 from pipeline.stages.verdict import load_judgement
-from pipeline.stages.workspace import locate_files
 from pipeline.twin.at_conditions import say_beyond
+from pipeline.twin.twin import Twin
 
 
-def run(config: Config) -> StageOutput:
+def run(analysis: Analysis) -> StageOutput:
     """``summary.txt``, which is printed too, and ``figures/summary.png``."""
-    work, measurement = locate_files(config), load_measurement(config)
-    twin = build_twin(config, measurement)
-    results = _collect_results(config, measurement, twin, read_json(work.training, "train again with stage=train"))
+    config, work = analysis.config, analysis.files
+    results = _collect_results(analysis, restore(analysis), load_twin(analysis))
     picture = draw_summary(work.figure("summary"), results, config.name)
     text = write_summary(config, results, picture)
     written = [write_text(work.folder / "summary.txt", text), picture]
     say(text.rstrip("\n"))
-    return StageOutput(tags={"data_fingerprint": measurement.dataset.fingerprint}, files=written)
+    return StageOutput(tags=restore(analysis).tags, files=written)
 
 
-def _collect_results(config: Config, measurement: Measurement, twin: Twin, training: dict[str, Any]) -> Results:
-    data, uncertainty = measurement.dataset, twin.uncertainty
-    identified = twin.identified.table(update_measurement(measurement, uncertainty).updated_known)
-    modelled = twin.systems.get("modelled")
-    if data.operating and (modelled := load_modelled(config, measurement)) is not None and config.machine.as_built:
-        modelled = stand_on_pedestals(modelled, config.machine.as_built)
+def _collect_results(analysis: Analysis, answer: Answer, twin: Twin) -> Results:
+    config, training = analysis.config, read_json(analysis.files.training, AGAIN)
+    data, built, modelled = answer.measurement.dataset, config.machine.as_built, twin.systems.get("modelled")
+    if data.operating:  # the twin is at conditions of its own
+        modelled = load_modelled(config, answer.measurement)
+        if modelled is not None and built is not None:
+            modelled = stand_on_pedestals(modelled, built)
     return Results(
-        rotor=measurement.rotor,
+        rotor=answer.measurement.rotor,
         dataset=data,
-        identified=identified,
+        identified=answer.table,
         modelled=modelled,
-        unknowns=twin.identified.unknowns.by_bearing,
-        deviation=None if uncertainty is None else uncertainty.deviation(twin.identified, data.speeds, data.operating),
+        unknowns=answer.names,
+        deviation=answer.deviation(answer.table),
         training=training,
-        judged=load_judgement(config, measurement)["machine"],
-        shown=_choose_run(config, measurement, identified, uncertainty),
+        judged=load_judgement(analysis)["machine"],
+        shown=_choose_run(config, answer),
         vibration=twin.vibration,
         behaviour=twin.behaviour["identified"],
         at=twin.at,
         operating=twin.operating,
         beyond=say_beyond(data.operating, twin.operating),
         numbers=[
-            f"{number.label} {format_deviation(number.value, number.deviation)} {number.unit}"
+            f"{number.label} {write_number(number.value, number.deviation)} {number.unit}"
             for number in list_numbers(training.get("physical_numbers", {}), config)
         ],
     )
 
 
-def _choose_run(
-    config: Config, measurement: Measurement, bearings: BearingTable, uncertainty: Uncertainty | None
-) -> ShownRun:
+def _choose_run(config: Config, answer: Answer) -> ShownRun:
     """The first run that was not fitted, else the first of all, at the probe that moves most."""
-    data = measurement.dataset
+    data = answer.measurement.dataset
     held_out = config.training.holdout_runs if loss_of(config.loss).weighs_noise else ()
     r = data.runs.index(held_out[0] if held_out else data.runs[0])
-    updated = update_measurement(measurement, uncertainty).select(None, np.array([r]))
-    unbalance = None if uncertainty is None else uncertainty.residual_unbalance
-    reached = np.where(data.present[:, [r]], updated.response.predict(bearings, unbalance)[..., 0], 0.0)  # (S, P), m
+    predicted = answer.measurement.select(None, np.array([r])).response.predict(answer.table, answer.unbalance)
+    reached = np.where(data.present[:, [r]], predicted[..., 0], 0.0)  # (S, P), m
     measured = data.displacement[..., r]
     probe = int(np.abs(measured).max(axis=0).argmax())
     return ShownRun(data.runs[r], bool(held_out), probe, measured, reached)

@@ -13,8 +13,8 @@ from pipeline.config.schema import Config
 from pipeline.config.tuning import HeldOutLoss
 from pipeline.errors import ConfigError, without_password
 from pipeline.files import read_json, write_json, write_text
-from pipeline.identification.chebyshev import fit_chebyshev
-from pipeline.identification.losses import loss_of
+from pipeline.identification.fit import loss_of
+from pipeline.identification.residual_loss import fit_chebyshev
 from pipeline.identification.training import setup_of
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import StudyProgress, say, study_progress, warn
@@ -26,9 +26,10 @@ from pipeline.reporting.study_report import (
     tabulate_trials,
     write_report,
 )
+from pipeline.stages.analysis import Analysis
 from pipeline.stages.diagnose import say_diagnosis
 from pipeline.stages.execution import StageOutput
-from pipeline.stages.measurement import load_measurement, load_modelled
+from pipeline.stages.measurement import load_modelled, prepare
 from pipeline.tracking import StageRecord
 from pipeline.tuning.attempts import list_results
 from pipeline.tuning.finalists import TrialSummary, choose, hash_study, measure_importances, summarize, train_finalists
@@ -61,17 +62,18 @@ def pose_study(config: Config, measurement: Measurement) -> StudyProblem:
     return StudyProblem(config, measurement)
 
 
-def run(config: Config) -> StageOutput:
+def run(analysis: Analysis) -> StageOutput:
     """The study, then its best trials and the default over several seeds; ``studies/NAME/`` with what came of it."""
+    config = analysis.config
     from filelock import FileLock
 
     if is_shared(config.tuning):
         # One that can't be reached is said at once, before the data are read.
         close_storage(open_storage(config.tuning))
-    measurement = load_measurement(config)
+    measurement = prepare(analysis)
     problem, folder = pose_study(config, measurement), Path(config.tuning.folder)
     require_study(measurement, setup_of(config))
-    say_diagnosis(config, measurement)
+    say_diagnosis(analysis)
     started = time.perf_counter()
     try:
         with study_progress(config.name, config.tuning.n_trials) as shown:

@@ -15,10 +15,10 @@ from pipeline.balance.physical import Physical, restore_physical
 from pipeline.config.schema import Config
 from pipeline.data.conditions import Conditions, gather_conditions
 from pipeline.errors import ConfigError, IdentifiabilityError, nearest
-from pipeline.identification.uncertainty import load_uncertainty
 from pipeline.ingest.records import Records
 from pipeline.reporting.console import say
-from pipeline.stages.measurement import load_dataset, load_identified, load_measurement
+from pipeline.stages.analysis import Analysis
+from pipeline.stages.measurement import load_dataset, prepare, restore
 from pipeline.stages.workspace import locate_files
 
 
@@ -91,12 +91,11 @@ def _load_physical(config: Config, conditions: Conditions) -> Physical | None:
     work = locate_files(config)
     if config.model.kind != "constant" or not work.training.exists():
         return None
-    measurement = load_measurement(config)
-    identified = load_identified(config, measurement)
-    uncertainty = load_uncertainty(work.folder, identified)
-    if uncertainty is None or measurement.drift is None:
+    analysis = Analysis(config)
+    measurement, answer = prepare(analysis), restore(analysis)
+    if answer.uncertainty is None or not measurement.drift:
         return None
-    return restore_physical(measurement, identified, uncertainty, conditions)
+    return restore_physical(measurement, answer.model, answer.uncertainty, conditions)
 
 
 def load_records(config: Config, file: str, key: str) -> Records:

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.schema import Config
-from pipeline.errors import ConfigError, DataError
+from pipeline.errors import DataError
 from pipeline.files import hash_file
 
 if TYPE_CHECKING:
-    from pipeline.rotor.model import RotorModel
+    pass
 
 
 def _file(name: str, meaning: str) -> Any:
@@ -37,6 +35,11 @@ class Workspace:
     history = _file("history.csv", "Loss over the steps of training.")
     training = _file("training.json", "Outcome, loss and quality of the fit.")
     metrics = _file("metrics.json", "Errors, written by evaluate.")
+
+    @property
+    def model(self) -> tuple[Path, ...]:
+        """What was trained: numbers, architecture and covariance."""
+        return tuple(self.folder / name for name in ("model.safetensors", "model.json", "uncertainty.safetensors"))
 
     def figure(self, name: str) -> Path:
         """A figure's path."""
@@ -79,21 +82,3 @@ def hash_origin(config: Config, work: Workspace) -> str:
     Files of two generations, as an interrupted ``generate`` leaves them, do not fit each other.
     """
     return f"{hash_machine(config)} {hash_file(work.excitation)} {hash_file(work.known)}"
-
-
-def require_nodes(rotor: RotorModel, key: str, nodes: Sequence[int]) -> None:
-    """Raise ConfigError for a node that a rotor from a file lacks; other rotors are checked with the configuration."""
-    for node in nodes:
-        if node >= rotor.n_nodes:
-            raise ConfigError(f"{key} must use nodes 0 to {rotor.n_nodes - 1} of the rotor, but got node {node}")
-
-
-def list_known(config: Config, nodes: Sequence[int]) -> dict[int, tuple[str, ...]]:
-    """The coefficients of each bearing that are not identified. Raises ConfigError for an exception without bearing."""
-    for node in config.identify.bearings:
-        if node not in nodes:
-            raise ConfigError(
-                f"identify.bearings must name bearing nodes of the rotor ({', '.join(map(str, nodes))}), but got {node}"
-            )
-    unknown = {node: config.identify.at(node).coefficients for node in nodes}
-    return {node: tuple(name for name in COEFFICIENTS if name not in unknown[node]) for node in nodes}

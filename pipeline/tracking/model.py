@@ -68,7 +68,7 @@ def log_model(client: MlflowClient, run: Run, record: StageRecord) -> str:
 
 def list_conditions(identified: IdentifiedModel) -> tuple[str, ...]:
     """The operating conditions that the coefficients depend on."""
-    laws = () if identified.laws is None else identified.laws.inputs
+    laws = identified.laws.inputs
     inputs = () if identified.model.hidden is None else identified.model.inputs
     return tuple(dict.fromkeys(name for name in (*inputs, *laws) if name != "speed"))
 

@@ -64,6 +64,17 @@ class Evidence:
         return self.misfit.of_stated
 
 
+def leave_out_unbounded(
+    measurement: Measurement, identified: IdentifiedModel, fitted: np.ndarray
+) -> tuple[Measurement, np.ndarray]:
+    """The measurement and the mask ``fitted`` (S, P, R) at the speeds where the coefficients are numbers.
+
+    Nothing holds an exponential at speeds that were held out as a range: there is nothing to judge.
+    """
+    keep = identified.table(measurement.updated_known).bounded
+    return (measurement, fitted) if keep.all() else (measurement.select(keep), fitted[keep])
+
+
 def gather(
     measurement: Measurement,
     identified: IdentifiedModel,
@@ -85,7 +96,9 @@ def gather(
     answer, unfitted = identified.table(measurement.updated_known), uncertainty.unfitted
 
     def deviate(covariance: np.ndarray) -> np.ndarray:
-        return uncertainty.deviation(identified, answer.speeds, answer.operating, covariance)
+        spread = uncertainty.deviation(identified, answer.speeds, answer.operating, covariance)
+        lost = np.isnan(spread) & measurement.unknowns.identified[:, None]  # of coefficients that ran away
+        return np.where(lost, np.inf, spread)
 
     runs = measurement.dataset.runs
     used = [r for r in range(len(runs)) if fitted[..., r].any()]
@@ -152,7 +165,7 @@ def compare_superposed(measurement: Measurement, factor: np.ndarray) -> dict[str
     data = measurement.dataset
     if measurement.parameters:
         data = update_excitations(data, measurement.parameters, measurement.parameter_values)
-    noise = measurement.deviation_of(data.displacement, data.subtracted, factor)
+    noise = measurement.deviation_of(data.displacement, measurement.baseline, factor)
     free = bool(measurement.unknowns.planes) or any(parameter.kind == "bow" for parameter in measurement.parameters)
     whole = data.present.all(axis=1)  # points that every run was measured at
     squares = {}

@@ -94,13 +94,13 @@ def linearise(
     identified: IdentifiedModel,
     uncertainty: Uncertainty,
     fitted: np.ndarray,
-    factor: np.ndarray | None = None,
+    factor: np.ndarray | float = 1.0,
 ) -> LinearisedFit:
     """The fit of ``measurement``, at its fitted model parameters.
 
     Args:
         fitted: (S, P, R) mask of the readings that were fitted, not held out.
-        factor: (P,) noise of each channel over the stated one; None for the stated one.
+        factor: (P,) noise of each channel over the stated one.
     """
     import torch
 

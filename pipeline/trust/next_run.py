@@ -13,6 +13,7 @@ import numpy as np
 from pipeline.data.dataset import EVERYWHERE, Excitation
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.uncertainty import Uncertainty
+from pipeline.problem.condition_noise import NO_LEVELS
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.ranking import rank_indices
 from pipeline.trust.linearised import LinearisedFit, linearise
@@ -62,7 +63,7 @@ def weigh_candidates(
         subtracted=None,
         present=EVERYWHERE,
     )
-    planned = replace(measurement, dataset=plan, drift=None)  # its runs are conditions of their own
+    planned = replace(measurement, dataset=plan, drift=NO_LEVELS)  # its runs are conditions of their own
     seen = linearise(planned, identified, uncertainty, np.ones(shape, dtype=bool)).by_weight
     factors = []
     for i in range(len(able)):

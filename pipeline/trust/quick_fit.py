@@ -20,6 +20,7 @@ from pipeline.errors import IdentifiabilityError
 from pipeline.identification.linear_start import linear_start
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.slopes import ReadingSlopes
+from pipeline.unknowns import outputs_of, scale_outputs
 
 Extra = Callable[[np.ndarray], np.ndarray]
 """Predicted readings (S, P, R) m -> derivative of them (S, P, R, E) by the extra numbers, which are zero as stated."""
@@ -129,9 +130,8 @@ class _Problem:
 
     def weights_of(self, values: np.ndarray) -> np.ndarray:
         """(A K + E,) nearest to unknowns (M, S, U)."""
-        relative = np.stack([values[m, :, u] for m, u in self.measurement.unknowns.active], axis=1) / self.scale
-        positive = np.log(np.maximum(relative, self.least))
-        raw = np.where(self.positive, positive, relative)
+        every = np.stack([values[m, :, u] for m, u in self.measurement.unknowns.active], axis=1)
+        raw = outputs_of(every, self.scale, self.positive, self.least)
         solution = np.linalg.lstsq(self.functions, raw, rcond=None)[0].T
         return np.concatenate([solution.ravel(), np.zeros(self.n_extra)])
 
@@ -139,11 +139,8 @@ class _Problem:
         """(S, A) unknowns and their slope by the raw outputs."""
         count = len(weights) - self.n_extra
         raw = self.functions @ weights[:count].reshape(len(self.scale), -1).T
-        grown = np.exp(np.clip(raw, -self.widest, self.widest))
-        return (
-            self.scale * np.where(self.positive, grown, raw),
-            self.scale * np.where(self.positive, grown, 1.0),
-        )
+        held = np.where(self.positive, np.clip(raw, -self.widest, self.widest), raw)
+        return scale_outputs(held, self.scale, self.positive)
 
     def values(self, weights: np.ndarray) -> np.ndarray:
         """(M, S, U)."""

@@ -16,8 +16,7 @@ import numpy as np
 from pipeline.config.promotion import apply_values
 from pipeline.config.tuning import TuningConfig, Value
 from pipeline.identification.identified import IdentifiedModel
-from pipeline.identification.outcome import Outcome
-from pipeline.identification.training import setup_of
+from pipeline.identification.training import Outcome, setup_of
 from pipeline.processes import open_pool
 from pipeline.tuning.attempts import list_results
 from pipeline.tuning.judging import Judged, judge

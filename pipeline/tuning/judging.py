@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pipeline.identification.fit import loss_of
 from pipeline.identification.identified import IdentifiedModel
-from pipeline.identification.losses import loss_of
-from pipeline.identification.outcome import Outcome
-from pipeline.identification.training import FitSetup, minimise, phases
+from pipeline.identification.training import FitSetup, Outcome, minimise, phases
 from pipeline.problem.identifiability import require_identifiable
 from pipeline.problem.measurement import Measurement
 

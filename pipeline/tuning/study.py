@@ -15,7 +15,7 @@ import numpy as np
 
 from pipeline.config.schema import Config
 from pipeline.errors import ConfigError, without_password
-from pipeline.identification.losses import loss_of
+from pipeline.identification.fit import loss_of
 from pipeline.problem.measurement import Measurement
 from pipeline.tuning.judging import describe_objective
 from pipeline.tuning.samplers import make_pruner, make_sampler

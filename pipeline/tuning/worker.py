@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from pipeline.config.promotion import apply_values
 from pipeline.errors import PipelineError
-from pipeline.identification.outcome import Outcome
-from pipeline.identification.training import setup_of
+from pipeline.identification.training import Outcome, setup_of
 from pipeline.tuning.attempts import REASON, repeat_stopped
 from pipeline.tuning.judging import judge
 from pipeline.tuning.samplers import find_place

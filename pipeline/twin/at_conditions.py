@@ -12,6 +12,7 @@ import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS, is_direct, unit
 from pipeline.data.operating import name_state, write_condition
+from pipeline.data.vibration_files import to_rpm
 from pipeline.errors import ConfigError
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.problem.measurement import Measurement
@@ -99,6 +100,13 @@ def evaluate_at(
     """
     machine = measurement_at(updated, wanted, key)
     table = identified.table(machine.updated_known)
+    if not table.bounded.all():
+        rpm = to_rpm(table.speeds[~table.bounded])
+        raise ConfigError(
+            "the twin must have coefficients at all speeds, but from "
+            f"{rpm.min():g} to {rpm.max():g} rpm they leave all bounds: speeds were held out there, and nothing holds "
+            "the fitted functions; train without training.holdout_range to predict"
+        )
     if wanted:
         _require_bounded(identified.table(updated.updated_known), table, key, name_state(wanted))
     return machine, table

@@ -17,9 +17,8 @@ import numpy as np
 from pipeline.config.identification import TrainingConfig
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.data.operating import name_state, split_states
-from pipeline.identification.held_out import held_out_conditions, held_out_range, held_out_runs
+from pipeline.identification.held_out import held_out_conditions, held_out_range, held_out_runs, held_out_speeds
 from pipeline.identification.quality import finite
-from pipeline.identification.training import held_out_speeds
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
 

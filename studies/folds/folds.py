@@ -37,7 +37,8 @@ from pipeline.identification.training import setup_of
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise_levels import solve_weighted
 from pipeline.reporting.console import say, table
-from pipeline.stages.execution import StageOutput, execute
+from pipeline.stages.analysis import Analysis
+from pipeline.stages.execution import StageOutput, record
 from pipeline.stages.measurement import load_dataset, load_measurement
 from pipeline.stages.workspace import locate_files
 from pipeline.tracking import recorder_beside
@@ -91,7 +92,10 @@ def _parse_heavy(text: str) -> float:
 def _record(asked: Namespace) -> None:
     config = compose_config(asked.overrides).model_copy(update={"stage": "folds"})
     with recorder_beside(config.tracking.enabled):
-        execute(config, lambda config: run(config, asked.calibration, asked.heavy, asked.count, asked.rate))
+        record(
+            Analysis(config),
+            lambda analysis: run(analysis.config, asked.calibration, asked.heavy, asked.count, asked.rate),
+        )
 
 
 def run(

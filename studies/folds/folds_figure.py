@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.reporting.figures import GREY, LOOKS, open_figure
+from pipeline.reporting.figure import GREY, LOOKS, NOTHING, Axes, Curve, Figure, Panel
+from pipeline.reporting.matplotlib_figures import write_figure
 
 _PANELS = {
     "forward_median_relative_error": "relative error of predicted vibration (-)",
@@ -23,23 +24,19 @@ def draw_folds(path: Path, rows: Sequence[dict[str, Any]], floor: Sequence[float
     """
     tasks = list(dict.fromkeys(row["task"] for row in rows))
     methods = list(dict.fromkeys(row["method"] for row in rows))
-    with open_figure(path, 1, 2, 11.0, 4.6) as axes:
-        for ax, (key, label) in zip(axes[0], _PANELS.items(), strict=True):
-            for m, (method, (colour, marker)) in enumerate(zip(methods, LOOKS, strict=False)):
-                for chosen, face in (("all", "none"), ("consistent", colour)):
-                    chosen_rows = [row for row in rows if row["method"] == method and row["conditions"] == chosen]
-                    places = [tasks.index(row["task"]) + 0.12 * (m - (len(methods) - 1) / 2) for row in chosen_rows]
-                    look = {"marker": marker, "mec": colour, "mfc": face, "ls": "", "ms": 7}
-                    ax.plot(
-                        places,
-                        [row[key] for row in chosen_rows],
-                        label=method if chosen == "consistent" else None,
-                        **look,
-                    )
-            ax.set_xticks(np.arange(len(tasks)), [task.replace("_", "\n") for task in tasks])
-            ax.set_yscale("log")
-            ax.set_ylabel(label)
-        axes[0, 0].axhspan(floor[0], floor[2], color=GREY, alpha=0.2, lw=0, label="drift alone, in folds (90 %)")
-        entries = axes[0, 0].get_legend_handles_labels()
-        axes[0, 0].figure.legend(*entries, loc="outside upper center", ncols=4)
-    return path
+    ends, half = np.array([-0.5, len(tasks) - 0.5]), (floor[2] - floor[0]) / 2
+    drift = Curve(ends, np.full(2, floor[0] + half), "", GREY, "none", band=np.full(2, half))
+    key = Curve(NOTHING, NOTHING, "drift alone, in folds (90 %)", GREY, filled=True)
+    panels: list[Panel] = []
+    for quantity, label in _PANELS.items():
+        curves = [] if panels else [drift, key]
+        for m, (method, (colour, marker)) in enumerate(zip(methods, LOOKS, strict=False)):
+            for chosen in ("consistent", "all"):
+                some = [row for row in rows if row["method"] == method and row["conditions"] == chosen]
+                places = np.array([tasks.index(row["task"]) + 0.12 * (m - (len(methods) - 1) / 2) for row in some])
+                look: dict[str, Any] = {"size": 6, "full": chosen == "consistent"}
+                errors = np.array([row[quantity] for row in some], dtype=float)
+                curves.append(Curve(places, errors, method if look["full"] else "", colour, "none", marker, **look))
+        names = [task.replace("_", "\n") for task in tasks]
+        panels.append(Panel("", "", [Axes(curves, label, scale="log")], x_names=names))
+    return write_figure(path, Figure("folds", "", panels))

@@ -85,7 +85,7 @@ def physical_of(fit: OutputErrorFit, conditions: Conditions) -> Physical:
     """The predictor of a fit to these conditions, with the noise that its residuals show, or the stated one where there
     are no levels."""
     measurement = fit.problem.measurement
-    if measurement.drift is not None:
+    if measurement.drift:
         noise = read_levels(fit.problem, fit.weights)
     else:
         variance = (measurement.deviation**2).mean(axis=2)  # (S, P)

@@ -30,12 +30,12 @@ from pipeline.data.noise import NOMINAL_95
 from pipeline.errors import PipelineError
 from pipeline.files import write_json
 from pipeline.identification.fit import fit
+from pipeline.identification.restored import answer_of
 from pipeline.identification.training import setup_of
+from pipeline.problem.configured import build_measurement, model_machine, read_probes
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.stages.generate import model_machine, read_probes
-from pipeline.stages.measurement import build_measurement
-from pipeline.stages.verdict import assess
+from pipeline.trust.assessment import assess
 
 CASES = Path(__file__).with_name("cases.yaml")
 ACCURATE = 0.05
@@ -71,7 +71,7 @@ def judge(config: Config, measurement: Measurement, truth: BearingTable) -> dict
         return {"refused": str(error), "coefficients": []}
     assert found.uncertainty is not None
     about = {"fit": found.quality.summary["fit"], "outcome": found.outcome.label}
-    verdicts, evidence = assess(config, measurement, found.model, found.uncertainty, about)
+    verdicts, evidence = assess(config, answer_of(measurement, found.model, found.uncertainty), about)
     own = found.deviation(measurement.dataset.speeds)
     assert own is not None
     rows = []

@@ -22,7 +22,7 @@ from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_
 from pipeline.identification.quality import output_error_quality
 from pipeline.identification.training import FitSetup, setup_of
 from pipeline.identification.uncertainty import measure_uncertainty
-from pipeline.problem.condition_noise import condition_noise, spread_conditions, to_dataset
+from pipeline.problem.condition_noise import NO_LEVELS, condition_noise, spread_conditions, to_dataset
 from pipeline.rotor.bearing_table import BearingTable
 
 pytestmark = pytest.mark.slow  # one fit of a second or two for all
@@ -98,7 +98,7 @@ def test_other_speeds_are_those_of_the_response_solved_there(rig: SmallRig, mode
     eight[..., [0, 3, 4, 7]] = values.reshape(2, 1, 4)
     bearings = BearingTable((0, 5), speeds, eight)
     dataset = to_dataset(spread_conditions(weights, PLANES, speeds, CHANNELS))
-    there = replace(model.measurement, dataset=dataset, known=bearings, drift=None)
+    there = replace(model.measurement, dataset=dataset, known=bearings, drift=NO_LEVELS)
     unbalance = model.problem.unbalance(model.weights)[0].numpy()
     expected = there.response.predict(bearings, unbalance).reshape(-1, len(weights)).T
     np.testing.assert_allclose(moved.predict(weights)[0], expected, rtol=1e-6, atol=1e-12)

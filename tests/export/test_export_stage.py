@@ -14,13 +14,13 @@ from running import few, names_in
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.rotor import RotorConfig
 from pipeline.data.dataset import Excitation
-from pipeline.identification.uncertainty import load_uncertainty
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.parameters import ModelParameter, update_rotor
 from pipeline.rotor.ross_adapter import assemble, ross
 from pipeline.rotor.ross_export import export_rotor
-from pipeline.stages.measurement import load_identified, load_measurement, update_measurement
+from pipeline.stages.analysis import Analysis
+from pipeline.stages.measurement import load_measurement, restore
 from pipeline.twin.prediction import predict
 
 pytestmark = pytest.mark.slow
@@ -42,10 +42,8 @@ def made(
     folder = tmp_path_factory.mktemp("made") / request.param
     shutil.copytree(Artifacts(ARTIFACTS)(request.param, "training.json", "model.safetensors"), folder)
     config = run("export", [f"experiment={request.param}"], folder)
-    measurement = load_measurement(config)
-    model = load_identified(config, measurement)
-    updated = update_measurement(measurement, load_uncertainty(folder, model))
-    return folder / "export", updated, model.table(updated.updated_known)
+    answer = restore(Analysis(config))
+    return folder / "export", answer.measurement, answer.table
 
 
 def ross_response(rotor: object, speeds: np.ndarray, node: int) -> np.ndarray:

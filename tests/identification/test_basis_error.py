@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from running import composed
 
-from pipeline.identification.basis_error import N_LOCAL, count_local, evaluate_local
+from pipeline.identification.model_error import count_local, evaluate_local
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
 from pipeline.identification.training import setup_of
-from pipeline.stages.generate import model_machine, read_probes
-from pipeline.stages.measurement import build_measurement
+from pipeline.problem.configured import build_measurement, model_machine, read_probes
 
 NOISE = ["stated_noise.additive=0.05 um", "stated_noise.multiplicative=0.005"]
 DIRECT = "identify.unknowns=[kxx,kyy,cxx,cyy]"
@@ -82,7 +81,7 @@ def test_constants_and_few_speeds_have_no_local_functions() -> None:
         hidden=(4,),
         ranges=((10.0, 500.0),),
     )
-    assert count_local(model, 91) == N_LOCAL
+    assert count_local(model, 91) == 30
     assert count_local(model, 30) == 15
     assert count_local(model, 7) == 0
     assert count_local(replace(model, hidden=None), 91) == 0

@@ -11,8 +11,8 @@ from small_rotor import FITTED, small_machine
 
 from pipeline.config.compose import compose_config
 from pipeline.identification.combinations import _deviation, _directions, _share, combine
-from pipeline.identification.information import invert, unknown_deviation
 from pipeline.identification.output_error_start import prepare_output_error
+from pipeline.identification.problem import invert
 from pipeline.identification.training import setup_of
 from pipeline.problem.condition_noise import ConditionNoise
 from pipeline.problem.measurement import Measurement
@@ -37,7 +37,7 @@ def test_the_directions_hold_the_deviations_of_each_coefficient() -> None:
     found, start = combine(measurement, SETUP), prepare_output_error(measurement, SETUP)
     assert found is not None
     sizes = np.abs(start.problem.unknowns(start.weights)[0][0, 0].numpy())
-    each = unknown_deviation(start.problem, start.weights)[0, 0] / sizes
+    each = start.problem.unknown_deviation(start.weights)[0, 0] / sizes
     covariance = invert(start.problem.normal(start.weights)[1][0, 0])
     spread, _ = _directions(_share(start.problem, start.weights), covariance)
     assert (spread**2).sum() == pytest.approx((each**2).sum(), rel=1e-6)

@@ -18,9 +18,11 @@ from training import CHAINS, a_model, asked, errors, optimizer, setup_of, starts
 from pipeline.config.compose import compose_config
 from pipeline.config.loader import list_options
 from pipeline.config.models import NetworkModelConfig
-from pipeline.identification.configured_model import coefficient_model
+from pipeline.identification.held_out import held_out_speeds
+from pipeline.identification.model import coefficient_model
 from pipeline.identification.residual_loss import initial_parameters, prepare_residual
-from pipeline.identification.training import held_out_speeds, initial_guess
+from pipeline.identification.training import initial_guess
+from pipeline.unknowns import outputs_of, scale_outputs
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -66,14 +68,33 @@ def test_problem_jacobian_equals_autograd(
         assert not wanted[0, m, :, 0, others].any()  # a bearing's rows know nothing of the other's parameters
 
 
+@given(raw=st.floats(-5, 20), size=st.floats(1e2, 1e9), base=st.floats(-1e9, 1e9))
+def test_outputs_make_the_same_of_arrays_and_of_tensors(raw: float, size: float, base: float) -> None:
+    """``size exp(x)`` of what must be positive, ``base + size x`` elsewhere; without a base, the way back."""
+    outputs, sizes = np.array([[raw, raw]]), np.array([size, 2 * size])
+    for positive in (np.array([True, False]), np.array([True, True])):
+        values, slope = scale_outputs(outputs, sizes, positive, base)
+        wanted = np.where(positive, sizes * np.exp(raw), base + sizes * raw)
+        np.testing.assert_allclose(values, wanted[None], rtol=1e-15)
+        np.testing.assert_array_equal(slope, np.where(positive, values, sizes))
+        tensors = scale_outputs(*map(torch.as_tensor, (outputs, sizes, positive)), base)
+        np.testing.assert_allclose(tensors[0], values, rtol=1e-14)
+        np.testing.assert_allclose(tensors[1], slope, rtol=1e-14)
+        plain, _ = scale_outputs(outputs, sizes, positive)
+        back = outputs_of(plain, sizes, positive)
+        np.testing.assert_allclose(back, outputs, rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(outputs_of(*map(torch.as_tensor, (plain, sizes, positive))), back, rtol=1e-13)
+    assert outputs_of(np.array([-1.0]), 1.0, np.array([True]), 1e-3) == np.log(1e-3)
+
+
 @given(raw=st.floats(-20, 20), scale=st.floats(1e2, 1e9))
 def test_slope_of_the_parametrisation(raw: float, scale: float) -> None:
     """d exp(r) / dr = exp(r), dr / dr = 1, times the scale."""
     at, size = torch.tensor([raw], dtype=torch.float64), torch.tensor([scale], dtype=torch.float64)
     for parametrisation in ("log", "scaled"):
         model = a_model(None, parametrisation=parametrisation, unknowns=1)
-        wanted = torch.autograd.functional.jacobian(lambda r, model=model: model.physical(r, size), at)
-        torch.testing.assert_close(model.physical_slope(at, size), wanted[0], rtol=1e-14, atol=0)
+        wanted = torch.autograd.functional.jacobian(lambda r, model=model: model.physical(r, size)[0], at)
+        torch.testing.assert_close(model.physical(at, size)[1], wanted[0], rtol=1e-14, atol=0)
 
 
 @pytest.mark.parametrize("parametrisation", ["log", "scaled"])

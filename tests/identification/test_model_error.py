@@ -19,12 +19,11 @@ from pipeline.identification.output_error_start import prepare_output_error
 from pipeline.identification.problem import OutputError
 from pipeline.identification.quality import mismatch, output_error_quality
 from pipeline.identification.training import setup_of
+from pipeline.problem.configured import build_measurement, configure_excitations, configure_sensors
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.parameters import ModelParameter
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor
-from pipeline.stages.generate import configure_excitations, configure_sensors
-from pipeline.stages.measurement import build_measurement
 from pipeline.units import RAD_S_PER_RPM
 
 if TYPE_CHECKING:

@@ -18,9 +18,9 @@ from pipeline.data.simulate import simulate
 from pipeline.identification.fit import fit
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
 from pipeline.identification.training import FitSetup, setup_of
+from pipeline.problem.configured import configure_excitations
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.stages.generate import configure_excitations
 from pipeline.stages.measurement import load_measurement, load_modelled
 
 pytestmark = pytest.mark.slow

@@ -16,11 +16,12 @@ from small_rig import SIZE, SmallRig, small_rig, with_noise
 from small_rotor import FITTED
 
 from pipeline.identification.answer import conclude
-from pipeline.identification.information import invert_information, unknown_deviation
+from pipeline.identification.linear_start import start_at
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
-from pipeline.identification.output_error_start import align_weights, drawn_basis, start_at
+from pipeline.identification.output_error_start import align_weights, drawn_basis
 from pipeline.identification.problem import OutputError, output_error
 from pipeline.identification.training import setup_of
+from pipeline.problem.condition_noise import NO_LEVELS
 from pipeline.problem.measurement import Guess, Measurement
 
 pytestmark = pytest.mark.slow
@@ -31,7 +32,9 @@ def problem_of(measurement: Measurement) -> tuple[OutputError, torch.Tensor]:
     """The problem and weights that are not its minimum."""
     setup, speeds = setup_of(composed(*FITTED)), measurement.dataset.speeds
     sizes = measurement.guess.sizes(measurement.unknowns)
-    problem = output_error(measurement, drawn_basis(setup, measurement, measurement.dataset.points, sizes), 1e-4)
+    basis = drawn_basis(setup, measurement, measurement.dataset.points)
+    basis = replace(basis, model=replace(basis.model, scale=tuple(map(tuple, sizes.tolist()))))
+    problem = output_error(measurement, basis, 1e-4)
     weights = start_at(problem, np.repeat(sizes[:, None], len(speeds), axis=1))
     moved = torch.linspace(-0.3, 0.4, weights.shape[-1], dtype=torch.float64).expand(weights.shape)
     return problem, weights + moved
@@ -69,7 +72,7 @@ def test_the_normal_equations_are_those_of_the_jacobian(within: tuple[OutputErro
 def test_without_levels_the_sizes_are_in_both_ways_to_the_normal_equations() -> None:
     """Summed speed by speed, and by the Jacobian."""
     measurement = with_noise(small_rig(np.random.default_rng(2), 4))
-    problem, weights = problem_of(replace(measurement, drift=None, guess=Guess(1e6, 1e3, 30.0)))
+    problem, weights = problem_of(replace(measurement, drift=NO_LEVELS, guess=Guess(1e6, 1e3, 30.0)))
     slope, rows = problem.jacobian(weights)[0, 0], problem.rows(weights)[0, 0]
     gradient, matrix = problem.normal(weights)
     assert torch.allclose(matrix[0, 0], slope.T @ slope, rtol=1e-9)
@@ -98,7 +101,7 @@ def test_the_prior_of_sizes_holds_what_the_data_leave_open_and_nothing_else() ->
         values.append(np.log(fit.problem.unknowns(fit.weights)[0][0, 0].numpy()))
         function = float(fit.problem.features[0, 0, 0])  # a constant's, by which its weight is its logarithm
         count = len(fit.problem.active)
-        covariances.append(function**2 * invert_information(fit.problem, fit.weights)[0][:count, :count])
+        covariances.append(function**2 * fit.problem.covariance(fit.weights)[0][:count, :count])
     moved, covariance = values[1] - values[0], np.mean(covariances, axis=0)
     deviation = np.sqrt(np.diag(covariance))
     stiff, damp = [0, 1, 4, 5], [2, 3, 6, 7]
@@ -134,7 +137,7 @@ def test_weights_turned_by_any_angle_end_at_the_same_answer(degrees: int) -> Non
 
 def spread(fit: OutputErrorFit) -> np.ndarray:
     """(A,) deviations of the coefficients, which do not depend on the speed."""
-    return np.asarray(unknown_deviation(fit.problem, fit.weights)[0, 0])
+    return np.asarray(fit.problem.unknown_deviation(fit.weights)[0, 0])
 
 
 WIDE = 1.4

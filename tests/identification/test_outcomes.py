@@ -19,9 +19,9 @@ from pipeline.config.identification import OptimizerConfig
 from pipeline.errors import DataError, IdentifiabilityError
 from pipeline.identification.fit import fit
 from pipeline.identification.identified import IdentifiedModel
-from pipeline.identification.outcome import Outcome
 from pipeline.identification.residual_loss import ResidualProblem, initial_parameters, prepare_residual
 from pipeline.identification.storage import ARCHITECTURE, WEIGHTS, load_model, save_model
+from pipeline.identification.training import Outcome
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

@@ -9,12 +9,11 @@ import pytest
 import torch
 from running import composed
 
-from pipeline.identification.basis import Basis
+from pipeline.identification.blocks import Basis
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
 from pipeline.identification.problem import OutputError
 from pipeline.identification.training import setup_of
-from pipeline.stages.generate import model_machine, read_probes
-from pipeline.stages.measurement import build_measurement
+from pipeline.problem.configured import build_measurement, model_machine, read_probes
 
 pytestmark = pytest.mark.slow
 NOISE = ["stated_noise.additive=0.05 um", "stated_noise.multiplicative=0.005"]

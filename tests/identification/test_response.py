@@ -16,8 +16,8 @@ from pipeline.data.simulate import simulate
 from pipeline.errors import ConfigError, IdentifiabilityError
 from pipeline.identification.answer import conclude
 from pipeline.identification.fit import fit
+from pipeline.identification.linear_start import start_at
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
-from pipeline.identification.output_error_start import start_at
 from pipeline.identification.selection import revive
 from pipeline.identification.training import setup_of
 from pipeline.problem.expansion import expand

@@ -17,7 +17,7 @@ from pipeline.identification.identified import Fit
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
 from pipeline.identification.quality import output_error_quality
 from pipeline.identification.trained_fit import TrainedFit, train_hidden
-from pipeline.identification.trained_network import trained_networks
+from pipeline.identification.trained_network import TrainedNetworks
 from pipeline.identification.training import FitSetup, setup_of
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.parameters import ModelParameter
@@ -60,7 +60,8 @@ def test_the_normal_equations_are_those_of_automatic_differentiation(drawn: Outp
     share = torch.rand(2, len(drawn.problem.measurement.dataset.speeds), 1, 1, generator=generator)
     inputs = model.scaled_inputs(fitted.measurement.dataset.points)
     weighed = replace(fitted, readings=fitted.readings.scaled(share), basis=replace(fitted.basis, model=model))
-    problem = trained_networks(weighed, inputs, torch.tensor([[0.3], [-0.3]], dtype=torch.float64))
+    aims = torch.tensor([[0.3], [-0.3]], dtype=torch.float64)
+    problem = weighed.of_kind(TrainedNetworks, inputs=inputs, aims=aims)
     size = 2 * model.n_parameters + 2 * fitted.places.n_planes + 1
     numbers = 0.1 * torch.randn(2, 1, size, generator=generator, dtype=torch.float64)
     gradient, matrix = problem.normal(numbers)

@@ -21,7 +21,7 @@ from pipeline.data.dataset import VibrationDataset
 from pipeline.data.vibration_files import read_dataset
 from pipeline.errors import ConfigError
 from pipeline.ingest.plausibility import note_size, note_whirl
-from pipeline.stages import ingest, run_stage
+from pipeline.stages import ingested, run_stage
 
 MISSING = ["length", "amplitude", "phase", "phase_unit", "speed"]
 
@@ -129,7 +129,7 @@ KNOWN = ["kxy", "kyx", "cxx", "cxy", "cyx", "cyy"]
 def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """They take most of the time of the stage, and have a test of their own."""
     for name in ("draw_bode", "draw_measured_orbits"):
-        monkeypatch.setattr(ingest, name, lambda path, *_: path)
+        monkeypatch.setattr(ingested, name, lambda path, *_: path)
 
 
 @pytest.fixture
@@ -282,7 +282,7 @@ def test_figures_show_something(tmp_path: Path) -> None:
     """Pictures of some size with curves in several colours; one speed, and a baseline that stands still, among them."""
     from matplotlib import image
 
-    from pipeline.reporting.ingest_figures import draw_bode, draw_measured_orbits
+    from pipeline.reporting.measured_figures import draw_bode, draw_measured_orbits
 
     dataset = read(table_config(wide_runs(tmp_path)))
     displacement = dataset.displacement * np.array([0.0, 1.0])

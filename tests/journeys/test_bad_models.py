@@ -20,7 +20,8 @@ from pipeline.data.tables import read_marks
 from pipeline.data.vibration_files import read_dataset
 from pipeline.errors import ConfigError, PipelineError
 from pipeline.rotor.ross_adapter import assemble
-from pipeline.stages.measurement import load_identified, load_measurement
+from pipeline.stages.analysis import Analysis
+from pipeline.stages.measurement import restore
 
 
 def test_a_truncated_parquet_file(base: Config, refused_by_train: Refused, mine: Path) -> None:
@@ -206,7 +207,7 @@ def test_a_model_trained_on_other_data_is_refused(run: Run, base: Config, mine: 
             run(stage, other, mine)
         assert contents(mine) == before
     config = run("train", other, mine)
-    load_identified(config, load_measurement(config))
+    restore(Analysis(config))
 
 
 @pytest.mark.parametrize(

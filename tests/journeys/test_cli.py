@@ -29,19 +29,19 @@ Run = Callable[[Config], None]
 
 @pytest.fixture
 def runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[Config]:
-    """The configurations that a fake ``run_stage`` was called with, in a folder of its own."""
+    """The configurations that a fake ``run_stages`` was called with, in a folder of its own."""
     seen: list[Config] = []
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("pipeline.stages.run_stage", seen.append)
+    monkeypatch.setattr("pipeline.stages.run_stages", seen.extend)
     return seen
 
 
 def _failing(monkeypatch: pytest.MonkeyPatch, error: BaseException, where: Run = lambda config: None) -> None:
-    def run_stage(config: Config) -> None:
-        where(config)
+    def run_stages(configs: list[Config]) -> None:
+        where(configs[0])
         raise error
 
-    monkeypatch.setattr("pipeline.stages.run_stage", run_stage)
+    monkeypatch.setattr("pipeline.stages.run_stages", run_stages)
 
 
 @pytest.mark.parametrize("option", ["--help", "-h"])
@@ -73,7 +73,9 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_stage_may_compose_while_it_runs(
     runs: list[Config], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("pipeline.stages.run_stage", lambda config: print(config.seed, compose_config(["seed=9"]).seed))
+    monkeypatch.setattr(
+        "pipeline.stages.run_stages", lambda configs: print(configs[0].seed, compose_config(["seed=9"]).seed)
+    )
     assert main(["seed=1"]) == 0
     assert capsys.readouterr().out == "1 9\n"
 
@@ -154,7 +156,7 @@ def test_a_mistake_in_a_real_process(tmp_path: Path) -> None:
 def test_an_interrupt_in_a_real_process(tmp_path: Path) -> None:
     code = (
         "import sys, time, pipeline.stages, pipeline.__main__ as command\n"
-        "pipeline.stages.run_stage = lambda config: (print('ready', flush=True), time.sleep(60))\n"
+        "pipeline.stages.run_stages = lambda configs: (print('ready', flush=True), time.sleep(60))\n"
         "sys.exit(command.main([]))"
     )
     with subprocess.Popen(
@@ -278,12 +280,12 @@ def test_values_that_are_no_file_names_get_folders_of_their_own(runs: list[Confi
 def test_a_failing_job_lets_the_others_run_and_fails_the_command(
     runs: list[Config], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def run_stage(config: Config) -> None:
-        runs.append(config)
-        if config.seed == 2:
+    def run_stages(configs: list[Config]) -> None:
+        runs.extend(configs)
+        if configs[0].seed == 2:
             raise DataError("the data must be there, but are not; make them")
 
-    monkeypatch.setattr("pipeline.stages.run_stage", run_stage)
+    monkeypatch.setattr("pipeline.stages.run_stages", run_stages)
     assert main(["-m", "seed=2,3"]) == 2
     assert [config.seed for config in runs] == [2, 3]
     err = capsys.readouterr().err

@@ -24,8 +24,10 @@ from pipeline.data.tables import write_table
 from pipeline.errors import DataError, StorageError
 from pipeline.files import write_beside, write_json
 from pipeline.identification.storage import load_model, save_model
-from pipeline.reporting.figures import open_figure
-from pipeline.stages.measurement import load_identified, load_measurement
+from pipeline.reporting.figure import Axes, Curve, Figure, Panel
+from pipeline.reporting.matplotlib_figures import write_figure
+from pipeline.stages.analysis import Analysis
+from pipeline.stages.measurement import restore
 
 
 @contextmanager
@@ -43,8 +45,8 @@ NUMBERS = pd.DataFrame(np.random.default_rng(2).random((2000, 4)), columns=list(
 
 
 def _picture(path: Path) -> None:
-    with open_figure(path, 1, 1, 4, 4) as axes:
-        axes[0, 0].imshow(np.random.default_rng(3).random((50, 50)))
+    curves = [Curve(*np.random.default_rng(3).random((2, 500)))]
+    write_figure(path, Figure("", "", [Panel("", "", [Axes(curves, "")])]))
 
 
 @pytest.fixture
@@ -164,8 +166,7 @@ def test_a_read_only_folder(stage: str, run: Run, base: Config, mine: Path, monk
 def identified(base: Config, folder: Path, **sections: object) -> bytes:
     """The coefficients that evaluate and predict work with."""
     config = base.model_copy(update={"stage": "evaluate", "output": str(folder)} | sections)
-    measurement = load_measurement(config)
-    return load_identified(config, measurement).table(measurement.known).values.tobytes()
+    return restore(Analysis(config)).table.values.tobytes()
 
 
 @pytest.fixture

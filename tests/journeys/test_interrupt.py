@@ -154,7 +154,7 @@ def test_ctrl_c_before_training_leaves_nothing(run: Run, tmp_path: Path, monkeyp
     def interrupted(config: Config) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(train, "load_measurement", interrupted)
+    monkeypatch.setattr(train, "prepare", interrupted)
     with pytest.raises(KeyboardInterrupt):
         run("train", compose_config(COARSE), tmp_path / "x")
     assert names_in(tmp_path / "x") == set()

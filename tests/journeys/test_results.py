@@ -85,13 +85,13 @@ def test_the_twin_of_every_start_is_held_against_the_modelled_machine(
     """robustness.json: the worst mean error of the vibration never seen, computed here start by start."""
     folder = Path(shutil.copytree(made(DEFAULT), tmp_path / "x"))
     answers: list[Any] = []
-    real = robustness._tabulate
+    real = robustness.tabulate_starts
 
-    def spy(config: Any, found: Any, tables: Any, *others: Any) -> Any:
+    def spy(over: Any, starts: Any, found: Any, tables: Any, *others: Any) -> Any:
         answers.extend(tables)
-        return real(config, found, tables, *others)
+        return real(over, starts, found, tables, *others)
 
-    monkeypatch.setattr(robustness, "_tabulate", spy)
+    monkeypatch.setattr(robustness, "tabulate_starts", spy)
     config = run("robustness", few(DEFAULT), folder)
     measurement = load_measurement(config)
     modelled = load_modelled(config, measurement)

@@ -11,13 +11,13 @@ import pytest
 from conftest import Run
 
 from pipeline.config.compose import compose_config
+from pipeline.data.candidates import list_candidates
 from pipeline.data.simulate import add_noise
 from pipeline.errors import ConfigError
 from pipeline.problem.accuracy import RunInformation, reach, run_information, scale_to_limits
+from pipeline.problem.planning import Designer, Planner, list_clearances
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor
 from pipeline.stages import refit_study
-from pipeline.stages.accuracy_design import Designer
-from pipeline.stages.planned_runs import list_candidates
 from pipeline.units import RAD_S_PER_RPM
 
 COARSE = ["experiment=realistic", "machine.speeds={start_rpm: 900, stop_rpm: 5700, step_rpm: 240}"]
@@ -29,14 +29,16 @@ def designer(*overrides: str) -> Designer:
     config = compose_config(["stage=design", *overrides])
     machine = config.machine
     speeds = np.array(machine.speeds.rpm()) * RAD_S_PER_RPM
-    return Designer(config, load_rotor(machine.rotor), load_modelled_bearings(machine.rotor, machine.bearings, speeds))
+    rotor, prior = load_rotor(machine.rotor), load_modelled_bearings(machine.rotor, machine.bearings, speeds)
+    planner = Planner(config, rotor, list_clearances(config, rotor))
+    return Designer(planner, prior, planner.limit(list_candidates(machine.candidates), prior))
 
 
 @pytest.fixture(scope="module")
 def information() -> RunInformation:
     """Of every candidate, for all sixteen coefficients."""
     made = designer(*COARSE)
-    return made.inform(made.measure(made.limit(list_candidates(made.config.machine.candidates))))
+    return made.inform(made.measure(made.allowed))
 
 
 def test_more_is_never_worse(information: RunInformation) -> None:
@@ -62,7 +64,7 @@ def test_the_fewest_runs_and_speeds_are_taken(information: RunInformation) -> No
 def test_the_deviation_is_that_of_linear_least_squares() -> None:
     """Noisy readings of one plan, each answered by the linearised model: the spread is the predicted one."""
     made = designer(*FEW, "~identify.model_parameters")
-    plan = made.measure(made.limit(list_candidates(made.config.machine.candidates))[:2])
+    plan = made.measure(made.allowed[:2])
     found = run_information(plan, 4)
     rows = found.rows.reshape(-1, found.rows.shape[-1])
     generator, answers = np.random.default_rng(0), []
@@ -79,11 +81,11 @@ def test_the_deviation_is_that_of_linear_least_squares() -> None:
 def test_orbits_stay_within_their_share() -> None:
     """Runs that were made smaller touch the limit; the others are as they were."""
     made = designer(*COARSE)
-    possible = list_candidates(made.config.machine.candidates)
-    allowed = made.limit(possible)
-    assert made.limit(allowed) == allowed or all(
+    possible = list_candidates(made.planner.config.machine.candidates)
+    allowed, again = made.allowed, made.planner.limit(made.allowed, made.prior)
+    assert again == allowed or all(
         one[0].magnitude == pytest.approx(other[0].magnitude, rel=1e-12)
-        for one, other in zip(made.limit(allowed), allowed, strict=True)
+        for one, other in zip(again, allowed, strict=True)
     )
     assert any(one[0].magnitude < other[0].magnitude for one, other in zip(allowed, possible, strict=True))
     assert any(one == other for one, other in zip(allowed, possible, strict=True))
@@ -138,7 +140,7 @@ def test_fits_of_the_designed_runs_are_as_accurate_as_predicted(run: Run, tmp_pa
     series = ["model=chebyshev", "model.count=3", "model.trend=false", "model.input_scaling=rpm"]
     file = f"machine.runs_file='{tmp_path / 'designed_excitation.yaml'}'"
     config = compose_config(["stage=robustness", *FEW, *series, file])
-    error = np.array([refit_study.refit(config, seed).error for seed in range(6)])
+    error = np.array([refit_study.measure_again(config, seed).error for seed in range(6)])
     ratio = error / (67.45 * np.array(list(about["predicted"].values())))
     print(f"error over prediction {ratio.mean():.2f}")
     assert 0.6 < ratio.mean() < 1.6

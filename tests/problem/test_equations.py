@@ -19,8 +19,7 @@ from pipeline.coefficients import COEFFICIENTS, column, is_stiffness, row
 from pipeline.config.models import ConstantModelConfig, ModelConfig, NetworkModelConfig
 from pipeline.data.dataset import VibrationDataset, assemble_forces
 from pipeline.errors import DataError, IdentifiabilityError
-from pipeline.identification.configured_model import coefficient_model
-from pipeline.identification.model import CoefficientModel
+from pipeline.identification.model import CoefficientModel, coefficient_model
 from pipeline.identification.residual_loss import ResidualProblem, data_scale, residual_problem, speed_scaling
 from pipeline.problem.identifiability import judge_identifiability, require_identifiable
 from pipeline.problem.residual import (
@@ -263,7 +262,7 @@ def test_reduced_loss_equals_the_unreduced_one(
     found = problem.loss(parameters)
     assert found.shape == (3, members)
     raw = model.raw(parameters, model.scaled_inputs({"speed": hydrostatic.speeds}))
-    values = model.physical(raw, model.scale_tensor()).numpy()  # (3, members, S, U)
+    values = model.physical(raw, model.scale_tensor())[0].numpy()  # (3, members, S, U)
     for g in range(3):
         table = hydrostatic.bearings.values.copy()
         table[..., [COEFFICIENTS.index(name) for name in unknowns]] = np.broadcast_to(values[g], (2, 60, 4))

@@ -14,12 +14,14 @@ from pipeline.config.measured import ProbeConfig
 from pipeline.ingest.full_spectrum import measure_full_spectra
 from pipeline.ingest.order_tracking import Signals
 from pipeline.ingest.tacho import fit_angle
-from pipeline.reporting.ingest_figures import find_lag
-from pipeline.reporting.report.figure import Axes, Curve, Figure, HeatMap, Panel
+from pipeline.reporting.figure import Axes, Curve, Figure, HeatMap, Panel
+from pipeline.reporting.measured_figures import find_lag
 from pipeline.reporting.report.page import write_page
 from pipeline.reporting.report.pdf import write_pdf
 from pipeline.reporting.report.response import find_peak
-from pipeline.reporting.report.section import Amplitude, Mark, Paragraph, Section, Table, write_number
+from pipeline.reporting.report.section import Paragraph, Section, typeset
+from pipeline.reporting.tables import Amplitude, Mark, Table
+from pipeline.reporting.write_numbers import format_engineering, write_number
 
 RPM = np.linspace(500, 3000, 40)
 SIZE = 1e-6 * RPM / 500
@@ -27,11 +29,12 @@ SIZE = 1e-6 * RPM / 500
 
 def _sections() -> list[Section]:
     """One of each kind of block and of panel."""
+    orbit = Curve(SIZE, SIZE[::-1], "orbit")
     band = Curve(RPM, SIZE, "first run", band=0.1 * SIZE)
     panels = (
-        Panel("probe <A>", "rotor speed (rpm)", (Axes((band,), "amplitude (µm pk-pk)", amplitude=True),)),
-        Panel("polar", "", (Axes((Curve(RPM / 10, SIZE, "first run"),), "", amplitude=True),), polar=45.0),
-        Panel("orbit", "x (µm)", (Axes((Curve(SIZE, SIZE[::-1], "orbit"),), "y (µm)", amplitude=True),), equal=True),
+        Panel("probe <A>", "rotor speed (rpm)", (Axes((band,), "amplitude (µm pk-pk)", quantity="amplitude"),)),
+        Panel("polar", "", (Axes((Curve(RPM / 10, SIZE, "first run"),), "", quantity="amplitude"),), polar=45.0),
+        Panel("orbit", "x (µm)", (Axes((orbit,), "y (µm)", quantity="amplitude"),), equal=True),
         Panel("map", "order", (Axes((), "rpm"),), heat=HeatMap(np.arange(3.0), np.arange(2.0), np.eye(2, 3), "level")),
     )
     table = Table(
@@ -123,10 +126,44 @@ def test_a_peak_is_that_of_the_closed_form() -> None:
     assert find_peak(rpm, rpm) is None
 
 
-def test_a_number_has_two_digits_of_its_deviation() -> None:
-    assert write_number(12.3456, 0.0512) == "12.346 ± 0.051"
-    assert write_number(12.3456) == "12.35"
-    assert write_number(None) == "–"
+@pytest.mark.parametrize(
+    ("value", "deviation", "text"),
+    [
+        (12.3456, 0.0512, "12.346 +- 0.051"),
+        (12.3456, None, "12.35"),
+        (None, None, "–"),
+        (float("nan"), 1.0, "–"),
+        (6000.0, None, "6000"),
+        (123456.0, None, "123500"),
+        (1894.0, 10900.0, "2000 +- 11000"),
+        (110.0, 1e-12, "110.000 +- 0.000"),
+        (2.34e-6, None, "2.34e-6"),
+        (1.2e7, float("nan"), "1.2e7"),
+        (0.02, 0.0, "0.02 +- 0"),
+    ],
+)
+def test_a_number_has_the_digits_of_an_engineer(value: float | None, deviation: float | None, text: str) -> None:
+    """Two digits of its deviation, four without; no powers of ten where a person writes none."""
+    assert write_number(value, deviation) == text
+    assert typeset(text) == text.replace("+-", "±")
+
+
+@pytest.mark.parametrize(
+    ("value", "deviation", "text"),
+    [
+        (23994100.0, 7100.0, "(23.9941 +- 0.0071)e6"),
+        (-553.2, 9.7, "-553.2 +- 9.7"),
+        (12.5e3, 20e3, "(12 +- 20)e3"),
+        (20.468e6, None, "20.468e6"),
+        (-1.25e-7, None, "-125e-9"),
+        (5.0, 1e-12, "5.00000 +- 0.00000"),
+        (0.0, None, "0"),
+        (float("inf"), 1.0, "inf +- 1"),
+    ],
+)
+def test_engineering_notation(value: float, deviation: float | None, text: str) -> None:
+    """Powers of 1000, and as many digits as are known."""
+    assert format_engineering(value, deviation) == text
 
 
 @pytest.mark.parametrize("sense", [1, -1])

@@ -139,7 +139,7 @@ class RollerBearingConfig(_Bearing):
     static_load: ModelledLoad
     contact_angle: Angle
 
-    def make_element(self, ross: Any, node: int, speeds: np.ndarray, share: float, spline_points: int = 4) -> Any:
+    def make_element(self, ross: Any, node: int, speeds: np.ndarray, share: float) -> Any:
         return ross.RollerBearingElement(
             n=node,
             n_rollers=self.n_rollers,

@@ -15,13 +15,20 @@ from pipeline.data.as_built import stand_on_pedestals
 from pipeline.data.dataset import VibrationDataset, assemble_forces, subtract_baseline
 from pipeline.data.sensors import list_directions, measure, project
 from pipeline.errors import ConfigError, PipelineError
+from pipeline.evaluation.repeats import summarize_refits
+from pipeline.problem.configured import (
+    build_measurement,
+    configure_excitations,
+    configure_sensors,
+    model_machine,
+    read_probes,
+)
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.bearings import CylindricalBearingConfig, PerNodeBearingConfig
 from pipeline.rotor.model import RotorModel, bearing_dof
 from pipeline.rotor.stored import load_rotor
 from pipeline.stages import refit_study
-from pipeline.stages.generate import configure_excitations, configure_sensors, model_machine, read_probes
-from pipeline.stages.measurement import build_measurement
+from pipeline.stages.analysis import Analysis
 
 SMALL = [
     "experiment=realistic",
@@ -172,15 +179,14 @@ def test_integration_in_time_gives_what_the_dynamic_stiffness_gives() -> None:
     assert share.max() < 1e-3
 
 
-def test_the_error_of_integration_falls_with_the_square_of_the_step(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_error_of_integration_falls_with_the_square_of_the_step() -> None:
     """Half the step, a quarter of the error."""
     config = compose_config(["stage=train", *SMALL, "machine=overhung"])
     rotor, truth, exact = model_machine(config)
     few, acting = truth.at(np.array([3, 5])), configure_excitations(config)
     errors = []
     for steps in (180, 360):
-        monkeypatch.setattr(time_integration, "STEPS", steps)
-        found = time_integration.integrate(rotor, few, acting).displacement
+        found = time_integration.integrate(rotor, few, acting, steps).displacement
         errors.append(np.abs(found - exact.displacement[[3, 5]]).max())
     assert errors[0] / errors[1] == pytest.approx(4, rel=0.05)
 
@@ -235,14 +241,14 @@ def test_bearing_and_pedestal_are_springs_in_series() -> None:
 def test_refits_are_the_same_in_one_process_and_in_two() -> None:
     """Every data set is its seed's; so are its errors."""
     config = compose_config(["stage=robustness", *SMALL, "robustness.count=2", "robustness.workers=2"])
-    together = list(refit_study._refit_all(config))
-    alone = [refit_study.refit(config, seed) for seed in (0, 1)]
+    together = refit_study.refit_all(config)
+    alone = [refit_study.measure_again(config, seed) for seed in (0, 1)]
     for one, other in zip(together, alone, strict=True):
         assert one.names == other.names == ((1, "kxx"), (1, "kyy"), (6, "kxx"), (6, "kyy"))
         assert one.error == pytest.approx(other.error, rel=1e-6)
         assert one.probability is not None
     assert not np.allclose(alone[0].error, alone[1].error, rtol=1e-3)
-    summary = refit_study._summarize(alone)
+    summary = summarize_refits(alone)
     assert summary["data_sets"] == 2
     assert summary["within_95_percent_interval"] == pytest.approx(np.mean([of.within for of in alone]))
 
@@ -251,7 +257,7 @@ def test_refits_need_a_modelled_machine() -> None:
     """Recordings can't be made again."""
     config = compose_config(["stage=robustness", "experiment=measured_demo", "robustness=refits"])
     with pytest.raises(ConfigError, match="robustness over refits must have loss=response and a modelled machine"):
-        refit_study.run(config)
+        refit_study.run(Analysis(config))
 
 
 @pytest.mark.slow
@@ -260,7 +266,7 @@ def test_on_pedestals_the_series_of_film_and_pedestal_is_found(monkeypatch: pyte
     pedestal = "+machine.as_built={pedestal_stiffness: 2e8 N/m, pedestal_mass: 20 kg}"
     stated = ["experiment=realistic", "machine=overhung", "~identify.model_parameters"]
     config = compose_config(["stage=robustness", *stated, pedestal])
-    film = refit_study.refit(config, 0)
+    film = refit_study.measure_again(config, 0)
 
     def felt(one: Config, seed: int) -> tuple[RotorModel, BearingTable, VibrationDataset]:
         rotor, truth, complete = model_machine(one, seed)
@@ -268,7 +274,7 @@ def test_on_pedestals_the_series_of_film_and_pedestal_is_found(monkeypatch: pyte
         return rotor, stand_on_pedestals(truth, one.machine.as_built), complete
 
     monkeypatch.setattr(refit_study, "model_machine", felt)
-    series = refit_study.refit(config, 0)
+    series = refit_study.measure_again(config, 0)
     assert np.median(film.error) > 10
     assert np.median(series.error) < 1.5
     assert series.within.mean() > 75
@@ -280,7 +286,7 @@ def test_on_pedestals_the_series_of_film_and_pedestal_is_found(monkeypatch: pyte
 @pytest.mark.parametrize("seed", [23, 67])
 def test_far_from_the_stated_model_the_fit_reaches_its_minimum(seed: int) -> None:
     """Data sets whose fit ended in another valley when the readings counted in full from the start."""
-    found = refit_study.refit(compose_config(["stage=robustness", "experiment=realistic"]), seed)
+    found = refit_study.measure_again(compose_config(["stage=robustness", "experiment=realistic"]), seed)
     assert found.misfit < 1.1
     assert found.probability is not None
     assert found.probability > 0.01

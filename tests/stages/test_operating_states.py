@@ -16,9 +16,9 @@ from pipeline.data.excitation_files import write_excitation
 from pipeline.data.noise import NoiseModel
 from pipeline.data.vibration_files import write_vibration
 from pipeline.errors import ConfigError
+from pipeline.problem.configured import find_idle, model_machine
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.stages.generate import find_idle, model_machine
 from pipeline.stages.measurement import load_measurement
 from pipeline.stages.train import list_idle
 from pipeline.stages.workspace import hash_machine

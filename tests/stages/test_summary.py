@@ -9,7 +9,6 @@ from conftest import Run
 
 from pipeline.config.compose import compose_config
 from pipeline.reporting.summary_text import WIDTH
-from pipeline.reporting.write_numbers import format_engineering
 
 LINES = 40
 FEW = [
@@ -73,21 +72,3 @@ def test_the_same_again(experiment: str, run: Run, folder: Path) -> None:
     assert first[1].startswith(b"\x89PNG")
     run("summary", [f"experiment={experiment}", *EXPERIMENTS[experiment]], folder)
     assert [file.read_bytes() for file in files] == first
-
-
-@pytest.mark.parametrize(
-    ("value", "deviation", "text"),
-    [
-        (23994100.0, 7100.0, "(23.9941 +- 0.0071)e6"),
-        (-553.2, 9.7, "-553.2 +- 9.7"),
-        (12.5e3, 20e3, "(12 +- 20)e3"),
-        (20.468e6, None, "20.468e6"),
-        (-1.25e-7, None, "-125.00e-9"),
-        (5.0, 1e-12, "5.00000 +- 0.00000"),
-        (0.0, None, "0"),
-        (float("inf"), 1.0, "inf +- 1"),
-    ],
-)
-def test_engineering_notation(value: float, deviation: float | None, text: str) -> None:
-    """Powers of 1000, and as many digits as are known."""
-    assert format_engineering(value, deviation) == text

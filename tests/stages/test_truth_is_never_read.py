@@ -152,8 +152,8 @@ def test_what_training_is_given_holds_no_unknown(
     from pipeline.stages import train
 
     seen: list[Measurement] = []
-    real = train.load_measurement
-    monkeypatch.setattr(train, "load_measurement", lambda given: seen.append(real(given)) or seen[-1])
+    real = train.prepare
+    monkeypatch.setattr(train, "prepare", lambda given: seen.append(real(given)) or seen[-1])
     run("train", config, Path(shutil.copytree(trained, tmp_path / "x")))
     (measurement,) = seen
     for name in config.identify.unknowns:

@@ -16,9 +16,10 @@ from pipeline.config.schema import Config
 from pipeline.data.sensors import list_directions, measure
 from pipeline.data.simulate import simulate
 from pipeline.files import read_json
+from pipeline.problem.configured import configure_excitations, configure_sensors
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor
 from pipeline.stages import ingest, train
-from pipeline.stages.generate import configure_excitations, configure_sensors
+from pipeline.stages.analysis import Analysis
 from pipeline.units import RAD_S_PER_RPM
 
 pytestmark = pytest.mark.slow
@@ -62,10 +63,10 @@ def record(folder: Path) -> Config:
 def test_clearances_and_oil_from_run_ups_whose_oil_warms(tmp_path: Path) -> None:
     """No point is in two runs, and the truth of the machine is in four deviations of what is found."""
     config = record(tmp_path)
-    ingest.run(config)
+    ingest.run(Analysis(config))
     summary = read_json(tmp_path / "out" / "ingest.json")
     assert summary["operating"] == {"oil_temperature_degC": [40.0, 66.0]}
-    train.run(config)
+    train.run(Analysis(config))
     told = read_json(tmp_path / "out" / "training.json")
     found = {name: (one["value"], one["deviation"]) for name, one in told["physical_numbers"].items()}
     truth = {

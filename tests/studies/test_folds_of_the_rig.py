@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 from conftest import refused
 from folds import main, parse, run
-from running import FEW_SPEEDS, composed, strict_json
+from running import FEW_SPEEDS, ROOT, composed, strict_json
 
 from pipeline.errors import ConfigError
 
@@ -108,3 +110,13 @@ def test_options_that_mean_nothing_are_refused(capsys: pytest.CaptureFixture[str
             parse(["experiment=rk4", *given])
         assert words in capsys.readouterr().err
     assert parse(["experiment=rk4", "--heavy", "36 g mm"]).heavy == pytest.approx(36e-6)
+
+
+@pytest.mark.parametrize("page", ["influence.md", "real_rig.md"])
+def test_the_command_of_a_page_is_that_of_the_graph(page: str) -> None:
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    (printed,) = [line.strip() for line in text.splitlines() if line.startswith("    python studies/folds/")]
+    stage = yaml.safe_load((ROOT / "dvc.yaml").read_text(encoding="utf-8"))["stages"]["folds"]
+    given = shlex.split(stage["cmd"].replace("${item.experiment}", "rk4"))
+    assert shlex.split(printed) == given
+    assert parse(given[2:]).calibration == ["BASE", "A007", "A015"]

@@ -9,6 +9,9 @@ from typing import Any
 import pytest
 from conftest import Run
 
+from pipeline.data.noise import NOMINAL_95
+from pipeline.errors import ConfigError
+
 ARTIFACTS = Path(__file__).resolve().parents[2] / "artifacts"
 
 
@@ -57,3 +60,23 @@ def test_a_loss_without_deviations_is_never_good() -> None:
     found = read("ball_bearing")
     assert {one["verdict"] for one in found["verdicts"]} == {"with care"}
     assert "loss=response" in found["machine"]["next"]
+
+
+@pytest.mark.slow
+def test_a_range_where_nothing_holds_the_functions_is_no_bug(run: Run, tmp_path: Path) -> None:
+    """The lowest speeds held out at 2 % noise: exponentials overflow there, and nothing else is said of them."""
+    asked = ["experiment=realistic", "machine=overhung", "machine.probes.multiplicative=0.02"]
+    asked += ["training.holdout_range=[400 rpm,1500 rpm]", "force=true"]
+    for stage in ("train", "verdict", "evaluate"):
+        run(stage, asked, tmp_path)
+    training = json.loads((tmp_path / "training.json").read_text(encoding="utf-8"))
+    assert training["fit"]["held_out_speeds"] == {"mean_square_over_noise": None, "error_percent": None}
+    held_out = json.loads((tmp_path / "metrics.json").read_text(encoding="utf-8"))["held_out"]
+    assert [entry["model_error_percent"] for entry in held_out.values()] == [None]
+    # what the training says of a coefficient the verdict says, too
+    for entry in read(tmp_path)["verdicts"]:
+        determined = training["determined"]["coefficients"][str(entry["node"])][entry["coefficient"]]
+        band, deviation = entry["checks"]["band"]["percent"], determined["deviation_percent"]
+        assert band == pytest.approx(deviation and NOMINAL_95 * deviation)
+    with pytest.raises(ConfigError, match="leave all bounds"):
+        run("predict", asked, tmp_path)

@@ -18,7 +18,7 @@ import pytest
 
 from pipeline.__main__ import main
 from pipeline.errors import ConfigError
-from pipeline.identification.outcome import Outcome
+from pipeline.identification.training import Outcome
 from pipeline.tuning import judging
 from pipeline.tuning.attempts import REPEATS, list_attempts, repeat_stopped
 from pipeline.tuning.parallel import run_study

@@ -251,7 +251,7 @@ def test_a_series_finds_coefficients_that_are_one(hydrostatic: Machine) -> None:
     """Stiffness that is a polynomial of the logarithm of the speed is identified to rounding."""
     from pipeline.coefficients import COEFFICIENTS
     from pipeline.data.simulate import simulate
-    from pipeline.identification.chebyshev import fit_chebyshev
+    from pipeline.identification.residual_loss import fit_chebyshev
     from pipeline.identification.training import setup_of
     from pipeline.rotor.bearing_table import BearingTable
 
@@ -273,8 +273,9 @@ def test_a_series_finds_coefficients_that_are_one(hydrostatic: Machine) -> None:
 def test_the_held_out_loss_is_the_residual_of_the_equation_of_motion(hydrostatic: Machine) -> None:
     """The same number from the equations themselves, without the reduced rows, whatever the trained loss is."""
 
+    from pipeline.identification.held_out import held_out_speeds
     from pipeline.identification.residual_loss import initial_parameters, prepare_residual
-    from pipeline.identification.training import held_out_speeds, setup_of
+    from pipeline.identification.training import setup_of
 
     numbers = []
     for scaling in ("per_speed", "none"):
@@ -448,7 +449,7 @@ def test_the_best_so_far_leaves_the_default_out() -> None:
 
 
 def test_speeds_are_held_out_inside_the_range() -> None:
-    from pipeline.identification.training import held_out_speeds
+    from pipeline.identification.held_out import held_out_speeds
 
     mask = held_out_speeds(591, untuned().training.holdout_every)
     assert not mask[0]

@@ -14,16 +14,15 @@ import numpy as np
 
 from pipeline.config.schema import Config
 from pipeline.data.dataset import VibrationDataset, name_direction, project_direction
-from pipeline.data.operating import name_state
 from pipeline.data.vibration_files import to_rpm
 from pipeline.problem.measurement import Measurement
-from pipeline.reporting.figures import LOOKS
-from pipeline.reporting.state_figures import colour_states, pick_states
+from pipeline.reporting.coefficient_figures import Coefficients
+from pipeline.reporting.measured_figures import Trace, choose_looks, list_traces
+from pipeline.reporting.report.section import Paragraph
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.twin.modes import WhirlModes
 
-DASHES = ("solid", "dash", "dashdot", "dot")
 MOST_PROBES, MOST_RUNS = 8, 6
 """So many are drawn; a sentence says that there are more."""
 
@@ -71,6 +70,16 @@ class FitContent:
     modes: WhirlModes
     rotor: RotorModel  # at the fitted model parameters
 
+    @cached_property
+    def shown(self) -> Coefficients:
+        """The answer as figures and tables have it."""
+        return Coefficients.collect(self.bearings, self.modelled, self.unknowns, self.deviation)
+
+    @cached_property
+    def shown_at_conditions(self) -> Coefficients:
+        """The same at the conditions of the prediction."""
+        return Coefficients.collect(self.at_conditions, None, self.unknowns, self.at_deviation)
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ReportContent:
@@ -82,7 +91,7 @@ class ReportContent:
     waveforms: Sequence[Waveforms]
     files: Mapping[str, Mapping[str, Any]]
     tables: Mapping[str, Mapping[str, np.ndarray]]  # CSV files by name
-    reference: Mapping[str, np.ndarray] | None  # coefficients to compare with, at speeds of their own
+    reference: Mapping[str, np.ndarray]  # coefficients to compare with, at speeds of their own; empty without any
     origin: Mapping[str, str]  # versions, hashes, command
 
     @property
@@ -139,30 +148,15 @@ class ReportContent:
         weighs = "fit" in self.files.get("training", {})
         return weighs and self.dataset.runs[run] in self.config.training.holdout_runs
 
-    def look(self, run: int) -> dict[str, Any]:
-        """Colour and dash of a run, the same in every figure."""
-        i = self.shown_runs.index(run)
-        return {"colour": LOOKS[i % len(LOOKS)][0], "dash": DASHES[i % len(DASHES)], "label": self.dataset.runs[run]}
+    @cached_property
+    def looks(self) -> dict[int, dict[str, Any]]:
+        """Colour and dash of each run that is drawn, the same in every figure."""
+        names = [self.dataset.runs[run] for run in self.shown_runs]
+        return dict(zip(self.shown_runs, choose_looks(names), strict=True))
 
-    def traces(self, run: int) -> list[tuple[np.ndarray, dict[str, Any]]]:
-        """The points (indices, by ascending speed) of each state that a run was measured at, and the look of its curve.
-
-        With several states the colour is that of the state, the dash that of the run.
-        """
-        data, look = self.dataset, self.look(run)
-        states = pick_states(data.speeds, data.operating)
-        listed = []
-        for (label, points), colour in zip(states, colour_states(len(states)), strict=True):
-            measured = points[data.present[points, run]]
-            state_look = {"colour": colour, "label": f"{look['label']}, {label}"} if len(states) > 1 else {}
-            if len(measured):
-                listed.append((measured, look | state_look))
-        return listed
-
-    def name_point(self, point: int) -> str:
-        """Its speed, and its conditions where there are any, such as ``3000 rpm, 45 degC``."""
-        state = name_state({name: values[point] for name, values in self.dataset.operating.items()})
-        return f"{self.rpm[point]:.6g} rpm" + (f", {state}" if state else "")
+    def traces(self, *runs: int) -> list[Trace]:
+        """The points of each state that the ``runs`` (all that are drawn, without any) were measured at, with looks."""
+        return list_traces(self.dataset, {run: self.looks[run] for run in runs or self.shown_runs})
 
     def baseline(self) -> np.ndarray | None:
         """(S, P) complex, m: the run of the machine as it was found, which was taken off the others."""
@@ -170,12 +164,13 @@ class ReportContent:
         return None if taken is None or not taken.any() else taken[..., int(np.abs(taken).sum(axis=(0, 1)).argmax())]
 
 
+def list_reservations(content: ReportContent) -> list[Paragraph]:
+    """The warning that stands beside all that follows from a rejected model."""
+    reservation = content.files.get("verdicts", {}).get("machine", {}).get("reservation")
+    return [Paragraph(reservation, warning=True)] if reservation else []
+
+
 def name_channel(channel: tuple[int, float]) -> str:
     """Name a channel, such as ``node 3, x`` or ``node 3, 45°``."""
     direction = name_direction(channel[1])
     return f"node {channel[0]}, {direction if direction in 'xy' else f'{direction}°'}"
-
-
-def count(number: int, name: str) -> str:
-    """Such as ``1 run`` and ``2 runs``."""
-    return f"{number} {name}{'s' if number != 1 else ''}"

@@ -4,49 +4,39 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.reporting.report.content import FitContent, ReportContent, View, count
-from pipeline.reporting.report.figure import Axes, Curve, Figure, Panel
-from pipeline.reporting.report.measured import AMPLITUDE, RPM, vectors_of
-from pipeline.reporting.report.section import Block, Paragraph, Section, Table, write_number
+from pipeline.reporting.figure import RPM, Axes, Curve, Figure, Panel, mark
+from pipeline.reporting.measured_figures import AMPLITUDE
+from pipeline.reporting.model_error import list_parameters
+from pipeline.reporting.report.content import FitContent, ReportContent, View
+from pipeline.reporting.report.measured import vectors_of
+from pipeline.reporting.report.section import Block, Paragraph, Section
+from pipeline.reporting.tables import Table
+from pipeline.reporting.write_numbers import count, write_number
 from pipeline.trust.misfit import measure_misfit
 
 
-def describe_fit(content: ReportContent) -> Section | None:
-    """Readings and model of every probe over speed with their residuals; None without a fit."""
-    fit = content.fit
-    if fit is None:
-        return None
-    blocks: list[Block] = [Paragraph(_write_quality(content)), _list_probes(content, fit)]
+def describe_fit(content: ReportContent, fit: FitContent) -> Section:
+    """Readings and model of every probe over speed with their residuals."""
     fitted = [r for r in content.shown_runs if not content.held_out(r)]
-    return Section(
-        "fit", "Fit and residuals", (*blocks, _draw(content, fit, fitted, "fit"), *_list_parameters(content))
-    )
+    blocks = (Paragraph(_write_quality(content)), _list_probes(content, fit), _draw(content, fit, fitted, "fit"))
+    return Section("fit", "Fit and residuals", (*blocks, *_list_parameters(content)))
 
 
-def describe_held_out(content: ReportContent) -> Section | None:
-    """Runs and speeds that the fit did not see; None without a fit."""
-    fit = content.fit
-    if fit is None:
-        return None
-    held_out = content.files.get("metrics", {}).get("held_out", {})
-    rows = [
-        [
-            what,
-            write_number(entry["model_error_percent"], digits=3),
-            entry["rival"],
-            write_number(entry["rival_error_percent"], digits=3),
-        ]
-        for what, entry in held_out.items()
-    ]
+def describe_held_out(content: ReportContent, fit: FitContent) -> Section:
+    """Runs and speeds that the fit did not see."""
+    rows = []
+    for what, entry in content.files.get("metrics", {}).get("held_out", {}).items():
+        errors = [write_number(entry[f"{whose}_error_percent"], digits=3) for whose in ("model", "rival")]
+        rows.append([what, errors[0], entry["rival"], errors[1]])
     held = [r for r in content.shown_runs if content.held_out(r)]
+    text = "The fit did not see these readings. Beside the model stands what needs no bearing model at all."
     if not rows and not held:
         text = "No run and no speed was held out (training.holdout_runs, training.holdout_every)."
-        return Section("held-out", "Held-out runs and speeds", (Paragraph(text),))
-    text = "The fit did not see these readings. Beside the model stands what needs no bearing model at all."
     header = ["held out", "model, error %", "without a model", "its error, %"]
     table = Table("Root mean square of the error over that of the readings", header, rows)
-    figures = [_draw(content, fit, held, "held-out")] if held else []
-    return Section("held-out", "Held-out runs and speeds", (Paragraph(text), *([table] if rows else []), *figures))
+    blocks: list[Block] = [Paragraph(text), *[table] * bool(rows)]
+    blocks += [_draw(content, fit, held, "held-out")] if held else []
+    return Section("held-out", "Held-out runs and speeds", tuple(blocks))
 
 
 def _write_quality(content: ReportContent) -> str:
@@ -55,8 +45,9 @@ def _write_quality(content: ReportContent) -> str:
     outcome = f"The fit ended as: {str(training.get('outcome', 'unknown')).replace('_', ' ')}."
     if not quality:
         residual = training.get("residual", {}).get("mean_over_bearing_force")
-        said = "" if residual is None else f" It leaves {100 * residual:.2g} % of the bearing forces over (mean)."
-        return f"{outcome}{said} Its loss weighs no noise, so there is no chi-square."
+        share = write_number(residual and 100 * residual, digits=2)
+        left = f"It leaves {share} % of the bearing forces over (mean)."
+        return f"{outcome} {left} Its loss weighs no noise, so there is no chi-square."
     square, white, misfit = quality["chi_square"], quality["whiteness"], measure_misfit(quality)
     ratio = float(np.sqrt(square["value"] / square["expected"]))
     text = (
@@ -80,12 +71,11 @@ def _list_probes(content: ReportContent, fit: FitContent) -> Table:
         rest = measured - fit.predicted[..., ~held].transpose(0, 2, 1) @ probe.weights
         mask = present[:, ~held]
         percent = 100 * np.linalg.norm(rest[mask]) / np.linalg.norm(measured)
-        cells = [probe.name, f"{percent:.3g}"]
-        if stated:
-            cells.append(f"{np.sqrt((np.abs(rest / _noise(fit, probe)[:, ~held])[mask] ** 2).mean()):.3g}")
-        rows.append(cells)
-    header = ["probe", "residual, % of the readings", *(["residual over its noise"] if stated else [])]
-    return Table("Fitted runs, root mean square over speeds and runs", header, rows)
+        over = np.sqrt((np.abs(rest / _noise(fit, probe)[:, ~held])[mask] ** 2).mean()) if stated else np.nan
+        rows.append([probe.name, *(write_number(float(number), digits=3) for number in (percent, over))])
+    columns, header = 3 if stated else 2, ["probe", "residual, % of the readings", "residual over its noise"]
+    rows = [row[:columns] for row in rows]
+    return Table("Fitted runs, root mean square over speeds and runs", header[:columns], rows)
 
 
 def _noise(fit: FitContent, probe: View) -> np.ndarray:
@@ -98,43 +88,29 @@ def _draw(content: ReportContent, fit: FitContent, runs: list[int], name: str) -
     panels = []
     for probe in content.shown_probes:
         above, below = [], []
-        for r in runs:
+        for r, points, traced in content.traces(*runs):
             measured, predicted = vectors_of(content, probe, r), fit.predicted[..., r] @ probe.weights
-            rest = np.abs(measured - predicted)
-            usual = np.linalg.norm(np.abs(measured)) / np.count_nonzero(measured) ** 0.5
-            size = rest / _noise(fit, probe)[:, r] if stated else 100 * rest / usual
-            for points, traced in content.traces(r):
-                look, rpm = dict(traced), content.rpm[points]
-                run, shown = look.pop("label"), slice(None, None, max(1, len(points) // 40))
-                seen = np.abs(measured[points])[shown]
-                above.append(Curve(rpm[shown], seen, f"{run} measured", look["colour"], "none", "o"))
-                above.append(Curve(rpm, np.abs(predicted[points]), f"{run} model", **look))
-                below.append(Curve(rpm, size[points], "", **look))
+            usual = np.linalg.norm(measured) / np.count_nonzero(measured) ** 0.5 / 100
+            size = np.abs(measured - predicted) / (_noise(fit, probe)[:, r] if stated else usual)
+            look, rpm = dict(traced), content.rpm[points]
+            run = look.pop("label")
+            above.append(mark(rpm, np.abs(measured[points]), f"{run} measured", look["colour"], count=40))
+            above.append(Curve(rpm, np.abs(predicted[points]), f"{run} model", **look))
+            below.append(Curve(rpm, size[points], "", **look))
         unit = "residual / noise" if stated else "residual (%)"
-        axes = (Axes(tuple(above), AMPLITUDE, amplitude=True), Axes(tuple(below), unit))
+        axes = [Axes(above, AMPLITUDE, quantity="amplitude"), Axes(below, unit)]
         panels.append(Panel(probe.name, RPM, axes))
     caption = "Above, amplitudes: markers measured, lines the model. Below, the size of the complex residual "
     caption += "over the root mean square of its noise." if stated else "in percent of the root mean square reading."
-    return Figure(name, caption, tuple(panels))
+    return Figure(name, caption, panels)
 
 
 def _list_parameters(content: ReportContent) -> list[Table]:
     """Model parameters that were fitted with the coefficients, before and after."""
-    table = content.tables.get("model_parameters")
-    if table is None or not len(table["kind"]):
-        return []
-    rows = []
+    table, rows = content.tables.get("model_parameters", {"kind": ()}), []
     for i, kind in enumerate(table["kind"]):
-        value, before, after = (float(table[key][i]) for key in ("value", "prior_std", "std"))
-        unit = str(table["unit"][i])
-        if not unit:
-            value, before, after, unit = 100 * value, 100 * before, 100 * after, "%"
-        elif unit == "rad":
-            value, before, after = np.degrees([value, before, after]).tolist()
-            unit = "deg"
-        elif unit == "m":
-            value, before, after, unit = 1e6 * value, 1e6 * before, 1e6 * after, "µm"
+        prior, value, deviation = (float(table[key][i]) for key in ("prior_std", "value", "std"))
         label = f"{str(kind).replace('_', ' ')} {table['of'][i]}".strip()
-        rows.append([label, unit, f"± {before:.3g}", write_number(value, after), f"{value / before:.2f}"])
-    header = ["parameter", "unit", "before the fit", "found", "found over its tolerance"]
-    return [Table("Uncertain numbers of the model, change against what was stated", header, rows)]
+        rows.append((label, str(kind), prior, value / prior, deviation / prior))
+    title = "Uncertain numbers of the model, change against what was stated"
+    return [list_parameters(title, rows)] if rows else []

@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.files import write_text
-from pipeline.reporting.report.figure import MICROMETRES_PEAK_TO_PEAK, Curve, Figure
-from pipeline.reporting.report.section import Amplitude, Cell, Mark, Paragraph, Section, Table, write_number
-from pipeline.reporting.report.traces import describe_panel
+from pipeline.reporting.figure import Curve
+from pipeline.reporting.plotly_panels import describe_panel
+from pipeline.reporting.report.section import Block, Paragraph, Section, typeset
+from pipeline.reporting.tables import MICROMETRES_PEAK_TO_PEAK, Amplitude, Cell, Mark, Table
 
 _NUMBER = re.compile(r"[-+–]?[\d.]*(e[-+]?\d+)?( ± [\d.]+)?")
 """Columns of these are aligned to the right."""
@@ -50,16 +51,16 @@ def _read(name: str) -> str:
     return (_FOLDER / name).read_text(encoding="utf-8")
 
 
-def _describe_block(block: Paragraph | Table | Figure, panels: list[dict[str, Any]]) -> dict[str, Any]:
+def _describe_block(block: Block, panels: list[dict[str, Any]]) -> dict[str, Any]:
     """What the template needs of a block; its panels are appended to ``panels``, which the script draws."""
     if isinstance(block, Paragraph):
-        return {"kind": "paragraph", "text": block.text, "warning": block.warning}
+        return {"kind": "paragraph", "text": typeset(block.text), "warning": block.warning}
     if isinstance(block, Table):
         rows = [[_describe_cell(cell) for cell in row] for row in block.rows]
         textual = [any(not _NUMBER.fullmatch(row[c]["text"]) for row in rows) for c in range(len(block.header))]
-        header = list(zip(block.header, textual, strict=True))
+        header = list(zip(map(typeset, block.header), textual, strict=True))
         cells = [list(zip(row, textual, strict=True)) for row in rows]
-        return {"kind": "table", "caption": block.caption, "header": header, "rows": cells}
+        return {"kind": "table", "caption": typeset(block.caption), "header": header, "rows": cells}
     places = []
     for panel in block.panels:
         described = describe_panel(panel)
@@ -80,15 +81,17 @@ def _describe_block(block: Paragraph | Table | Figure, panels: list[dict[str, An
 
 
 def _describe_key(curve: Curve) -> dict[str, Any]:
-    dash = _DASH.get(curve.dash)
-    return {"label": curve.label, "colour": curve.colour, "dash": dash, "marker": curve.marker, "filled": curve.filled}
+    """What the template draws of a curve in the legend."""
+    marker = "." if curve.full and curve.marker else curve.marker
+    look = {"dash": _DASH.get(curve.dash), "marker": marker, "filled": curve.filled}
+    return {"label": curve.label, "colour": curve.colour} | look
 
 
 def _describe_cell(cell: Cell) -> dict[str, Any]:
+    shown: dict[str, Any] = {"text": typeset(cell)}
     if isinstance(cell, Mark):
-        return {"text": cell.words, "mark": cell.kind.replace(" ", "-")}
+        return shown | {"mark": cell.kind.replace(" ", "-")}
     if isinstance(cell, Amplitude):
-        scaled = MICROMETRES_PEAK_TO_PEAK * cell.value
-        deviation = None if cell.deviation is None else MICROMETRES_PEAK_TO_PEAK * cell.deviation
-        return {"text": write_number(scaled, deviation), "amplitude": scaled, "deviation": deviation}
-    return {"text": cell}
+        value, deviation = (MICROMETRES_PEAK_TO_PEAK * size for size in (cell.value, cell.deviation))
+        return shown | {"amplitude": value, "deviation": deviation or None}
+    return shown

@@ -1,38 +1,191 @@
-"""The sections of the report, in their order."""
+"""The sections of the report, in their order, and those that have sentences and tables alone."""
 
 from __future__ import annotations
 
-from pipeline.reporting.report.balancing import describe_balancing
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.evaluation.contradiction import find_contradiction, list_contradicted
+from pipeline.reporting.physical_numbers import describe_law, list_numbers, tabulate_numbers
 from pipeline.reporting.report.coefficients import describe_coefficients
 from pipeline.reporting.report.content import ReportContent
-from pipeline.reporting.report.diagnosis import describe_diagnosis
 from pipeline.reporting.report.fit import describe_fit, describe_held_out
 from pipeline.reporting.report.machine import describe_machine
 from pipeline.reporting.report.measured import describe_measured
 from pipeline.reporting.report.modes import describe_modes
-from pipeline.reporting.report.numbers import describe_numbers
-from pipeline.reporting.report.origin import describe_conventions, describe_origin
 from pipeline.reporting.report.response import describe_response
-from pipeline.reporting.report.section import Section
-from pipeline.reporting.report.verdicts import describe_verdicts
-
-_SECTIONS = (
-    describe_verdicts,
-    describe_numbers,
-    describe_coefficients,
-    describe_machine,
-    describe_measured,
-    describe_diagnosis,
-    describe_fit,
-    describe_held_out,
-    describe_modes,
-    describe_response,
-    describe_balancing,
-    describe_conventions,
-    describe_origin,
-)
+from pipeline.reporting.report.section import Block, Paragraph, Section
+from pipeline.reporting.tables import Cell, Mark, Table
+from pipeline.reporting.write_numbers import write_number
+from pipeline.trust.judgement import AS_FELT
 
 
 def list_sections(content: ReportContent) -> list[Section]:
     """Those that there is something to say in."""
-    return [section for describe in _SECTIONS if (section := describe(content)) is not None]
+    fit = content.fit
+    sections: list[Section | None] = [describe_verdicts(content), describe_numbers(content)]
+    sections += [] if fit is None else [describe_coefficients(content, fit)]
+    sections += [describe(content) for describe in (describe_machine, describe_measured, describe_diagnosis)]
+    if fit is not None:
+        fitted = (describe_fit, describe_held_out, describe_modes, describe_response)
+        sections += [*(describe(content, fit) for describe in fitted), describe_balancing(content)]
+    return [section for section in (*sections, describe_conventions(content), describe_origin(content)) if section]
+
+
+def describe_verdicts(content: ReportContent) -> Section:
+    """The verdicts on every bearing and coefficient, as stage=verdict wrote them: why, and what to do next."""
+    judged = content.files.get("verdicts")
+    if not judged:
+        said = "No verdicts were written: stage=verdict makes them."
+        return Section("verdicts", "Can this be trusted?", (Paragraph(said),))
+    blocks: list[Block] = []
+    machine = judged.get("machine")
+    if machine:
+        why = " ".join(text for text in (machine.get("reason"), machine.get("next")) if text)
+        said = f"The machine as a whole: {machine['verdict']}. {why}"
+        said += f" What is identified: {AS_FELT}." if machine.get("identified") == AS_FELT else ""
+        blocks.append(Paragraph(said, warning=machine["verdict"] != "good"))
+    for caption, key in (("Bearings", "bearings"), ("Coefficients", "verdicts")):
+        rows = [_write_verdict(entry) for entry in judged.get(key, [])]
+        kind = caption.lower().removesuffix("s")
+        blocks += [Table(caption, [kind, "verdict", "why", "next step"], rows).without_blank()] * bool(rows)
+    return Section("verdicts", "Can this be trusted?", tuple(blocks))
+
+
+def _write_verdict(entry: Mapping[str, Any]) -> list[Cell]:
+    why = entry.get("reason") or " ".join(entry.get("reasons", []))
+    name = f"node {entry['node']} {entry.get('coefficient', '')}".strip()
+    return [name, Mark(entry["verdict"], entry["verdict"]), why, entry.get("next") or ""]
+
+
+def describe_numbers(content: ReportContent) -> Section | None:
+    """The numbers of the bearing laws, and what the readings say against these; None for a fit without laws."""
+    training, kind = content.files.get("training", {}), content.config.model.kind
+    numbers = list_numbers(training.get("physical_numbers", {}), content.config)
+    if not numbers:
+        return None
+    contradicted = any(map(list_contradicted, training.get("correction", {}).values()))
+    against = find_contradiction(training, kind) is not None or contradicted
+    text = "All coefficients over speed and operating conditions follow from these numbers"
+    text += ", times what a network corrects." if training.get("correction") else "."
+    said = [Paragraph(sentence, warning=against) for sentence in describe_law(training, kind)]
+    table = tabulate_numbers("Found, +- one standard deviation", numbers)
+    return Section("numbers", "Numbers of the bearing laws", (Paragraph(text), table, *said))
+
+
+def describe_diagnosis(content: ReportContent) -> Section | None:
+    """What the data determine before any fit: rank, condition number, deviations; None where nothing was diagnosed."""
+    diagnosis = content.files.get("diagnosis")
+    if not diagnosis:
+        return None
+    noise, rows, blocks = diagnosis["stated_noise"], [], []
+    for node, bearing in diagnosis["bearings"].items():
+        least, most = bearing["rank"]["least"], bearing["rank"]["most"]
+        condition, worst = (write_number(bearing["condition_number"][key], digits=3) for key in ("median", "max"))
+        rank = f"{least}" if least == most else f"{least} to {most}"
+        cells = [f"{rank} of {bearing['unknowns']}", f"{condition}, worst {worst}", bearing["least_determined"]]
+        rows.append([f"node {node}", bearing["verdict"], *cells])
+        if bearing["reason"]:
+            blocks.append(Paragraph(f"Bearing at node {node}: {bearing['reason']}", warning=True))
+    text = (
+        f"At each speed by itself, at {100 * noise['multiplicative']:g} % and {1e6 * noise['additive']:g} µm noise "
+        "(root mean square, zero-to-peak). A fit over all speeds does better: its own deviations follow below."
+    )
+    header = ["bearing", "verdict", "rank", "condition number", "determined least"]
+    table = Table("What the readings tell of each bearing", header, rows)
+    return Section("diagnosis", "Diagnosis", (Paragraph(text), *blocks, table, *_list_expected(diagnosis)))
+
+
+def _list_expected(diagnosis: Mapping[str, Any]) -> list[Table]:
+    """The deviation that the fit is expected to leave to each coefficient, in percent."""
+    judged = diagnosis.get("determined") or {}
+    by_node = judged.get("coefficients") or {}
+    names = [name for name in COEFFICIENTS if any(name in cells for cells in by_node.values())]
+    rows = [[name, *(_write_expected(cells.get(name)) for cells in by_node.values())] for name in names]
+    header = ["coefficient", *(f"bearing at node {node}" for node in by_node)]
+    caption = f"Expected standard deviation, {judged.get('by')} (median over the speed)"
+    return [Table(caption, header, rows)] if by_node else []
+
+
+def _write_expected(cell: Mapping[str, Any] | None) -> str:
+    if not cell:
+        return "known"
+    percent = cell["deviation_percent"]
+    return f"{write_number(percent if isinstance(percent, float) else None, digits=2)} %, {cell['verdict']}"
+
+
+def describe_balancing(content: ReportContent) -> Section:
+    """Residual unbalance of each plane and the weights that take it away; a sentence where none was identified."""
+    title, table = "Residual unbalance and correction weights", content.tables.get("residual_unbalance")
+    if table is None or not len(table["node"]):
+        text = (
+            "No residual unbalance was identified: identify.unbalance_planes names no node. With planes there and "
+            "loss=response, this section has the correction weights."
+        )
+        return Section("balancing", title, (Paragraph(text),))
+    (sign, start), counted = _count_angles(content)
+    rows = []
+    for node, size, angle, deviation in zip(
+        *(table[key] for key in ("node", "magnitude", "phase_deg", "magnitude_std")), strict=True
+    ):
+        spread = float(np.degrees(np.arcsin(min(deviation / size, 1.0)))) if size > 0 else None
+        amount = write_number(1e6 * size, 1e6 * deviation)
+        at, opposite = (write_number((sign * (angle + turn) + start) % 360, spread) for turn in (0, 180))
+        rows.append([f"node {node:.0f}", amount, at, amount, opposite])
+    header = ["plane", "unbalance, g mm", "at, deg", "correction, g mm", "at, deg (opposite)"]
+    caption = f"Angles {counted}; +- one standard deviation. Add the correction, or remove as much at the unbalance."
+    return Section("balancing", title, (Table(caption, header, rows),))
+
+
+def _count_angles(content: ReportContent) -> tuple[tuple[float, float], str]:
+    """How the machine's file counts the angles (deg) of weights, from an angle from x at the pulse: sign, start; words.
+
+    Without the place of the tacho they are as they are.
+    """
+    recordings = content.config.machine.recordings
+    counted = {
+        "with_rotation": "are from the tacho mark, with the rotation",
+        "against_rotation": "are from the tacho mark, against the rotation",
+    }.get(recordings.shaft_angle or "", "are from x towards y, at the tacho pulse")
+    if recordings.tacho.angle is None:
+        return (1.0, 0.0), counted
+    tacho = float(np.degrees(recordings.tacho.angle))
+    turns = {"with_rotation": (1.0, -tacho), "against_rotation": (-1.0, tacho)}
+    return turns.get(recordings.shaft_angle or "", (1.0, 0.0)), counted
+
+
+def describe_conventions(content: ReportContent) -> Section:
+    """Axes, rotation, amplitudes, phases, deviations."""
+    rows = [
+        ["Axes", "x and y span the plane across the shaft; angles are counted from x towards y."],
+        ["Rotation", "The shaft turns from x towards y, counterclockwise in the figures."],
+        [
+            "Vectors",
+            "q(t) = Re(Q e^(jwt)); time zero is a tacho pulse; a probe at the angle a shows x cos a + y sin a.",
+        ],
+        ["Amplitude", "Of 1X; peak-to-peak unless the unit says 0-pk (half of it)."],
+        [
+            "Phase",
+            "Lag: rotation from the tacho pulse to the next positive peak of the signal; a lead is its opposite.",
+        ],
+        ["Unbalance", "F = w² m e e^(jp) [1, -j] on (x, y); p is its angle from x at the tacho pulse."],
+        ["Bearings", "Force on the shaft -(K q + C q'); kxy is the force in x for a displacement in y."],
+        ["Deviations", "± is one standard deviation; bands are nominal 95 % intervals (1.96 deviations)."],
+        [
+            "Log decrement",
+            "2π times -(real part) / (imaginary part) of an eigenvalue; amplification factor: π over it.",
+        ],
+    ]
+    said = content.files.get("ingest", {}).get("conventions")
+    if said:
+        rows.append(["Recordings", f"Read as {said}."])
+    return Section("conventions", "Conventions", (Table("How the numbers are meant", ["", "meaning"], rows),))
+
+
+def describe_origin(content: ReportContent) -> Section:
+    """Where all comes from: command, versions and hashes."""
+    rows = [[name, value] for name, value in content.origin.items()]
+    return Section("origin", "Where this comes from", (Table("Versions, data and command", ["", "value"], rows),))

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from pipeline.evaluation.contradiction import find_contradiction
-from pipeline.reporting.physical_numbers import describe_law, list_number_rows, list_numbers
+from pipeline.reporting.physical_numbers import describe_law, list_numbers, tabulate_numbers
 from pipeline.trust.verdict import Verdict, judge_contradiction
 
 OIL = SimpleNamespace(reference=55 + 273.15)
@@ -28,7 +28,7 @@ FOUND = {
 
 
 def test_numbers_have_the_units_of_an_engineer() -> None:
-    rows = list_number_rows(list_numbers(FOUND, CONFIG))
+    rows = tabulate_numbers("", list_numbers(FOUND, CONFIG)).rows
     assert [row[:3] for row in rows] == [
         ["oil viscosity at 55 degC", "16.600 +- 0.040", "mPa s"],
         ["oil slope", "0.034000 +- 0.000060", "1/K"],

@@ -17,7 +17,7 @@ from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.measured import KnownConfig
 from pipeline.config.schema import Config
 from pipeline.errors import ConfigError
-from pipeline.stages.known import load_known
+from pipeline.problem.configured import load_known
 from pipeline.stages.measurement import load_measurement
 
 REST = [name for name in COEFFICIENTS if name not in ("kxx", "kyy")]

@@ -12,7 +12,7 @@ from conftest import Run
 
 from pipeline.config.compose import compose_config
 from pipeline.errors import ConfigError
-from pipeline.stages.unmeasured import measure_unmeasured, model_unmeasured
+from pipeline.evaluation.errors import measure_unmeasured, model_unmeasured
 from pipeline.units import RAD_S_PER_RPM
 
 OIL = ("machine=compressor_oil_temperatures", "model=law", "loss=response", "robustness=refits")

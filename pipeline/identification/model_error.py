@@ -1,4 +1,4 @@
-"""What the functions of the speed can't follow, and how much the deviations are wider for it.
+"""What the answer is off by beside noise: what the functions of the speed can't follow, and tolerances not fitted.
 
 The inverse of the information is the covariance of a model whose functions can follow the coefficients. Where they
 can't (a kink, a feature that was dropped), the answer is biased, and its intervals are too narrow. So each unknown is
@@ -12,7 +12,12 @@ The error of z is then that of the noise and ``-H_zz^-1 H_zt t``, that of the de
 the place of the covariance. An interval holds its share of the speeds on average, less beside a kink and more elsewhere
 (Nychka 1988).
 
-Legend: S speeds, A active unknowns, K features, L local functions, Z weights of the fit.
+Readings that a tolerance would change as no weight can leave it less room. It is as if all tolerances u (of unit
+variance) were fitted with the weights z: with the information ``H`` of both, u has the covariance
+``(1 + H_uu - H_uz H_zz^-1 H_zu)^-1`` and a mean, and z moves by ``-H_zz^-1 H_zu u``.
+
+Legend: S speeds, A active unknowns, K features, L local functions, Z weights of the fit, T tolerances, kinds of which
+are named in :data:`pipeline.problem.model_parameters.USUAL`.
 """
 
 from __future__ import annotations
@@ -23,28 +28,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.identification.blocks import Places
-from pipeline.identification.evidence_prior import LAW_STANDS, chance_of_gain
-from pipeline.identification.functions import evaluate_functions
-from pipeline.identification.inputs import SPEED
+from pipeline.identification.inputs import SPEED, evaluate_functions
 from pipeline.identification.model import CoefficientModel
 from pipeline.identification.problem import OutputError
+from pipeline.identification.readings import sensor_model
+from pipeline.identification.selection import LAW_STANDS, chance_of_gain
+from pipeline.problem.model_parameters import USUAL
 
 if TYPE_CHECKING:
     import torch
-
-N_LOCAL = 30
-"""Chosen by five machines (studies/coverage/README.md): with 20 intervals are too wide for kinked coefficients, with 40
-too narrow."""
-N_SMOOTH = 8
-"""Bearing laws alone are off by smooth functions of the speed."""
-_SPEEDS_EACH = 2
-"""At least so many speeds for a local function: fewer can't tell it from noise."""
-_LEAST = 4  # cubic B-splines
-_ROUNDS, _STILL = 100, 1e-2
-_FIRST = 0.03**2
-"""Deviation squared, of outputs: the logarithm of a coefficient, or its share of the coefficient's size."""
-_SMALLEST = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,17 +44,22 @@ class MeanSquareError:
     """What the weights of features and local functions, (A, K + L), and all others are off by."""
 
     matrix: np.ndarray  # (Z + A L, Z + A L)
-    places: Places  # of the blocks in it, local functions among the coefficients'
     fitted: np.ndarray  # (Z,) where the weights of the fit lie in it
     n_local: int  # L
-    deviation: np.ndarray  # (A,) tau
 
 
-def count_local(model: CoefficientModel, n_speeds: int) -> int:
-    """L, for so many different speeds; constants have none, as they are constants by assumption."""
-    most = N_LOCAL // len(model.inputs) if model.hidden or model.functions else N_SMOOTH
-    count = min(most, n_speeds // _SPEEDS_EACH)
-    return 0 if model.hidden is None or count < _LEAST else count * len(model.inputs)
+def count_local(
+    model: CoefficientModel, n_speeds: int, n_local: int = 30, n_smooth: int = 8, speeds_each: int = 2
+) -> int:
+    """L, for so many different speeds; constants have none, as they are constants by assumption.
+
+    ``n_local`` was chosen by five machines (studies/coverage/README.md): with 20 intervals are too wide for kinked
+    coefficients, with 40 too narrow. Bearing laws alone are off by ``n_smooth`` smooth functions. Fewer than
+    ``speeds_each`` for a local function can't tell it from noise, and cubic B-splines are four or more.
+    """
+    most = n_local // len(model.inputs) if model.hidden or model.functions else n_smooth
+    count = min(most, n_speeds // speeds_each)
+    return 0 if model.hidden is None or count < 4 else count * len(model.inputs)
 
 
 def evaluate_local(model: CoefficientModel, points: Mapping[str, np.ndarray], count: int) -> np.ndarray:
@@ -82,27 +79,31 @@ def evaluate_local(model: CoefficientModel, points: Mapping[str, np.ndarray], co
     return np.concatenate([by_speed, *(by_speed * scaled[:, [i]] for i in others)], axis=1)
 
 
-def measure_error(problem: OutputError, weights: torch.Tensor, covariance: np.ndarray) -> MeanSquareError:
-    """The mean square error at the minimum ``weights`` (1, 1, Z); ``covariance`` (Z, Z) is that of the noise alone."""
-    points = problem.measurement.dataset.points
+def measure_error(problem: OutputError, weights: torch.Tensor) -> MeanSquareError:
+    """The mean square error at the minimum ``weights`` (1, 1, Z): of the noise, and of what no function follows."""
+    points, covariance = problem.measurement.dataset.points, problem.covariance(weights)[0]
     count = count_local(problem.basis.model, len(np.unique(points[SPEED])))
-    n_active = len(problem.kept)
     if not count:
-        return MeanSquareError(covariance, problem.places, np.arange(problem.size), 0, np.zeros(n_active))
+        return noise_alone(problem, covariance)
+    n_active = len(problem.kept)
     gradient, matrix, local = _expand(problem, weights, evaluate_local(problem.basis.model, points, count))
     by_fit = covariance @ matrix[np.ix_(~local, local)]  # (Z, A L): how the fitted weights follow the local ones
     information = matrix[np.ix_(local, local)] - matrix[np.ix_(local, ~local)] @ by_fit
     score = -(gradient[local] - by_fit.T @ gradient[~local])
     variance, moment = _maximise_likelihood(information, score, n_active)
-    if problem.measurement.laws is not None and _is_chance(information, score, variance):
-        return MeanSquareError(covariance, problem.places, np.arange(problem.size), 0, np.zeros(n_active))
+    if problem.law.laws and _is_chance(information, score, variance):
+        return noise_alone(problem, covariance)
     error = np.zeros_like(matrix)
     error[np.ix_(~local, ~local)] = covariance + by_fit @ moment @ by_fit.T
     error[np.ix_(~local, local)] = by_fit @ moment
     error[np.ix_(local, ~local)] = (by_fit @ moment).T
     error[np.ix_(local, local)] = moment
-    wider = replace(problem.places, n_coefficients=problem.places.n_coefficients + n_active * count)
-    return MeanSquareError(error, wider, np.flatnonzero(~local), count, np.sqrt(variance))
+    return MeanSquareError(error, np.flatnonzero(~local), count)
+
+
+def noise_alone(problem: OutputError, covariance: np.ndarray) -> MeanSquareError:
+    """The error where nothing but the ``covariance`` (Z, Z) is known of it."""
+    return MeanSquareError(covariance, np.arange(problem.size), 0)
 
 
 def _expand(
@@ -125,21 +126,28 @@ def _expand(
     return gradient[0, 0].numpy(), matrix[0, 0].numpy(), local
 
 
-def _maximise_likelihood(information: np.ndarray, score: np.ndarray, n_active: int) -> tuple[np.ndarray, np.ndarray]:
+def _maximise_likelihood(
+    information: np.ndarray,
+    score: np.ndarray,
+    n_active: int,
+    first: float = 0.03**2,
+    rounds: int = 100,
+    still: float = 1e-2,
+    smallest: float = 1e-12,
+) -> tuple[np.ndarray, np.ndarray]:
     """(A,) tau^2 and (A L, A L) mean square of the local weights after the data, from their ``information`` (A L, A L)
     and ``score`` (A L,) at zero.
+
+    tau is a deviation of outputs, the logarithm of a coefficient or its share of the coefficient's size.
     """
-    count = len(score) // n_active
-    variance = np.full(n_active, _FIRST)
-    for _ in range(_ROUNDS):
+    count, variance = len(score) // n_active, np.full(n_active, first)
+    for _ in range(rounds):
         spread, mean = _follow(information, score, variance)
         # How many of an unknown's local weights the readings determine.
         told = count - np.diag(spread).reshape(n_active, count).sum(axis=1) / variance
         squares = (mean**2).reshape(n_active, count).sum(axis=1)
-        likelier = np.maximum(squares / np.maximum(told, _SMALLEST), _SMALLEST)
-        still = bool((np.abs(np.log(likelier / variance)) < _STILL).all())
-        variance = likelier
-        if still:
+        before, variance = variance, np.maximum(squares / np.maximum(told, smallest), smallest)
+        if (np.abs(np.log(variance / before)) < still).all():
             break
     spread, mean = _follow(information, score, variance)
     return variance, spread + np.outer(mean, mean)
@@ -159,3 +167,63 @@ def _follow(information: np.ndarray, score: np.ndarray, variance: np.ndarray) ->
     """Covariance (A L, A L) and mean (A L,) of the local weights after the data, for tau^2 (A,)."""
     spread = np.linalg.inv(information + np.diag(np.repeat(1 / variance, len(score) // len(variance))))
     return spread, spread @ score
+
+
+# --- tolerances ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Unfitted:
+    """What is known of the tolerances after the fit, and how the weights follow them."""
+
+    kinds: np.ndarray  # (T,) places of the kinds in USUAL
+    moves: np.ndarray  # (Z + A L, T) of the weights by one deviation of each
+    second: np.ndarray  # (T, T) mean square of the tolerances, in their deviations
+
+    def covariance(self) -> np.ndarray:
+        """(Z + A L, Z + A L) mean square of what they move."""
+        return np.asarray(self.moves @ self.second @ self.moves.T)
+
+    def select(self, name: str) -> Unfitted:
+        """Those of one kind."""
+        chosen = self.kinds == list(USUAL).index(name)
+        return Unfitted(self.kinds[chosen], self.moves[:, chosen], self.second[np.ix_(chosen, chosen)])
+
+    @property
+    def names(self) -> list[str]:
+        """Their kinds, each once."""
+        return [name for k, name in enumerate(USUAL) if (self.kinds == k).any()]
+
+
+def widen(problem: OutputError, weights: torch.Tensor) -> tuple[OutputError, torch.Tensor]:
+    """The problem with the tolerances among the model parameters, and its weights (1, 1, Z + T)."""
+    import torch
+
+    count = len(problem.measurement.tolerances)
+    if not count:
+        return problem, weights
+    wider = replace(problem, sensors=sensor_model(problem.measurement.with_tolerances()))
+    return wider, torch.nn.functional.pad(weights, (0, count))
+
+
+def measure_tolerances(problem: OutputError, weights: torch.Tensor, places: np.ndarray, size: int) -> Unfitted:
+    """What the tolerances of the measurement do at the minimum ``weights`` (1, 1, Z).
+
+    Args:
+        places: (Z,) where the weights lie among the ``size`` ones of the answer.
+    """
+    tolerances, count = problem.measurement.tolerances, problem.size
+    kinds = np.array([list(USUAL).index(tolerance.kind) for tolerance in tolerances], dtype=np.int64)
+    moves = np.zeros((size, len(tolerances)))
+    if not tolerances:
+        return Unfitted(kinds, moves, np.zeros((0, 0)))
+    wider, padded = widen(problem, weights)
+    gradient, matrix = (array[0, 0].numpy() for array in wider.normal(padded))
+    identity = np.eye(len(tolerances))
+    by_fit = problem.covariance(weights)[0] @ matrix[:count, count:]
+    room = matrix[count:, count:] - identity - matrix[count:, :count] @ by_fit  # the prior is in the matrix
+    score = by_fit.T @ gradient[:count] - gradient[count:]
+    spread = np.linalg.inv(identity + room)
+    mean = spread @ score
+    moves[places] = -by_fit
+    return Unfitted(kinds, moves, spread + np.outer(mean, mean))

@@ -1,0 +1,219 @@
+"""Coefficients over the speed: modelled as a line, identified as markers with bands; of conditions a line a state.
+
+Legend: B bearings, S operating points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.coefficients import COEFFICIENTS, is_direct, unit
+from pipeline.data.noise import NOMINAL_95
+from pipeline.data.operating import split_states
+from pipeline.data.vibration_files import to_rpm
+from pipeline.reporting.figure import BLACK, GREY, LOOKS, NOTHING, RPM, Axes, Curve, Figure, Panel, mark
+from pipeline.reporting.matplotlib_figures import write_figure
+from pipeline.rotor.bearing_table import BearingTable
+
+KINDS = {"k": "stiffness", "c": "damping"}
+UNITS = {"k": (1e-6, "MN/m"), "c": (1e-3, "kN s/m")}
+"""What SI is multiplied by, and the name of the unit."""
+
+
+@dataclass(frozen=True, eq=False)
+class Coefficients:
+    """An answer and what is known beside it; NaN where no truth is modelled, or no deviation is stated."""
+
+    identified: BearingTable
+    modelled: np.ndarray  # (B, S, 8) N/m and N s/m
+    unknowns: Sequence[Sequence[str]]  # of each bearing
+    deviation: np.ndarray  # (B, S, 8)
+
+    @classmethod
+    def collect(
+        cls,
+        identified: BearingTable,
+        modelled: BearingTable | None,
+        unknowns: Sequence[Sequence[str]],
+        deviation: np.ndarray | None,
+    ) -> Coefficients:
+        """What there is."""
+        nothing = np.full_like(identified.values, np.nan)
+        true = nothing if modelled is None else modelled.values
+        return cls(identified, true, unknowns, nothing if deviation is None else deviation)
+
+    @property
+    def compared(self) -> bool:
+        """Whether the truth is known."""
+        return bool(np.isfinite(self.modelled).any())
+
+    @property
+    def rpm(self) -> np.ndarray:
+        """(S,)."""
+        return to_rpm(self.identified.speeds)
+
+    def at(self, points: np.ndarray) -> Coefficients:
+        """The same at these points."""
+        table = self.identified.at(points)
+        return replace(self, identified=table, modelled=self.modelled[:, points], deviation=self.deviation[:, points])
+
+    def choose(self, letters: str) -> list[str]:
+        """The coefficients of these letters (k, c) that are identified of any bearing."""
+        named = {name for unknown in self.unknowns for name in unknown}
+        return [name for name in COEFFICIENTS if name[0] in letters and name in named]
+
+    def draw(
+        self, b: int, name: str, label: str, look: tuple[str, str], scale: float, count: int = 15, line: bool = False
+    ) -> list[Curve]:
+        """The truth as a line, identified values with their nominal 95 % band as markers (or a ``line``)."""
+        c, (colour, marker) = COEFFICIENTS.index(name), look
+        values, known = scale * self.identified.values[b, :, c], name not in self.unknowns[b]
+        if known:
+            shown = [Curve(self.rpm, values, f"{name} known, not identified", colour, "dash")]
+            return shown if values.any() else []
+        band = NOMINAL_95 * scale * self.deviation[b, :, c]
+        drawn = Curve(self.rpm, values, label, colour) if line else mark(self.rpm, values, label, colour, marker, count)
+        key = [Curve(NOTHING, NOTHING, "nominal 95 %", GREY, filled=True)] if np.isfinite(band).any() else []
+        return [
+            Curve(self.rpm, values, "", colour, "none", band=band),
+            Curve(self.rpm, scale * self.modelled[b, :, c], "modelled", BLACK, width=1.2),
+            replace(drawn, marker="o" if len(values) == 1 else drawn.marker),
+            *key,
+        ]
+
+    def measure_errors(self, b: int, name: str) -> np.ndarray:
+        """(S,) percent of the modelled coefficient; NaN where that is zero or not known."""
+        c = COEFFICIENTS.index(name)
+        true = np.where(self.modelled[b, :, c] == 0, np.nan, self.modelled[b, :, c])
+        return np.asarray(100 * np.abs(self.identified.values[b, :, c] - true) / np.abs(true))
+
+    def draw_errors(self, b: int, name: str, colour: str) -> list[Curve]:
+        """The error in percent, and dotted the nominal 95 % interval."""
+        c, error = COEFFICIENTS.index(name), self.measure_errors(b, name)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            stated = 100 * NOMINAL_95 * self.deviation[b, :, c] / np.abs(self.modelled[b, :, c])
+        return [
+            Curve(self.rpm, np.maximum(error, 1e-14), "", colour, width=1.2),
+            Curve(self.rpm, stated, "", colour, "dot", width=1.2),
+        ]
+
+
+def draw_bearing(shown: Coefficients, b: int, letter: str, si: bool = False) -> Panel:
+    """Every stiffness (``letter`` k) or damping (c) of a bearing; in SI with its error below where that is known."""
+    scale, measured_in = (1.0, unit(letter)) if si else UNITS[letter]
+    names = [name for name in COEFFICIENTS if name[0] == letter]
+    curves, errors = [], []
+    for name, look in zip(names, LOOKS, strict=False):
+        if name in shown.unknowns[b] or is_direct(name):
+            curves += shown.draw(b, name, f"{name} identified", look, scale)
+        errors += shown.draw_errors(b, name, look[0]) if name in shown.unknowns[b] else []
+    values = np.concatenate([curve.y for curve in curves] or [np.zeros(1)])
+    scaled = "log" if si and np.nanmin(values, initial=np.inf) > 0 else "linear"
+    axes = [Axes(curves, f"{KINDS[letter]} ({measured_in})", scale=scaled)]
+    if si and shown.compared and errors:
+        stated = ", and nominal\n95 % (dotted)" if np.isfinite(shown.deviation).any() else ""
+        axes.append(Axes(errors, f"error{stated} (%)", scale="log"))
+    return Panel(f"bearing at node {shown.identified.nodes[b]}", RPM, axes)
+
+
+def draw_coefficients(
+    path: Path,
+    letter: str,
+    identified: BearingTable,
+    modelled: BearingTable | None,
+    unknowns: Sequence[Sequence[str]],
+    deviation: np.ndarray | None = None,
+) -> Path:
+    """Paper, Figures 3 (``letter`` k) and 4 (c): coefficients over speed, and the error below.
+
+    ``unknowns`` are those of each bearing. A direct coefficient that was not identified is drawn as the known line that
+    it is. ``deviation`` (B, S, 8) is drawn as a band, and beside the error as nominal 95 % interval.
+    """
+    shown = Coefficients.collect(identified, modelled, unknowns, deviation)
+    panels = [draw_bearing(shown, b, letter, si=True) for b in range(len(identified.nodes))]
+    return write_figure(path, Figure(KINDS[letter], "", panels))
+
+
+def draw_identified(
+    path: Path,
+    identified: BearingTable,
+    modelled: BearingTable | None,
+    unknowns: Sequence[Sequence[str]],
+    deviation: np.ndarray | None,
+) -> Path:
+    """A row for stiffness and one for damping, a column a bearing; ``unknowns`` are those of each bearing.
+
+    Markers are identified, bands (of ``deviation``, (B, S, 8)) nominal 95 % intervals, thin lines the modelled truth.
+    """
+    shown = Coefficients.collect(identified, modelled, unknowns, deviation)
+    bearings = range(len(identified.nodes))
+    panels = [draw_bearing(shown, b, letter) for letter in "kc" if shown.choose(letter) for b in bearings]
+    return write_figure(path, Figure("identified", "", panels, columns=len(bearings)))
+
+
+def pick_states(speeds: np.ndarray, operating: Mapping[str, np.ndarray], most: int = 8) -> list[tuple[str, np.ndarray]]:
+    """The states of points (S,); of more than ``most``, so many from the first to the last."""
+    states = split_states(speeds, operating)
+    keep = np.unique(np.linspace(0, len(states) - 1, min(len(states), most)).round().astype(int))
+    return [states[i] for i in keep]
+
+
+def colour_states(count: int) -> list[str]:
+    """Colours from cold (blue) over purple to hot (orange), told apart in black and white by their lightness."""
+    from matplotlib import colormaps
+    from matplotlib.colors import to_hex
+
+    return [to_hex(colormaps["plasma"](share)) for share in np.linspace(0.05, 0.8, count)]
+
+
+def list_states(shown: Coefficients) -> list[tuple[str, Coefficients]]:
+    """Name of each measured state, and the answer at its points."""
+    picked = pick_states(shown.identified.speeds, shown.identified.operating)
+    return [(label, shown.at(points)) for label, points in picked]
+
+
+def draw_state_panels(
+    states: Sequence[tuple[str, Coefficients]], letters: str, compared: bool, beside: str = ""
+) -> list[Panel]:
+    """A panel a coefficient of each bearing, a line a state; the last has the colour ``beside`` where that is given.
+
+    ``compared`` adds the errors below. Where none of the ``letters`` was identified, the direct ones as they are known.
+    """
+    shown, colours = states[0][1], colour_states(len(states) - bool(beside)) + [beside] * bool(beside)
+    names, compared = shown.choose(letters), compared and shown.compared
+    known = [name for name in COEFFICIENTS if name[0] in letters and is_direct(name)] * (not names)
+    panels = []
+    for b, node in enumerate(shown.identified.nodes):
+        for name in known or [name for name in names if name in shown.unknowns[b]]:
+            (scale, measured_in), curves, errors = UNITS[name[0]], [], []
+            for (label, state), colour in zip(states, colours, strict=True):
+                answer = Coefficients.collect(state.identified, None, [[name]] * (b + 1), None) if known else state
+                curves += answer.draw(b, name, label, (colour, "o"), scale, 12, line=not answer.compared)
+                errors += answer.draw_errors(b, name, colour)
+            axes = [Axes(curves, f"{name} ({measured_in})")]
+            axes += [Axes(errors, "error (%)", scale="log")] if compared and not known else []
+            panels.append(Panel(f"{name}, node {node}{', known' if known else ''}", RPM, axes))
+    return panels
+
+
+def draw_states(
+    path: Path,
+    identified: BearingTable,
+    modelled: BearingTable | None,
+    unknowns: Sequence[Sequence[str]],
+    deviation: np.ndarray | None,
+    letter: str | None = None,
+) -> Path:
+    """Every identified coefficient over the speed, at each state; ``unknowns`` are those of each bearing.
+
+    Markers are identified, bands (of ``deviation``, (B, S, 8)) nominal 95 % intervals, thin lines the modelled truth.
+    With a ``letter`` (k or c) it is those alone, with the error of each in percent below it; where none of them was
+    identified, the direct ones as they are known.
+    """
+    states = list_states(Coefficients.collect(identified, modelled, unknowns, deviation))
+    panels = draw_state_panels(states, letter or "kc", letter is not None)
+    return write_figure(path, Figure(letter or "identified", "", panels, columns=min(4, len(panels))))

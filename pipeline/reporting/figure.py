@@ -1,0 +1,164 @@
+"""A figure as a value: panels of curves over axes with units, in colour-blind safe colours.
+
+Matplotlib draws it for PNG files and the PDF (``matplotlib_figures``), plotly for the page (``plotly_panels``). What is
+modelled is a line, what is identified markers. What has no finite number is neither drawn nor named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass, field, replace
+
+import numpy as np
+
+# Okabe and Ito's palette.
+BLUE, ORANGE, GREEN, PURPLE, SKY, GREY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#555555"
+YELLOW, BLACK = "#E69F00", "#000000"
+LOOKS = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"), (PURPLE, "D"), (SKY, "v"), (GREY, "x"), (YELLOW, "P"), (BLACK, "*"))
+"""Colours and markers of the curves that share a panel."""
+DASHES = ("solid", "dash", "dashdot", "dot")
+RPM = "rotor speed (rpm)"
+MICROMETRES = 1e6
+"""What a place in m is multiplied by, unless the reader chooses another unit."""
+NOTHING = np.empty(0)
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """Points (N,) that belong together, as a line, as markers or both; one without points is a key of the legend alone.
+
+    ``band`` (N,) is half the width of a filled band. ``dash`` is solid, dash, longdash, dot, dashdot or none. A
+    ``filled`` curve is the outline of an area; ``texts`` (N,) stand beside the points. Markers are open, or ``full``.
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    label: str = ""
+    colour: str = BLUE
+    dash: str = "solid"
+    marker: str = ""
+    _: KW_ONLY
+    band: np.ndarray = field(default_factory=lambda: NOTHING)
+    filled: bool = False
+    full: bool = False
+    texts: Sequence[str] = ()
+    width: float = 1.6
+    size: float = 4.0
+    alpha: float = 1.0
+
+    @property
+    def shown(self) -> bool:
+        """Whether there is a finite number to draw, or the curve is a key of the legend."""
+        return not len(self.y) or bool(np.isfinite(self.y).any())
+
+    def thin(self, most: int = 300) -> Curve:
+        """The same line with at most about so many points, the highest and the last among them; all markers."""
+        every = -(-len(self.x) // most)
+        if every <= 1 or self.filled or self.dash == "none":
+            return self
+        keep = np.unique(np.r_[0 : len(self.x) : every, len(self.x) - 1, int(np.nanargmax(np.nan_to_num(self.y)))])
+        return replace(self, x=self.x[keep], y=self.y[keep], band=self.band[keep] if len(self.band) else self.band)
+
+    def edges(self, logarithmic: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """x and both ends of the band where they are known; over a logarithmic axis never down to zero."""
+        x, y = self.x[: len(self.band)], self.y[: len(self.band)]
+        known = np.isfinite(self.band) & np.isfinite(y)
+        x, y, half = x[known], y[known], self.band[known]
+        return x, np.where(logarithmic & (y > 0) & (y <= half), 1e-3 * y, y - half), y + half
+
+
+def mark(x: np.ndarray, y: np.ndarray, label: str, colour: str, marker: str = "o", count: int = 30) -> Curve:
+    """About ``count`` open markers of a curve, as many as can be told apart."""
+    every = slice(None, None, max(1, len(x) // count))
+    return Curve(x[every], y[every], label, colour, "none", marker)
+
+
+@dataclass(frozen=True, eq=False)
+class Axes:
+    """Curves over one pair of axes.
+
+    ``scale`` is linear, log or symlog. ``quantity`` is ``amplitude`` (y is one, in m, zero-to-peak; in an orbit x and y
+    are places, in m) or ``lag`` (y is one, in degrees): the page shows either in the reader's own unit. ``y_names``
+    stand at 0, 1, ... from above to below; ``rules`` are vertical lines with words.
+    """
+
+    curves: Sequence[Curve]
+    y_title: str
+    _: KW_ONLY
+    scale: str = "linear"
+    quantity: str = ""
+    y_range: Sequence[float] = ()
+    y_names: Sequence[str] = ()
+    rules: Sequence[tuple[float, str]] = ()
+
+    @property
+    def decades(self) -> float:
+        """How many powers of ten the values span."""
+        return count_decades([curve.y for curve in self.curves])
+
+
+def count_decades(values: Sequence[np.ndarray]) -> float:
+    """How many powers of ten the positive numbers among these span."""
+    every = np.concatenate([NOTHING, *map(np.abs, values)])
+    every = every[np.isfinite(every) & (every > 0)]
+    return float(np.log10(every.max() / every.min())) if len(every) else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class HeatMap:
+    """Levels z (Y, X) over x (X,) and y (Y,); ``colours`` is a colour map of matplotlib, ``reach`` its ends."""
+
+    x: np.ndarray
+    y: np.ndarray
+    z: np.ndarray
+    title: str
+    colours: str = "cividis"
+    reach: tuple[float | None, float | None] = (None, None)
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """Axes one above the other that share x; or an orbit (``equal``), a polar plot, or a map of levels.
+
+    ``polar`` is the angle (deg, from x towards y) at which a lag of zero is drawn: curves are lag (deg) and amplitude.
+    ``x_names`` stand at 0, 1, ...; ``legend`` says that the panel has one of its own.
+    """
+
+    title: str
+    x_title: str
+    axes: Sequence[Axes]
+    _: KW_ONLY
+    equal: bool = False
+    polar: float = float("nan")
+    wide: bool = False
+    bare: bool = False  # no axes, as in a sketch
+    heat: HeatMap | None = None
+    log_x: bool = False
+    x_range: Sequence[float] = ()
+    x_names: Sequence[str] = ()
+    legend: bool = False
+
+    @property
+    def round(self) -> bool:
+        """Whether the panel is a polar plot."""
+        return not np.isnan(self.polar)
+
+    def list_keys(self) -> list[Curve]:
+        """The curves that a legend names, each label once, the first of them."""
+        curves = [curve for axes in self.axes for curve in axes.curves if curve.label and curve.shown]
+        return list({curve.label: curve for curve in curves[::-1]}.values())[::-1]
+
+
+@dataclass(frozen=True, eq=False)
+class Figure:
+    """Panels in ``columns``, with one legend and one caption."""
+
+    name: str
+    caption: str
+    panels: Sequence[Panel]
+    columns: int = 2
+
+    def legend(self) -> list[Curve]:
+        """What the legend of all panels names, but of those that have their own."""
+        curves = [curve for panel in self.panels if not panel.legend for curve in panel.list_keys()]
+        return list({curve.label: curve for curve in curves[::-1]}.values())[::-1]

@@ -1,0 +1,236 @@
+"""Figures drawn by matplotlib: a PNG of all panels, or a row of them for a page. Axes are placed by hand, for speed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from textwrap import wrap
+from typing import Any
+
+import numpy as np
+
+from pipeline.files import write_beside
+from pipeline.reporting.figure import (
+    GREY,
+    MICROMETRES,
+    Axes,
+    Curve,
+    Figure,
+    HeatMap,
+    Panel,
+    count_decades,
+)
+from pipeline.reporting.tables import MICROMETRES_PEAK_TO_PEAK
+from pipeline.reporting.write_numbers import write_number
+
+PANEL_WIDTH = 3.66  # inches
+_DASHES: dict[str, Any] = {"longdash": (0, (8, 3)), "solid": "-", "dash": "--", "dashdot": "-.", "dot": ":", "none": ""}
+_STYLE: dict[Any, Any] = {
+    "font.size": 7.5,
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "legend.frameon": False,
+}
+
+
+def write_figure(path: Path, figure: Figure, dots_an_inch: int = 160) -> Path:
+    """Write a PNG of all panels, with legend and caption above. Raises StorageError."""
+    from matplotlib import rc_context
+
+    with rc_context(_STYLE):
+        drawing = draw_panels(figure.panels, figure.legend(), figure.columns, figure.caption)
+        return write_beside(path, lambda beside: drawing.savefig(beside, dpi=dots_an_inch))
+
+
+def draw_image(panels: Sequence[Panel], legend: Sequence[Curve], columns: int, dots_an_inch: int) -> tuple[Any, float]:
+    """The picture of panels, and its height in inches."""
+    from matplotlib import rc_context
+    from PIL import Image
+
+    with rc_context(_STYLE):
+        drawing = draw_panels(panels, legend, columns)
+        drawing.set_dpi(dots_an_inch)
+        drawing.canvas.draw()
+        return Image.fromarray(np.asarray(drawing.canvas.buffer_rgba())[..., :3].copy()), drawing.get_figheight()
+
+
+def draw_panels(panels: Sequence[Panel], legend: Sequence[Curve], columns: int, caption: str = "") -> Any:
+    """Matplotlib's figure of panels in so many ``columns``; a single column is as wide as two."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure as Drawing
+
+    width = PANEL_WIDTH * max(columns, 2)
+    each, across = width / columns, max(4, 2 * columns)
+    lines = wrap(caption, int(18 * width))
+    above = 0.06 + 0.14 * len(lines)
+    top = above + 0.17 * -(-len(legend) // across)
+    rows = [panels[first : first + columns] for first in range(0, len(panels), columns)]
+    heights = [max(map(_measure_height, row)) for row in rows]
+    height = top + sum(heights)
+    drawing = Drawing(figsize=(width, height))
+    FigureCanvasAgg(drawing)
+    for r, row in enumerate(rows):
+        bottom = height - top - sum(heights[: r + 1])
+        for i, panel in enumerate(row):
+            left, below = _measure_margins(panel)
+            lift = 0.42 if panel.round else 0.22 + 0.13 * (len(_wrap_title(panel)) - 1)  # for the angles around it
+            box = np.array([i * each + left, bottom + below, each - left - 0.14, heights[r] - below - lift])
+            _draw_panel(drawing, panel, box / [width, height, width, height])
+    if lines:
+        drawing.text(0.01, 1 - 0.05 / height, "\n".join(lines), va="top", fontsize=7)
+    if legend:
+        place = {"bbox_to_anchor": (0.0, 1 - above / height), "borderaxespad": 0.1, "fontsize": 7}
+        drawing.legend(handles=[_draw_key(curve) for curve in legend], loc="upper left", ncols=across, **place)
+    return drawing
+
+
+def _measure_height(panel: Panel) -> float:
+    """Inches of a panel with its title and the words below it."""
+    inner = 1.9 + 0.9 * (len(panel.axes) - 1)
+    if panel.equal or panel.round:
+        inner = 4.4 if panel.wide else 2.2
+    names = max(len(axes.y_names) for axes in panel.axes)
+    title = 0.12 + 0.13 * len(_wrap_title(panel)) + 0.3 * panel.round
+    return max(inner, 0.24 * names) + _measure_margins(panel)[1] + title
+
+
+def _measure_margins(panel: Panel) -> tuple[float, float]:
+    """Inches left of a panel and below it, for the words at its ticks."""
+    longest = max([0, *(len(name) for axes in panel.axes for name in axes.y_names)])
+    lines = 1 + max([0, *(name.count("\n") for name in panel.x_names)])
+    below = 0.062 * max(map(len, panel.x_names)) if _is_turned(panel) else 0.12 * (lines - 1)
+    titles = max(axes.y_title.count("\n") for axes in panel.axes)
+    return max(0.62 + 0.12 * titles, 0.36 + 0.056 * longest), 0.42 + below
+
+
+def _wrap_title(panel: Panel) -> list[str]:
+    """The lines of a title above its panel."""
+    return [line for text in panel.title.split("\n") for line in wrap(text, 110 if panel.wide else 54) or [""]]
+
+
+def _is_turned(panel: Panel) -> bool:
+    """Whether the names below a panel have no place side by side."""
+    longest = [max(map(len, name.split("\n"))) for name in panel.x_names]
+    return 0.06 * len(longest) * max([0, *longest]) > PANEL_WIDTH * (2 if panel.wide else 1)
+
+
+def _draw_key(curve: Curve) -> Any:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    if curve.filled:
+        return Patch(facecolor=curve.colour, alpha=0.3, edgecolor=curve.colour, label=curve.label)
+    look: dict[str, Any] = {"color": curve.colour, "ls": _DASHES[curve.dash], "marker": curve.marker or None}
+    face = curve.colour if curve.full else "none"
+    return Line2D([], [], mfc=face, ms=4, lw=min(0.8 * curve.width, 4), label=curve.label, **look)
+
+
+def _draw_panel(drawing: Any, panel: Panel, box: np.ndarray) -> None:
+    from matplotlib.ticker import MaxNLocator
+
+    left, bottom, width, height = box
+    if panel.round:
+        ax = drawing.add_axes(tuple(box), projection="polar")
+        ax.set_theta_offset(np.radians(panel.polar))
+        ax.set_theta_direction(-1)
+        for curve in panel.axes[0].curves:
+            _draw_curve(ax, curve, (np.pi / 180, MICROMETRES_PEAK_TO_PEAK))
+        ax.set_title(panel.title, fontsize=8, loc="left", x=-0.3, y=1.04)
+        ax.tick_params(labelsize=6)
+        ax.yaxis.set_major_locator(MaxNLocator(4))
+        return
+    shares = np.array([1.5, *([1.0] * (len(panel.axes) - 1))])
+    shares *= (1 - 0.04 * (len(shares) - 1)) / shares.sum()
+    for i, axes in enumerate(panel.axes):
+        ax = drawing.add_axes(
+            (left, bottom + height * (1 - shares[: i + 1].sum() - 0.04 * i), width, height * shares[i])
+        )
+        if panel.heat is not None:
+            _draw_heat(drawing, ax, panel.heat)
+        _draw_axes(ax, axes, panel)
+        if i == 0:
+            ax.set_title("\n".join(_wrap_title(panel)), fontsize=8, loc="left")
+        ax.tick_params(labelbottom=i == len(shares) - 1)
+    ax.set_xlabel(panel.x_title, labelpad=1)
+    if panel.legend:
+        keys = panel.list_keys()
+        columns = 2 if max(len(key.label) for key in keys) < 25 else 1
+        drawing.axes[-len(shares)].legend(handles=[_draw_key(key) for key in keys], fontsize=6.5, ncols=columns)
+
+
+def _draw_axes(ax: Any, axes: Axes, panel: Panel) -> None:
+    places = MICROMETRES if panel.equal else MICROMETRES_PEAK_TO_PEAK
+    scale = places if axes.quantity == "amplitude" else 1.0
+    if axes.scale == "symlog":
+        ax.set_yscale("symlog", linthresh=0.1)
+        ax.yaxis.set_major_formatter("{x:g}")
+    elif axes.scale == "log":
+        _set_logarithmic(ax, "y", axes.decades)
+    if panel.log_x:
+        _set_logarithmic(ax, "x", count_decades([curve.x for curve in axes.curves]))
+    for curve in axes.curves:
+        _draw_curve(ax, curve, (scale if panel.equal else 1.0, scale))
+    for at, text in axes.rules:
+        ax.axvline(at, color=GREY, lw=0.8, ls=":")
+        look = {"xytext": (3, -8), "textcoords": "offset points", "color": GREY, "fontsize": 6.5}
+        ax.annotate(text, (at, 1), xycoords=("data", "axes fraction"), **look)
+    if ax.get_yscale() == "linear" and np.abs(ax.get_ylim()).max() >= 1e5:
+        ax.yaxis.set_major_formatter(lambda value, _: write_number(value, digits=4))
+    ax.set_ylabel(axes.y_title, labelpad=2)
+    if axes.y_names:
+        ax.set_yticks(range(len(axes.y_names)), axes.y_names)
+        ax.set_ylim(len(axes.y_names) - 0.5, -0.5)
+    if panel.x_names:
+        turned = {"rotation": 60, "ha": "right", "rotation_mode": "anchor"} if _is_turned(panel) else {}
+        ax.set_xticks(range(len(panel.x_names)), panel.x_names, **turned)
+        ax.set_xlim(-0.5, len(panel.x_names) - 0.5)
+    if len(axes.y_range):
+        ax.set_ylim(*axes.y_range)
+    if len(panel.x_range):
+        ax.set_xlim(*panel.x_range)
+    if panel.equal:
+        ax.set_aspect("equal", adjustable="datalim")
+    if panel.bare:
+        ax.yaxis.set_visible(False)
+        ax.xaxis.set_visible(bool(panel.x_title))
+        ax.spines[:].set_visible(False)
+        ax.grid(False)
+
+
+def _set_logarithmic(ax: Any, letter: str, decades: float) -> None:
+    """Of few powers of ten, ticks between them, with plain numbers."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    ax.set(**{f"{letter}scale": "log"})
+    if decades < 2.5:
+        axis = getattr(ax, f"{letter}axis")
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_formatter(lambda value, _: write_number(value, digits=3))
+        axis.set_minor_formatter(NullFormatter())
+
+
+def _draw_curve(ax: Any, curve: Curve, scales: tuple[float, float]) -> None:
+    if not curve.shown or not len(curve.x):
+        return
+    x, y, look = scales[0] * curve.x, scales[1] * curve.y, {"color": curve.colour, "alpha": 0.25 * curve.alpha, "lw": 0}
+    if curve.filled:
+        ax.fill(x, y, **look)
+    edges, low, high = curve.edges(ax.get_yscale() == "log")
+    if len(edges):
+        ax.fill_between(scales[0] * edges, scales[1] * low, scales[1] * high, **look)
+    style: dict[str, Any] = {"ls": _DASHES[curve.dash], "marker": curve.marker or None, "ms": curve.size}
+    style |= {"mfc": curve.colour if curve.full else "none", "alpha": curve.alpha, "lw": 0.75 * curve.width}
+    ax.plot(x, y, color=curve.colour, clip_on=not curve.texts and not curve.full, **style)
+    beside = {"xytext": (0, 3), "textcoords": "offset points", "ha": "center", "fontsize": 6, "color": curve.colour}
+    for text, at_x, at_y in zip(curve.texts, x, y, strict=False):
+        ax.annotate(text, (at_x, at_y), **beside)
+
+
+def _draw_heat(drawing: Any, ax: Any, heat: HeatMap) -> None:
+    look = {"cmap": heat.colours, "vmin": heat.reach[0], "vmax": heat.reach[1], "shading": "nearest"}
+    drawn = ax.pcolormesh(heat.x, heat.y, heat.z, rasterized=True, **look)
+    ax.grid(False)
+    if heat.title:
+        drawing.colorbar(drawn, ax=ax, pad=0.02).set_label(heat.title, color=GREY)

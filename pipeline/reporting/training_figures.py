@@ -1,0 +1,107 @@
+"""Figures of training: its loss over the steps, and answers from other guesses, seeds and data sets."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from string import ascii_lowercase
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.coefficients import unit
+from pipeline.data.tables import read_table
+from pipeline.reporting.figure import BLUE, GREY, LOOKS, ORANGE, Axes, Curve, Figure, Panel
+from pipeline.reporting.matplotlib_figures import write_figure
+from pipeline.rotor.bearing_table import BearingTable
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from pipeline.identification.residual_loss import ResidualTraining
+    from pipeline.identification.training import Minimum
+
+
+def draw_history(path: Path, history: Path, label: str, large_ratio: float = 2.0) -> Path:
+    """The loss, which ``label`` names, over the steps of training, on training and held-out speeds.
+
+    A loss that falls by less than ``large_ratio`` is read better on a linear axis.
+    """
+    table = read_table(history, {"step": "number", "phase": "text", "loss": "number"})
+    step, loss, phase = table["step"], table["loss"], table["phase"]
+    curves = [Curve(step, loss, "training speeds")]
+    if "held_out_loss" in table:
+        curves.append(Curve(step, table["held_out_loss"], "held-out speeds", ORANGE, "dash"))
+    rules = [(step[phase == name][0], str(name).replace("_", "-")) for name in dict.fromkeys(phase) if name != "start"]
+    linear = loss.max() <= large_ratio * loss.min()  # false of a loss that is no number, which has a large range
+    axes = Axes(curves, label, scale="linear" if linear else "log", rules=rules)
+    return write_figure(path, Figure("training", "", [Panel("", "training step", [axes])], columns=1))
+
+
+def draw_robustness(
+    path: Path,
+    training: ResidualTraining,
+    minimum: Minimum,
+    over: str,
+    rows: pd.DataFrame,
+    modelled: BearingTable | None,
+) -> Path:
+    """Paper, Figure 2: the stiffnesses on their way from every guess; final errors over guesses or seeds."""
+    if not minimum.trajectory:
+        return _draw_final_errors(path, rows, over)
+    model, nodes = training.model, training.measurement.rotor.bearing_nodes
+    steps = np.array([step for step, _ in minimum.trajectory])
+    scale = model.scale_tensor()[:, 0]
+    # (T, G, M, U)
+    paths = np.stack([model.physical(state, scale)[0].detach().numpy() for _, state in minimum.trajectory])
+    guesses, members = paths.shape[1:3]
+    panels: list[Panel] = []
+    for m in range(members):
+        where = f"bearing at node {nodes[m]}" if members == len(nodes) else "all bearings"
+        for u, name in enumerate(model.unknowns):
+            label = f"{guesses} initial guesses"
+            curves = [Curve(steps, paths[:, g, m, u], label, width=0.9, alpha=0.6) for g in range(guesses)]
+            if modelled is not None:
+                true = np.full(2, modelled.coefficient(name)[m, 0])
+                curves.append(Curve(steps[[0, -1]], true, "modelled", ORANGE, "dash", width=2.0))
+            title = f"({ascii_lowercase[len(panels)]}) {name}, {where}"
+            panels.append(Panel(title, "training step", [Axes(curves, f"{name} ({unit(name)})", scale="log")]))
+    return write_figure(path, Figure("robustness", "", panels, columns=len(model.unknowns)))
+
+
+def _draw_final_errors(path: Path, rows: pd.DataFrame, over: str) -> Path:
+    """A marker a guess or seed, bearing and coefficient; open ones where colours repeat."""
+    has_truth = rows["mean_error_percent"].notna().all()
+    quantity, label = ("mean_error_percent", "mean error over speeds (%)") if has_truth else ("loss", "loss (-)")
+    curves = []
+    for i, ((node, name), group) in enumerate(rows.groupby(["bearing_node", "coefficient"], sort=False)):
+        x, y, look = group[over].to_numpy(), group[quantity].to_numpy(), LOOKS[i % len(LOOKS)]
+        curves.append(Curve(x, y, f"node {node} {name}", look[0], "none", look[1], size=6, full=i < len(LOOKS)))
+    title = "seed" if over == "seed" else "initial guess of the stiffness (N/m)"
+    panel = Panel("", title, [Axes(curves, label, scale="log")], log_x=over == "initial_guess")
+    return write_figure(path, Figure("robustness", "", [panel], columns=1))
+
+
+def draw_refits(path: Path, rows: pd.DataFrame) -> Path:
+    """Above, the median error over speed of every data set; below, the share of speeds inside the 95 % interval."""
+    groups = list(rows.groupby(["bearing_node", "coefficient"], sort=False))
+    generator, places = np.random.default_rng(0), np.arange(len(groups))
+    errors = [group["median_error_percent"].to_numpy() for _, group in groups]
+    aside = [i + generator.uniform(-0.25, 0.25, len(group)) for i, group in enumerate(errors)]
+    medians = np.array([np.median(group) for group in errors])
+    inside = np.array([group["within_95_percent_interval"].mean() for _, group in groups])
+    ends = np.array([-0.5, len(groups) - 0.5])
+    above = [
+        Curve(np.concatenate(aside), np.concatenate(errors), "data set", BLUE, "none", "o", size=3, alpha=0.5),
+        Curve(places, medians, "median", ORANGE, "none", "_", size=14),
+    ]
+    below = [
+        Curve(ends, np.full(2, 94.0), "", GREY, "none", band=np.full(2, 4.0)),
+        Curve(ends, np.full(2, 95.0), "", GREY, "dash", width=1.3),
+        Curve(places, inside, "", BLUE, "none", "s", size=6, full=True),
+    ]
+    axes = [
+        Axes(above, "median error over speed (%)", scale="log"),
+        Axes(below, "inside the nominal\n95 % interval (%)", y_range=(80, 100)),
+    ]
+    names = [f"{name}\nnode {node}" for (node, name), _ in groups]
+    return write_figure(path, Figure("robustness", "", [Panel("", "", axes, x_names=names, wide=True)], columns=1))

@@ -1,0 +1,177 @@
+"""The digital twin of a machine: what it does where nobody measured, beside the truth where the machine is modelled.
+
+Legend: S speeds, B bearings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.config.machine import MachineConfig
+from pipeline.data.as_built import build_rotor, refine_nodes, stand_on_pedestals
+from pipeline.data.dataset import Excitation
+from pipeline.data.vibration_files import find_speed
+from pipeline.errors import ConfigError, PipelineError
+from pipeline.identification.restored import Answer
+from pipeline.problem.measurement import Measurement
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.model import RotorModel, translation_dof
+from pipeline.rotor.stored import load_modelled_bearings, require_nodes
+from pipeline.twin.at_conditions import evaluate_at, mask_state, pick_middle, require_conditions, table_at
+from pipeline.twin.mode_deviations import Behaviour, describe_modes, deviate_modes
+from pipeline.twin.modes import find_modes
+from pipeline.twin.prediction import PredictedVibration, add_deviation, predict
+from pipeline.twin.superposition import superpose
+
+OPERATING = "machine.prediction.operating"
+
+
+@dataclass(frozen=True, eq=False)
+class Twin:
+    """The behaviour of the identified system, and of the modelled one where there is a truth, by the system's name."""
+
+    systems: Mapping[str, BearingTable]
+    vibration: Mapping[str, PredictedVibration]  # under the unbalance that no run has
+    behaviour: Mapping[str, Behaviour]
+    at: int  # index of the prediction's speed
+    operating: Mapping[str, float]  # the conditions of the prediction, SI; at each speed once
+
+
+def build_twin(machine: MachineConfig, answer: Answer, modelled: BearingTable | None) -> Twin:
+    """The twin at the conditions of the prediction; ``modelled`` are the true coefficients at the points of the data.
+
+    Raises ConfigError for conditions, nodes or a speed that the machine lacks, and for an unbalance that a run has.
+    """
+    stated, unseen, node = answer.measurement, list_unseen(machine), machine.prediction.node
+    operating = choose_operating(machine, stated.dataset.operating)
+    points, identified = evaluate_at(answer.model, stated, operating, OPERATING)
+    truth = _truth_at(machine, stated, modelled, operating)
+    require_nodes(stated.rotor, "machine.prediction", [node, *(unbalance.node for unbalance in unseen)])
+    at = find_speed(machine.prediction.speed_rpm, identified.speeds)
+    if (run := find_same_run(unseen, stated.dataset.excitations)) is not None:
+        raise ConfigError(
+            f"machine.prediction.unbalances must be an unbalance that training never saw, but run '{run}' is the same"
+        )
+    systems: dict[str, BearingTable] = {}
+    vibration: dict[str, PredictedVibration] = {}
+    behaviour: dict[str, Behaviour] = {}
+    if truth is not None:
+        rotor, truth, acting, place = _build(machine, stated.rotor, truth, unseen)
+        systems["modelled"], vibration["modelled"] = truth, predict(rotor, truth, acting, place)
+        behaviour["modelled"] = describe_modes(find_modes(rotor, truth))
+    systems["identified"] = identified
+    vibration["identified"] = predict(points.updated_rotor, identified, unseen, node)
+    modes = find_modes(points.updated_rotor, identified)
+    deviations = None
+    if answer.uncertainty is not None:
+        given = (answer.model, answer.uncertainty)
+        vibration["identified"] = add_deviation(vibration["identified"], points, identified, unseen, *given)
+        deviations = deviate_modes(modes, points, identified, *given)
+    behaviour["identified"] = describe_modes(modes, deviations)
+    return Twin(systems, vibration, behaviour, at, operating)
+
+
+def _build(
+    machine: MachineConfig, rotor: RotorModel, truth: BearingTable, unseen: tuple[Excitation, ...]
+) -> tuple[RotorModel, BearingTable, tuple[Excitation, ...], int]:
+    """The modelled machine as it was built, which has nodes of its own: rotor, bearings, unbalance, node."""
+    built, node = machine.as_built, machine.prediction.node
+    if built is None:
+        return rotor, truth, unseen, node
+    acting = refine_nodes(unseen, built)
+    return build_rotor(machine.rotor, built), stand_on_pedestals(truth, built), acting, built.refinement * node
+
+
+def choose_operating(machine: MachineConfig, measured: Mapping[str, np.ndarray]) -> dict[str, float]:
+    """The conditions of the prediction, SI: the configured ones, or those in the middle of the ``measured`` ones (S,).
+
+    Empty for data without conditions. Raises ConfigError for a condition that is missing, or that the data lack.
+    """
+    given = machine.prediction.operating
+    if not given:
+        return pick_middle(measured)
+    require_conditions(OPERATING, given, measured)
+    return {name: given[name] for name in measured}
+
+
+def _truth_at(
+    machine: MachineConfig, measurement: Measurement, modelled: BearingTable | None, operating: Mapping[str, float]
+) -> BearingTable | None:
+    """The modelled coefficients at the conditions of the prediction; None where nothing says them there."""
+    dataset = measurement.dataset
+    if modelled is None or not dataset.operating:
+        return modelled
+    speeds = np.unique(dataset.speeds)
+    if np.array_equal(np.unique(dataset.speeds[mask_state(dataset.operating, operating)]), speeds):
+        return table_at(modelled, operating, OPERATING)
+    if machine.recordings.format != "none":
+        return None
+    beside = {name: np.full(len(speeds), value) for name, value in operating.items()}
+    return load_modelled_bearings(machine.rotor, machine.bearings, speeds, beside)
+
+
+def superpose_unseen(
+    machine: MachineConfig, measurement: Measurement, operating: Mapping[str, float]
+) -> np.ndarray | None:
+    """(S, 2) complex, m: x and y of the prediction's node from the runs alone, without a bearing model.
+
+    None where no sum of the runs is the unbalance, no probes show the node, or not all runs were measured at the
+    conditions of the prediction, at every speed.
+    """
+    dataset, node = measurement.dataset, machine.prediction.node
+    if dataset.operating:
+        mask = mask_state(dataset.operating, operating)
+        mask &= dataset.present.all(axis=1)
+        if not np.array_equal(dataset.speeds[mask], np.unique(dataset.speeds)):
+            return None
+        dataset = dataset.at(mask)
+    dof, resolution = dataset.resolution()
+    rows = [np.flatnonzero(dof == translation_dof(node, direction)) for direction in range(2)]
+    runs = range(len(dataset.runs))
+    summed = superpose(dataset, runs, list_unseen(machine), dataset.speeds, bool(measurement.unknowns.planes))
+    if summed is None or not all(len(row) for row in rows):
+        return None
+    return summed @ resolution[np.concatenate(rows)].T
+
+
+def list_unseen(machine: MachineConfig) -> tuple[Excitation, ...]:
+    """The unbalances that the twin is judged by, as one run."""
+    return tuple(
+        Excitation("prediction", "unbalance", u.node, u.magnitude, u.phase) for u in machine.prediction.unbalances
+    )
+
+
+def find_same_run(unseen: tuple[Excitation, ...], seen: tuple[Excitation, ...]) -> str | None:
+    """The run of ``seen`` whose excitation is ``unseen``; None where training never saw it."""
+
+    def shape(forces: list[Excitation]) -> set[tuple[object, ...]]:
+        return {(e.kind, e.node, e.magnitude, e.phase, e.whirl) for e in forces}
+
+    runs = dict.fromkeys(e.run for e in seen)
+    return next((run for run in runs if shape([e for e in seen if e.run == run]) == shape(list(unseen))), None)
+
+
+def measure_unseen(
+    machine: MachineConfig, measurement: Measurement, answers: Sequence[BearingTable], modelled: BearingTable | None
+) -> float | None:
+    """Error of the vibration never seen, percent: the mean over speed, of the worst answer and direction.
+
+    None without a truth, and where this rotor lacks the prediction's nodes, a run has the very unbalance, or an answer
+    is not finite.
+    """
+    unseen, node, rotor = list_unseen(machine), machine.prediction.node, measurement.rotor
+    lacks = max(node, *(force.node for force in unseen)) >= rotor.n_nodes
+    if modelled is None or lacks or find_same_run(unseen, measurement.dataset.excitations):
+        return None
+    if not all(np.isfinite(answer.values).all() for answer in answers):
+        return None
+    try:
+        true = predict(rotor, modelled, unseen, node)
+        errors = [predict(rotor, answer, unseen, node).error_percent(true).mean(axis=0).max() for answer in answers]
+    except PipelineError:  # a diverged start may have a singular machine
+        return None
+    worst = float(max([0.0, *errors]))
+    return worst if np.isfinite(worst) else None
