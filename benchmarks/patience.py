@@ -59,10 +59,11 @@ def _waits(action: Action, patience: float) -> Times:
 
 
 def _track(uri: str, patience: float) -> list[str]:
-    from pipeline.tracking import StageRecord, TrackingSettings, track
+    from pipeline.config.schema import TrackingConfig
+    from pipeline.tracking import StageRecord, track
 
     record = StageRecord("rig", "train", time.time() - 1, time.time(), {}, {}, {})
-    return track(record, TrackingSettings(True, uri, patience))
+    return track(record, TrackingConfig(enabled=True, uri=uri, timeout_seconds=patience))
 
 
 def _refused_study(place: str, patience: float) -> Callable[[], None]:

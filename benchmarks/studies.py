@@ -27,15 +27,16 @@ _EXPERIMENT = "experiment=hydrostatic_stiffness"
 )
 def study_overhead() -> Times:
     """What is not training, as a share."""
+    from pipeline.config.schema import TrackingConfig
     from pipeline.stages.tune import record_trial
-    from pipeline.tracking import StageRecord, TrackingSettings, track
+    from pipeline.tracking import StageRecord, track
 
     overhead, whole = [], []
     for _ in range(3):
         with TemporaryDirectory() as folder:
             trials, wall = _studied(Path(folder), "tuning.n_trials=24")
-            settings = TrackingSettings(True, f"sqlite:///{folder}/mlflow.db", 30.0)
-            children = [record_trial(trial) for trial in trials]
+            settings = TrackingConfig(enabled=True, uri=f"sqlite:///{folder}/mlflow.db", timeout_seconds=30.0)
+            children = [record_trial("x", trial) for trial in trials]
             record = StageRecord("x", "tune", time.time() - 1, time.time(), {}, {}, {}, children=children)
             track(replace(record, children=()), settings)  # makes the database
             tracking = seconds(partial(track, record, settings))

@@ -20,71 +20,63 @@ import yaml
 
 from pipeline.files import write_json
 
-PACKAGE = Path(__file__).resolve().parents[1] / "pipeline"
-
-STUDIES = ("folds",)
-"""Studies of dvc.yaml, by their folders."""
+ROOT = Path(__file__).resolve().parents[1]
 
 HARMLESS = (
-    "tracking/",
-    "reporting/console.py",
-    "errors.py",
-    "cache.py",
-    "py.typed",
-    "stages/machine_file.yaml",
+    "pipeline/tracking/",
+    "pipeline/reporting/console.py",
+    "pipeline/errors.py",
+    "pipeline/cache.py",
+    "pipeline/exits.py",
+    "pipeline/py.typed",
+    "pipeline/stages/machine_file.yaml",
 )
 """What a stage imports for its messages and records alone, and what `new` writes: no file of an experiment follows from
 these."""
 
 
-def hash_code(package: Path = PACKAGE) -> dict[str, dict[str, str]]:
-    """Stage or study -> room -> hash of the files of that room which it needs; ``pipeline`` has those of no room.
+def hash_code(root: Path = ROOT) -> dict[str, dict[str, str]]:
+    """Stage -> room -> hash of the files of that room which the stage needs; ``pipeline`` has those of no room.
 
-    What lies beside the script of a study is a dependency of its own.
+    A script of a study, which runs on the package, is there as ``study_`` and its name.
     """
-    needed = {path.stem: list_needed(path, package) for path in package.glob("stages/[a-z]*.py")}
-    for name in STUDIES:
-        scripts = list((package.parent / "studies" / name).glob("*.py"))
-        imported = {file for script in scripts for file in _list_imported(script, package)}
-        needed[name] = frozenset().union(*(list_needed(file, package) for file in imported))
-    return {name: _hash_rooms(package, files) for name, files in needed.items()}
+    programs = {path.stem: path for path in root.glob("pipeline/stages/[a-z]*.py")}
+    programs |= {f"study_{path.stem}": path for path in root.glob("studies/*/*.py") if path.stem == path.parent.name}
+    return {name: _hash_rooms(root, list_needed(path, root)) for name, path in sorted(programs.items())}
 
 
-def _hash_rooms(package: Path, files: frozenset[Path]) -> dict[str, str]:
-    rooms: defaultdict[str, list[Path]] = defaultdict(list)
-    for path in sorted(files):
-        rooms[path.relative_to(package.parent).parts[-2 if path.parent == package else 1]].append(path)
-    return {
-        room: _hash(
-            [(path.relative_to(package).as_posix(), hashlib.sha256(path.read_bytes()).hexdigest()) for path in paths]
-        )
-        for room, paths in sorted(rooms.items())
-    }
+def _hash_rooms(root: Path, files: frozenset[Path]) -> dict[str, str]:
+    rooms: defaultdict[str, dict[str, str]] = defaultdict(dict)
+    for path in files:
+        name = path.relative_to(root)
+        room = name.parts[1] if name.parts[0] == "pipeline" and len(name.parts) > 2 else name.parts[0]
+        rooms[room][name.as_posix()] = hashlib.sha256(path.read_bytes()).hexdigest()
+    return {room: _hash(hashes) for room, hashes in sorted(rooms.items())}
 
 
-def list_needed(stage: Path, package: Path = PACKAGE) -> frozenset[Path]:
-    """All that the module of a stage imports, directly or not, and the data files beside that.
+def list_needed(program: Path, root: Path = ROOT) -> frozenset[Path]:
+    """All that a stage or a script imports, directly or not, and the data files beside that.
 
-    The other stages are run by name, not imported.
+    Other stages are run by name, not imported.
     """
     seen: set[Path] = set()
-    todo = [stage]
+    todo = [program]
     while todo:
         path = todo.pop()
-        if path not in seen and not _is_harmless(path, package):
+        if path not in seen and not _is_harmless(path, root):
             seen.add(path)
-            todo += _list_imported(path, package)
+            todo += _list_imported(path, root)
     folders = {path.parent for path in seen}
-    return frozenset(seen | {path for path in _list_data(package) if _find_code(path) in folders})
+    return frozenset(seen | {path for path in _list_data(root) if _find_code(path) in folders})
 
 
-def _is_harmless(path: Path, package: Path) -> bool:
-    return path.relative_to(package).as_posix().startswith(HARMLESS)
+def _is_harmless(path: Path, root: Path) -> bool:
+    return path.relative_to(root).as_posix().startswith(HARMLESS)
 
 
 @cache
-def _list_imported(path: Path, package: Path) -> frozenset[Path]:
-    """The files of the package that a file imports, wherever in it; not what only type checkers see."""
+def _list_imported(path: Path, root: Path) -> frozenset[Path]:
+    """The files that a file imports, wherever in it: of the package, and beside a script; not what types alone need."""
     names: set[str] = set()
     todo: list[ast.AST] = [ast.parse(path.read_text(encoding="utf-8"))]
     while todo:
@@ -97,17 +89,19 @@ def _list_imported(path: Path, package: Path) -> frozenset[Path]:
         elif isinstance(node, ast.ImportFrom) and node.module:
             names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
         todo += ast.iter_child_nodes(node)
-    places = [package.parent.joinpath(*name.split(".")) for name in names if name.startswith("pipeline.")]
+    places = [root.joinpath(*name.split(".")) for name in names if name.startswith("pipeline.")]
+    if path.is_relative_to(root / "studies"):
+        places += [path.with_name(name) for name in names if "." not in name]
     files = [file for place in places for file in (place.with_suffix(".py"), place / "__init__.py")]
     return frozenset(file for file in files if file.is_file())
 
 
 @cache
-def _list_data(package: Path) -> tuple[Path, ...]:
+def _list_data(root: Path) -> tuple[Path, ...]:
     """The files of the package that are no code, such as tables and templates."""
     left_out = (".py", ".pyc", "~", ".swp", ".DS_Store")
-    files = (path for path in package.rglob("*") if path.is_file() and not path.name.endswith(left_out))
-    return tuple(path for path in files if not _is_harmless(path, package))
+    files = (path for path in root.glob("pipeline/**/*") if path.is_file() and not path.name.endswith(left_out))
+    return tuple(path for path in files if not _is_harmless(path, root))
 
 
 def _find_code(data: Path) -> Path:

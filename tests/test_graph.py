@@ -23,12 +23,10 @@ EXPERIMENTS = sorted(path.stem for path in (ROOT / "conf" / "experiment").glob("
 
 
 def stages_of(command: str | list[str]) -> list[str]:
-    """The stages of the pipeline that a command of dvc.yaml runs, or the study; those of several commands are in the
-    first."""
-    first = command if isinstance(command, str) else command[0]
-    if script := re.match(r"python studies/\S+/(\w+)\.py", first):
-        return [script[1]]
-    found = re.search(r"stage=(?:\[([\w,]+)\]|(\w+))", first)
+    """The stages of the pipeline, or the study, that a command of dvc.yaml runs; of several commands, the first."""
+    if script := re.match(r"python studies/\S+/(\w+)\.py", command if isinstance(command, str) else command[0]):
+        return [f"study_{script[1]}"]
+    found = re.search(r"stage=(?:\[([\w,]+)\]|(\w+))", command if isinstance(command, str) else command[0])
     assert found, command
     return (found[1] or found[2]).split(",")
 
@@ -48,7 +46,7 @@ def params_of(name: str) -> dict[str, list[str]]:
 def test_a_stage_depends_on_the_code_that_it_imports(name: str) -> None:
     """A changed module re-runs every stage that uses it: by its hash, and by no list kept by hand."""
     assert params_of(name)["artifacts/code.json"] == stages_of(STAGES[name]["cmd"])
-    assert [dep for dep in STAGES[name].get("deps", []) if dep.startswith("pipeline")] == []
+    assert [dep for dep in STAGES[name].get("deps", []) if dep.startswith(("pipeline", "studies/"))] == []
 
 
 def test_the_code_of_a_stage_is_what_it_imports() -> None:
@@ -63,31 +61,34 @@ def test_the_code_of_a_stage_is_what_it_imports() -> None:
 def test_a_change_touches_the_stages_that_import_it(tmp_path: Path) -> None:
     """Tables beside the code count with it, wherever a module imports what it needs; types and records do not."""
     files = {
-        "stages/__init__.py": "",
-        "stages/fit.py": "import pipeline.errors\nfrom pipeline.room import film\n",
-        "stages/draw.py": "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import pipeline.room.film\n",
-        "room/__init__.py": "",
-        "room/film.py": "def load():\n    import pipeline.units\n",
-        "room/idle.py": "",
-        "room/tables/film.csv": "1",
-        "units.py": "",
-        "errors.py": "",
+        "pipeline/stages/__init__.py": "",
+        "pipeline/stages/fit.py": "import pipeline.errors\nfrom pipeline.room import film\n",
+        "pipeline/stages/draw.py": "if TYPE_CHECKING:\n    import pipeline.room.film\n",
+        "pipeline/room/__init__.py": "",
+        "pipeline/room/film.py": "def load():\n    import pipeline.units\n",
+        "pipeline/room/idle.py": "",
+        "pipeline/room/tables/film.csv": "1",
+        "pipeline/units.py": "",
+        "pipeline/errors.py": "",
+        "studies/folds/folds.py": "import peers\nfrom pipeline.units import RPM\n",
+        "studies/folds/peers.py": "",
     }
     expected = {
-        "room/film.py": {"fit"},
-        "room/tables/film.csv": {"fit"},
-        "units.py": {"fit"},
-        "stages/draw.py": {"draw"},
-        "room/idle.py": set(),
-        "errors.py": set(),
+        "pipeline/room/film.py": {"fit"},
+        "pipeline/room/tables/film.csv": {"fit"},
+        "pipeline/units.py": {"fit", "study_folds"},
+        "studies/folds/peers.py": {"study_folds"},
+        "pipeline/stages/draw.py": {"draw"},
+        "pipeline/room/idle.py": set(),
+        "pipeline/errors.py": set(),
     }
 
     def lay(changed: str) -> dict[str, dict[str, str]]:
-        package = tmp_path / str(len(list(tmp_path.iterdir()))) / "pipeline"
+        root = tmp_path / str(len(list(tmp_path.iterdir())))
         for name, text in files.items():
-            (package / name).parent.mkdir(parents=True, exist_ok=True)
-            (package / name).write_text(text + "\n" * (name == changed), encoding="utf-8")
-        return graph.hash_code(package)
+            (root / name).parent.mkdir(parents=True, exist_ok=True)
+            (root / name).write_text(text + "\n" * (name == changed), encoding="utf-8")
+        return graph.hash_code(root)
 
     before = lay("")
     assert {room for room in before["fit"]} == {"pipeline", "room", "stages"}

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, PositiveFloat, PositiveInt, field_validator
@@ -16,18 +17,69 @@ Key = Annotated[str, Field(pattern=r"^(model|loss|optimizer)(\.[A-Za-z_]+)+$|^tr
 
 
 class _Dimension(Section):
-    when: dict[str, tuple[Value, ...]] = Field(default_factory=dict)
+    """What a study varies, and what its parameter means for the configuration."""
 
-    def options(self) -> tuple[str | Value, ...] | None:
-        """The choices, or None for a range."""
-        return None
+    when: dict[str, tuple[Value, ...]] = Field(default_factory=dict)
+    """Dimension of the space -> its choices beside which this one has a meaning."""
+
+    def options(self) -> tuple[Value, ...]:
+        """The choices, by name where they have one; none for a range."""
+        return tuple(getattr(self, "choices", ()))
+
+    def extremes(self) -> tuple[Value, ...]:
+        """The parameters that the schema must take: every choice, or the ends of a range."""
+        return self.options()
+
+    def suggest(self, trial: Any, name: str) -> Value:
+        """The parameter that Optuna's ``trial`` draws."""
+        return trial.suggest_categorical(name, self.options())
+
+    def translate(self, parameter: Value) -> dict[str, Value]:
+        """The values of the configuration, by key, that a parameter stands for."""
+        raise NotImplementedError
+
+    def find(self, get: Callable[[str], Any]) -> list[Value]:
+        """Parameters that stand for the configured values, which ``get`` gives by key; what says most comes first."""
+        fitting = [
+            option
+            for option in self.options()
+            if all(_is_same(get(key), value) for key, value in self.translate(option).items())
+        ]
+        return sorted(fitting, key=lambda option: -len(self.translate(option)))
+
+    def describe(self, name: str) -> str:
+        """What the parameter may be, for a message."""
+        return f"the choices of {name} are {', '.join(map(str, self.options()))}"
+
+
+def _is_same(value: Any, choice: Value) -> bool:
+    if isinstance(value, (int, float)) and isinstance(choice, (int, float)):
+        return math.isclose(value, choice)
+    return bool(value == choice)
 
 
 class _Range(_Dimension):
+    kind: Literal["int", "float"]
     key: Key
     low: float
     high: float
     log: bool = False
+
+    def suggest(self, trial: Any, name: str) -> Value:
+        return getattr(trial, f"suggest_{self.kind}")(name, self.low, self.high, log=self.log)
+
+    def extremes(self) -> tuple[Value, ...]:
+        return self.low, self.high
+
+    def translate(self, parameter: Value) -> dict[str, Value]:
+        return {self.key: parameter}
+
+    def find(self, get: Callable[[str], Any]) -> list[Value]:
+        value = get(self.key)
+        return [value] if self.low <= value <= self.high else []
+
+    def describe(self, name: str) -> str:
+        return f"{name} goes from {self.low:g} to {self.high:g}"
 
     @rule
     def _ascending(self) -> Iterator[str]:
@@ -58,9 +110,8 @@ class Choice(_Dimension):
     key: Key
     choices: tuple[Value, ...] = Field(min_length=1)
 
-    def options(self) -> tuple[str | Value, ...]:
-        """The values."""
-        return self.choices
+    def translate(self, parameter: Value) -> dict[str, Value]:
+        return {self.key: parameter}
 
     @rule
     def _once(self) -> Iterator[str]:
@@ -74,9 +125,8 @@ class Preset(_Dimension):
     kind: Literal["preset"]
     choices: dict[str, dict[Key, Value]] = Field(min_length=1)
 
-    def options(self) -> tuple[str | Value, ...]:
-        """The names."""
-        return tuple(self.choices)
+    def translate(self, parameter: Value) -> dict[str, Value]:
+        return dict(self.choices[str(parameter)])
 
 
 Dimension = Annotated[IntegerRange | FloatRange | Choice | Preset, Field(discriminator="kind")]
@@ -148,12 +198,12 @@ class TuningConfig(Section):
 
 def _check_condition(name: str, dimension: _Dimension, earlier: Mapping[str, _Dimension]) -> Iterator[str]:
     for other, values in dimension.when.items():
-        known = earlier[other].options() if other in earlier else None
-        if known is None:
+        known = earlier[other].options() if other in earlier else ()
+        if not known:
             yield f"must have conditions on choices that stand before them, but space.{name}.when names '{other}'"
-        unknown = [value for value in values if value not in (known or ())]
+        unknown = [value for value in values if value not in known]
         if unknown or not values:
             yield (
                 f"must have conditions that can hold, but space.{name}.when.{other} has {unknown or 'no value'} and "
-                f"the choices are {list(known or ())}"
+                f"the choices are {list(known)}"
             )

@@ -9,16 +9,14 @@ from pipeline.errors import without_password
 from pipeline.reporting.console import say, table
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
-from pipeline.tracking import TrackingSettings, find_trial_pages
-from pipeline.tuning.dashboard import gather_studies
-from pipeline.tuning.trials_file import TRIALS
+from pipeline.tracking import find_trial_pages
+from pipeline.tuning.trials_file import TRIALS, gather_studies
 
 
 def run(analysis: Analysis) -> StageOutput:
     """Every ``studies/NAME/trials.jsonl`` in the database, and on each trial that MLflow has a note with its page."""
     config = analysis.config
-    settings = TrackingSettings(True, config.tracking.uri, config.tracking.timeout_seconds)
-    shown = gather_studies(config.tuning, _list_files(config), find_trial_pages(settings))
+    shown = gather_studies(config.tuning, _list_files(config), find_trial_pages(config.tracking))
     storage = without_password(config.tuning.storage)
     rows = [[study.name, str(study.trials), str(study.linked)] for study in shown]
     table(f"studies in {storage}", ["study", "trials", "of these with a run in MLflow"], rows)

@@ -13,7 +13,7 @@ from pathlib import Path
 from pipeline.config.schema import Config
 from pipeline.reporting.console import warn
 from pipeline.stages.analysis import Analysis
-from pipeline.tracking import ChildRecord, StageRecord, TrackingSettings, track
+from pipeline.tracking import StageRecord, track
 
 
 def use_threads(config: Config) -> None:
@@ -32,7 +32,7 @@ class StageOutput:
     files: Sequence[Path] = ()
     history: Sequence[Mapping[str, float]] = ()
     model: Path | None = None
-    children: Sequence[ChildRecord] = ()
+    children: Sequence[StageRecord] = ()
     exit_code: int = 0
 
 
@@ -68,8 +68,7 @@ def record(analysis: Analysis, run: Callable[[Analysis], StageOutput]) -> None:
         children=output.children,
         status="KILLED" if output.exit_code == 130 else "FINISHED",
     )
-    settings = TrackingSettings(config.tracking.enabled, config.tracking.uri, config.tracking.timeout_seconds)
-    for sentence in track(stage_record, settings):
+    for sentence in track(stage_record, config.tracking):
         warn(sentence)
     if output.exit_code:
         raise SystemExit(output.exit_code)

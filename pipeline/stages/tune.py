@@ -30,7 +30,7 @@ from pipeline.stages.analysis import Analysis
 from pipeline.stages.diagnose import say_diagnosis
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_modelled, prepare
-from pipeline.tracking import ChildRecord
+from pipeline.tracking import StageRecord
 from pipeline.tuning.attempts import list_results
 from pipeline.tuning.finalists import TrialSummary, choose, hash_study, measure_importances, summarize, train_finalists
 from pipeline.tuning.judging import require_study
@@ -123,7 +123,7 @@ def _report(config: Config, problem: StudyProblem, study: Any, searched: float) 
         summary | {"search_seconds": searched},
         {"data_fingerprint": problem.measurement.dataset.fingerprint, "study": config.tuning.study},
         written,
-        children=[record_trial(trial) for trial in trials],
+        children=[record_trial(config.name, trial) for trial in trials],
     )
 
 
@@ -172,11 +172,12 @@ def _write(config: Config, study: Any, report: StudyReport, summary: dict[str, o
     ]
 
 
-def record_trial(trial: TrialSummary) -> ChildRecord:
+def record_trial(experiment: str, trial: TrialSummary) -> StageRecord:
     """A trial as a run below the study's."""
     metrics = {"held_out_loss": trial.loss, "training_seconds": trial.seconds, "epochs": trial.epochs}
-    return ChildRecord(
-        name=f"trial {trial.number}",
+    return StageRecord(
+        experiment=experiment,
+        stage=f"trial {trial.number}",
         parameters=dict(trial.parameters),
         tags={"outcome": trial.outcome or trial.state, "state": trial.state}
         | ({"reason": trial.reason} if trial.reason else {}),
@@ -185,5 +186,5 @@ def record_trial(trial: TrialSummary) -> ChildRecord:
         history=[{"step": percent, "learning_curve": loss} for percent, loss in trial.curve.items()],
         started=trial.started,
         ended=trial.ended,
-        failed=trial.state == "failed",
+        status="FAILED" if trial.state == "failed" else "FINISHED",
     )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from pipeline.tracking.beside import recorder_beside
 from pipeline.tracking.pages import find_trial_pages
-from pipeline.tracking.record import ChildRecord, StageRecord, TrackingSettings
+from pipeline.tracking.record import StageRecord
 from pipeline.tracking.tracker import track
 
-__all__ = ["ChildRecord", "StageRecord", "TrackingSettings", "find_trial_pages", "recorder_beside", "track"]
+__all__ = ["StageRecord", "find_trial_pages", "recorder_beside", "track"]

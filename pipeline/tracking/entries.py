@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import enum
 import json
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
+from typing import Any
 
 from pipeline.errors import without_password
 
@@ -34,25 +33,18 @@ def shorten(text: str, length: int) -> str:
     return text if len(text) <= length else text[: length - 3] + "..."
 
 
-def simplify(value: object) -> object:
-    """``value`` as what JSON and YAML know: dict, list, str, int, float, bool and None; passwords masked."""
-    if isinstance(value, enum.Enum):
-        return simplify(value.value)
-    if isinstance(value, str | Path):
-        return without_password(str(value))
-    if value is None or isinstance(value, bool | int | float):
-        return value
-    if isinstance(value, Mapping):
-        return {str(key): simplify(item) for key, item in value.items()}
-    if isinstance(value, Sequence | set | frozenset):
-        return [simplify(item) for item in value]
-    if hasattr(value, "tolist"):
-        return simplify(value.tolist())
-    return without_password(str(value))
+def simplify(value: object) -> Any:
+    """``value`` as what JSON and YAML know: dict, list, str, int, float, bool and None."""
+    from pydantic_core import to_jsonable_python
+
+    return to_jsonable_python(value, fallback=lambda other: other.tolist() if hasattr(other, "tolist") else str(other))
 
 
 def flatten_parameters(parameters: Mapping[str, object]) -> dict[str, str]:
-    """``parameters`` by dotted name, as texts that can be pasted back as overrides (``null``, ``[1, 2]``)."""
+    """``parameters`` by dotted name, as texts that can be pasted back as overrides (``null``, ``[1, 2]``).
+
+    Passwords are masked.
+    """
 
     def leaves(prefix: str, value: object) -> Iterator[tuple[str, object]]:
         if isinstance(value, dict) and value:
@@ -62,7 +54,9 @@ def flatten_parameters(parameters: Mapping[str, object]) -> dict[str, str]:
             yield prefix, value
 
     return {
-        clean_name(name): shorten(value if isinstance(value, str) else json.dumps(value), PARAMETER_LENGTH)
+        clean_name(name): shorten(
+            without_password(value if isinstance(value, str) else json.dumps(value)), PARAMETER_LENGTH
+        )
         for name, value in leaves("", simplify(parameters))
     }
 

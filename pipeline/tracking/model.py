@@ -6,7 +6,7 @@ import importlib.metadata
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,6 +14,8 @@ from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.operating import column_of
 from pipeline.data.operating_points import list_columns
 from pipeline.identification.storage import load_model
+from pipeline.tracking.entries import flatten_parameters
+from pipeline.tracking.record import StageRecord
 from pipeline.units import RAD_S_PER_RPM
 
 if TYPE_CHECKING:
@@ -32,8 +34,8 @@ _REQUIREMENTS = ("mlflow", "numpy", "pandas", "pydantic", "safetensors", "torch"
 _EXAMPLE_RPM = 1500.0
 
 
-def log_model(client: MlflowClient, run: Run, folder: Path, parameters: Mapping[str, str]) -> str:
-    """Log ``folder`` (``model.safetensors``, ``model.json``) as a model of ``run``; returns the model's id.
+def log_model(client: MlflowClient, run: Run, record: StageRecord) -> str:
+    """Log the record's model (``model.safetensors``, ``model.json``) as a model of ``run``; returns the model's id.
 
     The model is code (:mod:`pipeline.tracking.predictor` and this package) with data beside it, no pickle.
 
@@ -41,18 +43,20 @@ def log_model(client: MlflowClient, run: Run, folder: Path, parameters: Mapping[
     """
     from mlflow.entities import LoggedModelOutput, LoggedModelStatus
 
-    weights, description = folder / "model.safetensors", folder / "model.json"
+    folder = record.model or Path()
+    artifacts = {"weights": folder / "model.safetensors", "description": folder / "model.json"}
     identified = load_model(folder)
     signature = _describe_signature(folder, list_conditions(identified))
     logged = client.create_logged_model(
-        run.info.experiment_id, name=MODEL_NAME, source_run_id=run.info.run_id, params=dict(parameters)
+        run.info.experiment_id,
+        name=MODEL_NAME,
+        source_run_id=run.info.run_id,
+        params=flatten_parameters(record.parameters),
     )
     try:
         with tempfile.TemporaryDirectory() as scratch:
             example = {SPEED: [_EXAMPLE_RPM]} | _exemplify(identified)
-            _save(
-                Path(scratch, MODEL_NAME), logged, signature, {"weights": weights, "description": description}, example
-            )
+            _save(Path(scratch, MODEL_NAME), logged, signature, artifacts, example)
             client.log_model_artifacts(logged.model_id, str(Path(scratch, MODEL_NAME)))
         client.log_outputs(run.info.run_id, [LoggedModelOutput(logged.model_id, step=0)])
     except BaseException:
@@ -145,16 +149,8 @@ def _pin_requirements(more: str | None) -> list[str]:
     return [f"{name}=={importlib.metadata.version(name).partition('+')[0]}" for name in names]
 
 
-class CoefficientModel(Protocol):
-    """What can be evaluated: stiffnesses (N/m) and dampings (N s/m) by bearing node and name."""
-
-    def coefficients(
-        self, speed_rad_s: np.ndarray, operating: Mapping[str, np.ndarray] | None, /
-    ) -> dict[int, dict[str, np.ndarray]]: ...
-
-
 def tabulate_coefficients(
-    model: CoefficientModel, speed_rpm: np.ndarray, operating: Mapping[str, np.ndarray] | None = None
+    model: IdentifiedModel, speed_rpm: np.ndarray, operating: Mapping[str, np.ndarray] | None = None
 ) -> pd.DataFrame:
     """The columns of ``identified_coefficients.csv``: a row for each bearing and speed, bearing by bearing.
 
@@ -166,15 +162,8 @@ def tabulate_coefficients(
     import pandas as pd
 
     speeds = np.asarray(speed_rpm, dtype=float)
+    conditions = {SPEED: speeds} | list_columns(operating or {})
     bearings = model.coefficients(speeds * RAD_S_PER_RPM, operating)
-    found = {name for values in bearings.values() for name in values}
-    names = [name for name in COEFFICIENTS if name in found]
-    missing = np.full(speeds.shape, np.nan)
-    columns = {
-        NODE: np.repeat(np.array(list(bearings), dtype=np.int64), speeds.size),
-        SPEED: np.tile(speeds, len(bearings)),
-    }
-    columns |= {name: np.tile(values, len(bearings)) for name, values in list_columns(operating or {}).items()}
-    for name in names:
-        columns[name] = np.concatenate([values.get(name, missing) for values in bearings.values()])
-    return pd.DataFrame(columns)
+    table = pd.concat([pd.DataFrame({NODE: node} | conditions | values) for node, values in bearings.items()])
+    columns = [NODE, *conditions, *(name for name in COEFFICIENTS if name in table)]
+    return table[columns].reset_index(drop=True)

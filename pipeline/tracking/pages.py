@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pipeline.tracking.quiet import quiet_mlflow
-from pipeline.tracking.record import TrackingSettings
+
+if TYPE_CHECKING:
+    from pipeline.config.schema import TrackingConfig
 
 _LOCAL = "http://127.0.0.1:5000"
 
 
-def find_trial_pages(settings: TrackingSettings) -> Callable[[str], dict[int, str]]:
+def find_trial_pages(settings: TrackingConfig) -> Callable[[str], dict[int, str]]:
     """A function from the name of a study to a note on the page of each trial, by the trial's number.
 
     It gives none where there is no record of the study, or the store does not answer.

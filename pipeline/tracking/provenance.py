@@ -23,10 +23,8 @@ def describe_provenance(code_folder: Path = _CODE_FOLDER) -> dict[str, str]:
         "mlflow.source.type": "LOCAL",
     }
     for package in _PACKAGES:
-        try:
+        with suppress(importlib.metadata.PackageNotFoundError):
             tags[f"version.{package}"] = importlib.metadata.version(package)
-        except importlib.metadata.PackageNotFoundError:
-            continue
     with suppress(OSError, KeyError, ImportError):
         tags["mlflow.user"] = getpass.getuser()
     return tags | _describe_revision(code_folder)

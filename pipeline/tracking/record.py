@@ -1,4 +1,4 @@
-"""What a stage hands to the tracker, and where the tracker logs it."""
+"""What a stage hands to the tracker."""
 
 from __future__ import annotations
 
@@ -8,28 +8,8 @@ from pathlib import Path
 
 
 @dataclass(frozen=True)
-class ChildRecord:
-    """A part of a stage that is a run of its own below the stage's, such as a trial of a study.
-
-    :param started: start and
-    :param ended: end as seconds since 1970, or None where they are not known
-    :param history: rows with a ``step`` and metrics
-    """
-
-    name: str
-    parameters: Mapping[str, object]
-    tags: Mapping[str, str]
-    metrics: Mapping[str, float]
-    history: Sequence[Mapping[str, float | str]] = ()
-    started: float | None = None
-    ended: float | None = None
-    _: KW_ONLY
-    failed: bool = False
-
-
-@dataclass(frozen=True)
 class StageRecord:
-    """One stage's work, complete and saved.
+    """One stage's work, complete and saved; or a piece of it that is a run of its own, such as a trial of a study.
 
     :param experiment: the name of the MLflow experiment, such as ``hydrostatic_stiffness``
     :param stage: the run's name, such as ``train``
@@ -42,7 +22,7 @@ class StageRecord:
         texts among them are left out, for MLflow's metrics are numbers
     :param files: images go to the artifact folder ``figures``, other files to ``files``
     :param model: a folder that holds ``model.safetensors`` and ``model.json``, logged as a loadable model
-    :param children: logged as runs below this one
+    :param children: logged as runs below this one: parameters, tags, metrics and history of each
     :param status: ``FINISHED``, ``KILLED`` or ``FAILED``
     """
 
@@ -57,19 +37,5 @@ class StageRecord:
     history: Sequence[Mapping[str, float | str]] = ()
     files: Sequence[Path] = ()
     model: Path | None = None
-    children: Sequence[ChildRecord] = ()
+    children: Sequence[StageRecord] = ()
     status: str = "FINISHED"
-
-
-@dataclass(frozen=True)
-class TrackingSettings:
-    """Where to log.
-
-    :param enabled: False logs nothing and imports nothing
-    :param uri: an SQLite file (relative to the working directory), another database, or a server's ``http://..``
-    :param timeout_seconds: how long to wait for a server or a locked database (s)
-    """
-
-    enabled: bool
-    uri: str = "sqlite:///mlflow.db"
-    timeout_seconds: float = 10.0

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING
 
 from pipeline.timeout import run_within
 from pipeline.tracking.entries import clean_name
-from pipeline.tracking.record import TrackingSettings
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
+
+    from pipeline.config.schema import TrackingConfig
 
 ARTIFACT_FOLDER = "mlruns"
 _CREATION_SECONDS = 60.0
@@ -25,7 +26,7 @@ class DatabaseProblem(Exception):
     """A database that can't be used; the text says why and what to do."""
 
 
-def open_experiment(settings: TrackingSettings, name: str) -> tuple[MlflowClient, str]:
+def open_experiment(settings: TrackingConfig, name: str) -> tuple[MlflowClient, str]:
     """A client of the store and the id of the experiment ``name`` in it, both made where they are missing.
 
     :raises DatabaseProblem: if an SQLite file can't be used
@@ -56,15 +57,13 @@ def _open(uri: str, name: str, artifact_location: str | None) -> tuple[MlflowCli
     from mlflow.exceptions import MlflowException
 
     client = MlflowClient(tracking_uri=uri, registry_uri=uri)
-    experiment = client.get_experiment_by_name(name)
-    if experiment is None:
-        try:
-            return client, client.create_experiment(name, artifact_location)
-        except MlflowException:
-            # Another process may have made it between the two calls.
-            experiment = client.get_experiment_by_name(name)
-            if experiment is None:
-                raise
+    try:
+        # Not asked for first: another process may make it between two calls.
+        return client, client.create_experiment(name, artifact_location)
+    except MlflowException as error:
+        experiment = client.get_experiment_by_name(name) if error.error_code == "RESOURCE_ALREADY_EXISTS" else None
+        if not experiment:
+            raise
     if experiment.lifecycle_stage != "active":
         raise MlflowException(
             f"the experiment '{name}' was deleted there; "

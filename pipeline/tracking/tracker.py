@@ -24,12 +24,14 @@ from pipeline.tracking.entries import (
 from pipeline.tracking.model import log_model
 from pipeline.tracking.provenance import describe_provenance
 from pipeline.tracking.quiet import quiet_mlflow
-from pipeline.tracking.record import ChildRecord, StageRecord, TrackingSettings
+from pipeline.tracking.record import StageRecord
 from pipeline.tracking.store import DatabaseProblem, open_experiment
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
     from mlflow.entities import Run
+
+    from pipeline.config.schema import TrackingConfig
 
 _T = TypeVar("_T")
 _METRICS_A_BATCH = 1000
@@ -38,7 +40,7 @@ _FIGURES = {".png", ".svg", ".jpg", ".jpeg"}
 _REASON_LENGTH = 300
 
 
-def track(record: StageRecord, settings: TrackingSettings) -> list[str]:
+def track(record: StageRecord, settings: TrackingConfig) -> list[str]:
     """Log ``record`` as one finished run of the MLflow experiment ``record.experiment``.
 
     :returns: sentences that say what was not logged and why; empty when all was, or when not enabled
@@ -67,7 +69,7 @@ def get_ready() -> None:
         from mlflow.store.tracking.sqlalchemy_store import SqlAlchemyStore  # noqa: F401  # behind the client
 
 
-def _log(record: StageRecord, settings: TrackingSettings) -> list[str]:
+def _log(record: StageRecord, settings: TrackingConfig) -> list[str]:
     client, experiment_id = open_experiment(settings, record.experiment)
     run = client.create_run(
         experiment_id, start_time=round(1000 * record.started), tags=_make_tags(record), run_name=record.stage
@@ -101,15 +103,13 @@ def _log_parts(client: MlflowClient, run: Run, record: StageRecord, patience_sec
     parts.log("the parameters", lambda: _log_parameters(client, run_id, record))
     parts.log("the configuration", lambda: client.log_text(run_id, _write_yaml(record), "config.yaml"))
     # The model comes before the metrics, which belong to it too.
-    model_id: str | None = None
-    if (folder := record.model) is not None:
-        model_id = parts.log("the model", lambda: log_model(client, run, folder, flatten_parameters(record.parameters)))
+    model_id = parts.log("the model", partial(log_model, client, run, record)) if record.model else None
     not_finite += parts.log("the metrics", lambda: _log_metrics(client, run_id, final(), model_id)) or []
     not_finite += parts.log("the history", lambda: _log_metrics(client, run_id, history())) or []
     for path, artifact_folder in _sort_files(record.files):
         parts.log(f"the file {path}", partial(_log_file, client, run_id, path, artifact_folder))
     for child in record.children:
-        parts.log(child.name, partial(_log_child, client, run, record, child))
+        parts.log(child.stage, partial(_log_child, client, run, record, child))
     if not_finite:
         names = ", ".join(dict.fromkeys(not_finite))
         parts.problems.append(f"MLflow does not have the values of {names} that are not finite.")
@@ -154,7 +154,7 @@ def _log_parameters(client: MlflowClient, run_id: str, record: StageRecord) -> N
 def _write_yaml(record: StageRecord) -> str:
     import yaml
 
-    return str(yaml.safe_dump(simplify(record.parameters), sort_keys=False, allow_unicode=True))
+    return without_password(yaml.safe_dump(simplify(record.parameters), sort_keys=False, allow_unicode=True))
 
 
 def _log_metrics(
@@ -170,21 +170,21 @@ def _log_metrics(
     return not_finite
 
 
-def _log_child(client: MlflowClient, run: Run, record: StageRecord, child: ChildRecord) -> None:
+def _log_child(client: MlflowClient, run: Run, record: StageRecord, child: StageRecord) -> None:
     """Log a run below ``run`` in three requests, since a study has many."""
     from mlflow.entities import Metric, Param
 
-    started, ended = child.started or record.started, child.ended or record.ended
     place = {"pipeline.experiment": record.experiment, "pipeline.stage": record.stage}
     tags = flatten_tags(place | dict(child.tags) | {"mlflow.parentRunId": run.info.run_id})
     below = client.create_run(
-        run.info.experiment_id, start_time=round(1000 * started), tags=tags, run_name=child.name
+        run.info.experiment_id, start_time=round(1000 * child.started), tags=tags, run_name=child.stage
     ).info.run_id
-    values = collect_final(child.metrics, ended)[0] + collect_history(child.history, started, ended)[0]
+    values = collect_final(child.metrics, child.ended)[0]
+    values += collect_history(child.history, child.started, child.ended)[0]
     metrics = [Metric(*value) for value in values[:_METRICS_A_BATCH]]
     parameters = [Param(name, text) for name, text in flatten_parameters(child.parameters).items()]
     client.log_batch(below, metrics=metrics, params=parameters[:_PARAMETERS_A_BATCH])
-    client.set_terminated(below, "FAILED" if child.failed else "FINISHED", end_time=round(1000 * ended))
+    client.set_terminated(below, child.status, end_time=round(1000 * child.ended))
 
 
 def _log_file(client: MlflowClient, run_id: str, path: Path, folder: str) -> None:

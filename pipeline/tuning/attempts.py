@@ -2,8 +2,9 @@
 
 A trial whose worker died, was interrupted or met a bug is failed without a ``reason``, by Optuna's heartbeats or
 by its worker. Its parameters go to the queue again, under a number of Optuna's own and with the attribute
-``repeats``. What it keeps is its *place*: its number among the trials that repeat none. The sampler draws by the
-place, and reports count by it, so that a study that was stopped is told like one that was not.
+``repeats``. Optuna's RetryHeartbeatStaleTrialCallback would do so for the first of the three alone, and hand on what
+the dead worker had written on it. What a trial keeps is its *place*: its number among the trials that repeat none.
+The sampler draws by the place, and reports count by it, so that a study that was stopped is told like one that was not.
 """
 
 from __future__ import annotations
@@ -30,17 +31,14 @@ def list_attempts(study: optuna.Study) -> list[FrozenTrial]:
 
     Two workers may put one trial back to the queue at once: the first of its repeats counts, others have no place.
     """
-    latest: list[FrozenTrial] = []
-    places: dict[int, int] = {}
+    latest: dict[int, FrozenTrial] = {}  # number of the first attempt -> latest
+    first: dict[int, int] = {}  # number of the latest attempt -> first
     for trial in study.get_trials(deepcopy=False):
-        repeated = trial.user_attrs.get(REPEATS)
-        if repeated is None:
-            places[trial.number] = len(latest)
-            latest.append(trial)
-        elif repeated in places:
-            places[trial.number] = places.pop(repeated)
-            latest[places[trial.number]] = trial
-    return latest
+        repeated = trial.user_attrs.get(REPEATS, trial.number)
+        if repeated == trial.number or repeated in first:
+            first[trial.number] = first.pop(repeated, repeated)
+            latest[first[trial.number]] = trial
+    return list(latest.values())
 
 
 def list_results(study: optuna.Study) -> dict[int, FrozenTrial]:
@@ -75,9 +73,9 @@ def _has_died_early(study: optuna.Study, trial: FrozenTrial, config: TuningConfi
     from optuna.exceptions import UpdateFinishedTrialError
     from optuna.trial import TrialState
 
-    if trial.state != TrialState.RUNNING or WORKER in trial.user_attrs or trial.datetime_start is None:
-        return False
-    if abs(datetime.now() - trial.datetime_start) < timedelta(seconds=config.silence_seconds):
+    silence = abs(datetime.now() - (trial.datetime_start or datetime.now()))
+    told_or_young = WORKER in trial.user_attrs or silence < timedelta(seconds=config.silence_seconds)
+    if trial.state != TrialState.RUNNING or told_or_young:
         return False
     with suppress(UpdateFinishedTrialError, ValueError):  # another worker did so
         study.tell(trial.number, state=TrialState.FAIL)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import pickle
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,7 +19,7 @@ from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.training import Outcome, setup_of
 from pipeline.processes import open_pool
 from pipeline.tuning.attempts import list_results
-from pipeline.tuning.judging import judge
+from pipeline.tuning.judging import Judged, judge
 from pipeline.tuning.space import translate
 from pipeline.tuning.study import StudyProblem
 from pipeline.tuning.worker import ROUNDING
@@ -41,8 +42,8 @@ class TrialSummary:
     reason: str = ""
     parameters: Mapping[str, Value]
     curve: Mapping[int, float]  # percent of the last phase -> loss
-    started: float | None = None  # seconds since 1970
-    ended: float | None = None
+    started: float = 0.0  # seconds since 1970
+    ended: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,12 +60,12 @@ class Finalist:
     @property
     def median(self) -> float:
         """The median loss; infinite where most seeds diverged."""
-        return float(np.median(np.where(np.isfinite(self.losses), self.losses, math.inf)))
+        return float(np.median(np.nan_to_num(self.losses, nan=math.inf, posinf=math.inf)))
 
     @property
     def highest(self) -> float:
         """The loss of the unluckiest seed; infinite where one diverged."""
-        return float(np.where(np.isfinite(self.losses), self.losses, math.inf).max())
+        return float(np.nan_to_num(self.losses, nan=math.inf, posinf=math.inf).max())
 
 
 def summarize(study: optuna.Study) -> list[TrialSummary]:
@@ -84,56 +85,47 @@ def _summarize(place: int, trial: FrozenTrial) -> TrialSummary:
         reason=attributes.get("reason", ""),
         parameters=dict(trial.params),
         curve={step: 10**value for step, value in sorted(trial.intermediate_values.items())},
-        started=trial.datetime_start.timestamp() if trial.datetime_start else None,
-        ended=trial.datetime_complete.timestamp() if trial.datetime_complete else None,
+        started=trial.datetime_start.timestamp() if trial.datetime_start else 0.0,
+        ended=trial.datetime_complete.timestamp() if trial.datetime_complete else 0.0,
     )
 
 
 def train_finalists(study: optuna.Study, problem: StudyProblem) -> list[Finalist]:
     """The default, then the best other trials, each trained with every seed of ``tuning.seeds``."""
     config = problem.config.tuning
-    complete = [(trial.value, place) for place, trial in list_results(study).items() if trial.state.name == "COMPLETE"]
+    results = list_results(study)
+    complete = [(trial.value, place) for place, trial in results.items() if trial.state.name == "COMPLETE"]
     chosen: dict[int, dict[str, Value]] = {0: {}}
     for _, place in sorted(complete):
-        values = translate(config.space, list_results(study)[place].params)
+        values = translate(config.space, results[place].params)
         if place and len(chosen) <= config.finalists and values not in chosen.values():
             chosen[place] = values
     # One training at a time, as in `stage=train`: a batch would go on until its slowest seed is done.
     each = [(problem, place, values, seed) for place, values in chosen.items() for seed in config.seeds]
     with open_pool(min(config.workers, len(each)), problem.config.threads) as run_all:
-        runs = list(run_all(_train_seed, each))
-    count = len(config.seeds)
+        trained: list[Judged] = [pickle.loads(run) for run in run_all(_train_seed, each)]
+    batches = [trained[i : i + len(config.seeds)] for i in range(0, len(trained), len(config.seeds))]
     return [
-        _join_seeds(place, values, runs[i * count : (i + 1) * count])
-        for i, (place, values) in enumerate(chosen.items())
+        Finalist(
+            trial=place,
+            values=values,
+            losses=np.array([run.loss for run in runs]),
+            models=[run.model for run in runs],
+            outcomes=[run.outcome for run in runs],
+            seconds=sum(run.seconds for run in runs),
+        )
+        for (place, values), runs in zip(chosen.items(), batches, strict=True)
     ]
 
 
-_Run = tuple[float, IdentifiedModel, np.ndarray, Outcome, float]
-"""Loss, model, its parameters (M, Q), outcome, seconds: torch's tensors do not come back from another process."""
-
-
-def _train_seed(given: tuple[StudyProblem, int, Mapping[str, Value], int]) -> _Run:
-    import torch
-
+def _train_seed(given: tuple[StudyProblem, int, Mapping[str, Value], int]) -> bytes:
+    """The training of a seed, as bytes: torch's own way of handing tensors on ends with the process they come from."""
     problem, place, values, seed = given
     setup = replace(setup_of(apply_values(problem.config, values, f"trial {place}")), seed=seed)
-    verdict = judge(problem.measurement, setup, lambda *_: None)
-    if verdict.outcome is Outcome.INTERRUPTED:
+    trained = judge(problem.measurement, setup, lambda *_: None)
+    if trained.outcome is Outcome.INTERRUPTED:
         raise KeyboardInterrupt
-    model = replace(verdict.model, parameters=torch.empty(0))
-    return verdict.loss, model, verdict.model.parameters.numpy(), verdict.outcome, verdict.seconds
-
-
-def _join_seeds(place: int, values: Mapping[str, Value], runs: Sequence[_Run]) -> Finalist:
-    import torch
-
-    losses, models, parameters, outcomes, seconds = zip(*runs, strict=True)
-    whole = [
-        replace(model, parameters=torch.from_numpy(parameter))
-        for model, parameter in zip(models, parameters, strict=True)
-    ]
-    return Finalist(place, values, np.array(losses), whole, outcomes, sum(seconds))
+    return pickle.dumps(trained)
 
 
 def choose(finalists: Sequence[Finalist], config: TuningConfig) -> Finalist:

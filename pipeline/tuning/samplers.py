@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import warnings
 import zlib
 from collections.abc import Mapping
@@ -28,14 +29,15 @@ def make_sampler(config: TuningConfig, default: Mapping[str, Value] | None = Non
     class Seeded(BaseSampler):
         """Delegates each draw to a new sampler."""
 
-        place: int | None  # of the trial that is drawn; None where another attempt has it
+        place: int  # of the trial that is drawn; beyond any total where another attempt has it
 
         def _delegate(self, name: str = "") -> BaseSampler:
-            entropy = [config.sampler_seed, self.place or 0, zlib.crc32(name.encode())]
+            entropy = [config.sampler_seed, self.place, zlib.crc32(name.encode())]
             return _make_delegate(config, int(np.random.SeedSequence(entropy).generate_state(1)[0]))
 
         def before_trial(self, study: Any, trial: Any) -> None:
-            self.place = next((i for i, other in enumerate(list_attempts(study)) if other.number == trial.number), None)
+            numbers = [other.number for other in list_attempts(study)]
+            self.place = numbers.index(trial.number) if trial.number in numbers else sys.maxsize
             self._given = default if default and self.place == 0 else {}
 
         def infer_relative_search_space(self, study: Any, trial: Any) -> dict[str, Any]:
@@ -53,8 +55,8 @@ def make_sampler(config: TuningConfig, default: Mapping[str, Value] | None = Non
     return Seeded()
 
 
-def find_place(trial: optuna.trial.Trial) -> int | None:
-    """The place of a trial that was just asked of a study with a :func:`make_sampler`; None where it has none."""
+def find_place(trial: optuna.trial.Trial) -> int:
+    """The place of a trial that was just asked of a study with a :func:`make_sampler`; beyond any total without one."""
     sampler: Any = trial.study.sampler
     return sampler.place
 

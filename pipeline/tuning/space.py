@@ -6,13 +6,13 @@ by its dotted name (``model.width``).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING
 
 from pipeline.config.promotion import apply_values, get_value
 from pipeline.config.schema import Config
-from pipeline.config.tuning import Choice, Dimension, FloatRange, IntegerRange, Preset, Value
+from pipeline.config.tuning import Dimension, Value
 from pipeline.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -30,15 +30,8 @@ def suggest(trial: optuna.trial.Trial, space: Space) -> dict[str, Value]:
     """The trial's parameters, drawn by the study's sampler where they are not given."""
     parameters: dict[str, Value] = {}
     for name, dimension in space.items():
-        if not applies(dimension, parameters):
-            continue
-        if isinstance(dimension, IntegerRange):
-            parameters[name] = trial.suggest_int(name, dimension.low, dimension.high, log=dimension.log)
-        elif isinstance(dimension, FloatRange):
-            parameters[name] = trial.suggest_float(name, dimension.low, dimension.high, log=dimension.log)
-        else:
-            chosen: Any = trial.suggest_categorical(name, dimension.options())
-            parameters[name] = chosen
+        if applies(dimension, parameters):
+            parameters[name] = dimension.suggest(trial, name)
     return parameters
 
 
@@ -46,11 +39,7 @@ def translate(space: Space, parameters: Mapping[str, Value]) -> dict[str, Value]
     """The values of the configuration that ``parameters`` stand for."""
     values: dict[str, Value] = {}
     for name, parameter in parameters.items():
-        dimension = space[name]
-        if isinstance(dimension, Preset):
-            values |= dimension.choices[str(parameter)]
-        else:
-            values[dimension.key] = parameter
+        values |= space[name].translate(parameter)
     return values
 
 
@@ -75,53 +64,29 @@ def find_default(config: Config) -> dict[str, Value]:
     return parameters
 
 
-def _find_default(config: Config, name: str, dimension: Dimension) -> Any:
-    if isinstance(dimension, Preset):
-        fitting = [
-            choice
-            for choice, values in dimension.choices.items()
-            if all(_is_same(get_value(config, key), value) for key, value in values.items())
-        ]
-        if fitting:  # the one that says most
-            return max(fitting, key=lambda choice: len(dimension.choices[choice]))
-        keys = dict.fromkeys(key for values in dimension.choices.values() for key in values)
-        came = ", ".join(f"{key} = {get_value(config, key)}" for key in keys)
-        raise _refuse_default(name, came, f"the choices of {name} are {', '.join(dimension.choices)}")
-    value = get_value(config, dimension.key)
-    came = f"{dimension.key} = {value}"
-    if isinstance(dimension, Choice):
-        if not any(_is_same(value, choice) for choice in dimension.choices):
-            raise _refuse_default(name, came, f"the choices of {name} are {', '.join(map(str, dimension.choices))}")
-    elif not dimension.low <= value <= dimension.high:
-        raise _refuse_default(name, came, f"{name} goes from {dimension.low:g} to {dimension.high:g}")
-    return value
-
-
-def _is_same(value: Any, choice: Value) -> bool:
-    if isinstance(value, (int, float)) and isinstance(choice, (int, float)):
-        return math.isclose(value, choice)
-    return bool(value == choice)
-
-
-def _refuse_default(name: str, came: str, space: str) -> ConfigError:
-    return ConfigError(
-        f"tuning.space must contain the configured default, which is trial 0, but {came} and {space}: "
-        f"widen tuning.space.{name} or change the configured value"
+def _find_default(config: Config, name: str, dimension: Dimension) -> Value:
+    fitting = dimension.find(partial(get_value, config))
+    if fitting:
+        return fitting[0]
+    keys = dict.fromkeys(key for parameter in dimension.extremes() for key in dimension.translate(parameter))
+    came = ", ".join(f"{key} = {get_value(config, key)}" for key in keys)
+    raise ConfigError(
+        f"tuning.space must contain the configured default, which is trial 0, but {came} and "
+        f"{dimension.describe(name)}: widen tuning.space.{name} or change the configured value"
     )
 
 
 def _check_values(config: Config, name: str, dimension: Dimension) -> None:
     """The schema must take the ends of a range and every choice, beside the first choices that give it a meaning."""
-    source, space = f"tuning.space.{name}", config.tuning.space
-    beside = translate(space, {other: of[0] for other, of in dimension.when.items()})
+    space = config.tuning.space
+    beside = translate(space, {other: values[0] for other, values in dimension.when.items()})
     if any(key.startswith("optimizer.") for key in beside):
         beside = _enable_phase(config, beside)
-    if isinstance(dimension, Preset):
-        for values in dimension.choices.values():
-            apply_values(config, beside | _enable_phase(config, values), source)
-        return
-    for value in dimension.choices if isinstance(dimension, Choice) else (dimension.low, dimension.high):
-        apply_values(config, beside | {dimension.key: value}, source)
+    for parameter in dimension.extremes():
+        values = dimension.translate(parameter)
+        if dimension.kind == "preset":
+            values = _enable_phase(config, values)
+        apply_values(config, beside | values, f"tuning.space.{name}")
 
 
 def _enable_phase(config: Config, values: Mapping[str, Value]) -> dict[str, Value]:

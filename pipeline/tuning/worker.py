@@ -92,7 +92,7 @@ def run_trial(trial: optuna.trial.Trial, problem: StudyProblem, seen: Seen) -> f
 
     config = problem.config
     place = find_place(trial)
-    if place is None or place >= config.tuning.n_trials:  # several workers asked for the last one
+    if place >= config.tuning.n_trials:  # several workers asked for the last one
         raise TrialFailed
     if place == 0:
         trial.set_user_attr("note", "the configured default")

@@ -236,15 +236,17 @@ def test_a_record_is_complete_also_where_the_process_beside_is_lost(killed: bool
     """Logged once, by the process beside or, where that was killed, by the command itself."""
     import sqlite3
 
-    from pipeline.tracking import StageRecord, TrackingSettings, beside, recorder_beside, track
+    from pipeline.config.schema import TrackingConfig
+    from pipeline.tracking import StageRecord, beside, recorder_beside, track
 
-    settings = TrackingSettings(True, f"sqlite:///{tmp_path}/mlflow.db", 30.0)
+    settings = TrackingConfig(enabled=True, uri=f"sqlite:///{tmp_path}/mlflow.db", timeout_seconds=30.0)
     history = [{"step": 0, "loss": 2.0}, {"step": 1, "loss": float("nan")}]
     record = StageRecord("x", "train", 1.0, 2.0, {"seed": 3}, {"outcome": "converged"}, {"error": 0.5}, history=history)
     with recorder_beside(True):
         if killed:
-            beside._running[0].process.kill()
-            beside._running[0].process.wait()
+            process, _ = beside._running[0]
+            process.kill()
+            process.join()
         told = track(record, settings)
     assert len(told) == 1
     assert "loss" in told[0]

@@ -19,7 +19,8 @@ from conftest import unknown_at_all
 from running import PYTHON
 
 import pipeline
-from pipeline.tracking import StageRecord, TrackingSettings, track, tracker
+from pipeline.config.schema import TrackingConfig
+from pipeline.tracking import StageRecord, track, tracker
 from pipeline.tracking.model import tabulate_coefficients
 from pipeline.tracking.quiet import quiet_mlflow
 from pipeline.tracking.store import DatabaseProblem, prepare_database
@@ -28,6 +29,11 @@ pytestmark = pytest.mark.slow  # it trains, or starts processes
 
 CHECKOUT = Path(pipeline.__file__).resolve().parents[1]
 STARTED, ENDED = 1_700_000_000.0, 1_700_000_060.0
+
+
+def at(uri: str, timeout_seconds: float = 10.0) -> TrackingConfig:
+    """Where to log."""
+    return TrackingConfig(enabled=True, uri=uri, timeout_seconds=timeout_seconds)
 
 
 def record(**changes: object) -> StageRecord:
@@ -54,12 +60,12 @@ def fresh_database(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def settings(fresh_database: Path, tmp_path: Path) -> TrackingSettings:
+def settings(fresh_database: Path, tmp_path: Path) -> TrackingConfig:
     """A database of the test's own, in a folder with spaces."""
     folder = tmp_path / "my project"
     folder.mkdir()
     shutil.copy(fresh_database, folder / "mlflow.db")
-    return TrackingSettings(enabled=True, uri=f"sqlite:///{folder}/mlflow.db")
+    return at(f"sqlite:///{folder}/mlflow.db")
 
 
 def clean_environment() -> dict[str, str]:
@@ -76,7 +82,7 @@ def python(code: str, *arguments: object, folder: Path) -> subprocess.CompletedP
 class Logged:
     """The runs in a store, as MLflow's own client reads them."""
 
-    def __init__(self, settings: TrackingSettings) -> None:
+    def __init__(self, settings: TrackingConfig) -> None:
         with quiet_mlflow(10.0):
             from mlflow import MlflowClient
 
@@ -95,7 +101,7 @@ class Logged:
 
 
 def test_everything_in_a_record_is_read_back(
-    settings: TrackingSettings,
+    settings: TrackingConfig,
     tmp_path: Path,
     capfd: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
@@ -149,7 +155,7 @@ def test_everything_in_a_record_is_read_back(
     assert (tmp_path / "my project" / "mlruns" / "rotor rig" / run.info.run_id).is_dir()
 
 
-def test_stages_of_one_experiment_are_found_together(settings: TrackingSettings) -> None:
+def test_stages_of_one_experiment_are_found_together(settings: TrackingConfig) -> None:
     for stage in ("generate", "train"):
         assert track(record(stage=stage, tags={"pipeline.group": "g1"}), settings) == []
     assert track(record(experiment="other", tags={"pipeline.group": "g2"}), settings) == []
@@ -160,7 +166,7 @@ def test_stages_of_one_experiment_are_found_together(settings: TrackingSettings)
     assert len({run.info.experiment_id for run in found}) == 1
 
 
-def test_long_values_many_parameters_files_of_one_name_and_a_status(settings: TrackingSettings, tmp_path: Path) -> None:
+def test_long_values_many_parameters_files_of_one_name_and_a_status(settings: TrackingConfig, tmp_path: Path) -> None:
     files = [tmp_path / folder / "metrics.json" for folder in ("a", "b")]
     for file in files:
         file.parent.mkdir()
@@ -181,7 +187,9 @@ def test_disabled_tracking_does_nothing(tmp_path: Path) -> None:
     code = (
         "import sys\n"
         "from pipeline.tracking import *\n"
-        "problems = track(StageRecord('e', 's', 0, 1, {}, {}, {}), TrackingSettings(False, 'sqlite:///x.db'))\n"
+        "from pipeline.config.schema import TrackingConfig\n"
+        "off = TrackingConfig(enabled=False, uri='sqlite:///x.db', timeout_seconds=10)\n"
+        "problems = track(StageRecord('e', 's', 0, 1, {}, {}, {}), off)\n"
         "assert problems == []\n"
         "heavy = {'mlflow', 'pandas', 'torch', 'filelock', 'yaml'} & sys.modules.keys()\n"
         "assert not heavy, heavy\n"
@@ -191,14 +199,14 @@ def test_disabled_tracking_does_nothing(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_values_that_are_not_finite_are_named(settings: TrackingSettings) -> None:
+def test_values_that_are_not_finite_are_named(settings: TrackingConfig) -> None:
     history = [{"step": 0, "loss": 1.0}, {"step": 1, "loss": float("nan")}]
     (problem,) = track(record(metrics={"good": 1.0, "bad": float("inf")}, history=history), settings)
     assert "the values of bad, loss that are not finite" in problem
     assert Logged(settings).run.data.metrics == {"good": 1.0, "loss": 1.0}
 
 
-def test_a_part_that_fails_does_not_take_the_others_with_it(settings: TrackingSettings, tmp_path: Path) -> None:
+def test_a_part_that_fails_does_not_take_the_others_with_it(settings: TrackingConfig, tmp_path: Path) -> None:
     gone = record(
         files=[tmp_path / "gone.csv"], model=tmp_path / "no model", tags={"good": "x"}, metrics={"bad": "three"}
     )
@@ -212,9 +220,7 @@ def test_a_part_that_fails_does_not_take_the_others_with_it(settings: TrackingSe
     assert run.info.status == "FINISHED"
 
 
-def test_interrupt_passes_through_and_marks_the_run(
-    settings: TrackingSettings, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_interrupt_passes_through_and_marks_the_run(settings: TrackingConfig, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
@@ -224,7 +230,7 @@ def test_interrupt_passes_through_and_marks_the_run(
     assert Logged(settings).run.info.status == "KILLED"
 
 
-def test_deleted_experiment(settings: TrackingSettings) -> None:
+def test_deleted_experiment(settings: TrackingConfig) -> None:
     assert track(record(), settings) == []
     logged = Logged(settings)
     logged.client.delete_experiment(logged.run.info.experiment_id)
@@ -235,7 +241,7 @@ def test_deleted_experiment(settings: TrackingSettings) -> None:
 
 @pytest.mark.parametrize("uri", ["http://127.0.0.1:9", "http://anna:secret@127.0.0.1:9"])
 def test_unreachable_server(uri: str) -> None:
-    (problem,) = track(record(), TrackingSettings(True, uri, timeout_seconds=2.0))
+    (problem,) = track(record(), at(uri, timeout_seconds=2.0))
     assert problem.startswith("Stage 'train' of 'rotor rig' is not in MLflow (http://")
     assert "can't be reached (connection refused)" in problem
     assert "tracking.enabled=false" in problem
@@ -246,7 +252,7 @@ def test_unreachable_server(uri: str) -> None:
 def test_server_that_never_answers() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         uri = f"http://127.0.0.1:{server.getsockname()[1]}"
-        (problem,) = track(record(), TrackingSettings(True, uri, timeout_seconds=1.0))
+        (problem,) = track(record(), at(uri, timeout_seconds=1.0))
     assert "no answer within 1 s" in problem
 
 
@@ -277,22 +283,22 @@ def test_unusable_database(spoil, reason: str, tmp_path: Path) -> None:
     path = tmp_path / "folder" / "mlflow.db"
     path.parent.mkdir()
     spoil(path)
-    (problem,) = track(record(), TrackingSettings(True, f"sqlite:///{path}"))
+    (problem,) = track(record(), at(f"sqlite:///{path}"))
     assert reason in problem
     assert str(path) in problem
 
 
-def test_locked_database(settings: TrackingSettings) -> None:
+def test_locked_database(settings: TrackingConfig) -> None:
     with closing(sqlite3.connect(settings.uri.removeprefix("sqlite:///"), isolation_level=None)) as other:
         other.execute("BEGIN IMMEDIATE")
-        (problem,) = track(record(), TrackingSettings(True, settings.uri, timeout_seconds=0.2))
+        (problem,) = track(record(), at(settings.uri, timeout_seconds=0.2))
     assert "database is locked" in problem
 
 
 @pytest.mark.parametrize("uri", ["sqlite://", "sqlite:///:memory:", "sqlite:///a.db?mode=ro", "nonsense://x", ""])
 def test_uri_that_names_no_store(uri: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    (problem,) = track(record(), TrackingSettings(True, uri))
+    (problem,) = track(record(), at(uri))
     assert "is not in MLflow" in problem
     assert list(tmp_path.iterdir()) == []
 
@@ -315,14 +321,16 @@ def test_two_processes_make_a_fresh_database_together(tmp_path: Path) -> None:
         import sys, time
         from pathlib import Path
         sys.path.insert(0, sys.argv[1])
-        from pipeline.tracking import StageRecord, TrackingSettings, track
+        from pipeline.config.schema import TrackingConfig
+        from pipeline.tracking import StageRecord, track
         from pipeline.tracking.quiet import quiet_mlflow
         with quiet_mlflow(10.0):
             from mlflow.store.tracking import sqlalchemy_store
         Path(f"ready-{sys.argv[2]}").touch()
         while not Path("go").exists():
             time.sleep(0.001)
-        print(track(StageRecord("e", sys.argv[2], 1, 2, {"a": 1}, {}, {"m": 1.0}), TrackingSettings(True)))
+        settings = TrackingConfig(enabled=True, uri="sqlite:///mlflow.db", timeout_seconds=10.0)
+        print(track(StageRecord("e", sys.argv[2], 1, 2, {"a": 1}, {}, {"m": 1.0}), settings))
     """
     command = [sys.executable, "-W", "error", "-c", code, str(CHECKOUT)]
     processes = [
@@ -348,7 +356,7 @@ def test_two_processes_make_a_fresh_database_together(tmp_path: Path) -> None:
             process.kill()
             process.wait()
     assert outputs == [("[]\n", "")] * 2
-    logged = Logged(TrackingSettings(True, f"sqlite:///{tmp_path}/mlflow.db"))
+    logged = Logged(at(f"sqlite:///{tmp_path}/mlflow.db"))
     assert {run.info.run_name for run in logged.runs} == {"a", "b"}
     assert not list(tmp_path.glob("mlflow.db-new*"))
 
@@ -376,7 +384,7 @@ def model_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_logged_model_predicts_in_a_new_process(settings: TrackingSettings, model_folder: Path, tmp_path: Path) -> None:
+def test_logged_model_predicts_in_a_new_process(settings: TrackingConfig, model_folder: Path, tmp_path: Path) -> None:
     from pipeline.identification.storage import load_model
 
     folder = shutil.copytree(model_folder, tmp_path / "model")
@@ -415,7 +423,7 @@ def test_logged_model_predicts_in_a_new_process(settings: TrackingSettings, mode
             np.testing.assert_allclose(list(table[name].values()), expected[name], rtol=1e-12)
 
 
-def test_logged_model_says_what_it_is(settings: TrackingSettings, model_folder: Path, quiet: None) -> None:
+def test_logged_model_says_what_it_is(settings: TrackingConfig, model_folder: Path, quiet: None) -> None:
     assert track(record(model=model_folder, metrics={"loss": 0.5}), settings) == []
     from mlflow.models import Model
 
@@ -443,7 +451,7 @@ def test_logged_model_says_what_it_is(settings: TrackingSettings, model_folder: 
 
 
 def test_model_is_logged_without_a_look_through_all_packages(
-    settings: TrackingSettings, model_folder: Path, quiet: None
+    settings: TrackingConfig, model_folder: Path, quiet: None
 ) -> None:
     from mlflow.utils import environment, requirements_utils
 
