@@ -103,8 +103,8 @@ def evaluate_at(
     if not table.bounded.all():
         raise ConfigError(
             "the twin must have coefficients at all speeds, but from "
-            f"{write_range(table.speeds[~table.bounded])} they leave all bounds: speeds were held out there, and nothing holds "
-            "the fitted functions; train without training.holdout_range to predict"
+            f"{write_range(table.speeds[~table.bounded])} they leave all bounds: speeds were held out there, and "
+            "nothing holds the fitted functions; train without training.holdout_range to predict"
         )
     if wanted:
         _require_bounded(identified.table(updated.updated_known), table, key, name_state(wanted))
