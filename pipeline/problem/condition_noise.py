@@ -72,7 +72,7 @@ NO_LEVELS = ConditionNoise(
 """Noise that is not in levels: nothing ties readings together."""
 
 
-def follow_residuals(noise: ConditionNoise, residual: np.ndarray, numbers: float) -> ConditionNoise:
+def follow_residuals(noise: ConditionNoise, residual: np.ndarray, numbers: float, rounds: int = 50) -> ConditionNoise:
     """The noise that residuals (R, D) complex, m, of a fit of so many real ``numbers`` show.
 
     Where the fitted model can't follow the data, its misfit is part of the condition level: as large and in such
@@ -80,14 +80,11 @@ def follow_residuals(noise: ConditionNoise, residual: np.ndarray, numbers: float
     """
     left = len(residual) - numbers / (2 * residual.shape[1])
     weights = noise.weights
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         scatter = shrink((residual.T * weights) @ residual.conj() / left, left)
         weights = student_weights(residual * np.sqrt(len(residual) / left), scatter)
     levels = levels_of(residual, weights, left, noise.levels.record, noise.counts)
     return ConditionNoise(levels, noise.counts, weights)
-
-
-_ROUNDS = 50
 
 
 def condition_noise(conditions: Conditions, beside: NoiseModel | None = None) -> ConditionNoise:
@@ -108,13 +105,9 @@ def condition_noise(conditions: Conditions, beside: NoiseModel | None = None) ->
     return ConditionNoise(levels, conditions.counts, weights)
 
 
-_ENOUGH = 2
-"""Conditions for each entry of a vector, from which on the levels of the noise are estimated."""
-
-
-def suffices(conditions: Conditions) -> bool:
-    """Whether there are conditions enough to estimate their drift."""
-    return len(conditions.names) > _ENOUGH * int(conditions.vectors.shape[1])
+def suffices(conditions: Conditions, enough: int = 2) -> bool:
+    """Whether there are conditions ``enough``, for each entry of a vector, to estimate the levels of their noise."""
+    return len(conditions.names) > enough * int(conditions.vectors.shape[1])
 
 
 def spread_conditions(

@@ -37,13 +37,16 @@ class Expansion:
         return result
 
 
-def expand(equations: ResponseEquations, displacement: np.ndarray, deviation: np.ndarray) -> Expansion | None:
+def expand(
+    equations: ResponseEquations, displacement: np.ndarray, deviation: np.ndarray, dependent: float = 1e-6
+) -> Expansion | None:
     """Forces and motion at the bearings by least squares, weighted by the noise; None where the sensors are too few.
 
     Args:
         displacement: (S, P, R) complex, m.
         deviation: (S, P, R) root mean square of its noise, m; infinite where a run was not measured, which then says
             nothing: no force, and a covariance beyond all others.
+        dependent: sensors whose smallest singular value is below this share say nothing of some bearing force.
     """
     n_speeds, n_channels, n_runs = displacement.shape
     count = 2 * len(equations.bearing_nodes)
@@ -58,7 +61,7 @@ def expand(equations: ResponseEquations, displacement: np.ndarray, deviation: np
             weight = 1.0 / np.where(here[:, None], deviation[:, :, run], 1.0)
             matrix = block.receptance_sensors * weight[..., None]
             length = np.linalg.norm(matrix, axis=1, keepdims=True)
-            if (np.linalg.svd(matrix / length, compute_uv=False)[:, -1] < _DEPENDENT).any():
+            if (np.linalg.svd(matrix / length, compute_uv=False)[:, -1] < dependent).any():
                 return None
             inverse = np.linalg.pinv(matrix / length) / length.swapaxes(1, 2)
             solved = inverse @ ((displacement[:, :, run] - block.forced_sensors[:, :, i]) * weight)[..., None]
@@ -87,7 +90,3 @@ def bearing_equations_of(
         force.reshape(shape).swapaxes(0, 1),
         displacements.reshape(shape).swapaxes(0, 1),
     )
-
-
-_DEPENDENT = 1e-6
-"""Sensors whose smallest singular value is below this share say nothing of some bearing force."""

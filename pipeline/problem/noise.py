@@ -26,8 +26,6 @@ DEPENDENT = 1e-10
 """Ratio of singular values below which data in double precision can't tell equations apart."""
 UNMEASURED = 1e40
 """N^2: the covariance of the forces of a run that was not measured. Whitened by it, a row of any force vanishes."""
-_CHUNK = 64
-"""Speeds whose sensitivities are held at once."""
 
 
 def residual_covariance(
@@ -45,14 +43,16 @@ def residual_covariance(
     return covariance
 
 
-def residual_sensitivity(rotor: RotorModel, dataset: VibrationDataset, bearings: BearingTable) -> np.ndarray:
-    """(S, R, 2 B, P) derivative of the residual by the measured displacements, N/m."""
+def residual_sensitivity(
+    rotor: RotorModel, dataset: VibrationDataset, bearings: BearingTable, at_once: int = 64
+) -> np.ndarray:
+    """(S, R, 2 B, P) derivative of the residual by the measured displacements, N/m, of so many speeds ``at_once``."""
     result = np.empty(
         (len(dataset.speeds), len(dataset.runs), 2 * len(bearings.nodes), len(dataset.channels)), dtype=complex
     )
     for runs, w in group_runs(dataset.frequencies):
-        for start in range(0, len(w), _CHUNK):
-            few = np.arange(start, min(start + _CHUNK, len(w)))
+        for start in range(0, len(w), at_once):
+            few = np.arange(start, min(start + at_once, len(w)))
             result[np.ix_(few, runs)] = _sensitivity(rotor, dataset, bearings.at(few), w[few])[:, None]
     return result
 

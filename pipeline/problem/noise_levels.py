@@ -23,8 +23,6 @@ FULL = 3
 """Degrees of freedom for each entry of a vector from which on the condition level is a full matrix, not shrunk."""
 TAIL = 4.0
 """Degrees of freedom of the Student t that weighs conditions."""
-_STEPS = 200
-_TOLERANCE = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,18 +138,18 @@ def scatter_of(residual: np.ndarray, weights: np.ndarray, left: float) -> np.nda
     return total if np.ptp(weights) == 0.0 else total / consistency(residual.shape[1], round(left, 6))
 
 
-def robust_weights(vectors: np.ndarray, design: np.ndarray) -> np.ndarray:
+def robust_weights(vectors: np.ndarray, design: np.ndarray, steps: int = 200, tolerance: float = 1e-7) -> np.ndarray:
     """(C,) weights of the Student t likelihood with :data:`TAIL` degrees of freedom, for a linear model of the vectors.
 
     With too few conditions for a scatter of all D entries, the weights follow from the shrunk one.
     """
     weights, previous = np.ones(len(vectors)), np.zeros(len(vectors))
     left = len(design) - np.linalg.matrix_rank(design)
-    for _ in range(_STEPS):
+    for _ in range(steps):
         residual = vectors - design @ solve_weighted(vectors, design, weights)
         scatter = shrink((residual.T * weights) @ residual.conj() / left, float(left))
         weights = student_weights(residual * np.sqrt(len(design) / left), scatter)
-        if abs(weights - previous).max() < _TOLERANCE:
+        if abs(weights - previous).max() < tolerance:
             break
         previous = weights
     return weights
@@ -227,9 +225,16 @@ def _positive(covariance: np.ndarray) -> np.ndarray:
     return np.asarray((vectors * np.maximum(values, 1e-9 * max(values[-1], 0.0))) @ vectors.conj().T)
 
 
-def _maximise(scaled: np.ndarray, record: np.ndarray, counts: np.ndarray, level: np.ndarray) -> np.ndarray:
+def _maximise(
+    scaled: np.ndarray,
+    record: np.ndarray,
+    counts: np.ndarray,
+    level: np.ndarray,
+    steps: int = 200,
+    tolerance: float = 1e-7,
+) -> np.ndarray:
     """EM of the condition level where the conditions' numbers of records differ, from weighted residuals (C, D)."""
-    for _ in range(_STEPS):
+    for _ in range(steps):
         expected = np.zeros_like(level)
         for n in np.unique(counts):
             rows = scaled[counts == n]
@@ -237,7 +242,7 @@ def _maximise(scaled: np.ndarray, record: np.ndarray, counts: np.ndarray, level:
             drift = rows @ gain.T
             expected += drift.T @ drift.conj() + len(rows) * (level - gain @ level)
         step = expected / len(scaled)
-        done = abs(step - level).max() < _TOLERANCE * abs(level).max()
+        done = abs(step - level).max() < tolerance * abs(level).max()
         level = step
         if done:
             break

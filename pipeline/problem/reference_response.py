@@ -9,7 +9,6 @@ Legend: S speeds, P channels, R runs, B bearings, N balance planes, T model para
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,36 +25,33 @@ REFERENCE_LOSS = 1.0
 """Loss factor of the reference bearings, ``H0 = k (1 + j)``: so damped, they have no resonance that costs digits."""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class _Solved:
-    """Runs that share their frequencies, on the reference bearings."""
-
-    runs: np.ndarray  # (R,) indices
-    frequencies: np.ndarray  # (S,) rad/s
-    planes: int  # N; 0 where the runs are not synchronous
-    response: np.ndarray  # (S, n, R + N + 2 B): of the forces, of 1 kg m at each plane, of 1 N at each bearing
-
-    def block(self, at_bearings: np.ndarray, at_sensors: np.ndarray) -> ResponseBlock:
-        """The block of these responses, (.., S, 2 B, R + N + 2 B) and (.., S, P, R + N + 2 B)."""
-        cuts = [len(self.runs), len(self.runs) + self.planes]
-        forced_bearings, unit_bearings, receptance_bearings = np.split(at_bearings, cuts, axis=-1)
-        forced_sensors, unit_sensors, receptance_sensors = np.split(at_sensors, cuts, axis=-1)
-        return ResponseBlock(
-            runs=self.runs,
-            frequencies=self.frequencies,
-            forced_sensors=forced_sensors,
-            forced_bearings=forced_bearings,
-            receptance_sensors=receptance_sensors,
-            receptance_bearings=receptance_bearings,
-            unit_sensors=unit_sensors,
-            unit_bearings=unit_bearings,
-        )
+def _split(
+    runs: np.ndarray, frequencies: np.ndarray, n_planes: int, at_bearings: np.ndarray, at_sensors: np.ndarray
+) -> ResponseBlock:
+    """The block of responses (.., S, 2 B, R + N + 2 B) and (.., S, P, R + N + 2 B), as :func:`_solved` orders them."""
+    cuts = [len(runs), len(runs) + n_planes]
+    forced_bearings, unit_bearings, receptance_bearings = np.split(at_bearings, cuts, axis=-1)
+    forced_sensors, unit_sensors, receptance_sensors = np.split(at_sensors, cuts, axis=-1)
+    return ResponseBlock(
+        runs=runs,
+        frequencies=frequencies,
+        forced_sensors=forced_sensors,
+        forced_bearings=forced_bearings,
+        receptance_sensors=receptance_sensors,
+        receptance_bearings=receptance_bearings,
+        unit_sensors=unit_sensors,
+        unit_bearings=unit_bearings,
+    )
 
 
 def _solved(
     rotor: RotorModel, dataset: VibrationDataset, reference: complex, planes: Sequence[int], bow: np.ndarray | None
-) -> Iterator[_Solved]:
-    """Every block of runs on reference bearings. Each run's own response is at its own frequencies."""
+) -> Iterator[tuple[np.ndarray, np.ndarray, int, np.ndarray]]:
+    """Runs (indices) that share their frequencies (S,) rad/s, each block of them on reference bearings.
+
+    With them how many planes N count, 0 where the runs are not synchronous, and the response (S, n, R + N + 2 B) of the
+    forces, of 1 kg m at each plane, of 1 N at each bearing. Each run's own response is at its own frequencies.
+    """
     speeds, places = dataset.speeds, bearing_places(rotor)
     impedance, loads = _impedance(rotor, len(speeds), reference), places.loads(rotor.n_dof)
     forces = assemble_forces(rotor, dataset.excitations, dataset.runs, dataset.frequencies)
@@ -76,7 +72,7 @@ def _solved(
             frequencies = dataset.frequencies[:, run]
             if (frequencies != w).any():
                 response[..., [i]] = solve(system, frequencies, speeds, right[..., [i]], impedance, places.dof)
-        yield _Solved(runs=runs, frequencies=w, planes=len(turning_planes), response=response)
+        yield runs, w, len(turning_planes), response
 
 
 def _group_alike(dataset: VibrationDataset) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -120,7 +116,9 @@ def response_equations(
     places, reference = bearing_places(rotor), stiffness * (1 + 1j * REFERENCE_LOSS)
     seen = dataset.sensor_matrix(rotor.n_dof) if sensors is None else sensors
     solved = _solved(rotor, dataset, reference, planes, bow)
-    blocks = tuple(group.block(places.show(group.response), seen @ group.response) for group in solved)
+    blocks = tuple(
+        _split(runs, w, n_planes, places.show(response), seen @ response) for runs, w, n_planes, response in solved
+    )
     return ResponseEquations(rotor.bearing_nodes, dataset.speeds, reference, tuple(planes), blocks)
 
 
@@ -144,31 +142,31 @@ def response_variations(
     places, everything, system = bearing_places(updated), np.arange(rotor.n_dof), banded(updated)
     reference, speeds, turns = stiffness * (1 + 1j * REFERENCE_LOSS), dataset.speeds, turns_with_rotor(dataset)
     impedance, blocks = _impedance(updated, len(speeds), reference), []
-    for group in _solved(updated, data, reference, planes, bow):
-        at_bearings, at_sensors, forced = [], [], slice(0, len(group.runs))
+    for runs, w, n_planes, solved in _solved(updated, data, reference, planes, bow):
+        at_bearings, at_sensors, forced = [], [], slice(0, len(runs))
         for t, parameter in enumerate(parameters):
-            right, beside = np.zeros_like(group.response), np.zeros((1, 1))
+            right, beside = np.zeros_like(solved), np.zeros((1, 1))
             if (change := rotor_change(parameter, rotor)) is not None:
-                right -= apply(change, everything, everything, group.frequencies, speeds, group.response)
+                right -= apply(change, everything, everything, w, speeds, solved)
             if (force := force_change(t, parameters, values, rotor, dataset)) is not None:
-                right[..., forced] += force[..., group.runs]
+                right[..., forced] += force[..., runs]
             if (bent := bow_change(parameter, rotor)) is not None:
-                right[..., forced] += bent[:, None] * turns[group.runs]
+                right[..., forced] += bent[:, None] * turns[runs]
             if parameter.kind == "bearing_position":
-                tilted, beside = _tilt(updated, parameter, reference, group.response)
+                tilted, beside = _tilt(updated, parameter, reference, solved)
                 right += tilted
             response = right
             if right.any():  # the probes and the known coefficients move nothing on the reference bearings
-                response = solve(system, group.frequencies, speeds, right, impedance, places.dof)
+                response = solve(system, w, speeds, right, impedance, places.dof)
             shown = sensors @ response
             if (seen := sensor_change(parameter, dataset, updated, parameters, values)) is not None:
-                shown = shown + seen @ group.response
+                shown = shown + seen @ solved
             if parameter.kind == "runout":  # what the sensors show besides is none of the rotor's
                 vector = runout([parameter], np.ones(1), len(dataset.channels))
-                shown[..., forced] += vector[:, None] * turns[group.runs]
+                shown[..., forced] += vector[:, None] * turns[runs]
             at_bearings.append(places.show(response) + beside)
             at_sensors.append(shown)
-        blocks.append(group.block(np.stack(at_bearings), np.stack(at_sensors)))
+        blocks.append(_split(runs, w, n_planes, np.stack(at_bearings), np.stack(at_sensors)))
     return tuple(blocks)
 
 

@@ -12,16 +12,9 @@ import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
-PAGES = [
-    path
-    for folder, pattern in (
-        (ROOT, "README.md"),
-        (DOCS, "**/*.md"),
-        (ROOT / "studies", "**/*.md"),
-        (ROOT / "examples", "**/*.md"),
-    )
-    for path in sorted(folder.glob(pattern))
-]
+STUDIES = [path for path in (ROOT / "studies").rglob("*.md") if not (path.parent / "trials.csv").exists()]
+"""Those that a person wrote; the report of a study is made."""
+PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md")), *sorted(STUDIES), *sorted((ROOT / "examples").rglob("*.md"))]
 BUILT_WITHOUT = {"measured/tables.md"}
 """Markdown that no page of the site is made of."""
 
