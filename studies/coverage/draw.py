@@ -1,0 +1,300 @@
+"""Ordinary machines, drawn and not built by hand: the rotor, what holds it, what is measured, and what is wrong.
+
+A machine is drawn from a seed alone, and so is its trouble; nothing of an identification is known here. A drawn machine
+is two things: what its user states (:attr:`Drawn.stated`, the keys of a machine file) and what it really is.
+
+Sizes are drawn log-normal about those of small and middle-sized machines. Speeds reach from a fifth to 0.7 .. 2.2
+times the first natural frequency on rigid supports. Bearings are plain (short, by ROSS; two axial grooves, a published
+table), elliptical and tilting-pad (Reynolds), or rolling (constant, or with kinks over the speed); the load follows
+from the weight. A machine that would be unstable at one of its speeds is drawn again.
+
+Legend: S speeds, P probes, R runs, B bearings.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.compose import compose_config
+from pipeline.config.schema import Config
+from pipeline.data.as_built import build_rotor, stand_on_pedestals
+from pipeline.data.dataset import Excitation, VibrationDataset
+from pipeline.data.sensors import project
+from pipeline.data.simulate import simulate
+from pipeline.errors import ConfigError
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.stored import load_modelled_bearings, load_rotor
+from pipeline.twin.modes import find_modes, measure_stability
+from pipeline.units import RAD_S_PER_RPM
+
+BEARINGS = ("short", "grooved", "elliptical", "tilting_pad", "rolling", "kinked")
+FILMS = {"grooved": "lund_thomsen_two_axial_groove", "elliptical": "elliptical", "tilting_pad": "tilting_pad"}
+TROUBLE: dict[str, dict[str, Any]] = {
+    "none": {},
+    "modulus": {"built": {"youngs_modulus": 0.01}},
+    "discs": {"built": {"disc_mass": 0.02}},
+    "coupling": {"built": {"coupling_stiffness": "5e4 N/m", "coupling_mass": "0.3 kg"}},
+    "drift": {"drift": 0.02},
+    "correlated": {"correlation": 0.95},
+    "gain": {"gain": 0.02},
+    "angle": {"angle": 2.0},
+    "load_direction": {"load_angle": 20.0},
+}
+"""What is silently wrong, by name; the amounts were set before the first machine was drawn."""
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """A machine, as its user states it and as it is."""
+
+    stated: dict[str, Any]  # keys of a machine file, without data
+    bearings: dict[str, Any]  # the real ones, by node
+    residual: tuple[dict[str, Any], ...]  # unbalance of the machine as found
+    floor: float  # m, root mean square of a reading's noise
+    trouble: Mapping[str, Any] = field(default_factory=dict)
+
+
+def draw_machine(seed: int, floor: str = "0.05 um", trouble: str = "none") -> Drawn:
+    """The machine of a seed, which no trouble changes; drawn again while it is unstable at one of its speeds."""
+    generator = np.random.default_rng([seed, 11])
+    while True:
+        drawn = _draw(generator)
+        if _is_stable(drawn):
+            return replace(drawn, floor=float(floor.split()[0]) * 1e-6, trouble=TROUBLE[trouble])
+
+
+def _spread(generator: np.random.Generator, median: float, deviation: float) -> float:
+    """A log-normal size, in three digits."""
+    return float(f"{median * np.exp(deviation * generator.standard_normal()):.3g}")
+
+
+def _draw(generator: np.random.Generator) -> Drawn:
+    n_elements = int(generator.integers(6, 30))
+    diameter = _spread(generator, 0.055, 0.35)  # m
+    length = float(f"{diameter * generator.uniform(14, 26):.3g}")
+    overhung = bool(generator.random() < 0.4)
+    left = max(1, n_elements // 10)
+    right = round(n_elements * 0.7) if overhung else n_elements - left
+    n_discs = int(generator.integers(1, 4))
+    places = generator.choice(np.arange(left + 1, right), size=n_discs, replace=False).tolist()
+    light = (0,) if overhung else ()
+    if overhung:
+        places[0] = n_elements
+    discs = [
+        {
+            "node": int(node),
+            "width": f"{1e3 * _spread(generator, 0.9 * diameter, 0.25):.4g} mm",
+            "inner_diameter": f"{1e3 * diameter:.4g} mm",
+            "outer_diameter": f"{1e3 * _spread(generator, (4.0 if d in light else 4.6) * diameter, 0.15):.4g} mm",
+        }
+        for d, node in enumerate(places)
+    ]
+    rotor = {
+        "shaft": [{"length": f"{1e3 * length:.4g} mm", "outer_diameter": f"{1e3 * diameter:.4g} mm",
+                   "elements": n_elements}],
+        "material": {"density": "7810 kg/m^3", "youngs_modulus": "211 GPa", "shear_modulus": "81.2 GPa"},
+        "discs": discs,
+        "bearing_nodes": [left, right],
+    }  # fmt: skip
+    first, weight, centre = _weigh(rotor)
+    share = (centre - left) / (right - left)
+    loads = [max(abs(weight * (1 - share)), 0.05 * weight), max(abs(weight * share), 0.05 * weight)]
+    top = first * generator.uniform(0.7, 2.2)
+    step = max(5.0, round((top - top / 5) / int(generator.integers(60, 130)) / 5) * 5.0)
+    start = max(step, round(top / 5 / step) * step)
+    kinds = generator.choice(BEARINGS, size=2)
+    nodes = (left, right)
+    bearings = {
+        str(node): _draw_bearing(generator, kind, diameter, load, top)
+        for node, kind, load in zip(nodes, kinds, loads, strict=True)
+    }
+    turn = float(generator.choice([0.0, 30.0, 45.0]))
+    beside = int(generator.integers(0, 3))
+    probes = [
+        {"node": int(np.clip(node + side * beside, 0, n_elements)), "angle": f"{turn + angle:g} deg"}
+        for node, side in ((left, 1), (right, -1))
+        for angle in (0, 90)
+    ]
+    runs, residual = _draw_runs(generator, discs, weight)
+    stated = {
+        "rotor": rotor,
+        "speeds": {"start_rpm": start, "stop_rpm": start + step * int((top - start) / step), "step_rpm": step},
+        "runs": runs,
+        "probes": {"at": probes},
+        "prediction": {"node": discs[0]["node"], "speed_rpm": start + step * int((top - start) / step / 2),
+                       "unbalances": runs[-1].get("unbalances") or runs[1]["unbalances"]},
+    }  # fmt: skip
+    return Drawn(stated, bearings, residual, 0.0)
+
+
+def _weigh(rotor: Mapping[str, Any]) -> tuple[float, float, float]:
+    """First natural frequency on rigid supports (rpm), weight (N), and the node of the centre of mass."""
+    from scipy.linalg import eigh
+
+    config = _compose({"rotor": rotor, "bearings": {"kind": "linear", "kxx": 1e12, "kyy": 1e12}})
+    model = load_rotor(config.machine.rotor)
+    mass, stiffness = np.array(model.mass), np.array(model.stiffness)
+    x = np.arange(0, len(mass), len(mass) // model.n_nodes)
+    unit = np.zeros(len(mass))
+    unit[x] = 1.0
+    along = np.zeros(len(mass))
+    along[x] = np.arange(model.n_nodes)
+    total = unit @ mass @ unit
+    for node in rotor["bearing_nodes"]:
+        for direction in (0, 1):
+            stiffness[x[node] + direction, x[node] + direction] += 1e11
+    first = np.sqrt(eigh(stiffness, mass, eigvals_only=True, subset_by_index=[0, 0])[0])
+    return float(first / RAD_S_PER_RPM), float(9.81 * total), float(along @ mass @ unit / total)
+
+
+def _draw_bearing(
+    generator: np.random.Generator, kind: str, diameter: float, load: float, top: float
+) -> dict[str, Any]:
+    if kind in ("rolling", "kinked"):
+        stiffness = _spread(generator, 6e7, 0.9) * (diameter / 0.05)
+        ratio, loss = np.exp(0.3 * generator.standard_normal() - 0.2), _spread(generator, 1.2e-5, 0.7)
+        sizes = np.array([stiffness * ratio, stiffness, stiffness * ratio * loss, stiffness * loss])
+        count = 7 if kind == "kinked" else 1
+        rows = sizes * np.exp(0.12 * generator.standard_normal((count, 4)).cumsum(axis=0))
+        speeds = np.linspace(0.1, 1.1, count) * top if count > 1 else np.array([0.0])
+        table = [
+            [float(f"{rpm:.5g}"), *(float(f"{v:.4g}") for v in (kxx, 0, 0, kyy, cxx, 0, 0, cyy))]
+            for rpm, (kxx, kyy, cxx, cyy) in zip(speeds, rows, strict=True)
+        ]
+        if count > 1:
+            return {"kind": "speed_table", "rows": table}
+        return {"kind": "linear"} | dict(zip(COEFFICIENTS, table[0][1:], strict=True))
+    journal = diameter * generator.uniform(0.9, 1.2)
+    sizes = {
+        "journal_diameter": f"{1e3 * journal:.4g} mm",
+        "length": f"{1e3 * journal * min(_spread(generator, 0.5, 0.25), 0.9):.4g} mm",
+        "radial_clearance": f"{1e3 * journal / 2 * _spread(generator, 1.6e-3, 0.35):.4g} mm",
+        "oil_viscosity": f"{_spread(generator, 0.018, 0.5):.3g} Pa s",
+        "static_load": f"{load:.4g} N",
+    }
+    if kind == "short":
+        return {"kind": "cylindrical"} | sizes
+    film = {"kind": "journal_table", "table": FILMS[kind]} | sizes
+    # Gravity is along -y, the load of a table along its own x.
+    film["load_angle"] = "-90 deg"
+    if kind in ("elliptical", "tilting_pad"):
+        film["preload"] = float(f"{generator.uniform(0.2, 0.5):.2g}")
+    return film
+
+
+def _draw_runs(
+    generator: np.random.Generator, discs: list[dict[str, Any]], weight: float
+) -> tuple[list[dict[str, Any]], tuple[dict[str, Any], ...]]:
+    """As found, and with one to three trial weights of some ten times a residual of grade G 2.5; half have a shaker."""
+    mass = weight / 9.81
+
+    def unbalance(size: float) -> dict[str, Any]:
+        node = discs[int(generator.integers(len(discs)))]["node"]
+        grams = float(f"{1e6 * mass * size * generator.uniform(0.7, 1.4):.3g}")
+        return {"node": node, "magnitude": f"{grams} g mm", "phase": f"{int(generator.integers(0, 360))} deg"}
+
+    runs: list[dict[str, Any]] = [{"name": "as_found"}]
+    for number in range(int(generator.integers(2, 4))):
+        runs.append({"name": f"weight_{number + 1}", "unbalances": [unbalance(40e-6)]})
+    if generator.random() < 0.5:
+        force = {"node": discs[0]["node"], "magnitude": f"{0.05 * weight:.3g} N", "phase": "0 deg", "whirl": "backward"}
+        runs.append({"name": "backward", "forces": [force]})
+    return runs, tuple(unbalance(10e-6) for _ in discs)
+
+
+def _compose(machine: Mapping[str, Any]) -> Config:
+    """The configuration of a machine file with these keys, and with speeds and a run where they are not drawn yet."""
+    weight = {"node": machine["rotor"]["discs"][0]["node"], "magnitude": "1 g mm", "phase": "0 deg"}
+    keys = {
+        "speeds": {"start_rpm": 500, "stop_rpm": 1000, "step_rpm": 100},
+        "runs": [{"name": "first", "unbalances": [weight]}],
+        **machine,
+    }
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "machine.yaml"
+        path.write_text(yaml.safe_dump(keys, sort_keys=False), encoding="utf-8")
+        return compose_config([f"machine.file={path}", "tracking=none"])
+
+
+def compose_real(drawn: Drawn) -> Config:
+    """The configuration of the machine as it is."""
+    keys = {key: value for key, value in drawn.stated.items() if key not in ("probes", "prediction")}
+    keys["runs"] = [run for run in keys["runs"] if len(run) > 1]
+    keys["bearings"] = {"kind": "per_node", "nodes": drawn.bearings}
+    built = drawn.trouble.get("built", {})
+    if built:
+        keys["as_built"] = built
+    return _compose(keys)
+
+
+def _load_bearings(config: Config) -> BearingTable:
+    speeds = np.array(config.machine.speeds.rpm()) * RAD_S_PER_RPM
+    return load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds, {})
+
+
+def _is_stable(drawn: Drawn) -> bool:
+    """Whether it can be measured at all of its speeds: its films are those of their tables, and no whirl grows."""
+    config = compose_real(drawn)
+    try:
+        bearings = _load_bearings(config)
+    except ConfigError:
+        return False
+    chosen = bearings.at(np.arange(0, len(bearings.speeds), 10))
+    return bool(measure_stability(find_modes(load_rotor(config.machine.rotor), chosen)).stable)
+
+
+def measure_machine(drawn: Drawn, noise: float, seed: int) -> tuple[VibrationDataset, BearingTable]:
+    """What the probes read in every run (one has no weight), and the coefficients as the shaft feels them.
+
+    ``noise`` is a share of the reading, beside the floor.
+    """
+    generator, config = np.random.default_rng([seed, 12]), compose_real(drawn)
+    trouble, built = drawn.trouble, config.machine.as_built
+    bearings = _turn(_load_bearings(config), trouble.get("load_angle", 0.0))
+    rotor = load_rotor(config.machine.rotor) if built is None else build_rotor(config.machine.rotor, built)
+    felt = bearings if built is None else stand_on_pedestals(bearings, built)
+    acting = {run["name"]: [] for run in drawn.stated["runs"]}
+    for run in config.machine.runs:
+        acting[run.name] += [Excitation(run.name, "unbalance", u.node, u.magnitude, u.phase) for u in run.unbalances]
+        acting[run.name] += [Excitation(run.name, "force", f.node, f.magnitude, f.phase, f.whirl) for f in run.forces]
+    residual = [(r["node"], float(r["magnitude"].split()[0]) * 1e-6, np.radians(float(r["phase"].split()[0])))
+                for r in drawn.residual]  # fmt: skip
+    seen, stated = [], []
+    for name, excitations in acting.items():
+        factors = np.exp(trouble.get("drift", 0.0) * generator.standard_normal((len(felt.nodes), 1, 1)))
+        real = [*excitations, *(Excitation(name, "unbalance", *one) for one in residual)]
+        seen.append(simulate(rotor, replace(felt, values=felt.values * factors), tuple(real)).displacement)
+        stated += excitations
+    complete = simulate(rotor, felt, tuple(real))  # its axes and channels
+    everything = replace(
+        complete, runs=tuple(acting), displacement=np.concatenate(seen, axis=2), excitations=tuple(stated)
+    )
+    channels = tuple((p["node"], float(p["angle"].split()[0])) for p in drawn.stated["probes"]["at"])
+    gain, turn = generator.standard_normal((2, len(channels)))
+    turned = tuple(
+        (node, angle + trouble.get("angle", 0.0) * t) for (node, angle), t in zip(channels, turn, strict=True)
+    )
+    data = replace(project(everything, turned), channels=channels)
+    exact = data.displacement * (1 + trouble.get("gain", 0.0) * gain)[:, None]
+    draw = generator.standard_normal((2, *exact.shape))
+    steps, correlation = (draw[0] + 1j * draw[1]) / np.sqrt(2), trouble.get("correlation", 0.0)
+    for s in range(1, len(steps)):
+        steps[s] = correlation * steps[s - 1] + np.sqrt(1 - correlation**2) * steps[s]
+    deviation = np.sqrt(drawn.floor**2 + (noise * np.abs(exact)) ** 2)
+    return replace(data, displacement=exact + deviation * steps), felt
+
+
+def _turn(bearings: BearingTable, degrees: float) -> BearingTable:
+    """The bearings with their load turned by so many degrees from x towards y."""
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    turn = np.array([[c, -s], [s, c]])
+    pairs = bearings.values.reshape(*bearings.values.shape[:2], 2, 2, 2)
+    return replace(bearings, values=(turn @ pairs @ turn.T).reshape(bearings.values.shape))
