@@ -31,7 +31,7 @@ STATEMENTS = {
     "evaluation": 234,
     "twin": 522,
     "balance": 649,
-    "trust": 744,
+    "trust": 748,
     "export": 208,
     "methods": 651,
     "comparison": 184,
@@ -44,7 +44,7 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18221, 14500),
+    "statements of pipeline/": (18225, 14500),
     "files": (307, 250),
     "classes": (351, 260),
     "is None, is not None": (370, 420),
@@ -53,7 +53,7 @@ BUDGETS = {
     "bindings named by empty words": (122, 200),
     "statements of tests/": (13000, 13000),
     "words of docs/ beside the reference": (30000, 30000),
-    "functions entered by ingest and train of measured_demo": (609, 380),
+    "functions entered by ingest and train of measured_demo": (677, 380),
     "their files": (112, 75),
 }
 """Measure -> the most that it may be, and what it is to become."""

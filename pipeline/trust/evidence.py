@@ -103,8 +103,12 @@ def gather(
     runs = measurement.dataset.runs
     used = [r for r in range(len(runs)) if fitted[..., r].any()]
     several, pairs = len(used) > 1, fitted.shape[1] > 2 * len(answer.nodes) - 1
-    of_runs = {f"run {runs[r]}": _mask(fitted, r, 2) for r in used if several}
-    of_probes = {f"probe {name}": _mask(fitted, p, 1) for p, name in enumerate(names) if pairs}
+    every_run = {f"run {runs[r]}": _mask(fitted, r, 2) for r in used if several}
+    every_probe = {f"probe {name}": _mask(fitted, p, 1) for p, name in enumerate(names) if pairs}
+    of_runs, of_probes = (
+        {name: mask for name, mask in masks.items() if linear.suffices_without(mask)}
+        for masks in (every_run, every_probe)
+    )
     return Evidence(
         deviations=Deviations(answer, deviate(uncertainty.covariance), "by this fit"),
         by_fit=deviate(uncertainty.without_tolerances),

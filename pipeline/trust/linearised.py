@@ -49,6 +49,13 @@ class LinearisedFit:
         """``N^-1 right`` of all fitted readings, or of those ``without`` (S, P, R) mask."""
         return np.asarray(np.linalg.solve(self._information(without), right))
 
+    def suffices_without(self, mask: np.ndarray, least: float = 1e-12) -> bool:
+        """Whether the other readings and the priors determine every weight: no combination of weights, each over what
+        all readings tell of it, is below ``least``, the rounding of a normal matrix.
+        """
+        size = np.sqrt(np.diag(self.normal))
+        return bool(np.linalg.eigvalsh(self._information(mask) / np.outer(size, size))[0] > least)
+
     def leave_out(self, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(B, S, 8) how the coefficients move without the readings of ``mask``, and the deviation that noise explains.
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -39,3 +41,15 @@ def test_a_right_run_is_predicted_to_its_noise() -> None:
     mask[..., 1] = True
     assert a_line(noise=np.sqrt(0.5)).predict_without(mask) == pytest.approx(1.0, abs=0.25)
     assert a_line(noise=np.sqrt(0.5), shift=2.0).predict_without(mask) > 3.0
+
+
+def test_what_a_run_alone_tells_is_not_asked_without_it() -> None:
+    """The others determine nothing of the second weight: no answer without that run, and no singular matrix."""
+    linear = a_line()
+    by_weight = linear.by_weight.copy()
+    by_weight[..., :1, 1] = 0.0
+    alone = replace(linear, by_weight=by_weight, prior=np.zeros((2, 2)))
+    masks = np.zeros((2, 40, 3, 2), dtype=bool)
+    masks[0, ..., 0] = masks[1, ..., 1] = True
+    assert [alone.suffices_without(mask) for mask in masks] == [True, False]
+    assert [linear.suffices_without(mask) for mask in masks] == [True, True]
