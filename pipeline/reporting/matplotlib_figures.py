@@ -177,7 +177,7 @@ def _draw_axes(ax: Any, axes: Axes, panel: Panel) -> None:
         look = {"xytext": (3, -8), "textcoords": "offset points", "color": GREY, "fontsize": 6.5}
         ax.annotate(text, (at, 1), xycoords=("data", "axes fraction"), **look)
     if ax.get_yscale() == "linear" and np.abs(ax.get_ylim()).max() >= 1e5:
-        ax.yaxis.set_major_formatter(lambda value, _: write_number(value, digits=4))
+        ax.yaxis.set_major_formatter(_write_tick)
     ax.set_ylabel(axes.y_title, labelpad=2)
     if axes.y_names:
         ax.set_yticks(range(len(axes.y_names)), axes.y_names)
@@ -207,8 +207,15 @@ def _set_logarithmic(ax: Any, letter: str, decades: float) -> None:
     if decades < 2.5:
         axis = getattr(ax, f"{letter}axis")
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axis.set_major_formatter(lambda value, _: write_number(value, digits=3))
+        axis.set_major_formatter(_write_tick)
         axis.set_minor_formatter(NullFormatter())
+
+
+def _write_tick(value: float, place: int | None) -> str:
+    """Powers of ten from 1e5 on: longer numbers would push the title off the picture."""
+    del place  # among the ticks, which matplotlib gives beside it
+    mantissa, _, power = f"{value:.3e}".partition("e")
+    return f"{float(mantissa):g}e{int(power)}" if abs(value) >= 1e5 else write_number(value)
 
 
 def _draw_curve(ax: Any, curve: Curve, scales: tuple[float, float]) -> None:
