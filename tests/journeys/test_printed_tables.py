@@ -47,7 +47,7 @@ def test_what_was_measured_says_how() -> None:
     templates = "".join(TEMPLATES.values())
     for path in MEASURED.glob("*.json"):
         for name, entry in json.loads(path.read_text(encoding="utf-8")).items():
-            assert entry["command"].startswith(("python -m pipeline stage=", "python studies/verdicts/judge.py"))
+            assert entry["command"].startswith(("python -m pipeline stage=", "python studies/"))
             for figure in entry["figures"]:
                 least = "least " if figure.startswith("least ") else ""
                 assert f"{least}{path.stem}/{name}/{figure.removeprefix('least ')}" in templates
