@@ -84,7 +84,7 @@ def _draw(generator: np.random.Generator) -> Drawn:
     left = max(1, n_elements // 10)
     right = round(n_elements * 0.7) if overhung else n_elements - left
     n_discs = int(generator.integers(1, 4))
-    places = generator.choice(np.arange(left + 1, right), size=n_discs, replace=False).tolist()
+    places = generator.choice(np.arange(left + 1, right), size=min(n_discs, right - left - 1), replace=False).tolist()
     light = (0,) if overhung else ()
     if overhung:
         places[0] = n_elements
