@@ -19,7 +19,7 @@ from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_
 from pipeline.identification.quality import output_error_quality
 from pipeline.identification.training import FitSetup
 from pipeline.identification.uncertainty import measure_uncertainty
-from pipeline.problem.condition_noise import condition_noise, suffices, to_dataset
+from pipeline.problem.condition_noise import NO_LEVELS, condition_noise, suffices, to_dataset
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise_levels import NoiseLevels, spread_blocks
 from pipeline.rotor.bearing_table import BearingTable
@@ -76,7 +76,7 @@ def fit_physical(template: Measurement, setup: FitSetup, conditions: Conditions)
         noise=template.noise if enough else template.noise.with_drift(),
         dataset=to_dataset(conditions),
         known=replace(known, speeds=conditions.speeds),
-        drift=condition_noise(conditions, template.noise) if enough else None,
+        drift=condition_noise(conditions, template.noise) if enough else NO_LEVELS,
     )
     return physical_of(fit_output_error(measurement, setup), conditions)
 
