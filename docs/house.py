@@ -11,7 +11,9 @@ PACKAGE = ROOT / "pipeline"
 
 ROOMS: tuple[tuple[frozenset[str], str], ...] = (
     (
-        frozenset({"errors", "units", "files", "cache", "coefficients", "unknowns", "timeout", "processes"}),
+        frozenset(
+            {"errors", "units", "files", "cache", "coefficients", "unknowns", "timeout", "processes", "write_numbers"}
+        ),
         "words, files, and what is unknown",
     ),
     (frozenset({"config"}), "sections of a configuration, units, sentences"),

@@ -31,20 +31,20 @@ STATEMENTS = {
     "evaluation": 234,
     "twin": 522,
     "balance": 649,
-    "trust": 748,
+    "trust": 747,
     "export": 208,
     "methods": 651,
     "comparison": 184,
-    "tuning": 578,
-    "reporting": 2587,
+    "tuning": 580,
+    "reporting": 2558,
     "tracking": 399,
     "stages": 1526,
-    "beside the rooms": 419,
+    "beside the rooms": 454,
 }
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18225, 14500),
+    "statements of pipeline/": (18232, 14500),
     "files": (307, 250),
     "classes": (351, 260),
     "is None, is not None": (370, 420),

@@ -18,6 +18,7 @@ import numpy as np
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.problem.ranking import rank_indices
 from pipeline.rotor.bearing_table import BearingTable
+from pipeline.write_numbers import write_percent
 
 WELL_BELOW = 0.05
 """The 95 % interval is then within 10 % of the coefficient. A critical speed goes with the root of a stiffness, so it
@@ -104,7 +105,7 @@ def describe_determined(judged: Sequence[Determined], most_named: int = 8) -> st
             continue
         names = [f"{judgement.name} at node {judgement.node}" if several else judgement.name for judgement in alike]
         worst = rank_indices(judgement.deviation for judgement in alike)[0]
-        size = f"+- {100 * alike[worst].deviation:.2g} %" if np.isfinite(alike[worst].deviation) else "no limit"
+        size = write_percent(alike[worst].deviation, "+- ")
         which = f"{len(alike)} of {len(judged)}" if len(alike) > most_named else ", ".join(names)
         which = "all" if len(alike) == len(judged) > 1 else which
         parts.append(f"{which} {verdict.value} ({f'{names[worst]} ' if len(alike) > 1 else ''}{size})")
@@ -112,7 +113,7 @@ def describe_determined(judged: Sequence[Determined], most_named: int = 8) -> st
     if partly:
         coefficient = partly[rank_indices(judgement.lost for judgement in partly)[0]]
         where = f" at node {coefficient.node}" if several else ""
-        parts.append(f"{coefficient.name}{where} not at {100 * coefficient.lost:.2g} % of the speeds")
+        parts.append(f"{coefficient.name}{where} not at {write_percent(coefficient.lost)} of the speeds")
     return "; ".join(parts)
 
 

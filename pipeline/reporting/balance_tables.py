@@ -16,7 +16,7 @@ from pipeline.data.vibration_files import to_rpm
 from pipeline.ingest.records import Records
 from pipeline.ingest.source_units import GRAM_MILLIMETRE, SourceUnits
 from pipeline.reporting.console import say, table
-from pipeline.reporting.write_numbers import write_number
+from pipeline.write_numbers import write_number
 
 
 def tabulate_estimates(

@@ -6,8 +6,8 @@ from functools import partial
 from typing import Any
 
 from pipeline.identification.combinations import WORTH, Combinations
-from pipeline.reporting.write_numbers import write_number
 from pipeline.units import RAD_S_PER_RPM
+from pipeline.write_numbers import write_number
 
 
 def describe_combinations(combinations: Combinations) -> str:

@@ -17,7 +17,7 @@ from pipeline.comparison.cases import Case
 from pipeline.comparison.result import CoefficientResult, Result
 from pipeline.methods.catalogue import METHODS
 from pipeline.reporting.tables import Table, format_markdown
-from pipeline.reporting.write_numbers import write_number
+from pipeline.write_numbers import write_number
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 from pipeline.reporting.tables import Cell, Table
-from pipeline.reporting.write_numbers import write_number
+from pipeline.write_numbers import write_number
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -13,6 +13,7 @@ from pipeline.identification.quality import finite
 from pipeline.problem.determination import Determined, Deviations
 from pipeline.problem.diagnosis import Diagnosis
 from pipeline.reporting.console import table
+from pipeline.write_numbers import write_percent
 
 
 def summarize_diagnosis(diagnosis: Diagnosis) -> dict[str, object]:
@@ -73,10 +74,7 @@ def print_determined(name: str, expected: Deviations, judged: Sequence[Determine
     """The verdict on each coefficient, a column a bearing; ``noise`` in words."""
     nodes = expected.table.nodes
     coefficients = list(dict.fromkeys(coefficient.name for coefficient in judged))
-    cells = {
-        (coefficient.node, coefficient.name): f"+- {100 * coefficient.deviation:.2g} %, {coefficient.verdict.value}"
-        for coefficient in judged
-    }
+    cells = {(each.node, each.name): f"{write_percent(each.deviation, '+- ')}, {each.verdict.value}" for each in judged}
     rows = [[row, *(cells.get((node, row), "") for node in nodes)] for row in coefficients]
     header = ["coefficient", *(f"bearing at node {node}" for node in nodes)]
     table(f"{name}: each coefficient at {noise}, {expected.of} (medians)", header, rows)
@@ -88,7 +86,7 @@ def print_diagnosis(name: str, diagnosis: Diagnosis, noise: str) -> None:
     rows = []
     for report in diagnosis.reports:
         coefficient, deviation = diagnosis.worst(report)
-        size = f"+- {100 * deviation:.2g} %" if np.isfinite(deviation) else "free"
+        size = write_percent(deviation, "+- ") if np.isfinite(deviation) else "free"
         rows.append(
             [
                 report.where,

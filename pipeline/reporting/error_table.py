@@ -13,9 +13,9 @@ from pipeline.evaluation.errors import CoefficientErrors
 from pipeline.problem.determination import Deviations, describe_determined, read_determined
 from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.console import table
-from pipeline.reporting.write_numbers import format_engineering, write_number
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.trust.misfit import describe_held_out, measure_misfit
+from pipeline.write_numbers import format_engineering, write_number
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -21,7 +21,7 @@ from pipeline.reporting.figure import (
     count_decades,
 )
 from pipeline.reporting.tables import MICROMETRES_PEAK_TO_PEAK
-from pipeline.reporting.write_numbers import write_number
+from pipeline.write_numbers import write_number
 
 PANEL_WIDTH = 3.66  # inches
 _DASHES: dict[str, Any] = {"longdash": (0, (8, 3)), "solid": "-", "dash": "--", "dashdot": "-.", "dot": ":", "none": ""}

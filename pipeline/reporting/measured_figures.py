@@ -30,8 +30,8 @@ from pipeline.reporting.figure import (
     Panel,
 )
 from pipeline.reporting.matplotlib_figures import write_figure
-from pipeline.reporting.write_numbers import write_number
 from pipeline.units import RAD_S_PER_RPM
+from pipeline.write_numbers import write_number
 
 if TYPE_CHECKING:
     from pipeline.sweep.fit import ModalFit, RunUp

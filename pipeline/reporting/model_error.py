@@ -13,8 +13,8 @@ from pipeline.reporting.console import print_table
 from pipeline.reporting.figure import BLACK, Axes, Curve, Figure, HeatMap, Panel
 from pipeline.reporting.matplotlib_figures import write_figure
 from pipeline.reporting.tables import Table
-from pipeline.reporting.write_numbers import write_number
 from pipeline.rotor.parameters import UNITS
+from pipeline.write_numbers import write_number
 
 
 def print_parameters(name: str, fitted: Sequence[FittedParameter]) -> None:

@@ -13,7 +13,7 @@ from pipeline.data.operating import write_condition
 from pipeline.evaluation.contradiction import find_contradiction, list_contradicted
 from pipeline.reporting.console import print_table
 from pipeline.reporting.tables import Table
-from pipeline.reporting.write_numbers import write_number
+from pipeline.write_numbers import write_number
 
 _ZERO_CELSIUS = 273.15
 _UNITS = {

@@ -12,8 +12,8 @@ import numpy as np
 from pipeline.config.tuning import Dimension, Value
 from pipeline.reporting.figure import BLUE, GREEN, GREY, ORANGE, PURPLE, Axes, Curve, Figure, Panel
 from pipeline.reporting.matplotlib_figures import write_figure
-from pipeline.reporting.write_numbers import write_number
 from pipeline.tuning.finalists import Finalist, TrialSummary
+from pipeline.write_numbers import write_number
 
 _STATES = {"complete": (BLUE, "o"), "pruned": (ORANGE, "x"), "failed": (PURPLE, "s")}
 _LOSS = "held-out loss\n(over the bearing force, or the noise)"

@@ -16,10 +16,10 @@ from pipeline.evaluation.errors import find_worst_mean, measure_errors
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.residual_loss import ChebyshevFit
 from pipeline.reporting.tables import format_markdown
-from pipeline.reporting.write_numbers import write_number, write_value
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.tuning.finalists import Finalist, TrialSummary
 from pipeline.tuning.judging import describe_objective
+from pipeline.write_numbers import write_number, write_value
 
 if TYPE_CHECKING:
     import pandas as pd

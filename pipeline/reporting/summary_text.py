@@ -20,13 +20,13 @@ from pipeline.data.vibration_files import to_rpm
 from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.error_table import describe_verdicts
 from pipeline.reporting.twin_tables import measure_sizes, show, summarize_modes
-from pipeline.reporting.write_numbers import count, format_engineering, write_number
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.trust.misfit import describe_held_out, measure_misfit
 from pipeline.twin.mode_deviations import Behaviour
 from pipeline.twin.modes import Stability
 from pipeline.twin.prediction import PredictedVibration
+from pipeline.write_numbers import count, format_engineering, write_number
 
 WIDTH = 100
 _INDENT = " " * 13

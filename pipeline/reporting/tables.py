@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from pipeline.reporting.write_numbers import write_number
+from pipeline.write_numbers import write_number
 
 MICROMETRES_PEAK_TO_PEAK = 2e6
 """What an amplitude in m, zero-to-peak, is multiplied by, unless the reader chooses another unit."""

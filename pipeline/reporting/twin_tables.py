@@ -12,11 +12,11 @@ from pipeline.data.operating import name_state
 from pipeline.data.operating_points import list_columns
 from pipeline.data.vibration_files import to_rpm
 from pipeline.reporting.console import say, table
-from pipeline.reporting.write_numbers import write_number
 from pipeline.twin.mode_deviations import Behaviour
 from pipeline.twin.modes import amplify, require_separation
 from pipeline.twin.prediction import PredictedVibration
 from pipeline.units import RAD_S_PER_RPM
+from pipeline.write_numbers import write_number
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -10,10 +10,10 @@ from pipeline.config.schema import Config
 from pipeline.errors import ConfigError
 from pipeline.files import read_json, write_beside
 from pipeline.reporting.console import say, table
-from pipeline.reporting.write_numbers import write_value
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.tune import AGAIN, SUMMARY
+from pipeline.write_numbers import write_value
 
 
 def run(analysis: Analysis) -> StageOutput:

@@ -13,7 +13,6 @@ from pipeline.reporting.console import say
 from pipeline.reporting.physical_numbers import list_numbers
 from pipeline.reporting.summary_figure import draw_summary
 from pipeline.reporting.summary_text import Results, ShownRun, write_summary
-from pipeline.reporting.write_numbers import write_number
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import AGAIN, load_modelled, restore
@@ -21,6 +20,7 @@ from pipeline.stages.predict import load_twin
 from pipeline.stages.verdict import load_judgement
 from pipeline.twin.at_conditions import say_beyond
 from pipeline.twin.twin import Twin
+from pipeline.write_numbers import write_number
 
 
 def run(analysis: Analysis) -> StageOutput:

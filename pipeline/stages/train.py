@@ -27,12 +27,12 @@ from pipeline.reporting.error_table import describe_verdicts
 from pipeline.reporting.fit_tables import tabulate_bad_points, tabulate_parameters, tabulate_unbalance
 from pipeline.reporting.model_error import print_parameters
 from pipeline.reporting.physical_numbers import describe_law, list_numbers, print_numbers
-from pipeline.reporting.write_numbers import write_value
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.diagnose import describe_noise, say_diagnosis
 from pipeline.stages.execution import StageOutput, use_threads
 from pipeline.stages.measurement import diagnose, expect, prepare
 from pipeline.trust.misfit import measure_misfit
+from pipeline.write_numbers import write_value
 
 
 def say_promoted(config: Config) -> None:

@@ -22,6 +22,7 @@ from pipeline.problem.determination import Determination, Determined, measure_si
 from pipeline.problem.ranking import rank
 from pipeline.trust.evidence import Evidence
 from pipeline.trust.mistakes import Found
+from pipeline.write_numbers import write_percent
 
 
 class Verdict(StrEnum):
@@ -83,9 +84,10 @@ class CoefficientVerdict:
     def praise(self) -> str:
         """What is said of it where nothing speaks against it."""
         band = self.checks["band"]
-        known = f"{band['percent']:.2g} %"
+        known = write_percent(band["percent"] / 100)
         if "of_direct_percent" in band:
-            known = f"{band['of_direct_percent']:.2g} % of the direct coefficients, beside which it is small,"
+            direct = write_percent(band["of_direct_percent"] / 100)
+            known = f"{direct} of the direct coefficients, beside which it is small,"
         return f"{self.coefficient} at node {self.node} is known to {known} (95 %), and no check speaks against it."
 
 
@@ -212,7 +214,7 @@ def judge_coefficient(
     tolerances = {kind: _median(tolerance[b, :, c] / size) for kind, tolerance in evidence.tolerances.items()}
     reasons = _judge_band(f"{name} at node {node}", determined, fit, tolerances)
     if not reasons and determined.lost > most_lost:
-        lost = f"{name} at node {node} is not determined at {_percent(determined.lost)} of the speeds."
+        lost = f"{name} at node {node} is not determined at {write_percent(determined.lost)} of the speeds."
         reasons.append(Reason(Verdict.WITH_CARE, lost))
     if is_direct(name) and (wrong := float(np.mean(values[:, c] <= 0))) > 0.0:
         reasons.append(
@@ -262,14 +264,14 @@ def _judge_band(which: str, determined: Determined, fit: float, tolerances: dict
             Reason(
                 verdict,
                 f"A usual tolerance of {number}, which no fit corrects here, moves {which} by "
-                f"{_percent(tolerances[kind])}.",
+                f"{write_percent(tolerances[kind])}.",
                 f"Measure {number} well, and state its tolerance as identify.model_parameters.{kind}.",
             )
         ]
     if verdict is Verdict.NO:
-        deviation = _percent(determined.deviation)
+        deviation = write_percent(determined.deviation)
         return [Reason(verdict, f"The data do not determine {which}: {deviation} is one standard deviation.")]
-    return [Reason(verdict, f"{which} is known to {_percent(NOMINAL_95 * determined.deviation)} only (95 %).")]
+    return [Reason(verdict, f"{which} is known to {write_percent(NOMINAL_95 * determined.deviation)} only (95 %).")]
 
 
 def _find_move(evidence: Evidence, b: int, c: int, expected: float = 3.5) -> tuple[str | None, float, float]:
@@ -293,7 +295,3 @@ def _median(values: np.ndarray) -> float:
     """Infinite where it is undefined."""
     with np.errstate(invalid="ignore"):
         return float(np.median(np.where(np.isnan(values), np.inf, values)))
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.2g} %" if np.isfinite(share) else "no limit"

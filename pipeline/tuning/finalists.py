@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import pickle
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -103,7 +102,7 @@ def train_finalists(study: optuna.Study, problem: StudyProblem) -> list[Finalist
     # One training at a time, as in `stage=train`: a batch would go on until its slowest seed is done.
     each = [(problem, place, values, seed) for place, values in chosen.items() for seed in config.seeds]
     with open_pool(min(config.workers, len(each)), problem.config.threads) as run_all:
-        trained: list[Judged] = [pickle.loads(run) for run in run_all(_train_seed, each)]
+        trained = [_with_parameters(*run) for run in run_all(_train_seed, each)]
     batches = [trained[i : i + len(config.seeds)] for i in range(0, len(trained), len(config.seeds))]
     return [
         Finalist(
@@ -118,14 +117,20 @@ def train_finalists(study: optuna.Study, problem: StudyProblem) -> list[Finalist
     ]
 
 
-def _train_seed(given: tuple[StudyProblem, int, Mapping[str, Value], int]) -> bytes:
-    """The training of a seed, as bytes: torch's own way of handing tensors on ends with the process they come from."""
+def _train_seed(given: tuple[StudyProblem, int, Mapping[str, Value], int]) -> tuple[Judged, np.ndarray]:
+    """A training, and the parameters (M, Q) of its model: torch's tensors do not come back from another process."""
     problem, place, values, seed = given
     setup = replace(setup_of(apply_values(problem.config, values, f"trial {place}")), seed=seed)
     trained = judge(problem.measurement, setup, lambda *_: None)
     if trained.outcome is Outcome.INTERRUPTED:
         raise KeyboardInterrupt
-    return pickle.dumps(trained)
+    return _with_parameters(trained, np.empty(0)), trained.model.parameters.numpy()
+
+
+def _with_parameters(trained: Judged, parameters: np.ndarray) -> Judged:
+    import torch
+
+    return replace(trained, model=replace(trained.model, parameters=torch.from_numpy(parameters)))
 
 
 def choose(finalists: Sequence[Finalist], config: TuningConfig) -> Finalist:

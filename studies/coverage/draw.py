@@ -161,9 +161,9 @@ def _draw_bearing(
     if kind in ("rolling", "kinked"):
         stiffness = _spread(generator, 6e7, 0.9) * (diameter / 0.05)
         ratio, loss = np.exp(0.3 * generator.standard_normal() - 0.2), _spread(generator, 1.2e-5, 0.7)
-        sizes = np.array([stiffness * ratio, stiffness, stiffness * ratio * loss, stiffness * loss])
+        middle = np.array([stiffness * ratio, stiffness, stiffness * ratio * loss, stiffness * loss])
         count = 7 if kind == "kinked" else 1
-        rows = sizes * np.exp(0.12 * generator.standard_normal((count, 4)).cumsum(axis=0))
+        rows = middle * np.exp(0.12 * generator.standard_normal((count, 4)).cumsum(axis=0))
         speeds = np.linspace(0.1, 1.1, count) * top if count > 1 else np.array([0.0])
         table = [
             [float(f"{rpm:.5g}"), *(float(f"{v:.4g}") for v in (kxx, 0, 0, kyy, cxx, 0, 0, cyy))]
@@ -261,7 +261,7 @@ def measure_machine(drawn: Drawn, noise: float, seed: int) -> tuple[VibrationDat
     bearings = _turn(_load_bearings(config), trouble.get("load_angle", 0.0))
     rotor = load_rotor(config.machine.rotor) if built is None else build_rotor(config.machine.rotor, built)
     felt = bearings if built is None else stand_on_pedestals(bearings, built)
-    acting = {run["name"]: [] for run in drawn.stated["runs"]}
+    acting: dict[str, list[Excitation]] = {run["name"]: [] for run in drawn.stated["runs"]}
     for run in config.machine.runs:
         acting[run.name] += [Excitation(run.name, "unbalance", u.node, u.magnitude, u.phase) for u in run.unbalances]
         acting[run.name] += [Excitation(run.name, "force", f.node, f.magnitude, f.phase, f.whirl) for f in run.forces]

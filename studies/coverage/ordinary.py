@@ -20,7 +20,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -153,7 +153,7 @@ def run_case(folder: Path, seed: int, case: str, method: str) -> dict[str, Any]:
     return dict(json.loads(done.read_text(encoding="utf-8")))
 
 
-def summarize(machines: list[Mapping[str, Any]]) -> dict[str, float]:
+def summarize(machines: Sequence[Mapping[str, Any]]) -> dict[str, float]:
     """Of the machines of a case."""
     answered = [machine for machine in machines if machine["coefficients"]]
     within = [np.mean([row["within_percent"] for row in machine["coefficients"]]) for machine in answered]

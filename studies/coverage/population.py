@@ -441,7 +441,8 @@ def _conclude(
     square: float,
 ) -> Answer:
     w = problem.measurement.dataset.speeds
-    drawn, before = [], []
+    drawn: list[np.ndarray] = []
+    before: list[np.ndarray] = []
     for pair, mode, count in zip(pairs, modes, generator.multinomial(600, shares), strict=True):
         if not count:
             continue
@@ -454,5 +455,7 @@ def _conclude(
     wide = np.quantile(prior, [0.16, 0.84], axis=0)
     narrow = np.quantile(after, [0.16, 0.84], axis=0)
     decided = (narrow[1] - narrow[0]) < 0.5 * (wide[1] - wide[0])
-    told = tuple((*(p.family for p in pair.priors), float(s)) for pair, s in zip(pairs, shares, strict=True))
+    told = tuple(
+        (pair.priors[0].family, pair.priors[1].family, float(share)) for pair, share in zip(pairs, shares, strict=True)
+    )
     return Answer(middle, low, high, decided, told, square)

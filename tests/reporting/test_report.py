@@ -21,7 +21,7 @@ from pipeline.reporting.report.pdf import write_pdf
 from pipeline.reporting.report.response import find_peak
 from pipeline.reporting.report.section import Paragraph, Section, typeset
 from pipeline.reporting.tables import Amplitude, Mark, Table
-from pipeline.reporting.write_numbers import format_engineering, write_number
+from pipeline.write_numbers import format_engineering, write_number
 
 RPM = np.linspace(500, 3000, 40)
 SIZE = 1e-6 * RPM / 500

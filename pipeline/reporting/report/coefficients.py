@@ -26,7 +26,7 @@ from pipeline.reporting.figure import GREEN, LOOKS, Curve, Figure, Panel
 from pipeline.reporting.report.content import FitContent, ReportContent
 from pipeline.reporting.report.section import Block, Paragraph, Section
 from pipeline.reporting.tables import Table
-from pipeline.reporting.write_numbers import write_number
+from pipeline.write_numbers import write_number
 
 _MOST_TABLES, _ROWS = 4, 5
 

@@ -11,8 +11,8 @@ from pipeline.reporting.report.content import FitContent, ReportContent, View
 from pipeline.reporting.report.measured import vectors_of
 from pipeline.reporting.report.section import Block, Paragraph, Section
 from pipeline.reporting.tables import Table
-from pipeline.reporting.write_numbers import count, write_number
 from pipeline.trust.misfit import measure_misfit
+from pipeline.write_numbers import count, write_number
 
 
 def describe_fit(content: ReportContent, fit: FitContent) -> Section:

@@ -11,7 +11,7 @@ from pipeline.reporting.figure import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, 
 from pipeline.reporting.report.content import ReportContent
 from pipeline.reporting.report.section import Paragraph, Section
 from pipeline.reporting.tables import Table
-from pipeline.reporting.write_numbers import count, write_number
+from pipeline.write_numbers import count, write_number
 
 _G_MM = 1e6
 _SHAFT, _DISC = 0.16, 0.75

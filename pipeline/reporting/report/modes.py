@@ -16,8 +16,8 @@ from pipeline.reporting.report.content import FitContent, ReportContent, list_re
 from pipeline.reporting.report.section import Block, Paragraph, Section
 from pipeline.reporting.tables import Table
 from pipeline.reporting.twin_tables import CRITICAL, list_critical
-from pipeline.reporting.write_numbers import write_number
 from pipeline.units import RAD_S_PER_RPM
+from pipeline.write_numbers import write_number
 
 
 def describe_modes(content: ReportContent, fit: FitContent, rounding: float = 1e-9) -> Section | None:

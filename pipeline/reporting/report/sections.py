@@ -19,8 +19,8 @@ from pipeline.reporting.report.modes import describe_modes
 from pipeline.reporting.report.response import describe_response
 from pipeline.reporting.report.section import Block, Paragraph, Section
 from pipeline.reporting.tables import Cell, Mark, Table
-from pipeline.reporting.write_numbers import write_number
 from pipeline.trust.judgement import AS_FELT
+from pipeline.write_numbers import write_number
 
 
 def list_sections(content: ReportContent) -> list[Section]:

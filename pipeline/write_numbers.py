@@ -25,6 +25,11 @@ def write_number(value: float | None, deviation: float | None = None, digits: in
     return " +- ".join(f"{round(number, -place):.{max(-place, 0)}f}" for number in (value, deviation))
 
 
+def write_percent(share: float, sign: str = "") -> str:
+    """A share in percent, two digits of it behind the ``sign``, such as ``+- 210 %``; or that it has no limit."""
+    return f"{sign}{write_number(100 * share, digits=2)} %" if math.isfinite(share) else "no limit"
+
+
 _MOST_DIGITS, _MOST_DECIMALS = 5, 9
 """After the first one, however small the deviation is; and after the point."""
 
