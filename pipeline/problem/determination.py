@@ -63,7 +63,7 @@ def measure_sizes(values: np.ndarray, cross_share: float = 0.1) -> np.ndarray:
     """
     sizes = np.abs(values)
     for first in (0, 4):  # stiffness, damping: xx, xy, yx, yy
-        direct = np.sqrt(sizes[..., first] * sizes[..., first + 3])[..., None]
+        direct = (np.sqrt(sizes[..., first]) * np.sqrt(sizes[..., first + 3]))[..., None]  # no overflow
         cross = slice(first + 1, first + 3)
         sizes[..., cross] = np.maximum(sizes[..., cross], cross_share * direct)
     return sizes
