@@ -5,7 +5,8 @@
 What is counted was laid down before the first case was run. A coefficient that is called good is *outside* where the
 median over the speed of its error over the half width of the 95 % band that the verdict states is above 1, and
 *outside the fit's band* where the same holds for the fit's own 95 % interval. It is *accurate* where the median over
-the speed of its error is below 5 % of its size. Verdicts never see the modelled coefficients: they are read here alone.
+the speed of its error is below 5 % of its size; a cross term counts as a tenth of the direct ones at least, since what
+is nearly nothing has no percent. Verdicts never see the modelled coefficients: they are read here alone.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ from pipeline.identification.fit import fit
 from pipeline.identification.restored import answer_of
 from pipeline.identification.training import setup_of
 from pipeline.problem.configured import build_measurement, model_machine, read_probes
+from pipeline.problem.determination import measure_sizes
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.trust.assessment import assess
@@ -82,7 +84,7 @@ def judge(config: Config, measurement: Measurement, truth: BearingTable) -> dict
             {
                 "coefficient": f"node {one['node']} {one['coefficient']}",
                 "verdict": one["verdict"],
-                "error_percent": 100 * _compare(error, np.abs(truth.values[b, :, c])),
+                "error_percent": 100 * _compare(error, measure_sizes(truth.values)[b, :, c]),
                 "band_percent": one["checks"]["band"]["percent"],
                 "error_over_band": _compare(error, evidence.band[b, :, c]),
                 "error_over_fit_band": _compare(error, NOMINAL_95 * own[b, :, c]),
