@@ -69,7 +69,7 @@ def test_fluid_film_coefficients() -> None:
 
 
 def test_friswells_rotor_is_unstable_from_2100_rpm() -> None:
-    """Friswell, example 5.9.6 (shared/method.md, section 4): oil whirl makes it unstable from 2100 rpm on.
+    """Friswell et al. 2010, example 5.9.6: oil whirl makes it unstable from 2100 rpm on.
 
     The book's static load of 525 N is half of the rotor's weight, which tells that the rotor is the book's.
     """
