@@ -36,7 +36,7 @@ STATEMENTS = {
     "methods": 651,
     "comparison": 184,
     "tuning": 580,
-    "reporting": 2558,
+    "reporting": 2568,
     "tracking": 399,
     "stages": 1526,
     "beside the rooms": 454,
@@ -44,7 +44,7 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18232, 14500),
+    "statements of pipeline/": (18242, 14500),
     "files": (307, 250),
     "classes": (351, 260),
     "is None, is not None": (370, 420),

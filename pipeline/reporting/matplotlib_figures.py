@@ -77,7 +77,8 @@ def draw_panels(panels: Sequence[Panel], legend: Sequence[Curve], columns: int, 
             left, below = _measure_margins(panel)
             lift = 0.42 if panel.round else 0.22 + 0.13 * (len(_wrap_title(panel)) - 1)  # for the angles around it
             box = np.array([i * each + left, bottom + below, each - left - 0.14, heights[r] - below - lift])
-            _draw_panel(drawing, panel, box / [width, height, width, height])
+            drawn = _draw_panel(drawing, panel, box / [width, height, width, height])
+            _make_room(drawing, drawn, i / columns)
     if lines:
         drawing.text(0.01, 1 - 0.05 / height, "\n".join(lines), va="top", fontsize=7)
     if legend:
@@ -127,7 +128,17 @@ def _draw_key(curve: Curve) -> Any:
     return Line2D([], [], mfc=face, ms=4, lw=min(0.8 * curve.width, 4), label=curve.label, **look)
 
 
-def _draw_panel(drawing: Any, panel: Panel, box: np.ndarray) -> None:
+def _make_room(drawing: Any, drawn: Sequence[Any], edge: float, apart: float = 0.015) -> None:
+    """Narrow the axes of a panel where words at their ticks would reach beyond its ``edge``, a share of the width."""
+    renderer, whole = drawing.canvas.get_renderer(), drawing.bbox.width
+    lack = edge + apart - min(ax.get_tightbbox(renderer).x0 for ax in drawn) / whole
+    for ax in drawn if lack > 0 else ():
+        box = ax.get_position()
+        ax.set_position((box.x0 + lack, box.y0, box.width - lack, box.height))
+
+
+def _draw_panel(drawing: Any, panel: Panel, box: np.ndarray) -> list[Any]:
+    """The axes of a panel, the upper one first."""
     from matplotlib.ticker import MaxNLocator
 
     left, bottom, width, height = box
@@ -140,9 +151,10 @@ def _draw_panel(drawing: Any, panel: Panel, box: np.ndarray) -> None:
         ax.set_title(panel.title, fontsize=8, loc="left", x=-0.3, y=1.04)
         ax.tick_params(labelsize=6)
         ax.yaxis.set_major_locator(MaxNLocator(4))
-        return
+        return [ax]
     shares = np.array([1.5, *([1.0] * (len(panel.axes) - 1))])
     shares *= (1 - 0.04 * (len(shares) - 1)) / shares.sum()
+    drawn = []
     for i, axes in enumerate(panel.axes):
         ax = drawing.add_axes(
             (left, bottom + height * (1 - shares[: i + 1].sum() - 0.04 * i), width, height * shares[i])
@@ -153,11 +165,13 @@ def _draw_panel(drawing: Any, panel: Panel, box: np.ndarray) -> None:
         if i == 0:
             ax.set_title("\n".join(_wrap_title(panel)), fontsize=8, loc="left")
         ax.tick_params(labelbottom=i == len(shares) - 1)
+        drawn.append(ax)
     ax.set_xlabel(panel.x_title, labelpad=1)
     if panel.legend:
         keys = panel.list_keys()
         columns = 2 if max(len(key.label) for key in keys) < 25 else 1
-        drawing.axes[-len(shares)].legend(handles=[_draw_key(key) for key in keys], fontsize=6.5, ncols=columns)
+        drawn[0].legend(handles=[_draw_key(key) for key in keys], fontsize=6.5, ncols=columns)
+    return drawn
 
 
 def _draw_axes(ax: Any, axes: Axes, panel: Panel) -> None:
@@ -165,7 +179,7 @@ def _draw_axes(ax: Any, axes: Axes, panel: Panel) -> None:
     scale = places if axes.quantity == "amplitude" else 1.0
     if axes.scale == "symlog":
         ax.set_yscale("symlog", linthresh=0.1)
-        ax.yaxis.set_major_formatter("{x:g}")
+        ax.yaxis.set_major_formatter(_write_tick)
     elif axes.scale == "log":
         _set_logarithmic(ax, "y", axes.decades)
     if panel.log_x:
