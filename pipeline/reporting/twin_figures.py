@@ -61,7 +61,9 @@ def draw_orbit(path: Path, vibration: Mapping[str, PredictedVibration], at: int,
         x, y = MICROMETRES * sample_motion(predicted.displacement[at], predicted.speeds[at], turns=1.0)[1].T
         curves.append(_draw(name, x, y, BLUE))
     title, axes = f"orbit of {_name_place(vibration, at, state)}", Axes(curves, "y-displacement (µm)")
-    return write_figure(path, Figure("orbit", "", [Panel(title, "x-displacement (µm)", [axes], equal=True)]))
+    return write_figure(
+        path, Figure("orbit", "", [Panel(title, "x-displacement (µm)", [axes], equal=True, wide=True)], 1)
+    )
 
 
 def draw_response(path: Path, vibration: Mapping[str, PredictedVibration], state: str = "") -> Path:

@@ -232,7 +232,7 @@ def test_metrics_have_the_shape_that_others_rely_on(experiment: str, made: Made)
         assert sum(robustness["outcomes"].values()) == robustness["starts"]
     assert list(robustness["coefficients"]) == [str(node) for node in config.machine.rotor.bearing_nodes]
     prediction = strict_json(made(experiment) / "prediction.json")
-    assert set(prediction) - {"influence_coefficients", "operating", "outside_measured"} == {
+    assert set(prediction) - {"influence_coefficients", "operating", "outside_measured", "reservation"} == {
         "modelled",
         "identified",
         "displacement",

@@ -10,6 +10,7 @@ import pytest
 from conftest import Machine
 
 from pipeline.reporting.summary_text import _describe_stability
+from pipeline.reporting.twin_tables import summarize_modes
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.interpolation import bearing_places, move_bearing
 from pipeline.rotor.model import RotorModel
@@ -251,7 +252,7 @@ def test_a_mode_near_critical_damping_widens_no_margin() -> None:
     assert growth is not None
     assert found == pytest.approx(0.006, rel=0.15)
     assert growth < 1.0
-    assert "0.0600 +- 0.0060 at" in _describe_stability(behaviour)
+    assert "0.0600 +- 0.0060 at" in _describe_stability(summarize_modes(behaviour, 1000.0)["stability"])
 
 
 @pytest.mark.parametrize(
@@ -265,4 +266,6 @@ def test_a_growth_is_judged_with_its_deviation(growth: float, deviation: float, 
     deviations = ModeDeviations(modes, empty, empty, np.zeros((1, 1, 1)), np.ones((1, 1)), np.diag([deviation**2]))
     behaviour = describe_modes(modes, deviations)
     assert behaviour.stability == verdict
-    assert ("UNSTABLE" in _describe_stability(behaviour)) is (verdict == "unstable")
+    assert ("UNSTABLE" in _describe_stability(summarize_modes(behaviour, 1000.0)["stability"])) is (
+        verdict == "unstable"
+    )
