@@ -84,7 +84,7 @@ def _parse_options(arguments: list[str]) -> Namespace:
     from hydra._internal.utils import get_args_parser
 
     parser = get_args_parser()
-    parser.error = _refuse  # type: ignore[method-assign]
+    parser.error = _refuse  # type: ignore[method-assign]  # Hydra makes the parser: no class of ours can be its
     options = parser.parse_intermixed_args(arguments)
     for name in ("config_path", "config_name", "experimental_rerun"):
         if getattr(options, name) is not None:

@@ -6,6 +6,7 @@ equations behind the words are in :mod:`pipeline.ingest.conventions`. Values are
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -193,7 +194,7 @@ class AnyRecordingsConfig(Section):
 
         @property
         def file(self) -> str | None:
-            """Of the runs that name none."""
+            """That of the runs that name none."""
 
         @property
         def speeds(self) -> SpeedsConfig | None:
@@ -238,7 +239,7 @@ class AnyRecordingsConfig(Section):
 
     def read_records(self, file: str | None = None) -> Records:
         """The records of a table that states :attr:`planes`, or of another ``file`` like it. Raises DataError."""
-        raise NotImplementedError
+        raise NotImplementedError(f"recordings of format {self.format} state no planes")  # callers ask for these first
 
 
 class NoRecordingsConfig(AnyRecordingsConfig):
@@ -299,13 +300,13 @@ class MeasuredConfig(AnyRecordingsConfig):
         """The share of its speed by which the swept peak of a time signal may lag."""
         return 0.0
 
+    @abstractmethod
     def describe(self) -> str:
         """What the numbers in the files are taken for."""
-        raise NotImplementedError
 
     def read(self) -> tuple[RunTracks, ...]:
         """The 1X vectors of all runs. Raises DataError."""
-        raise NotImplementedError
+        raise NotImplementedError(f"recordings of format {self.format} are records")  # callers ask for planes first
 
     def check_units(self, unit: str) -> Iterator[str]:
         """What is wrong with probes that do not fit numbers in ``unit``."""

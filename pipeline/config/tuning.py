@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from typing import Annotated, Any, Literal
 
@@ -34,9 +35,9 @@ class _Dimension(Section):
         """The parameter that Optuna's ``trial`` draws."""
         return trial.suggest_categorical(name, self.options())
 
+    @abstractmethod
     def translate(self, parameter: Value) -> dict[str, Value]:
         """The values of the configuration, by key, that a parameter stands for."""
-        raise NotImplementedError
 
     def find(self, get: Callable[[str], Any]) -> list[Value]:
         """Parameters that stand for the configured values, which ``get`` gives by key; what says most comes first."""

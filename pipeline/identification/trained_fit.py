@@ -190,7 +190,7 @@ def _mean(fit: OutputErrorFit, training: TrainedNetworks, watch: _Judge, interru
         max(float((predicted - fitted_square).mean()) * before.readings.size / 4, 0.0), float(numbers.shape[-1])
     )
 
-    def of(other: OutputError) -> _Mean:
+    def make_mean(other: OutputError) -> _Mean:
         return other.of_kind(
             _Mean,
             basis=basis,
@@ -200,12 +200,12 @@ def _mean(fit: OutputErrorFit, training: TrainedNetworks, watch: _Judge, interru
             numbers=round(spent) + before.places.n_parameters,
         )
 
-    problem, answer = of(before), each.mean(dim=0)
+    problem, answer = make_mean(before), each.mean(dim=0)
     # Where a combination is nearly free the networks lie along a curved valley, and their mean beside it.
     if float(problem.loss(answer[None, None]).square()) > float(((fitted_square + predicted) / 2).min()):
         answer = each[int(watch.score[:, 0].argmin())]
     off = (each - answer).numpy() * _student(len(each) // 2)  # the networks come in pairs
-    held_out = {name: of(other) for name, other in start.held_out.items()}
+    held_out = {name: make_mean(other) for name, other in start.held_out.items()}
     steps = fit.minimum.steps
     history = (*fit.minimum.history, *(row | {"step": steps + i} for i, row in enumerate(watch.history)))
     return TrainedFit(

@@ -117,7 +117,7 @@ class UffRecordingsConfig(SignalConfig):
         """The time signals of a run, a value a file, in m; none of functions of the speed. Raises DataError."""
         return super().read_signals(run) if self.tacho.recorded else []
 
-    def load(self, run: UffRunConfig, path: Path) -> Loaded:  # type: ignore[override]
+    def load(self, run: UffRunConfig, path: Path) -> Loaded:
         """One file of a run. Raises DataError."""
         records, pulses = find_signals(self, run, path)
         signals = {name: record.values for name, record in zip(self.probes, records, strict=True)}

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt
@@ -80,7 +81,7 @@ class TachoSignalConfig(TachoAngleConfig):
 
         @property
         def pulses_per_revolution(self) -> int:
-            """Of the tacho."""
+            """Those of the tacho."""
 
 
 class SignalConfig(MeasuredConfig):
@@ -115,9 +116,9 @@ class SignalConfig(MeasuredConfig):
         """The share of its speed by which a swept peak may lag."""
         return self.tracking.most_lag
 
-    def load(self, run: MeasuredRunConfig, path: Path) -> Loaded:
-        """One file of a run. Raises DataError."""
-        raise NotImplementedError
+    @abstractmethod
+    def load(self, run: Any, path: Path) -> Loaded:
+        """One file of a run, which is of the format's own class. Raises DataError."""
 
     def describe(self) -> str:
         """What the numbers in the files are taken for."""
@@ -221,7 +222,7 @@ class WaveformRecordingsConfig(SignalConfig):
             if run.sample_rate and self.time:
                 yield f"run '{run.name}' must have no sample_rate where there is a time channel, but it has"
 
-    def load(self, run: WaveformRunConfig, path: Path) -> Loaded:  # type: ignore[override]
+    def load(self, run: WaveformRunConfig, path: Path) -> Loaded:
         """One file of a run. Raises DataError."""
         tacho, marks = run.tacho or self.tacho.channel, [self.tacho.mark_channel] if self.tacho.mark_channel else []
         names = {name: run.channels.get(name, probe.channel) for name, probe in self.probes.items()}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import partial
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import Field
 
@@ -59,8 +59,9 @@ def _make_number(theta: list[LawParameter], where: str, member: int | None, sect
     value = getattr(section, name)
     if not isinstance(value, GuessConfig):
         return Number(float(value))
-    unit: dict[str, Any] = type(section).model_fields[name].json_schema_extra or {}  # type: ignore[assignment]
-    theta.append(LawParameter(f"{where}.{name}", unit.get("unit", ""), value.guess, value.within, member))
+    extra = type(section).model_fields[name].json_schema_extra
+    unit = str(extra.get("unit", "")) if isinstance(extra, dict) else ""
+    theta.append(LawParameter(f"{where}.{name}", unit, value.guess, value.within, member))
     return Number(value.guess, len(theta) - 1)
 
 

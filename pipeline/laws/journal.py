@@ -9,6 +9,7 @@ Legend: G members, S operating points, Th unknown numbers, 8 coefficients. SI un
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
@@ -60,9 +61,9 @@ class _JournalLawConfig(Section):
         if self.static_load != CONDITION and self.load_share != 1.0:
             yield "load_share must be left out where static_load is not `condition`, but it is given"
 
+    @abstractmethod
     def read_table(self, where: str) -> FilmTable:
         """The dimensionless coefficients. Raises ConfigError: no such table, a preload that does not fit it."""
-        raise NotImplementedError
 
     def make(self, where: str, number: Callable[[Section, str], Number]) -> JournalLaw:
         """The law of the bearing at ``where``, its numbers made by ``number(section, name)``. Raises ConfigError."""

@@ -116,4 +116,4 @@ class LawSet:
 
 
 NO_LAWS = LawSet((), (), None, ())
-"""Of a machine whose bearings have none."""
+"""The laws of a machine whose bearings have none."""

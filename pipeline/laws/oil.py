@@ -5,6 +5,7 @@ Legend: G members, S operating points, Th unknown numbers. SI units, temperature
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
@@ -40,9 +41,9 @@ class _OilConfig(Section):
 
     inputs: ClassVar[tuple[str, ...]] = (OIL_TEMPERATURE,)
 
+    @abstractmethod
     def viscosity_at(self, temperature: np.ndarray) -> np.ndarray:
         """(S,) Pa s of an oil with known numbers at ``temperature`` (S,) K. Raises ConfigError."""
-        raise NotImplementedError
 
     def make(self, number: Callable[[Section, str], Number], alone: float = 293.15) -> Oil:
         """The oil as a fit has it, its numbers made by ``number(section, name)``; one without reference is at ``alone``

@@ -38,9 +38,9 @@ class _Bearing(Section):
     saved: ClassVar[bool] = False
     """Whether it is part of the rotor's file."""
 
-    def at(self, node: int) -> AnyBearingConfig:
+    def at(self, node: int) -> _Bearing:
         """The bearing at a node. Raises ConfigError where there is none."""
-        return self  # type: ignore[return-value]
+        return self
 
     @property
     def places(self) -> tuple[int, ...]:
@@ -297,7 +297,7 @@ class PerNodeBearingConfig(_Bearing):
         """The nodes that it names."""
         return tuple(self.nodes)
 
-    def at(self, node: int) -> AnyBearingConfig:
+    def at(self, node: int) -> _Bearing:
         """The bearing at a node. Raises ConfigError where there is none."""
         if node not in self.nodes:
             raise ConfigError(

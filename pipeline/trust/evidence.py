@@ -141,7 +141,7 @@ def find_growth(
     uncertainty: Uncertainty,
     most_speeds: int = 40,
 ) -> Growth:
-    """Of the identified machine, at ``most_speeds`` of its speeds."""
+    """The growth of the identified machine, at ``most_speeds`` of its speeds."""
     from pipeline.data.vibration_files import to_rpm
     from pipeline.twin.mode_deviations import deviate_modes
     from pipeline.twin.modes import Stability, find_modes, judge_growth

@@ -182,7 +182,7 @@ class Behaviour:
 
     @cached_property
     def margin_deviations(self) -> tuple[float | None, float | None]:
-        """Of the largest growth (1/s) and of the smallest logarithmic decrement; None where the fit states none."""
+        """Those of the largest growth (1/s) and the smallest logarithmic decrement; None where the fit states none."""
         return (None, None) if self.deviations is None else self.deviations.of_margin(self.margin)
 
     @property

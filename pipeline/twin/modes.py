@@ -180,7 +180,7 @@ class Stability(StrEnum):
 
 
 def judge_growth(growth: float, deviation: float, deviations: float = 2.0) -> Stability:
-    """Of a largest real part and its standard deviation, 1/s: unstable only beyond two ``deviations`` (95 %)."""
+    """What a largest real part and its deviation say, both in 1/s: unstable only beyond two ``deviations`` (95 %)."""
     if growth <= 0:
         return Stability.STABLE
     return Stability.UNSTABLE if growth > deviations * deviation else Stability.NOT_TOLD

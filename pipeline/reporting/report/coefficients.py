@@ -131,6 +131,6 @@ def _compare(content: ReportContent, fit: FitContent) -> list[Table]:
 
 
 def _take_median(values: np.ndarray) -> float:
-    """Of those that are numbers; NaN where none is."""
+    """The median of those that are numbers; NaN where none is."""
     known = values[~np.isnan(values)]
     return float(np.median(known)) if len(known) else float("nan")
