@@ -20,18 +20,18 @@ EMPTY = frozenset({"one", "found", "own", "of", "words", "part", "moved", "there
 """Words that say nothing of what they name."""
 
 STATEMENTS = {
-    "config": 1701,
-    "laws": 440,
+    "config": 1699,
+    "laws": 439,
     "rotor": 689,
     "data": 938,
     "sweep": 260,
-    "ingest": 1409,
+    "ingest": 1408,
     "problem": 1700,
     "identification": 2383,
     "evaluation": 234,
     "twin": 522,
     "balance": 649,
-    "trust": 747,
+    "trust": 745,
     "export": 208,
     "methods": 651,
     "comparison": 184,
@@ -44,10 +44,10 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18242, 14500),
+    "statements of pipeline/": (18236, 14500),
     "files": (307, 250),
     "classes": (351, 260),
-    "is None, is not None": (370, 420),
+    "is None, is not None": (371, 420),
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (56, 150),
     "bindings named by empty words": (122, 200),

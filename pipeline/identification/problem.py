@@ -98,7 +98,7 @@ class OutputError:
 
     @cached_property
     def prior(self) -> Prior:
-        """Of features, of theta about its guess, of unit variance of the model parameters; of coefficients' sizes.
+        """That of features, theta about its guess, model parameters (of unit variance), and sizes of coefficients.
 
         With ``guess.within`` the mean of a coefficient's output over the speeds has a prior about its guess: of the
         logarithm of that factor for what must be positive, of that many guesses otherwise.

@@ -38,7 +38,7 @@ class TrainedNetworks(OutputError):
 
     @cached_property
     def prior(self) -> Prior:
-        """Of unit variance of the model parameters."""
+        """The unit variance of the model parameters."""
         import torch
 
         return Prior(torch.eye(self.size, dtype=torch.float64)[self.places.parameters], self.aims)

@@ -110,8 +110,8 @@ def model_machine(config: Config, seed: int | None = None) -> tuple[RotorModel, 
     list_known(config, rotor.bearing_nodes)  # refuses exceptions without a bearing
     bearings = load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds, operating)
     runs, residual = configure_excitations(config), _configure_residual(config)
-    require_nodes(rotor, "machine.runs", [excitation.node for excitation in (*runs, *residual)])
     acting, frequencies = (*runs, *residual), configure_frequencies(config, speeds)
+    require_nodes(rotor, "machine.runs", [excitation.node for excitation in acting])
     if built is None:
         complete = simulate(rotor, bearings, acting, frequencies)
         require_synchronous(rotor, complete)

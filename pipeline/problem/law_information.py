@@ -80,8 +80,8 @@ class LawInformation:
     def free(self) -> tuple[dict[str, float], ...]:
         """The combinations that the readings leave at their priors: shares of a unit vector in prior deviations.
 
-        The largest share is positive. Numbers that share in one may each be told by halves. Of several combinations no
-        one has the number that leads another.
+        The largest share is positive. Numbers that share in one may each be told by halves. No
+        combination has the number that leads another.
         """
         left, vectors = np.linalg.eigh(self.covariance / np.outer(self.prior, self.prior))
         open_ = vectors[:, left >= self.untold**2]

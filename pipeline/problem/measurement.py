@@ -253,7 +253,7 @@ class Measurement:
         before = self.baseline
         taken = data.displacement[..., [first]] * turns
         less = data.of_runs(rest)
-        # Of two runs with the same baseline the readings themselves differ: the baseline cancels with its noise.
+        # Two runs with the same baseline differ by their readings themselves: the baseline cancels with its noise.
         read = np.where(turns, before[..., [first]] + data.displacement[..., [first]], before[..., rest])
         blocks = [_less_first(block, first, rest) for block in self.response.blocks]
         return replace(

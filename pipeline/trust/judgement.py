@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,6 +16,7 @@ from pipeline.trust.evidence import Evidence
 from pipeline.trust.misfit import describe_held_out
 from pipeline.trust.next_run import Gains, describe_run
 from pipeline.trust.verdict import (
+    ORDER,
     CoefficientVerdict,
     Reason,
     Verdict,
@@ -85,11 +86,13 @@ def judge(
         reasons, checks = judge_coefficient(evidence, determined, b, c)
         reasons = gravest([*common, *(_add_step(reason, gains, b, c) for reason in reasons)])
         verdicts.append(CoefficientVerdict(b + 1, nodes[b], COEFFICIENTS[c], tuple(reasons), checks | shared))
-    held_out = tuple(describe_held_out(kind, evidence.fit[kind], 3) for kind in _HELD_OUT if kind in evidence.fit)
+    held_out = tuple(describe_held_out(kind, entry, 3) for kind, entry in _pick_held_out(evidence).items())
     return Judgement(nodes, tuple(verdicts), tuple(common), held_out, as_felt)
 
 
-_HELD_OUT = ("held_out_speeds", "held_out_runs")
+def _pick_held_out(evidence: Evidence) -> dict[str, Mapping[str, Any]]:
+    """What the fit says of readings that it did not see, by kind."""
+    return {kind: evidence.fit[kind] for kind in ("held_out_speeds", "held_out_runs") if kind in evidence.fit}
 
 
 def refuse_without_deviations(
@@ -123,21 +126,19 @@ def _list_common(evidence: Evidence) -> dict[str, Any]:
     from pipeline.data.vibration_files import to_rpm
 
     square, rpm = evidence.fit["chi_square"], to_rpm(evidence.answer.speeds)
-    priors = sorted(evidence.priors.items(), key=lambda item: -abs(item[1]))
+    most_moved = max(evidence.priors.items(), key=lambda item: abs(item[1]), default=None)
     return {
         "mismatch": {
             "chi_square_over_expected": square["value"] / max(square["expected"], 1.0),
-            "probability": evidence.fit["mismatch"]["probability"],
+            "probability": evidence.misfit.probability,
             "ljung_box_probability": evidence.fit["whiteness"].get("probability"),
         },
         "held_out": {
-            f"{kind}_over_noise": evidence.fit[kind]["mean_square_over_noise"]
-            for kind in _HELD_OUT
-            if kind in evidence.fit
+            f"{kind}_over_noise": entry["mean_square_over_noise"] for kind, entry in _pick_held_out(evidence).items()
         },
         "predicted_from_other_runs_over_noise": dict(evidence.predicted),
         "superposition_over_noise": dict(evidence.superposed),
-        "model_parameters": next(({"most_moved": name, "prior_deviations": value} for name, value in priors), None),
+        "model_parameters": most_moved and dict(zip(("most_moved", "prior_deviations"), most_moved, strict=True)),
         "stability": {
             "largest_growth": evidence.growth.largest,
             "largest_growth_std": evidence.growth.deviation,
@@ -160,7 +161,7 @@ def _record(judged: CoefficientVerdict) -> dict[str, Any]:
 
 
 def _join(verdicts: Sequence[CoefficientVerdict]) -> Verdict:
-    """Of several: no where nothing of them can be used."""
+    """The verdict on several: no where none of them can be used."""
     every = [judged.verdict for judged in verdicts]
     usable = any(verdict is not Verdict.NO for verdict in every)
     return Verdict.WITH_CARE if usable and worst(every) is Verdict.NO else worst(every)
@@ -169,7 +170,7 @@ def _join(verdicts: Sequence[CoefficientVerdict]) -> Verdict:
 def _sum_up(verdicts: Sequence[CoefficientVerdict], common: Sequence[Reason] = ()) -> dict[str, Any]:
     """Verdict, reason and next step of a bearing or the whole; reasons that are ``common`` come first."""
     good = sum(judged.verdict is Verdict.GOOD for judged in verdicts)
-    bad = sorted(verdicts, key=lambda judged: -list(Verdict).index(judged.verdict))[:1]
+    bad = sorted(verdicts, key=lambda judged: -ORDER.index(judged.verdict))[:1]
     reasons = [*gravest(common), *(reason for judged in bad for reason in gravest(judged.reasons))]
     return {
         "verdict": _join(verdicts).value,

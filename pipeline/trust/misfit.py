@@ -51,7 +51,11 @@ class Misfit:
     def sentence(self) -> str:
         """In words, for every page and line that says whether the readings are explained."""
         noise = "the noise that was found" if self.estimated else "the stated noise"
-        chance = "" if self.probability is None else f" (such deviations, or larger ones, {_tell(self.probability)})"
+        chance = (
+            ""
+            if self.probability is None
+            else f" (such deviations, or larger ones, have the probability {self.probability:.2g})"
+        )
         if not self.explained():
             return f"the model and {noise} do not explain the readings{chance}"
         if self.unlikely or self.size >= FAR_FROM_EXPECTED:
@@ -82,14 +86,11 @@ class Misfit:
         )
 
 
-def _tell(probability: float) -> str:
-    return f"have the probability {probability:.2g}"
-
-
 def measure_misfit(fit: Mapping[str, Any]) -> Misfit:
-    """Of ``fit`` in ``training.json`` or ``metrics.json``.
+    """The Misfit by ``fit`` in ``training.json`` or ``metrics.json``.
 
-    The probability is the smallest of three tests, chi-square, neighbours and all lags, times three (Bonferroni).
+    The probability is the smallest of three tests (chi-square, neighbours, all lags), times three (Bonferroni): also
+    where one of them can't be made, which errs on the side of the model.
 
     Where the noise was estimated from what the fit leaves over, its size says nothing by itself. Then it is compared
     with what differs between neighbouring speeds, which a smooth error of the model leaves out: the mean square of the

@@ -33,7 +33,8 @@ class Verdict(StrEnum):
     NO = "no"
 
 
-_ORDER = (Verdict.GOOD, Verdict.WITH_CARE, Verdict.NO)
+ORDER = tuple(Verdict)
+"""From the most to the least favourable."""
 _ALLOWED = {
     Determination.WELL: Verdict.GOOD,
     Determination.WEAKLY: Verdict.WITH_CARE,
@@ -43,7 +44,7 @@ _ALLOWED = {
 
 def worst(verdicts: Sequence[Verdict]) -> Verdict:
     """The least favourable of them; good where there is none."""
-    return max(verdicts, key=_ORDER.index, default=Verdict.GOOD)
+    return max(verdicts, key=ORDER.index, default=Verdict.GOOD)
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ class Reason:
 
 def gravest(reasons: Sequence[Reason]) -> list[Reason]:
     """The gravest first; those alike in their order."""
-    return sorted(reasons, key=lambda reason: -_ORDER.index(reason.verdict))
+    return sorted(reasons, key=lambda reason: -ORDER.index(reason.verdict))
 
 
 @dataclass(frozen=True)
@@ -123,16 +124,17 @@ MODEL_MAY = (
 )
 
 
-def find_contradicted(evidence: Evidence, contradiction: float = 3.0) -> dict[str, float]:
-    """Runs that contradict the sums of the others, without any model: mean square over the noise.
+def find_contradicted(evidence: Evidence) -> dict[str, float]:
+    """Runs that contradict the sums of the others, without any model: mean square over the noise."""
+    return _list_beyond(evidence.superposed, evidence)
 
-    It is at most 1 of right runs; of these, one in a thousand with few readings comes above ``contradiction``.
+
+def _list_beyond(squares: Mapping[str, float], evidence: Evidence, most: float = 3.0) -> dict[str, float]:
+    """Runs whose mean square over the noise is more than ``most``, and than that of the fit by as much.
+
+    It is at most 1 of right runs; among these, one in a thousand with few readings comes above 3.
     """
-    return _list_beyond(evidence.superposed, contradiction * max(1.0, evidence.misfit.size))
-
-
-def _list_beyond(squares: Mapping[str, float], limit: float) -> dict[str, float]:
-    return {run: size for run, size in squares.items() if size > limit}
+    return {run: size for run, size in squares.items() if size > most * max(1.0, evidence.misfit.size)}
 
 
 def judge_machine(evidence: Evidence) -> list[Reason]:
@@ -160,14 +162,13 @@ def judge_machine(evidence: Evidence) -> list[Reason]:
     return [*reasons, *_judge_runs(evidence), *_judge_priors(evidence)]
 
 
-def _judge_runs(evidence: Evidence, contradiction: float = 3.0) -> list[Reason]:
+def _judge_runs(evidence: Evidence) -> list[Reason]:
     """Whether the runs agree with each other: by their sums, else by the model (see :func:`find_contradicted`)."""
-    limit = contradiction * max(1.0, evidence.misfit.size)
     for what, squares, doubt in (
         ("the sum of other runs", evidence.superposed, ""),
         ("the fit of the other runs", evidence.predicted, MODEL_MAY),
     ):
-        if bad := _list_beyond(squares, limit):
+        if bad := _list_beyond(squares, evidence):
             run = rank(bad)[0]
             model = "the model, and " if doubt else ""
             return [

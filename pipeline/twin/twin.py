@@ -164,7 +164,7 @@ def measure_unseen(
     """
     unseen, node, rotor = list_unseen(machine), machine.prediction.node, measurement.rotor
     lacks = max(node, *(force.node for force in unseen)) >= rotor.n_nodes
-    if modelled is None or lacks or find_same_run(unseen, measurement.dataset.excitations):
+    if modelled is None or lacks or find_same_run(unseen, measurement.dataset.excitations) is not None:
         return None
     if not all(np.isfinite(answer.values).all() for answer in answers):
         return None
