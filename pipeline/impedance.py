@@ -9,12 +9,30 @@ Legend: .. batch, S speeds, 8 coefficients in the order of :data:`pipeline.coeff
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pipeline.errors import ConfigError
+
 if TYPE_CHECKING:
     import torch
+
+PLACES = {"kxx": 0, "cxx": 1, "kyy": 2, "cyy": 3, "kxy": 4, "kyx": 5, "cxy": 6, "cyx": 7}
+"""Coefficient -> the coordinate that takes its place where it is unknown."""
+
+
+def list_places(names: Sequence[str]) -> list[int]:
+    """The coordinates of unknown coefficients. Raises ConfigError where they are not those of whole impedances."""
+    known = [name for name in PLACES if name not in names]
+    if any(name[1] == name[2] for name in known):
+        direct = "kxx, kyy, cxx and cyy"
+        raise ConfigError(
+            f"model=bearings must have {direct} among identify.unknowns, but {known[0]} is not: identify it, too, or "
+            "choose model=network_fluid_film"
+        )
+    return [PLACES[name] for name in names]
 
 
 def to_coordinates(values: np.ndarray, speeds: np.ndarray) -> np.ndarray:

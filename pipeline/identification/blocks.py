@@ -22,7 +22,7 @@ from pipeline.coefficients import COEFFICIENTS
 from pipeline.errors import ConfigError
 from pipeline.identification.inputs import SPEED
 from pipeline.identification.model import CoefficientModel
-from pipeline.impedance import to_coefficients
+from pipeline.impedance import list_places, to_coefficients
 from pipeline.laws.law_set import NO_LAWS, LawSet
 from pipeline.unknowns import UnknownSet
 
@@ -225,9 +225,11 @@ class LawTerm:
         import torch
 
         if model.parametrisation == "impedance":
-            order = [COEFFICIENTS.index(name) for name in model.unknowns]
-            values, slopes = to_coefficients(outputs, torch.as_tensor(self.points[SPEED]))
-            return values[..., order], slopes[..., order, :], outputs.new_zeros(*outputs.shape, 0)
+            places, order = list_places(model.unknowns), [COEFFICIENTS.index(name) for name in model.unknowns]
+            coordinates = outputs.new_zeros(*outputs.shape[:-1], len(COEFFICIENTS))
+            coordinates[..., places] = outputs
+            values, slopes = to_coefficients(coordinates, torch.as_tensor(self.points[SPEED]))
+            return values[..., order], slopes[..., order, :][..., places], outputs.new_zeros(*outputs.shape, 0)
         if not self.laws:
             values, by_output = model.physical(outputs, scale)
             return values, torch.diag_embed(by_output), outputs.new_zeros(*outputs.shape, 0)

@@ -183,16 +183,14 @@ def nodes_basis(setup: FitSetup, training: Measurement, points: Mapping[str, np.
 
 
 def _start_by_population(
-    training: Measurement, setup: FitSetup, basis: Basis, plane_scale: float, ordinary: float = 0.2
+    training: Measurement, setup: FitSetup, basis: Basis, plane_scale: float
 ) -> tuple[OutputError, dict[str, Any]]:
-    """At the likeliest answer of the families. Noise that is only known to its shape is searched for from ``ordinary``
-    times the stated precision: of a percent of the reading where 0.2 % are stated.
-    """
+    """At the likeliest answer of the families."""
     problem = output_error(training, basis, plane_scale)
     model = basis.model
     nodes = np.geomspace(*model.ranges[0], model.n_functions)
     choices = list_choices(training, setup.model.families, nodes)
-    searched = search(problem, choices, ordinary if setup.loss.noise == "estimated" else 1.0, setup.seed)
+    searched = search(problem, choices, setup.seed)
     first = {"weights": searched.weights[:1], "from_guess": False, "searched": searched}
     return replace(problem, functions=searched.choices.functions()), first
 

@@ -18,9 +18,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.config.identification import LevenbergMarquardtConfig
+from pipeline.errors import ConfigError
 from pipeline.identification.blocks import Prior
 from pipeline.identification.optimizers import levenberg_marquardt, until_still
 from pipeline.identification.problem import OutputError, output_error
+from pipeline.impedance import list_places
 from pipeline.laws.population import FamilyPrior, make_priors
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.parameters import OF_PROBE, OF_WEIGHT
@@ -62,16 +64,26 @@ def list_choices(
 ) -> Choices:
     """Every choice of the ``families`` over the bearings, at nodes (K,) rad/s; the same family for all bearings where
     that were more than ``most``. Directions whose deviation is ``negligible`` are left out.
+
+    Raises ConfigError for bearings that share coefficients, ties between these, and direct ones that are known.
     """
     import torch
 
-    rotor = measurement.rotor
-    sizes = zip(find_static_loads(rotor), estimate_journals(rotor), strict=True)
-    priors = [make_priors(families, nodes, float(load), float(diameter)) for load, diameter in sizes]
+    rotor, unknowns = measurement.rotor, measurement.unknowns
+    if unknowns.shared or (np.abs(unknowns.expansion).sum(axis=1) > 1).any():
+        raise ConfigError(
+            "model=bearings must have identify.shared=false and identify.structure=none, since each bearing and "
+            "direction has coordinates of its own: leave these out, or choose model=network_fluid_film"
+        )
+    priors = []
+    for m, (load, diameter) in enumerate(zip(find_static_loads(rotor), estimate_journals(rotor), strict=True)):
+        coordinates = list_places([unknowns.names[u] for member, u in unknowns.active if member == m])
+        made = make_priors(families, nodes, float(load), float(diameter))
+        priors.append([prior.select(coordinates) for prior in made])
     every: list[tuple[FamilyPrior, ...]] = list(itertools.product(*priors))
     if len(every) > most:
         every = list(zip(*priors, strict=True))
-    axes = {prior: _axes(prior, negligible) for priors_of_bearing in priors for prior in priors_of_bearing}
+    axes = {prior: _axes(prior, negligible) for prior in itertools.chain(*priors)}
     count = max(root.shape[1] for root in axes.values())
     wide = {prior: torch.nn.functional.pad(root, (0, count - root.shape[1])) for prior, root in axes.items()}
     return Choices(
@@ -82,7 +94,7 @@ def list_choices(
 
 
 def _axes(prior: FamilyPrior, negligible: float) -> torch.Tensor:
-    """(8 K, n) principal axes of a prior, each as long as its deviation."""
+    """(.., n) principal axes of a prior, each as long as its deviation."""
     import torch
 
     left, deviations, _ = np.linalg.svd(prior.root)
@@ -176,17 +188,13 @@ class Searched:
         return np.asarray(torch.einsum("g,gzy->zy", shares, more).numpy())
 
 
-def search(problem: OutputError, choices: Choices, share: float, seed: int = 0, kept: int = 5) -> Searched:
-    """The minima of the likely choices, at the noise that the best of them leaves.
-
-    ``share`` of the readings' precision is what they have at first: where their noise is only known to its shape, it is
-    taken as large.
-    """
+def search(problem: OutputError, choices: Choices, seed: int = 0, kept: int = 5) -> Searched:
+    """The minima of the likely choices, at the noise that the best of them leaves."""
     import torch
 
     rough, parameters = _simplify(problem)
-    started, y = _descend(Whitened(rough.scaled(share), choices), seed)
-    whitened = Whitened(problem.scaled(share), started.choices)
+    started, y = _descend(Whitened(rough, choices), seed)
+    whitened, share = Whitened(problem, started.choices), 1.0
     y = _lift(y, parameters, whitened)
     for _ in range(2):
         evidence = whitened.evidence(y)

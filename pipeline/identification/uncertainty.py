@@ -117,27 +117,24 @@ class Uncertainty:
         import torch
         from scipy.stats import norm, qmc
 
-        model = identified.model
-        inputs = model.scaled_inputs(points)
+        model, inputs = identified.model, identified.model.scaled_inputs(points)
         basis = (model.features(identified.parameters, inputs) @ torch.as_tensor(self.weights)).numpy()  # (M, S, K)
-        raw, size = model.raw(identified.parameters, inputs), len(model.unknowns)
-        normal = norm.ppf(qmc.Sobol(size, scramble=False).random(2 * count)[1:])
-        term, deviations = law_term(identified.laws, identified.unknowns, points), []
+        n_functions, raw = basis.shape[-1], model.raw(identified.parameters, inputs)
+        term, deviations = law_term(identified.laws, identified.unknowns, points), np.zeros(raw.shape)
         for m in range(len(basis)):
-            places = slice(m * size * basis.shape[-1], (m + 1) * size * basis.shape[-1])
-            block = covariance[places, places].reshape(size, basis.shape[-1], size, basis.shape[-1])
+            mine = np.flatnonzero(self.active[:, 0] == m)
+            places = (mine[:, None] * n_functions + np.arange(n_functions)).ravel()
+            block = covariance[np.ix_(places, places)].reshape(len(mine), n_functions, len(mine), n_functions)
             spread = np.einsum("sk,ukvl,sl->suv", basis[m], block, basis[m], optimize=True)
-            values, vectors = np.linalg.eigh(spread)
-            root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None]  # (S, U, U)
-            drawn = raw[m] + torch.as_tensor(np.einsum("suv,nv->nsu", root, normal))
-            with np.errstate(over="ignore"):
-                every = term.correct(model, identified.theta[None], drawn[:, None], model.scale_tensor())[0][
-                    :, 0
-                ].numpy()
-            middle = term.correct(model, identified.theta[None], raw[None, m : m + 1], model.scale_tensor())[0][0, 0]
+            jitter = 1e-10 * np.trace(spread, axis1=1, axis2=2)[:, None, None] + 1e-30
+            root = np.linalg.cholesky(spread + jitter * np.eye(len(mine)))  # (S, n, n)
+            normal = norm.ppf(qmc.Sobol(len(mine), scramble=False).random(2 * count)[1:])
+            drawn = raw[m].repeat(2 * count, 1, 1)  # the answer itself is the first
+            drawn[1:, :, self.active[mine, 1]] += torch.as_tensor(np.einsum("suv,nv->nsu", root, normal))
+            every = term.correct(model, identified.theta[None], drawn[:, None], model.scale_tensor())[0][:, 0].numpy()
             low, high = np.quantile(every, [0.025, 0.975], axis=0)
-            deviations.append(np.maximum(high - middle.numpy(), middle.numpy() - low) / NOMINAL_95)
-        return np.stack(deviations)
+            deviations[m] = np.maximum(high - every[0], every[0] - low) / NOMINAL_95
+        return identified.unknowns.expand_deviation(deviations)
 
     @property
     def without_tolerances(self) -> np.ndarray:

@@ -39,6 +39,12 @@ class FamilyPrior:
     mean: np.ndarray  # (8 K,) coordinate by coordinate
     root: np.ndarray  # (8 K, 8 K) lower, of the covariance
 
+    def select(self, coordinates: Sequence[int]) -> FamilyPrior:
+        """That of some coordinates, in this order."""
+        places = np.arange(len(self.mean)).reshape(8, -1)[list(coordinates)].ravel()
+        rows = self.root[places]
+        return FamilyPrior(self.family, self.mean[places], np.asarray(np.linalg.cholesky(rows @ rows.T)))
+
 
 def draw_bearings(
     family: str, speeds: np.ndarray, load: float, diameter: float, generator: np.random.Generator, count: int = 2500
