@@ -172,7 +172,7 @@ def _plane_scale(measurement: Measurement) -> float:
 
 
 def nodes_basis(setup: FitSetup, training: Measurement, points: Mapping[str, np.ndarray]) -> Basis:
-    """The functions of a model of nodes over the ``points`` (name -> (S,)) themselves: a weight is a value at a node."""
+    """The functions of a model of nodes over the ``points`` (name -> (S,)): a weight is a value at a node."""
     import torch
 
     sizes = np.ones((training.unknowns.n_members, len(training.unknowns.names)))

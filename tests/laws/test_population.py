@@ -35,7 +35,8 @@ def test_priors_are_normal_distributions_with_room_for_what_theory_lacks() -> No
     priors = make_priors(families, NODES, 300.0, 0.06)
     again = make_priors(families, NODES, 300.0, 0.06)
     for prior, same in zip(priors, again, strict=True):
-        assert np.array_equal(prior.mean, same.mean) and np.array_equal(prior.root, same.root)
+        assert np.array_equal(prior.mean, same.mean)
+        assert np.array_equal(prior.root, same.root)
         deviation = np.sqrt((prior.root**2).sum(axis=1)).reshape(8, -1)
         assert np.linalg.eigvalsh(prior.root @ prior.root.T).min() > 0
         if prior.family in LACKS:
