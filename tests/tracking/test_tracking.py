@@ -22,8 +22,7 @@ import pipeline
 from pipeline.config.schema import TrackingConfig
 from pipeline.tracking import StageRecord, track, tracker
 from pipeline.tracking.model import tabulate_coefficients
-from pipeline.tracking.quiet import quiet_mlflow
-from pipeline.tracking.store import DatabaseProblem, prepare_database
+from pipeline.tracking.store import DatabaseProblem, prepare_database, quiet_mlflow
 
 pytestmark = pytest.mark.slow  # it trains, or starts processes
 
@@ -323,7 +322,7 @@ def test_two_processes_make_a_fresh_database_together(tmp_path: Path) -> None:
         sys.path.insert(0, sys.argv[1])
         from pipeline.config.schema import TrackingConfig
         from pipeline.tracking import StageRecord, track
-        from pipeline.tracking.quiet import quiet_mlflow
+        from pipeline.tracking.store import quiet_mlflow
         with quiet_mlflow(10.0):
             from mlflow.store.tracking import sqlalchemy_store
         Path(f"ready-{sys.argv[2]}").touch()
