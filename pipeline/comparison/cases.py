@@ -53,20 +53,35 @@ def list_cases(settings: ComparisonConfig, n_speeds: int) -> tuple[Case, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Machine:
-    """The modelled machine: the truth, and its clean vibration at every node."""
+    """The modelled machine that methods are tried on: all that a result follows from, but for the method and case."""
 
     rotor: RotorModel
-    modelled: BearingTable
-    vibration: VibrationDataset
+    modelled: BearingTable  # the truth
+    vibration: VibrationDataset  # clean, at every node
+    identify: IdentifyConfig
+    settings: ComparisonConfig
     noise_seed: int
+    seed: int
     laws: LawSet | None = None  # what is known of the bearings beforehand
 
-    def measure(self, case: Case, location: int | None, floor: float) -> VibrationDataset:
-        """The data set of a case, with a ``floor`` (m) of the noise. The same noise, scaled, at every level of it."""
-        clean = self.vibration.at(self.speeds(case))
+    def measure(self, case: Case, least_noise: float = 1e-9) -> Measurement:
+        """What a method sees of a case: the truth is hidden except for what is known.
+
+        The noise of a data set is the same, scaled, at every level of it. Of clean data a method is told
+        ``least_noise``: weights need some, and arithmetic leaves less.
+        """
+        unknowns, truth = self.identify.unknowns_of(self.rotor.bearing_nodes), self.truth(case)
+        model, floor = self.settings.response.model, self.settings.floor if case.noise else 0.0
+        sensors = Sensors(self._channels(case.sensors), additive=floor, multiplicative=case.noise)
         generator = np.random.default_rng([self.noise_seed, case.data_set])
-        sensors = Sensors(self._channels(case.sensors, location), additive=floor, multiplicative=case.noise)
-        return measure(clean, sensors, generator)
+        return Measurement(
+            rotor=self.rotor,
+            dataset=measure(self.vibration.at(self.speeds(case)), sensors, generator),
+            known=replace(truth, values=np.where(unknowns.identified[:, None], 0.0, truth.values)),
+            noise=NoiseModel(floor, max(case.noise, least_noise)),
+            unknowns=unknowns,
+            guess=Guess(model.initial_stiffness, model.initial_damping),
+        )
 
     def truth(self, case: Case) -> BearingTable:
         """The modelled coefficients at the speeds of a case."""
@@ -90,29 +105,9 @@ class Machine:
         ]
         return np.sort(np.concatenate(chosen))
 
-    def _channels(self, sensors: SensorSet, location: int | None) -> Channels | None:
+    def _channels(self, sensors: SensorSet) -> Channels | None:
         if sensors == "all":
             return None
-        if sensors == "bearings":
-            return list_directions(self.rotor.bearing_nodes)
-        return list_directions((self.rotor.n_nodes // 2 if location is None else location,))
-
-
-def take_measurement(
-    machine: Machine, case: Case, identify: IdentifyConfig, settings: ComparisonConfig, least_noise: float = 1e-9
-) -> Measurement:
-    """What a method sees of a case: the truth is hidden except for what is known.
-
-    Of clean data it is told ``least_noise``: weights need some, and arithmetic leaves less.
-    """
-    unknowns = identify.unknowns_of(machine.rotor.bearing_nodes)
-    truth, model = machine.truth(case), settings.response.model
-    floor = settings.floor if case.noise else 0.0
-    return Measurement(
-        rotor=machine.rotor,
-        dataset=machine.measure(case, settings.location, floor),
-        known=replace(truth, values=np.where(unknowns.identified[:, None], 0.0, truth.values)),
-        noise=NoiseModel(floor, max(case.noise, least_noise)),
-        unknowns=unknowns,
-        guess=Guess(model.initial_stiffness, model.initial_damping),
-    )
+        location = self.settings.location
+        middle = self.rotor.n_nodes // 2 if location is None else location
+        return list_directions(self.rotor.bearing_nodes if sensors == "bearings" else (middle,))

@@ -11,9 +11,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.comparison.cases import Case, Machine, take_measurement
-from pipeline.config.comparison import ComparisonConfig, MethodName, SensorSet
-from pipeline.config.identification import IdentifyConfig
+from pipeline.comparison.cases import Case, Machine
+from pipeline.config.comparison import MethodName, SensorSet
 from pipeline.evaluation.errors import measure_coverage, measure_relative_errors
 from pipeline.methods.catalogue import METHODS
 from pipeline.methods.method import Estimate, MethodOptions, Reason, Refusal
@@ -67,13 +66,11 @@ class Result(BaseModel):
 ANSWERED = "answered"
 
 
-def judge_method(
-    machine: Machine, method: MethodName, case: Case, identify: IdentifyConfig, settings: ComparisonConfig, seed: int
-) -> Result:
+def judge_method(machine: Machine, method: MethodName, case: Case) -> Result:
     """Let a method identify a case. The truth is looked at when it has answered."""
-    data = take_measurement(machine, case, identify, settings)
+    data = machine.measure(case)
     started = time.process_time()
-    answer, outcome, reason = _ask(method, data, MethodOptions(settings, seed, machine.laws))
+    answer, outcome, reason = _ask(method, data, MethodOptions(machine.settings, machine.seed, machine.laws))
     seconds = time.process_time() - started  # of the processor: what else runs does not count
     errors: dict[str, dict[str, CoefficientResult]] = {}
     if answer and np.isfinite(answer.coefficients.values).all():
