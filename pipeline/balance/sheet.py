@@ -112,10 +112,10 @@ def propose_weights(
         remaining = state.remove[read] + change - influence @ correction
         inverse, spread = _invert(influence, inside)
         acting, left = (np.eye(len(holes)), inverse @ remaining) if minimise == "unbalance" else (influence, remaining)
-        choice = choose_weights(acting[:, active], left, given)
-        if choice.weights == weights:
+        chosen, unbalance = choose_weights(acting[:, active], left, given)
+        if chosen == weights:
             break
-        weights, correction[active] = choice.weights, choice.unbalance
+        weights, correction[active] = chosen, unbalance
     by_plane = dict(zip(active, weights, strict=True))
     after = predict_one(vibration, state.weights + correction) - start
     return BalanceSheet(

@@ -15,7 +15,7 @@ from pipeline.comparison.cases import Case, Machine
 from pipeline.config.comparison import MethodName, SensorSet
 from pipeline.evaluation.errors import measure_coverage, measure_relative_errors
 from pipeline.methods.catalogue import METHODS
-from pipeline.methods.method import Estimate, MethodOptions, Reason, Refusal
+from pipeline.methods.method import REQUIREMENTS, Estimate, MethodOptions, Refusal
 from pipeline.problem.measurement import Measurement
 
 
@@ -40,7 +40,7 @@ class Result(BaseModel):
     sensors: SensorSet
     speeds: int
     data_set: int
-    outcome: str  # "answered", or the name of a Reason
+    outcome: str  # "answered", or a name of REQUIREMENTS
     words: str
     doubt: str
     seconds: float
@@ -76,7 +76,7 @@ def judge_method(machine: Machine, method: MethodName, case: Case) -> Result:
     if answer and np.isfinite(answer.coefficients.values).all():
         errors = _measure_errors(data, answer, machine, case)
     elif answer:
-        outcome = Reason.NOT_FINITE.name.lower()
+        outcome = "not_finite"
     # Clean data have no noise that chi-square could be held against.
     doubt = answer.doubt if answer and case.noise else ""
     return Result(
@@ -95,9 +95,9 @@ def _ask(method: MethodName, data: Measurement, options: MethodOptions) -> tuple
     try:
         answer = METHODS[method].identify(data, options)
     except Refusal as refusal:
-        return None, refusal.reason.name.lower(), str(refusal)
+        return None, refusal.reason, str(refusal)
     except np.linalg.LinAlgError as error:
-        return None, Reason.SINGULAR.name.lower(), f"{Reason.SINGULAR.value}, but: {error}"
+        return None, "singular", f"{REQUIREMENTS['singular']}, but: {error}"
     return answer, ANSWERED, answer.words
 
 

@@ -8,7 +8,7 @@ import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -91,6 +91,8 @@ def _summarize(place: int, trial: FrozenTrial) -> TrialSummary:
 
 def train_finalists(study: optuna.Study, problem: StudyProblem) -> list[Finalist]:
     """The default, then the best other trials, each trained with every seed of ``tuning.seeds``."""
+    import torch
+
     config = problem.config.tuning
     results = list_results(study)
     complete = [(trial.value, place) for place, trial in results.items() if trial.state.name == "COMPLETE"]
@@ -102,14 +104,14 @@ def train_finalists(study: optuna.Study, problem: StudyProblem) -> list[Finalist
     # One training at a time, as in `stage=train`: a batch would go on until its slowest seed is done.
     each = [(problem, place, values, seed) for place, values in chosen.items() for seed in config.seeds]
     with open_pool(min(config.workers, len(each)), problem.config.threads) as run_all:
-        trained = [_with_parameters(*run) for run in run_all(_train_seed, each)]
+        trained = list(run_all(_train_seed, each))
     batches = [trained[i : i + len(config.seeds)] for i in range(0, len(trained), len(config.seeds))]
     return [
         Finalist(
             trial=place,
             values=values,
             losses=np.array([run.loss for run in runs]),
-            models=[run.model for run in runs],
+            models=[replace(run.model, parameters=torch.as_tensor(run.model.parameters)) for run in runs],
             outcomes=[run.outcome for run in runs],
             seconds=sum(run.seconds for run in runs),
         )
@@ -117,20 +119,15 @@ def train_finalists(study: optuna.Study, problem: StudyProblem) -> list[Finalist
     ]
 
 
-def _train_seed(given: tuple[StudyProblem, int, Mapping[str, Value], int]) -> tuple[Judged, np.ndarray]:
-    """A training, and the parameters (M, Q) of its model: torch's tensors do not come back from another process."""
+def _train_seed(given: tuple[StudyProblem, int, Mapping[str, Value], int]) -> Judged:
+    """A training whose model has an array of parameters: torch's tensors do not come back from another process."""
     problem, place, values, seed = given
     setup = replace(setup_of(apply_values(problem.config, values, f"trial {place}")), seed=seed)
     trained = judge(problem.measurement, setup, lambda *_: None)
     if trained.outcome is Outcome.INTERRUPTED:
         raise KeyboardInterrupt
-    return _with_parameters(trained, np.empty(0)), trained.model.parameters.numpy()
-
-
-def _with_parameters(trained: Judged, parameters: np.ndarray) -> Judged:
-    import torch
-
-    return replace(trained, model=replace(trained.model, parameters=torch.from_numpy(parameters)))
+    parameters: Any = trained.model.parameters.numpy()
+    return replace(trained, model=replace(trained.model, parameters=parameters))
 
 
 def choose(finalists: Sequence[Finalist], config: TuningConfig) -> Finalist:

@@ -24,7 +24,7 @@ from pipeline.comparison.runner import MethodRun, compare, hash_inputs, name_fil
 from pipeline.config.compose import compose_config
 from pipeline.errors import PipelineError
 from pipeline.methods.catalogue import METHODS
-from pipeline.methods.method import Reason
+from pipeline.methods.method import REQUIREMENTS
 from pipeline.problem.kalman_filter import _gain
 from pipeline.problem.noise import bearing_rows, residual_sensitivity
 from pipeline.problem.residual import bearing_equations, linear_residual
@@ -203,7 +203,7 @@ def test_every_method_says_something_of_other_machines(experiment: str, tmp_path
     sensors = ("bearings", "location")
     items = [(method, Case(0.01, where, 5)) for where in sensors for method in METHODS]
     results = compare(own, items, tmp_path, nothing)
-    names = {"answered", *(reason.name.lower() for reason in Reason)}
+    names = {"answered", *REQUIREMENTS}
     assert {result.outcome for result in results} <= names
     for result in results:
         assert result.answered == bool(result.coefficients)

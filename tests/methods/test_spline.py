@@ -9,7 +9,7 @@ from comparing import composed, errors, options, task
 from pipeline.comparison.cases import Case
 from pipeline.identification.fit import fit
 from pipeline.identification.training import FitSetup
-from pipeline.methods.method import Estimate, differentiate_response, stack_rows
+from pipeline.methods.method import Estimate, stack_rows
 from pipeline.methods.spline import enlarge, identify_by_spline, make_basis, pose
 
 FILM = ("experiment=hydrostatic_stiffness", "machine.speeds.step_rpm=100")
@@ -77,7 +77,8 @@ def test_its_problem_is_that_of_the_response_equations(rng: np.random.Generator)
     unbalance, weight = 1e-4 * (pairs[::2] + 1j * pairs[1::2]), np.sqrt(2) / data.deviation
     off = data.response.predict(data.table(values), unbalance) - data.dataset.displacement
     slope = size * np.where(direct, np.exp(outputs), 1.0)
-    by_output = differentiate_response(data, values, unbalance) * slope[:, None, None]
+    by_coefficient = data.response.sensitivity(data.table(values), unbalance)
+    by_output = np.einsum("sprbc,bca->spra", by_coefficient, data.unknowns.influence) * slope[:, None, None]
     by_number = (by_output[..., None] * basis[:, None, None, None]).reshape(*by_output.shape[:3], -1)
     by_plane = 1e-4 * data.response.derive_by_unbalance(data.table(values))
     by_pair = np.stack([by_plane, 1j * by_plane], axis=-1).reshape(*by_plane.shape[:-1], 2 * len(planes))
