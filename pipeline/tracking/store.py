@@ -16,6 +16,7 @@ from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pipeline.errors import StorageError
 from pipeline.timeout import run_within
 from pipeline.tracking.entries import clean_name
 
@@ -30,10 +31,6 @@ _SQLITE = "sqlite:///"
 _LOGGERS = ("mlflow", "alembic", "sqlalchemy.engine", "urllib3.connectionpool")
 _NEVER = logging.CRITICAL + 1
 _LOCAL = "http://127.0.0.1:5000"
-
-
-class DatabaseProblem(Exception):
-    """A database that can't be used; the text says why and what to do."""
 
 
 @contextmanager
@@ -72,7 +69,7 @@ def quiet_mlflow(timeout_seconds: float) -> Iterator[None]:
 def open_experiment(settings: TrackingConfig, name: str) -> tuple[MlflowClient, str]:
     """A client of the store and the id of the experiment ``name`` in it, both made where they are missing.
 
-    :raises DatabaseProblem: if an SQLite file can't be used
+    :raises StorageError: if an SQLite file can't be used
     :raises TimeoutError: if a server or another database gives no answer within the settings' time
     :raises mlflow.exceptions.MlflowException: if the store refuses
     """
@@ -89,9 +86,7 @@ def open_experiment(settings: TrackingConfig, name: str) -> tuple[MlflowClient, 
 def _parse_path(uri: str) -> Path:
     database = uri.removeprefix(_SQLITE)
     if not uri.startswith(_SQLITE) or database in ("", ":memory:") or "?" in database:
-        raise DatabaseProblem(
-            f"'{uri}' names no SQLite file; write sqlite:///FILE (relative) or sqlite:////FOLDER/FILE"
-        )
+        raise StorageError(f"'{uri}' names no SQLite file; write sqlite:///FILE (relative) or sqlite:////FOLDER/FILE")
     return Path(database).absolute()
 
 
@@ -122,7 +117,7 @@ def prepare_database(path: Path, timeout_seconds: float) -> None:
     neither a second process nor a kill ever leaves a half-made one. A file ``<path>-lock`` stays beside it.
 
     :param timeout_seconds: how long another process may hold the database (s)
-    :raises DatabaseProblem: if it can't be made, read or written
+    :raises StorageError: if it can't be made, read or written
     """
     import filelock
 
@@ -134,16 +129,16 @@ def prepare_database(path: Path, timeout_seconds: float) -> None:
                     _create(path)
         _probe(path, timeout_seconds)
     except filelock.Timeout:
-        raise DatabaseProblem(f"another process has held {path}-lock for too long; end it and run again") from None
+        raise StorageError(f"another process has held {path}-lock for too long; end it and run again") from None
     except sqlite3.OperationalError as error:
-        raise DatabaseProblem(f"the database {path} can't be written ({error}); is it in use, or read-only?") from error
+        raise StorageError(f"the database {path} can't be written ({error}); is it in use, or read-only?") from error
     except sqlite3.DatabaseError as error:
-        raise DatabaseProblem(
+        raise StorageError(
             f"{path} is not a sound SQLite database ({error}); move it away, the next run makes a new one"
         ) from error
     except (OSError, NotImplementedError) as error:  # filelock raises the latter where a file system has no locks
         reason = getattr(error, "strerror", None) or error
-        raise DatabaseProblem(f"the database {path} can't be made there ({reason})") from error
+        raise StorageError(f"the database {path} can't be made there ({reason})") from error
 
 
 def _locate_artifacts(path: Path) -> str:
@@ -176,7 +171,7 @@ def _probe(path: Path, timeout_seconds: float) -> None:
         tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
         connection.execute("ROLLBACK")
     if not {"alembic_version", "experiments", "runs"} <= tables:
-        raise DatabaseProblem(f"{path} is a database, but not MLflow's; move it away or give another tracking.uri")
+        raise StorageError(f"{path} is a database, but not MLflow's; move it away or give another tracking.uri")
 
 
 # --- what is in it ------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pipeline.errors import without_password
+from pipeline.errors import StorageError, without_password
 from pipeline.tracking.beside import log_beside
 from pipeline.tracking.entries import (
     MetricValue,
@@ -24,7 +24,7 @@ from pipeline.tracking.entries import (
 )
 from pipeline.tracking.model import log_model
 from pipeline.tracking.provenance import describe_provenance
-from pipeline.tracking.store import DatabaseProblem, open_experiment, quiet_mlflow
+from pipeline.tracking.store import open_experiment, quiet_mlflow
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
@@ -198,6 +198,6 @@ def _tell_reason(error: Exception) -> str:
     system = re.search(r"\[Errno -?\d+\] ([\w ]+)", text)
     if system and "Max retries exceeded" in text:
         text = f"the server can't be reached ({system.group(1).strip().lower()})"
-    if not isinstance(error, DatabaseProblem):
+    if not isinstance(error, StorageError):
         text = shorten(text, _REASON_LENGTH)
     return without_password(text).rstrip(".")

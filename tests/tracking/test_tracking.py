@@ -20,9 +20,10 @@ from running import PYTHON
 
 import pipeline
 from pipeline.config.schema import TrackingConfig
+from pipeline.errors import StorageError
 from pipeline.tracking import StageRecord, track, tracker
 from pipeline.tracking.model import tabulate_coefficients
-from pipeline.tracking.store import DatabaseProblem, prepare_database, quiet_mlflow
+from pipeline.tracking.store import prepare_database, quiet_mlflow
 
 pytestmark = pytest.mark.slow  # it trains, or starts processes
 
@@ -310,7 +311,7 @@ def test_failed_creation_leaves_no_database(tmp_path: Path, monkeypatch: pytest.
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(sqlalchemy_store, "SqlAlchemyStore", half_made)
-    with pytest.raises(DatabaseProblem, match="No space left on device"):
+    with pytest.raises(StorageError, match="No space left on device"):
         prepare_database(tmp_path / "mlflow.db", 1.0)
     assert [path.name for path in tmp_path.iterdir()] == ["mlflow.db-lock"]
 
