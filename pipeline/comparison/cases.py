@@ -13,7 +13,7 @@ from pipeline.data.dataset import VibrationDataset
 from pipeline.data.noise import NoiseModel
 from pipeline.data.operating import split_states
 from pipeline.data.sensors import Channels, Sensors, list_directions, measure
-from pipeline.laws.law_set import LawSet
+from pipeline.laws.law_set import NO_LAWS, LawSet
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
@@ -29,14 +29,10 @@ class Case:
     data_set: int = 0  # which noise
 
 
-def choose_main_sensors(settings: ComparisonConfig) -> SensorSet:
-    """The sensors of the main case: those at the bearings, if they are asked for."""
-    return "bearings" if "bearings" in settings.sensors else settings.sensors[0]
-
-
 def choose_main_case(settings: ComparisonConfig, n_speeds: int) -> Case:
-    """The largest noise at as many speeds as there are."""
-    return Case(max(settings.noise), choose_main_sensors(settings), min(max(settings.speeds), n_speeds))
+    """The largest noise at as many speeds as there are, by the sensors at the bearings, if they are asked for."""
+    sensors: SensorSet = "bearings" if "bearings" in settings.sensors else settings.sensors[0]
+    return Case(max(settings.noise), sensors, min(max(settings.speeds), n_speeds))
 
 
 def list_cases(settings: ComparisonConfig, n_speeds: int) -> tuple[Case, ...]:
@@ -62,7 +58,7 @@ class Machine:
     settings: ComparisonConfig
     noise_seed: int
     seed: int
-    laws: LawSet | None = None  # what is known of the bearings beforehand
+    laws: LawSet = NO_LAWS  # what is known of the bearings beforehand
 
     def measure(self, case: Case, least_noise: float = 1e-9) -> Measurement:
         """What a method sees of a case: the truth is hidden except for what is known.

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from dataclasses import asdict
-from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
@@ -106,23 +104,18 @@ def _measure_errors(
 ) -> dict[str, dict[str, CoefficientResult]]:
     truth = machine.truth(case)
     errors: dict[str, dict[str, CoefficientResult]] = {}
-    for b, node in enumerate(truth.nodes):
-        for name in data.unknowns.coefficients(b):
-            relative = measure_relative_errors(answer.coefficients, truth, name)[b]
-            relative = relative[~np.isnan(relative)]
-            if not len(relative):
-                continue
-            stated: Mapping[str, Any] = {}
-            c = COEFFICIENTS.index(name)
-            deviation = answer.deviation[b, :, c]
-            if not np.isnan(deviation).all():
-                off = answer.coefficients.values[b, :, c] - truth.values[b, :, c]
-                median = float(100 * np.median(deviation / np.abs(truth.values[b, :, c])))
-                stated = {
-                    "median_deviation": median if np.isfinite(median) else None,
-                    "within_interval": float(measure_coverage(off, deviation)),
-                }
-            errors.setdefault(str(node), {})[name] = CoefficientResult(
-                median_error=float(np.median(relative)), p95_error=float(np.percentile(relative, 95)), **stated
-            )
+    for b, c in np.argwhere(data.unknowns.identified):
+        relative = measure_relative_errors(answer.coefficients, truth, COEFFICIENTS[c])[b]
+        relative = relative[~np.isnan(relative)]
+        if not len(relative):
+            continue
+        deviation, true = answer.deviation[b, :, c], truth.values[b, :, c]
+        median, stated = float(100 * np.median(deviation / np.abs(true))), not np.isnan(deviation).all()
+        coverage = measure_coverage(answer.coefficients.values[b, :, c] - true, deviation)
+        errors.setdefault(str(truth.nodes[b]), {})[COEFFICIENTS[c]] = CoefficientResult(
+            median_error=float(np.median(relative)),
+            p95_error=float(np.percentile(relative, 95)),
+            median_deviation=median if np.isfinite(median) else None,
+            within_interval=float(coverage) if stated else None,
+        )
     return errors

@@ -46,7 +46,7 @@ def hash_inputs(machine: Machine) -> str:
         machine.identify.model_dump_json(),
         machine.settings.model_dump_json(exclude=_ASKED),
         f"{machine.noise_seed} {machine.seed}",
-        "" if machine.laws is None else json.dumps(machine.laws.to_record(), sort_keys=True),
+        json.dumps(machine.laws.to_record(), sort_keys=True) if machine.laws else "",
         *(path.read_bytes() for package in _PACKAGES for path in sorted((root / package).glob("*.py"))),
     )
 

@@ -44,7 +44,7 @@ def fit_by(section: Callable[[MethodOptions], FitConfig]) -> Callable[[Measureme
         except IdentifiabilityError as error:
             raise Refusal("not_determined", str(error)) from None
         text = f"{fitted.outcome.label} after {fitted.steps} steps"
-        if fitted.uncertainty is not None:
+        if fitted.uncertainty:
             text += f", {fitted.quality.summary['fit']['chi_square']['numbers']} numbers"
         deviation = fitted.deviation(data.dataset.speeds, data.dataset.operating)
         table = fitted.table(data.known)
@@ -65,7 +65,7 @@ def fit_trained(data: Measurement, options: MethodOptions) -> Estimate:
 
 def fit_laws(data: Measurement, options: MethodOptions) -> Estimate:
     """Fit the few numbers of bearing laws by the output error. Raises Refusal where the machine has no laws."""
-    if options.laws is None:
+    if not options.laws:
         raise Refusal("no_law", "it has none")
     return fit_by(lambda options: options.settings.law)(replace(data, laws=options.laws), options)
 

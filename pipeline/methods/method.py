@@ -16,7 +16,7 @@ from pipeline.data.operating import split_states
 from pipeline.data.operating_points import group_rows
 from pipeline.errors import DataError, PipelineError
 from pipeline.identification.quality import FAR_FROM_EXPECTED
-from pipeline.laws.law_set import LawSet
+from pipeline.laws.law_set import NO_LAWS, LawSet
 from pipeline.problem.diagnosis import determines, sensor_rows
 from pipeline.problem.identifiability import Identifiability, Solvability, judge_identifiability
 from pipeline.problem.measurement import Measurement
@@ -59,7 +59,7 @@ class MethodOptions:
 
     settings: ComparisonConfig
     seed: int
-    laws: LawSet | None = None  # of the bearings; None where nothing is known of their type
+    laws: LawSet = NO_LAWS  # of the bearings, where something is known of their type
 
     @property
     def constant(self) -> bool:

@@ -15,6 +15,7 @@ from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError
 from pipeline.files import write_json, write_text
 from pipeline.laws.build import make_laws
+from pipeline.laws.law_set import NO_LAWS
 from pipeline.methods.catalogue import METHODS
 from pipeline.problem.configured import model_machine
 from pipeline.reporting.comparison_figures import draw_comparison
@@ -71,7 +72,7 @@ def build_machine(config: Config) -> Machine:
     """The configured machine, and its vibration without noise at every node."""
     rotor, modelled, vibration = model_machine(config)
     given = config.machine.laws
-    laws = make_laws(given, rotor.bearing_nodes) if given else None
+    laws = make_laws(given, rotor.bearing_nodes) if given else NO_LAWS
     require_nodes(rotor, "identify.unbalance_planes", config.identify.unbalance_planes)
     return Machine(
         rotor,

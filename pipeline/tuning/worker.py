@@ -103,8 +103,7 @@ def run_trial(trial: optuna.trial.Trial, problem: StudyProblem, seen: Seen) -> f
         raise TrialFailed
     if place == 0:
         trial.set_user_attr("note", "the configured default")
-    started = time.perf_counter()
-    curve: _Curve | None = None
+    started, curve = time.perf_counter(), _Curve(trial, seen)
 
     def describe(**attributes: Any) -> None:
         for name, value in ({"training_seconds": round(time.perf_counter() - started, 3)} | attributes).items():
@@ -114,7 +113,6 @@ def run_trial(trial: optuna.trial.Trial, problem: StudyProblem, seen: Seen) -> f
         values = translate(config.tuning.space, suggest(trial, config.tuning.space))
         started = time.perf_counter()  # sampling is no training; where it fails, the time of that is all there is
         setup = setup_of(apply_values(config, values, f"trial {place}"))
-        curve = _Curve(trial, seen)
         verdict = judge(problem.measurement, setup, curve)
         if verdict.outcome is Outcome.INTERRUPTED:
             raise KeyboardInterrupt
@@ -126,7 +124,6 @@ def run_trial(trial: optuna.trial.Trial, problem: StudyProblem, seen: Seen) -> f
         describe(**about, held_out_loss=verdict.loss)
         return score(verdict.loss)
     except optuna.TrialPruned:
-        assert curve is not None
         describe(outcome="pruned", epochs=curve.steps, held_out_loss=10**curve.last)
         raise
     except optuna.exceptions.UpdateFinishedTrialError:
