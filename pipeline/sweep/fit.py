@@ -158,7 +158,7 @@ def _fit(problem: _Problem, starts: list[np.ndarray]) -> ModalFit:
     )
 
 
-def fit_counts(run_up: RunUp, degree: int = 2) -> tuple[ModalFit, ModalFit]:
+def fit_single_and_pair(run_up: RunUp, degree: int = 2) -> tuple[ModalFit, ModalFit]:
     """The fits with one and with two modes, of which Schwarz's criterion chooses.
 
     Both are weighed with the correlation of the better residual: what one mode leaves over is no noise.

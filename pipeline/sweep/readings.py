@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.sweep.bias import SteadyReading, SweepBias, measure_bias
-from pipeline.sweep.fit import ModalFit, RunUp, choose_sense, fit_counts, fit_decay, read_smoothed_peak
+from pipeline.sweep.fit import ModalFit, RunUp, choose_sense, fit_decay, fit_single_and_pair, read_smoothed_peak
 
 if TYPE_CHECKING:
     from pipeline.ingest.run_up import RunUpConfig
@@ -52,7 +52,7 @@ def analyse_run_up(run_up: RunUp, settings: RunUpConfig) -> RunUpAnalysis:
     sense = str(settings.phase or "")
     if not sense:
         run_up, sense, _ = choose_sense(run_up)
-    fits = fit_counts(run_up, settings.background_degree)
+    fits = fit_single_and_pair(run_up, settings.background_degree)
     chosen = min(fits, key=lambda fit: fit.criterion)
     decay = fit_decay(run_up, float(chosen.frequencies[0]), settings.background_degree)
     readings = [read_mode(chosen, 0)]

@@ -69,7 +69,7 @@ def get_ready() -> None:
 
 def _log(record: StageRecord, settings: TrackingConfig) -> list[str]:
     client, experiment_id = open_experiment(settings, record.experiment)
-    tags = flatten_tags(describe_provenance() | _place(record) | dict(record.tags))
+    tags = flatten_tags(describe_provenance() | _stage_tags(record) | dict(record.tags))
     start = round(1000 * record.started)
     run = client.create_run(experiment_id, start_time=start, tags=tags, run_name=record.stage)
     run_id = run.info.run_id
@@ -86,7 +86,7 @@ def _log(record: StageRecord, settings: TrackingConfig) -> list[str]:
     return problems
 
 
-def _place(record: StageRecord) -> dict[str, str]:
+def _stage_tags(record: StageRecord) -> dict[str, str]:
     """Tags by which the runs of an experiment and of a stage are looked for."""
     return {"pipeline.experiment": record.experiment, "pipeline.stage": record.stage}
 
@@ -166,7 +166,7 @@ def _log_values(
 
 def _log_child(client: MlflowClient, run: Run, record: StageRecord, child: StageRecord) -> None:
     """Log a run below ``run`` in few requests, since a study has many."""
-    tags = flatten_tags(_place(record) | dict(child.tags) | {"mlflow.parentRunId": run.info.run_id})
+    tags = flatten_tags(_stage_tags(record) | dict(child.tags) | {"mlflow.parentRunId": run.info.run_id})
     start = round(1000 * child.started)
     below = client.create_run(run.info.experiment_id, start_time=start, tags=tags, run_name=child.stage).info.run_id
     final, _ = collect_values(child.metrics, child.ended)
