@@ -63,7 +63,7 @@ def blend(
     """Correct the ``physical`` model by the conditions that it was fitted to, of this ``noise``.
 
     ``weights`` (C,) are about 1, and small for a condition that does not belong to the others, or that drifts more:
-    ``growth`` is that of :mod:`pipeline.balance.growth`, 1/(kg m)^2. Zero is tried for each lambda, and values up to so
+    ``growth`` is that of the drift with the weights, 1/(kg m)^2. Zero is tried for each lambda, and values up to so
     many ``decades`` about 1, three a decade.
     """
     design = design_of(conditions.unbalance)

@@ -25,7 +25,6 @@ from pipeline.tuning.worker import ROUNDING
 
 if TYPE_CHECKING:
     import optuna
-    from optuna.trial import FrozenTrial
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,24 +68,22 @@ class Finalist:
 
 def summarize(study: optuna.Study) -> list[TrialSummary]:
     """The study's finished trials; a trial that was stopped is there by its repeat alone."""
-    return [_summarize(place, trial) for place, trial in list_results(study).items()]
-
-
-def _summarize(place: int, trial: FrozenTrial) -> TrialSummary:
-    attributes = trial.user_attrs
-    return TrialSummary(
-        number=place,
-        state={"FAIL": "failed"}.get(trial.state.name, trial.state.name.lower()),
-        loss=attributes.get("held_out_loss", None if trial.value is None else 10**trial.value),
-        seconds=attributes.get("training_seconds"),
-        epochs=attributes.get("epochs"),
-        outcome=attributes.get("outcome", ""),
-        reason=attributes.get("reason", ""),
-        parameters=dict(trial.params),
-        curve={step: 10**value for step, value in sorted(trial.intermediate_values.items())},
-        started=trial.datetime_start.timestamp() if trial.datetime_start else 0.0,
-        ended=trial.datetime_complete.timestamp() if trial.datetime_complete else 0.0,
-    )
+    return [
+        TrialSummary(
+            number=place,
+            state={"FAIL": "failed"}.get(trial.state.name, trial.state.name.lower()),
+            loss=trial.user_attrs.get("held_out_loss", None if trial.value is None else 10**trial.value),
+            seconds=trial.user_attrs.get("training_seconds"),
+            epochs=trial.user_attrs.get("epochs"),
+            outcome=trial.user_attrs.get("outcome", ""),
+            reason=trial.user_attrs.get("reason", ""),
+            parameters=dict(trial.params),
+            curve={step: 10**value for step, value in sorted(trial.intermediate_values.items())},
+            started=trial.datetime_start.timestamp() if trial.datetime_start else 0.0,
+            ended=trial.datetime_complete.timestamp() if trial.datetime_complete else 0.0,
+        )
+        for place, trial in list_results(study).items()
+    ]
 
 
 def train_finalists(study: optuna.Study, problem: StudyProblem) -> list[Finalist]:
