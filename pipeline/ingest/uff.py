@@ -6,10 +6,10 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
-from pydantic import Field, PositiveFloat
+from pydantic import Field
 
 from pipeline.config.measured import MeasuredRunConfig, ProbeConfig, Text, VectorConventionsConfig
 from pipeline.config.motion import KINDS, find_motion, to_motion
@@ -17,9 +17,9 @@ from pipeline.config.section import Section, rule
 from pipeline.errors import DataError, nearest
 from pipeline.ingest.conventions import RAD_S, to_displacement, to_lead
 from pipeline.ingest.order_tracking import Signals
-from pipeline.ingest.recordings import Clock, check_recording, open_measured
+from pipeline.ingest.recordings import check_channels, check_times, open_measured
 from pipeline.ingest.tracks import RunTracks, sort_track
-from pipeline.ingest.waveform import Edge, Loaded, SignalConfig, SignalRunConfig, TachoSignalConfig
+from pipeline.ingest.waveform import Loaded, SignalConfig, SignalRunConfig, TachoSignalConfig
 
 _MARK = re.compile(rb"    -1(?=[ \t]*(?:[\r\n]|$))")
 _TIME, _FREQUENCY, _RPM = 17, 18, 19
@@ -47,13 +47,6 @@ class UffProbeConfig(ProbeConfig, UffRecordConfig):
 
 class UffTachoConfig(TachoSignalConfig, UffRecordConfig):
     """The record of the tacho, where the file has time signals; see :class:`pipeline.ingest.waveform.TachoConfig`."""
-
-    edge: Edge | None = None
-    threshold: float | None = None
-    hysteresis: PositiveFloat | None = None
-
-    mark_channel: ClassVar[None] = None
-    pulses_per_revolution: ClassVar[int] = 1
 
     @property
     def recorded(self) -> bool:
@@ -122,8 +115,8 @@ class UffRecordingsConfig(SignalConfig):
         records, pulses = find_signals(self, run, path)
         signals = {name: record.values for name, record in zip(self.probes, records, strict=True)}
         tacho = "the tacho"
-        channels = signals | {tacho: pulses.values, "time": pulses.abscissa}
-        return Loaded(check_recording(path, channels, Clock("time", "s"), None), signals, tacho)
+        check_channels(path, signals | {tacho: pulses.values, "time": pulses.abscissa})
+        return Loaded(check_times(path, "time", pulses.abscissa), signals, ((tacho, pulses.values),))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
