@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from pipeline.laws.points import turn_axes
+from pipeline.laws.numbers import turn_axes
 from pipeline.laws.table import Curve, FilmTable
 
 _LEAST, _MOST, _ROWS = 1e-6, 0.9999, 1500

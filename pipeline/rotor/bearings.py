@@ -18,11 +18,10 @@ from pipeline.config.guesses import CONDITION, ModelledLoad
 from pipeline.config.quantities import Angle, AnyDamping, AnyStiffness, Length, ShaftAngle
 from pipeline.config.section import NonNegativeInt, Section, rule
 from pipeline.errors import ConfigError
-from pipeline.laws.files import make_film_table, packaged_file, read_film_table
+from pipeline.laws.numbers import LOAD, turn_axes
 from pipeline.laws.oil import ConstantOilConfig, ModelledViscosity, OilConfig
-from pipeline.laws.points import LOAD, turn_axes
 from pipeline.laws.short_bearing import short_coefficients, short_eccentricity
-from pipeline.laws.table import FilmTable
+from pipeline.laws.table import FilmTable, make_film_table, packaged_file, read_film_table
 
 Operating = Mapping[str, np.ndarray]
 

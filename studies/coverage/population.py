@@ -24,10 +24,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
-from pipeline.laws.files import read_film_table
-from pipeline.laws.points import turn_axes
+from pipeline.laws.numbers import turn_axes
 from pipeline.laws.short_bearing import short_table
-from pipeline.laws.table import FilmTable
+from pipeline.laws.table import FilmTable, read_film_table
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.interpolation import bearing_places
 from pipeline.rotor.model import RotorModel

@@ -14,7 +14,7 @@ from pipeline.config.guesses import ModelledLoad
 from pipeline.config.quantities import Angle, Length
 from pipeline.config.rotor import RotorConfig
 from pipeline.errors import ConfigError
-from pipeline.laws.build import LawsConfig, make_laws
+from pipeline.laws.law_set import LawsConfig, make_laws
 from pipeline.rotor.bearings import PerNodeBearingConfig, _Bearing
 from pipeline.rotor.ross_adapter import bearing_table, ross, ross_rotor
 from pipeline.rotor.stored import load_modelled_bearings
