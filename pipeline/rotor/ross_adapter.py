@@ -21,7 +21,7 @@ import numpy as np
 from pipeline.config.rotor import RotorConfig, ShaftSegmentConfig
 from pipeline.errors import ConfigError, nearest
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.bearings import BearingConfig, Operating, flatten, pick_condition
+from pipeline.rotor.bearings import BearingConfig, Operating, flatten
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.supports import Stand, find_seals, find_stands
 
@@ -98,24 +98,6 @@ def _sum_elements(rotor: Any, elements: Sequence[Any], lateral: np.ndarray) -> l
         for total, matrix in zip(sums, (element.M(), element.C(), element.G(), element.K()), strict=True):
             total[where] += matrix
     return [matrix[np.ix_(lateral, lateral)] for matrix in sums]
-
-
-def ross_rotor(config: RotorConfig, bearing: BearingConfig, speeds: np.ndarray) -> Any:
-    """ROSS's own rotor with bearings, for its analyses (and as an oracle in tests). ``speeds`` (S,) rad/s.
-
-    Raises ConfigError where bearings follow operating conditions.
-    """
-    rotor = make_rotor(config)
-    if bearing.saved:
-        return rotor
-    nodes, elements = _find_bearings(config, rotor), []
-    for node in nodes:
-        single = bearing.at(node)
-        for name in single.conditions:
-            pick_condition({}, name, 0)
-        elements.append(single.make_element(ross(), node, speeds, _share_weight(rotor, nodes)))
-    seals = [element for element in rotor.bearing_elements if isinstance(element, ross().SealElement)]
-    return ross().Rotor(rotor.shaft_elements, rotor.disk_elements, [*elements, *seals])
 
 
 def _share_weight(rotor: Any, nodes: Sequence[int], gravity: float = 9.80665) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.measurement import restore
 from pipeline.sweep.readings import compare_natural_frequency
-from pipeline.twin.beyond import expect_criticals
+from pipeline.twin.mode_deviations import expect_criticals
 from pipeline.units import RAD_S_PER_RPM
 
 _AROUND = np.linspace(0.5, 2.0, 61)
@@ -21,7 +21,7 @@ def compare_identified(analysis: Analysis, run_up: Mapping[str, Any]) -> dict[st
     """The first identified critical speed against the first natural frequency of ``run_up.json``.
 
     Empty where a fit states no deviations, or finds no critical speed there. Raises ConfigError as
-    :func:`pipeline.twin.beyond.expect_criticals`.
+    :func:`pipeline.twin.mode_deviations.expect_criticals`.
     """
     answer = restore(analysis)
     if answer.uncertainty is None:

@@ -164,11 +164,15 @@ def find_critical_speeds(modes: WhirlModes) -> list[CriticalSpeed]:
 class StabilityMargin:
     """How far a system stays from instability over its speed range."""
 
-    stable: bool
     largest_growth: float  # 1/s, over all modes and speeds; at most zero is stable
     smallest_logarithmic_decrement: float | None  # over the modes within twice the top speed; None without any
     at_speed: float | None  # rad/s, where that is
     place: tuple[int, int] | None  # (speed, mode) of it
+
+    @property
+    def stable(self) -> bool:
+        """Whether nothing grows."""
+        return self.largest_growth <= 0
 
 
 class Stability(StrEnum):
@@ -210,7 +214,6 @@ def measure_stability(modes: WhirlModes) -> StabilityMargin:
     s, k = np.unravel_index(within.argmin(), within.shape)
     exists = np.isfinite(within[s, k])
     return StabilityMargin(
-        bool((modes.growth <= 0).all()),
         float(modes.growth.max()),
         float(within[s, k]) if exists else None,
         float(modes.speeds[s]) if exists else None,

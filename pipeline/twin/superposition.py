@@ -23,36 +23,7 @@ from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
 
 
-def superpose(
-    dataset: VibrationDataset,
-    runs: Sequence[int],
-    wanted: Sequence[Excitation],
-    frequencies: np.ndarray,
-    residual_unbalance: bool,
-) -> np.ndarray | None:
-    """(S, P) complex, m: the ``wanted`` excitation's response at the channels, from those of the ``runs`` (indices).
-
-    ``frequencies`` (S,) rad/s are those of the excitation. With a ``residual_unbalance``, which acts in every run, the
-    runs' shares must add up to 1. None where no sum of the runs is the excitation.
-    """
-    shares = _find_shares(dataset, runs, wanted, frequencies, residual_unbalance)
-    return None if shares is None else np.asarray(dataset.displacement @ shares)
-
-
-def superpose_with_noise(
-    dataset: VibrationDataset,
-    runs: Sequence[int],
-    wanted: Sequence[Excitation],
-    frequencies: np.ndarray,
-    residual_unbalance: bool,
-    noise: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """:func:`superpose`, and (S, P) m of its own noise, from that of the readings (S, P, R) m."""
-    shares = _find_shares(dataset, runs, wanted, frequencies, residual_unbalance)
-    return None if shares is None else (dataset.displacement @ shares, np.sqrt(noise**2 @ np.abs(shares) ** 2))
-
-
-def _find_shares(
+def find_shares(
     dataset: VibrationDataset,
     runs: Sequence[int],
     wanted: Sequence[Excitation],
@@ -60,7 +31,12 @@ def _find_shares(
     residual_unbalance: bool,
     within: float = 1e-9,
 ) -> np.ndarray | None:
-    """(R,) complex, by how much each run is in the wanted one, of which a share ``within`` may be left over."""
+    """(R,) complex, by how much each of the ``runs`` (indices) is in the ``wanted`` excitation.
+
+    So much of their responses is its response. ``frequencies`` (S,) rad/s are those of the excitation. With a
+    ``residual_unbalance``, which acts in every run, the shares must add up to 1. None where no sum of the runs is the
+    excitation, of which a share ``within`` may be left over.
+    """
     same = [r for r in runs if np.allclose(dataset.frequencies[:, r], frequencies, rtol=1e-9)]
     if not same:
         return None
@@ -136,9 +112,10 @@ def compare_held_out(
     compared = []
     for r in out:
         acting, planes = dataset.excitation_of(int(r)), measurement.unknowns.planes
-        summed = superpose(dataset, fitted.tolist(), acting, dataset.frequencies[:, r], bool(planes))
+        shares = find_shares(dataset, fitted.tolist(), acting, dataset.frequencies[:, r], bool(planes))
         beside = dataset.present[:, r] & dataset.present[:, fitted].all(axis=1)
-        error = error_percent(summed[beside], measured[beside, :, r]) if summed is not None and beside.any() else None
+        told = shares is not None and beside.any()
+        error = error_percent((measured @ shares)[beside], measured[beside, :, r]) if told else None
         model = _model_error(predicted[..., r], measured[..., r])
         compared.append(HeldOut(dataset.runs[r], dataset.speeds, True, model, error))
     every = held_out_speeds(len(dataset.speeds), training.holdout_every)

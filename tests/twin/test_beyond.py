@@ -18,7 +18,7 @@ from pipeline.identification.uncertainty import measure_uncertainty
 from pipeline.problem.condition_noise import condition_noise, to_dataset
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.parameters import update_rotor
-from pipeline.twin.beyond import expect_criticals
+from pipeline.twin.mode_deviations import expect_criticals
 from pipeline.twin.modes import find_critical_speeds, find_modes
 
 pytestmark = pytest.mark.slow  # a fit of two seconds
