@@ -20,7 +20,7 @@ import numpy as np
 from pydantic import Field
 
 from pipeline.config.section import NonNegativeInt, Section, rule
-from pipeline.data.mat_files import read_mat
+from pipeline.data.mat_files import open_measured, read_mat, write_reason
 from pipeline.errors import DataError, nearest
 from pipeline.files import write_beside
 
@@ -174,26 +174,21 @@ def _explain_csv(path: Path, text: CsvConfig) -> _Table:
             if any("\0" in field for field in row):
                 raise ValueError(f"row {i} has bytes that are no text")
     except (OSError, ValueError, IndexError, csv.Error) as error:
-        reason = "it is empty" if isinstance(error, IndexError) else _first_line(error)
+        reason = "it is empty" if isinstance(error, IndexError) else write_reason(error)
         raise DataError(f"'{path}' must be a CSV table, but it can't be read as one ({reason})") from None
     return header, [column[1:] for column in zip_longest(*rows, fillvalue="")]
 
 
 def _read_excel(path: Path, columns: Mapping[str, str], text: CsvConfig) -> _Table:
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of styles and validations, which hold no data
-            import openpyxl
+    with open_measured(path, "Excel file (.xlsx)"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of styles and validations, which hold no data
+        import openpyxl
 
-            book = openpyxl.load_workbook(path, read_only=True, data_only=True, keep_links=False)
-            sheet = book.worksheets[0]
-            sheet.reset_dimensions()  # what other programs write there may be wrong
-            header, *rows = islice(sheet.iter_rows(values_only=True), text.skip_rows, None)
-            book.close()
-    except Exception as error:  # for a damaged file openpyxl raises many kinds (zip, XML, key, attribute errors)
-        raise DataError(
-            f"'{path}' must be a complete Excel file (.xlsx), but it can't be read as one ({_first_line(error)})"
-        ) from None
+        book = openpyxl.load_workbook(path, read_only=True, data_only=True, keep_links=False)
+        sheet = book.worksheets[0]
+        sheet.reset_dimensions()  # what other programs write there may be wrong
+        header, *rows = islice(sheet.iter_rows(values_only=True), text.skip_rows, None)
+        book.close()
     while rows and not any(value is not None for value in rows[-1]):
         rows.pop()
     table = list(zip_longest(header, *rows))[: len(header)]
@@ -219,7 +214,7 @@ def _read_parquet(path: Path, columns: Mapping[str, str], text: CsvConfig) -> _T
         table = [_to_array(column) for column in stored.columns]
     except (OSError, ValueError, TypeError, pyarrow.lib.ArrowException) as error:
         raise DataError(
-            f"'{path}' must be a complete Parquet file, but it can't be read ({_first_line(error)}): make it "
+            f"'{path}' must be a complete Parquet file, but it can't be read ({write_reason(error)}): make it "
             "again with stage=generate"
         ) from None
     schema = _decode_marks(stored.schema.metadata).get("schema", SCHEMA)
@@ -255,10 +250,6 @@ def _to_array(column: Any) -> Sequence[Any] | np.ndarray:
         return np.array(coded.dictionary.to_pylist(), dtype=object)[np.from_dlpack(coded.indices)]
     values: list[Any] = column.to_pylist()
     return values
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0][:200]
 
 
 def read_marks(path: Path) -> dict[str, str] | None:

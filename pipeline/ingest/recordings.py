@@ -5,14 +5,13 @@ Legend: n samples.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pipeline.data.mat_files import read_mat
+from pipeline.data.mat_files import open_measured, read_mat
 from pipeline.data.tables import CsvConfig, read_table
 from pipeline.errors import DataError, nearest
 
@@ -97,22 +96,6 @@ def check_times(path: Path, name: str, time: np.ndarray) -> np.ndarray:
             "machine.recordings.sample_rate in its place"
         )
     return time
-
-
-@contextmanager
-def open_measured(path: Path, kind: str) -> Iterator[None]:
-    """Raise a DataError for whatever a library raises in the block while it reads a file of the ``kind``."""
-    if not path.is_file():
-        raise DataError(f"'{path}' must exist, but there is no such file")
-    try:
-        yield
-    except DataError:
-        raise
-    except Exception as error:  # h5py, nptdms and pyuff raise many kinds
-        raise DataError(
-            f"'{path}' must be a complete {kind}, but it can't be read as one "
-            f"({str(error)[:200] or type(error).__name__}): copy it again"
-        ) from None
 
 
 def _read_hdf5(path: Path, names: Sequence[str], attribute: str | None) -> tuple[Channels, float | None]:

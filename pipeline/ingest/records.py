@@ -27,7 +27,7 @@ from pipeline.config.section import NonNegativeInt, Section, rule
 from pipeline.data.dataset import SYNCHRONOUS, Excitation, VibrationDataset
 from pipeline.data.tables import CsvConfig, read_table
 from pipeline.errors import DataError
-from pipeline.ingest.conventions import RAD_S, to_displacement, to_lead
+from pipeline.ingest.conventions import RAD_S, describe_vectors, to_displacement, to_lead
 from pipeline.ingest.tracks import LARGEST, format_rpm
 
 
@@ -92,9 +92,7 @@ class RecordsConfig(MeasuredConfig):
 
     def describe(self) -> str:
         """What the numbers in the files are taken for."""
-        said = self.conventions
-        kind = said.amplitude.replace("_", "-")
-        return f"complex, {said.unit}, {kind}, angle a phase {said.phase}, speed in {said.speed}"
+        return describe_vectors(self.conventions)
 
     @property
     def planes(self) -> tuple[int, ...]:

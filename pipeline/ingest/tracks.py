@@ -26,14 +26,6 @@ class Track:
     speeds: np.ndarray  # (S,) rad/s, ascending, each once
     vectors: np.ndarray  # (S,) complex, m, zero-to-peak, towards the probe
 
-    def below(self, speed: float) -> np.ndarray:
-        """The vectors under ``speed`` rad/s."""
-        return self.vectors[self.speeds < speed]
-
-    def minus(self, vector: complex) -> Track:
-        """The same without a runout (m)."""
-        return Track(self.speeds, self.vectors - vector)
-
 
 @dataclass(frozen=True, eq=False)
 class RunTracks:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -14,10 +14,11 @@ from pydantic import Field
 from pipeline.config.measured import MeasuredRunConfig, ProbeConfig, Text, VectorConventionsConfig
 from pipeline.config.motion import KINDS, find_motion, to_motion
 from pipeline.config.section import Section, rule
+from pipeline.data.mat_files import open_measured
 from pipeline.errors import DataError, nearest
-from pipeline.ingest.conventions import RAD_S, to_displacement, to_lead
+from pipeline.ingest.conventions import RAD_S, describe_vectors, to_displacement, to_lead
 from pipeline.ingest.order_tracking import Signals
-from pipeline.ingest.recordings import check_channels, check_times, open_measured
+from pipeline.ingest.recordings import check_channels, check_times
 from pipeline.ingest.tracks import RunTracks, sort_track
 from pipeline.ingest.waveform import Loaded, SignalConfig, SignalRunConfig, TachoSignalConfig
 
@@ -90,11 +91,7 @@ class UffRecordingsConfig(SignalConfig):
 
     def describe(self) -> str:
         """What the numbers in the files are taken for."""
-        said = self.conventions
-        if not said:
-            return super().describe()
-        kind = said.amplitude.replace("_", "-")
-        return f"complex, {said.unit}, {kind}, angle a phase {said.phase}, speed in {said.speed}"
+        return describe_vectors(self.conventions) if self.conventions else super().describe()
 
     def read(self) -> tuple[RunTracks, ...]:
         """The 1X vectors of all runs, of complex functions of the speed or of time signals. Raises DataError."""
@@ -112,9 +109,25 @@ class UffRecordingsConfig(SignalConfig):
 
     def load(self, run: UffRunConfig, path: Path) -> Loaded:
         """One file of a run. Raises DataError."""
-        records, pulses = find_signals(self, run, path)
-        signals = {name: record.values for name, record in zip(self.probes, records, strict=True)}
-        tacho = "the tacho"
+        file, tacho = read_uff(path), "the tacho"
+        records = {
+            name: find_record(file, probe, run.label, f"probe '{name}' in run '{run.name}'")
+            for name, probe in self.probes.items()
+        }
+        pulses = find_record(file, self.tacho, run.label, f"the tacho in run '{run.name}'")
+        for record in (*records.values(), pulses):
+            where = f"'{path}', record {record.name},"
+            if np.iscomplexobj(record.values) or record.abscissa_type in (_FREQUENCY, _RPM):
+                raise DataError(
+                    f"{where} must be a time signal (machine.recordings.tacho has a record), but it is a function of "
+                    "the speed or the frequency: give machine.recordings.conventions, and the tacho no record"
+                )
+            if len(record.abscissa) != len(pulses.abscissa) or not np.allclose(record.abscissa, pulses.abscissa):
+                raise DataError(f"{where} must have the same times as the tacho {pulses.name}, but it has others")
+        for name, record in records.items():
+            order, _ = to_motion(self.signal_unit or "", self.probes[name].scale)
+            _check_content(record, order, f"'{path}', record {record.name},")
+        signals = {name: record.values for name, record in records.items()}
         check_channels(path, signals | {tacho: pulses.values, "time": pulses.abscissa})
         return Loaded(check_times(path, "time", pulses.abscissa), signals, ((tacho, pulses.values),))
 
@@ -293,26 +306,3 @@ def _make_record(path: Path, content: dict[str, Any]) -> UffRecord:
     if not (np.isfinite(record.abscissa).all() and np.isfinite(record.values).all()):
         raise DataError(f"'{path}' must have finite numbers, but record {record.name} has NaN or infinite ones")
     return record
-
-
-def find_signals(config: UffRecordingsConfig, run: UffRunConfig, path: Path) -> tuple[Sequence[UffRecord], UffRecord]:
-    """The time signals of the probes, in their order, and the tacho's. Raises DataError."""
-    file = read_uff(path)
-    records = [
-        find_record(file, probe, run.label, f"probe '{name}' in run '{run.name}'")
-        for name, probe in config.probes.items()
-    ]
-    tacho = find_record(file, config.tacho, run.label, f"the tacho in run '{run.name}'")
-    for record in (*records, tacho):
-        where = f"'{path}', record {record.name},"
-        if np.iscomplexobj(record.values) or record.abscissa_type in (_FREQUENCY, _RPM):
-            raise DataError(
-                f"{where} must be a time signal (machine.recordings.tacho has a record), but it is a function of the "
-                "speed or the frequency: give machine.recordings.conventions, and the tacho no record"
-            )
-        if len(record.abscissa) != len(tacho.abscissa) or not np.allclose(record.abscissa, tacho.abscissa):
-            raise DataError(f"{where} must have the same times as the tacho {tacho.name}, but it has others")
-    for record, probe in zip(records, config.probes.values(), strict=True):
-        order, _ = to_motion(config.signal_unit or "", probe.scale)
-        _check_content(record, order, f"'{path}', record {record.name},")
-    return records, tacho

@@ -16,6 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.errors import PipelineError
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.interpolation import bearing_places
 from pipeline.rotor.model import RotorModel, seal_dof
 from pipeline.rotor.seals import Seals
 
@@ -163,3 +165,21 @@ def apply(
             if at_rows[t, i] >= 0 and at_columns[t, j] >= 0:
                 dynamic[:, at_rows[t, i], kept[at_columns[t, j]]] += blocks_of[t, :, i, j]
     return dynamic @ x[:, coupled]
+
+
+def assemble_systems(rotor: RotorModel, bearings: BearingTable) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """``M``, ``C + W G + C_b`` and ``K + K_b`` with the seals, (S, n, n) each, at the speeds of ``bearings``.
+
+    The first is (n, n) where there are no seals.
+    """
+    shape = (len(bearings.speeds), *rotor.mass.shape)
+    mass = np.broadcast_to(rotor.mass, shape).copy() if rotor.seals.nodes else rotor.mass
+    damping = rotor.damping + bearings.speeds[:, None, None] * rotor.gyroscopic
+    stiffness = np.broadcast_to(rotor.stiffness, shape).copy()
+    blocks, places = bearings.values.reshape(*bearings.values.shape[:2], 2, 2, 2), bearing_places(rotor)
+    held = [*zip(places.spread(blocks), places.dof, strict=True)]
+    held += zip(rotor.seals.matrices(bearings.speeds), seal_dof(rotor), strict=True)
+    for block, dof in held:
+        for b, total in zip(range(block.shape[1]), (stiffness, damping, mass), strict=False):  # bearings have no mass
+            total[(slice(None), *np.ix_(dof, dof))] += block[:, b]
+    return mass, damping, stiffness

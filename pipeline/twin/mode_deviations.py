@@ -26,6 +26,7 @@ from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.uncertainty import Uncertainty
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.dynamic_stiffness import assemble_systems
 from pipeline.rotor.interpolation import BearingPlaces, bearing_places, shaft_rows
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.parameters import ModelParameter, rotor_change
@@ -34,8 +35,6 @@ from pipeline.twin.modes import (
     Stability,
     StabilityMargin,
     WhirlModes,
-    assemble_mass,
-    assemble_systems,
     find_critical_speeds,
     find_modes,
     find_reached,
@@ -137,8 +136,8 @@ def deviate_modes(
     positions = [t for t, parameter in enumerate(measurement.parameters) if parameter.kind == "bearing_position"]
     values = np.concatenate([modes.eigenvalues, (modes.growth + 1j * modes.growing)[:, None]], axis=1)
     rotor = measurement.updated_rotor
-    stiffness, damping = assemble_systems(rotor, bearings)
-    mass = np.broadcast_to(assemble_mass(rotor, bearings.speeds), stiffness.shape)
+    mass, damping, stiffness = assemble_systems(rotor, bearings)
+    mass = np.broadcast_to(mass, stiffness.shape)
     slopes = np.full((*values.shape, len(covariance)), np.nan, dtype=complex)  # (S, K + 1, Z)
     for s, value in enumerate(values):
         present = np.flatnonzero(~np.isnan(value))

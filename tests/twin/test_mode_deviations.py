@@ -12,6 +12,7 @@ from conftest import Machine
 from pipeline.reporting.summary_text import _describe_stability
 from pipeline.reporting.twin_tables import summarize_modes
 from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.dynamic_stiffness import assemble_systems
 from pipeline.rotor.interpolation import bearing_places, move_bearing
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.parameters import ModelParameter, rotor_change, update_rotor
@@ -19,7 +20,6 @@ from pipeline.twin.mode_deviations import Behaviour, ModeDeviations, derive_eige
 from pipeline.twin.modes import (
     WhirlModes,
     amplify,
-    assemble_systems,
     find_critical_speeds,
     find_modes,
     follow_modes,
@@ -30,7 +30,7 @@ from pipeline.twin.modes import (
 
 def derive(rotor: RotorModel, bearings: BearingTable, s: int, changes: list[RotorModel | None]) -> tuple:
     """Eigenvalues of the speed s and their derivatives."""
-    stiffness, damping = assemble_systems(rotor, bearings)
+    _, damping, stiffness = assemble_systems(rotor, bearings)
     values = find_modes(rotor, bearings).eigenvalues[s]
     values = values[~np.isnan(values)]
     system = (rotor.mass, stiffness[s], damping[s], bearings.speeds[s], bearing_places(rotor))
