@@ -30,15 +30,15 @@ def compare_identified(analysis: Analysis, run_up: Mapping[str, Any]) -> dict[st
     expected = expect_criticals(answer.measurement, answer.model, answer.uncertainty, speeds)
     if not expected:
         return {}
-    first = expected[0]
-    compared = compare_natural_frequency(run_up, first.speed / RAD_S_PER_RPM, first.deviation / RAD_S_PER_RPM)
+    first, (deviation, _) = expected[0]
+    compared = compare_natural_frequency(run_up, first.speed / RAD_S_PER_RPM, deviation / RAD_S_PER_RPM)
     every = [
         {
             "rpm": critical.speed / RAD_S_PER_RPM,
-            "deviation_rpm": critical.deviation / RAD_S_PER_RPM,
+            "deviation_rpm": speed_deviation / RAD_S_PER_RPM,
             "logarithmic_decrement": critical.logarithmic_decrement,
-            "deviation_logarithmic_decrement": critical.decrement_deviation,
+            "deviation_logarithmic_decrement": decrement_deviation,
         }
-        for critical in expected
+        for critical, (speed_deviation, decrement_deviation) in expected
     ]
     return {"first": compared | {"critical_speeds": every}}

@@ -254,20 +254,11 @@ def _find_null(system: np.ndarray) -> np.ndarray:
     return vectors
 
 
-@dataclass(frozen=True)
-class ExpectedCritical:
-    """A critical speed with its standard deviation, rad/s, and its logarithmic decrement with its own."""
-
-    speed: float
-    deviation: float
-    logarithmic_decrement: float
-    decrement_deviation: float
-
-
 def expect_criticals(
     measurement: Measurement, identified: IdentifiedModel, uncertainty: Uncertainty, speeds: np.ndarray
-) -> list[ExpectedCritical]:
-    """The critical speeds within ``speeds`` (S,) rad/s, ascending.
+) -> list[tuple[CriticalSpeed, tuple[float, float]]]:
+    """The critical speeds within ``speeds`` (S,) rad/s beyond the data, ascending, each with its deviations: see
+    :meth:`ModeDeviations.of_critical`.
 
     ``measurement`` is at the fitted model parameters. Raises ConfigError where a coefficient, identified or known,
     depends on the speed: nothing says what it is beyond the data.
@@ -283,8 +274,4 @@ def expect_criticals(
     bearings = identified.table(table)
     modes = find_modes(updated.updated_rotor, bearings)
     deviations = deviate_modes(modes, updated, bearings, identified, uncertainty)
-    criticals = [(speed, deviations.of_critical(speed)) for speed in find_critical_speeds(modes)]
-    return [
-        ExpectedCritical(c.speed, speed_deviation, c.logarithmic_decrement, of_dec)
-        for c, (speed_deviation, of_dec) in criticals
-    ]
+    return [(critical, deviations.of_critical(critical)) for critical in find_critical_speeds(modes)]

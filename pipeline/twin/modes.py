@@ -117,18 +117,17 @@ def find_critical_speeds(modes: WhirlModes) -> list[CriticalSpeed]:
     if len(modes.speeds) < 2:
         return speeds
     gap = modes.frequency - modes.speeds[:, None]  # (S, K)
-    for k in range(gap.shape[1]):
-        crosses = (gap[:-1, k] * gap[1:, k] < 0) | (gap[:-1, k] == 0)
-        crosses[-1] |= gap[-1, k] == 0
-        for s in np.flatnonzero(crosses & (gap[:-1, k] != gap[1:, k])):
-            jump = abs(modes.frequency[s + 1, k] - modes.frequency[s, k])
-            if jump > 0.25 * modes.frequency[s, k]:
-                continue
-            t = gap[s, k] / (gap[s, k] - gap[s + 1, k])
-            speed = modes.speeds[s] + t * (modes.speeds[s + 1] - modes.speeds[s])
-            values = modes.logarithmic_decrement[s : s + 2, k]
-            decrement = values[0] + t * (values[1] - values[0])
-            speeds.append(CriticalSpeed(float(speed), float(decrement), (int(s), k)))
+    crosses = (gap[:-1] * gap[1:] < 0) | (gap[:-1] == 0)
+    crosses[-1] |= gap[-1] == 0
+    for k, s in np.argwhere((crosses & (gap[:-1] != gap[1:])).T).tolist():
+        jump = abs(modes.frequency[s + 1, k] - modes.frequency[s, k])
+        if jump > 0.25 * modes.frequency[s, k]:
+            continue
+        t = gap[s, k] / (gap[s, k] - gap[s + 1, k])
+        speed = modes.speeds[s] + t * (modes.speeds[s + 1] - modes.speeds[s])
+        values = modes.logarithmic_decrement[s : s + 2, k]
+        decrement = values[0] + t * (values[1] - values[0])
+        speeds.append(CriticalSpeed(float(speed), float(decrement), (s, k)))
     return sorted(speeds, key=lambda critical: critical.speed)
 
 

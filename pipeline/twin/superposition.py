@@ -122,19 +122,16 @@ def compare_held_out(
     together = held_out_range(dataset.speeds, training)
     away = held_out_conditions(dataset.operating, training, len(dataset.speeds))
     known = ~every & ~together & ~away
-    for mask in (every & ~together & ~away, together & ~away):
+    state = name_state({name: values[away] for name, values in dataset.operating.items()}) if away.any() else ""
+    for mask in (every & ~together & ~away, together & ~away, away):
         if not mask.any():
             continue
-        fitted_runs = dataset.at(known | mask).of_runs(fitted)
-        drawn = interpolate_response(fitted_runs, known[known | mask])
-        aim = measured[mask][..., fitted]
+        whole, aim, left = mask is away, measured[mask][..., fitted], known | mask
+        drawn = None if whole else interpolate_response(dataset.at(left).of_runs(fitted), known[left])
         error = None if drawn is None else error_percent(drawn, aim)
         model = _model_error(predicted[mask][..., fitted], aim)
-        compared.append(HeldOut(None, dataset.speeds[mask], bool((mask & together).any()), model, error))
-    if away.any():
-        state = name_state({name: values[away] for name, values in dataset.operating.items()})
-        model = _model_error(predicted[away][..., fitted], measured[away][..., fitted])
-        compared.append(HeldOut(None, dataset.speeds[away], True, model, None, state))
+        in_a_row = whole or bool((mask & together).any())
+        compared.append(HeldOut(None, dataset.speeds[mask], in_a_row, model, error, state if whole else ""))
     return compared
 
 
