@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from conftest import refused
 from reading import parsed, read
-from ross_oracle import ross_rotor
 
+from benchmarks.ross_oracle import ross_rotor
 from pipeline.config.rotor import RotorConfig
 from pipeline.data.sensors import project
 from pipeline.data.simulate import simulate

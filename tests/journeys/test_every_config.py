@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 import pytest
 from conftest import Made, Run
-from ross_oracle import ross_rotor
 from running import DEFAULT, EXPERIMENTS, FIGURES, LINE, composed, contents, few, identified_columns, strict_json
 
+from benchmarks.ross_oracle import ross_rotor
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.compose import compose_config
 from pipeline.config.loader import CONF, list_options

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import MachineFactory
-from ross_oracle import ross_rotor
 
+from benchmarks.ross_oracle import ross_rotor
 from pipeline.config.rotor import RotorConfig
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.problem.force_parameters import bow_force, update_excitations

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import MachineFactory
-from ross_oracle import ross_rotor
 
+from benchmarks.ross_oracle import ross_rotor
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.compose import compose_config
 from pipeline.problem.residual import bearing_equations, linear_residual, per_speed_least_squares

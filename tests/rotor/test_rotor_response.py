@@ -11,9 +11,9 @@ import scipy.linalg
 from conftest import Machine, MachineFactory, bearings_of, examples
 from hypothesis import given
 from hypothesis import strategies as st
-from ross_oracle import ross_rotor
 
 from benchmarks.machines import refined
+from benchmarks.ross_oracle import ross_rotor
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.loader import list_options
 from pipeline.config.rotor import RotorConfig

@@ -11,8 +11,8 @@ import scipy.linalg
 from conftest import Machine, MachineFactory, bearings_of
 from hypothesis import given
 from hypothesis import strategies as st
-from ross_oracle import ross_rotor
 
+from benchmarks.ross_oracle import ross_rotor
 from pipeline.config.rotor import RotorConfig
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel, bearing_dof
