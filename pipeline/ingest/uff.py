@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -97,11 +97,12 @@ class UffRecordingsConfig(SignalConfig):
         """The 1X vectors of all runs, of complex functions of the speed or of time signals. Raises DataError."""
         if not self.conventions:
             return super().read()
-        files = {source: read_uff(Path(source)) for source in dict.fromkeys(map(self._locate, self.runs))}
-        return tuple(_read_functions(self, self.conventions, run, files[self._locate(run)]) for run in self.runs)
-
-    def _locate(self, run: UffRunConfig) -> str:
-        return run.sources(self.file)[0]
+        paths = [Path(run.sources(self.file)[0]) for run in self.runs]
+        files = {path: read_uff(path) for path in dict.fromkeys(paths)}
+        return tuple(
+            _read_functions(self, self.conventions, run, path, *files[path])
+            for run, path in zip(self.runs, paths, strict=True)
+        )
 
     def read_signals(self, run: MeasuredRunConfig) -> list[Signals]:
         """The time signals of a run, a value a file, in m; none of functions of the speed. Raises DataError."""
@@ -109,12 +110,12 @@ class UffRecordingsConfig(SignalConfig):
 
     def load(self, run: UffRunConfig, path: Path) -> Loaded:
         """One file of a run. Raises DataError."""
-        file, tacho = read_uff(path), "the tacho"
+        (stored, _), tacho = read_uff(path), "the tacho"
         records = {
-            name: find_record(file, probe, run.label, f"probe '{name}' in run '{run.name}'")
+            name: find_record(path, stored, probe, run.label, f"probe '{name}' in run '{run.name}'")
             for name, probe in self.probes.items()
         }
-        pulses = find_record(file, self.tacho, run.label, f"the tacho in run '{run.name}'")
+        pulses = find_record(path, stored, self.tacho, run.label, f"the tacho in run '{run.name}'")
         for record in (*records.values(), pulses):
             where = f"'{path}', record {record.name},"
             if np.iscomplexobj(record.values) or record.abscissa_type in (_FREQUENCY, _RPM):
@@ -156,17 +157,11 @@ class UffRecord:
         return f"{self.texts[0] if self.texts else 'no ID'} {list(self.response)}"
 
 
-@dataclass(frozen=True, eq=False)
-class UffFile:
-    """The datasets 58 of a file, and the length unit of its dataset 164 in m (None: it has none)."""
+def read_uff(path: Path) -> tuple[tuple[UffRecord, ...], float]:
+    """The datasets 58 of a universal file, and the length unit of its dataset 164 in m (0: it has none).
 
-    path: Path
-    records: tuple[UffRecord, ...]
-    metre: float | None
-
-
-def read_uff(path: Path) -> UffFile:
-    """Read a universal file. Raises DataError for a missing, damaged or truncated one, or one without datasets 58."""
+    Raises DataError for a missing, damaged or truncated file, or one without datasets 58.
+    """
     import pyuff
 
     with open_measured(path, "universal file"):
@@ -184,14 +179,16 @@ def read_uff(path: Path) -> UffFile:
         )
     units = [dataset for dataset in sets if dataset.get("type") == 164]
     factor = float(units[0].get("length", 0.0)) if units else 0.0
-    return UffFile(path, records, 1 / factor if factor > 0 else None)
+    return records, 1 / factor if factor > 0 else 0.0
 
 
-def find_record(file: UffFile, wanted: UffRecordConfig, label: str | None, what: str) -> UffRecord:
+def find_record(
+    path: Path, records: Sequence[UffRecord], wanted: UffRecordConfig, label: str | None, what: str
+) -> UffRecord:
     """The one record that fits. Raises DataError where there is none, or more than one."""
     fits = [
         record
-        for record in file.records
+        for record in records
         if record.is_called(wanted.record)
         and record.is_called(label)
         and record.response == (wanted.response or record.response)
@@ -201,26 +198,29 @@ def find_record(file: UffFile, wanted: UffRecordConfig, label: str | None, what:
         + ([f"response {list(wanted.response)}"] if wanted.response else [])
     )
     if not fits:
-        every = {text for record in file.records for text in (*record.texts, str(list(record.response)))}
+        every = {text for record in records for text in (*record.texts, str(list(record.response)))}
         asked = wanted.record or label or str(list(wanted.response or ()))
-        raise DataError(
-            f"'{file.path}' must have a record with {words} for {what}, but it has not: {nearest(asked, every)}"
-        )
+        raise DataError(f"'{path}' must have a record with {words} for {what}, but it has not: {nearest(asked, every)}")
     if len(fits) > 1:
         raise DataError(
-            f"'{file.path}' must have one record with {words} for {what}, but it has {len(fits)}: tell them apart by "
+            f"'{path}' must have one record with {words} for {what}, but it has {len(fits)}: tell them apart by "
             "the run's label, or by record and response together"
         )
     return fits[0]
 
 
 def _read_functions(
-    config: UffRecordingsConfig, said: VectorConventionsConfig, run: UffRunConfig, file: UffFile
+    config: UffRecordingsConfig,
+    said: VectorConventionsConfig,
+    run: UffRunConfig,
+    path: Path,
+    records: Sequence[UffRecord],
+    metre: float,
 ) -> RunTracks:
     tracks, notes = {}, []
     for name, probe in config.probes.items():
-        record = find_record(file, probe, run.label, f"probe '{name}' in run '{run.name}'")
-        where = f"'{file.path}', record {record.name},"
+        record = find_record(path, records, probe, run.label, f"probe '{name}' in run '{run.name}'")
+        where = f"'{path}', record {record.name},"
         if record.abscissa_type == _TIME:
             raise DataError(
                 f"{where} must be a function of the speed, but it is one of the time: give the record of the tacho "
@@ -233,11 +233,11 @@ def _read_functions(
             )
         order, size = to_motion(said.unit, probe.scale)
         _check_content(record, order, where)
-        notes += _note_contradictions(record, file, said, where)
+        notes += _note_contradictions(record, metre, said, where)
         vectors = to_lead(record.values, size, said.amplitude, said.phase)
         speeds = record.abscissa * RAD_S[said.speed]
         tracks[name] = sort_track(speeds, to_displacement(vectors, order, speeds), where)
-    return RunTracks(run.name, f"'{file.path}'", tracks, tracks, tuple(dict.fromkeys(notes)))
+    return RunTracks(run.name, f"'{path}'", tracks, tracks, tuple(dict.fromkeys(notes)))
 
 
 def _check_content(record: UffRecord, order: int, where: str) -> None:
@@ -252,11 +252,11 @@ def _check_content(record: UffRecord, order: int, where: str) -> None:
         )
 
 
-def _note_contradictions(record: UffRecord, file: UffFile, said: VectorConventionsConfig, where: str) -> list[str]:
+def _note_contradictions(record: UffRecord, metre: float, said: VectorConventionsConfig, where: str) -> list[str]:
     """Sentences on what the file says otherwise than the configuration, which is followed."""
     notes = []
     labelled_size, followed = _read_unit(record.ordinate_label), find_motion(said.unit)
-    stated = labelled_size or (file.metre if said.unit != "g" else None)
+    stated = labelled_size or (metre if said.unit != "g" else 0.0)
     if followed and stated and not np.isclose(stated, followed[1], rtol=1e-3):
         text = f"'{record.ordinate_label}'" if labelled_size else f"{stated:g} m (dataset 164)"
         key = KINDS[followed[0]]
