@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +13,6 @@ from pipeline.evaluation.errors import CoefficientErrors
 from pipeline.problem.determination import Deviations, describe_determined, read_determined
 from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.console import table
-from pipeline.rotor.bearing_table import BearingTable
 from pipeline.trust.misfit import describe_held_out, measure_misfit
 from pipeline.write_numbers import format_engineering, write_number
 
@@ -22,12 +21,7 @@ if TYPE_CHECKING:
 
 
 def make_error_table(
-    answer: BearingTable,
-    names: Sequence[Sequence[str]],
-    modelled: BearingTable | None,
-    errors: CoefficientErrors | None,
-    beside: CoefficientErrors | None,
-    deviation: np.ndarray | None,
+    shown: Coefficients, errors: CoefficientErrors | None, beside: CoefficientErrors | None
 ) -> pd.DataFrame:
     """Paper, Table 1: one row a bearing and coefficient, values as means over the speeds, errors in percent.
 
@@ -35,11 +29,11 @@ def make_error_table(
     """
     import pandas as pd
 
-    shown, rows = Coefficients.collect(answer, modelled, names, deviation), []
-    judged = () if deviation is None else Deviations(answer, deviation, "").judge()
+    answer, rows = shown.identified, []
+    judged = Deviations(answer, shown.deviation, "").judge() if shown.stated else ()
     verdicts = {(determined.node, determined.name): determined.verdict.value for determined in judged}
     for b, node in enumerate(answer.nodes):
-        for name in names[b]:
+        for name in shown.unknowns[b]:
             error = (errors or {node: {}})[node].get(name)
             if shown.compared and error is None:
                 continue  # a modelled coefficient of zero has no relative error

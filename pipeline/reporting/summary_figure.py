@@ -72,7 +72,7 @@ def _draw_run(results: Results, beside: str) -> Panel:
     at = shown.measured.any(axis=1)  # points that the run was measured at
     rpm = to_rpm(results.dataset.speeds)[at]
     measured, predicted = (MICROMETRES * np.abs(q[at, shown.probe]) for q in (shown.measured, shown.predicted))
-    label = "measured" if results.modelled is None else "measured (modelled data)"
+    label = "measured (modelled data)" if results.coefficients.compared else "measured"
     curves = [
         mark(rpm, measured, label, BLUE, count=60),
         Curve(rpm, predicted, "predicted from the identified coefficients", ORANGE),

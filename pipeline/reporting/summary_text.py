@@ -6,7 +6,6 @@ import math
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,6 @@ from pipeline.data.vibration_files import to_rpm
 from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.error_table import describe_verdicts
 from pipeline.reporting.twin_tables import measure_sizes, show, summarize_modes
-from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.trust.misfit import describe_held_out, measure_misfit
 from pipeline.twin.mode_deviations import Behaviour
@@ -56,10 +54,7 @@ class Results:
 
     rotor: RotorModel
     dataset: VibrationDataset
-    identified: BearingTable
-    modelled: BearingTable | None  # the truth of modelled data
-    unknowns: Sequence[Sequence[str]]  # of each bearing
-    deviation: np.ndarray | None  # (B, S, 8), N/m and N s/m; None where the fit states none
+    coefficients: Coefficients
     training: Mapping[str, Any]  # training.json
     judged: Mapping[str, Any]  # the whole, of verdicts.json
     shown: ShownRun
@@ -80,18 +75,12 @@ class Results:
         """The conditions of the prediction, such as ``, 70 degC``; no words without any."""
         return f", {name_state(self.operating)}" if self.operating else ""
 
-    @cached_property
-    def coefficients(self) -> Coefficients:
-        """The answer as figures and tables have it."""
-        return Coefficients.collect(self.identified, self.modelled, self.unknowns, self.deviation)
-
     def nearest(self) -> tuple[str, Results]:
         """The measured state that is nearest to the prediction's, and the results at its points alone."""
         label, points = find_nearest(self.dataset.speeds, self.dataset.operating, self.operating)
         shown = replace(self.shown, measured=self.shown.measured[points], predicted=self.shown.predicted[points])
-        at = replace(self, dataset=self.dataset.at(points), identified=self.identified.at(points), shown=shown)
-        at.__dict__["coefficients"] = self.coefficients.at(points)
-        return label, at
+        at = self.coefficients.at(points)
+        return label, replace(self, dataset=self.dataset.at(points), coefficients=at, shown=shown)
 
 
 def write_summary(config: Config, results: Results, picture: Path) -> str:
@@ -143,7 +132,7 @@ def _describe_data(config: Config, results: Results) -> str:
     states = [label for label, _ in split_states(data.speeds, data.operating)]
     at = f" at {_join(states)}" if data.operating else ""
     less = f", less the run {config.data.baseline}" if config.data.baseline else ""
-    kind = "measured" if results.modelled is None else "modelled"
+    kind = "modelled" if results.coefficients.compared else "measured"
     return (
         f"{kind}, {count(len(data.runs), 'run')} ({_join(data.runs)}){less}; {count(len(rpm), 'speed')} from "
         f"{rpm[0]:g} to {rpm[-1]:g} rpm{at}; {count(len(data.channels), 'channel')} at {_name_nodes(nodes)}"
@@ -152,12 +141,12 @@ def _describe_data(config: Config, results: Results) -> str:
 
 def _pick_columns(config: Config, results: Results) -> list[tuple[str, int]]:
     """Heads and points of the table: up to three speeds, or up to three states at the prediction's speed."""
-    rpm = to_rpm(results.identified.speeds)
+    answer, rpm = results.coefficients.identified, results.coefficients.rpm
     if config.model.kind == "constant":
         return [("at every speed", 0)]
-    if not results.identified.operating:
+    if not answer.operating:
         return [(f"at {rpm[s]:g} rpm", s) for s in sorted({0, results.at, len(rpm) - 1})]
-    states = split_states(results.identified.speeds, results.identified.operating)
+    states = split_states(answer.speeds, answer.operating)
     shown = [states[i] for i in sorted({0, (len(states) - 1) // 2, len(states) - 1})]
     return [(label, int(points[np.abs(rpm[points] - results.rpm[results.at]).argmin()])) for label, points in shown]
 
@@ -165,15 +154,15 @@ def _pick_columns(config: Config, results: Results) -> list[tuple[str, int]]:
 def _list_coefficients(config: Config, results: Results) -> list[str]:
     """A row a bearing and coefficient, at up to three speeds or states; constants have one value."""
     shown, columns = results.coefficients, _pick_columns(config, results)
-    several = len(columns) > 1 and bool(results.identified.operating)
+    several = len(columns) > 1 and bool(shown.identified.operating)
     speed = f" at {results.rpm[results.at]:g} rpm" if several else ""
-    known = " +- one standard deviation" if np.isfinite(shown.deviation).any() else ""
+    known = " +- one standard deviation" if shown.stated else ""
     against = f", and the median error over the {'points' if several else 'speeds'}" if shown.compared else ""
     heads = "".join(f"{head:>22}" for head, _ in columns) + (f"{'error %':>12}" if shown.compared else "")
     lines = [f"identified{speed}{known}{against}", f"{'':20}{heads}"]
-    rows = [(b, name) for b, names in enumerate(results.unknowns) for name in names]
+    rows = [(b, name) for b, names in enumerate(shown.unknowns) for name in names]
     for b, name in rows[:_MOST_ROWS]:
-        row, c = f"  {f'node {results.identified.nodes[b]} {name}, {unit(name)}':<18}", COEFFICIENTS.index(name)
+        row, c = f"  {f'node {shown.identified.nodes[b]} {name}, {unit(name)}':<18}", COEFFICIENTS.index(name)
         for _, s in columns:
             value, deviation = shown.identified.values[b, s, c], shown.deviation[b, s, c]
             row += f"{format_engineering(float(value), float(deviation)):>22}"

@@ -16,6 +16,7 @@ from pipeline.errors import DataError, IdentifiabilityError
 from pipeline.files import hash_file, read_json
 from pipeline.ingest.full_spectrum import join_full_spectra
 from pipeline.problem.measurement import Measurement
+from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.console import say, warn
 from pipeline.reporting.report.content import FitContent, ReportContent, Waveforms
 from pipeline.reporting.report.page import write_page
@@ -118,18 +119,15 @@ def _read_fit(analysis: Analysis) -> FitContent | None:
     factors = read_json(analysis.files.training).get("fit", {}).get("noise_factor")
     factor = np.array(list(factors.values())) if factors and len(factors) == len(data.channels) else None
     return FitContent(
-        bearings=answer.table,
-        deviation=answer.deviation(answer.table),
-        unknowns=answer.names,
-        modelled=load_modelled(config, updated),
+        coefficients=Coefficients.collect(
+            answer.table, load_modelled(config, updated), answer.names, answer.deviation(answer.table)
+        ),
+        at_conditions=Coefficients.collect(at_conditions, None, answer.names, answer.deviation(at_conditions)),
         predicted=updated.response.predict(answer.table, answer.unbalance),
         noise=updated.deviation_of(data.displacement, updated.baseline, 1.0 if factor is None else factor),
-        at_conditions=at_conditions,
-        at_deviation=answer.deviation(at_conditions),
         operating=twin.operating,
         beyond=say_beyond(data.operating, twin.operating),
         modes=twin.behaviour["identified"].modes,
-        rotor=updated.updated_rotor,
     )
 
 

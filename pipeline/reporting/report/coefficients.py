@@ -13,7 +13,6 @@ import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.data.operating import name_state, split_states
-from pipeline.data.vibration_files import to_rpm
 from pipeline.reporting.coefficient_figures import (
     KINDS,
     UNITS,
@@ -34,14 +33,14 @@ _MOST_TABLES, _ROWS = 4, 5
 def describe_coefficients(content: ReportContent, fit: FitContent) -> Section:
     """Figures over speed and a table."""
     text = "Forces on the shaft are -(K q + C q'); kxy is the force in x for a displacement in y."
-    if fit.deviation is None:
+    if not fit.coefficients.stated:
         text += " The loss of this fit states no deviations, so there are no bands: loss=response has them."
     else:
         text += (
             " Numbers are given with one standard deviation, bands are nominal 95 % intervals. They count the noise,"
             " what is fitted of the model, and the usual tolerances of rotor, weights and probes, as the verdicts do."
         )
-    if fit.modelled is not None:
+    if fit.coefficients.compared:
         text += " The data were modelled, so that the true coefficients are known; the fit did not read them."
     states = _list_states(fit)
     tabled = [states[i] for i in np.unique(np.linspace(0, len(states) - 1, _MOST_TABLES).round().astype(int))]
@@ -52,27 +51,30 @@ def describe_coefficients(content: ReportContent, fit: FitContent) -> Section:
 
 def _list_states(fit: FitContent) -> list[tuple[str, Coefficients]]:
     """The measured states, and that of the prediction where it is none of them; one without conditions."""
-    measured, asked = list_states(fit.shown), name_state(fit.operating)
-    if any(label == asked for label, _ in split_states(fit.bearings.speeds, fit.bearings.operating)):
+    measured, asked = list_states(fit.coefficients), name_state(fit.operating)
+    if any(
+        label == asked
+        for label, _ in split_states(fit.coefficients.identified.speeds, fit.coefficients.identified.operating)
+    ):
         return measured
-    return [*measured, (f"{asked} (not measured)", fit.shown_at_conditions)]
+    return [*measured, (f"{asked} (not measured)", fit.at_conditions)]
 
 
 def _draw(content: ReportContent, fit: FitContent, states: list[tuple[str, Coefficients]], letter: str) -> Figure:
-    over = f"{KINDS[letter].capitalize()} over the speed: "
-    if fit.bearings.operating:
-        asked = GREEN if states[-1][1] is fit.shown_at_conditions else ""
-        panels = draw_state_panels(states, letter, False, asked) if fit.shown.choose(letter) else []
+    shown, over = fit.coefficients, f"{KINDS[letter].capitalize()} over the speed: "
+    if shown.identified.operating:
+        asked = GREEN if states[-1][1] is fit.at_conditions else ""
+        panels = draw_state_panels(states, letter, False, asked) if shown.choose(letter) else []
         over += "a panel a coefficient, a colour a state of the operating conditions"
     else:
         panels = [
-            _add_reference(draw_bearing(fit.shown, b, letter), content.reference, node, letter)
-            for b, node in enumerate(fit.bearings.nodes)
+            _add_reference(draw_bearing(shown, b, letter), content.reference, node, letter)
+            for b, node in enumerate(shown.identified.nodes)
         ]
         over += "markers are identified (dashed where known)"
         over += ", filled markers the reference" if content.reference else ""
-    over += "" if fit.deviation is None else ", bands hold the nominal 95 %"
-    over += "" if fit.modelled is None else ", black lines are the modelled truth"
+    over += ", bands hold the nominal 95 %" if shown.stated else ""
+    over += ", black lines are the modelled truth" if shown.compared else ""
     return Figure(KINDS[letter], over + ".", panels)
 
 
@@ -100,18 +102,18 @@ def _list(label: str, shown: Coefficients) -> Table:
         cells = [write_number(*pair, 5) for pair in zip(values.tolist(), deviations.tolist(), strict=True)]
         rows.append([f"node {shown.identified.nodes[b]} {name}, {unit}", *cells])
     heads = ["at every speed"] if constant else [f"{write_number(rpm, digits=6)} rpm" for rpm in shown.rpm[at]]
-    stated = " +- one standard deviation" if np.isfinite(shown.deviation).any() else ""
+    stated = " +- one standard deviation" if shown.stated else ""
     return Table(f"Identified coefficients{f' at {label}' if label else ''}{stated}", ["coefficient", *heads], rows)
 
 
 def _compare(content: ReportContent, fit: FitContent) -> list[Table]:
     """Identified against the reference, in percent, and in standard deviations where they are stated."""
-    reference, shown = content.reference, fit.shown_at_conditions
+    reference, shown = content.reference, fit.at_conditions
     if not reference:
         return []
-    rows, rpm = [], to_rpm(fit.at_conditions.speeds)
-    for b, names in enumerate(fit.unknowns):
-        at = reference["bearing_node"] == fit.bearings.nodes[b]
+    rows, rpm = [], shown.rpm
+    for b, names in enumerate(shown.unknowns):
+        at = reference["bearing_node"] == shown.identified.nodes[b]
         inside = at & (reference["speed_rpm"] >= rpm[0]) & (reference["speed_rpm"] <= rpm[-1])
         for name in names:
             if name not in reference or not inside.any():
@@ -122,9 +124,9 @@ def _compare(content: ReportContent, fit: FitContent) -> list[Table]:
             with np.errstate(divide="ignore", invalid="ignore"):
                 medians = [_take_median(100 * off / np.abs(given)), _take_median(np.abs(off) / deviation)]
             cells = [write_number(median, digits=3) for median in medians]
-            rows.append([f"node {fit.bearings.nodes[b]} {name}", f"{len(speeds)}", *cells])
+            rows.append([f"node {shown.identified.nodes[b]} {name}", f"{len(speeds)}", *cells])
     header = ["coefficient", "speeds in common", "difference, % (median)", "difference over its deviation (median)"]
-    columns = 3 if fit.deviation is None else 4
+    columns = 4 if shown.stated else 3
     name = content.origin.get("reference", "the reference")
     at = f" at {name_state(fit.operating)}" if fit.operating else ""
     return [Table(f"Identified{at} less reference ({name})", header[:columns], [row[:columns] for row in rows])]

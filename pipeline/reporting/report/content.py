@@ -19,8 +19,6 @@ from pipeline.problem.measurement import Measurement
 from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.measured_figures import Trace, choose_looks, list_traces
 from pipeline.reporting.report.section import Paragraph
-from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.model import RotorModel
 from pipeline.twin.modes import WhirlModes
 
 MOST_PROBES, MOST_RUNS = 8, 6
@@ -53,32 +51,17 @@ class Waveforms:
 class FitContent:
     """What was identified, and how it follows the readings.
 
-    ``at_conditions`` are the coefficients at the conditions of the prediction, at each speed once: ``bearings`` where
-    the data have no conditions. The modes are theirs.
+    ``at_conditions`` are the coefficients at the conditions of the prediction, at each speed once: the same where the
+    data have no conditions. The modes are theirs.
     """
 
-    bearings: BearingTable
-    deviation: np.ndarray | None  # (B, S, 8) N/m and N s/m
-    unknowns: Sequence[Sequence[str]]  # of each bearing
-    modelled: BearingTable | None  # the truth of modelled data
+    coefficients: Coefficients
+    at_conditions: Coefficients
     predicted: np.ndarray  # (S, P, R) complex, m
     noise: np.ndarray  # (S, P, R) m, root mean square of each reading's noise
-    at_conditions: BearingTable
-    at_deviation: np.ndarray | None  # (B, U, 8) of them
     operating: Mapping[str, float]  # SI; empty without conditions
     beyond: Sequence[str]  # which of them lie outside the data, in words
     modes: WhirlModes
-    rotor: RotorModel  # at the fitted model parameters
-
-    @cached_property
-    def shown(self) -> Coefficients:
-        """The answer as figures and tables have it."""
-        return Coefficients.collect(self.bearings, self.modelled, self.unknowns, self.deviation)
-
-    @cached_property
-    def shown_at_conditions(self) -> Coefficients:
-        """The same at the conditions of the prediction."""
-        return Coefficients.collect(self.at_conditions, None, self.unknowns, self.at_deviation)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
