@@ -1,16 +1,121 @@
-"""What a fit found beside the coefficients, as tables for files; without a row where the loss says nothing of it."""
+"""What a fit gives, in tables: coefficients, errors, parameters, unbalance; how it explains the readings, in words."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pipeline.coefficients import COEFFICIENTS
 from pipeline.data.operating_points import list_columns
 from pipeline.data.vibration_files import to_rpm
-from pipeline.identification.identified import Fit
+from pipeline.evaluation.errors import CoefficientErrors
+from pipeline.identification.identified import Fit, FittedParameter
 from pipeline.identification.uncertainty import Uncertainty
+from pipeline.problem.determination import Deviations, describe_determined, read_determined
+from pipeline.reporting.coefficient_figures import Coefficients
+from pipeline.reporting.console import table
+from pipeline.reporting.tables import Table
 from pipeline.rotor.parameters import UNITS
+from pipeline.trust.misfit import describe_held_out, measure_misfit
+from pipeline.write_numbers import format_engineering, write_number
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def make_error_table(
+    shown: Coefficients, errors: CoefficientErrors | None, beside: CoefficientErrors | None
+) -> pd.DataFrame:
+    """Paper, Table 1: one row a bearing and coefficient, values as means over the speeds, errors in percent.
+
+    Measured data have no modelled coefficients, and so neither these columns nor errors.
+    """
+    import pandas as pd
+
+    answer, rows = shown.identified, []
+    judged = Deviations(answer, shown.deviation, "").judge() if shown.stated else ()
+    verdicts = {(determined.node, determined.name): determined.verdict.value for determined in judged}
+    for b, node in enumerate(answer.nodes):
+        for name in shown.unknowns[b]:
+            error = (errors or {node: {}})[node].get(name)
+            if shown.compared and error is None:
+                continue  # a modelled coefficient of zero has no relative error
+            c = COEFFICIENTS.index(name)
+            share = np.median(shown.deviation[b, :, c] / np.abs(answer.values[b, :, c]))
+            row: dict[str, Any] = {"bearing_node": node, "coefficient": name}
+            row |= {"modelled": shown.modelled[b, :, c].mean(), "identified": answer.values[b, :, c].mean()}
+            row |= asdict(error) if error else {}
+            row |= {"least_squares_mean_error_percent": beside[node][name].mean_error_percent} if beside else {}
+            rows.append(row | {"median_std_percent": float(100 * share), "verdict": verdicts.get((node, name))})
+    return pd.DataFrame(rows).dropna(axis=1, how="all")
+
+
+def print_error_table(name: str, errors: pd.DataFrame) -> None:
+    """Print the table on the screen."""
+    columns = [column for column in _SHOWN if column in errors]
+    rows = [
+        [f"node {row['bearing_node']} {row['coefficient']}", *(_format(column, row[column]) for column in columns)]
+        for _, row in errors.iterrows()
+    ]
+    what = "identified against modelled" if "modelled" in errors else "identified"
+    table(f"{name}: {what}", ["bearing and coefficient", *(_SHOWN[column] for column in columns)], rows)
+
+
+_SHOWN = {
+    "modelled": "modelled (mean)",
+    "identified": "identified (mean)",
+    "mean_error_percent": "mean error %",
+    "median_error_percent": "median",
+    "p95_error_percent": "95 %",
+    "max_error_percent": "max",
+    "l2_error_percent": "L2",
+    "least_squares_mean_error_percent": "least squares mean error %",
+    "median_std_percent": "median std %",
+    "verdict": "verdict",
+}
+
+
+def _format(column: str, value: float | str) -> str:
+    if isinstance(value, str):
+        return value
+    return format_engineering(value) if column in ("modelled", "identified") else write_number(value, digits=2)
+
+
+def describe_verdicts(about: Mapping[str, Any]) -> str:
+    """Say how well each coefficient is determined, from ``determined`` of ``training.json``, and whether its ``fit``
+    lets that count."""
+    determined = about["determined"]
+    text = f"{determined['by']}: {describe_determined(read_determined(determined['coefficients']))}"
+    misfit = None if "fit" not in about else measure_misfit(about["fit"])
+    return text if misfit is None or misfit.explained() else f"were the model right, {text}; but {misfit.sentence}"
+
+
+def describe_quality(quality: Mapping[str, Any]) -> str:
+    """Say how well a fit explains its readings, from the summary of its quality; no truth is needed."""
+    if "residual" in quality:
+        residual = quality["residual"]["mean_over_bearing_force"]
+        return (
+            f"no modelled coefficients, so no errors; residual {write_number(residual, digits=3)} of the bearing force"
+        )
+    fit = quality["fit"]
+    square, white = fit["chi_square"], fit["whiteness"]
+    lines = [
+        f"chi-square {square['value']:.0f} of {square['readings']} readings, {square['expected']:.0f} expected "
+        f"({100 * square['value'] / square['expected'] - 100:+.1f} %)",
+        f"whiteness: neighbouring speeds correlate by {white['autocorrelation']:.3f} "
+        f"({white['over_its_deviation']:+.1f} standard deviations from none); {fit['bad_points']} readings far off",
+    ]
+    lines.append(measure_misfit(fit).sentence)
+    for kind in ("held_out_speeds", "held_out_runs"):
+        if kind in fit:
+            told, square = describe_held_out(kind, fit[kind], 3), fit[kind]["mean_square_over_noise"]
+            if square is not None:
+                told += f" (root mean square), mean square over the noise {square:.3f}, where 1 is expected"
+            lines.append(told)
+    return "\n".join(lines)
 
 
 def tabulate_bad_points(fitted: Fit) -> dict[str, list[Any]]:
@@ -38,9 +143,8 @@ def tabulate_unbalance(uncertainty: Uncertainty | None) -> dict[str, Any]:
     }
 
 
-def tabulate_parameters(fitted: Fit) -> dict[str, list[Any]]:
+def tabulate_parameters(every: Sequence[FittedParameter]) -> dict[str, list[Any]]:
     """Prior deviation, and what the fit made of it: a share of the stated value, or in the unit."""
-    every = fitted.parameters
     return {
         "kind": [number.parameter.kind for number in every],
         "of": [number.parameter.label for number in every],
@@ -49,3 +153,34 @@ def tabulate_parameters(fitted: Fit) -> dict[str, list[Any]]:
         "value": [number.value * number.parameter.deviation for number in every],
         "std": [number.deviation * number.parameter.deviation for number in every],
     }
+
+
+def print_parameters(name: str, fitted: Sequence[FittedParameter]) -> None:
+    """Stated tolerance and fitted value of every model parameter."""
+    names, title = [number.parameter.name for number in fitted], f"{name}: model parameters, against what is stated"
+    table(*list_parameters(title, names, tabulate_parameters(fitted)))
+
+
+def list_parameters(
+    caption: str, names: Sequence[str], fitted: Mapping[str, Sequence[Any] | np.ndarray], told: float = 0.9
+) -> Table:
+    """A row a model parameter, of columns as in :func:`tabulate_parameters`: against what is stated.
+
+    Where the posterior is more than ``told`` of the prior, the data tell nothing.
+    """
+    rows = []
+    columns = (fitted[key] for key in ("kind", "prior_std", "value", "std"))
+    for name, kind, prior, value, deviation in zip(names, *columns, strict=True):
+        unit, factor = choose_unit(str(kind))
+        remark = "" if deviation < told * prior else "as stated: the data do not tell"
+        stated, share = f"0 +- {write_number(factor * prior, digits=3)}", write_number(value / prior, digits=2)
+        rows.append([name, unit, stated, write_number(factor * value, factor * deviation), share, remark])
+    return Table(caption, ["parameter", "unit", "stated", "found", "over its tolerance", ""], rows)
+
+
+def choose_unit(kind: str) -> tuple[str, float]:
+    """An engineer's unit, and what the parameter's is multiplied by."""
+    unit = UNITS[kind]
+    if kind in ("bow", "runout"):
+        return "um", 1e6
+    return {"": ("%", 100.0), "rad": ("deg", float(np.degrees(1))), "m": ("mm", 1e3)}.get(unit, (unit, 1.0))

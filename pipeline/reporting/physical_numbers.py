@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.config.schema import Config
 from pipeline.data.operating import write_condition
 from pipeline.evaluation.contradiction import find_contradiction, list_contradicted
-from pipeline.reporting.console import print_table
+from pipeline.reporting.console import table
 from pipeline.reporting.tables import Table
 from pipeline.write_numbers import write_number
 
@@ -69,7 +69,7 @@ def list_numbers(found: Mapping[str, Mapping[str, Any]], config: Config) -> list
 
 def print_numbers(name: str, numbers: Sequence[EngineersNumber]) -> None:
     """A row a number; nothing of a fit without bearing laws."""
-    print_table(tabulate_numbers(f"{name}: numbers of the bearing laws (+- standard deviation)", numbers))
+    table(*tabulate_numbers(f"{name}: numbers of the bearing laws (+- standard deviation)", numbers))
 
 
 def tabulate_numbers(caption: str, numbers: Sequence[EngineersNumber]) -> Table:

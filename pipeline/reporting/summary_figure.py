@@ -27,7 +27,7 @@ from pipeline.reporting.figure import (
 )
 from pipeline.reporting.matplotlib_figures import write_figure
 from pipeline.reporting.summary_text import Results, name_channel
-from pipeline.reporting.twin_tables import measure_sizes
+from pipeline.reporting.twin import measure_sizes
 from pipeline.units import RAD_S_PER_RPM
 
 _AMPLITUDE = "amplitude (µm, zero-to-peak)"

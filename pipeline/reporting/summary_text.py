@@ -17,8 +17,8 @@ from pipeline.data.dataset import VibrationDataset, name_direction
 from pipeline.data.operating import find_nearest, name_state, split_states
 from pipeline.data.vibration_files import to_rpm
 from pipeline.reporting.coefficient_figures import Coefficients
-from pipeline.reporting.error_table import describe_verdicts
-from pipeline.reporting.twin_tables import measure_sizes, show, summarize_modes
+from pipeline.reporting.fit_tables import describe_verdicts
+from pipeline.reporting.twin import measure_sizes, show, summarize_modes
 from pipeline.rotor.model import RotorModel
 from pipeline.trust.misfit import describe_held_out, measure_misfit
 from pipeline.twin.mode_deviations import Behaviour

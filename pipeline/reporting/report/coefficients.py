@@ -23,8 +23,7 @@ from pipeline.reporting.coefficient_figures import (
 )
 from pipeline.reporting.figure import GREEN, LOOKS, Curve, Figure, Panel
 from pipeline.reporting.report.content import FitContent, ReportContent
-from pipeline.reporting.report.section import Block, Paragraph, Section
-from pipeline.reporting.tables import Table
+from pipeline.reporting.tables import Block, Paragraph, Section, Table
 from pipeline.write_numbers import write_number
 
 _MOST_TABLES, _ROWS = 4, 5

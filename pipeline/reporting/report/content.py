@@ -18,7 +18,7 @@ from pipeline.data.vibration_files import to_rpm
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.measured_figures import Trace, choose_looks, list_traces
-from pipeline.reporting.report.section import Paragraph
+from pipeline.reporting.tables import Paragraph
 from pipeline.twin.modes import WhirlModes
 
 MOST_PROBES, MOST_RUNS = 8, 6

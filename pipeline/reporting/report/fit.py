@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.reporting.figure import RPM, Axes, Curve, Figure, Panel, mark
+from pipeline.reporting.fit_tables import list_parameters
 from pipeline.reporting.measured_figures import AMPLITUDE
-from pipeline.reporting.model_error import list_parameters
 from pipeline.reporting.report.content import FitContent, ReportContent, View
 from pipeline.reporting.report.measured import vectors_of
-from pipeline.reporting.report.section import Block, Paragraph, Section
-from pipeline.reporting.tables import Table
+from pipeline.reporting.tables import Block, Paragraph, Section, Table
 from pipeline.trust.misfit import measure_misfit
 from pipeline.write_numbers import count, write_number
 
@@ -107,10 +106,10 @@ def _draw(content: ReportContent, fit: FitContent, runs: list[int], name: str) -
 
 def _list_parameters(content: ReportContent) -> list[Table]:
     """Model parameters that were fitted with the coefficients, before and after."""
-    table, rows = content.tables.get("model_parameters", {"kind": ()}), []
-    for i, kind in enumerate(table["kind"]):
-        prior, value, deviation = (float(table[key][i]) for key in ("prior_std", "value", "std"))
-        label = f"{str(kind).replace('_', ' ')} {table['of'][i]}".strip()
-        rows.append((label, str(kind), prior, value / prior, deviation / prior))
-    title = "Uncertain numbers of the model, change against what was stated"
-    return [list_parameters(title, rows)] if rows else []
+    fitted = content.tables.get("model_parameters")
+    if fitted is None:
+        return []
+    names = [
+        f"{str(kind).replace('_', ' ')} {of}".strip() for kind, of in zip(fitted["kind"], fitted["of"], strict=True)
+    ]
+    return [list_parameters("Uncertain numbers of the model, change against what was stated", names, fitted)]

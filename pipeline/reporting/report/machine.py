@@ -9,8 +9,7 @@ import numpy as np
 from pipeline.data.dataset import Excitation, synchronous
 from pipeline.reporting.figure import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, Axes, Curve, Figure, Panel
 from pipeline.reporting.report.content import ReportContent
-from pipeline.reporting.report.section import Paragraph, Section
-from pipeline.reporting.tables import Table
+from pipeline.reporting.tables import Paragraph, Section, Table
 from pipeline.write_numbers import count, write_number
 
 _G_MM = 1e6

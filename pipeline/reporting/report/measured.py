@@ -17,8 +17,7 @@ from pipeline.reporting.measured_figures import (
     pick_speeds,
 )
 from pipeline.reporting.report.content import ReportContent, View, Waveforms
-from pipeline.reporting.report.section import Block, Paragraph, Section
-from pipeline.reporting.tables import Amplitude, Cell, Table
+from pipeline.reporting.tables import Amplitude, Block, Cell, Paragraph, Section, Table
 
 
 def describe_measured(content: ReportContent) -> Section:

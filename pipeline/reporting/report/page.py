@@ -11,8 +11,17 @@ from typing import Any
 from pipeline.files import write_text
 from pipeline.reporting.figure import Curve
 from pipeline.reporting.plotly_panels import describe_panel
-from pipeline.reporting.report.section import Block, Paragraph, Section, typeset
-from pipeline.reporting.tables import MICROMETRES_PEAK_TO_PEAK, Amplitude, Cell, Mark, Table
+from pipeline.reporting.tables import (
+    MICROMETRES_PEAK_TO_PEAK,
+    Amplitude,
+    Block,
+    Cell,
+    Mark,
+    Paragraph,
+    Section,
+    Table,
+    typeset,
+)
 
 _NUMBER = re.compile(r"[-+–]?[\d.]*(e[-+]?\d+)?( ± [\d.]+)?")
 """Columns of these are aligned to the right."""

@@ -9,8 +9,7 @@ from typing import Any
 from pipeline.files import write_beside
 from pipeline.reporting.figure import Figure
 from pipeline.reporting.matplotlib_figures import PANEL_WIDTH, draw_image
-from pipeline.reporting.report.section import Paragraph, Section, typeset
-from pipeline.reporting.tables import Table
+from pipeline.reporting.tables import Paragraph, Section, Table, typeset
 
 _WIDTH = 186.0
 """mm of a page between its margins."""

@@ -15,10 +15,8 @@ from pipeline.reporting.report.content import ReportContent
 from pipeline.reporting.report.fit import describe_fit, describe_held_out
 from pipeline.reporting.report.machine import describe_machine
 from pipeline.reporting.report.measured import describe_measured
-from pipeline.reporting.report.modes import describe_modes
-from pipeline.reporting.report.response import describe_response
-from pipeline.reporting.report.section import Block, Paragraph, Section
-from pipeline.reporting.tables import Cell, Mark, Table
+from pipeline.reporting.report.twin import describe_modes, describe_response
+from pipeline.reporting.tables import Block, Cell, Mark, Paragraph, Section, Table
 from pipeline.trust.judgement import AS_FELT
 from pipeline.write_numbers import write_number
 
