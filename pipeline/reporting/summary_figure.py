@@ -84,7 +84,11 @@ def _draw_run(results: Results, beside: str) -> Panel:
 
 def _draw_response(results: Results) -> Panel:
     """The response to the unbalance that no run has, and the critical speeds."""
-    identified, modelled, rpm = results.vibration["identified"], results.vibration.get("modelled"), results.rpm
+    identified, modelled, rpm = (
+        results.twin.vibration["identified"],
+        results.twin.vibration.get("modelled"),
+        results.rpm,
+    )
     curves, (sizes, deviations) = [], measure_sizes(identified)
     for d, (direction, colour, dash) in enumerate((("x", BLUE, "solid"), ("y", ORANGE, "dash"))):
         size, label = sizes[:, d], f"{direction} predicted"
@@ -94,7 +98,7 @@ def _draw_response(results: Results) -> Panel:
             true = measure_sizes(modelled)[0][:, d]
             curves += [Curve(rpm, true, f"{direction} modelled", colour), mark(rpm, size, label, colour, "os"[d])]
         curves.append(Curve(rpm, size, "", colour, "none", band=2 * deviations[:, d]))
-    critical = [mode.speed / RAD_S_PER_RPM for mode in results.behaviour.critical]
+    critical = [mode.speed / RAD_S_PER_RPM for mode in results.twin.behaviour["identified"].critical]
     if critical:
         curves.append(Curve(NOTHING, NOTHING, "critical speed", GREY, "dot"))
     title = f"predicted: node {identified.node} under an unbalance that no run has{results.state}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +21,8 @@ from pipeline.reporting.fit_tables import describe_verdicts
 from pipeline.reporting.twin import measure_sizes, show, summarize_modes
 from pipeline.rotor.model import RotorModel
 from pipeline.trust.misfit import describe_held_out, measure_misfit
-from pipeline.twin.mode_deviations import Behaviour
 from pipeline.twin.modes import Stability
-from pipeline.twin.prediction import PredictedVibration
+from pipeline.twin.twin import Twin
 from pipeline.write_numbers import count, format_engineering, write_number
 
 WIDTH = 100
@@ -58,26 +57,23 @@ class Results:
     training: Mapping[str, Any]  # training.json
     judged: Mapping[str, Any]  # the whole, of verdicts.json
     shown: ShownRun
-    vibration: Mapping[str, PredictedVibration]  # of the unbalance that no run has, by system
-    behaviour: Behaviour  # of the identified system
-    at: int  # index of the prediction's speed among those of the vibration
-    operating: Mapping[str, float] = field(default_factory=dict)  # conditions of the prediction, SI
-    beyond: Sequence[str] = ()  # which of them lie outside the data, in words
+    twin: Twin
+    beyond: Sequence[str] = ()  # which of the twin's conditions lie outside the data, in words
     numbers: Sequence[str] = ()  # of bearing laws, with their deviations
 
     @property
     def rpm(self) -> np.ndarray:
         """(U,) the different speeds, those of the prediction."""
-        return to_rpm(self.vibration["identified"].speeds)
+        return to_rpm(self.twin.vibration["identified"].speeds)
 
     @property
     def state(self) -> str:
         """The conditions of the prediction, such as ``, 70 degC``; no words without any."""
-        return f", {name_state(self.operating)}" if self.operating else ""
+        return f", {name_state(self.twin.operating)}" if self.twin.operating else ""
 
     def nearest(self) -> tuple[str, Results]:
         """The measured state that is nearest to the prediction's, and the results at its points alone."""
-        label, points = find_nearest(self.dataset.speeds, self.dataset.operating, self.operating)
+        label, points = find_nearest(self.dataset.speeds, self.dataset.operating, self.twin.operating)
         shown = replace(self.shown, measured=self.shown.measured[points], predicted=self.shown.predicted[points])
         at = self.coefficients.at(points)
         return label, replace(self, dataset=self.dataset.at(points), coefficients=at, shown=shown)
@@ -86,7 +82,9 @@ class Results:
 def write_summary(config: Config, results: Results, picture: Path) -> str:
     """Write the whole screen; it ends with a newline."""
     head = _wrap(f"{config.name}: {config.description}", "", 1)
-    modes: Mapping[str, Any] = summarize_modes(results.behaviour, config.machine.prediction.speed_rpm)
+    modes: Mapping[str, Any] = summarize_modes(
+        results.twin.behaviour["identified"], config.machine.prediction.speed_rpm
+    )
     rejected = "OF A REJECTED MODEL: " if results.judged["reservation"] else ""
     parts = [
         *_wrap_entry("machine", _describe_machine(config, results)),
@@ -145,17 +143,19 @@ def _pick_columns(config: Config, results: Results) -> list[tuple[str, int]]:
     if config.model.kind == "constant":
         return [("at every speed", 0)]
     if not answer.operating:
-        return [(f"at {rpm[s]:g} rpm", s) for s in sorted({0, results.at, len(rpm) - 1})]
+        return [(f"at {rpm[s]:g} rpm", s) for s in sorted({0, results.twin.at, len(rpm) - 1})]
     states = split_states(answer.speeds, answer.operating)
     shown = [states[i] for i in sorted({0, (len(states) - 1) // 2, len(states) - 1})]
-    return [(label, int(points[np.abs(rpm[points] - results.rpm[results.at]).argmin()])) for label, points in shown]
+    return [
+        (label, int(points[np.abs(rpm[points] - results.rpm[results.twin.at]).argmin()])) for label, points in shown
+    ]
 
 
 def _list_coefficients(config: Config, results: Results) -> list[str]:
     """A row a bearing and coefficient, at up to three speeds or states; constants have one value."""
     shown, columns = results.coefficients, _pick_columns(config, results)
     several = len(columns) > 1 and bool(shown.identified.operating)
-    speed = f" at {results.rpm[results.at]:g} rpm" if several else ""
+    speed = f" at {results.rpm[results.twin.at]:g} rpm" if several else ""
     known = " +- one standard deviation" if shown.stated else ""
     against = f", and the median error over the {'points' if several else 'speeds'}" if shown.compared else ""
     heads = "".join(f"{head:>22}" for head, _ in columns) + (f"{'error %':>12}" if shown.compared else "")
@@ -232,17 +232,17 @@ def _describe_stability(stability: Mapping[str, Any]) -> str:
 
 def _describe_prediction(config: Config, results: Results) -> str:
     """The vibration at the prediction's speed, and the largest of all speeds."""
-    identified = results.vibration["identified"]
+    identified = results.twin.vibration["identified"]
     rpm, (size, deviation) = to_rpm(identified.speeds), measure_sizes(identified)
     acting = _join(
         f"{1e6 * unbalance.magnitude:g} g mm at node {unbalance.node}"
         for unbalance in config.machine.prediction.unbalances
     )
-    at = zip("xy", size[results.at].tolist(), deviation[results.at].tolist(), strict=True)
+    at = zip("xy", size[results.twin.at].tolist(), deviation[results.twin.at].tolist(), strict=True)
     phrases = [f"{direction} {write_number(value, known, 5)} um" for direction, value, known in at]
     s, d = np.unravel_index(size.argmax(), size.shape)
     return (
-        f"node {identified.node} at {rpm[results.at]:g} rpm{results.state}: {', '.join(phrases)} (zero-to-peak); "
+        f"node {identified.node} at {rpm[results.twin.at]:g} rpm{results.state}: {', '.join(phrases)} (zero-to-peak); "
         f"at most {write_number(float(size[s, d]))} um in {'xy'[d]} at {rpm[s]:g} rpm; under {acting}"
     )
 

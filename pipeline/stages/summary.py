@@ -49,10 +49,7 @@ def _collect_results(analysis: Analysis, answer: Answer, twin: Twin) -> Results:
         training=training,
         judged=load_judgement(analysis)["machine"],
         shown=_choose_run(config, answer),
-        vibration=twin.vibration,
-        behaviour=twin.behaviour["identified"],
-        at=twin.at,
-        operating=twin.operating,
+        twin=twin,
         beyond=say_beyond(data.operating, twin.operating),
         numbers=[
             f"{number.label} {write_number(number.value, number.deviation)} {number.unit}"

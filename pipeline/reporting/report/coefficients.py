@@ -50,7 +50,7 @@ def describe_coefficients(content: ReportContent, fit: FitContent) -> Section:
 
 def _list_states(fit: FitContent) -> list[tuple[str, Coefficients]]:
     """The measured states, and that of the prediction where it is none of them; one without conditions."""
-    measured, asked = list_states(fit.coefficients), name_state(fit.operating)
+    measured, asked = list_states(fit.coefficients), name_state(fit.twin.operating)
     if any(
         label == asked
         for label, _ in split_states(fit.coefficients.identified.speeds, fit.coefficients.identified.operating)
@@ -123,12 +123,12 @@ def _compare(content: ReportContent, fit: FitContent) -> list[Table]:
             with np.errstate(divide="ignore", invalid="ignore"):
                 medians = [_take_median(100 * off / np.abs(given)), _take_median(np.abs(off) / deviation)]
             cells = [write_number(median, digits=3) for median in medians]
+            cells[1] = cells[1] if shown.stated else ""
             rows.append([f"node {shown.identified.nodes[b]} {name}", f"{len(speeds)}", *cells])
     header = ["coefficient", "speeds in common", "difference, % (median)", "difference over its deviation (median)"]
-    columns = 4 if shown.stated else 3
     name = content.origin.get("reference", "the reference")
-    at = f" at {name_state(fit.operating)}" if fit.operating else ""
-    return [Table(f"Identified{at} less reference ({name})", header[:columns], [row[:columns] for row in rows])]
+    at = f" at {name_state(fit.twin.operating)}" if fit.twin.operating else ""
+    return [Table(f"Identified{at} less reference ({name})", header, rows).without_blank()]
 
 
 def _take_median(values: np.ndarray) -> float:

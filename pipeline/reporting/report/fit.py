@@ -7,8 +7,7 @@ import numpy as np
 from pipeline.reporting.figure import RPM, Axes, Curve, Figure, Panel, mark
 from pipeline.reporting.fit_tables import list_parameters
 from pipeline.reporting.measured_figures import AMPLITUDE
-from pipeline.reporting.report.content import FitContent, ReportContent, View
-from pipeline.reporting.report.measured import vectors_of
+from pipeline.reporting.report.content import FitContent, ReportContent
 from pipeline.reporting.tables import Block, Paragraph, Section, Table
 from pipeline.trust.misfit import measure_misfit
 from pipeline.write_numbers import count, write_number
@@ -62,35 +61,30 @@ def _write_quality(content: ReportContent) -> str:
 
 def _list_probes(content: ReportContent, fit: FitContent) -> Table:
     """Root mean square of the residual of each probe, in percent and in deviations."""
-    rows, present = [], content.dataset.present
-    stated = "fit" in content.files.get("training", {})
-    held = np.array([content.held_out(r) for r in range(len(content.dataset.runs))])
+    rows, fitted = [], [r for r in range(len(content.dataset.runs)) if not content.held_out(r)]
+    mask = content.dataset.present[:, fitted]
     for probe in content.shown_probes:
-        measured = content.dataset.displacement[..., ~held].transpose(0, 2, 1) @ probe.weights
-        rest = measured - fit.predicted[..., ~held].transpose(0, 2, 1) @ probe.weights
-        mask = present[:, ~held]
+        measured = probe.read(content.dataset.displacement[..., fitted])
+        rest = measured - probe.read(fit.predicted[..., fitted])
         percent = 100 * np.linalg.norm(rest[mask]) / np.linalg.norm(measured)
-        over = np.sqrt((np.abs(rest / _noise(fit, probe)[:, ~held])[mask] ** 2).mean()) if stated else np.nan
-        rows.append([probe.name, *(write_number(float(number), digits=3) for number in (percent, over))])
-    columns, header = 3 if stated else 2, ["probe", "residual, % of the readings", "residual over its noise"]
-    rows = [row[:columns] for row in rows]
-    return Table("Fitted runs, root mean square over speeds and runs", header[:columns], rows)
-
-
-def _noise(fit: FitContent, probe: View) -> np.ndarray:
-    """(S, R) m, root mean square of the noise of a probe's vector."""
-    return np.asarray(np.sqrt(fit.noise.transpose(0, 2, 1) ** 2 @ probe.weights**2))
+        over = ""
+        if content.weighs_noise:
+            squared = np.abs(rest / probe.read_noise(fit.noise[..., fitted]))[mask] ** 2
+            over = write_number(float(np.sqrt(squared.mean())), digits=3)
+        rows.append([probe.name, write_number(float(percent), digits=3), over])
+    header = ["probe", "residual, % of the readings", "residual over its noise"]
+    return Table("Fitted runs, root mean square over speeds and runs", header, rows).without_blank()
 
 
 def _draw(content: ReportContent, fit: FitContent, runs: list[int], name: str) -> Figure:
-    stated = "fit" in content.files.get("training", {})
-    panels = []
+    stated, panels = content.weighs_noise, []
     for probe in content.shown_probes:
         above, below = [], []
+        every = probe.read(content.dataset.displacement), probe.read(fit.predicted), probe.read_noise(fit.noise)
         for r, points, traced in content.traces(*runs):
-            measured, predicted = vectors_of(content, probe, r), fit.predicted[..., r] @ probe.weights
+            measured, predicted, noise = (vectors[:, r] for vectors in every)
             usual = np.linalg.norm(measured) / np.count_nonzero(measured) ** 0.5 / 100
-            size = np.abs(measured - predicted) / (_noise(fit, probe)[:, r] if stated else usual)
+            size = np.abs(measured - predicted) / (noise if stated else usual)
             look, rpm = dict(traced), content.rpm[points]
             run = look.pop("label")
             above.append(mark(rpm, np.abs(measured[points]), f"{run} measured", look["colour"], count=40))

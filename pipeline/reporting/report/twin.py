@@ -31,7 +31,6 @@ from pipeline.reporting.figure import (
 from pipeline.reporting.measured_figures import AMPLITUDE
 from pipeline.reporting.report.content import FitContent, ReportContent, list_reservations
 from pipeline.reporting.report.machine import describe_weight
-from pipeline.reporting.report.measured import vectors_of
 from pipeline.reporting.tables import Amplitude, Block, Cell, Mark, Paragraph, Section, Table
 from pipeline.reporting.twin import CRITICAL, list_critical
 from pipeline.units import RAD_S_PER_RPM
@@ -51,7 +50,7 @@ def describe_modes(content: ReportContent, fit: FitContent, rounding: float = 1e
     said = {"stable": "stable", "not told": "at the edge of stability, its growth not told from none,"}.get(verdict)
     known = stability.get("largest_growth_std") or 0.0
     growth = write_number(stability["largest_growth"], known if known > rounding else None, 3)
-    at = f" at {name_state(fit.operating)}" if fit.operating else ""
+    at = f" at {name_state(fit.twin.operating)}" if fit.twin.operating else ""
     text = f"The identified machine is {said or 'UNSTABLE'} {_name_range(rpm)}{at}; "
     text += f"the largest growth rate is {growth} 1/s."
     least = stability["smallest_logarithmic_decrement"]
@@ -165,13 +164,13 @@ def _verify(content: ReportContent, fit: FitContent, speed_tolerance: float = 5.
     for r, probe in itertools.product(excited, content.shown_probes):
         for _, points, look in content.traces(r):
             rpm = content.rpm[points]
-            seen = find_peak(rpm, np.abs(vectors_of(content, probe, r))[points])
-            expected = find_peak(rpm, np.abs(fit.predicted[points, :, r] @ probe.weights))
+            seen = find_peak(rpm, np.abs(probe.read(data.displacement)[points, r]))
+            expected = find_peak(rpm, np.abs(probe.read(fit.predicted)[points, r]))
             if seen is None or expected is None:
                 continue
             off = 100 * (seen[0] / expected[0] - 1)
             at = int(points[np.abs(rpm - seen[0]).argmin()])
-            noise = float(np.sqrt(fit.noise[at, :, r] ** 2 @ probe.weights**2 / 2))  # of the amplitude alone
+            noise = float(probe.read_noise(fit.noise)[at, r] / np.sqrt(2))  # of the amplitude alone
             near, low = abs(off) <= speed_tolerance, seen[1] <= 1.05 * expected[1] + 2 * noise
             verdict = "within" if near and low else "speed off" if not near else "higher than predicted"
             row: list[Cell] = [
@@ -210,7 +209,7 @@ def _predict(content: ReportContent, fit: FitContent) -> list[Figure]:
         for unbalance in asked.unbalances
     )
     panel = Panel(f"node {asked.node}", RPM, [Axes(curves, AMPLITUDE, quantity="amplitude")], wide=True)
-    state = name_state(fit.operating)
+    state = name_state(fit.twin.operating)
     caption = f"Predicted 1X amplitude of node {asked.node} under an unbalance that no run has ({acting})"
     caption += f", at {state}" if state else ""
     caption += ", with its nominal 95 % band." if any(len(c.band) for c in curves) else "; this fit states no band."
