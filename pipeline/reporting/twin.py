@@ -209,11 +209,7 @@ def draw_time(path: Path, vibration: Mapping[str, PredictedVibration], at: int, 
 
 def _name_place(vibration: Mapping[str, PredictedVibration], at: int, state: str) -> str:
     predicted = vibration["identified"]
-    return f"node {predicted.node} at {to_rpm(predicted.speeds)[at]:g} rpm" + _beside(state)
-
-
-def _beside(state: str) -> str:
-    return f", {state}" if state else ""
+    return ", ".join(filter(None, (f"node {predicted.node} at {to_rpm(predicted.speeds)[at]:g} rpm", state)))
 
 
 def draw_orbit(path: Path, vibration: Mapping[str, PredictedVibration], at: int, state: str = "") -> Path:
@@ -243,7 +239,8 @@ def draw_response(path: Path, vibration: Mapping[str, PredictedVibration], state
                 errors.append(Curve(rpm, np.maximum(identified.error_percent(predicted)[:, d], 1e-14), "", GREY))
         axes = [Axes(sizes, "amplitude (µm)", scale="log"), Axes(phases, "phase (deg)")]
         axes += [Axes(errors, "error (%)", scale="log")] * bool(errors)
-        panels.append(Panel(f"{direction} of node {identified.node}{_beside(state)}", RPM, axes))
+        title = ", ".join(filter(None, (f"{direction} of node {identified.node}", state)))
+        panels.append(Panel(title, RPM, axes))
     return write_figure(path, Figure("response", "", panels))
 
 
