@@ -42,11 +42,6 @@ class EngineersNumber:
     guess: float
     determined: bool
 
-    @property
-    def percent(self) -> float:
-        """Standard deviation over the value."""
-        return 100.0 * abs(self.deviation / self.value) if self.value else np.inf
-
 
 def list_numbers(found: Mapping[str, Mapping[str, Any]], config: Config) -> list[EngineersNumber]:
     """The ``physical_numbers`` (SI) of ``training.json`` or ``metrics.json`` in an engineer's units."""
@@ -79,7 +74,7 @@ def tabulate_numbers(caption: str, numbers: Sequence[EngineersNumber]) -> Table:
             number.label,
             write_number(number.value, number.deviation),
             number.unit,
-            write_number(number.percent, digits=2),
+            write_number(100.0 * abs(number.deviation / number.value) if number.value else np.inf, digits=2),
             write_number(number.guess),
             "" if number.determined else "the data do not tell it",
         ]

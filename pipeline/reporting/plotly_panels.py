@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.reporting.figure import GREY, MICROMETRES, Axes, Curve, HeatMap, Panel
+from pipeline.reporting.figure import GREY, MICROMETRES, Axes, Curve, HeatMap, Panel, count_decades
 from pipeline.reporting.tables import MICROMETRES_PEAK_TO_PEAK
 
 _SYMBOLS = {"o": "circle", "s": "square", "^": "triangle-up", "D": "diamond", "v": "triangle-down", "x": "x-thin"}
@@ -50,7 +50,10 @@ def _describe_axes(panel: Panel) -> tuple[list[dict[str, Any]], dict[str, Any]]:
         suffix = "" if i == 0 else str(i + 1)
         y = _describe_axis(axes.y_title, axes.y_names, axes.scale == "log", axes.y_range) | {"domain": domain}
         if axes.scale == "log":
-            y |= {"dtick": "D2" if axes.decades < 1.5 else 1, "exponentformat": "power"}
+            y |= {
+                "dtick": "D2" if count_decades([curve.y for curve in axes.curves]) < 1.5 else 1,
+                "exponentformat": "power",
+            }
         layout[f"yaxis{suffix}"] = y
         kind = {"amplitude": "xy" if panel.equal else "y"}.get(axes.quantity, axes.quantity)
         for curve in axes.curves:

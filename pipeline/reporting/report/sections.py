@@ -10,9 +10,8 @@ import numpy as np
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.evaluation.contradiction import find_contradiction, list_contradicted
 from pipeline.reporting.physical_numbers import describe_law, list_numbers, tabulate_numbers
-from pipeline.reporting.report.coefficients import describe_coefficients
 from pipeline.reporting.report.content import ReportContent
-from pipeline.reporting.report.fit import describe_fit, describe_held_out
+from pipeline.reporting.report.fit import describe_coefficients, describe_fit, describe_held_out
 from pipeline.reporting.report.machine import describe_machine
 from pipeline.reporting.report.measured import describe_measured
 from pipeline.reporting.report.twin import describe_modes, describe_response
