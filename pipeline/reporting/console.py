@@ -78,12 +78,9 @@ def training_progress(name: str) -> Iterator[Progress]:
 def study_progress(name: str, total: int) -> Iterator[StudyProgress]:
     """Show a bar for the trials of a study, with its best loss so far."""
     with _show_bar(name, total) as (bar, task):
-
-        def update(done: int, best: float | None) -> None:
-            text = f"trials, best held-out loss {write_number(best)}, left:"
-            bar.update(task, completed=done, words=text)
-
-        yield update
+        yield lambda done, best: bar.update(
+            task, completed=done, words=f"trials, best held-out loss {write_number(best)}, left:"
+        )
 
 
 @contextmanager

@@ -96,9 +96,8 @@ def tabulate_diagnosis(
 def print_determined(name: str, expected: Deviations, judged: Sequence[Determined], noise: str) -> None:
     """The verdict on each coefficient, a column a bearing; ``noise`` in words."""
     nodes = expected.table.nodes
-    coefficients = list(dict.fromkeys(coefficient.name for coefficient in judged))
     cells = {(each.node, each.name): f"{write_percent(each.deviation, '+- ')}, {each.verdict.value}" for each in judged}
-    rows = [[row, *(cells.get((node, row), "") for node in nodes)] for row in coefficients]
+    rows = [[row, *(cells.get((node, row), "") for node in nodes)] for row in dict.fromkeys(name for _, name in cells)]
     header = ["coefficient", *(f"bearing at node {node}" for node in nodes)]
     table(f"{name}: each coefficient at {noise}, {expected.of} (medians)", header, rows)
 

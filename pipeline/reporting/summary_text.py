@@ -183,29 +183,28 @@ def _describe_verdict(results: Results) -> str:
 def _describe_fit(training: Mapping[str, Any]) -> str:
     """Say what the fit leaves over, and how well it predicts what was held out."""
     if "fit" not in training:
-        loss, held_out = training.get("loss"), training.get("held_out_loss")
-        left = f"residual {write_number(loss, digits=2)} of the bearing force"
-        seen = "" if held_out is None else f", {write_number(held_out, digits=2)} at held-out speeds"
-        return ("the loss overflowed" if loss is None else left) + seen
-    fit = training["fit"]
-    square = fit["chi_square"]
+        loss, held_out = (training.get(key) for key in ("loss", "held_out_loss"))
+        left = (
+            "the loss overflowed" if loss is None else f"residual {write_number(loss, digits=2)} of the bearing force"
+        )
+        return left if held_out is None else f"{left}, {write_number(held_out, digits=2)} at held-out speeds"
+    fit, kind = training["fit"], "held_out_speeds"
+    square, misfit = fit["chi_square"], measure_misfit(fit)
     text = (
         f"chi-square {square['value']:.0f}, where {square['expected']:.0f} is expected: the readings lie "
         f"{math.sqrt(square['value'] / square['expected']):.2f} times as far off as their noise"
     )
-    misfit = measure_misfit(fit)
     text += "" if misfit.explained() else f"; {misfit.sentence}"
-    kind = "held_out_speeds"
     return text + (f"; {describe_held_out(kind, fit[kind])}" if kind in fit else "")
 
 
 def _describe_run(results: Results) -> str:
     shown = results.shown
-    share = write_number(shown.error_percent, digits=2)
-    text = f"{share} % (root mean square, {count(shown.measured.shape[1], 'channel')})"
-    if shown.held_out:
-        return f"held-out run {shown.name} predicted to {text}"
-    return f"run {shown.name}, which was fitted, reproduced to {text}"
+    what = (
+        f"held-out run {shown.name} predicted" if shown.held_out else f"run {shown.name}, which was fitted, reproduced"
+    )
+    share, channels = write_number(shown.error_percent, digits=2), count(shown.measured.shape[1], "channel")
+    return f"{what} to {share} % (root mean square, {channels})"
 
 
 def _list_critical_speeds(results: Results, critical: Mapping[str, Any]) -> str:
@@ -260,6 +259,6 @@ def _join(things: Iterable[object]) -> str:
 
 def _name_nodes(nodes: Iterable[int]) -> str:
     every = sorted(nodes)
-    if len(every) > 3 and every == list(range(every[0], every[-1] + 1)):
+    if len(every) > 3 and np.ptp(every) == len(every) - 1:
         return f"nodes {every[0]} to {every[-1]}"
     return f"node{'s' if len(every) != 1 else ''} {_join(every)}"

@@ -73,8 +73,7 @@ def describe_modes(content: ReportContent, fit: FitContent, rounding: float = 1e
 
 
 def _name_range(rpm: np.ndarray) -> str:
-    first, last = (write_number(float(speed), digits=6) for speed in rpm[[0, -1]])
-    return f"from {first} to {last} rpm"
+    return f"from {' to '.join(write_number(float(speed), digits=6) for speed in rpm[[0, -1]])} rpm"
 
 
 def _list_critical_speeds(rpm: np.ndarray, critical: Mapping[str, Any]) -> Table | Paragraph:
