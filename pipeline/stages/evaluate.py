@@ -22,8 +22,15 @@ from pipeline.identification.fit import loss_of
 from pipeline.identification.restored import Answer
 from pipeline.reporting.coefficient_figures import Coefficients, draw_coefficients
 from pipeline.reporting.console import say, warn
-from pipeline.reporting.fit_tables import describe_quality, describe_verdicts, make_error_table, print_error_table
-from pipeline.reporting.physical_numbers import describe_law, list_numbers, print_numbers
+from pipeline.reporting.fit_tables import (
+    describe_law,
+    describe_quality,
+    describe_verdicts,
+    list_numbers,
+    make_error_table,
+    print_error_table,
+    print_numbers,
+)
 from pipeline.reporting.training_figures import draw_history
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput

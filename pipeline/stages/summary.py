@@ -11,7 +11,7 @@ from pipeline.identification.fit import loss_of
 from pipeline.identification.restored import Answer
 from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.console import say
-from pipeline.reporting.physical_numbers import list_numbers
+from pipeline.reporting.fit_tables import list_numbers
 from pipeline.reporting.summary_figure import draw_summary
 from pipeline.reporting.summary_text import Results, ShownRun, write_summary
 from pipeline.stages.analysis import Analysis

@@ -24,13 +24,15 @@ from pipeline.problem.determination import Deviations, summarize_determined
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, training_progress, warn
 from pipeline.reporting.fit_tables import (
+    describe_law,
     describe_verdicts,
+    list_numbers,
+    print_numbers,
     print_parameters,
     tabulate_bad_points,
     tabulate_parameters,
     tabulate_unbalance,
 )
-from pipeline.reporting.physical_numbers import describe_law, list_numbers, print_numbers
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.diagnose import describe_noise, say_diagnosis
 from pipeline.stages.execution import StageOutput, use_threads

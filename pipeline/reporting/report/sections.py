@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.evaluation.contradiction import find_contradiction, list_contradicted
-from pipeline.reporting.physical_numbers import describe_law, list_numbers, tabulate_numbers
+from pipeline.reporting.fit_tables import describe_law, list_numbers, tabulate_numbers
 from pipeline.reporting.report.content import ReportContent
 from pipeline.reporting.report.fit import describe_coefficients, describe_fit, describe_held_out
 from pipeline.reporting.report.machine import describe_machine
