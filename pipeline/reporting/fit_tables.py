@@ -1,4 +1,4 @@
-"""What a fit gives, in tables and words: coefficients, errors, numbers of laws and of the model, quality and verdicts."""
+"""What a fit gives, in tables and words: coefficients, errors, numbers of laws and model, quality and verdicts."""
 
 from __future__ import annotations
 
