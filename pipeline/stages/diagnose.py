@@ -29,7 +29,7 @@ from pipeline.reporting.diagnosis import (
     tabulate_diagnosis,
 )
 from pipeline.stages.analysis import Analysis
-from pipeline.stages.execution import StageOutput
+from pipeline.stages.execution import StageOutput, use_threads
 from pipeline.stages.law_diagnosis import diagnose_laws
 from pipeline.stages.measurement import diagnose, expect, prepare
 
@@ -37,6 +37,7 @@ from pipeline.stages.measurement import diagnose, expect, prepare
 def run(analysis: Analysis) -> StageOutput:
     """``diagnosis.json``, ``diagnosis.csv`` (a row a bearing and speed) and a figure over speed."""
     config, measurement, work = analysis.config, prepare(analysis), analysis.files
+    use_threads(config)
     noise = describe_noise(config)
     numbers = diagnose_laws(config, measurement, noise)
     diagnosis = diagnose(analysis)
@@ -72,14 +73,15 @@ def run(analysis: Analysis) -> StageOutput:
 def _write_budget(analysis: Analysis) -> list[Path]:
     """The systematic budget of ``identify.model_parameters``; none without them, or where a speed tells too little."""
     config, measurement, work = analysis.config, prepare(analysis), analysis.files
-    percent = budget_percent(measurement, diagnose(analysis).answer) if measurement.parameters else None
-    if percent is None:
+    stated = config.identify.model_parameters.deviations
+    every = budget_percent(measurement, diagnose(analysis).answer) if stated else None
+    if every is None:
         return []
+    percent = {kind: every[kind] for kind in stated}
     names, nodes = measurement.unknowns.names, measurement.rotor.bearing_nodes
     shared = measurement.unknowns.shared
     coefficients = [names[u] if shared else f"{names[u]} node {nodes[m]}" for m, u in measurement.unknowns.active]
-    tolerances = config.identify.model_parameters.deviations
-    named = {name_tolerance(kind, tolerances[kind]): values for kind, values in percent.items()}
+    named = {name_tolerance(kind, stated[kind]): values for kind, values in percent.items()}
     print_budget(config.name, coefficients, named)
     columns = {f"{kind}_percent": values for kind, values in percent.items()}
     return [
