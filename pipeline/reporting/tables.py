@@ -51,8 +51,8 @@ class Table(NamedTuple):
     rows: Sequence[Sequence[Cell]]
 
     def without_blank(self) -> Table:
-        """The same without the columns in which nothing stands."""
-        keep = [c for c in range(len(self.header)) if any(str(row[c]) for row in self.rows)]
+        """The same without the columns in which nothing stands; all of them where there is no row."""
+        keep = [c for c in range(len(self.header)) if not self.rows or any(str(row[c]) for row in self.rows)]
         rows = [[row[c] for c in keep] for row in self.rows]
         return Table(self.caption, [self.header[c] for c in keep], rows)
 
