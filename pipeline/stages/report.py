@@ -14,7 +14,7 @@ from pipeline.config.schema import Config
 from pipeline.data.tables import read_table
 from pipeline.errors import DataError, IdentifiabilityError
 from pipeline.files import hash_file, read_json
-from pipeline.ingest.full_spectrum import FullSpectra, join_full_spectra
+from pipeline.ingest.full_spectrum import FullSpectra, measure_full_spectra
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.console import say, warn
@@ -166,7 +166,7 @@ def _read_spectra(config: Config) -> dict[str, FullSpectra]:
             warn(f"the report has no spectra of run '{measured.name}': {error}")
             continue
         for node in nodes:
-            spectra = join_full_spectra(records, recordings.probes, node)
+            spectra = measure_full_spectra(records, recordings.probes, node)
             if spectra is not None:
                 by_title[f"{measured.name}, node {node}"] = spectra
     return by_title
