@@ -12,7 +12,18 @@ PACKAGE = ROOT / "pipeline"
 ROOMS: tuple[tuple[frozenset[str], str], ...] = (
     (
         frozenset(
-            {"errors", "units", "files", "cache", "coefficients", "unknowns", "timeout", "processes", "write_numbers"}
+            {
+                "errors",
+                "units",
+                "files",
+                "cache",
+                "coefficients",
+                "impedance",
+                "unknowns",
+                "timeout",
+                "processes",
+                "write_numbers",
+            }
         ),
         "words, files, and what is unknown",
     ),
