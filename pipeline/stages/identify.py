@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from pipeline.config.stage_names import RESULTS, STAGES
+from pipeline.config.loader import RESULTS, STAGES
 from pipeline.errors import PipelineError
 from pipeline.reporting.console import say, warn
 from pipeline.stages.analysis import Analysis
