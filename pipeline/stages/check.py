@@ -10,6 +10,7 @@ from pipeline.evaluation.thresholds import (
     COMMITTED,
     Check,
     check_experiment,
+    find_nearest_limits,
     read_committed,
     read_rules,
     tabulate_committed,
@@ -29,18 +30,15 @@ def run(analysis: Analysis) -> StageOutput:
     """
     config = analysis.config
     known = sorted(path.stem for path in THRESHOLDS.glob("*.yaml"))
-    chosen = config.check.experiments or known
-    for name in chosen:
+    beside = Path(config.output).parent  # the folders of all experiments lie beside each other
+    checks: list[Check] = []
+    committed = read_committed(THRESHOLDS / COMMITTED)
+    for name in config.check.experiments or known:
         if name not in known:
             raise ConfigError(
                 f"check.experiments must name experiments with thresholds, but got '{name}': {nearest(name, known)}"
             )
-    checks: list[Check] = []
-    committed = read_committed(THRESHOLDS / COMMITTED)
-    for name in chosen:
-        # The folders of all experiments lie beside each other.
-        folder = Path(config.output).parent / name
-        checks += check_experiment(name, read_rules(THRESHOLDS / f"{name}.yaml"), folder, committed)
+        checks += check_experiment(name, read_rules(THRESHOLDS / f"{name}.yaml"), beside / name, committed)
     _print_changed(checks, config.check.changed)
     rows = [[c.experiment, c.metric, *_show(c)] for c in checks]
     table("metrics against thresholds", ["experiment", "metric", "value", "limit", ""], rows)
@@ -52,8 +50,8 @@ def run(analysis: Analysis) -> StageOutput:
         warn(f"{c.experiment}: {c.metric} must be {c.rule}, but {came}. The limit: {c.rule.why}")
     if not failed:
         say(f"all {len(checks)} metrics hold")
-    summary = {"checked": len(checks), "failed": len(failed), "share_of_threshold": _compute_shares(checks)}
-    path = write_json(Path(config.output).parent / "check.json", summary)
+    summary = {"checked": len(checks), "failed": len(failed), "share_of_threshold": find_nearest_limits(checks)}
+    path = write_json(beside / "check.json", summary)
     return StageOutput(summary, files=[path], exit_code=1 if failed else 0)
 
 
@@ -85,12 +83,3 @@ def _commit(config: Config, failed: list[Check], checks: list[Check]) -> None:
     from pipeline.data.tables import write_table
 
     say(f"committed metrics in '{write_table(THRESHOLDS / COMMITTED, tabulate_committed(checks))}'")
-
-
-def _compute_shares(checks: list[Check]) -> dict[str, float]:
-    """The metric nearest to its threshold in each experiment, as a share of it; 1 and more fails."""
-    shares: dict[str, float] = {}
-    for c in checks:
-        if c.share_of_limit is not None:
-            shares[c.experiment] = max(shares.get(c.experiment, 0.0), c.share_of_limit)
-    return shares
