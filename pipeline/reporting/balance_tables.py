@@ -53,19 +53,6 @@ def tabulate_estimates(
     return rows
 
 
-def summarize_estimates(estimates: Estimates) -> dict[str, Any]:
-    """Names of what is out of order, and how the known weights lie in the bands."""
-    names = np.array(estimates.readings.names, dtype=object)
-    known = ~np.isnan(estimates.readings.unbalance)
-    inside = np.abs(estimates.readings.unbalance - estimates.unbalance) <= estimates.radius
-    return {
-        "conditions": len(names),
-        "inconsistent": names[estimates.inconsistent].tolist(),
-        "contradicted": names[estimates.contradicted].tolist(),
-        "known_within_95_percent": float(inside[known].mean()) if known.any() else None,
-    }
-
-
 def _blank(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 

@@ -16,7 +16,6 @@ from pipeline.data.operating import name_state
 from pipeline.problem.law_design import LawCandidates, LawPlan, State
 from pipeline.problem.ranking import rank
 from pipeline.reporting.console import say, table
-from pipeline.reporting.diagnosis_tables import describe_noise
 
 Runs = Sequence[Sequence[Excitation]]
 Gains = Mapping[str, Mapping[str, float | None]]
@@ -26,19 +25,19 @@ Gains = Mapping[str, Mapping[str, float | None]]
 # --- so many runs ------------------------------------------------------------------------------------
 
 
-def print_gain(config: Config, summary: Mapping[str, Any], names: Sequence[str]) -> None:
-    """The deviations with the configured runs and with the designed ones, which have these ``names``."""
+def print_gain(name: str, noise: str, summary: Mapping[str, Any], runs: Sequence[str]) -> None:
+    """The deviations with the configured runs and with the designed ones, which have these names."""
     predicted: Gains = summary["predicted"]
     simulated: Gains = summary.get("simulated", {})
     plans = ("configured", "designed")
-    sources = [values[name] for values in (predicted, simulated) if values for name in plans]
-    header = ["bearing and unknown", *(f"{name} runs" for name in plans)]
-    header += [f"{name}, simulated" for name in plans] if simulated else []
+    sources = [values[plan] for values in (predicted, simulated) if values for plan in plans]
+    header = ["bearing and unknown", *(f"{plan} runs" for plan in plans)]
+    header += [f"{plan}, simulated" for plan in plans] if simulated else []
     shown = [[_write_share(source[key]) for source in sources] for key in sources[0]]
     rows = [[key, *row] for key, row in zip(sources[0], shown, strict=True)]
-    title = f"{config.name}: standard deviation of least squares at {describe_noise(config)}, % of the coefficient"
+    title = f"{name}: standard deviation of least squares at {noise}, % of the coefficient"
     table(title, header, rows)
-    say(f"{config.name}: the best {len(names)} runs are {', '.join(names)}")
+    say(f"{name}: the best {len(runs)} runs are {', '.join(runs)}")
     if summary["gain"] is None:
         say("the configured runs leave an unknown free; these do not")
         return
@@ -54,7 +53,8 @@ def _write_share(share: float | None) -> str:
 
 
 def print_reached(
-    config: Config,
+    name: str,
+    noise: str,
     accuracy: float,
     predicted: Mapping[str, float],
     cures: Mapping[str, float],
@@ -63,13 +63,13 @@ def print_reached(
 ) -> None:
     """The runs and speeds, the deviation of each coefficient with them, and what would help where it is too large."""
     rows = [[key, f"{100 * share:.2g}", "" if share <= accuracy else "not reached"] for key, share in predicted.items()]
-    title = f"{config.name}: predicted standard deviation at {describe_noise(config)}, % of the coefficient (median)"
+    title = f"{name}: predicted standard deviation at {noise}, % of the coefficient (median)"
     table(title, ["bearing and unknown", "designed runs", f"at most {100 * accuracy:g}"], rows)
     acting = "; ".join(
         f"{run[0].run}: " + ", ".join(f"{e.magnitude:.3g} {'kg m' if e.kind == 'unbalance' else 'N'}" for e in run)
         for run in chosen
     )
-    say(f"{config.name}: {len(chosen)} runs ({acting}) at {len(rpm)} speeds from {rpm[0]:g} to {rpm[-1]:g} rpm")
+    say(f"{name}: {len(chosen)} runs ({acting}) at {len(rpm)} speeds from {rpm[0]:g} to {rpm[-1]:g} rpm")
     if max(predicted.values()) <= accuracy:
         say(f"every coefficient is predicted to {100 * accuracy:g} % or better")
         return
@@ -79,9 +79,9 @@ def print_reached(
         f"{100 * accuracy:g} % can't be reached with {len(chosen)} runs for {len(short)} of {len(predicted)} "
         f"coefficients; the worst, {worst}, is known to {100 * short[worst]:.2g} % at best"
     )
-    for name in reversed(rank(cures)):
-        enough = " (enough)" if cures[name] <= accuracy else ""
-        say(f"with {name} the worst is {100 * cures[name]:.2g} %{enough}")
+    for cure in reversed(rank(cures)):
+        enough = " (enough)" if cures[cure] <= accuracy else ""
+        say(f"with {cure} the worst is {100 * cures[cure]:.2g} %{enough}")
 
 
 # --- for the numbers of bearing laws -----------------------------------------------------------------
@@ -106,7 +106,8 @@ def summarize_states(
 
 
 def print_states(
-    config: Config,
+    name: str,
+    noise: str,
     candidates: LawCandidates,
     plans: Sequence[LawPlan],
     best: LawPlan,
@@ -117,7 +118,7 @@ def print_states(
     names = {plan: "; ".join(name_state(states[t]) for t in plan.states) for plan in [*plans, best]}
     where, runs = names[best], f"{len(best.runs)} run{'s' if len(best.runs) > 1 else ''}"
     rows = [[f"{len(plan.states)}", names[plan], f"{len(plan.runs)}", f"{100 * plan.worst:.2g}"] for plan in plans]
-    title = f"{config.name}: the number that is known least, % (one standard deviation, at {describe_noise(config)})"
+    title = f"{name}: the number that is known least, % (one standard deviation, at {noise})"
     table(title, ["states", "which", "runs", "worst, %"], rows)
     columns = (candidates.nothing.deviation, candidates.with_runs(best.states, best.runs).deviation, candidates.wanted)
     rows = [
@@ -130,11 +131,11 @@ def print_states(
         for parameter, before, after, wanted in zip(candidates.nothing.parameters, *columns, strict=True)
     ]
     header = ["number", "before, %", "with this plan, %", f"at most {100 * accuracy:g}"]
-    table(f"{config.name}: numbers of the bearing laws with {runs} at {where}", header, rows)
+    table(f"{name}: numbers of the bearing laws with {runs} at {where}", header, rows)
     say(
-        f"{config.name}: measure {runs} at {where}: every number asked for is known to {100 * accuracy:g} % or better"
+        f"{name}: measure {runs} at {where}: every number asked for is known to {100 * accuracy:g} % or better"
         if best.worst <= accuracy
-        else f"{config.name}: {100 * accuracy:g} % can't be reached with {runs} at {where}: allow more runs "
+        else f"{name}: {100 * accuracy:g} % can't be reached with {runs} at {where}: allow more runs "
         "(design.runs) or conditions further apart (design.operating), or give a number as known"
     )
 

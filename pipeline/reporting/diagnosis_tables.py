@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.config.schema import Config
 from pipeline.data.operating_points import list_columns
 from pipeline.data.vibration_files import to_rpm
 from pipeline.identification.quality import finite
@@ -100,13 +99,3 @@ def print_diagnosis(name: str, diagnosis: Diagnosis, noise: str) -> None:
             ]
         )
     table(f"{name}: what the data determine at each speed, at {noise} (medians)", header, rows)
-
-
-def describe_noise(config: Config) -> str:
-    """The stated noise, such as ``0.1 % noise``, or what takes its place in records of conditions."""
-    if config.machine.recordings.planes:
-        return "the noise of the conditions"
-    noise = config.stated_noise
-    parts = [f"{100 * noise.multiplicative:g} %"] if noise.multiplicative else []
-    parts += [f"{1e6 * noise.additive:g} um"] if noise.additive else []
-    return " and ".join(parts) + " noise"

@@ -15,6 +15,7 @@ from pipeline.reporting.design_tables import Runs, override_states, print_reache
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.parameters import OF_WEIGHT
 from pipeline.rotor.stored import load_modelled_bearings
+from pipeline.stages.diagnose import describe_noise
 
 Designed = tuple[Runs, SpeedsConfig, Mapping[str, object], Mapping[str, object], str]
 """Runs and speeds; what ``design.json`` and the records have; overrides that go with them."""
@@ -29,7 +30,7 @@ def reach_accuracy(config: Config, rotor: RotorModel) -> Designed:
     best, predicted, cures = Designer(planner, prior, allowed).reach(accuracy)
     chosen = [allowed[c] for c in best.runs]
     speeds = machine.speeds.model_copy(update={"step_rpm": best.every * machine.speeds.step_rpm})
-    print_reached(config, accuracy, predicted, cures, chosen, speeds.rpm())
+    print_reached(config.name, describe_noise(config), accuracy, predicted, cures, chosen, speeds.rpm())
     # A fit refuses tolerances of weights where no run has any.
     weighed = any(weight.kind == "unbalance" for acting in chosen for weight in acting)
     kinds = [] if weighed else [kind for kind in config.identify.model_parameters.deviations if kind in OF_WEIGHT]
@@ -54,7 +55,7 @@ def reach_numbers(config: Config, rotor: RotorModel) -> Designed:
     candidates = inform_candidates(planner, laws, allowed, tables)
     plans = plan_by_states(candidates, len(states), config.design.runs, accuracy)
     best = plans[find_least({i: plan.worst for i, plan in enumerate(plans)})]
-    print_states(config, candidates, plans, best, states, accuracy)
+    print_states(config.name, describe_noise(config), candidates, plans, best, states, accuracy)
     summary = summarize_states(candidates, plans, best, states, accuracy)
     overrides = override_states([states[t] for t in best.states])
     return [allowed[c] for c in best.runs], machine.speeds, summary, {"worst": best.worst}, overrides

@@ -14,7 +14,7 @@ from pipeline.data.tables import write_table
 from pipeline.files import write_json
 from pipeline.ingest.source_units import SourceUnits
 from pipeline.reporting.balance_figure import draw_balance
-from pipeline.reporting.balance_tables import print_estimates, summarize_estimates, tabulate_estimates
+from pipeline.reporting.balance_tables import print_estimates, tabulate_estimates
 from pipeline.reporting.console import say
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.balance_sheet import correct
@@ -44,7 +44,7 @@ def run(analysis: Analysis) -> StageOutput:
         if not file and not fitted.can_leave_out(name):
             say(f"{config.name}: {name} was fitted to these conditions themselves; studies/folds tries it on others")
     summary: dict[str, Any] = {
-        "methods": {name: summarize_estimates(estimates) for name, estimates in by_method.items()},
+        "methods": {name: estimates.summarize() for name, estimates in by_method.items()},
         "sheet": None,
     }
     if weights := config.machine.balance:

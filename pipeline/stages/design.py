@@ -22,6 +22,7 @@ from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_rotor
 from pipeline.stages.accuracy_design import Designed, reach_accuracy, reach_numbers
 from pipeline.stages.analysis import Analysis
+from pipeline.stages.diagnose import describe_noise
 from pipeline.stages.execution import StageOutput
 
 
@@ -60,7 +61,7 @@ def _choose_runs(config: Config, rotor: RotorModel) -> Designed:
         generator = np.random.default_rng(config.seed)
         simulated = {name: simulate_deviations(plan, count, generator) for name, plan in plans.items()}
         summary |= {"simulated": _to_json(simulated), "simulated_gain": _compute_gain(simulated)}
-    print_gain(config, summary, [acting[0].run for acting in chosen])
+    print_gain(config.name, describe_noise(config), summary, [acting[0].run for acting in chosen])
     return chosen, config.machine.speeds, summary, summary, ""
 
 

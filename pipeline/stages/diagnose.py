@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
 from pipeline.files import write_json
 from pipeline.identification.combinations import combine
@@ -18,7 +19,6 @@ from pipeline.reporting.combinations import describe_combinations, summarize_com
 from pipeline.reporting.console import say
 from pipeline.reporting.diagnosis_figure import draw_diagnosis
 from pipeline.reporting.diagnosis_tables import (
-    describe_noise,
     print_determined,
     print_diagnosis,
     summarize_diagnosis,
@@ -97,3 +97,13 @@ def say_diagnosis(analysis: Analysis) -> None:
                 f"{describe_noise(config)}, {expected.of}: {describe_determined(members)}"
             )
         say(f"{config.name}: {text}")
+
+
+def describe_noise(config: Config) -> str:
+    """The stated noise, such as ``0.1 % noise``, or what takes its place in records of conditions."""
+    if config.machine.recordings.planes:
+        return "the noise of the conditions"
+    noise = config.stated_noise
+    parts = [f"{100 * noise.multiplicative:g} %"] if noise.multiplicative else []
+    parts += [f"{1e6 * noise.additive:g} um"] if noise.additive else []
+    return " and ".join(parts) + " noise"

@@ -23,13 +23,12 @@ from pipeline.identification.uncertainty import save_uncertainty
 from pipeline.problem.determination import Deviations, summarize_determined
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, training_progress, warn
-from pipeline.reporting.diagnosis_tables import describe_noise
 from pipeline.reporting.error_table import describe_verdicts
 from pipeline.reporting.fit_tables import tabulate_bad_points, tabulate_parameters, tabulate_unbalance
 from pipeline.reporting.model_error import print_parameters
 from pipeline.reporting.physical_numbers import describe_law, list_numbers, print_numbers
 from pipeline.stages.analysis import Analysis
-from pipeline.stages.diagnose import say_diagnosis
+from pipeline.stages.diagnose import describe_noise, say_diagnosis
 from pipeline.stages.execution import StageOutput, use_threads
 from pipeline.stages.measurement import diagnose, expect, prepare
 from pipeline.trust.misfit import measure_misfit
