@@ -5,16 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from pipeline.config.schema import Config
+from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError, nearest
-from pipeline.evaluation.thresholds import (
-    COMMITTED,
-    Check,
-    check_experiment,
-    find_nearest_limits,
-    read_committed,
-    read_rules,
-    tabulate_committed,
-)
+from pipeline.evaluation import thresholds
+from pipeline.evaluation.thresholds import COMMITTED, Check
 from pipeline.files import write_json
 from pipeline.reporting.console import say, table, warn
 from pipeline.stages.analysis import Analysis
@@ -32,13 +26,15 @@ def run(analysis: Analysis) -> StageOutput:
     known = sorted(path.stem for path in THRESHOLDS.glob("*.yaml"))
     beside = Path(config.output).parent  # the folders of all experiments lie beside each other
     checks: list[Check] = []
-    committed = read_committed(THRESHOLDS / COMMITTED)
+    committed = thresholds.read_committed(THRESHOLDS / COMMITTED)
     for name in config.check.experiments or known:
         if name not in known:
             raise ConfigError(
                 f"check.experiments must name experiments with thresholds, but got '{name}': {nearest(name, known)}"
             )
-        checks += check_experiment(name, read_rules(THRESHOLDS / f"{name}.yaml"), beside / name, committed)
+        checks += thresholds.check_experiment(
+            name, thresholds.read_rules(THRESHOLDS / f"{name}.yaml"), beside / name, committed
+        )
     _print_changed(checks, config.check.changed)
     rows = [[c.experiment, c.metric, *_show(c)] for c in checks]
     table("metrics against thresholds", ["experiment", "metric", "value", "limit", ""], rows)
@@ -50,7 +46,11 @@ def run(analysis: Analysis) -> StageOutput:
         warn(f"{c.experiment}: {c.metric} must be {c.rule}, but {came}. The limit: {c.rule.why}")
     if not failed:
         say(f"all {len(checks)} metrics hold")
-    summary = {"checked": len(checks), "failed": len(failed), "share_of_threshold": find_nearest_limits(checks)}
+    summary = {
+        "checked": len(checks),
+        "failed": len(failed),
+        "share_of_threshold": thresholds.find_nearest_limits(checks),
+    }
     path = write_json(beside / "check.json", summary)
     return StageOutput(summary, files=[path], exit_code=1 if failed else 0)
 
@@ -75,11 +75,11 @@ def _print_changed(checks: list[Check], share: float) -> None:
 def _commit(config: Config, failed: list[Check], checks: list[Check]) -> None:
     """Raises ConfigError where not every metric of every experiment holds."""
     if failed or config.check.experiments:
+        named = f"check.experiments names {len(config.check.experiments)}"
         raise ConfigError(
             "metrics must be committed of all experiments, and all must hold, but "
-            + (f"{len(failed)} fail" if failed else f"check.experiments names {len(config.check.experiments)}")
-            + ": leave check.commit out, or run stage=check without check.experiments when all hold"
+            f"{f'{len(failed)} fail' if failed else named}: leave check.commit out, or run stage=check without "
+            "check.experiments when all hold"
         )
-    from pipeline.data.tables import write_table
-
-    say(f"committed metrics in '{write_table(THRESHOLDS / COMMITTED, tabulate_committed(checks))}'")
+    path = write_table(THRESHOLDS / COMMITTED, thresholds.tabulate_committed(checks))
+    say(f"committed metrics in '{path}'")
