@@ -19,8 +19,8 @@ def run(analysis: Analysis) -> StageOutput:
     """
     config, work, started = analysis.config, analysis.files, time.perf_counter()
     made, skipped = [], []
-    source = "generate" if config.machine.recordings.format == "none" else "ingest"
-    for stage in (*([source] if work.own else []), "diagnose", "train"):
+    source = [config.machine.recordings.made_by] if work.own else []
+    for stage in (*source, "diagnose", "train"):
         analysis.run(stage)
     for stage, file in RESULTS.items():
         if stage not in STAGES:

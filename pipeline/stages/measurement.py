@@ -71,8 +71,7 @@ def _require_data(config: Config, *beside: Path) -> None:
     """Make the experiment's own data where they, or files ``beside`` them, are missing."""
     files = locate_files(config)
     if files.own:
-        source = "generate" if config.machine.recordings.format == "none" else "ingest"
-        Analysis(config).require(source, files.vibration, files.excitation, *beside)
+        Analysis(config).require(config.machine.recordings.made_by, files.vibration, files.excitation, *beside)
 
 
 def _read_known(config: Config, files: Workspace, nodes: tuple[int, ...], dataset: VibrationDataset) -> BearingTable:

@@ -6,14 +6,11 @@ import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pipeline.config.schema import Config
 from pipeline.errors import DataError
 from pipeline.files import hash_file
-
-if TYPE_CHECKING:
-    pass
 
 
 def _file(name: str, meaning: str) -> Any:
