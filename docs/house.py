@@ -11,9 +11,7 @@ PACKAGE = ROOT / "pipeline"
 
 ROOMS: tuple[tuple[frozenset[str], str], ...] = (
     (
-        frozenset(
-            {"errors", "units", "files", "cache", "coefficients", "unknowns", "timeout", "processes", "write_numbers"}
-        ),
+        frozenset({"errors", "units", "files", "cache", "coefficients", "unknowns", "processes", "write_numbers"}),
         "words, files, and what is unknown",
     ),
     (frozenset({"config"}), "sections of a configuration, units, sentences"),
@@ -38,7 +36,7 @@ ROOMS: tuple[tuple[frozenset[str], str], ...] = (
     (frozenset({"tuning"}), "hyperparameter studies (Optuna)"),
     (frozenset({"reporting"}), "tables, figures, words"),
     (frozenset({"tracking"}), "records (MLflow)"),
-    (frozenset({"usage", "exits"}), "help and exit codes"),
+    (frozenset({"usage"}), "help"),
     (frozenset({"stages"}), "load, call, write, say"),
     (frozenset({"__main__"}), "the command line"),
 )

@@ -9,7 +9,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pipeline.timeout import run_within
+from pipeline.processes import run_within
 from pipeline.tracking.entries import clean_name
 
 if TYPE_CHECKING:

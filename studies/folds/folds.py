@@ -30,8 +30,7 @@ from pipeline.config.quantities import UnbalanceMagnitude
 from pipeline.config.schema import Config
 from pipeline.data.conditions import Conditions, gather_conditions
 from pipeline.data.tables import write_table
-from pipeline.errors import ConfigError, nearest
-from pipeline.exits import exit_code
+from pipeline.errors import ConfigError, exit_code, nearest
 from pipeline.files import write_json
 from pipeline.identification.training import setup_of
 from pipeline.problem.measurement import Measurement
