@@ -21,7 +21,7 @@ ROOMS: tuple[tuple[frozenset[str], str], ...] = (
     (frozenset({"sweep"}), "passing a critical speed; the fit of a run-up"),
     (frozenset({"ingest"}), "recordings and tables of instruments"),
     (
-        frozenset(f"config.{name}" for name in ("machine", "schema", "compose", "choice", "promotion", "own_machines")),
+        frozenset(f"config.{name}" for name in ("machine", "schema", "compose", "choice", "promotion")),
         "a configuration composed of the sections of all rooms",
     ),
     (frozenset({"problem"}), "the measurement, its equations, what it determines"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import Any
 
 from pipeline.config.schema import Config
 from pipeline.errors import ConfigError
@@ -17,9 +17,6 @@ from pipeline.tuning.attempts import list_results
 from pipeline.tuning.finalists import TrialSummary
 from pipeline.tuning.parallel import run_study
 from pipeline.tuning.study import StudyProblem
-
-if TYPE_CHECKING:
-    import optuna
 
 
 def pose_study(config: Config, measurement: Measurement) -> StudyProblem:
@@ -50,11 +47,11 @@ def say_interrupt(what: str) -> Iterator[None]:
         raise SystemExit(130) from None
 
 
-def search(problem: StudyProblem, title: str) -> optuna.Study:
+def search(problem: StudyProblem, title: str) -> Any:
     """The study with all its trials, and on screen how far it is: the database is asked once a second."""
     total, due = problem.config.tuning.n_trials, 0.0
 
-    def show(study: optuna.Study) -> None:
+    def show(study: Any) -> None:
         nonlocal due
         if time.monotonic() < due:
             return
