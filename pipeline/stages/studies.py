@@ -15,8 +15,8 @@ from pipeline.reporting.console import study_progress, warn
 from pipeline.tracking import StageRecord
 from pipeline.tuning.attempts import list_results
 from pipeline.tuning.finalists import TrialSummary
-from pipeline.tuning.parallel import run_study
 from pipeline.tuning.study import StudyProblem
+from pipeline.tuning.worker import run_study
 
 
 def pose_study(config: Config, measurement: Measurement) -> StudyProblem:
