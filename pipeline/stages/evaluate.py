@@ -29,10 +29,9 @@ from pipeline.reporting.error_table import describe_quality, describe_verdicts, 
 from pipeline.reporting.physical_numbers import describe_law, list_numbers, print_numbers
 from pipeline.reporting.training_figures import draw_history
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.stages.analysis import Analysis
+from pipeline.stages.analysis import Analysis, Workspace
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import diagnose, load_modelled, load_quality, restore
-from pipeline.stages.workspace import Workspace
 from pipeline.twin.superposition import compare_held_out
 
 

@@ -21,9 +21,8 @@ from pipeline.reporting.console import say, warn
 from pipeline.reporting.ingested import Ingested, describe_records, describe_runs, print_ingested
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor, require_nodes
-from pipeline.stages.analysis import Analysis
+from pipeline.stages.analysis import Analysis, Workspace, require_own
 from pipeline.stages.execution import StageOutput
-from pipeline.stages.workspace import Workspace, require_own
 
 
 def run(analysis: Analysis) -> StageOutput:

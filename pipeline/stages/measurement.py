@@ -21,13 +21,7 @@ from pipeline.problem.diagnosis import Diagnosis
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.stored import load_rotor, require_nodes
-from pipeline.stages.analysis import Analysis, made_once
-from pipeline.stages.workspace import (
-    Workspace,
-    hash_machine,
-    hash_origin,
-    locate_files,
-)
+from pipeline.stages.analysis import Analysis, Workspace, hash_machine, hash_origin, locate_files, made_once
 
 
 def load_measurement(config: Config) -> Measurement:

@@ -36,10 +36,9 @@ from pipeline.identification.training import setup_of
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise_levels import solve_weighted
 from pipeline.reporting.console import say, table
-from pipeline.stages.analysis import Analysis
+from pipeline.stages.analysis import Analysis, locate_files
 from pipeline.stages.execution import StageOutput, record
 from pipeline.stages.measurement import load_dataset, load_measurement
-from pipeline.stages.workspace import locate_files
 from pipeline.tracking import recorder_beside
 
 _GRAM_MM = 1e-6
