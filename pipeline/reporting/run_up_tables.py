@@ -14,7 +14,7 @@ from pipeline.reporting.console import say, table, warn
 from pipeline.sweep.bias import describe_bias
 from pipeline.sweep.fit import MeasuredRate, ModalFit
 from pipeline.sweep.readings import Reading, RunUpAnalysis, compare_natural_frequency, read_mode
-from pipeline.twin.beyond import expect_criticals
+from pipeline.twin.mode_deviations import expect_criticals
 from pipeline.units import RAD_S_PER_RPM
 
 
@@ -77,7 +77,7 @@ def compare_identified(
     """The first identified critical speed against the first natural frequency of ``run_up.json``.
 
     Critical speeds are looked for ``around`` it, as shares. Empty where a fit states no deviations, or finds none
-    there. Raises ConfigError as :func:`pipeline.twin.beyond.expect_criticals`.
+    there. Raises ConfigError as :func:`pipeline.twin.mode_deviations.expect_criticals`.
     """
     if answer.uncertainty is None:
         return {}
@@ -85,16 +85,16 @@ def compare_identified(
     expected = expect_criticals(answer.measurement, answer.model, answer.uncertainty, speeds)
     if not expected:
         return {}
-    first = expected[0]
-    compared = compare_natural_frequency(run_up, first.speed / RAD_S_PER_RPM, first.deviation / RAD_S_PER_RPM)
+    first, (deviation, _) = expected[0]
+    compared = compare_natural_frequency(run_up, first.speed / RAD_S_PER_RPM, deviation / RAD_S_PER_RPM)
     every = [
         {
             "rpm": critical.speed / RAD_S_PER_RPM,
-            "deviation_rpm": critical.deviation / RAD_S_PER_RPM,
+            "deviation_rpm": speed_deviation / RAD_S_PER_RPM,
             "logarithmic_decrement": critical.logarithmic_decrement,
-            "deviation_logarithmic_decrement": critical.decrement_deviation,
+            "deviation_logarithmic_decrement": decrement_deviation,
         }
-        for critical in expected
+        for critical, (speed_deviation, decrement_deviation) in expected
     ]
     return {"first": compared | {"critical_speeds": every}}
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pipeline.config.runs import SpeedsConfig
 from pipeline.config.schema import Config
 from pipeline.errors import ConfigError
-from pipeline.laws.build import make_laws
+from pipeline.laws.law_set import make_laws
 from pipeline.problem.law_design import clearances_of, guess_at, inform_candidates, list_states, plan_by_states
 from pipeline.problem.planning import Designer, Planner, list_clearances, list_possible
 from pipeline.problem.ranking import find_least

@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.config.schema import Config
 from pipeline.errors import DataError, IdentifiabilityError
 from pipeline.files import read_json
-from pipeline.ingest.full_spectrum import join_full_spectra
+from pipeline.ingest.full_spectrum import measure_full_spectra
 from pipeline.reporting.console import say, warn
 from pipeline.reporting.report.content import FitContent, ReportContent, Waveforms
 from pipeline.reporting.report.page import write_page
@@ -130,7 +130,7 @@ def _read_waveforms(config: Config) -> list[Waveforms]:
             warn(f"the report has no spectra of run '{measured.name}': {error}")
             continue
         for node in nodes:
-            spectra = join_full_spectra(records, recordings.probes, node)
+            spectra = measure_full_spectra(records, recordings.probes, node)
             if spectra is not None:
                 shown = (spectra.speeds, spectra.orders, spectra.spectrum, spectra.centre)
                 waveforms.append(Waveforms(node, measured.name, *shown))
