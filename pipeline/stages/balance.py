@@ -34,13 +34,16 @@ def run(analysis: Analysis) -> StageOutput:
     method = fitted.pick(config.balance.method, "balance.method")
     planes = fitted.models[method].planes
     by_method: dict[str, Estimates] = {}
+    rows: list[dict[str, Any]] = []
     for name, model in fitted.models.items():
         if file:
             readings = _read(config, file, model)
             by_method[name] = estimate_all(readings, [model] * len(readings.names))
         else:
             by_method[name] = estimate_all(describe_conditions(fitted.conditions), fitted.leave_each_out(name))
-        print_estimates(config.name, name, by_method[name], model.planes, source)
+        tabled = tabulate_estimates(name, by_method[name], planes, source)
+        print_estimates(config.name, name, tabled)
+        rows += tabled
         if not file and not fitted.can_leave_out(name):
             say(f"{config.name}: {name} was fitted to these conditions themselves; studies/folds tries it on others")
     summary: dict[str, Any] = {
@@ -53,7 +56,7 @@ def run(analysis: Analysis) -> StageOutput:
     else:
         say(f"{config.name}: no correction weights, since machine.balance does not say where there are holes")
     written = [
-        write_table(work.folder / "balance.csv", tabulate_estimates(by_method, planes, source)),
+        write_table(work.folder / "balance.csv", rows),
         write_json(work.folder / "balance.json", summary),
         draw_balance(work.figure("balance"), method, by_method[method], planes, source),
     ]

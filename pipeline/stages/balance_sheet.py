@@ -43,11 +43,11 @@ def correct(
     grade = given.tolerance
     tolerance = share_tolerance(rotor, model.planes, grade.permissible(rotor.total_mass)) if grade else None
     title = f"balance sheet for {whose[asked.remove]}, by {method}: least {asked.minimise}"
-    print_sheet(title, sheet, model.planes, source, tolerance)
+    described = describe_sheet(sheet, model.planes, source, tolerance)
+    print_sheet(title, described)
     if len(every) > 1:
         print_fewer(every, model.planes, source)
     rows = tabulate_vibration_change(sheet, model.speeds, model.channels, source)
     print_vibration_change(rows, source.unit)
     asked_for = {"remove": asked.remove, "condition": asked.condition, "minimise": asked.minimise}
-    sheet_record = describe_sheet(sheet, model.planes, source, tolerance)
-    return sheet_record | {"method": method} | asked_for | {"vibration": rows}
+    return described | {"method": method} | asked_for | {"vibration": rows}
