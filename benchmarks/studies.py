@@ -28,7 +28,7 @@ _EXPERIMENT = "experiment=hydrostatic_stiffness"
 def study_overhead() -> Times:
     """What is not training, as a share."""
     from pipeline.config.schema import TrackingConfig
-    from pipeline.stages.tune import record_trial
+    from pipeline.stages.studies import record_trial
     from pipeline.tracking import StageRecord, track
 
     overhead, whole = [], []

@@ -27,7 +27,6 @@ HARMLESS = (
     "pipeline/reporting/console.py",
     "pipeline/errors.py",
     "pipeline/cache.py",
-    "pipeline/exits.py",
     "pipeline/py.typed",
     "pipeline/stages/machine_file.yaml",
 )

@@ -12,18 +12,7 @@ PACKAGE = ROOT / "pipeline"
 ROOMS: tuple[tuple[frozenset[str], str], ...] = (
     (
         frozenset(
-            {
-                "errors",
-                "units",
-                "files",
-                "cache",
-                "coefficients",
-                "impedance",
-                "unknowns",
-                "timeout",
-                "processes",
-                "write_numbers",
-            }
+            {"errors", "units", "files", "cache", "coefficients", "impedance", "unknowns", "processes", "write_numbers"}
         ),
         "words, files, and what is unknown",
     ),
@@ -34,7 +23,7 @@ ROOMS: tuple[tuple[frozenset[str], str], ...] = (
     (frozenset({"sweep"}), "passing a critical speed; the fit of a run-up"),
     (frozenset({"ingest"}), "recordings and tables of instruments"),
     (
-        frozenset(f"config.{name}" for name in ("machine", "schema", "compose", "choice", "promotion", "own_machines")),
+        frozenset(f"config.{name}" for name in ("machine", "schema", "compose", "choice", "promotion")),
         "a configuration composed of the sections of all rooms",
     ),
     (frozenset({"problem"}), "the measurement, its equations, what it determines"),
@@ -49,7 +38,7 @@ ROOMS: tuple[tuple[frozenset[str], str], ...] = (
     (frozenset({"tuning"}), "hyperparameter studies (Optuna)"),
     (frozenset({"reporting"}), "tables, figures, words"),
     (frozenset({"tracking"}), "records (MLflow)"),
-    (frozenset({"usage", "exits"}), "help and exit codes"),
+    (frozenset({"usage"}), "help"),
     (frozenset({"stages"}), "load, call, write, say"),
     (frozenset({"__main__"}), "the command line"),
 )

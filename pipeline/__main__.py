@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, cast
 
 from pipeline import __version__
-from pipeline.errors import ConfigError
-from pipeline.exits import INTERRUPTED, MISTAKE, JobFailed, exit_code, say_and_return
+from pipeline.config.loader import parse_key
+from pipeline.errors import INTERRUPTED, MISTAKE, ConfigError, JobFailed, exit_code, say_and_return
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -61,7 +61,7 @@ def _run_command(arguments: list[str]) -> None:
 
 def _is_plain(argument: str) -> bool:
     """An override of the pipeline's own keys: a command of these alone needs nothing of Hydra's launchers."""
-    return "=" in argument and not argument.startswith("-") and not _parse_key(argument).startswith("hydra")
+    return "=" in argument and not argument.startswith("-") and not parse_key(argument).startswith("hydra")
 
 
 def _run_stages(overrides: list[str], folder: Path | None = None) -> None:
@@ -175,7 +175,7 @@ def _locate_jobs(job: Job, jobs: list[list[str]]) -> dict[str, str]:
                 "give each value once, and leave output out or give 'output=FOLDER/${name}'"
             )
         stages_by_folder[folder] |= stages
-        folders[" ".join(o for o in overrides if job.is_own(o) and _parse_key(o) != "stage")] = folder
+        folders[" ".join(o for o in overrides if job.is_own(o) and parse_key(o) != "stage")] = folder
     parallel = any(o.startswith("hydra/launcher=") and o != "hydra/launcher=basic" for o in jobs[0])
     if parallel and any(len(stages) > 1 for stages in stages_by_folder.values()):
         raise ConfigError(
@@ -230,11 +230,11 @@ class Job:
 
     def is_own(self, override: str) -> bool:
         """Whether other jobs of the multirun have other values of this key."""
-        return _parse_key(override) not in self.fixed and not _parse_key(override).startswith("hydra")
+        return parse_key(override) not in self.fixed and not parse_key(override).startswith("hydra")
 
     def folder(self, output: str, overrides: Sequence[str]) -> str:
         """The folder of the job with these overrides: no other job of the multirun has it."""
-        swept = [o for o in overrides if self.is_own(o) and _parse_key(o) not in _NOT_IN_FOLDER]
+        swept = [o for o in overrides if self.is_own(o) and parse_key(o) not in _NOT_IN_FOLDER]
         if not swept:
             return output
         raw = "__".join(override.lstrip("+~").replace("=", "-", 1) for override in swept)
@@ -249,10 +249,6 @@ def _get_job() -> Any:
     from hydra.core.hydra_config import HydraConfig
 
     return HydraConfig.get()
-
-
-def _parse_key(override: str) -> str:
-    return override.lstrip("+~").partition("=")[0].partition("@")[0]
 
 
 # --- the end of the process -------------------------------------------------------------------------

@@ -1,10 +1,14 @@
-"""Errors that a user can cause, each a sentence: the law, what came, the next step."""
+"""Errors that a user can cause, each a sentence: the law, what came, the next step; and how they end a command."""
 
 from __future__ import annotations
 
 import difflib
+import errno
+import os
 import re
-from collections.abc import Iterable
+import sys
+import traceback
+from collections.abc import Callable, Iterable
 
 
 class PipelineError(Exception):
@@ -48,3 +52,71 @@ def nearest(name: str, candidates: Iterable[str]) -> str:
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
     hint = f"did you mean '{close[0]}'? " if close else ""
     return f"{hint}(known: {', '.join(known)})"
+
+
+# --- the end of a command ----------------------------------------------------------------------------
+
+MISTAKE, BUG, INTERRUPTED, CLOSED_PIPE = 2, 70, 130, 141
+
+# What a disk, a folder's rights or a path of the user cause; other OSErrors are bugs.
+_STORAGE = {
+    *(errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.EACCES, errno.EPERM),
+    *(errno.ENOENT, errno.EEXIST, errno.EISDIR, errno.ENOTDIR, errno.ENAMETOOLONG),
+}
+
+
+class JobFailed(Exception):
+    """A job of a multirun that has said itself why it failed.
+
+    ``args`` holds its exit code, and the folder of the files that it spoke into where that was not the terminal.
+    """
+
+
+def exit_code(action: Callable[[], None]) -> int:
+    """Run ``action``, say what went wrong, and return the exit code."""
+    try:
+        action()
+        sys.stdout.flush()
+        return 0
+    except SystemExit as stop:
+        return stop.code if isinstance(stop.code, int) else say_and_return(stop.code, MISTAKE) if stop.code else 0
+    except JobFailed as failure:
+        code, folder = failure.args
+        return say_and_return(f"what the jobs said is in '{folder}'", code) if folder else int(code)
+    except PipelineError as error:
+        return say_and_return(error, MISTAKE)
+    except KeyboardInterrupt:
+        return say_and_return("interrupted; run the same command again to start over", INTERRUPTED)
+    except BrokenPipeError:
+        _drop_output()
+        return CLOSED_PIPE
+    except Exception as error:
+        if isinstance(error, OSError) and error.errno in _STORAGE:
+            _drop_output()
+            return say_and_return(_storage_sentence(error), MISTAKE)
+        traceback.print_exc()
+        return say_and_return(
+            "internal error: this is a bug of the pipeline; please report it with the lines above", BUG
+        )
+
+
+def say_and_return(words: object, code: int) -> int:
+    """Say ``words`` on stderr; the exit ``code``."""
+    print(words, file=sys.stderr, flush=True)
+    return code
+
+
+def _storage_sentence(error: OSError) -> str:
+    place = f"'{error.filename}'" if error.filename else "the files of a run"
+    return (
+        f"{place} must be readable or writable, but got: {error.strerror}; "
+        "free or change that place, or write elsewhere with output=FOLDER"
+    )
+
+
+def _drop_output() -> None:
+    """Let Python's last flush of an unwritable stdout succeed, or it would replace the exit code."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -1,4 +1,4 @@
-"""Starting other processes: how many threads each has, and Ctrl-C while they start."""
+"""Other processes: how many threads each has, Ctrl-C while they start; and a limit on the time of what has none."""
 
 from __future__ import annotations
 
@@ -7,9 +7,12 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future
 from contextlib import AbstractContextManager, contextmanager
 from multiprocessing import resource_tracker
-from typing import Any
+from typing import Any, TypeVar
+
+_T = TypeVar("_T")
 
 _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
@@ -91,3 +94,26 @@ def _begin_worker(threads: int) -> None:
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent gets it too
     torch.set_num_threads(threads)
+
+
+def run_within(seconds: float, function: Callable[[], _T]) -> _T:
+    """Return what ``function`` returns, or raise what it raises; after ``seconds``, raise :class:`TimeoutError`.
+
+    The thread of a function that takes too long is left to itself.
+    """
+    answer: Future[_T] = Future()
+
+    def work() -> None:
+        try:
+            answer.set_result(function())
+        except Exception as error:
+            answer.set_exception(error)
+
+    # Not an executor's thread, which the interpreter would wait for at its end.
+    threading.Thread(target=work, name="within", daemon=True).start()
+    try:
+        return answer.result(seconds)
+    except TimeoutError:
+        if answer.done():
+            raise  # the function's own
+        raise TimeoutError(f"no answer within {seconds:g} s") from None

@@ -8,8 +8,7 @@ import textwrap
 
 def format_usage() -> str:
     """The whole help."""
-    from pipeline.config.loader import list_options
-    from pipeline.config.stage_names import STAGES
+    from pipeline.config.loader import STAGES, list_options
 
     experiments = {name: _description(name) for name in list_options("experiment")}
     machines = textwrap.fill(", ".join(list_options("machine")), 100, initial_indent="  ", subsequent_indent="  ")

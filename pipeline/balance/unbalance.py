@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -155,6 +155,18 @@ class Estimates:
         It is that of a whole table: one table of sound conditions in a hundred has any (Bonferroni).
         """
         return np.asarray(self.label_chance < self.RARE / len(self.found))
+
+    def summarize(self) -> dict[str, Any]:
+        """Names of what is out of order, and how the known weights lie in the bands."""
+        names = np.array(self.readings.names, dtype=object)
+        known = ~np.isnan(self.readings.unbalance)
+        inside = np.abs(self.readings.unbalance - self.unbalance) <= self.radius
+        return {
+            "conditions": len(names),
+            "inconsistent": names[self.inconsistent].tolist(),
+            "contradicted": names[self.contradicted].tolist(),
+            "known_within_95_percent": float(inside[known].mean()) if known.any() else None,
+        }
 
 
 def estimate_all(readings: Readings, models: Sequence[LinearVibration]) -> Estimates:

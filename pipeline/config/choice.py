@@ -48,9 +48,9 @@ def choose(parsed: Sequence[Override], loader: ConfigLoader) -> list[Override]:
             )
         (machine,) = parse_overrides([f"machine={store_machine(path)}"], loader)
         rest.insert(0, machine)
-    elif not machine or not isinstance(machine.value(), str) or machine.is_sweep_override():
-        return _begin_anew(rest, loader)
     rest = _begin_anew(rest, loader)
+    if not machine or not isinstance(machine.value(), str) or machine.is_sweep_override():
+        return rest
     name = clean_name(path) if path else str(machine.value())
     if not experiment:
         more = [*_choose_experiment(_compose(rest, loader)), f"name={name}"]

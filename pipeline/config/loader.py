@@ -1,4 +1,4 @@
-"""Hydra on ``conf/``: overrides parsed and composed, and its errors in our words."""
+"""What a command can name, and Hydra on ``conf/``: overrides parsed and composed, and its errors in our words."""
 
 from __future__ import annotations
 
@@ -14,11 +14,49 @@ from pipeline.errors import ConfigError
 if TYPE_CHECKING:
     from hydra.core.config_loader import ConfigLoader
     from hydra.core.override_parser.types import Override
+    from omegaconf import DictConfig
 
 CONF = Path(__file__).parents[2] / "conf"
 ROOT_CONFIG = "config"
 VERSION_BASE = "1.3"
 FILE_KEY = "machine.file="
+
+STAGES: dict[str, str] = {
+    "new": "write a machine file of your own, with comments, to machine.file",
+    "configure": "write the experiment's composed configuration to config.yaml",
+    "identify": "from a machine's data to its results: all of the stages that belong to it, in one command",
+    "generate": "model the machine with ROSS and write its vibration",
+    "ingest": "turn measured data into the two files that training reads, and draw them",
+    "runup": "fit natural frequencies and damping ratios to a run-up, its ramp modelled",
+    "diagnose": "tell which coefficients the data determine: rank, condition number, predicted deviation",
+    "senses": "fit the data in every sense of phases and angles, and say which one they choose",
+    "design": "choose the runs that would identify best, from what an experimenter can do",
+    "choose": "say which model the data ask for: bearing laws, laws with a correction, or a network",
+    "tune": "search hyperparameters on held-out speeds, and say which values are the best",
+    "promote": "let training use what a study found (tuning.study); what changes is said first",
+    "dashboard": "put the committed studies into the database that optuna-dashboard shows",
+    "samplers": "compare TPE with other samplers: several studies of each at equal budget",
+    "train": "identify the unknown bearing coefficients from the vibration",
+    "evaluate": "compare identified with modelled coefficients, and with per-speed least squares",
+    "robustness": "train from many initial guesses or seeds at once",
+    "compare": "identify the modelled machine by every method, over noise, sensors and number of speeds",
+    "predict": "predict vibration never seen, critical speeds and stability with the digital twin",
+    "balance": "tell the unbalance behind a vibration, and the correction weights: hole, mass, what remains",
+    "verdict": "say whether each coefficient can be trusted, why, and what to do next",
+    "export": "write the identified bearings for ROSS, ANSYS, DyRoBeS, XLTRC2, Excel, CSV and JSON",
+    "summary": "put the results on one screen and in one picture",
+    "report": "write one page (HTML, PDF) with all that was measured, identified and predicted, to send on",
+    "check": "hold the metrics of all experiments against conf/thresholds; exit code 1 where one is passed",
+}
+
+RESULTS: dict[str, str] = {
+    "verdict": "verdicts.json",
+    "evaluate": "metrics.json",
+    "predict": "prediction.json",
+    "summary": "summary.txt",
+    "report": "report.html",
+}
+"""What stage=identify makes of a fit, in this order, and the file that shows that it was made."""
 
 
 def list_options(group: str) -> list[str]:
@@ -26,35 +64,57 @@ def list_options(group: str) -> list[str]:
     return sorted(path.stem for path in (CONF / group).glob("*.yaml"))
 
 
+def parse_key(override: str) -> str:
+    """The key or the group that an override is of, without the cost of Hydra's parser."""
+    return override.lstrip("+~").partition("=")[0].partition("@")[0]
+
+
 @contextmanager
-def start_hydra() -> Iterator[ConfigLoader]:
-    """Hydra set up on ``conf/``; its global state is afterwards as it was, also inside a running job."""
-    from hydra import initialize_config_dir
-    from hydra.core.global_hydra import GlobalHydra
+def start_hydra(folder: Path | None = None) -> Iterator[ConfigLoader]:
+    """Hydra's loader of ``conf/`` and of the user's files in ``folder``; its global state is afterwards as it was, also
+    inside a running job."""
+    from hydra import version
+    from hydra._internal.config_loader_impl import ConfigLoaderImpl
+    from hydra._internal.utils import create_config_search_path
+    from hydra.core.plugins import Plugins
     from hydra.core.singleton import Singleton
+    from hydra.core.utils import setup_globals
+
+    from pipeline.config.own_machines import store_folder
 
     if not CONF.is_dir():
         raise ConfigError(f"conf/ must lie beside the package, but {CONF} is not there; run from a checkout")
+    Plugins.instance()  # what plugins register, once a process, is to stay
     state = Singleton.get_state()
-    GlobalHydra.instance().clear()
     try:
-        with initialize_config_dir(str(CONF), job_name="pipeline", version_base=VERSION_BASE):
-            yield GlobalHydra.instance().config_loader()
+        version.setbase(VERSION_BASE)
+        setup_globals()
+        if folder:
+            store_folder(folder)
+        yield ConfigLoaderImpl(create_config_search_path(str(CONF)))
     finally:
         Singleton.set_state(state)
 
 
+def _load(overrides: Sequence[str], loader: ConfigLoader) -> DictConfig:
+    """The composed configuration, with Hydra's own."""
+    from hydra.types import RunMode
+
+    return loader.load_configuration(ROOT_CONFIG, list(overrides), RunMode.RUN, from_shell=False)
+
+
 def compose(parsed: Sequence[Override], loader: ConfigLoader) -> dict[str, Any]:
     """The configuration of these overrides, interpolations resolved, before the schema has seen it."""
-    import hydra
     import yaml
     from hydra.errors import HydraException, MissingConfigException
-    from omegaconf import OmegaConf
+    from omegaconf import OmegaConf, open_dict
     from omegaconf.errors import OmegaConfBaseException
 
     _check_group_values(parsed, loader)
     try:
-        config = hydra.compose(ROOT_CONFIG, overrides=[get_text(override) for override in parsed])
+        config = _load([get_text(override) for override in parsed], loader)
+        with open_dict(config):
+            del config["hydra"]
         mapping = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
     except MissingConfigException as error:
         raise ConfigError(_explain_missing(error)) from None
@@ -87,8 +147,6 @@ def parse_overrides(overrides: Sequence[str], loader: ConfigLoader) -> list[Over
     """The last override of each key. Raises ConfigError for what Hydra can't read, and for a key of old."""
     from hydra.core.override_parser.overrides_parser import OverridesParser
     from hydra.errors import HydraException
-
-    from pipeline.config.stage_names import STAGES
 
     names = {"stage": STAGES, "experiment": list_options("experiment")}
     parser = OverridesParser.create(config_loader=loader)
@@ -176,14 +234,13 @@ def _explain_unresolved(error: Any) -> str:
 
 def _explain_keys(parsed: Sequence[Override], loader: ConfigLoader) -> list[str]:
     """A sentence for every override of a key that the chosen groups don't have."""
-    import hydra
     from hydra.errors import HydraException
     from omegaconf import OmegaConf
 
     groups = [o for o in parsed if isinstance(o.value(), (str, list)) and _is_group(o, loader)]
     plain = [get_text(o) for o in groups if not o.is_add()]
     try:
-        config = hydra.compose(ROOT_CONFIG, overrides=plain, return_hydra_config=True)
+        config = _load(plain, loader)
     except HydraException:
         return []  # the groups themselves don't compose: Hydra's words tell more
     tree = OmegaConf.to_container(config, resolve=False)

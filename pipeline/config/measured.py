@@ -189,6 +189,10 @@ class AnyRecordingsConfig(Section):
             """Whether there is something to read."""
 
         @property
+        def made_by(self) -> str:
+            """The stage that makes an experiment's own data."""
+
+        @property
         def format(self) -> str:
             """The name of the format."""
 
@@ -248,6 +252,7 @@ class NoRecordingsConfig(AnyRecordingsConfig):
     format: Literal["none"]
 
     recorded: ClassVar[Literal[False]] = False
+    made_by: ClassVar[Literal["generate"]] = "generate"
     file: ClassVar[None] = None
     speeds: ClassVar[None] = None
     shaft_angle: ClassVar[None] = None
@@ -294,6 +299,7 @@ class MeasuredConfig(AnyRecordingsConfig):
     synthetic: bool = False
 
     recorded: ClassVar[Literal[True]] = True
+    made_by: ClassVar[Literal["ingest"]] = "ingest"
 
     @property
     def most_lag(self) -> float:

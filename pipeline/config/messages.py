@@ -52,28 +52,22 @@ def quote_value(value: Any, longest: int = 80) -> str:
 def _explain(item: Any, mapping: Mapping[str, Any], model: type[BaseModel]) -> str:
     path, value = _locate(item["loc"], mapping)
     context, kind = item.get("ctx", {}), item["type"]
+    choices = ""
+    if kind.startswith("union_tag"):
+        path.append(str(context["discriminator"]).strip("'"))
+        value, choices = context.get("tag"), context.get("expected_tags", "")
+    elif kind == "literal_error" and isinstance(value, str):
+        choices = context["expected"]
+    key = ".".join(path)
     if kind == "extra_forbidden":
-        return f"{'.'.join(path)}: must be a key that the schema knows, but '{path[-1]}' is not" + suggest(
-            path[-1], _list_fields(item["loc"], model)
-        )
-    if kind == "missing":
-        return f"{'.'.join(path)}: must be given, but is missing"
-    if kind == "union_tag_not_found":
-        return f"{'.'.join([*path, _read_tag(context)])}: must be given, but is missing"
-    if kind == "union_tag_invalid":
-        return _explain_choice([*path, _read_tag(context)], context["tag"], context["expected_tags"])
-    if kind == "literal_error" and isinstance(value, str):
-        return _explain_choice(path, value, context["expected"])
-    return f"{'.'.join(path) or 'configuration'}: {_state_law(kind, item['msg'])}{_state_value(kind, value)}"
-
-
-def _explain_choice(path: Sequence[str], value: str, expected: str) -> str:
-    choices = re.findall(r"'([^']*)'", expected)
-    return f"{'.'.join(path)}: must be one of these, but got {value!r}" + suggest(value, choices)
-
-
-def _read_tag(context: Mapping[str, Any]) -> str:
-    return str(context["discriminator"]).strip("'")
+        near = suggest(path[-1], _list_fields(item["loc"], model))
+        return f"{key}: must be a key that the schema knows, but '{path[-1]}' is not{near}"
+    if kind in ("missing", "union_tag_not_found"):
+        return f"{key}: must be given, but is missing"
+    if choices:
+        near = suggest(str(value), re.findall(r"'([^']*)'", choices))
+        return f"{key}: must be one of these, but got {value!r}{near}"
+    return f"{key or 'configuration'}: {_state_law(kind, item['msg'])}{_state_value(kind, value)}"
 
 
 def _state_law(kind: str, message: str) -> str:

@@ -9,13 +9,12 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
-from pipeline.config.loader import CONF, FILE_KEY
+from pipeline.config.loader import CONF
 from pipeline.config.measured import AS_MODELLED
 from pipeline.errors import ConfigError, nearest
 
@@ -32,33 +31,6 @@ _PACKAGE = re.compile(r"^# *@package +(\S+)", re.MULTILINE)
 def make_absolute(path: str | Path, folder: Path | None = None) -> Path:
     """``path`` from ``folder`` (the working folder), with the user's home in place of ``~``."""
     return Path(os.path.abspath((folder or Path()) / Path(path).expanduser()))
-
-
-def list_files(overrides: Sequence[str], folder: Path | None) -> list[Path]:
-    """All files outside ``conf/`` that a command names: those of ``--config-dir``, and the last ``machine.file=...``.
-
-    It needs no parser.
-    """
-    given = [text.lstrip("+") for text in overrides]
-    named = [text[len(FILE_KEY) :].strip().strip("'\"") for text in given if text.startswith(FILE_KEY)]
-    inside = [path for _, path in _list_folder(folder)] if folder else []
-    return inside + [make_absolute(path) for path in named[-1:]]
-
-
-@contextmanager
-def store_files(folder: Path | None) -> Iterator[None]:
-    """Let Hydra's store have the files of ``folder``, and forget in the end all that was put into it."""
-    from hydra.core.config_store import ConfigStore
-
-    before = deepcopy(ConfigStore.instance().repo)
-    try:
-        if folder:
-            _store_folder(folder)
-        yield
-    finally:
-        # What Hydra's plugins registered meanwhile stays: they do so once a process.
-        registered = {name: node for name, node in ConfigStore.instance().repo.items() if name == "hydra"}
-        ConfigStore.instance().repo = before | registered
 
 
 def store_machine(path: Path) -> str:
@@ -94,42 +66,34 @@ def clean_name(path: Path) -> str:
     return re.sub(r"[^A-Za-z0-9_-]+", "_", path.stem)
 
 
-# --- a folder of the user's ------------------------------------------------------------------------
-
-
-def _store_folder(folder: Path) -> None:
-    """Put every file of ``folder`` that lies in a group of ``conf/`` into Hydra's store."""
+def store_folder(folder: Path) -> None:
+    """Put every file of ``folder`` that lies in a group of ``conf/`` into Hydra's store. Raises ConfigError."""
     from hydra.core.config_store import ConfigStore
 
     if not folder.is_dir():
         raise ConfigError(f"--config-dir must be a folder, but '{folder}' is none")
-    files = _list_folder(folder)
-    if not files:
+    groups = sorted(path.name for path in CONF.iterdir() if path.is_dir())
+    paths = [path for group in groups for path in sorted((folder / group).rglob("*.yaml"))]
+    if not paths:
         raise ConfigError(
             f"--config-dir must be a folder with machines in machine/ or experiments in experiment/, but '{folder}' "
             "has none: move the files there, or name one machine with machine.file=FILE"
         )
-    for name, path in files:
+    for path in paths:
+        name = path.relative_to(folder).with_suffix("").as_posix()  # such as machine/mine
         group, _, option = name.rpartition("/")
         if (CONF / f"{name}.yaml").exists():
             raise ConfigError(
                 f"a file of --config-dir must have a name of its own, but conf/ has {name}.yaml too: rename '{path}'"
             )
         content = _read_yaml(path, f"a file of --config-dir in {group}/")
-        paths = _PATHS if group == "machine" else (*(f"machine.{key}" for key in _PATHS), *_DATA_PATHS)
+        keys = _PATHS if group == "machine" else (*(f"machine.{key}" for key in _PATHS), *_DATA_PATHS)
         if group.startswith(("machine", "experiment")):
-            content = _resolve_paths(content, paths, path.parent)
+            content = _resolve_paths(content, keys, path.parent)
         package = _PACKAGE.search(path.read_text(encoding="utf-8"))
         ConfigStore.instance().store(
             option, content, group=group, package=package[1] if package else None, provider=str(path)
         )
-
-
-def _list_folder(folder: Path) -> list[tuple[str, Path]]:
-    """Group and option, such as machine/mine, and path of every file that Hydra may be asked for."""
-    groups = sorted(path.name for path in CONF.iterdir() if path.is_dir())
-    paths = [path for group in groups for path in sorted((folder / group).rglob("*.yaml"))]
-    return [(path.relative_to(folder).with_suffix("").as_posix(), path) for path in paths]
 
 
 # --- YAML ----------------------------------------------------------------------------------------

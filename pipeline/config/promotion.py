@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import Field
 
+from pipeline.config.loader import CONF, parse_key
 from pipeline.config.messages import explain_schema_errors
 from pipeline.config.models import model_fields
 from pipeline.config.section import Section
@@ -109,12 +110,6 @@ def read_promoted(folder: Path) -> PromotedTrial | None:
     )
 
 
-def find_study(config: Config) -> Path:
-    """Return the folder of the study that training uses: in the working folder, or else beside ``conf/``."""
-    folder = Path(config.tuning.promoted)
-    return folder if (folder / BEST).exists() else Path(__file__).parents[2] / folder
-
-
 def apply_promoted(config: Config, overrides: Sequence[str]) -> Config:
     """``config`` with the promoted values of its study, where there are any; ``overrides`` of the command line win.
 
@@ -125,11 +120,12 @@ def apply_promoted(config: Config, overrides: Sequence[str]) -> Config:
 
     if not config.tuned or config.stage in UNTUNED_STAGES:
         return config
-    folder = find_study(config)
+    folder = Path(config.tuning.promoted)  # in the working folder, or else beside conf/
+    folder = folder if (folder / BEST).exists() else CONF.parent / folder
     promoted = read_promoted(folder)
     if not promoted:
         return config
-    given = {override.lstrip("+~").partition("=")[0].partition("@")[0] for override in overrides}
+    given = set(map(parse_key, overrides))
     in_force = {key: value for key, value in promoted.values.items() if not is_overridden(key, given)}
     source = f"'{folder / BEST}' (tuned=false leaves it out)"
     return apply_values(config, in_force, source).model_copy(

@@ -93,7 +93,7 @@ def model_unmeasured(config: Config, speeds: np.ndarray) -> BearingTable | None:
     None where none are, or where data were measured.
     """
     wanted = config.machine.unmeasured
-    if not wanted or config.machine.recordings.format != "none":
+    if not wanted or config.machine.recordings.recorded:
         return None
     points = spread_states(np.unique(speeds), wanted)
     return load_modelled_bearings(config.machine.rotor, config.machine.bearings, *points)

@@ -45,7 +45,7 @@ def measure_numbers(numbers: Mapping[str, tuple[float, float]], machine: Machine
 
 def judge_numbers(numbers: Mapping[str, Mapping[str, Any]], machine: MachineConfig) -> dict[str, Any]:
     """The ``physical_numbers`` of a fit with their true values and errors, of a modelled machine."""
-    if machine.recordings.format != "none":
+    if machine.recordings.recorded:
         return dict(numbers)
     errors = measure_numbers({name: (entry["value"], entry["deviation"]) for name, entry in numbers.items()}, machine)
     more = {name: {"true": error.true, "error_percent": error.error_percent} for name, error in errors.items()}

@@ -145,6 +145,15 @@ def check_experiment(experiment: str, rules: list[Rule], folder: Path, committed
     return checks
 
 
+def find_nearest_limits(checks: Sequence[Check]) -> dict[str, float]:
+    """The metric nearest to its threshold in each experiment, as a share of it; 1 and more fails."""
+    shares: dict[str, float] = {}
+    for c in checks:
+        if c.share_of_limit is not None:
+            shares[c.experiment] = max(shares.get(c.experiment, 0.0), c.share_of_limit)
+    return shares
+
+
 def _select(value: Any, path: list[str], trail: tuple[str, ...] = ()) -> Iterator[tuple[str, float]]:
     if not path:
         if isinstance(value, (int, float)) and not isinstance(value, bool):

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from pipeline.config.stage_names import STAGES
+from pipeline.config.loader import STAGES
 
 if TYPE_CHECKING:
     from pipeline.config.schema import Config

@@ -1,67 +1,61 @@
-"""The runs and speeds that reach a stated accuracy at the machine's probes (``design.accuracy``), or why none do."""
+"""The runs that reach ``design.accuracy``: at the machine's probes, or in states for the numbers of bearing laws."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
+from pipeline.config.runs import SpeedsConfig
 from pipeline.config.schema import Config
-from pipeline.data.dataset import Excitation
+from pipeline.errors import ConfigError
+from pipeline.laws.law_set import make_laws
+from pipeline.problem.law_design import clearances_of, guess_at, inform_candidates, list_states, plan_by_states
 from pipeline.problem.planning import Designer, Planner, list_clearances, list_possible
-from pipeline.problem.ranking import rank
-from pipeline.reporting.console import say, table
+from pipeline.problem.ranking import find_least
+from pipeline.reporting.design_tables import Runs, override_states, print_reached, print_states, summarize_states
+from pipeline.rotor.model import RotorModel
 from pipeline.rotor.parameters import OF_WEIGHT
-from pipeline.rotor.stored import load_modelled_bearings, load_rotor
-from pipeline.stages.analysis import Analysis
+from pipeline.rotor.stored import load_modelled_bearings
 from pipeline.stages.diagnose import describe_noise
-from pipeline.stages.execution import StageOutput
-from pipeline.stages.planned_runs import write_design
+
+Designed = tuple[Runs, SpeedsConfig, Mapping[str, object], Mapping[str, object], str]
+"""Runs and speeds; what ``design.json`` and the records have; overrides that go with them."""
 
 
-def reach_accuracy(analysis: Analysis, accuracy: float) -> StageOutput:
-    """``design.json`` and ``designed_excitation.yaml``, which can be used at once."""
-    config, machine = analysis.config, analysis.config.machine
-    rotor = load_rotor(machine.rotor)
+def reach_accuracy(config: Config, rotor: RotorModel) -> Designed:
+    """The runs and speeds that bring every coefficient to ``design.accuracy``."""
+    machine, accuracy = config.machine, config.design.accuracy or 0.0
     prior = load_modelled_bearings(machine.rotor, machine.bearings, machine.speeds.rad_s())
     planner = Planner(config, rotor, list_clearances(config, rotor))
     allowed = planner.limit(list_possible(config, rotor), prior)
     best, predicted, cures = Designer(planner, prior, allowed).reach(accuracy)
     chosen = [allowed[c] for c in best.runs]
     speeds = machine.speeds.model_copy(update={"step_rpm": best.every * machine.speeds.step_rpm})
-    _print(config, accuracy, predicted, cures, chosen, speeds.rpm())
-    numbers = {"accuracy": accuracy, "reached": best.reached, "predicted": predicted, "cures": cures}
+    print_reached(config.name, describe_noise(config), accuracy, predicted, cures, chosen, speeds.rpm())
     # A fit refuses tolerances of weights where no run has any.
     weighed = any(weight.kind == "unbalance" for acting in chosen for weight in acting)
     kinds = [] if weighed else [kind for kind in config.identify.model_parameters.deviations if kind in OF_WEIGHT]
     without = "".join(f" identify.model_parameters.{kind}=null" for kind in kinds)
-    written = write_design(analysis, chosen, speeds, numbers | {"speeds": speeds.model_dump()}, without)
-    return StageOutput({"predicted": predicted}, {"rotor_fingerprint": rotor.fingerprint}, written)
+    numbers = {"accuracy": accuracy, "reached": best.reached, "predicted": predicted, "cures": cures}
+    return chosen, speeds, numbers | {"speeds": speeds.model_dump()}, {"predicted": predicted}, without
 
 
-def _print(
-    config: Config,
-    accuracy: float,
-    predicted: Mapping[str, float],
-    cures: Mapping[str, float],
-    chosen: Sequence[Sequence[Excitation]],
-    rpm: Sequence[float],
-) -> None:
-    rows = [[key, f"{100 * share:.2g}", "" if share <= accuracy else "not reached"] for key, share in predicted.items()]
-    title = f"{config.name}: predicted standard deviation at {describe_noise(config)}, % of the coefficient (median)"
-    table(title, ["bearing and unknown", "designed runs", f"at most {100 * accuracy:g}"], rows)
-    acting = "; ".join(
-        f"{run[0].run}: " + ", ".join(f"{e.magnitude:.3g} {'kg m' if e.kind == 'unbalance' else 'N'}" for e in run)
-        for run in chosen
-    )
-    say(f"{config.name}: {len(chosen)} runs ({acting}) at {len(rpm)} speeds from {rpm[0]:g} to {rpm[-1]:g} rpm")
-    if max(predicted.values()) <= accuracy:
-        say(f"every coefficient is predicted to {100 * accuracy:g} % or better")
-        return
-    short = {key: share for key, share in predicted.items() if share > accuracy}
-    worst = rank(short)[0]
-    say(
-        f"{100 * accuracy:g} % can't be reached with {len(chosen)} runs for {len(short)} of {len(predicted)} "
-        f"coefficients; the worst, {worst}, is known to {100 * short[worst]:.2g} % at best"
-    )
-    for name in reversed(rank(cures)):
-        deviation = cures[name]
-        say(f"with {name} the worst is {100 * deviation:.2g} %" + (" (enough)" if deviation <= accuracy else ""))
+def reach_numbers(config: Config, rotor: RotorModel) -> Designed:
+    """The states and runs that bring the numbers of bearing laws to ``design.accuracy``."""
+    machine, accuracy = config.machine, config.design.accuracy
+    if machine.laws is None or accuracy is None:
+        missing = "machine.laws" if machine.laws is None else "design.accuracy (such as 0.02)"
+        raise ConfigError(
+            f"stage=design with model={config.model.kind} must have {missing}, but there is none: write it, or choose "
+            "another model"
+        )
+    laws = make_laws(machine.laws, rotor.bearing_nodes)
+    states, planner = list_states(config, laws), Planner(config, rotor, clearances_of(laws))
+    tables = [guess_at(config, laws, state) for state in states]
+    allowed = planner.limit(list_possible(config, rotor), *tables)
+    candidates = inform_candidates(planner, laws, allowed, tables)
+    plans = plan_by_states(candidates, len(states), config.design.runs, accuracy)
+    best = plans[find_least({i: plan.worst for i, plan in enumerate(plans)})]
+    print_states(config.name, describe_noise(config), candidates, plans, best, states, accuracy)
+    summary = summarize_states(candidates, plans, best, states, accuracy)
+    overrides = override_states([states[t] for t in best.states])
+    return [allowed[c] for c in best.runs], machine.speeds, summary, {"worst": best.worst}, overrides

@@ -2,42 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from pipeline.balance.correction import place_holes
 from pipeline.balance.linear_vibration import LinearVibration
-from pipeline.balance.records import Readings, average_records, describe_conditions, match_speeds
-from pipeline.balance.sheet import find_state, propose_weights, share_tolerance
+from pipeline.balance.records import Readings, average_records, describe_conditions
 from pipeline.balance.unbalance import Estimates, estimate_all
-from pipeline.config.balance import ANY, WeightsConfig
 from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
 from pipeline.files import write_json
 from pipeline.ingest.source_units import SourceUnits
 from pipeline.reporting.balance_figure import draw_balance
-from pipeline.reporting.balance_tables import (
-    describe_sheet,
-    print_estimates,
-    print_fewer,
-    print_sheet,
-    print_vibration_change,
-    tabulate_estimates,
-    tabulate_vibration_change,
-)
+from pipeline.reporting.balance_tables import print_estimates, tabulate_estimates
 from pipeline.reporting.console import say
-from pipeline.rotor.model import RotorModel
 from pipeline.stages.analysis import Analysis
+from pipeline.stages.balance_sheet import correct
 from pipeline.stages.execution import StageOutput
-from pipeline.stages.measurement import load_measurement
-from pipeline.stages.vibration_models import (
-    list_missing,
-    load_models,
-    load_records,
-)
-from pipeline.stages.workspace import locate_files
+from pipeline.stages.measurement import prepare
+from pipeline.stages.vibration_models import list_missing, load_models, load_records
 from pipeline.units import RAD_S_PER_RPM
 
 
@@ -45,8 +28,9 @@ def run(analysis: Analysis) -> StageOutput:
     """``balance.csv``, ``balance.json`` and ``figures/balance.png``; on screen the unbalance of each condition, and the
     balance sheet where ``machine.balance`` says where weights can be put."""
     config = analysis.config
-    measurement, work = load_measurement(config), locate_files(config)
-    fitted, source, file = load_models(config), SourceUnits(config.machine.recordings), config.balance.records
+    measurement, work = prepare(analysis), analysis.files
+    (fitted, fingerprint), file = load_models(analysis), config.balance.records
+    source = SourceUnits(config.machine.recordings)
     method = fitted.pick(config.balance.method, "balance.method")
     planes = fitted.models[method].planes
     by_method: dict[str, Estimates] = {}
@@ -63,12 +47,12 @@ def run(analysis: Analysis) -> StageOutput:
         if not file and not fitted.can_leave_out(name):
             say(f"{config.name}: {name} was fitted to these conditions themselves; studies/folds tries it on others")
     summary: dict[str, Any] = {
-        "methods": {name: _summarize(estimates) for name, estimates in by_method.items()},
+        "methods": {name: estimates.summarize() for name, estimates in by_method.items()},
         "sheet": None,
     }
     if weights := config.machine.balance:
         readings = by_method[method].readings
-        summary["sheet"] = _correct(config, weights, fitted.models[method], method, readings, measurement.rotor)
+        summary["sheet"] = correct(config, weights, fitted.models[method], method, readings, measurement.rotor)
     else:
         say(f"{config.name}: no correction weights, since machine.balance does not say where there are holes")
     written = [
@@ -76,7 +60,7 @@ def run(analysis: Analysis) -> StageOutput:
         write_json(work.folder / "balance.json", summary),
         draw_balance(work.figure("balance"), method, by_method[method], planes, source),
     ]
-    return StageOutput(summary, {"data_fingerprint": fitted.fingerprint}, written)
+    return StageOutput(summary, {"data_fingerprint": fingerprint}, written)
 
 
 def _read(config: Config, file: str, model: LinearVibration) -> Readings:
@@ -88,44 +72,3 @@ def _read(config: Config, file: str, model: LinearVibration) -> Readings:
     rpm = ", ".join(f"{speed / RAD_S_PER_RPM:.0f}" for speed in model.speeds[measured])
     say(f"{config.name}: {len(readings.names)} conditions of '{file}' at {rpm} rpm{without}")
     return readings
-
-
-def _summarize(estimates: Estimates) -> dict[str, Any]:
-    """Names of what is out of order, and how the known weights lie in the bands."""
-    names = np.array(estimates.readings.names, dtype=object)
-    known = ~np.isnan(estimates.readings.unbalance)
-    inside = np.abs(estimates.readings.unbalance - estimates.unbalance) <= estimates.radius
-    return {
-        "conditions": len(names),
-        "inconsistent": names[estimates.inconsistent].tolist(),
-        "contradicted": names[estimates.contradicted].tolist(),
-        "known_within_95_percent": float(inside[known].mean()) if known.any() else None,
-    }
-
-
-def _correct(
-    config: Config, given: WeightsConfig, model: LinearVibration, method: str, readings: Readings, rotor: RotorModel
-) -> dict[str, Any]:
-    """Choose, print and summarise the correction weights."""
-    source, asked = SourceUnits(config.machine.recordings), config.balance
-    holes = place_holes(given, model.planes, source)
-    speeds = match_speeds(np.array(asked.speeds_rpm) * RAD_S_PER_RPM, model.speeds, "balance.speeds_rpm").tolist()
-    state = find_state(model, readings, asked, config.data.baseline)
-    every = [
-        propose_weights(model, state, [hole and replace(hole, most=k) for hole in holes], asked.minimise, speeds)
-        for k in range(given.most if given.masses == ANY else 1, given.most + 1)
-    ]
-    sheet = every[-1]
-    whose = {"residual": "the machine's own unbalance", "condition": f"condition {asked.condition}"}
-    whose["both"] = f"{whose['condition']} and the machine's own unbalance"
-    grade = given.tolerance
-    tolerance = share_tolerance(rotor, model.planes, grade.permissible(rotor.total_mass)) if grade else None
-    title = f"balance sheet for {whose[asked.remove]}, by {method}: least {asked.minimise}"
-    described = describe_sheet(sheet, model.planes, source, tolerance)
-    print_sheet(title, described)
-    if len(every) > 1:
-        print_fewer(every, model.planes, source)
-    rows = tabulate_vibration_change(sheet, model.speeds, model.channels, source)
-    print_vibration_change(rows, source.unit)
-    asked_for = {"remove": asked.remove, "condition": asked.condition, "minimise": asked.minimise}
-    return described | {"method": method} | asked_for | {"vibration": rows}

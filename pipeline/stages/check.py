@@ -5,15 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from pipeline.config.schema import Config
+from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError, nearest
-from pipeline.evaluation.thresholds import (
-    COMMITTED,
-    Check,
-    check_experiment,
-    read_committed,
-    read_rules,
-    tabulate_committed,
-)
+from pipeline.evaluation import thresholds
+from pipeline.evaluation.thresholds import COMMITTED, Check
 from pipeline.files import write_json
 from pipeline.reporting.console import say, table, warn
 from pipeline.stages.analysis import Analysis
@@ -29,18 +24,17 @@ def run(analysis: Analysis) -> StageOutput:
     """
     config = analysis.config
     known = sorted(path.stem for path in THRESHOLDS.glob("*.yaml"))
-    chosen = config.check.experiments or known
-    for name in chosen:
+    beside = Path(config.output).parent  # the folders of all experiments lie beside each other
+    checks: list[Check] = []
+    committed = thresholds.read_committed(THRESHOLDS / COMMITTED)
+    for name in config.check.experiments or known:
         if name not in known:
             raise ConfigError(
                 f"check.experiments must name experiments with thresholds, but got '{name}': {nearest(name, known)}"
             )
-    checks: list[Check] = []
-    committed = read_committed(THRESHOLDS / COMMITTED)
-    for name in chosen:
-        # The folders of all experiments lie beside each other.
-        folder = Path(config.output).parent / name
-        checks += check_experiment(name, read_rules(THRESHOLDS / f"{name}.yaml"), folder, committed)
+        checks += thresholds.check_experiment(
+            name, thresholds.read_rules(THRESHOLDS / f"{name}.yaml"), beside / name, committed
+        )
     _print_changed(checks, config.check.changed)
     rows = [[c.experiment, c.metric, *_show(c)] for c in checks]
     table("metrics against thresholds", ["experiment", "metric", "value", "limit", ""], rows)
@@ -52,8 +46,12 @@ def run(analysis: Analysis) -> StageOutput:
         warn(f"{c.experiment}: {c.metric} must be {c.rule}, but {came}. The limit: {c.rule.why}")
     if not failed:
         say(f"all {len(checks)} metrics hold")
-    summary = {"checked": len(checks), "failed": len(failed), "share_of_threshold": _compute_shares(checks)}
-    path = write_json(Path(config.output).parent / "check.json", summary)
+    summary = {
+        "checked": len(checks),
+        "failed": len(failed),
+        "share_of_threshold": thresholds.find_nearest_limits(checks),
+    }
+    path = write_json(beside / "check.json", summary)
     return StageOutput(summary, files=[path], exit_code=1 if failed else 0)
 
 
@@ -77,20 +75,11 @@ def _print_changed(checks: list[Check], share: float) -> None:
 def _commit(config: Config, failed: list[Check], checks: list[Check]) -> None:
     """Raises ConfigError where not every metric of every experiment holds."""
     if failed or config.check.experiments:
+        named = f"check.experiments names {len(config.check.experiments)}"
         raise ConfigError(
             "metrics must be committed of all experiments, and all must hold, but "
-            + (f"{len(failed)} fail" if failed else f"check.experiments names {len(config.check.experiments)}")
-            + ": leave check.commit out, or run stage=check without check.experiments when all hold"
+            f"{f'{len(failed)} fail' if failed else named}: leave check.commit out, or run stage=check without "
+            "check.experiments when all hold"
         )
-    from pipeline.data.tables import write_table
-
-    say(f"committed metrics in '{write_table(THRESHOLDS / COMMITTED, tabulate_committed(checks))}'")
-
-
-def _compute_shares(checks: list[Check]) -> dict[str, float]:
-    """The metric nearest to its threshold in each experiment, as a share of it; 1 and more fails."""
-    shares: dict[str, float] = {}
-    for c in checks:
-        if c.share_of_limit is not None:
-            shares[c.experiment] = max(shares.get(c.experiment, 0.0), c.share_of_limit)
-    return shares
+    path = write_table(THRESHOLDS / COMMITTED, thresholds.tabulate_committed(checks))
+    say(f"committed metrics in '{path}'")

@@ -12,12 +12,8 @@ from pipeline.data.vibration_files import write_vibration
 from pipeline.errors import DataError
 from pipeline.problem.configured import find_idle, list_known, model_machine, read_probes
 from pipeline.reporting.console import say, warn
-from pipeline.stages.analysis import Analysis
+from pipeline.stages.analysis import Analysis, hash_origin, require_own
 from pipeline.stages.execution import StageOutput
-from pipeline.stages.workspace import (
-    hash_origin,
-    require_own,
-)
 from pipeline.twin.modes import StabilityMargin, find_modes, measure_stability
 from pipeline.units import RAD_S_PER_RPM
 

@@ -15,7 +15,6 @@ from pipeline.reporting.console import say
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.vibration_models import list_missing, load_models, load_records
-from pipeline.stages.workspace import locate_files
 
 if TYPE_CHECKING:
     from pipeline.ingest.records import RecordsConfig
@@ -26,7 +25,7 @@ def run(analysis: Analysis) -> StageOutput:
     config = analysis.config
     file = config.predict.records or ""
     records = load_records(config, file, "predict.records")
-    fitted = load_models(config)
+    fitted, fingerprint = load_models(analysis)
     method = fitted.pick(config.predict.method, "predict.method")
     predicted = predict_records(records, fitted.models[method])
     recordings = cast("RecordsConfig", config.machine.recordings)  # load_records has seen to it
@@ -36,7 +35,7 @@ def run(analysis: Analysis) -> StageOutput:
     kept = {name: "text" for name in list_columns(Path(file), text) if name not in vectors}
     source = SourceUnits(recordings)
     table = tabulate_predicted(read_table(Path(file), kept, text=text), records, predicted, source, pairs, method)
-    path = write_table(locate_files(config).folder / "predicted_records.csv", table)
+    path = write_table(analysis.files.folder / "predicted_records.csv", table)
     measured, metrics = predicted.measured, {}
     message = f"{config.name}: {len(records.speeds)} records of '{file}' predicted by {method} in '{path}'"
     if measured.any():
@@ -50,4 +49,4 @@ def run(analysis: Analysis) -> StageOutput:
         if missing := list_missing(records):
             message += f"; not measured: {', '.join(missing)}"
     say(message)
-    return StageOutput(metrics, {"data_fingerprint": fitted.fingerprint}, [path])
+    return StageOutput(metrics, {"data_fingerprint": fingerprint}, [path])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from pipeline.config.stage_names import RESULTS, STAGES
+from pipeline.config.loader import RESULTS, STAGES
 from pipeline.errors import PipelineError
 from pipeline.reporting.console import say, warn
 from pipeline.stages.analysis import Analysis
@@ -19,8 +19,8 @@ def run(analysis: Analysis) -> StageOutput:
     """
     config, work, started = analysis.config, analysis.files, time.perf_counter()
     made, skipped = [], []
-    source = "generate" if config.machine.recordings.format == "none" else "ingest"
-    for stage in (*([source] if work.own else []), "diagnose", "train"):
+    source = [config.machine.recordings.made_by] if work.own else []
+    for stage in (*source, "diagnose", "train"):
         analysis.run(stage)
     for stage, file in RESULTS.items():
         if stage not in STAGES:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from pipeline.config.measured import MeasuredConfig
+from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import write_coefficients
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.excitation_files import write_excitation
@@ -12,14 +13,16 @@ from pipeline.data.tables import read_marks
 from pipeline.data.vibration_files import write_vibration
 from pipeline.errors import ConfigError, DataError
 from pipeline.files import write_json
+from pipeline.ingest.dataset import read_measured_runs
+from pipeline.ingest.plausibility import note_casing, note_size, note_whirl
+from pipeline.ingest.records import to_dataset
 from pipeline.problem.configured import list_known, load_known
-from pipeline.reporting.console import say, table, warn
+from pipeline.reporting.console import say, warn
+from pipeline.reporting.ingested import Ingested, describe_records, describe_runs, print_ingested
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor, require_nodes
-from pipeline.stages.analysis import Analysis
+from pipeline.stages.analysis import Analysis, Workspace, require_own
 from pipeline.stages.execution import StageOutput
-from pipeline.stages.ingested import Ingested, read_records, read_runs
-from pipeline.stages.workspace import Workspace, require_own
 
 
 def run(analysis: Analysis) -> StageOutput:
@@ -37,10 +40,17 @@ def run(analysis: Analysis) -> StageOutput:
         )
     rotor = load_rotor(config.machine.rotor)
     require_nodes(rotor, "machine.recordings.probes", [probe.node for probe in recordings.probes.values()])
-    ingested = (read_records if recordings.planes else read_runs)(config, recordings, rotor)
+    ingested = (_read_records if recordings.planes else _read_runs)(config, recordings, rotor)
     written = _write_data(analysis, recordings, rotor, ingested.dataset)
-    written += [write_json(work.folder / "ingest.json", ingested.summary), *ingested.draw(work)]
-    _report(analysis, recordings, ingested)
+    written += [write_json(work.folder / "ingest.json", ingested.summary), *ingested.draw(work.figure)]
+    print_ingested(config.name, recordings, ingested, work.vibration)
+    if not work.known.exists():
+        say(
+            "some coefficients are not identified (identify.unknowns) and must be known before a fit: give "
+            "machine.recordings.known"
+        )
+    for note in ingested.summary["notes"]:
+        warn(note)
     counts = {"runs": ingested.dataset.runs, "speeds": ingested.dataset.speeds}
     return StageOutput(
         metrics={f"ingest.{name}": float(len(values)) for name, values in counts.items()},
@@ -60,6 +70,23 @@ def _require_own_work(work: Workspace) -> None:
         )
 
 
+def _read_runs(config: Config, recordings: MeasuredConfig, rotor: RotorModel) -> Ingested:
+    """Raises ConfigError for a node that the rotor lacks, DataError as the format's reader."""
+    for run in recordings.runs:
+        acting = [*(weight.node for weight in run.unbalances), *(force.node for force in run.forces)]
+        require_nodes(rotor, f"machine.recordings.runs, run '{run.name}',", acting)
+    measured, model = read_measured_runs(recordings), config.model
+    notes = [*note_casing(recordings.probes, rotor.bearing_nodes), *measured.notes, *note_whirl(measured.recorded)]
+    notes += note_size(measured.recorded, rotor, model.initial_stiffness, model.initial_damping)
+    return describe_runs(recordings, measured, notes)
+
+
+def _read_records(config: Config, recordings: MeasuredConfig, rotor: RotorModel) -> Ingested:
+    """Raises as :func:`_read_runs`."""
+    require_nodes(rotor, "machine.recordings.weights", recordings.planes)
+    return describe_records(recordings, to_dataset(recordings.read_records()))
+
+
 def _write_data(
     analysis: Analysis, recordings: MeasuredConfig, rotor: RotorModel, data: VibrationDataset
 ) -> list[Path]:
@@ -76,17 +103,3 @@ def _write_data(
         else:
             written.append(write_coefficients(path, coefficients, names))
     return [*written, write_vibration(work.vibration, data)]
-
-
-def _report(analysis: Analysis, recordings: MeasuredConfig, ingested: Ingested) -> None:
-    name, work = analysis.config.name, analysis.files
-    made = "synthetic recordings" if recordings.synthetic else "read"
-    table(f"{name}: {made} as {ingested.summary['conventions']}", ingested.header, ingested.rows)
-    say(f"{ingested.before}{name}: {ingested.sentence} in '{work.vibration}'")
-    if not work.known.exists():
-        say(
-            "some coefficients are not identified (identify.unknowns) and must be known before a fit: give "
-            "machine.recordings.known"
-        )
-    for note in ingested.notes:
-        warn(note)

@@ -21,13 +21,7 @@ from pipeline.problem.diagnosis import Diagnosis
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.stored import load_rotor, require_nodes
-from pipeline.stages.analysis import Analysis, made_once
-from pipeline.stages.workspace import (
-    Workspace,
-    hash_machine,
-    hash_origin,
-    locate_files,
-)
+from pipeline.stages.analysis import Analysis, Workspace, hash_machine, hash_origin, locate_files, made_once
 
 
 def load_measurement(config: Config) -> Measurement:
@@ -71,8 +65,7 @@ def _require_data(config: Config, *beside: Path) -> None:
     """Make the experiment's own data where they, or files ``beside`` them, are missing."""
     files = locate_files(config)
     if files.own:
-        source = "generate" if config.machine.recordings.format == "none" else "ingest"
-        Analysis(config).require(source, files.vibration, files.excitation, *beside)
+        Analysis(config).require(config.machine.recordings.made_by, files.vibration, files.excitation, *beside)
 
 
 def _read_known(config: Config, files: Workspace, nodes: tuple[int, ...], dataset: VibrationDataset) -> BearingTable:

@@ -10,9 +10,9 @@ from pipeline.config.schema import Config
 from pipeline.errors import ConfigError
 from pipeline.files import read_json, write_beside
 from pipeline.reporting.console import say, table
+from pipeline.reporting.study_files import AGAIN, SUMMARY
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
-from pipeline.stages.tune import AGAIN, SUMMARY
 from pipeline.write_numbers import write_value
 
 
@@ -36,7 +36,8 @@ def run(analysis: Analysis) -> StageOutput:
             f"{config.name}: give experiment={owner} (make promote STUDY={config.tuning.study} EXPERIMENT={owner})"
         )
     apply_values(config, promoted.values, f"'{source / BEST}'")
-    files = [path.relative_to(source) for path in sorted(source.rglob("*")) if _is_report(path)]
+    reports = [path for path in sorted(source.rglob("*")) if path.is_file() and not path.name.startswith(".")]
+    files = [path.relative_to(source) for path in reports]
     changes = {name: _compare(source / name, target / name) for name in files}
     if not any(changes.values()):
         origin = f"study '{promoted.study}' (trial {promoted.trial})"
@@ -47,21 +48,13 @@ def run(analysis: Analysis) -> StageOutput:
     rows = [[str(target / name), change] for name, change in changes.items() if change]
     table(f"{config.name}: study '{promoted.study}' (trial {promoted.trial}) is promoted", ["file", ""], rows)
     # What training reads comes last: stopped in between, training still has the values of before.
-    written = [_copy(source / name, target / name) for name in sorted(files, key=_is_best)]
+    written = [_copy(source / name, target / name) for name in sorted(files, key=lambda name: name.name == BEST)]
     say(f"{config.name}: training uses '{target / BEST}' from now on")
     return StageOutput(files=written)
 
 
-def _is_report(path: Path) -> bool:
-    return path.is_file() and not path.name.startswith(".")
-
-
 def _copy(source: Path, target: Path) -> Path:
     return write_beside(target, lambda path: path.write_bytes(source.read_bytes()))
-
-
-def _is_best(name: Path) -> bool:
-    return name.name == BEST
 
 
 def _compare(new: Path, old: Path) -> str:
@@ -73,15 +66,10 @@ def _compare(new: Path, old: Path) -> str:
 
 def _say_values(config: Config, before: Mapping[str, object], after: Mapping[str, object]) -> None:
     keys = [key for key in dict.fromkeys([*before, *after]) if before.get(key) != after.get(key)]
-    shown = [
-        [
-            key,
-            *(
-                write_value(promoted_values[key]) if key in promoted_values else "as configured"
-                for promoted_values in (before, after)
-            ),
-        ]
-        for key in keys
-    ]
-    if shown:
-        table(f"{config.name}: values that training uses", ["value", "now", "then"], shown)
+    rows = [[key, *(_show(values, key) for values in (before, after))] for key in keys]
+    if rows:
+        table(f"{config.name}: values that training uses", ["value", "now", "then"], rows)
+
+
+def _show(values: Mapping[str, object], key: str) -> str:
+    return write_value(values[key]) if key in values else "as configured"

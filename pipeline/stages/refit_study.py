@@ -7,10 +7,8 @@ measures once.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -24,7 +22,8 @@ from pipeline.identification.fit import loss_of
 from pipeline.identification.training import setup_of
 from pipeline.problem.configured import build_measurement, model_machine, read_probes
 from pipeline.processes import open_pool
-from pipeline.reporting.console import count_progress, say, table
+from pipeline.reporting.console import count_progress
+from pipeline.reporting.repeats_tables import print_refits
 from pipeline.reporting.training_figures import draw_refits
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput, use_threads
@@ -59,15 +58,15 @@ def run(analysis: Analysis) -> StageOutput:
     Raises ConfigError where the loss is another, or where there is no machine to measure again.
     """
     config = analysis.config
-    if not loss_of(config.loss).weighs_noise or config.machine.recordings.format != "none":
+    if not loss_of(config.loss).weighs_noise or config.machine.recordings.recorded:
+        came = "data are measured" if config.machine.recordings.recorded else f"the loss is {config.loss.kind}"
         raise ConfigError(
-            "robustness over refits must have loss=response and a modelled machine, but "
-            + (f"the loss is {config.loss.kind}" if config.machine.recordings.format == "none" else "data are measured")
-            + ": use robustness=seeds loss=residual"
+            f"robustness over refits must have loss=response and a modelled machine, but {came}: use robustness=seeds "
+            "loss=residual"
         )
     refits = refit_all(config)
     rows, summary = tabulate_refits(refits), summarize_refits(refits)
-    _print(config, summary)
+    print_refits(config.name, summary)
     work = analysis.files
     written = [
         write_json(work.folder / "robustness.json", summary),
@@ -75,38 +74,3 @@ def run(analysis: Analysis) -> StageOutput:
         draw_refits(work.figure("robustness"), rows),
     ]
     return StageOutput(summary, {}, written)
-
-
-def _print(config: Config, summary: Mapping[str, Any]) -> None:
-    shown = [
-        [
-            f"node {node} {name}",
-            f"{coefficient['median_error_percent']:.3g}",
-            f"{coefficient['worst_median_error_percent']:.3g}",
-            f"{coefficient['median_bound_percent']:.3g}",
-            f"{coefficient['rmse_over_bound']:.2f}",
-            f"{coefficient['within_95_percent_interval']:.1f}",
-        ]
-        for node, coefficients in summary["coefficients"].items()
-        for name, coefficient in coefficients.items()
-    ]
-    errors = ["median error %, typical", "worst data set", "standard deviation by the bound, %", "error over bound"]
-    header = ["bearing and coefficient", *errors, "inside the 95 % interval, %"]
-    table(
-        f"{config.name}: {summary['data_sets']} measurements of the machine, each identified by itself", header, shown
-    )
-    say(
-        f"all coefficients: median error {summary['median_error_percent']:.3g} %, "
-        f"{summary['within_95_percent_interval']:.1f} % inside the 95 % interval; the model is rejected in "
-        f"{summary['rejected_percent']:.0f} % of the data sets"
-    )
-    for state, bearings in summary.get("unmeasured", {}).items():
-        worst = max(entry["median_error_percent"] for names in bearings.values() for entry in names.values())
-        typical = summary["all_unmeasured"][state]["median_error_percent"]
-        say(f"at {state}, which no run has: median error {typical:.3g} %, of the worst coefficient {worst:.3g} %")
-    for name, error in summary.get("numbers", {}).items():
-        say(
-            f"{name}: error {error['median_error_percent']:.3g} %, typically, "
-            f"{error['worst_error_percent']:.3g} % at worst; "
-            f"{error['within_95_percent_interval']:.0f} % inside the 95 % interval"
-        )

@@ -3,51 +3,29 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.schema import Config
-from pipeline.data.tables import read_table
 from pipeline.errors import DataError, IdentifiabilityError
-from pipeline.files import hash_file, read_json
+from pipeline.files import read_json
 from pipeline.ingest.full_spectrum import FullSpectra, measure_full_spectra
-from pipeline.problem.measurement import Measurement
 from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.console import say, warn
 from pipeline.reporting.report.content import FitContent, ReportContent
 from pipeline.reporting.report.page import write_page
 from pipeline.reporting.report.pdf import write_pdf
 from pipeline.reporting.report.sections import list_sections
+from pipeline.reporting.report.sources import describe_origin, read_reference, read_tables
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_modelled, prepare, restore
 from pipeline.stages.predict import load_twin
 from pipeline.stages.verdict import load_judgement
-from pipeline.stages.workspace import Workspace
 from pipeline.tracking.provenance import describe_provenance
 from pipeline.twin.at_conditions import say_beyond
 
-_TABLES: dict[str, tuple[dict[str, str], dict[str, str]]] = {
-    "residual_unbalance": (dict.fromkeys(("node", "magnitude", "phase_deg", "magnitude_std"), "number"), {}),
-    "model_parameters": (
-        dict.fromkeys(("kind", "of", "unit"), "text") | dict.fromkeys(("prior_std", "value", "std"), "number"),
-        {},
-    ),
-    "modes": (
-        {"system": "text", "speed_rpm": "number", "mode": "number"}
-        | dict.fromkeys(("frequency_std_hz", "logarithmic_decrement_std"), "number or blank"),
-        {},
-    ),
-    "prediction": (
-        dict.fromkeys(("speed_rpm", "x_identified_amplitude_m", "y_identified_amplitude_m"), "number"),
-        dict.fromkeys(("x_identified_amplitude_std_m", "y_identified_amplitude_std_m"), "number"),
-    ),
-}
-"""Tables that sections read: columns that they need, and columns that may be there."""
 _MOST_SPECTRA = 2
 """Runs, and nodes of each, whose spectra are drawn."""
 
@@ -73,7 +51,7 @@ def collect_content(analysis: Analysis) -> ReportContent:
     Raises DataError for a reference table that breaks its laws.
     """
     config, work, measurement = analysis.config, analysis.files, prepare(analysis)
-    reference = {} if config.report.reference is None else _read_reference(Path(config.report.reference))
+    reference = {} if config.report.reference is None else read_reference(Path(config.report.reference))
     fit = _read_fit(analysis)
     _make_current(analysis, fit)
     names = {"ingest", "diagnosis"} | ({"training", "metrics", "prediction"} if fit else set())
@@ -85,9 +63,14 @@ def collect_content(analysis: Analysis) -> ReportContent:
         fit=fit,
         spectra=_read_spectra(config),
         files={name: read_json(path) for name, path in contents.items() if path.exists()} | judged,
-        tables={} if fit is None else _read_tables(work),
+        tables={} if fit is None else read_tables(work.folder),
         reference=reference,
-        origin=_describe_origin(config, work, measurement),
+        origin=describe_origin(
+            config,
+            measurement,
+            (work.vibration, work.excitation, work.folder / "model.safetensors"),
+            describe_provenance(),
+        ),
     )
 
 
@@ -130,29 +113,6 @@ def _read_fit(analysis: Analysis) -> FitContent | None:
     )
 
 
-def _read_tables(work: Workspace) -> dict[str, Mapping[str, np.ndarray]]:
-    """The tables of the experiment that are there and have a row."""
-    tables: dict[str, Mapping[str, np.ndarray]] = {}
-    for name, (columns, optional) in _TABLES.items():
-        path = work.folder / f"{name}.csv"
-        if path.exists() and path.read_text(encoding="utf-8").count("\n") > 1:
-            tables[name] = read_table(path, columns, optional)
-    return tables
-
-
-def _read_reference(path: Path) -> dict[str, np.ndarray]:
-    """A table of coefficients at speeds of its own. Raises DataError where it has no coefficient."""
-    columns = read_table(
-        path, dict.fromkeys(("bearing_node", "speed_rpm"), "number"), dict.fromkeys(COEFFICIENTS, "number or blank")
-    )
-    if not any(name in columns for name in COEFFICIENTS):
-        raise DataError(
-            f"'{path}' must have a column of a coefficient ({', '.join(COEFFICIENTS)}; N/m and N s/m), but it has "
-            "none: name the columns so, or leave report.reference out"
-        )
-    return columns
-
-
 def _read_spectra(config: Config) -> dict[str, FullSpectra]:
     """Spectra of the first runs, where there are time signals at hand; a warning where their files are gone."""
     recordings, by_title = config.machine.recordings, {}
@@ -170,25 +130,3 @@ def _read_spectra(config: Config) -> dict[str, FullSpectra]:
             if spectra is not None:
                 by_title[f"{measured.name}, node {node}"] = spectra
     return by_title
-
-
-def _describe_origin(config: Config, work: Workspace, measurement: Measurement) -> dict[str, str]:
-    recordings = config.machine.recordings
-    origin = {
-        "command": f"python -m pipeline stage=report {config.chosen}",
-        "fingerprint of the data": measurement.dataset.fingerprint,
-    }
-    origin |= {"fingerprint of the rotor": measurement.rotor.fingerprint}
-    for path in (work.vibration, work.excitation, work.folder / "model.safetensors"):
-        if path.exists():
-            origin[path.name] = f"sha256 {hash_file(path)}"
-    for source in dict.fromkeys(s for measured in recordings.runs for s in measured.sources(recordings.file)):
-        origin[str(source)] = f"sha256 {hash_file(Path(source)) or 'not at hand'}"
-    if config.report.reference is not None:
-        origin["reference"] = f"{config.report.reference}, sha256 {hash_file(Path(config.report.reference))}"
-    tags: dict[str, Any] = describe_provenance()
-    origin |= {name.removeprefix("version."): text for name, text in tags.items() if name.startswith("version.")}
-    if "git.revision" in tags:
-        changed = " with changes" if tags.get("git.dirty") == "true" else ""
-        origin["revision of the program"] = tags["git.revision"][:12] + changed
-    return origin

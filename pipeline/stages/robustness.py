@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from functools import partial
 
 import numpy as np
 
@@ -12,9 +11,10 @@ from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError
 from pipeline.evaluation.repeats import summarize_starts, tabulate_starts
 from pipeline.files import write_json
-from pipeline.identification.residual_loss import ResidualTraining, initial_parameters, prepare_residual
-from pipeline.identification.training import FitSetup, Minimum, Outcome, minimise, setup_of
-from pipeline.reporting.console import say, table, training_progress
+from pipeline.identification.residual_loss import initial_parameters, prepare_residual
+from pipeline.identification.training import Outcome, minimise, setup_of
+from pipeline.reporting.console import training_progress
+from pipeline.reporting.repeats_tables import print_starts
 from pipeline.reporting.training_figures import draw_robustness
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.diagnose import say_diagnosis
@@ -22,9 +22,6 @@ from pipeline.stages.execution import StageOutput, use_threads
 from pipeline.stages.measurement import load_modelled, prepare
 from pipeline.stages.train import say_promoted
 from pipeline.twin.twin import measure_unseen
-
-if TYPE_CHECKING:
-    import torch
 
 
 def choose_starts(config: Config) -> np.ndarray:
@@ -44,6 +41,8 @@ def run(analysis: Analysis) -> StageOutput:
         return refit_study.run(analysis)
     measurement, setup = prepare(analysis), setup_of(config)
     use_threads(config)
+    import torch  # when the data have been found sound
+
     say_promoted(config)
     if config.robustness.over == "initial_guess" and not any(name.startswith("k") for name in config.identify.named()):
         raise ConfigError(
@@ -52,11 +51,13 @@ def run(analysis: Analysis) -> StageOutput:
         )
     training = prepare_residual(measurement, setup)
     say_diagnosis(analysis)
-    starts = choose_starts(config)
+    starts, begin = choose_starts(config), partial(initial_parameters, training, setup)
+    by_seed = config.robustness.over == "seed"
+    first = [begin(int(start)) if by_seed else begin(config.seed, float(start)) for start in starts]
     with training_progress(f"{config.name}: {len(starts)} at once") as progress:
         minimum = minimise(
             training.problem,
-            _start(config, training, setup, starts),
+            torch.cat(first),
             setup,
             held_out=training.held_out,
             progress=progress,
@@ -71,7 +72,7 @@ def run(analysis: Analysis) -> StageOutput:
     error = measure_unseen(config.machine, measurement, answers, modelled)
     if error is not None:
         summary["displacement"] = {"worst_mean_error_percent": error}
-    _print(config, summary, minimum)
+    print_starts(config.name, config.robustness.over, summary, minimum.seconds)
     written = [
         write_json(work.folder / "robustness.json", summary),
         write_table(work.folder / "robustness.csv", rows),
@@ -84,33 +85,3 @@ def run(analysis: Analysis) -> StageOutput:
         written,
         exit_code=exit_code,
     )
-
-
-def _start(config: Config, training: ResidualTraining, setup: FitSetup, starts: np.ndarray) -> torch.Tensor:
-    """(G, M, Q) where each training starts: from a seed, or from a guess of the stiffness."""
-    import torch  # when the data have been found sound
-
-    if config.robustness.over == "seed":
-        return torch.cat([initial_parameters(training, setup, int(seed)) for seed in starts])
-    return torch.cat([initial_parameters(training, setup, config.seed, float(guess)) for guess in starts])
-
-
-def _print(config: Config, summary: Mapping[str, Any], minimum: Minimum) -> None:
-    outcomes = ", ".join(f"{count} {label.replace('_', ' ')}" for label, count in summary["outcomes"].items())
-    varied = {"seed": "seeds", "initial_guess": "initial guesses"}[config.robustness.over]
-    say(f"{config.name}: {summary['starts']} {varied} trained at once in {minimum.seconds:.1f} s ({outcomes})")
-    rows = [
-        [
-            f"node {node} {name}",
-            f"{values['worst_mean_error_percent']:.2g}",
-            f"{values['median_mean_error_percent']:.2g}",
-        ]
-        for node, entry in summary["coefficients"].items()
-        for name, values in entry.items()
-    ]
-    if rows:
-        table(
-            f"{config.name}: mean error % over all {varied}",
-            ["bearing and coefficient", "worst", "median"],
-            rows,
-        )

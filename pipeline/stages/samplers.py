@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -9,14 +10,14 @@ import numpy as np
 from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
 from pipeline.files import write_json
-from pipeline.reporting.console import say, study_progress, table, warn
+from pipeline.reporting.console import say, table
 from pipeline.reporting.study_figures import draw_samplers
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import prepare
-from pipeline.stages.tune import follow_progress, pose_study
+from pipeline.stages.studies import pose_study, say_interrupt, search
 from pipeline.tuning.finalists import TrialSummary, replace_sampler, summarize
-from pipeline.tuning.worker import ROUNDING, run_study
+from pipeline.tuning.worker import ROUNDING
 
 
 def run(analysis: Analysis) -> StageOutput:
@@ -25,20 +26,12 @@ def run(analysis: Analysis) -> StageOutput:
     folder, spec = Path(config.tuning.folder), config.tuning.comparison
     best: dict[str, list[np.ndarray]] = {sampler: [] for sampler in spec.samplers}
     seconds: dict[str, float] = dict.fromkeys(spec.samplers, 0.0)
-    try:
-        for seed in spec.seeds:
-            for sampler in spec.samplers:
-                with study_progress(f"{config.name}: {sampler}, seed {seed}", config.tuning.n_trials) as shown:
-                    replaced = replace_sampler(problem, sampler, seed)
-                    study, sentences = run_study(replaced, follow_progress(shown, config.tuning.n_trials))
-                for sentence in sentences:
-                    warn(sentence)
-                trials = summarize(study)
-                best[sampler].append(track_best(trials))
-                seconds[sampler] += sum(t.seconds or 0.0 for t in trials)
-    except KeyboardInterrupt:
-        warn(f"{config.name}: comparison interrupted; no finished trial is lost, and the same command goes on")
-        raise SystemExit(130) from None
+    with say_interrupt(f"{config.name}: comparison"):
+        for seed, sampler in itertools.product(spec.seeds, spec.samplers):
+            study = search(replace_sampler(problem, sampler, seed), f"{config.name}: {sampler}, seed {seed}")
+            trials = summarize(study)
+            best[sampler].append(track_best(trials))
+            seconds[sampler] += sum(t.seconds or 0.0 for t in trials)
     curves = {sampler: np.array(runs) for sampler, runs in best.items()}
     summary = {
         sampler: {

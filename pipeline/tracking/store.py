@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pipeline.errors import StorageError
-from pipeline.timeout import run_within
+from pipeline.processes import run_within
 from pipeline.tracking.entries import clean_name
 
 if TYPE_CHECKING:

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 from pipeline.config.tuning import TuningConfig
 from pipeline.errors import StorageError, without_password
-from pipeline.timeout import run_within
+from pipeline.processes import run_within
 
 if TYPE_CHECKING:
     import optuna

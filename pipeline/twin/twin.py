@@ -107,7 +107,7 @@ def _truth_at(
     speeds = np.unique(dataset.speeds)
     if np.array_equal(np.unique(dataset.speeds[mask_state(dataset.operating, operating)]), speeds):
         return table_at(modelled, operating, OPERATING)
-    if machine.recordings.format != "none":
+    if machine.recordings.recorded:
         return None
     beside = {name: np.full(len(speeds), value) for name, value in operating.items()}
     return load_modelled_bearings(machine.rotor, machine.bearings, speeds, beside)

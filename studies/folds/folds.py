@@ -30,17 +30,15 @@ from pipeline.config.quantities import UnbalanceMagnitude
 from pipeline.config.schema import Config
 from pipeline.data.conditions import Conditions, gather_conditions
 from pipeline.data.tables import write_table
-from pipeline.errors import ConfigError, nearest
-from pipeline.exits import exit_code
+from pipeline.errors import ConfigError, exit_code, nearest
 from pipeline.files import write_json
 from pipeline.identification.training import setup_of
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise_levels import solve_weighted
 from pipeline.reporting.console import say, table
-from pipeline.stages.analysis import Analysis
+from pipeline.stages.analysis import Analysis, locate_files
 from pipeline.stages.execution import StageOutput, record
 from pipeline.stages.measurement import load_dataset, load_measurement
-from pipeline.stages.workspace import locate_files
 from pipeline.tracking import recorder_beside
 
 _GRAM_MM = 1e-6

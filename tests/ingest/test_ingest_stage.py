@@ -21,7 +21,8 @@ from pipeline.data.dataset import VibrationDataset
 from pipeline.data.vibration_files import read_dataset
 from pipeline.errors import ConfigError
 from pipeline.ingest.plausibility import note_size, note_whirl
-from pipeline.stages import ingested, run_stage
+from pipeline.reporting import ingested
+from pipeline.stages import run_stage
 
 MISSING = ["length", "amplitude", "phase", "phase_unit", "speed"]
 

@@ -13,8 +13,8 @@ from machine_files import given_by, machine_file
 from running import ROOT, composed, python
 
 from pipeline.__main__ import main
+from pipeline.config.loader import RESULTS, STAGES
 from pipeline.config.schema import Config
-from pipeline.config.stage_names import RESULTS, STAGES
 from pipeline.errors import ConfigError, IdentifiabilityError
 from pipeline.stages import identify
 from pipeline.stages.analysis import Analysis

@@ -12,10 +12,10 @@ from running import composed, names_in, strict_json
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import read_coefficients
 from pipeline.errors import PipelineError
+from pipeline.reporting.run_up_tables import compare_identified
 from pipeline.stages import run_stage
 from pipeline.stages.analysis import Analysis
-from pipeline.stages.identified_criticals import compare_identified
-from pipeline.stages.measurement import load_dataset
+from pipeline.stages.measurement import load_dataset, restore
 
 pytestmark = pytest.mark.slow
 
@@ -71,6 +71,8 @@ def test_a_run_up_after_a_fit_is_held_against_it(
     assert all(0 < one["deviation_rpm"] < 0.02 * one["rpm"] for one in every)
     # Where none is, there is nothing to compare.
     assert (
-        compare_identified(Analysis(config_of(folder)), {"natural_frequency": {"rpm": 300.0, "deviation_rpm": 1.0}})
+        compare_identified(
+            restore(Analysis(config_of(folder))), {"natural_frequency": {"rpm": 300.0, "deviation_rpm": 1.0}}
+        )
         == {}
     )

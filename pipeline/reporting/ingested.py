@@ -1,31 +1,23 @@
-"""What ``stage=ingest`` reads: recordings of runs, or a table of records; with what it says and draws of them."""
+"""What was ingested, as a person reads it: the table of its runs or records, a summary, and figures before any fit."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any
 
 import numpy as np
 
 from pipeline.config.measured import MeasuredConfig
-from pipeline.config.schema import Config
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.operating_points import describe_points, list_columns
 from pipeline.data.vibration_files import to_rpm
-from pipeline.ingest.dataset import MeasuredRuns, read_measured_runs
-from pipeline.ingest.plausibility import note_casing, note_size, note_whirl
-from pipeline.ingest.records import to_dataset
+from pipeline.ingest.dataset import MeasuredRuns
+from pipeline.reporting.console import say, table
 from pipeline.reporting.measured_figures import draw_bode, draw_measured_orbits, draw_records
-from pipeline.rotor.model import RotorModel
-from pipeline.rotor.stored import require_nodes
-from pipeline.stages.workspace import Workspace
 from pipeline.sweep.bias import SweepBias
 from pipeline.units import RAD_S_PER_RPM
-
-if TYPE_CHECKING:
-    from pipeline.ingest.records import RecordsConfig
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,26 +25,17 @@ class Ingested:
     """A data set, and what is said of it."""
 
     dataset: VibrationDataset
-    summary: dict[str, Any]  # ingest.json
-    draw: Callable[[Workspace], Sequence[Path]]
+    summary: dict[str, Any]  # ingest.json; its notes are warnings
+    draw: Callable[[Callable[[str], Path]], Sequence[Path]]  # at the paths that figures have by name
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
     sentence: str
     before: str = ""  # lines above the sentence
-    notes: Sequence[str] = ()
 
 
-def read_runs(config: Config, recordings: MeasuredConfig, rotor: RotorModel) -> Ingested:
-    """Recordings of runs. Raises ConfigError for a node that the rotor lacks, DataError as the format's reader."""
-    model = config.model
-    for run in recordings.runs:
-        acting = [*(weight.node for weight in run.unbalances), *(force.node for force in run.forces)]
-        require_nodes(rotor, f"machine.recordings.runs, run '{run.name}',", acting)
-    on_casing = note_casing(recordings.probes, rotor.bearing_nodes)
-    measured = read_measured_runs(recordings)
+def describe_runs(recordings: MeasuredConfig, measured: MeasuredRuns, notes: Sequence[str]) -> Ingested:
+    """Recordings of runs."""
     data, recorded = measured.dataset, measured.recorded
-    notes = [*on_casing, *measured.notes, *note_whirl(recorded)]
-    notes += note_size(recorded, rotor, model.initial_stiffness, model.initial_damping)
     runs = {name: _summarize_run(measured, i) for i, name in enumerate(recorded.runs)}
     columns = {name: [float(v.min()), float(v.max())] for name, v in list_columns(data.operating).items()}
     summary = {
@@ -61,7 +44,7 @@ def read_runs(config: Config, recordings: MeasuredConfig, rotor: RotorModel) -> 
         **({"operating": columns} if columns else {}),
         "runs": runs,
         "sweeps": {name: _describe_sweep(bias) for name, bias in measured.sweeps.items()},
-        "notes": notes,
+        "notes": list(notes),
     }
     rows = []
     for name, run_summary in runs.items():
@@ -71,10 +54,10 @@ def read_runs(config: Config, recordings: MeasuredConfig, rotor: RotorModel) -> 
         rows.append([name, source, str(speeds), f"{first:g} to {last:g}", f"{largest:.3g}", text])
     places = {name: (probe.node, float(np.degrees(probe.angle))) for name, probe in recordings.probes.items()}
 
-    def draw(work: Workspace) -> list[Path]:
+    def draw(figure: Callable[[str], Path]) -> list[Path]:
         return [
-            draw_bode(work.figure("ingest_bode"), recorded, recordings.baseline, places),
-            draw_measured_orbits(work.figure("ingest_orbits"), recorded, recordings.baseline),
+            draw_bode(figure("ingest_bode"), recorded, recordings.baseline, places),
+            draw_measured_orbits(figure("ingest_orbits"), recorded, recordings.baseline),
         ]
 
     rpm = to_rpm(recorded.speeds)
@@ -87,7 +70,6 @@ def read_runs(config: Config, recordings: MeasuredConfig, rotor: RotorModel) -> 
         f"{len(data.runs)} runs, {describe_points(data)} from {rpm[0]:g} to {rpm[-1]:g} rpm, "
         f"{len(data.channels)} channels",
         f"probes: {', '.join(f'{name} (node {node}, {angle:g} deg)' for name, (node, angle) in places.items())}\n",
-        notes,
     )
 
 
@@ -113,12 +95,8 @@ def _describe_sweep(bias: SweepBias) -> dict[str, float]:
     }
 
 
-def read_records(config: Config, given: MeasuredConfig, rotor: RotorModel) -> Ingested:
-    """A table of records; the figure has the vector of every record at each probe and speed. Raises as
-    :func:`read_runs`."""
-    recordings = cast("RecordsConfig", given)
-    require_nodes(rotor, "machine.recordings.weights", recordings.planes)
-    data = to_dataset(recordings.read_records())
+def describe_records(recordings: MeasuredConfig, data: VibrationDataset) -> Ingested:
+    """A table of records; the figure has the vector of every record at each probe and speed."""
     counts = {"records": len(data.runs), "conditions": len(set(data.conditions or ()))}
     rows = []
     for s, rpm in enumerate(to_rpm(data.speeds)):
@@ -138,7 +116,7 @@ def read_records(config: Config, given: MeasuredConfig, rotor: RotorModel) -> In
     return Ingested(
         data,
         {**_summarize(recordings, data, data.speeds), **counts, "notes": []},
-        lambda work: [draw_records(work.figure("ingest_records"), data, tuple(recordings.probes))],
+        lambda figure: [draw_records(figure("ingest_records"), data, tuple(recordings.probes))],
         ["nominal rpm", "records' rpm", "probe", "place", "median, um", "range, um"],
         rows,
         f"{counts['records']} records of {counts['conditions']} conditions at {len(data.speeds)} speeds, "
@@ -155,3 +133,10 @@ def _summarize(recordings: MeasuredConfig, data: VibrationDataset, speeds: np.nd
         "speeds": {"count": len(rpm), "first_rpm": float(rpm[0]), "last_rpm": float(rpm[-1])},
         "nodes": sorted({node for node, _ in data.channels}),
     }
+
+
+def print_ingested(name: str, recordings: MeasuredConfig, ingested: Ingested, vibration: Path) -> None:
+    """The table, and what is in the file of the ``vibration`` now."""
+    made = "synthetic recordings" if recordings.synthetic else "read"
+    table(f"{name}: {made} as {ingested.summary['conventions']}", ingested.header, ingested.rows)
+    say(f"{ingested.before}{name}: {ingested.sentence} in '{vibration}'")

@@ -1,0 +1,178 @@
+"""Designs of runs on screen: what each promises, and the file that says them to the program again."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from pipeline.config.operating import column_of
+from pipeline.config.runs import SpeedsConfig
+from pipeline.config.schema import Config
+from pipeline.data.dataset import Excitation
+from pipeline.data.operating import name_state
+from pipeline.problem.law_design import LawCandidates, LawPlan, State
+from pipeline.problem.ranking import rank
+from pipeline.reporting.console import say, table
+
+Runs = Sequence[Sequence[Excitation]]
+Gains = Mapping[str, Mapping[str, float | None]]
+"""``configured`` and ``designed`` -> unknown -> its relative deviation; None where it is free."""
+
+
+# --- so many runs ------------------------------------------------------------------------------------
+
+
+def print_gain(name: str, noise: str, summary: Mapping[str, Any], runs: Sequence[str]) -> None:
+    """The deviations with the configured runs and with the designed ones, which have these names."""
+    predicted: Gains = summary["predicted"]
+    simulated: Gains = summary.get("simulated", {})
+    plans = ("configured", "designed")
+    sources = [values[plan] for values in (predicted, simulated) if values for plan in plans]
+    header = ["bearing and unknown", *(f"{plan} runs" for plan in plans)]
+    header += [f"{plan}, simulated" for plan in plans] if simulated else []
+    shown = [[_write_share(source[key]) for source in sources] for key in sources[0]]
+    rows = [[key, *row] for key, row in zip(sources[0], shown, strict=True)]
+    title = f"{name}: standard deviation of least squares at {noise}, % of the coefficient"
+    table(title, header, rows)
+    say(f"{name}: the best {len(runs)} runs are {', '.join(runs)}")
+    if summary["gain"] is None:
+        say("the configured runs leave an unknown free; these do not")
+        return
+    confirmed = f" (in simulations {summary['simulated_gain']:.3g} times)" if simulated else ""
+    say(f"they lower the worst deviation {summary['gain']:.3g} times{confirmed}")
+
+
+def _write_share(share: float | None) -> str:
+    return "free" if share is None else f"{100 * share:.2g}"
+
+
+# --- to a stated accuracy ----------------------------------------------------------------------------
+
+
+def print_reached(
+    name: str,
+    noise: str,
+    accuracy: float,
+    predicted: Mapping[str, float],
+    cures: Mapping[str, float],
+    chosen: Runs,
+    rpm: Sequence[float],
+) -> None:
+    """The runs and speeds, the deviation of each coefficient with them, and what would help where it is too large."""
+    rows = [[key, f"{100 * share:.2g}", "" if share <= accuracy else "not reached"] for key, share in predicted.items()]
+    title = f"{name}: predicted standard deviation at {noise}, % of the coefficient (median)"
+    table(title, ["bearing and unknown", "designed runs", f"at most {100 * accuracy:g}"], rows)
+    acting = "; ".join(
+        f"{run[0].run}: " + ", ".join(f"{e.magnitude:.3g} {'kg m' if e.kind == 'unbalance' else 'N'}" for e in run)
+        for run in chosen
+    )
+    say(f"{name}: {len(chosen)} runs ({acting}) at {len(rpm)} speeds from {rpm[0]:g} to {rpm[-1]:g} rpm")
+    if max(predicted.values()) <= accuracy:
+        say(f"every coefficient is predicted to {100 * accuracy:g} % or better")
+        return
+    short = {key: share for key, share in predicted.items() if share > accuracy}
+    worst = rank(short)[0]
+    say(
+        f"{100 * accuracy:g} % can't be reached with {len(chosen)} runs for {len(short)} of {len(predicted)} "
+        f"coefficients; the worst, {worst}, is known to {100 * short[worst]:.2g} % at best"
+    )
+    for cure in reversed(rank(cures)):
+        enough = " (enough)" if cures[cure] <= accuracy else ""
+        say(f"with {cure} the worst is {100 * cures[cure]:.2g} %{enough}")
+
+
+# --- for the numbers of bearing laws -----------------------------------------------------------------
+
+
+def summarize_states(
+    candidates: LawCandidates, plans: Sequence[LawPlan], best: LawPlan, states: Sequence[State], accuracy: float
+) -> dict[str, object]:
+    """What ``design.json`` has."""
+    deviation = candidates.with_runs(best.states, best.runs).deviation
+    names = [parameter.name for parameter in candidates.nothing.parameters]
+    return {
+        "accuracy": accuracy,
+        "reached": best.worst <= accuracy,
+        "predicted": dict(zip(names, map(float, deviation), strict=True)),
+        "states": [dict(states[t]) for t in best.states],
+        "by_number_of_states": [
+            {"states": [name_state(states[t]) for t in plan.states], "runs": len(plan.runs), "worst": plan.worst}
+            for plan in plans
+        ],
+    }
+
+
+def print_states(
+    name: str,
+    noise: str,
+    candidates: LawCandidates,
+    plans: Sequence[LawPlan],
+    best: LawPlan,
+    states: Sequence[State],
+    accuracy: float,
+) -> None:
+    """The plans by the number of their states, and what the ``best`` of them tells of each number."""
+    names = {plan: "; ".join(name_state(states[t]) for t in plan.states) for plan in [*plans, best]}
+    where, runs = names[best], f"{len(best.runs)} run{'s' if len(best.runs) > 1 else ''}"
+    rows = [[f"{len(plan.states)}", names[plan], f"{len(plan.runs)}", f"{100 * plan.worst:.2g}"] for plan in plans]
+    title = f"{name}: the number that is known least, % (one standard deviation, at {noise})"
+    table(title, ["states", "which", "runs", "worst, %"], rows)
+    columns = (candidates.nothing.deviation, candidates.with_runs(best.states, best.runs).deviation, candidates.wanted)
+    rows = [
+        [
+            parameter.name,
+            f"{100 * before:.2g}",
+            f"{100 * after:.2g}",
+            "" if after <= accuracy else "not reached" if wanted else "not asked",
+        ]
+        for parameter, before, after, wanted in zip(candidates.nothing.parameters, *columns, strict=True)
+    ]
+    header = ["number", "before, %", "with this plan, %", f"at most {100 * accuracy:g}"]
+    table(f"{name}: numbers of the bearing laws with {runs} at {where}", header, rows)
+    say(
+        f"{name}: measure {runs} at {where}: every number asked for is known to {100 * accuracy:g} % or better"
+        if best.worst <= accuracy
+        else f"{name}: {100 * accuracy:g} % can't be reached with {runs} at {where}: allow more runs "
+        "(design.runs) or conditions further apart (design.operating), or give a number as known"
+    )
+
+
+# --- in another command ------------------------------------------------------------------------------
+
+
+def override_states(states: Sequence[State]) -> str:
+    """The states as an override, where they are every combination of some values."""
+    values = {name: list(dict.fromkeys(state[name] for state in states)) for name in states[0]} if states[0] else {}
+    if not values or np.prod([len(levels) for levels in values.values()]) != len(states):
+        return ""
+    parts = []
+    for name, value in values.items():
+        column = column_of(name)
+        parts.append(f"{name}: [{', '.join(f'{level:g} {column.unit}' for level in column.from_si(np.array(value)))}]")
+    return " " + shlex.quote(f"machine.operating={{{', '.join(parts)}}}")
+
+
+def format_runs(config: Config, chosen: Runs, speeds: SpeedsConfig) -> str:
+    """The YAML that ``machine.runs_file`` takes."""
+    import yaml
+
+    runs = []
+    for acting in chosen:
+        run: dict[str, object] = {"name": acting[0].run}
+        for key, kind in (("unbalances", "unbalance"), ("forces", "force")):
+            if alike := [_format_source(excitation) for excitation in acting if excitation.kind == kind]:
+                run[key] = alike
+        runs.append(run)
+    content = {"speeds": speeds.model_dump(), "runs": runs}
+    head = f"# Chosen by: python -m pipeline stage=design {config.chosen}\n"
+    return head + yaml.safe_dump(content, sort_keys=False)
+
+
+def _format_source(excitation: Excitation) -> dict[str, object]:
+    unit = "kg m" if excitation.kind == "unbalance" else "N"
+    source: dict[str, object] = {"node": excitation.node, "magnitude": f"{excitation.magnitude:.12g} {unit}"}
+    source["phase"] = f"{np.degrees(excitation.phase):.12g} deg"
+    return source | ({"whirl": excitation.whirl} if excitation.kind == "force" else {})

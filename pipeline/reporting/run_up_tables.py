@@ -1,0 +1,140 @@
+"""A run-up as a person reads it: its modes, what a steady reading gives, and what an identified machine says."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from pipeline.data.vibration_files import to_rpm
+from pipeline.identification.restored import Answer
+from pipeline.ingest.run_up import RunUpConfig
+from pipeline.reporting.console import say, table, warn
+from pipeline.sweep.bias import describe_bias
+from pipeline.sweep.fit import MeasuredRate, ModalFit
+from pipeline.sweep.readings import Reading, RunUpAnalysis, compare_natural_frequency, read_mode
+from pipeline.twin.mode_deviations import expect_criticals
+from pipeline.units import RAD_S_PER_RPM
+
+
+def summarize_run_up(settings: RunUpConfig, analysis: RunUpAnalysis, rate: MeasuredRate | None) -> dict[str, Any]:
+    """What ``run_up.json`` has."""
+    run_up, bias, steady, frequency = analysis.run_up, analysis.bias, analysis.steady, analysis.frequency
+    rpm = to_rpm(run_up.speeds)
+    return {
+        "file": settings.file,
+        "probe": settings.probe,
+        "rows": len(rpm),
+        "first_rpm": float(rpm[0]),
+        "last_rpm": float(rpm[-1]),
+        "rate_rpm_per_s": run_up.rate / RAD_S_PER_RPM,
+        "rate_deviation_rpm_per_s": rate and rate.deviation / RAD_S_PER_RPM,
+        "largest_departure_rpm": rate and rate.departure / RAD_S_PER_RPM,
+        "phase": analysis.sense,
+        "steady_reading": steady
+        and {
+            "rpm": steady.frequency / RAD_S_PER_RPM,
+            "damping_ratio": steady.damping,
+            "amplification": steady.amplification,
+            "rows": settings.steady_rows,
+        },
+        "one_mode": _describe(analysis.fits[0]),
+        "two_modes": _describe(analysis.fits[1]),
+        "modes": len(analysis.chosen.frequencies),
+        "criterion_gain": analysis.gain,
+        "decay": analysis.decay and _describe(analysis.decay),
+        "natural_frequency": {
+            "rpm": frequency.value / RAD_S_PER_RPM,
+            "deviation_rpm": frequency.deviation / RAD_S_PER_RPM,
+        },
+        "damping_ratio": {"value": analysis.damping.value, "deviation": analysis.damping.deviation},
+        "sweep": {
+            "peak_shift_percent": 100 * bias.peak_shift,
+            "damping_factor": bias.damping_factor,
+            "amplitude_factor": bias.amplitude_factor,
+            "rate_limit_rpm_per_s": bias.limit / RAD_S_PER_RPM,
+        },
+    }
+
+
+def _describe(fit: ModalFit) -> dict[str, Any]:
+    rpm, deviations = fit.frequencies / RAD_S_PER_RPM, fit.deviations
+    return {
+        "rpm": rpm.tolist(),
+        "deviation_rpm": (deviations[:, 0] / RAD_S_PER_RPM).tolist(),
+        "damping_ratio": fit.dampings.tolist(),
+        "deviation_damping_ratio": deviations[:, 1].tolist(),
+        "misfit_percent": 100 * fit.misfit,
+        "rows": len(fit.fitted),
+        "correlated_rows": fit.correlation,
+    }
+
+
+def compare_identified(
+    answer: Answer, run_up: Mapping[str, Any], around: tuple[float, float] = (0.5, 2.0)
+) -> dict[str, Any]:
+    """The first identified critical speed against the first natural frequency of ``run_up.json``.
+
+    Critical speeds are looked for ``around`` it, as shares. Empty where a fit states no deviations, or finds none
+    there. Raises ConfigError as :func:`pipeline.twin.mode_deviations.expect_criticals`.
+    """
+    if answer.uncertainty is None:
+        return {}
+    speeds = run_up["natural_frequency"]["rpm"] * np.linspace(*around, 61) * RAD_S_PER_RPM
+    expected = expect_criticals(answer.measurement, answer.model, answer.uncertainty, speeds)
+    if not expected:
+        return {}
+    first, (deviation, _) = expected[0]
+    compared = compare_natural_frequency(run_up, first.speed / RAD_S_PER_RPM, deviation / RAD_S_PER_RPM)
+    every = [
+        {
+            "rpm": critical.speed / RAD_S_PER_RPM,
+            "deviation_rpm": speed_deviation / RAD_S_PER_RPM,
+            "logarithmic_decrement": critical.logarithmic_decrement,
+            "deviation_logarithmic_decrement": decrement_deviation,
+        }
+        for critical, (speed_deviation, decrement_deviation) in expected
+    ]
+    return {"first": compared | {"critical_speeds": every}}
+
+
+def print_run_up(name: str, settings: RunUpConfig, analysis: RunUpAnalysis, poor: float = 0.3) -> None:
+    """The table of the readings, and what to look at.
+
+    Modes leave the share ``poor`` of the vectors over only where something is read wrongly.
+    """
+    rows = []
+    if steady := analysis.steady:
+        label = f"steady: peak of the mean of {settings.steady_rows} rows, half-power width"
+        rows.append([label, f"{steady.frequency / RAD_S_PER_RPM:.5g}", "", f"{steady.damping:.3g}", "", ""])
+    labels = ("ramp, 1 mode: first", "ramp, 2 modes: first", "ramp, 2 modes: second")
+    for label, fit, mode in zip(labels, (analysis.fits[0], *[analysis.fits[1]] * 2), (0, 0, 1), strict=True):
+        rows.append(_row(label, *read_mode(fit, mode), f"{100 * fit.misfit:.3g}"))
+    if decay := analysis.decay:
+        rows.append(_row("free decay behind the peak", *read_mode(decay, 0), f"{100 * decay.misfit:.3g}"))
+    rows.append(_row("first natural frequency", analysis.frequency, analysis.damping, ""))
+    title = f"{name}: run-up of {settings.probe}, {len(analysis.run_up.speeds)} rows of '{settings.file}'"
+    table(title, ["reading", "rpm", "+- (95 %)", "damping ratio", "+- (95 %)", "left over, %"], rows)
+    say(
+        f"{name}: rate {analysis.run_up.rate / RAD_S_PER_RPM:.4g} rpm/s, phase a {analysis.sense}; "
+        f"{'two modes' if analysis.gain > 0 else 'one mode'} (Schwarz's criterion {abs(analysis.gain):.3g} better)"
+    )
+    if analysis.chosen.misfit > poor:
+        warn(
+            f"the modes leave {100 * analysis.chosen.misfit:.2g} % of '{settings.file}' over: check its columns, the "
+            "sense and unit of the phase, and the range of the ramp (from_rpm, to_rpm)"
+        )
+    if abs(analysis.bias.peak_shift) > settings.most_lag:
+        warn(f"the peak is no steady one: {describe_bias(analysis.bias)}")
+
+
+def _row(label: str, frequency: Reading, damping: Reading, left_over: str) -> list[str]:
+    return [
+        label,
+        f"{frequency.value / RAD_S_PER_RPM:.5g}",
+        f"{frequency.half_width() / RAD_S_PER_RPM:.2g}",
+        f"{damping.value:.2g}",
+        f"{damping.half_width():.1g}",
+        left_over,
+    ]

@@ -1,0 +1,43 @@
+"""The verdicts of a Judgement as a table, and on screen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from pipeline.reporting.console import say, table, warn
+from pipeline.trust.judgement import AS_FELT
+
+
+def tabulate_verdicts(judged: Mapping[str, Any]) -> dict[str, list[Any]]:
+    """A row a coefficient."""
+    every = judged["verdicts"]
+    columns: dict[str, list[Any]] = {key: [entry[key] for entry in every] for key in ("bearing", "node", "coefficient")}
+    bands = [entry["checks"].get("band", {}).get("percent") for entry in every]
+    return columns | {
+        "verdict": [entry["verdict"] for entry in every],
+        "band_percent": [np.nan if band is None else band for band in bands],
+        "reason": [" ".join(entry["reasons"]) for entry in every],
+        "next": [entry["next"] or "" for entry in every],
+    }
+
+
+def print_verdicts(name: str, judged: Mapping[str, Any]) -> None:
+    """Every coefficient, bearing and the whole, with reasons and the next step."""
+    rows = []
+    for entry in judged["verdicts"]:
+        band = entry["checks"].get("band", {}).get("percent")
+        shown = "" if band is None else f"{band:.2g}"
+        rows.append([f"node {entry['node']} {entry['coefficient']}", entry["verdict"], shown, entry["reasons"][0]])
+    table(f"{name}: can it be trusted?", ["coefficient", "verdict", "+- % (95 %)", "why"], rows)
+    for entry in judged["bearings"]:
+        say(f"{name}: bearing at node {entry['node']}: {entry['verdict']}. {entry['reason']}")
+    whole = judged["machine"]
+    lines = [f"{name}: {whole['verdict']}. {whole['reason']}"]
+    lines += [f"next: {whole['next']}"] if whole["next"] else []
+    lines += [f"what is identified: {whole['identified']}"] if whole["identified"] == AS_FELT else []
+    say("\n".join(lines))
+    if whole["reservation"]:
+        warn(f"{name}: {whole['reservation']}")
