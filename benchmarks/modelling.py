@@ -64,7 +64,7 @@ def _against_ross(factor: int) -> Times:
 
 def ross_seconds(made: Machine) -> float:
     """Of ROSS's response of every run. The rotor is fresh: it keeps transfer matrices, which the calls share."""
-    from pipeline.rotor.ross_adapter import ross_rotor
+    from benchmarks.ross_oracle import ross_rotor
 
     rotor = ross_rotor(made.config.machine.rotor, made.config.machine.bearings, made.speeds)
 

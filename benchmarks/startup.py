@@ -78,7 +78,7 @@ def mistake() -> Times:
 
 def _saved_rotor(file: Path) -> Path:
     from benchmarks.machines import machine
-    from pipeline.rotor.ross_adapter import ross_rotor
+    from benchmarks.ross_oracle import ross_rotor
 
     made = machine("experiment=ball_bearing")
     ross_rotor(made.config.machine.rotor, made.config.machine.bearings, made.speeds).save(file)

@@ -18,8 +18,7 @@ from pipeline.data.noise import NoiseModel
 from pipeline.data.simulate import add_noise, simulate
 from pipeline.identification.fit import default_setup
 from pipeline.identification.training import FitSetup
-from pipeline.laws.build import LawsConfig, make_laws
-from pipeline.laws.law_set import LawSet
+from pipeline.laws.law_set import LawsConfig, LawSet, make_laws
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.stored import load_rotor

@@ -17,7 +17,7 @@ from pipeline.config.section import NonNegativeInt, Section, rule
 from pipeline.data.as_built import AsBuiltConfig
 from pipeline.ingest.dataset import RecordingsConfig
 from pipeline.ingest.run_up import RunUpConfig
-from pipeline.laws.build import LawsConfig
+from pipeline.laws.law_set import LawsConfig
 from pipeline.rotor.bearings import BearingConfig, RotorFileBearingConfig
 
 

@@ -19,18 +19,19 @@ Runs = tuple[tuple[Excitation, ...], ...]
 
 def list_candidates(can: CandidateConfig) -> Runs:
     """Every run that could be made: single unbalances, pairs of them, and rotating forces."""
-    made: list[tuple[Excitation, ...]] = []
 
     def unbalance(name: str, node: int, degrees: float) -> Excitation:
         return Excitation(name, "unbalance", node, can.unbalance, float(np.radians(degrees)))
 
-    for node in can.unbalance_nodes:  # the phase of a single source does not matter
-        made.append((unbalance(f"unbalance_{node}", node, 0.0),))
+    # The phase of a single source does not matter.
+    made: list[tuple[Excitation, ...]] = [(unbalance(f"unbalance_{node}", node, 0.0),) for node in can.unbalance_nodes]
     for (first, second), degrees in itertools.product(itertools.combinations(can.unbalance_nodes, 2), can.phases_deg):
         name = f"unbalance_{first}_and_{second}_at_{degrees:g}_deg"
         made.append((unbalance(name, first, 0.0), unbalance(name, second, degrees)))
-    for node, whirl in itertools.product(can.force_nodes, can.whirls):
-        made.append((Excitation(f"{whirl}_force_{node}", "force", node, can.force, 0.0, whirl),))
+    made += [
+        (Excitation(f"{whirl}_force_{node}", "force", node, can.force, 0.0, whirl),)
+        for node, whirl in itertools.product(can.force_nodes, can.whirls)
+    ]
     return tuple(made)
 
 

@@ -68,30 +68,27 @@ def read_coefficients(
     operating, of = operating or {}, of or dict.fromkeys(nodes, COEFFICIENTS)
     kinds = {"bearing_node": "number", "speed_rpm": "number"} | _list_kinds(of, nodes)
     table, states = _read_states(path, kinds, {}, operating)
-    at_node = table["bearing_node"]
     used = {name: operating[name] for name in states}
-    wanted = _make_keys(to_rpm(speeds), used)
-    given = _make_keys(table["speed_rpm"], states)
-    if len(np.unique(np.column_stack([at_node, given]), axis=0)) < len(given):
+    wanted = _make_keys(to_rpm(speeds), used).tolist()
+    given = np.column_stack([table["bearing_node"], _make_keys(table["speed_rpm"], states)])
+    places = {tuple(key): row for row, key in enumerate(given.tolist())}
+    if len(places) < len(given):
         law = f"one row a bearing and speed{' at each condition' if states else ''}"
         raise DataError(f"'{path}' must have {law}, but some are there twice")
     values = np.zeros((len(nodes), len(speeds), len(COEFFICIENTS)))
     for b, node in enumerate(nodes):
-        rows = np.flatnonzero(at_node == node)
-        if not len(rows):
-            has = sorted({int(n) for n in at_node})
+        has = sorted({int(n) for n in table["bearing_node"]})
+        if node not in has:
             raise DataError(f"'{path}' must have rows for the bearing at node {node}, but it has bearings at {has}")
-        place = {key: row for key, row in zip(map(tuple, given[rows].tolist()), rows.tolist(), strict=True)}
-        found = [place.get(key, -1) for key in map(tuple, wanted.tolist())]
-        columns = np.stack([at_node, *(table[name] for name in of[node])])[:, found]
-        missing = np.flatnonzero((np.array(found) < 0) | np.isnan(columns).any(axis=0))
+        rows = np.array([places.get((node, *key), -1) for key in wanted])
+        columns = np.array([table[name][rows] for name in of[node]]).reshape(-1, len(rows))
+        missing = np.flatnonzero((rows < 0) | np.isnan(columns).any(axis=0))
         if len(missing):
             raise DataError(
                 f"'{path}' must have every speed of the data, but {len(missing)} are missing for the bearing at node "
-                f"{node} (the first: {wanted[missing[0], 0]:g} rpm{describe_point(used, missing[0], ', ')})"
+                f"{node} (the first: {wanted[missing[0]][0]:g} rpm{describe_point(used, missing[0], ', ')})"
             )
-        for name, column in zip(of[node], columns[1:], strict=True):
-            values[b, :, COEFFICIENTS.index(name)] = column
+        values[b][:, [COEFFICIENTS.index(name) for name in of[node]]] = columns.T
     return BearingTable(tuple(nodes), speeds, values, operating)
 
 

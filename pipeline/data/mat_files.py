@@ -1,9 +1,13 @@
-"""Variables of MATLAB files (.mat, all versions) by name: ``speed``, ``run1.amplitude`` of a struct, ``x(:,2)``."""
+"""Variables of MATLAB files (.mat, all versions) by name: ``speed``, ``run1.amplitude`` of a struct, ``x(:,2)``.
+
+And what a library says of a damaged file, as a sentence.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,31 +18,38 @@ from pipeline.errors import DataError, nearest
 _COLUMN = re.compile(r"(.+?)\(:, ?(\d+)\)")
 
 
+@contextmanager
+def open_measured(path: Path, kind: str) -> Iterator[None]:
+    """Raise a DataError for whatever a library raises in the block while it reads a file of the ``kind``."""
+    if not path.is_file():
+        raise DataError(f"'{path}' must exist, but there is no such file")
+    try:
+        yield
+    except DataError:
+        raise
+    except Exception as error:  # scipy, h5py, nptdms, pyuff and openpyxl raise many kinds
+        raise DataError(
+            f"'{path}' must be a complete {kind}, but it can't be read as one ({write_reason(error)}): copy it again"
+        ) from None
+
+
+def write_reason(error: Exception) -> str:
+    """The first line of what a library says."""
+    return (str(error).splitlines() or [type(error).__name__])[0][:200]
+
+
 def read_mat(path: Path, names: Iterable[str]) -> dict[str, np.ndarray]:
     """The variables ``names``, each a row (n,) of numbers or of texts.
 
     Raises DataError: no such file, a damaged one, no such variable, a matrix where one of its columns is needed.
     """
-    if not path.is_file():
-        raise DataError(f"'{path}' must exist, but there is no such file")
-    every = list_variables(path)
-    return {name: _take(path, every, name) for name in names}
-
-
-def list_variables(path: Path) -> dict[str, Any]:
-    """Every variable of numbers or texts, fields of structs by dotted names. Raises DataError for a damaged file."""
     from h5py import is_hdf5
     from scipy.io import loadmat
 
-    try:
-        if is_hdf5(path):
-            return dict(_walk(_open_hdf5(path)))
-        return dict(_walk(loadmat(path, simplify_cells=True)))
-    except Exception as error:  # scipy and h5py raise many kinds for a damaged file
-        reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
-        raise DataError(
-            f"'{path}' must be a complete MAT file, but it can't be read as one ({reason}): copy it again"
-        ) from None
+    with open_measured(path, "MAT file"):
+        # Every variable of numbers or texts, fields of structs by dotted names.
+        every = dict(_walk(_open_hdf5(path) if is_hdf5(path) else loadmat(path, simplify_cells=True)))
+    return {name: _take(path, every, name) for name in names}
 
 
 def _walk(content: Mapping[str, Any], before: str = "") -> Iterable[tuple[str, Any]]:

@@ -27,8 +27,7 @@ class NoiseModel:
 
         The noise of a baseline that was ``subtracted`` (zero where none was) is still there.
         """
-        if subtracted is None:
-            return np.hypot(self.additive, self.multiplicative * np.abs(displacement))
+        subtracted = np.zeros(1) if subtracted is None else subtracted
         read = np.hypot(self.additive, self.multiplicative * np.abs(displacement + subtracted))
         baseline = np.hypot(self.additive, self.multiplicative * np.abs(subtracted))
         return np.hypot(read, np.where(subtracted != 0, baseline, 0.0))

@@ -39,10 +39,13 @@ def list_directions(nodes: tuple[int, ...]) -> Channels:
 def project(dataset: VibrationDataset, channels: Channels) -> VibrationDataset:
     """The displacements along the channels, of a data set that has x and y at their nodes."""
     place = {channel: p for p, channel in enumerate(dataset.channels)}
-    readings = []
-    for node, angle in channels:
-        shares = zip(project_direction(angle), DIRECTIONS.values(), strict=True)
-        readings.append(sum(share * dataset.displacement[:, place[node, axis]] for share, axis in shares))
+    readings = [
+        sum(
+            share * dataset.displacement[:, place[node, axis]]
+            for share, axis in zip(project_direction(angle), DIRECTIONS.values(), strict=True)
+        )
+        for node, angle in channels
+    ]
     return replace(dataset, channels=channels, displacement=np.stack(readings, axis=1))
 
 

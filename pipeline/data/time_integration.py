@@ -17,7 +17,8 @@ from pipeline.data.dataset import Excitation, VibrationDataset, assemble_forces
 from pipeline.data.simulate import show_everywhere
 from pipeline.errors import PipelineError
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.model import RotorModel, bearing_dof, seal_dof
+from pipeline.rotor.dynamic_stiffness import assemble_systems
+from pipeline.rotor.model import RotorModel
 from pipeline.units import RAD_S_PER_RPM
 
 
@@ -82,17 +83,9 @@ def _one_step(
     rotor: RotorModel, bearings: BearingTable, s: int, h: float, alpha: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """The matrix A (3 n, 3 n) of a step of ``h`` seconds, and (3 n, n) what a force adds."""
-    n, places = rotor.n_dof, bearing_dof(rotor)
-    stiffness = rotor.stiffness.copy()
-    damping = rotor.damping + bearings.speeds[s] * rotor.gyroscopic
-    for b, rows in enumerate(places):
-        four = bearings.values[b, s].reshape(2, 2, 2)
-        stiffness[np.ix_(rows, rows)] += four[0]
-        damping[np.ix_(rows, rows)] += four[1]
-    mass = rotor.mass.copy()
-    for block, rows in zip(rotor.seals.matrices(bearings.speeds[[s]])[:, 0], seal_dof(rotor), strict=True):
-        for matrix, stacked in zip((stiffness, damping, mass), block, strict=True):
-            matrix[np.ix_(rows, rows)] += stacked
+    n = rotor.n_dof
+    mass, (damping,), (stiffness,) = assemble_systems(rotor, bearings.at(np.array([s])))
+    mass = mass.reshape(n, n)
     beta, gamma, more = (1 - alpha) ** 2 / 4, (1 - 2 * alpha) / 2, 1 + alpha
     k, c = h**2 * stiffness, h * damping
     system = mass + more * (gamma * c + beta * k)

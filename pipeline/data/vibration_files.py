@@ -13,6 +13,7 @@ have a speed once at each of them, and need not have what others have. Excitatio
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -300,20 +301,13 @@ def _check_synchronous(dataset: VibrationDataset, path: Path) -> None:
 
 def _read_angles(directions: np.ndarray, path: Path) -> np.ndarray:
     """Degrees from x towards y, 0 to 360."""
-    angles = {direction: _read_angle(direction) for direction in set(directions.tolist())}
-    for direction in directions.tolist():
-        if not np.isfinite(angles[direction]):
+    angles = dict(DIRECTIONS)
+    for direction in dict.fromkeys(directions.tolist()):
+        with suppress(ValueError):
+            angles.setdefault(direction, float(direction) % 360.0)
+        if not np.isfinite(angles.get(direction, np.nan)):
             raise DataError(
                 f"'{path}' must have 'x', 'y' or an angle in degrees (from x towards y) in the column 'direction', but "
                 f"got {direction!r}"
             )
     return np.array([angles[direction] for direction in directions.tolist()])
-
-
-def _read_angle(direction: str) -> float:
-    if direction in DIRECTIONS:
-        return DIRECTIONS[direction]
-    try:
-        return float(direction) % 360.0
-    except ValueError:
-        return float("nan")

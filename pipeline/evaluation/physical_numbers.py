@@ -1,4 +1,4 @@
-"""Physical numbers of a fit against those of the modelled machine."""
+"""Physical numbers of a fit against those of the modelled machine; whether readings contradict the laws they are of."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import numpy as np
 
 from pipeline.config.machine import MachineConfig
 from pipeline.data.noise import NOMINAL_95
-from pipeline.laws.build import LawsConfig
+from pipeline.identification.quality import MISMATCH
+from pipeline.laws.law_set import LawsConfig
 from pipeline.laws.oil import OilConfig
 
 _MODELLED_AS = {"load": "static_load"}
@@ -70,16 +71,35 @@ def find_true_numbers(machine: MachineConfig) -> dict[str, float]:
 
 def _find_oil(laws: LawsConfig, modelled: float | OilConfig | None) -> dict[str, float]:
     """The oil's viscosity at the reference of the laws' oil, and the slope of its logarithm there."""
-    from pipeline.laws.build import known_number
-
     if laws.oil is None or modelled is None:
         return {}
     if isinstance(modelled, float):
         return {"oil.viscosity": modelled}
-    import torch
+    near = getattr(laws.oil, "reference", getattr(modelled, "reference", 0.0)) + np.array([-1.0, 0.0, 1.0])
+    viscosity = modelled.viscosity_at(near)
+    slope = float(np.log(viscosity[0] / viscosity[2])) / 2
+    pole = {f"oil.{name}": getattr(modelled, name) for name in ("b", "c") if hasattr(modelled, name)}
+    return {"oil.viscosity": float(viscosity[1]), "oil.slope": slope} | pole
 
-    oil, reference = modelled.make(known_number), getattr(laws.oil, "reference", None)
-    near = torch.tensor([-1.0, 0.0, 1.0], dtype=torch.float64) + (oil.reference if reference is None else reference)
-    log = oil.log_viscosity(torch.zeros(1, 0, dtype=torch.float64), near)[0][0].numpy()
-    found = {"oil.viscosity": float(np.exp(log[1])), "oil.slope": float(log[0] - log[2]) / 2}
-    return found | {f"oil.{name}": getattr(modelled, name) for name in ("b", "c") if hasattr(modelled, name)}
+
+def find_contradiction(about: Mapping[str, Any], kind: str, least: float = 1e-4) -> tuple[str, str] | None:
+    """A sentence and the next step where the laws of a fit of the model ``kind`` cannot be it; None otherwise.
+
+    ``about`` is its ``training.json`` or ``metrics.json``. A probability below ``least`` is not said in digits.
+    """
+    probability = about["fit"]["mismatch"]["probability"] if kind == "law" else None
+    if probability is None or probability >= MISMATCH:
+        return None
+    chance = f"{probability:.2g}" if probability >= least else f"below {least:g}"
+    return (
+        f"The readings contradict this bearing law (probability {chance}).",
+        "Fit model=hybrid or model=network_operating, or take another table in machine.laws.",
+    )
+
+
+def list_contradicted(correction: Mapping[str, Mapping[str, float]], deviations: float = 2.0) -> list[str]:
+    """The coefficients of a bearing whose ``correction`` by a network stands out of its own deviation.
+
+    Beyond so many ``deviations`` of it the law without the correction is contradicted.
+    """
+    return [name for name, entry in correction.items() if entry["percent"] > deviations * entry["deviation_percent"]]

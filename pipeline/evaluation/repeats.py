@@ -9,7 +9,7 @@ Legend: G starts, S training speeds, A active unknowns.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -51,26 +51,22 @@ def tabulate_starts(
     """A row a start (G,), bearing and coefficient; the error is NaN where there is no truth."""
     import pandas as pd
 
-    rows = []
-    for g, (start, answer) in enumerate(zip(starts, answers, strict=True)):
-        errors = {} if modelled is None else measure_errors(answer, modelled, names)
-        for b, node in enumerate(answer.nodes):
-            for name in names[b]:
-                error = errors.get(node, {}).get(name, _NO_ERROR)
-                rows.append(
-                    {
-                        over: start,
-                        "bearing_node": node,
-                        "coefficient": name,
-                        "mean_value": float(answer.coefficient(name)[b].mean()),
-                        "mean_error_percent": error.mean_error_percent,
-                        "median_error_percent": error.median_error_percent,
-                        "p95_error_percent": error.p95_error_percent,
-                        "loss": float(minimum.loss[g]),
-                        "outcome": minimum.outcomes[g].label,
-                    }
-                )
-    return pd.DataFrame(rows)
+    errors = [{} if modelled is None else measure_errors(answer, modelled, names) for answer in answers]
+    rows = pd.DataFrame(
+        {
+            over: start,
+            "bearing_node": node,
+            "coefficient": name,
+            "mean_value": float(answer.coefficient(name)[b].mean()),
+            **asdict(errors[g].get(node, {}).get(name, _NO_ERROR)),
+            "loss": float(minimum.loss[g]),
+            "outcome": minimum.outcomes[g].label,
+        }
+        for g, (start, answer) in enumerate(zip(starts, answers, strict=True))
+        for b, node in enumerate(answer.nodes)
+        for name in names[b]
+    )
+    return rows.drop(columns=["max_error_percent", "l2_error_percent"])
 
 
 def summarize_starts(minimum: Minimum, rows: pd.DataFrame) -> dict[str, Any]:

@@ -35,6 +35,7 @@ from pipeline.config.measured import (
     MeasuredRunConfig,
     PhaseSense,
     SpeedUnit,
+    VectorConventionsConfig,
 )
 from pipeline.data.dataset import Excitation
 from pipeline.units import RAD_S_PER_RPM
@@ -42,6 +43,12 @@ from pipeline.units import RAD_S_PER_RPM
 _TO_PEAK: dict[AmplitudeKind, float] = {"zero_to_peak": 1.0, "peak_to_peak": 0.5, "rms": math.sqrt(2.0)}
 RAD_S: dict[SpeedUnit, float] = {"rpm": RAD_S_PER_RPM, "Hz": 2 * math.pi, "rad/s": 1.0}
 """Size of each unit of speed, rad/s."""
+
+
+def describe_vectors(said: VectorConventionsConfig) -> str:
+    """What complex numbers in a file are taken for."""
+    kind = said.amplitude.replace("_", "-")
+    return f"complex, {said.unit}, {kind}, angle a phase {said.phase}, speed in {said.speed}"
 
 
 def to_vectors(

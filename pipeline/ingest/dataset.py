@@ -24,7 +24,7 @@ from pipeline.ingest.plausibility import note_dead
 from pipeline.ingest.records import RecordsConfig
 from pipeline.ingest.ross_results import RossRecordingsConfig
 from pipeline.ingest.table import TableRecordingsConfig
-from pipeline.ingest.tracks import LARGEST, RunTracks, format_rpm, to_common_speeds
+from pipeline.ingest.tracks import LARGEST, RunTracks, Track, format_rpm, to_common_speeds
 from pipeline.ingest.uff import UffRecordingsConfig
 from pipeline.ingest.waveform import WaveformRecordingsConfig
 from pipeline.sweep.bias import SweepBias, describe_bias, find_mode, measure_bias, read_peak
@@ -118,15 +118,16 @@ def remove_runout(run: RunTracks, slow_roll: SlowRollConfig) -> RunTracks:
             size, angle = np.array(given.amplitude), np.array(given.phase)
             runout = complex(to_vectors(size, angle, 1.0, slow_roll.amplitude, slow_roll.phase))
         else:
-            vectors = run.slow[probe].below(slow_roll.below_rpm * RAD_S_PER_RPM)
+            slow = run.slow[probe]
+            vectors = slow.vectors[slow.speeds < slow_roll.below_rpm * RAD_S_PER_RPM]
             if not len(vectors):
                 raise DataError(
                     f"run '{run.name}' must have speeds below machine.recordings.slow_roll.below_rpm="
-                    f"{slow_roll.below_rpm:g}, but the lowest is {format_rpm(run.slow[probe].speeds[0])} rpm "
+                    f"{slow_roll.below_rpm:g}, but the lowest is {format_rpm(slow.speeds[0])} rpm "
                     f"({run.source}): give a larger one, or slow_roll.vectors, or slow_roll=null"
                 )
             runout = complex(vectors.mean())
-        tracks[probe] = track.minus(runout)
+        tracks[probe] = Track(track.speeds, track.vectors - runout)
     return replace(run, tracks=tracks)
 
 

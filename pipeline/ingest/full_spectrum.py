@@ -25,7 +25,7 @@ class FullSpectra:
 
 
 def measure_full_spectra(
-    signals: Signals,
+    records: Sequence[Signals],
     probes: Mapping[str, ProbeConfig],
     node: int,
     part_turns: int = 32,
@@ -33,43 +33,29 @@ def measure_full_spectra(
     highest: float = 4.0,
     most_parts: int = 48,
 ) -> FullSpectra | None:
-    """Spectra of the ``node`` from the probes there, resampled at equal angles; None for a record that is too short.
+    """Spectra of the ``node`` from the probes there, resampled at equal angles; None where all records are too short.
 
-    ``signals`` have one column for each of ``probes``, in their order. A part has so many turns: orders are told apart
-    by one over it, and by twice that after the window; they are shown up to the ``highest``, of ``most_parts``.
+    ``records`` have one column for each of ``probes``, in their order. A part has so many turns: orders are told apart
+    by one over it, and by twice that after the window; they are shown up to the ``highest``, of ``most_parts`` of each.
     """
-    angles = np.array([probe.angle for probe in probes.values() if probe.node == node])
     columns = [p for p, probe in enumerate(probes.values()) if probe.node == node]
+    angles = np.array([probe.angle for probe in probes.values()])[columns]
     inverse = np.linalg.pinv(np.stack([np.cos(angles), np.sin(angles)], axis=1))
-    record = signals.between_pulses()
-    turns = np.asarray(record.angle.angle(record.time)) / (2 * np.pi)
-    count = int((turns[-1] - turns[0]) // part_turns)
-    if count < 1:
-        return None
-    shown = np.unique(np.linspace(0, count - 1, min(count, most_parts)).round().astype(int))
     step = np.arange(part_turns * per_turn) / per_turn
     window = np.hanning(len(step))
     orders = np.fft.fftshift(np.fft.fftfreq(len(step), 1 / per_turn))
     keep = np.abs(orders) <= highest
     speeds, spectra, centres = [], [], []
-    for shown_component in shown:
-        at = np.interp(turns[0] + shown_component * part_turns + step, turns, record.time)
-        xy = inverse @ np.stack([np.interp(at, record.time, record.values[:, p]) for p in columns])
-        centre = xy.mean(axis=1)
-        moving = (xy[0] - centre[0]) + 1j * (xy[1] - centre[1])
-        spectrum_lines = np.abs(np.fft.fftshift(np.fft.fft(moving * window))) / window.sum()
-        speeds.append(2 * np.pi * part_turns / (at[-1] - at[0]) * (len(step) - 1) / len(step))
-        spectra.append(spectrum_lines[keep])
-        centres.append(centre)
-    return FullSpectra(np.array(speeds), orders[keep], np.array(spectra), np.array(centres))
-
-
-def join_full_spectra(records: Sequence[Signals], probes: Mapping[str, ProbeConfig], node: int) -> FullSpectra | None:
-    """:func:`measure_full_spectra` of all records of a run; None where all are too short."""
-    parts = [spectra for r in records if (spectra := measure_full_spectra(r, probes, node)) is not None]
-    if not parts:
-        return None
-    speeds, spectrum, centre = (
-        np.concatenate([getattr(spectra, key) for spectra in parts]) for key in ("speeds", "spectrum", "centre")
-    )
-    return FullSpectra(speeds, parts[0].orders, spectrum, centre)
+    for record in (signals.between_pulses() for signals in records):
+        turns = np.asarray(record.angle.angle(record.time)) / (2 * np.pi)
+        count = int((turns[-1] - turns[0]) // part_turns)
+        for shown in np.unique(np.linspace(0, count - 1, min(count, most_parts)).round().astype(int)):
+            at = np.interp(turns[0] + shown * part_turns + step, turns, record.time)
+            xy = inverse @ np.stack([np.interp(at, record.time, record.values[:, p]) for p in columns])
+            centre = xy.mean(axis=1)
+            moving = (xy[0] - centre[0]) + 1j * (xy[1] - centre[1])
+            spectrum_lines = np.abs(np.fft.fftshift(np.fft.fft(moving * window))) / window.sum()
+            speeds.append(2 * np.pi * part_turns / (at[-1] - at[0]) * (len(step) - 1) / len(step))
+            spectra.append(spectrum_lines[keep])
+            centres.append(centre)
+    return FullSpectra(np.array(speeds), orders[keep], np.array(spectra), np.array(centres)) if speeds else None

@@ -120,7 +120,8 @@ def _group(recorded: VibrationDataset, place: np.ndarray) -> list[list[int]]:
     for r in range(place.shape[1]):
         for group in groups:
             apart = not any(np.isin(place[:, r], place[:, other]).any() for other in group)
-            if apart and _acts_alike(recorded, r, group[0]):
+            same = np.array_equal(recorded.frequencies[:, r], recorded.frequencies[:, group[0]])
+            if apart and same and recorded.excitation_of(r) == recorded.excitation_of(group[0]):
                 group.append(r)
                 break
         else:
@@ -179,8 +180,3 @@ def to_points(
         present=present,
     )
     return made, notes
-
-
-def _acts_alike(recorded: VibrationDataset, first: int, other: int) -> bool:
-    same = np.array_equal(recorded.frequencies[:, first], recorded.frequencies[:, other])
-    return same and recorded.excitation_of(first) == recorded.excitation_of(other)

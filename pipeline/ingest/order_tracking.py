@@ -21,8 +21,8 @@ Legend: n samples, P signals, K orders, S speeds. SI.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,39 +42,25 @@ class Signals:
     values: np.ndarray  # (n, P), m
     angle: ShaftAngle
     where: str
+    late: float = 0.0  # s, by which all pulses of the tacho may be off together
+    notes: tuple[str, ...] = ()  # sentences that need attention
 
     def between_pulses(self) -> Signals:
         """The samples from the first tacho pulse to the last: only there is the angle known."""
         keep = slice(*np.searchsorted(self.time, [self.angle.start, self.angle.end]))
-        return Signals(self.time[keep], self.values[keep], self.angle, self.where)
+        return replace(self, time=self.time[keep], values=self.values[keep])
 
 
-@dataclass(frozen=True)
-class _Basis:
-    degrees: tuple[int, ...]  # of DC, 1X, 2X ...
-
-    @property
-    def first(self) -> tuple[int, int]:
-        """Columns of a_10 and b_10."""
-        start = self.degrees[0] + 1
-        return start, start + self.degrees[1] + 1
-
-    def columns(self, x: np.ndarray, turning: np.ndarray) -> np.ndarray:
-        """(n, columns) of the fit, ``turning`` (n,) = e^{j phi}."""
-        powers = np.vander(x, max(self.degrees) + 1, increasing=True)
-        parts = [powers[:, : self.degrees[0] + 1]]
-        harmonic = np.ones_like(turning)
-        for degree in self.degrees[1:]:
-            harmonic = harmonic * turning
-            for component in (harmonic.real, harmonic.imag):
-                parts.append(component[:, None] * powers[:, : degree + 1])
-        return np.concatenate(parts, axis=1)
-
-
-@dataclass(frozen=True, eq=False)
-class _Answer:
-    vectors: np.ndarray  # (P,) complex
-    variance: np.ndarray  # (P,) of the complex numbers
+def _make_columns(degrees: Sequence[int], x: np.ndarray, turning: np.ndarray) -> np.ndarray:
+    """(n, columns) of the fit: polynomials of these ``degrees`` for DC, 1X, 2X .., ``turning`` (n,) = e^{j phi}."""
+    powers = np.vander(x, max(degrees) + 1, increasing=True)
+    parts = [powers[:, : degrees[0] + 1]]
+    harmonic = np.ones_like(turning)
+    for degree in degrees[1:]:
+        harmonic = harmonic * turning
+        for component in (harmonic.real, harmonic.imag):
+            parts.append(component[:, None] * powers[:, : degree + 1])
+    return np.concatenate(parts, axis=1)
 
 
 def fit_steady(signals: Signals, settings: OrderTrackingConfig) -> tuple[float, np.ndarray]:
@@ -95,9 +81,9 @@ def fit_steady(signals: Signals, settings: OrderTrackingConfig) -> tuple[float, 
     _check_sampling(signals, mean, settings)
     centre = 0.5 * (signals.angle.start + signals.angle.end)
     half = 0.5 * (signals.angle.end - signals.angle.start)
-    basis = _Basis((1, settings.degree or 0, *[0] * (settings.orders - 1)))
-    *_, answer = _fit_each(signals, np.exp(1j * signals.angle.angle(signals.time)), centre, [half], basis)
-    return mean, answer.vectors
+    degrees = (1, settings.degree or 0, *[0] * (settings.orders - 1))
+    ((vectors, _),) = _fit_each(signals, np.exp(1j * signals.angle.angle(signals.time)), centre, [half], degrees)
+    return mean, vectors
 
 
 def fit_sweep(signals: Signals, speeds: np.ndarray, settings: OrderTrackingConfig, other_degree: int = 2) -> np.ndarray:
@@ -112,11 +98,11 @@ def fit_sweep(signals: Signals, speeds: np.ndarray, settings: OrderTrackingConfi
     _check_sampling(signals, float(speeds.max()), settings)
     turning = np.exp(1j * signals.angle.angle(signals.time))
     degree = 6 if settings.degree is None else settings.degree
-    basis = _Basis((other_degree, degree, *[min(other_degree, degree)] * (settings.orders - 1)))
+    degrees = (other_degree, degree, *[min(other_degree, degree)] * (settings.orders - 1))
     fits = []
     for centre, speed in zip(centres, speeds, strict=True):
         halves = _list_windows(signals, float(centre), float(speed), settings)
-        fits.append(_choose(_fit_each(signals, turning, float(centre), halves, basis)))
+        fits.append(_choose(_fit_each(signals, turning, float(centre), halves, degrees)))
     return np.array(fits)
 
 
@@ -197,21 +183,25 @@ def _list_windows(
 
 
 def _fit_each(
-    signals: Signals, turning: np.ndarray, centre: float, halves: list[float], basis: _Basis
-) -> Iterator[_Answer]:
-    """The fit in each of the nested windows, ascending; the sums of one are kept for the next."""
+    signals: Signals, turning: np.ndarray, centre: float, halves: list[float], degrees: Sequence[int]
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Vectors (P,) and their variance (P,) of the fit in each of the nested windows, ascending.
+
+    The sums of one are kept for the next.
+    """
     time, values = signals.time, signals.values
     begin = end = int(np.searchsorted(time, centre))
     gram: np.ndarray | float = 0.0
     right: np.ndarray | float = 0.0
     squares: np.ndarray | float = 0.0
-    a, b = basis.first
+    a = degrees[0] + 1  # columns of a_10 and b_10
+    b = a + degrees[1] + 1
     for half in halves:
         # A hair wider: a sample on the edge belongs to the window.
         wide = half * (1 + 1e-9)
         first, last = np.searchsorted(time, [centre - wide, centre + wide])
         for side in (slice(first, begin), slice(end, last)):
-            columns = basis.columns((time[side] - centre) / halves[-1], turning[side])
+            columns = _make_columns(degrees, (time[side] - centre) / halves[-1], turning[side])
             gram = gram + columns.T @ columns
             right = right + columns.T @ values[side]
             squares = squares + (values[side] ** 2).sum(axis=0)
@@ -220,7 +210,7 @@ def _fit_each(
         solution = inverse @ right
         freedom = max(end - begin - len(solution), 1)
         noise = np.maximum(squares - (solution * right).sum(axis=0), 0.0) / freedom
-        yield _Answer(solution[a] - 1j * solution[b], noise * (inverse[a, a] + inverse[b, b]))
+        yield solution[a] - 1j * solution[b], noise * (inverse[a, a] + inverse[b, b])
 
 
 def _invert(gram: np.ndarray, where: str, worst_condition: float = 1e6) -> np.ndarray:
@@ -244,7 +234,10 @@ def _invert(gram: np.ndarray, where: str, worst_condition: float = 1e6) -> np.nd
 
 
 def _choose(
-    answers: Iterator[_Answer], noise_limit: float = 9.0, hopeless: float = 100.0, nothing: float = 1e-30
+    answers: Iterator[tuple[np.ndarray, np.ndarray]],
+    noise_limit: float = 9.0,
+    hopeless: float = 100.0,
+    nothing: float = 1e-30,
 ) -> np.ndarray:
     """(P,) of the window with the least error, as far as the shorter windows can tell.
 
@@ -252,20 +245,18 @@ def _choose(
     90). Longer windows are not tried where one is worse than the best by the factor ``hopeless``. No variance is below
     ``nothing`` (m^2).
     """
-    seen: list[_Answer] = []
+    seen: list[tuple[np.ndarray, np.ndarray]] = []
     best, least = np.zeros(0, dtype=complex), np.inf
-    for answer in answers:
-        excess = np.zeros_like(answer.variance)
-        for shorter in seen:
+    for vectors, variance in answers:
+        excess = np.zeros_like(variance)
+        for shorter, varied in seen:
             # The long window has the short one's samples: their difference varies by what the short one has more.
-            spread = np.maximum(shorter.variance - answer.variance, 0.01 * shorter.variance)
-            gap = np.abs(answer.vectors - shorter.vectors) ** 2
-            excess = np.maximum(excess, gap - noise_limit * spread)
-        seen.append(answer)
-        size = np.maximum(seen[0].variance, nothing)
-        error = float(((excess + answer.variance) / size).max())
+            spread = np.maximum(varied - variance, 0.01 * varied)
+            excess = np.maximum(excess, np.abs(vectors - shorter) ** 2 - noise_limit * spread)
+        seen.append((vectors, variance))
+        error = float(((excess + variance) / np.maximum(seen[0][1], nothing)).max())
         if error < least or not len(best):
-            best, least = answer.vectors, error
+            best, least = vectors, error
         elif error > hopeless * least:
             break
     return best

@@ -15,35 +15,26 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 
 
-def compare_size(dataset: VibrationDataset, rotor: RotorModel, stiffness: float, damping: float) -> float:
-    """Measured over modelled amplitude, median over speeds, channels and excited runs.
+def note_size(
+    dataset: VibrationDataset, rotor: RotorModel, stiffness: float, damping: float, far_off: float = 300.0
+) -> list[str]:
+    """A sentence where amplitudes are far from the model's, median over speeds, channels and excited runs.
 
-    The model is the rotor on isotropic bearings of ``stiffness`` (N/m) and ``damping`` (N s/m), a guess.
+    The model is the rotor on isotropic bearings of ``stiffness`` (N/m) and ``damping`` (N s/m), a guess. No bearing
+    changes the vibration by the factor ``far_off``; a forgotten unit (um for m, mm for um) changes it by a thousand.
     """
     acting = {excitation.run for excitation in dataset.excitations}
     excited = np.array([run in acting for run in dataset.runs])
-    values = np.zeros((len(rotor.bearing_nodes), len(dataset.speeds), len(COEFFICIENTS)))
-    for names, value in ((("kxx", "kyy"), stiffness), (("cxx", "cyy"), damping)):
-        for name in names:
-            values[..., COEFFICIENTS.index(name)] = value
-    bearings = BearingTable(rotor.bearing_nodes, dataset.speeds, values)
+    given = {"kxx": stiffness, "kyy": stiffness, "cxx": damping, "cyy": damping}
+    values = np.array([given.get(name, 0.0) for name in COEFFICIENTS])
+    shape = (len(rotor.bearing_nodes), len(dataset.speeds), len(COEFFICIENTS))
+    bearings = BearingTable(rotor.bearing_nodes, dataset.speeds, np.broadcast_to(values, shape))
     response = solve_response(rotor, bearings, dataset.excitations, dataset.runs, dataset.frequencies)
     modelled = np.abs((dataset.sensor_matrix(rotor.n_dof) @ response)[..., excited])
     measured = np.abs(dataset.displacement[..., excited])
     both = (modelled > 0) & (measured > 0)
-    return float(np.median(measured[both] / modelled[both])) if both.any() else float("nan")
-
-
-def note_size(
-    dataset: VibrationDataset, rotor: RotorModel, stiffness: float, damping: float, far_off: float = 300.0
-) -> list[str]:
-    """A sentence where amplitudes are far from the model's.
-
-    No bearing changes the vibration by the factor ``far_off``; a forgotten unit (um for m, mm for um) changes it by a
-    thousand.
-    """
-    ratio = compare_size(dataset, rotor, stiffness, damping)
-    if not (np.isfinite(ratio) and (ratio > far_off or ratio < 1 / far_off)):
+    ratio = float(np.median(measured[both] / modelled[both])) if both.any() else 1.0
+    if 1 / far_off <= ratio <= far_off:
         return []
     text = f"{ratio:.2g} times larger" if ratio > 1 else f"{1 / ratio:.2g} times smaller"
     return [

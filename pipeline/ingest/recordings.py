@@ -5,63 +5,67 @@ Legend: n samples.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pipeline.data.mat_files import read_mat
+from pipeline.data.mat_files import open_measured, read_mat
 from pipeline.data.tables import CsvConfig, read_table
 from pipeline.errors import DataError, nearest
 
+Channels = dict[str, np.ndarray]
 _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 
 
-@dataclass(frozen=True)
-class Clock:
-    """Where the time comes from: a channel, a rate in Hz, or an attribute (MAT: a variable) that has the rate in Hz."""
+def read_recording(
+    path: Path,
+    names: Iterable[str],
+    text: CsvConfig,
+    time: str | None = None,
+    unit: str | None = None,
+    rate: float | None = None,
+    attribute: str | None = None,
+) -> tuple[np.ndarray, Channels]:
+    """The times (n,) s, ascending, and the channels ``names`` of a file, (n,) each in its numbers.
 
-    channel: str | None = None
-    unit: str | None = None
-    rate: float | None = None
-    attribute: str | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Recording:
-    """Channels that were sampled together, in the numbers of the file."""
-
-    time: np.ndarray  # (n,) s, ascending
-    channels: Mapping[str, np.ndarray]  # (n,) each
-
-
-def read_recording(path: Path, names: Sequence[str], clock: Clock, text: CsvConfig) -> Recording:
-    """The channels ``names`` of a file.
+    The time is the channel ``time`` in its ``unit``, or comes from a ``rate`` in Hz, or from that in an ``attribute``
+    (MAT: a variable), or in the file.
 
     Raises DataError: no such file or channel, a damaged or truncated file, no sample rate, NaN, channels of unequal
     length, times that do not ascend.
     """
-    wanted = list(dict.fromkeys([*names, *([clock.channel] if clock.channel else [])]))
-    ending = path.suffix.lower()
+    wanted = list(dict.fromkeys([*names, *([time] if time else [])]))
+    ending, stated = path.suffix.lower(), None
     if ending in _READERS:
-        channels, rate = _READERS[ending](path, wanted, clock.attribute)
+        channels, stated = _READERS[ending](path, wanted, attribute)
     elif ending in (".csv", ".txt", ".xlsx", ".xlsm", ".parquet"):
-        channels, rate = read_table(path, dict.fromkeys(wanted, "number"), text=text), None
+        channels = read_table(path, dict.fromkeys(wanted, "number"), text=text)
     else:
         raise DataError(
             f"'{path}' must end in .csv, .txt, .xlsx, .parquet, .h5, .hdf5, .tdms or .mat, but it ends in "
             f"'{path.suffix}'"
         )
-    return check_recording(path, channels, clock, rate)
+    count = check_channels(path, channels)
+    if time:
+        return check_times(path, time, channels[time] * _SECONDS[unit or "s"]), channels
+    if rate and stated and abs(rate / stated - 1) > 1e-6:
+        raise DataError(
+            f"'{path}' must have the sample rate of the configuration ({rate:g} Hz), but it says {stated:g} Hz: "
+            "leave machine.recordings.sample_rate out"
+        )
+    rate = rate or stated
+    if not rate:
+        raise DataError(
+            f"'{path}' must come with a sample rate, but it has none and the configuration neither: give "
+            "machine.recordings.sample_rate (such as 5120 Hz), or machine.recordings.time, the channel with the times"
+        )
+    return np.arange(count) / rate, channels
 
 
-def check_recording(
-    path: Path, channels: Mapping[str, np.ndarray], clock: Clock, stated: float | None, too_large: float = 1e30
-) -> Recording:
-    """The recording of ``channels`` (n,) each, with the sample rate that its file states in Hz (None: it does not).
+def check_channels(path: Path, channels: Mapping[str, np.ndarray], too_large: float = 1e30) -> int:
+    """How many samples all ``channels`` have. Raises DataError for unequal numbers of them, and NaN.
 
     No instrument writes a number that is ``too_large``.
     """
@@ -79,53 +83,22 @@ def check_recording(
     count = next(iter(lengths.values()))
     if count < 2:
         raise DataError(f"'{path}' must have samples, but its channels have {count}")
-    return Recording(_read_time(path, channels, clock, stated, count), channels)
+    return count
 
 
-def _read_time(
-    path: Path, channels: Mapping[str, np.ndarray], clock: Clock, stated: float | None, count: int
-) -> np.ndarray:
-    if clock.channel:
-        time = channels[clock.channel] * _SECONDS[clock.unit or "s"]
-        back = np.flatnonzero(np.diff(time) <= 0)
-        if len(back):
-            raise DataError(
-                f"'{path}' must have ascending times in '{clock.channel}', but sample {back[0] + 2} is not after the "
-                f"one before ({len(back)} in all): sort it, or write more digits, or give "
-                "machine.recordings.sample_rate in its place"
-            )
-        return time
-    if clock.rate and stated and abs(clock.rate / stated - 1) > 1e-6:
+def check_times(path: Path, name: str, time: np.ndarray) -> np.ndarray:
+    """The ``time`` (n,) s of the channel ``name``. Raises DataError where it does not ascend."""
+    back = np.flatnonzero(np.diff(time) <= 0)
+    if len(back):
         raise DataError(
-            f"'{path}' must have the sample rate of the configuration ({clock.rate:g} Hz), but it says {stated:g} Hz: "
-            "leave machine.recordings.sample_rate out"
+            f"'{path}' must have ascending times in '{name}', but sample {back[0] + 2} is not after the "
+            f"one before ({len(back)} in all): sort it, or write more digits, or give "
+            "machine.recordings.sample_rate in its place"
         )
-    rate = clock.rate or stated
-    if not rate:
-        raise DataError(
-            f"'{path}' must come with a sample rate, but it has none and the configuration neither: give "
-            "machine.recordings.sample_rate (such as 5120 Hz), or machine.recordings.time, the channel with the times"
-        )
-    return np.arange(count) / rate
+    return time
 
 
-@contextmanager
-def open_measured(path: Path, kind: str) -> Iterator[None]:
-    """Raise a DataError for whatever a library raises in the block while it reads a file of the ``kind``."""
-    if not path.is_file():
-        raise DataError(f"'{path}' must exist, but there is no such file")
-    try:
-        yield
-    except DataError:
-        raise
-    except Exception as error:  # h5py, nptdms and pyuff raise many kinds
-        raise DataError(
-            f"'{path}' must be a complete {kind}, but it can't be read as one "
-            f"({str(error)[:200] or type(error).__name__}): copy it again"
-        ) from None
-
-
-def _read_hdf5(path: Path, names: Sequence[str], attribute: str | None) -> tuple[dict[str, np.ndarray], float | None]:
+def _read_hdf5(path: Path, names: Sequence[str], attribute: str | None) -> tuple[Channels, float | None]:
     import h5py
 
     with open_measured(path, "HDF5 file"), h5py.File(path, "r") as file:
@@ -163,7 +136,7 @@ def _read_rate(path: Path, attribute: str | None, places: Sequence[Any]) -> floa
     )
 
 
-def _read_mat(path: Path, names: Sequence[str], rate: str | None) -> tuple[dict[str, np.ndarray], float | None]:
+def _read_mat(path: Path, names: Sequence[str], rate: str | None) -> tuple[Channels, float | None]:
     mat = read_mat(path, [*names, *([rate] if rate else [])])
     for name, values in mat.items():
         if values.dtype.kind not in "iuf":
@@ -174,7 +147,7 @@ def _read_mat(path: Path, names: Sequence[str], rate: str | None) -> tuple[dict[
     return {name: mat[name].astype(float) for name in names}, None if stated is None else float(stated[0])
 
 
-def _read_tdms(path: Path, names: Sequence[str], attribute: str | None) -> tuple[dict[str, np.ndarray], float | None]:
+def _read_tdms(path: Path, names: Sequence[str], attribute: str | None) -> tuple[Channels, float | None]:
     import logging
 
     from nptdms import TdmsFile
@@ -198,7 +171,7 @@ def _read_tdms(path: Path, names: Sequence[str], attribute: str | None) -> tuple
     return channels, next(iter(rates), None)
 
 
-_READERS: dict[str, Callable[[Path, Sequence[str], str | None], tuple[dict[str, np.ndarray], float | None]]] = {
+_READERS: dict[str, Callable[[Path, Sequence[str], str | None], tuple[Channels, float | None]]] = {
     **dict.fromkeys((".h5", ".hdf5", ".hdf"), _read_hdf5),
     ".tdms": _read_tdms,
     ".mat": _read_mat,

@@ -5,7 +5,7 @@ Legend: n records, S nominal speeds, P probes, N planes, R runs.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -27,7 +27,7 @@ from pipeline.config.section import NonNegativeInt, Section, rule
 from pipeline.data.dataset import SYNCHRONOUS, Excitation, VibrationDataset
 from pipeline.data.tables import CsvConfig, read_table
 from pipeline.errors import DataError
-from pipeline.ingest.conventions import RAD_S, to_displacement, to_lead
+from pipeline.ingest.conventions import RAD_S, describe_vectors, to_displacement, to_lead
 from pipeline.ingest.tracks import LARGEST, format_rpm
 
 
@@ -92,9 +92,7 @@ class RecordsConfig(MeasuredConfig):
 
     def describe(self) -> str:
         """What the numbers in the files are taken for."""
-        said = self.conventions
-        kind = said.amplitude.replace("_", "-")
-        return f"complex, {said.unit}, {kind}, angle a phase {said.phase}, speed in {said.speed}"
+        return describe_vectors(self.conventions)
 
     @property
     def planes(self) -> tuple[int, ...]:
@@ -159,6 +157,8 @@ class RecordsConfig(MeasuredConfig):
                 f"'{path}' must have amplitudes below {LARGEST:g} m, but got {np.nanmax(np.abs(displacement)):.3g} m: "
                 "check machine.recordings.conventions"
             )
+        weighed, sizes = values[:, n_probes:], np.array([weight.size for weight in self.weights])
+        angles = np.vectorize(self.angle_from_x)(np.angle(weighed))
         return Records(
             source=f"'{path}'",
             conditions=tuple(table[named.condition].tolist()),
@@ -168,7 +168,7 @@ class RecordsConfig(MeasuredConfig):
             channels=tuple((probe.node, float(np.degrees(probe.angle)) % 360.0) for probe in self.probes.values()),
             displacement=displacement,
             planes=self.planes,
-            unbalance=_read_weights(self, values[:, n_probes:]),
+            unbalance=np.abs(weighed) * sizes * np.exp(1j * angles),
         )
 
 
@@ -197,13 +197,6 @@ class Records:
             displacement=self.displacement[keep],
             unbalance=self.unbalance[keep],
         )
-
-
-def _read_weights(config: RecordsConfig, values: np.ndarray) -> np.ndarray:
-    """(n, N) kg m, of complex ``values`` in the file's units."""
-    sizes = np.array([weight.size for weight in config.weights])
-    turned = np.vectorize(config.angle_from_x)
-    return np.asarray(np.abs(values) * sizes * np.exp(1j * turned(np.angle(values))))
 
 
 def find_speeds(speeds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -263,20 +256,19 @@ def to_dataset(records: Records) -> VibrationDataset:
 
 
 def _require_complete(records: Records) -> None:
-    _refuse_blank(records, np.isnan(records.displacement).any(axis=1), "the vector of every probe")
-    _refuse_blank(records, np.isnan(records.unbalance).any(axis=1), "the weights of every plane")
+    for values, what in (
+        (records.displacement, "the vector of every probe"),
+        (records.unbalance, "the weights of every plane"),
+    ):
+        rows = np.flatnonzero(np.isnan(values).any(axis=1))
+        if len(rows):
+            raise DataError(
+                f"{records.source} must have {what} in every row, but row {rows[0] + 1} has not ({len(rows)} rows in "
+                "all): complete it, or leave the row out"
+            )
     weights: dict[str, np.ndarray] = {}
     for condition, unbalance in zip(records.conditions, records.unbalance, strict=True):
         if not np.allclose(weights.setdefault(condition, unbalance), unbalance, rtol=1e-6):
             raise DataError(
                 f"{records.source} must have the same weights in all records of a condition, but '{condition}' has two"
             )
-
-
-def _refuse_blank(records: Records, blank: Sequence[bool] | np.ndarray, what: str) -> None:
-    rows = np.flatnonzero(blank)
-    if len(rows):
-        raise DataError(
-            f"{records.source} must have {what} in every row, but row {rows[0] + 1} has not ({len(rows)} rows in all): "
-            "complete it, or leave the row out"
-        )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,10 +47,7 @@ class SourceUnits:
 
     def weights(self, unbalance: np.ndarray) -> np.ndarray:
         """Complex g mm, of ``unbalance`` in kg m: the angle is measured on the shaft as the recordings say."""
-        turned = self._turned(np.angle(unbalance).ravel()).reshape(np.shape(unbalance))
-        return np.asarray(np.abs(unbalance) / GRAM_MILLIMETRE * np.exp(1j * turned))
-
-    def _turned(self, angles: Iterable[float]) -> np.ndarray:
         begin = self.recordings.angle_from_x(0.0)
         sense = np.sign(self.recordings.angle_from_x(1.0) - begin)
-        return sense * (np.array(list(angles)) - begin)
+        turned = sense * (np.angle(unbalance) - begin)
+        return np.asarray(np.abs(unbalance) / GRAM_MILLIMETRE * np.exp(1j * turned))

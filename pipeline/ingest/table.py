@@ -6,7 +6,7 @@ Wide: a row a speed, two columns a probe. Long: a row a run, probe and speed.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
 
@@ -112,104 +112,82 @@ class TableRecordingsConfig(MeasuredConfig):
 
         Raises DataError; see :func:`pipeline.data.tables.read_table` for what a table must be.
         """
-        runs = []
-        for run in self.runs:
-            path = Path(run.sources(self.file)[0])
-            rows = _read_wide(self, run, path) if self.layout == "wide" else _read_long(self, run, path)
-            tracks = {name: _make_track(self, run, name, row) for name, row in rows.items()}
-            phases = np.concatenate([phase for _, _, phase, _ in rows.values()])
-            notes = note_cut(path) + _note_unit(phases, self.conventions.phase_unit, path)
-            conditions = _read_conditions(self, run, path)
-            runs.append(RunTracks(run.name, f"'{path}'", tracks, tracks, notes, conditions=conditions))
-        return tuple(runs)
+        return tuple(_read_run(self, run, Path(run.sources(self.file)[0])) for run in self.runs)
 
 
-def _read_conditions(
-    config: TableRecordingsConfig, run: TableRunConfig, path: Path
-) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def _read_run(config: TableRecordingsConfig, run: TableRunConfig, path: Path) -> RunTracks:
+    named, wide = config.columns, config.layout == "wide"
+    pairs: dict[str, ColumnPairConfig | TableColumnsConfig] = {
+        name: (wide and (run.columns.get(name) or probe.columns)) or named for name, probe in config.probes.items()
+    }
+    columns = [column for pair in pairs.values() for column in (pair.amplitude, pair.phase)]
+    columns += [condition.column for condition in named.conditions.values()]
+    labels = {} if wide else {named.run: "text", named.probe: "text"}
+    table = read_table(path, labels | dict.fromkeys((named.speed, *columns), "number"), text=config.csv)
+    table = table if wide else _select_run(config, run, table, path)
+    tracks, phases = {}, []
+    for name, pair in pairs.items():
+        rows, where = table, f"'{path}'"
+        if not wide:
+            label = config.probes[name].label or name
+            law = f"'{path}' must have rows of probe '{label}' in run '{run.name}'"
+            rows, where = _select(table, named.probe, label, law), f"'{path}', run '{run.name}', probe '{label}',"
+        tracks[name] = _make_track(config, run, name, rows, pair, where)
+        phases.append(rows[pair.phase])
+    notes = note_cut(path) + _note_unit(np.concatenate(phases), config.conventions.phase_unit, path)
+    return RunTracks(run.name, f"'{path}'", tracks, tracks, notes, conditions=_average_conditions(config, table))
+
+
+def _average_conditions(config: TableRecordingsConfig, table: Columns) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Name -> speeds (n,) rad/s, ascending, and the condition there, SI: the mean of the rows of a speed."""
-    named = config.columns
-    if not named.conditions:
-        return {}
-    columns = {name: condition.column for name, condition in named.conditions.items()}
-    kinds = dict.fromkeys((named.speed, *columns.values()), "number")
-    kinds |= {named.run: "text"} if config.layout == "long" else {}
-    table = read_table(path, kinds, text=config.csv)
-    if config.layout == "long":
-        table = _select(table, named.run, run.name)
-    speeds, at = np.unique(table[named.speed], return_inverse=True)
-    count = np.bincount(at.ravel())
+    speeds, at = np.unique(table[config.columns.speed], return_inverse=True)
     return {
         name: (
             speeds * RAD_S[config.conventions.speed],
-            np.bincount(at.ravel(), named.conditions[name].to_si(table[column])) / count,
+            np.bincount(at.ravel(), condition.to_si(table[condition.column])) / np.bincount(at.ravel()),
         )
-        for name, column in columns.items()
+        for name, condition in config.columns.conditions.items()
     }
 
 
-_Rows = tuple[np.ndarray, np.ndarray, np.ndarray, str]
-"""Speed, amplitude and phase (S,) of one probe in one run, in the file's units; and its name in messages."""
-
-
-def _read_wide(config: TableRecordingsConfig, run: TableRunConfig, path: Path) -> dict[str, _Rows]:
-    pairs = {name: run.columns.get(name) or probe.columns for name, probe in config.probes.items()}
-    columns = [config.columns.speed, *(c for pair in pairs.values() if pair for c in (pair.amplitude, pair.phase))]
-    table = read_table(path, dict.fromkeys(columns, "number"), text=config.csv)
-    return {
-        name: _take_rows(table, config.columns.speed, pair.amplitude, pair.phase, f"'{path}'")
-        for name, pair in pairs.items()
-        if pair  # the schema has seen to it
-    }
-
-
-def _read_long(config: TableRecordingsConfig, run: TableRunConfig, path: Path) -> dict[str, _Rows]:
-    names = config.columns
-    kinds = {names.run: "text", names.probe: "text"}
-    kinds |= dict.fromkeys((names.speed, names.amplitude, names.phase), "number")
-    table = read_table(path, kinds, text=config.csv)
-    _check_runs(config, list(dict.fromkeys(table[names.run])), path)
-    mine = _select(table, names.run, run.name)
-    if not len(mine[names.run]):
+def _select_run(config: TableRecordingsConfig, run: TableRunConfig, table: Columns, path: Path) -> Columns:
+    """The rows of a run of the long layout. Raises DataError where there are none, and for runs that nobody named."""
+    column, known = config.columns.run, {run.name for run in config.runs} | set(config.leave_out)
+    strange = [name for name in dict.fromkeys(table[column]) if name not in known]
+    if strange:
         raise DataError(
-            f"'{path}' must have rows of run '{run.name}' in the column '{names.run}', but it has "
-            f"{nearest(run.name, set(table[names.run]))}"
+            f"machine.recordings.runs must name every run of '{path}' with what excited it, but '{strange[0]}' is not "
+            "among them: add it (or name it as machine.recordings.baseline too), or put it into "
+            "machine.recordings.leave_out"
         )
-    runs_read = {}
-    for name, probe in config.probes.items():
-        label = probe.label or name
-        rows = _select(mine, names.probe, label)
-        if not len(rows[names.probe]):
-            raise DataError(
-                f"'{path}' must have rows of probe '{label}' in run '{run.name}', but it has "
-                f"{nearest(label, set(mine[names.probe]))}"
-            )
-        where = f"'{path}', run '{run.name}', probe '{label}',"
-        runs_read[name] = _take_rows(rows, names.speed, names.amplitude, names.phase, where)
-    return runs_read
+    return _select(table, column, run.name, f"'{path}' must have rows of run '{run.name}' in the column '{column}'")
 
 
-def _select(table: Columns, name: str, value: str) -> Columns:
+def _select(table: Columns, name: str, value: str, law: str) -> Columns:
     rows = table[name] == value
+    if not rows.any():
+        raise DataError(f"{law}, but it has {nearest(value, set(table[name]))}")
     return {column: values[rows] for column, values in table.items()}
 
 
-def _take_rows(table: Columns, speed: str, amplitude: str, phase: str, where: str) -> _Rows:
-    if (table[amplitude] < 0).any():
+def _make_track(
+    config: TableRecordingsConfig,
+    run: TableRunConfig,
+    probe: str,
+    table: Columns,
+    pair: ColumnPairConfig | TableColumnsConfig,
+    where: str,
+) -> Track:
+    said, amplitude, phase = config.conventions, table[pair.amplitude], table[pair.phase]
+    if (amplitude < 0).any():
         raise DataError(
-            f"{where} must have amplitudes of zero or more in the column '{amplitude}', but got "
-            f"{table[amplitude].min():g}"
+            f"{where} must have amplitudes of zero or more in the column '{pair.amplitude}', but got "
+            f"{amplitude.min():g}"
         )
-    return table[speed], table[amplitude], table[phase], where
-
-
-def _make_track(config: TableRecordingsConfig, run: TableRunConfig, probe: str, rows: _Rows) -> Track:
-    said = config.conventions
-    speed, amplitude, phase, where = rows
     angle = np.radians(phase) if said.phase_unit == "deg" else phase
     order, size = to_motion(said.unit, config.probes[probe].scale)
     vectors = to_vectors(amplitude, angle, size, said.amplitude, said.phase)
-    speeds = speed * RAD_S[said.speed]
+    speeds = table[config.columns.speed] * RAD_S[said.speed]
     return sort_track(speeds, to_displacement(vectors, order, run.frequencies(speeds)), where)
 
 
@@ -227,17 +205,6 @@ def _note_unit(phases: np.ndarray, unit: str, path: Path, broad: float = 2.0) ->
         return ()
     span = f"{phases.min():.3g} to {phases.max():.3g}"
     return (f"'{path}' has phases from {span} that are said to be {said}: are they in {other}?",)
-
-
-def _check_runs(config: TableRecordingsConfig, present: Sequence[str], path: Path) -> None:
-    named = {run.name for run in config.runs} | set(config.leave_out)
-    strange = [name for name in present if name not in named]
-    if strange:
-        raise DataError(
-            f"machine.recordings.runs must name every run of '{path}' with what excited it, but '{strange[0]}' is not "
-            "among them: add it (or name it as machine.recordings.baseline too), or put it into "
-            "machine.recordings.leave_out"
-        )
 
 
 def note_cut(path: Path) -> tuple[str, ...]:

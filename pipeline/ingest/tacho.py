@@ -20,22 +20,6 @@ _TURN = 2 * np.pi
 
 
 @dataclass(frozen=True, eq=False)
-class Pulses:
-    """When the mark passed."""
-
-    times: np.ndarray  # (N,) s
-    step: float  # s, between samples
-    sharp: bool  # the edge is higher than what the interpolation sees of it: it lies anywhere between two samples
-
-    def locked_error(self) -> float:
-        """How late or early all pulses may be together (s): sharp edges at a whole number of samples a period."""
-        if not self.sharp or len(self.times) < 3:
-            return 0.0
-        apart = np.diff(self.times) / self.step
-        return 0.5 * self.step if np.abs(apart - np.round(apart)).max() < 0.2 and np.ptp(apart) < 0.5 else 0.0
-
-
-@dataclass(frozen=True, eq=False)
 class ShaftAngle:
     """phi(t), zero (modulo a turn) when the mark passes the tacho probe, between the first pulse and the last."""
 
@@ -54,8 +38,10 @@ class ShaftAngle:
 
 def find_pulses(
     time: np.ndarray, signal: np.ndarray, edge: str, threshold: float | None, hysteresis: float | None, where: str
-) -> Pulses:
+) -> tuple[np.ndarray, float]:
     """When ``signal`` (n,) at ``time`` (n,) s crosses the threshold upwards (edge rising) or downwards (falling).
+
+    Times (N,) s, and how late or early all of them may be together (s).
 
     A pulse counts where the signal has been beyond half the ``hysteresis`` on one side and then is on the other.
     Null: half way between the levels of the signal, and four tenths of what lies between them. Raises DataError, which
@@ -86,8 +72,17 @@ def find_pulses(
     before = under[np.searchsorted(under, arrivals) - 1]  # the last sample under the threshold
     share = (level - signal[before]) / (signal[before + 1] - signal[before])
     step = time[before + 1] - time[before]
-    sharp = bool(np.median(signal[before + 1] - signal[before]) > 0.9 * (high - low))
-    return Pulses(time[before] + share * step, float(np.median(step)), sharp)
+    pulses = time[before] + share * step
+    # An edge that is higher than what the interpolation sees of it lies anywhere between two samples.
+    sharp = np.median(signal[before + 1] - signal[before]) > 0.9 * (high - low)
+    return pulses, _find_locked_error(pulses, float(np.median(step))) if sharp else 0.0
+
+
+def _find_locked_error(pulses: np.ndarray, step: float) -> float:
+    """Half a ``step`` between samples (s) for sharp edges at a whole number of samples a period, else 0."""
+    apart = np.diff(pulses) / step
+    locked = len(apart) > 1 and np.abs(apart - np.round(apart)).max() < 0.2 and np.ptp(apart) < 0.5
+    return 0.5 * step if locked else 0.0
 
 
 def fit_angle(

@@ -26,14 +26,6 @@ class Track:
     speeds: np.ndarray  # (S,) rad/s, ascending, each once
     vectors: np.ndarray  # (S,) complex, m, zero-to-peak, towards the probe
 
-    def below(self, speed: float) -> np.ndarray:
-        """The vectors under ``speed`` rad/s."""
-        return self.vectors[self.speeds < speed]
-
-    def minus(self, vector: complex) -> Track:
-        """The same without a runout (m)."""
-        return Track(self.speeds, self.vectors - vector)
-
 
 @dataclass(frozen=True, eq=False)
 class RunTracks:
@@ -128,8 +120,6 @@ def _interpolate(run: RunTracks, probe: str, track: Track, speeds: np.ndarray, k
     if len(speeds) == len(track.speeds) and np.allclose(speeds, track.speeds, rtol=1e-9, atol=0):
         return track.vectors
     inside = np.clip(speeds, track.speeds[0], track.speeds[-1])
-    if len(track.speeds) == 1:
-        return track.vectors[np.zeros(len(speeds), dtype=int)]
     steps = np.diff(track.speeds)
     # A cubic through noise between two speeds that are nearly one would swing far out.
     if kind == "linear" or len(track.speeds) < 4 or steps.min() < np.median(steps) / 5:

@@ -6,20 +6,21 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
-from pydantic import Field, PositiveFloat
+from pydantic import Field
 
 from pipeline.config.measured import MeasuredRunConfig, ProbeConfig, Text, VectorConventionsConfig
 from pipeline.config.motion import KINDS, find_motion, to_motion
 from pipeline.config.section import Section, rule
+from pipeline.data.mat_files import open_measured
 from pipeline.errors import DataError, nearest
-from pipeline.ingest.conventions import RAD_S, to_displacement, to_lead
+from pipeline.ingest.conventions import RAD_S, describe_vectors, to_displacement, to_lead
 from pipeline.ingest.order_tracking import Signals
-from pipeline.ingest.recordings import Clock, check_recording, open_measured
+from pipeline.ingest.recordings import check_channels, check_times
 from pipeline.ingest.tracks import RunTracks, sort_track
-from pipeline.ingest.waveform import Edge, Loaded, SignalConfig, SignalRunConfig, TachoSignalConfig
+from pipeline.ingest.waveform import Loaded, SignalConfig, SignalRunConfig, TachoSignalConfig
 
 _MARK = re.compile(rb"    -1(?=[ \t]*(?:[\r\n]|$))")
 _TIME, _FREQUENCY, _RPM = 17, 18, 19
@@ -47,13 +48,6 @@ class UffProbeConfig(ProbeConfig, UffRecordConfig):
 
 class UffTachoConfig(TachoSignalConfig, UffRecordConfig):
     """The record of the tacho, where the file has time signals; see :class:`pipeline.ingest.waveform.TachoConfig`."""
-
-    edge: Edge | None = None
-    threshold: float | None = None
-    hysteresis: PositiveFloat | None = None
-
-    mark_channel: ClassVar[None] = None
-    pulses_per_revolution: ClassVar[int] = 1
 
     @property
     def recorded(self) -> bool:
@@ -97,21 +91,18 @@ class UffRecordingsConfig(SignalConfig):
 
     def describe(self) -> str:
         """What the numbers in the files are taken for."""
-        said = self.conventions
-        if not said:
-            return super().describe()
-        kind = said.amplitude.replace("_", "-")
-        return f"complex, {said.unit}, {kind}, angle a phase {said.phase}, speed in {said.speed}"
+        return describe_vectors(self.conventions) if self.conventions else super().describe()
 
     def read(self) -> tuple[RunTracks, ...]:
         """The 1X vectors of all runs, of complex functions of the speed or of time signals. Raises DataError."""
         if not self.conventions:
             return super().read()
-        files = {source: read_uff(Path(source)) for source in dict.fromkeys(map(self._locate, self.runs))}
-        return tuple(_read_functions(self, self.conventions, run, files[self._locate(run)]) for run in self.runs)
-
-    def _locate(self, run: UffRunConfig) -> str:
-        return run.sources(self.file)[0]
+        paths = [Path(run.sources(self.file)[0]) for run in self.runs]
+        files = {path: read_uff(path) for path in dict.fromkeys(paths)}
+        return tuple(
+            _read_functions(self, self.conventions, run, path, *files[path])
+            for run, path in zip(self.runs, paths, strict=True)
+        )
 
     def read_signals(self, run: MeasuredRunConfig) -> list[Signals]:
         """The time signals of a run, a value a file, in m; none of functions of the speed. Raises DataError."""
@@ -119,11 +110,27 @@ class UffRecordingsConfig(SignalConfig):
 
     def load(self, run: UffRunConfig, path: Path) -> Loaded:
         """One file of a run. Raises DataError."""
-        records, pulses = find_signals(self, run, path)
-        signals = {name: record.values for name, record in zip(self.probes, records, strict=True)}
-        tacho = "the tacho"
-        channels = signals | {tacho: pulses.values, "time": pulses.abscissa}
-        return Loaded(check_recording(path, channels, Clock("time", "s"), None), signals, tacho)
+        (stored, _), tacho = read_uff(path), "the tacho"
+        records = {
+            name: find_record(path, stored, probe, run.label, f"probe '{name}' in run '{run.name}'")
+            for name, probe in self.probes.items()
+        }
+        pulses = find_record(path, stored, self.tacho, run.label, f"the tacho in run '{run.name}'")
+        for record in (*records.values(), pulses):
+            where = f"'{path}', record {record.name},"
+            if np.iscomplexobj(record.values) or record.abscissa_type in (_FREQUENCY, _RPM):
+                raise DataError(
+                    f"{where} must be a time signal (machine.recordings.tacho has a record), but it is a function of "
+                    "the speed or the frequency: give machine.recordings.conventions, and the tacho no record"
+                )
+            if len(record.abscissa) != len(pulses.abscissa) or not np.allclose(record.abscissa, pulses.abscissa):
+                raise DataError(f"{where} must have the same times as the tacho {pulses.name}, but it has others")
+        for name, record in records.items():
+            order, _ = to_motion(self.signal_unit or "", self.probes[name].scale)
+            _check_content(record, order, f"'{path}', record {record.name},")
+        signals = {name: record.values for name, record in records.items()}
+        check_channels(path, signals | {tacho: pulses.values, "time": pulses.abscissa})
+        return Loaded(check_times(path, "time", pulses.abscissa), signals, ((tacho, pulses.values),))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -150,17 +157,11 @@ class UffRecord:
         return f"{self.texts[0] if self.texts else 'no ID'} {list(self.response)}"
 
 
-@dataclass(frozen=True, eq=False)
-class UffFile:
-    """The datasets 58 of a file, and the length unit of its dataset 164 in m (None: it has none)."""
+def read_uff(path: Path) -> tuple[tuple[UffRecord, ...], float]:
+    """The datasets 58 of a universal file, and the length unit of its dataset 164 in m (0: it has none).
 
-    path: Path
-    records: tuple[UffRecord, ...]
-    metre: float | None
-
-
-def read_uff(path: Path) -> UffFile:
-    """Read a universal file. Raises DataError for a missing, damaged or truncated one, or one without datasets 58."""
+    Raises DataError for a missing, damaged or truncated file, or one without datasets 58.
+    """
     import pyuff
 
     with open_measured(path, "universal file"):
@@ -178,14 +179,16 @@ def read_uff(path: Path) -> UffFile:
         )
     units = [dataset for dataset in sets if dataset.get("type") == 164]
     factor = float(units[0].get("length", 0.0)) if units else 0.0
-    return UffFile(path, records, 1 / factor if factor > 0 else None)
+    return records, 1 / factor if factor > 0 else 0.0
 
 
-def find_record(file: UffFile, wanted: UffRecordConfig, label: str | None, what: str) -> UffRecord:
+def find_record(
+    path: Path, records: Sequence[UffRecord], wanted: UffRecordConfig, label: str | None, what: str
+) -> UffRecord:
     """The one record that fits. Raises DataError where there is none, or more than one."""
     fits = [
         record
-        for record in file.records
+        for record in records
         if record.is_called(wanted.record)
         and record.is_called(label)
         and record.response == (wanted.response or record.response)
@@ -195,26 +198,29 @@ def find_record(file: UffFile, wanted: UffRecordConfig, label: str | None, what:
         + ([f"response {list(wanted.response)}"] if wanted.response else [])
     )
     if not fits:
-        every = {text for record in file.records for text in (*record.texts, str(list(record.response)))}
+        every = {text for record in records for text in (*record.texts, str(list(record.response)))}
         asked = wanted.record or label or str(list(wanted.response or ()))
-        raise DataError(
-            f"'{file.path}' must have a record with {words} for {what}, but it has not: {nearest(asked, every)}"
-        )
+        raise DataError(f"'{path}' must have a record with {words} for {what}, but it has not: {nearest(asked, every)}")
     if len(fits) > 1:
         raise DataError(
-            f"'{file.path}' must have one record with {words} for {what}, but it has {len(fits)}: tell them apart by "
+            f"'{path}' must have one record with {words} for {what}, but it has {len(fits)}: tell them apart by "
             "the run's label, or by record and response together"
         )
     return fits[0]
 
 
 def _read_functions(
-    config: UffRecordingsConfig, said: VectorConventionsConfig, run: UffRunConfig, file: UffFile
+    config: UffRecordingsConfig,
+    said: VectorConventionsConfig,
+    run: UffRunConfig,
+    path: Path,
+    records: Sequence[UffRecord],
+    metre: float,
 ) -> RunTracks:
     tracks, notes = {}, []
     for name, probe in config.probes.items():
-        record = find_record(file, probe, run.label, f"probe '{name}' in run '{run.name}'")
-        where = f"'{file.path}', record {record.name},"
+        record = find_record(path, records, probe, run.label, f"probe '{name}' in run '{run.name}'")
+        where = f"'{path}', record {record.name},"
         if record.abscissa_type == _TIME:
             raise DataError(
                 f"{where} must be a function of the speed, but it is one of the time: give the record of the tacho "
@@ -227,11 +233,11 @@ def _read_functions(
             )
         order, size = to_motion(said.unit, probe.scale)
         _check_content(record, order, where)
-        notes += _note_contradictions(record, file, said, where)
+        notes += _note_contradictions(record, metre, said, where)
         vectors = to_lead(record.values, size, said.amplitude, said.phase)
         speeds = record.abscissa * RAD_S[said.speed]
         tracks[name] = sort_track(speeds, to_displacement(vectors, order, speeds), where)
-    return RunTracks(run.name, f"'{file.path}'", tracks, tracks, tuple(dict.fromkeys(notes)))
+    return RunTracks(run.name, f"'{path}'", tracks, tracks, tuple(dict.fromkeys(notes)))
 
 
 def _check_content(record: UffRecord, order: int, where: str) -> None:
@@ -246,11 +252,11 @@ def _check_content(record: UffRecord, order: int, where: str) -> None:
         )
 
 
-def _note_contradictions(record: UffRecord, file: UffFile, said: VectorConventionsConfig, where: str) -> list[str]:
+def _note_contradictions(record: UffRecord, metre: float, said: VectorConventionsConfig, where: str) -> list[str]:
     """Sentences on what the file says otherwise than the configuration, which is followed."""
     notes = []
     labelled_size, followed = _read_unit(record.ordinate_label), find_motion(said.unit)
-    stated = labelled_size or (file.metre if said.unit != "g" else None)
+    stated = labelled_size or (metre if said.unit != "g" else 0.0)
     if followed and stated and not np.isclose(stated, followed[1], rtol=1e-3):
         text = f"'{record.ordinate_label}'" if labelled_size else f"{stated:g} m (dataset 164)"
         key = KINDS[followed[0]]
@@ -300,26 +306,3 @@ def _make_record(path: Path, content: dict[str, Any]) -> UffRecord:
     if not (np.isfinite(record.abscissa).all() and np.isfinite(record.values).all()):
         raise DataError(f"'{path}' must have finite numbers, but record {record.name} has NaN or infinite ones")
     return record
-
-
-def find_signals(config: UffRecordingsConfig, run: UffRunConfig, path: Path) -> tuple[Sequence[UffRecord], UffRecord]:
-    """The time signals of the probes, in their order, and the tacho's. Raises DataError."""
-    file = read_uff(path)
-    records = [
-        find_record(file, probe, run.label, f"probe '{name}' in run '{run.name}'")
-        for name, probe in config.probes.items()
-    ]
-    tacho = find_record(file, config.tacho, run.label, f"the tacho in run '{run.name}'")
-    for record in (*records, tacho):
-        where = f"'{path}', record {record.name},"
-        if np.iscomplexobj(record.values) or record.abscissa_type in (_FREQUENCY, _RPM):
-            raise DataError(
-                f"{where} must be a time signal (machine.recordings.tacho has a record), but it is a function of the "
-                "speed or the frequency: give machine.recordings.conventions, and the tacho no record"
-            )
-        if len(record.abscissa) != len(tacho.abscissa) or not np.allclose(record.abscissa, tacho.abscissa):
-            raise DataError(f"{where} must have the same times as the tacho {tacho.name}, but it has others")
-    for record, probe in zip(records, config.probes.values(), strict=True):
-        order, _ = to_motion(config.signal_unit or "", probe.scale)
-        _check_content(record, order, f"'{path}', record {record.name},")
-    return records, tacho

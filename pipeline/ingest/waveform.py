@@ -27,9 +27,9 @@ from pipeline.errors import DataError
 from pipeline.ingest.conventions import to_displacement
 from pipeline.ingest.order_tracking import Signals, find_passages, find_range, fit_steady, fit_sweep
 from pipeline.ingest.plausibility import note_clipping
-from pipeline.ingest.recordings import Clock, Recording, read_recording
+from pipeline.ingest.recordings import read_recording
 from pipeline.ingest.table import note_cut
-from pipeline.ingest.tacho import Pulses, find_pulses, fit_angle
+from pipeline.ingest.tacho import find_pulses, fit_angle
 from pipeline.ingest.tracks import RunTracks, Track, format_rpm, sort_track
 from pipeline.units import RAD_S_PER_RPM
 
@@ -38,11 +38,12 @@ Edge = Literal["rising", "falling"]
 
 @dataclass(frozen=True, eq=False)
 class Loaded:
-    """What a file of a run has: all channels, which of them the probes and the tacho are, and sentences on it."""
+    """What a file of a run has, sampled together: the signals of the probes and of the tacho, and sentences on it."""
 
-    recording: Recording
+    time: np.ndarray  # (n,) s, ascending
     signals: Mapping[str, np.ndarray]  # by probe, (n,) in the file's numbers
-    tacho: str  # the channel with its pulses
+    tacho: tuple[tuple[str, np.ndarray], ...]  # channel and (n,): of the marks, if there is one, and of the pulses
+    pulses_per_revolution: int = 1
     notes: tuple[str, ...] = ()
 
 
@@ -59,29 +60,14 @@ class SignalRunConfig(MeasuredRunConfig):
 
 
 class TachoSignalConfig(TachoAngleConfig):
-    """What is asked of the tacho of time signals."""
+    """The pulses of time signals: ``edge`` is the one at which the mark stands at the probe.
 
-    if TYPE_CHECKING:  # each format has its own
+    ``threshold`` and ``hysteresis`` are in the channel's own numbers; null: from its levels.
+    """
 
-        @property
-        def edge(self) -> Edge | None:
-            """The one at which the mark stands at the probe."""
-
-        @property
-        def threshold(self) -> float | None:
-            """In the channel's own numbers; None: from its levels."""
-
-        @property
-        def hysteresis(self) -> float | None:
-            """In the channel's own numbers; None: from its levels."""
-
-        @property
-        def mark_channel(self) -> str | None:
-            """The channel with one pulse a revolution where the tacho has several."""
-
-        @property
-        def pulses_per_revolution(self) -> int:
-            """Those of the tacho."""
+    edge: Edge | None = None
+    threshold: float | None = None
+    hysteresis: PositiveFloat | None = None
 
 
 class SignalConfig(MeasuredConfig):
@@ -153,7 +139,7 @@ class SignalConfig(MeasuredConfig):
                 raise DataError(
                     f"time signals must be displacements to be drawn, but probe '{name}' measures another motion"
                 )
-        return [_read(self, run, Path(source)).signals for source in run.sources(self.file)]
+        return [_read(self, run, Path(source)) for source in run.sources(self.file)]
 
 
 class TachoConfig(TachoSignalConfig):
@@ -166,8 +152,6 @@ class TachoConfig(TachoSignalConfig):
     channel: Text
     edge: Edge
     pulses_per_revolution: PositiveInt = 1
-    threshold: float | None = None
-    hysteresis: PositiveFloat | None = None
     mark_channel: Text | None = None
 
     @rule
@@ -224,39 +208,42 @@ class WaveformRecordingsConfig(SignalConfig):
 
     def load(self, run: WaveformRunConfig, path: Path) -> Loaded:
         """One file of a run. Raises DataError."""
-        tacho, marks = run.tacho or self.tacho.channel, [self.tacho.mark_channel] if self.tacho.mark_channel else []
+        tacho = [name for name in (self.tacho.mark_channel, run.tacho or self.tacho.channel) if name]
         names = {name: run.channels.get(name, probe.channel) for name, probe in self.probes.items()}
-        clock = Clock(self.time, self.time_unit, run.sample_rate or self.sample_rate, self.sample_rate_attribute)
-        recording = read_recording(path, [*names.values(), tacho, *marks], clock, self.csv)
-        notes = note_cut(path) if path.suffix.lower() in (".csv", ".txt") else ()
-        return Loaded(recording, {name: recording.channels[channel] for name, channel in names.items()}, tacho, notes)
-
-
-@dataclass(frozen=True, eq=False)
-class _Record:
-    """One file: its signals, and sentences that need attention."""
-
-    signals: Signals
-    pulses: Pulses
-    notes: tuple[str, ...]
+        time, channels = read_recording(
+            path,
+            [*names.values(), *reversed(tacho)],
+            self.csv,
+            self.time,
+            self.time_unit,
+            run.sample_rate or self.sample_rate,
+            self.sample_rate_attribute,
+        )
+        return Loaded(
+            time,
+            {name: channels[channel] for name, channel in names.items()},
+            tuple((name, channels[name]) for name in tacho),
+            self.tacho.pulses_per_revolution,
+            note_cut(path) if path.suffix.lower() in (".csv", ".txt") else (),
+        )
 
 
 def _fit_records(
-    config: SignalConfig, name: str, source: str, records: Iterable[_Record], seen_error: float = np.radians(0.1)
+    config: SignalConfig, name: str, source: str, records: Iterable[Signals], seen_error: float = np.radians(0.1)
 ) -> RunTracks:
     """Fit one vector for each record; phases that may be off by more than ``seen_error`` (rad) are named."""
     speeds: list[float] = []
     vectors: list[np.ndarray] = []
     notes: list[str] = []
     for record in records:
-        speed, steady = fit_steady(record.signals, config.tracking)
+        speed, steady = fit_steady(record, config.tracking)
         speeds.append(speed)
         vectors.append(steady)
         notes += record.notes
-        error = speed * record.pulses.locked_error()
+        error = speed * record.late
         if error > seen_error:
             notes.append(
-                f"{record.signals.where} has tacho edges that are sharper than the sampling, at a whole number of "
+                f"{record.where} has tacho edges that are sharper than the sampling, at a whole number of "
                 f"samples a revolution: all its phases may be off by {np.degrees(error):.2g} deg together"
             )
     tracks = {
@@ -266,7 +253,7 @@ def _fit_records(
     return RunTracks(name, source, tracks, tracks, tuple(notes))
 
 
-def _fit_sweep(config: SignalConfig, name: str, source: str, record: _Record, slow_windows: int = 10) -> RunTracks:
+def _fit_sweep(config: SignalConfig, name: str, source: str, record: Signals, slow_windows: int = 10) -> RunTracks:
     """Fit vectors at the wanted speeds, and at so many low ones for the slow roll."""
     assert config.speeds  # the schema has seen to it
     wanted = np.array(config.speeds.rpm()) * RAD_S_PER_RPM
@@ -274,47 +261,46 @@ def _fit_sweep(config: SignalConfig, name: str, source: str, record: _Record, sl
     slow: dict[str, Track] = {}
     if config.slow_roll and config.slow_roll.below_rpm:
         limit = config.slow_roll.below_rpm * RAD_S_PER_RPM
-        lowest, _ = find_range(record.signals, config.tracking)
+        lowest, _ = find_range(record, config.tracking)
         if lowest >= limit:
             raise DataError(
-                f"{record.signals.where} must have data below machine.recordings.slow_roll.below_rpm="
+                f"{record.where} must have data below machine.recordings.slow_roll.below_rpm="
                 f"{config.slow_roll.below_rpm:g}, but windows fit from {format_rpm(lowest)} rpm on: give a larger one, "
                 "or slow_roll.vectors"
             )
         slow = _track(config, record, np.linspace(lowest, limit, slow_windows, endpoint=False))
-    times = find_passages(record.signals.between_pulses(), np.sort(wanted), config.tracking)
+    times = find_passages(record.between_pulses(), np.sort(wanted), config.tracking)
     return RunTracks(name, source, tracks, slow, record.notes, times)
 
 
-def _track(config: SignalConfig, record: _Record, speeds: np.ndarray) -> dict[str, Track]:
-    vectors = fit_sweep(record.signals, speeds, config.tracking)
+def _track(config: SignalConfig, record: Signals, speeds: np.ndarray) -> dict[str, Track]:
+    vectors = fit_sweep(record, speeds, config.tracking)
     return {
-        probe: _make_track(config, probe, speeds, vectors[:, p], f"{record.signals.where}, probe '{probe}',")
+        probe: _make_track(config, probe, speeds, vectors[:, p], f"{record.where}, probe '{probe}',")
         for p, probe in enumerate(config.probes)
     }
 
 
-def _read(config: SignalConfig, run: MeasuredRunConfig, path: Path) -> _Record:
-    where, loaded = f"'{path}' (run '{run.name}')", config.load(run, path)
-    marks = config.tacho.mark_channel
-    once = _find_pulses(config, loaded.recording, marks, f"{where}, channel '{marks}',").times if marks else None
-    named = f"{where}, channel '{loaded.tacho}',"
-    pulses = _find_pulses(config, loaded.recording, loaded.tacho, named)
-    angle = fit_angle(pulses.times, config.tacho.pulses_per_revolution, named, once)
-    notes = loaded.notes + tuple(note_clipping(where, loaded.signals))
-    return _Record(Signals(loaded.recording.time, _to_si(config, loaded.signals), angle, where), pulses, notes)
-
-
-def _find_pulses(config: SignalConfig, recording: Recording, channel: str, where: str) -> Pulses:
-    tacho = config.tacho
-    signal = recording.channels[channel]
-    return find_pulses(recording.time, signal, tacho.edge or "rising", tacho.threshold, tacho.hysteresis, where)
-
-
-def _to_si(config: SignalConfig, values: Mapping[str, np.ndarray]) -> np.ndarray:
-    """(n, P) m, m/s or m/s^2, of the probes in their order."""
-    unit = config.signal_unit or ""
-    return np.stack([values[name] * to_motion(unit, probe.scale)[1] for name, probe in config.probes.items()], axis=1)
+def _read(config: SignalConfig, run: MeasuredRunConfig, path: Path) -> Signals:
+    """The signals of a file in m, m/s or m/s^2, the probes in their order."""
+    where, loaded, tacho = f"'{path}' (run '{run.name}')", config.load(run, path), config.tacho
+    pulses = [
+        find_pulses(
+            loaded.time,
+            signal,
+            tacho.edge or "rising",
+            tacho.threshold,
+            tacho.hysteresis,
+            f"{where}, channel '{name}',",
+        )
+        for name, signal in loaded.tacho
+    ]
+    marks = pulses[0][0] if len(pulses) > 1 else None
+    times, late = pulses[-1]
+    angle = fit_angle(times, loaded.pulses_per_revolution, f"{where}, channel '{loaded.tacho[-1][0]}',", marks)
+    sizes = {name: to_motion(config.signal_unit or "", probe.scale)[1] for name, probe in config.probes.items()}
+    values = np.stack([loaded.signals[name] * size for name, size in sizes.items()], axis=1)
+    return Signals(loaded.time, values, angle, where, late, loaded.notes + tuple(note_clipping(where, loaded.signals)))
 
 
 def _make_track(config: SignalConfig, probe: str, speeds: np.ndarray, vectors: np.ndarray, where: str) -> Track:

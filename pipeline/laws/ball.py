@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 from pydantic import PositiveInt
@@ -16,13 +16,10 @@ from pydantic import PositiveInt
 from pipeline.config.guesses import AngleNumber, ForceNumber, LengthNumber
 from pipeline.config.quantities import ShaftAngle
 from pipeline.config.section import Section
-from pipeline.laws.numbers import Number, add_slope
-from pipeline.laws.points import Points, turn_axes
+from pipeline.laws.numbers import Number, Points, Recorded, add_slope, turn_axes
 
 if TYPE_CHECKING:
     import torch
-
-_NUMBERS = ("ball_diameter", "contact_angle", "load")
 
 
 class BallLawConfig(Section):
@@ -39,14 +36,20 @@ class BallLawConfig(Section):
 
     def make(self, where: str, number: Callable[[Section, str], Number]) -> BallLaw:
         """The law of the bearing at ``where``, its numbers made by ``number(section, name)``."""
-        numbers = {name: number(self, name) for name in _NUMBERS}
-        return BallLaw(n_balls=self.n_balls, load_angle=self.load_angle, **numbers)
+        return BallLaw(
+            n_balls=self.n_balls,
+            ball_diameter=number(self, "ball_diameter"),
+            contact_angle=number(self, "contact_angle"),
+            load=number(self, "load"),
+            load_angle=self.load_angle,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
-class BallLaw:
+class BallLaw(Recorded):
     """Number of balls, their diameter, contact angle, and the load (preload and static load) that presses them."""
 
+    kind: Literal["ball"] = "ball"
     n_balls: int
     ball_diameter: Number  # m
     contact_angle: Number  # rad
@@ -87,13 +90,3 @@ class BallLaw:
     def outside(self, theta: torch.Tensor, points: Points) -> np.ndarray:
         """(G, S) False: it has no table."""
         return np.zeros((len(theta), len(points.speeds)), dtype=bool)
-
-    def to_record(self) -> dict[str, Any]:
-        """A JSON-able twin."""
-        return {"kind": "ball", **asdict(self)}
-
-    @classmethod
-    def from_record(cls, record: dict[str, Any]) -> BallLaw:
-        """The law of :meth:`to_record`."""
-        numbers = {name: Number(**record[name]) for name in _NUMBERS}
-        return cls(n_balls=record["n_balls"], load_angle=record["load_angle"], **numbers)

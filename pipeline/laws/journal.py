@@ -11,8 +11,8 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
@@ -20,16 +20,12 @@ from pipeline.config.guesses import CONDITION, LengthNumber, LoadNumber, PureNum
 from pipeline.config.quantities import ShaftAngle
 from pipeline.config.section import Section, rule
 from pipeline.errors import ConfigError
-from pipeline.laws.files import read_film_table
-from pipeline.laws.numbers import Number, add_slope
-from pipeline.laws.points import LOAD, Points, turn_axes
+from pipeline.laws.numbers import LOAD, Number, Points, Recorded, add_slope, turn_axes
 from pipeline.laws.short_bearing import short_table
-from pipeline.laws.table import FilmTable
+from pipeline.laws.table import FilmTable, read_film_table
 
 if TYPE_CHECKING:
     import torch
-
-_NUMBERS = ("diameter", "length", "clearance", "load", "share", "preload")
 
 
 class _JournalLawConfig(Section):
@@ -41,11 +37,10 @@ class _JournalLawConfig(Section):
     static_load: LoadNumber
     load_share: PureNumber = 1.0
 
-    has_film: ClassVar[bool] = True
+    kind: Literal["short_journal", "journal_table"]
+    load_angle: ShaftAngle = 0.0
 
-    if TYPE_CHECKING:  # each kind has its own
-        kind: Literal["short_journal", "journal_table"]
-        load_angle: ShaftAngle
+    has_film: ClassVar[bool] = True
 
     @rule
     def _turns_in_its_bore(self) -> Iterator[str]:
@@ -102,7 +97,6 @@ class JournalTableLawConfig(_JournalLawConfig):
     kind: Literal["journal_table"]
     table: str
     preload: PureNumber | None = None
-    load_angle: ShaftAngle = 0.0
 
     @rule
     def _is_a_preload(self) -> Iterator[str]:
@@ -123,19 +117,19 @@ class JournalTableLawConfig(_JournalLawConfig):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class JournalLaw:
+class JournalLaw(Recorded):
     """A table, and the numbers that make it dimensional. Where ``loaded`` the load is the condition times a share."""
 
     kind: Literal["short_journal", "journal_table"]
-    table: FilmTable
+    loaded: bool
+    load_angle: float  # rad
     diameter: Number  # m
     length: Number  # m
     clearance: Number  # m
     load: Number  # N; without meaning where `loaded`
     share: Number
     preload: Number
-    loaded: bool
-    load_angle: float  # rad
+    table: FilmTable
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -180,16 +174,3 @@ class JournalLaw:
     def outside(self, theta: torch.Tensor, points: Points) -> np.ndarray:
         """(G, S) True where a point lies beyond the rows of the table."""
         return self.table.outside(self.log_sommerfeld(theta, points)[0].numpy(), self.preload.of(theta).numpy())
-
-    def to_record(self) -> dict[str, Any]:
-        """A JSON-able twin."""
-        numbers = {name: asdict(getattr(self, name)) for name in _NUMBERS}
-        kept = {"kind": self.kind, "loaded": self.loaded, "load_angle": self.load_angle}
-        return {**kept, **numbers, "table": self.table.to_record()}
-
-    @classmethod
-    def from_record(cls, record: dict[str, Any]) -> JournalLaw:
-        """The law of :meth:`to_record`."""
-        numbers = {name: Number(**record[name]) for name in _NUMBERS}
-        kept = {"kind": record["kind"], "loaded": record["loaded"], "load_angle": record["load_angle"]}
-        return cls(**{**kept, **numbers, "table": FilmTable.from_record(record["table"])})

@@ -1,4 +1,5 @@
-"""The laws of all bearings together: coefficients and their slopes over theta, the unknown numbers' logarithms.
+"""The laws of all bearings together: coefficients and their slopes over theta, the unknown numbers' logarithms; and
+the section ``machine.laws`` that says which numbers are known.
 
 Legend: G members (fits beside each other), B bearings, S operating points, 8 coefficients, Th unknown numbers. SI
 units, temperatures in K. ``theta = ln(number / guess)``.
@@ -6,18 +7,21 @@ units, temperatures in K. ``theta = ln(number / guess)``.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
-from pipeline.errors import DataError
-from pipeline.laws.ball import BallLaw
-from pipeline.laws.journal import JournalLaw
-from pipeline.laws.numbers import LawParameter
-from pipeline.laws.oil import Oil
-from pipeline.laws.points import LOAD, OIL_TEMPERATURE, Points
+from pipeline.config.guesses import GuessConfig
+from pipeline.config.section import NonNegativeInt, Section, rule
+from pipeline.errors import ConfigError, DataError
+from pipeline.laws.ball import BallLaw, BallLawConfig
+from pipeline.laws.journal import JournalLaw, JournalTableLawConfig, ShortJournalLawConfig
+from pipeline.laws.numbers import LOAD, OIL_TEMPERATURE, LawParameter, Number, Points
+from pipeline.laws.oil import Oil, OilConfig
 
 if TYPE_CHECKING:
     import torch
@@ -28,6 +32,22 @@ _LAWS: dict[str, type[JournalLaw | BallLaw]] = {
     "journal_table": JournalLaw,
     "ball": BallLaw,
 }
+
+
+AnyLawConfig = Annotated[ShortJournalLawConfig | JournalTableLawConfig | BallLawConfig, Field(discriminator="kind")]
+
+
+class LawsConfig(Section):
+    """Laws of the bearings by node. The oil is the same in all of them."""
+
+    oil: OilConfig | None = None
+    bearings: dict[NonNegativeInt, AnyLawConfig] = Field(min_length=1)
+
+    @rule
+    def _has_oil(self) -> Iterator[str]:
+        journals = [node for node, law in self.bearings.items() if law.has_film]
+        if journals and not self.oil:
+            yield f"must have an oil for the journal bearing of node {journals[0]}, but it is missing"
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,3 +137,35 @@ class LawSet:
 
 NO_LAWS = LawSet((), (), None, ())
 """The laws of a machine whose bearings have none."""
+
+
+def make_laws(config: LawsConfig, nodes: Sequence[int]) -> LawSet:
+    """The laws of the bearings at ``nodes``, in that order; theta has the oil's unknown numbers first.
+
+    Raises ConfigError: a node without a law, a table that is none, a preload that is missing or has no meaning.
+    """
+    without = [node for node in nodes if node not in config.bearings]
+    if without:
+        raise ConfigError(
+            f"machine.laws.bearings must have a law for node {without[0]}, but it has "
+            f"{', '.join(map(str, config.bearings))}: add it"
+        )
+    theta: list[LawParameter] = []
+    films = any(config.bearings[node].has_film for node in nodes)
+    oil = config.oil.make(partial(_make_number, theta, "oil", None)) if films and config.oil else None
+    laws = [
+        config.bearings[node].make(f"{node}", partial(_make_number, theta, f"{node}", member))
+        for member, node in enumerate(nodes)
+    ]
+    return LawSet(tuple(nodes), tuple(laws), oil, tuple(theta))
+
+
+def _make_number(theta: list[LawParameter], where: str, member: int | None, section: Section, name: str) -> Number:
+    """The number ``name`` of a ``section``; an unknown one is added to ``theta``."""
+    value = getattr(section, name)
+    if not isinstance(value, GuessConfig):
+        return Number(float(value))
+    extra = type(section).model_fields[name].json_schema_extra
+    unit = str(extra.get("unit", "")) if isinstance(extra, dict) else ""
+    theta.append(LawParameter(f"{where}.{name}", unit, value.guess, value.within, member))
+    return Number(value.guess, len(theta) - 1)

@@ -1,16 +1,24 @@
-"""Physical numbers that a law is made of: known, or unknown and then ``guess exp(theta_i)``.
+"""Physical numbers that a law is made of: known, or unknown and then ``guess exp(theta_i)``; where a law is asked.
 
-Legend: G members (bearings, or fits beside each other), Th unknown numbers. SI units.
+Legend: G members (bearings, or fits beside each other), S operating points, Th unknown numbers. SI units.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from pipeline.laws.table import FilmTable
 
 if TYPE_CHECKING:
     import torch
+
+LOAD = "load"
+OIL_TEMPERATURE = "oil_temperature"
 
 
 @dataclass(frozen=True)
@@ -53,3 +61,43 @@ def add_slope(slopes: torch.Tensor, number: Number, slope: torch.Tensor) -> None
     """Add ``slope`` (G, S, ..) by the logarithm of a number to ``slopes`` (G, S, .., Th), where it is unknown."""
     if number.index is not None:
         slopes[..., number.index] += slope
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """A law of numbers, words and a table, as JSON."""
+
+    def to_record(self) -> dict[str, Any]:
+        """A JSON-able twin."""
+        return {
+            name: asdict(value)
+            if isinstance(value, Number)
+            else value.to_record()
+            if isinstance(value, FilmTable)
+            else value
+            for name, value in vars(self).items()
+        }
+
+    @classmethod
+    def from_record(cls, record: Mapping[str, Any]) -> Self:
+        """The law of :meth:`to_record`."""
+        numbers = {name: Number(**entry) for name, entry in record.items() if isinstance(entry, dict)}
+        tables = {name: FilmTable.from_record(entry) for name, entry in record.items() if isinstance(entry, list)}
+        return cls(**{**record, **numbers, **tables})
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Speeds, operating conditions, and the oil's viscosity there (of laws without oil: zeros)."""
+
+    speeds: torch.Tensor  # (S,) rad/s
+    operating: Mapping[str, torch.Tensor]  # name -> (S,) SI, temperatures in K
+    log_viscosity: torch.Tensor  # (G, S) of Pa s
+    viscosity_slopes: torch.Tensor  # (G, S, Th)
+
+
+def turn_axes(angle: float) -> np.ndarray:
+    """(8, 8) that makes coefficients in x and y of those whose first axis points ``angle`` rad from x towards y."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    turn = np.array([[cos, -sin], [sin, cos]])
+    return np.kron(np.eye(2), np.kron(turn, turn))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -25,8 +25,7 @@ from pipeline.config.guesses import (
 from pipeline.config.quantities import Temperature
 from pipeline.config.section import Section, rule
 from pipeline.errors import ConfigError
-from pipeline.laws.numbers import Number, add_slope
-from pipeline.laws.points import OIL_TEMPERATURE
+from pipeline.laws.numbers import OIL_TEMPERATURE, Number, Recorded, add_slope
 
 if TYPE_CHECKING:
     import torch
@@ -130,7 +129,7 @@ ModelledViscosity = Annotated[
 
 
 @dataclass(frozen=True)
-class Oil:
+class Oil(Recorded):
     """``ln eta = ln viscosity - slope (T - T_ref)``; ``+ b / (T - c) - b / (T_ref - c)``; or the first term alone."""
 
     law: Literal["constant", "exponential", "vogel"]
@@ -171,13 +170,3 @@ class Oil:
             add_slope(slopes, self.c, b * c * turn)
             result = result + change
         return result, slopes
-
-    def to_record(self) -> dict[str, Any]:
-        """A JSON-able twin."""
-        return asdict(self)
-
-    @classmethod
-    def from_record(cls, record: dict[str, Any]) -> Oil:
-        """The oil of :meth:`to_record`."""
-        numbers = {name: Number(**record[name]) for name in _NUMBERS}
-        return cls(law=record["law"], reference=float(record["reference"]), **numbers)

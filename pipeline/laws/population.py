@@ -16,9 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.impedance import to_coordinates
-from pipeline.laws.files import read_film_table
 from pipeline.laws.short_bearing import short_table
-from pipeline.laws.table import FilmTable
+from pipeline.laws.table import FilmTable, read_film_table
 
 LACKS = {
     "plain": (0.30, 0.30, 0.20, 0.12),

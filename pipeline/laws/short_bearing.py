@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from pipeline.laws.points import turn_axes
+from pipeline.laws.numbers import turn_axes
 from pipeline.laws.table import Curve, FilmTable
 
 _LEAST, _MOST, _ROWS = 1e-6, 0.9999, 1500
@@ -46,13 +46,11 @@ def short_eccentricity(sommerfeld: np.ndarray) -> np.ndarray:
     """The eccentricities (S,) of static positions at ``S (L / D)^2`` (S,)."""
     from scipy.optimize import brentq
 
-    def find(s: float) -> float:
-        def miss(log_odds: float) -> float:
-            return math.log(float(short_sommerfeld(_odds(log_odds)) / s))
+    def miss(log_odds: float, s: float) -> float:
+        return math.log(float(short_sommerfeld(_odds(log_odds)) / s))
 
-        return float(_odds(brentq(miss, -30.0, 30.0, xtol=1e-14, rtol=1e-14)))
-
-    return np.array([find(s) for s in sommerfeld])
+    roots = [brentq(miss, -30.0, 30.0, args=(s,), xtol=1e-14, rtol=1e-14) for s in sommerfeld]
+    return np.array([float(_odds(root)) for root in roots])
 
 
 @cache

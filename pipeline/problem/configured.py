@@ -23,8 +23,7 @@ from pipeline.data.operating_points import Operating, group_rows, spread_states
 from pipeline.data.sensors import Channels, Sensors, list_directions, measure, name_channel
 from pipeline.data.simulate import simulate
 from pipeline.errors import ConfigError
-from pipeline.laws.build import make_laws
-from pipeline.laws.law_set import NO_LAWS
+from pipeline.laws.law_set import NO_LAWS, make_laws
 from pipeline.problem.condition_noise import NO_LEVELS, condition_noise, suffices, to_dataset
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.problem.model_parameters import model_parameters, usual_deviations, usual_tolerances

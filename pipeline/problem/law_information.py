@@ -21,8 +21,7 @@ from pipeline.coefficients import COEFFICIENTS
 from pipeline.data.operating import split_states
 from pipeline.errors import IdentifiabilityError
 from pipeline.laws.law_set import LawSet
-from pipeline.laws.numbers import LawParameter
-from pipeline.laws.points import OIL_TEMPERATURE
+from pipeline.laws.numbers import OIL_TEMPERATURE, LawParameter
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.ranking import rank, rank_indices
 from pipeline.problem.slopes import ReadingSlopes

@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.config.schema import Config
 from pipeline.data.operating import write_condition
-from pipeline.evaluation.contradiction import find_contradiction, list_contradicted
+from pipeline.evaluation.physical_numbers import find_contradiction, list_contradicted
 from pipeline.reporting.console import print_table
 from pipeline.reporting.tables import Table
 from pipeline.write_numbers import write_number

@@ -18,11 +18,10 @@ from pipeline.config.guesses import CONDITION, ModelledLoad
 from pipeline.config.quantities import Angle, AnyDamping, AnyStiffness, Length, ShaftAngle
 from pipeline.config.section import NonNegativeInt, Section, rule
 from pipeline.errors import ConfigError
-from pipeline.laws.files import make_film_table, packaged_file, read_film_table
+from pipeline.laws.numbers import LOAD, turn_axes
 from pipeline.laws.oil import ConstantOilConfig, ModelledViscosity, OilConfig
-from pipeline.laws.points import LOAD, turn_axes
 from pipeline.laws.short_bearing import short_coefficients, short_eccentricity
-from pipeline.laws.table import FilmTable
+from pipeline.laws.table import FilmTable, make_film_table, packaged_file, read_film_table
 
 Operating = Mapping[str, np.ndarray]
 
@@ -89,14 +88,8 @@ class _Bearing(Section):
         return np.array([flatten(element.K(speed), element.C(speed)) for speed in ascending])[group]
 
     def make_element(self, ross: Any, node: int, speeds: np.ndarray, share: float) -> Any:
-        """ROSS's element at ``speeds`` (S,) rad/s, ascending; here of the table, constant where four points, which
-        ROSS's spline needs, are not there.
-        """
-        table = self.tabulate(speeds, {}, share, ross)
-        columns = {name: [float(v) for v in column] for name, column in zip(COEFFICIENTS, table.T, strict=True)}
-        if len(speeds) < 4:
-            return ross.BearingElement(n=node, **{name: column[0] for name, column in columns.items()})
-        return ross.BearingElement(n=node, **columns, frequency=[float(speed) for speed in speeds])
+        """ROSS's element at ``speeds`` (S,) rad/s, ascending, of a kind that :meth:`tabulate` has no numbers of."""
+        raise NotImplementedError(f"{type(self).__name__} has coefficients of its own")
 
 
 class BallBearingConfig(_Bearing):

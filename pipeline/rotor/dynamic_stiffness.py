@@ -16,8 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.errors import PipelineError
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.interpolation import bearing_places
 from pipeline.rotor.model import RotorModel, seal_dof
 from pipeline.rotor.seals import Seals
+
+_NO_BLOCKS = np.empty((0, 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,8 +71,8 @@ def solve(
     frequencies: np.ndarray,
     speeds: np.ndarray,
     right: np.ndarray,
-    impedance: np.ndarray | None = None,
-    impedance_dof: np.ndarray | None = None,
+    impedance: np.ndarray = _NO_BLOCKS,
+    impedance_dof: np.ndarray = _NO_BLOCKS,
     chunk_size: int = 16,
 ) -> np.ndarray:
     """Solve ``D(w) X = right`` at every speed.
@@ -94,8 +98,7 @@ def solve(
     band = np.empty((min(chunk_size, len(speeds)), size, 3 * width + 1), dtype=complex)
     for start in range(0, len(speeds), chunk_size):
         chunk = slice(start, min(start + chunk_size, len(speeds)))
-        blocks = None if impedance is None else impedance[:, chunk]
-        _assemble(system, frequencies[chunk], speeds[chunk], blocks, impedance_dof, band)
+        _assemble(system, frequencies[chunk], speeds[chunk], impedance[:, chunk], impedance_dof, band)
         for s in range(chunk.start, chunk.stop):
             *_, info = lapack.zgbsv(width, width, band[s - start].T, solution[s].T, overwrite_ab=True, overwrite_b=True)
             if info != 0:
@@ -117,8 +120,8 @@ def _assemble(
     system: BandedStiffness,
     frequencies: np.ndarray,
     speeds: np.ndarray,
-    impedance: np.ndarray | None,
-    impedance_dof: np.ndarray | None,
+    impedance: np.ndarray,
+    impedance_dof: np.ndarray,
     band: np.ndarray,
 ) -> None:
     width, count = system.bandwidth, len(speeds)
@@ -127,14 +130,10 @@ def _assemble(
     matrix = band[:count, :, width:]
     matrix.real = system.stiffness - w**2 * system.mass
     matrix.imag = w * (system.damping + speed * system.gyroscopic)
-    added = [] if impedance is None or impedance_dof is None else list(zip(impedance, impedance_dof, strict=True))
-    if len(system.seal_places):
-        added += zip(system.seals.impedance(frequencies, speeds), system.seal_places, strict=True)
-    for block, places in added:
-        for i, row in enumerate(places):
-            for j, column in enumerate(places):
-                if row >= 0 and column >= 0:
-                    matrix[:, column, width + row - column] += block[:, i, j]
+    seals = zip(system.seals.impedance(frequencies, speeds), system.seal_places, strict=True)
+    for block, places in (*zip(impedance, impedance_dof, strict=True), *seals):
+        for i, j in np.argwhere((places[:, None] >= 0) & (places >= 0)):
+            matrix[:, places[j], width + places[i] - places[j]] += block[:, i, j]
 
 
 def apply(
@@ -159,8 +158,25 @@ def apply(
     w, speed = frequencies[:, None, None], speeds[:, None, None]
     product = stiffness - w**2 * mass + 1j * w * (damping + speed * gyroscopic)
     at_rows, at_columns = _locate(seal_dof(rotor), rows), _locate(seal_dof(rotor), columns)
-    blocks = rotor.seals.impedance(frequencies, speeds) if len(at_rows) else np.zeros(0)
-    for t, i, j in np.ndindex(len(at_rows), 2, 2):
-        if at_rows[t, i] >= 0 and at_columns[t, j] >= 0:
-            product[:, at_rows[t, i]] += blocks[t, :, i, j, None] * x[:, at_columns[t, j]]
+    seals = rotor.seals.impedance(frequencies, speeds)
+    for t, i, j in np.argwhere((at_rows[:, :, None] >= 0) & (at_columns[:, None] >= 0)):
+        product[:, at_rows[t, i]] += seals[t, :, i, j, None] * x[:, at_columns[t, j]]
     return np.asarray(product)
+
+
+def assemble_systems(rotor: RotorModel, bearings: BearingTable) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """``M``, ``C + W G + C_b`` and ``K + K_b`` with the seals, (S, n, n) each, at the speeds of ``bearings``.
+
+    The first is (n, n) where there are no seals.
+    """
+    shape = (len(bearings.speeds), *rotor.mass.shape)
+    mass = np.broadcast_to(rotor.mass, shape).copy() if rotor.seals.nodes else rotor.mass
+    damping = rotor.damping + bearings.speeds[:, None, None] * rotor.gyroscopic
+    stiffness = np.broadcast_to(rotor.stiffness, shape).copy()
+    blocks, places = bearings.values.reshape(*bearings.values.shape[:2], 2, 2, 2), bearing_places(rotor)
+    held = [*zip(places.spread(blocks), places.dof, strict=True)]
+    held += zip(rotor.seals.matrices(bearings.speeds), seal_dof(rotor), strict=True)
+    for block, dof in held:
+        for b, total in zip(range(block.shape[1]), (stiffness, damping, mass), strict=False):  # bearings have no mass
+            total[(slice(None), *np.ix_(dof, dof))] += block[:, b]
+    return mass, damping, stiffness

@@ -21,7 +21,7 @@ import numpy as np
 from pipeline.config.rotor import RotorConfig, ShaftSegmentConfig
 from pipeline.errors import ConfigError, nearest
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.bearings import BearingConfig, Operating, flatten, pick_condition
+from pipeline.rotor.bearings import BearingConfig, Operating, flatten
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.supports import Stand, find_seals, find_stands
 
@@ -100,33 +100,16 @@ def _sum_elements(rotor: Any, elements: Sequence[Any], lateral: np.ndarray) -> l
     return [matrix[np.ix_(lateral, lateral)] for matrix in sums]
 
 
-def ross_rotor(config: RotorConfig, bearing: BearingConfig, speeds: np.ndarray) -> Any:
-    """ROSS's own rotor with bearings, for its analyses (and as an oracle in tests). ``speeds`` (S,) rad/s.
-
-    Raises ConfigError where bearings follow operating conditions.
-    """
-    rotor = make_rotor(config)
-    if bearing.saved:
-        return rotor
-    nodes, elements = _find_bearings(config, rotor), []
-    for node in nodes:
-        single = bearing.at(node)
-        for name in single.conditions:
-            pick_condition({}, name, 0)
-        elements.append(single.make_element(ross(), node, speeds, _share_weight(rotor, nodes)))
-    seals = [element for element in rotor.bearing_elements if isinstance(element, ross().SealElement)]
-    return ross().Rotor(rotor.shaft_elements, rotor.disk_elements, [*elements, *seals])
-
-
-def _share_weight(rotor: Any, nodes: Sequence[int], gravity: float = 9.80665) -> float:
-    """N, of the rotor's weight at each of its bearings (``gravity`` in m/s^2, ISO 80000-3)."""
-    return float(rotor.m * gravity / len(nodes))
-
-
 def bearing_table(
-    config: RotorConfig, bearing: BearingConfig, speeds: np.ndarray, operating: Operating | None = None
+    config: RotorConfig,
+    bearing: BearingConfig,
+    speeds: np.ndarray,
+    operating: Operating | None = None,
+    gravity: float = 9.80665,
 ) -> BearingTable:
     """The modelled coefficients at ``speeds`` (S,) rad/s and ``operating`` conditions (S,).
+
+    ``gravity`` in m/s^2 (ISO 80000-3) gives each bearing its share of the rotor's weight.
 
     Raises ConfigError where a bearing needs a condition that is not there, or gives no finite coefficients.
     """
@@ -138,7 +121,7 @@ def bearing_table(
         values = np.array([[flatten(*stand.blocks(speed)) for speed in speeds] for stand in stands])
     else:
         nodes = _find_bearings(config, rotor)
-        share = _share_weight(rotor, nodes)
+        share = float(rotor.m * gravity / len(nodes))
         values = np.stack([bearing.at(node).tabulate(speeds, operating, share, ross()) for node in nodes])
     if not np.isfinite(values).all():
         raise ConfigError(

@@ -21,7 +21,7 @@ from pipeline.rotor.seals import Seals
 KIND = "rotors"
 _BEARINGS = "bearings"
 _CODE = ("ross_adapter", "supports", "bearings")
-_LAWS = ("files", "oil", "points", "short_bearing", "table")
+_LAWS = ("oil", "numbers", "short_bearing", "table")
 _MADE_BY = [
     *(Path(__file__).with_name(f"{name}.py") for name in _CODE),
     *(Path(__file__).parents[1] / "laws" / f"{name}.py" for name in _LAWS),

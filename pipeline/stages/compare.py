@@ -14,8 +14,7 @@ from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError
 from pipeline.files import write_json, write_text
-from pipeline.laws.build import make_laws
-from pipeline.laws.law_set import NO_LAWS
+from pipeline.laws.law_set import NO_LAWS, make_laws
 from pipeline.methods.catalogue import METHODS
 from pipeline.problem.configured import model_machine
 from pipeline.reporting.comparison_figures import draw_comparison

@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.measurement import restore
 from pipeline.sweep.readings import compare_natural_frequency
-from pipeline.twin.beyond import expect_criticals
+from pipeline.twin.mode_deviations import expect_criticals
 from pipeline.units import RAD_S_PER_RPM
 
 _AROUND = np.linspace(0.5, 2.0, 61)
@@ -21,7 +21,7 @@ def compare_identified(analysis: Analysis, run_up: Mapping[str, Any]) -> dict[st
     """The first identified critical speed against the first natural frequency of ``run_up.json``.
 
     Empty where a fit states no deviations, or finds no critical speed there. Raises ConfigError as
-    :func:`pipeline.twin.beyond.expect_criticals`.
+    :func:`pipeline.twin.mode_deviations.expect_criticals`.
     """
     answer = restore(analysis)
     if answer.uncertainty is None:
@@ -30,15 +30,15 @@ def compare_identified(analysis: Analysis, run_up: Mapping[str, Any]) -> dict[st
     expected = expect_criticals(answer.measurement, answer.model, answer.uncertainty, speeds)
     if not expected:
         return {}
-    first = expected[0]
-    compared = compare_natural_frequency(run_up, first.speed / RAD_S_PER_RPM, first.deviation / RAD_S_PER_RPM)
+    first, (deviation, _) = expected[0]
+    compared = compare_natural_frequency(run_up, first.speed / RAD_S_PER_RPM, deviation / RAD_S_PER_RPM)
     every = [
         {
             "rpm": critical.speed / RAD_S_PER_RPM,
-            "deviation_rpm": critical.deviation / RAD_S_PER_RPM,
+            "deviation_rpm": speed_deviation / RAD_S_PER_RPM,
             "logarithmic_decrement": critical.logarithmic_decrement,
-            "deviation_logarithmic_decrement": critical.decrement_deviation,
+            "deviation_logarithmic_decrement": decrement_deviation,
         }
-        for critical in expected
+        for critical, (speed_deviation, decrement_deviation) in expected
     ]
     return {"first": compared | {"critical_speeds": every}}

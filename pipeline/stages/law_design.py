@@ -11,7 +11,7 @@ from pipeline.config.operating import column_of
 from pipeline.config.schema import Config
 from pipeline.data.operating import name_state
 from pipeline.errors import ConfigError
-from pipeline.laws.build import make_laws
+from pipeline.laws.law_set import make_laws
 from pipeline.problem.law_design import (
     LawCandidates,
     LawPlan,

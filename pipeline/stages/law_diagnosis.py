@@ -7,7 +7,7 @@ from typing import Any
 from pipeline.config.schema import Config
 from pipeline.data.operating import write_condition
 from pipeline.errors import IdentifiabilityError
-from pipeline.laws.points import OIL_TEMPERATURE
+from pipeline.laws.numbers import OIL_TEMPERATURE
 from pipeline.problem.law_information import (
     describe_open,
     inform,

@@ -14,7 +14,7 @@ from pipeline.config.schema import Config
 from pipeline.data.tables import read_table
 from pipeline.errors import DataError, IdentifiabilityError
 from pipeline.files import hash_file, read_json
-from pipeline.ingest.full_spectrum import join_full_spectra
+from pipeline.ingest.full_spectrum import measure_full_spectra
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, warn
 from pipeline.reporting.report.content import FitContent, ReportContent, Waveforms
@@ -170,7 +170,7 @@ def _read_waveforms(config: Config) -> list[Waveforms]:
             warn(f"the report has no spectra of run '{measured.name}': {error}")
             continue
         for node in nodes:
-            spectra = join_full_spectra(records, recordings.probes, node)
+            spectra = measure_full_spectra(records, recordings.probes, node)
             if spectra is not None:
                 shown = (spectra.speeds, spectra.orders, spectra.spectrum, spectra.centre)
                 waveforms.append(Waveforms(node, measured.name, *shown))

@@ -19,7 +19,7 @@ from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.trust.linearised import LinearisedFit, linearise, name_channels
 from pipeline.trust.misfit import Misfit, measure_misfit
-from pipeline.twin.superposition import superpose_with_noise
+from pipeline.twin.superposition import find_shares
 
 
 class Growth(NamedTuple):
@@ -175,9 +175,9 @@ def compare_superposed(measurement: Measurement, factor: np.ndarray) -> dict[str
     squares = {}
     for r, run in enumerate(data.runs):
         others = [o for o in range(len(data.runs)) if o != r]
-        told = superpose_with_noise(data, others, data.excitation_of(r), data.frequencies[:, r], free, noise)
-        if told is not None and whole.any():
-            summed, spread = told
-            off = np.abs(summed - data.displacement[..., r]) ** 2 / (spread**2 + noise[..., r] ** 2)
+        shares = find_shares(data, others, data.excitation_of(r), data.frequencies[:, r], free)
+        if shares is not None and whole.any():
+            variance = noise**2 @ np.abs(shares) ** 2 + noise[..., r] ** 2
+            off = np.abs(data.displacement @ shares - data.displacement[..., r]) ** 2 / variance
             squares[run] = float(off[whole].mean())
     return squares

@@ -93,12 +93,13 @@ def table_at(table: BearingTable, wanted: Mapping[str, float], key: str) -> Bear
 def evaluate_at(
     identified: IdentifiedModel, updated: Measurement, wanted: Mapping[str, float], key: str
 ) -> tuple[Measurement, BearingTable]:
-    """:func:`measurement_at` of the measurement ``updated`` to the fit, and all coefficients there.
+    """The measurement ``updated`` to the fit with the known coefficients at ``wanted`` conditions, at each speed once
+    (the readings stay), and all coefficients there.
 
-    Raises ConfigError as that, and where a coefficient leaves all bounds: functions that were fitted at a few states
-    may do anything between and beyond these.
+    Raises ConfigError as :func:`table_at`, and where a coefficient leaves all bounds: functions that were fitted at
+    a few states may do anything between and beyond these.
     """
-    machine = measurement_at(updated, wanted, key)
+    machine = replace(updated, known=table_at(updated.known, wanted, key))
     table = identified.table(machine.updated_known)
     if not table.bounded.all():
         raise ConfigError(
@@ -124,11 +125,3 @@ def _require_bounded(data: BearingTable, table: BearingTable, key: str, state: s
             f"{size.min():.2g} to {size.max():.2g}): take a measured state, measure there, or fit model=law or "
             "model=hybrid, which physics continues"
         )
-
-
-def measurement_at(measurement: Measurement, wanted: Mapping[str, float], key: str) -> Measurement:
-    """The same with the known coefficients at ``wanted`` conditions, at each speed once; the readings stay.
-
-    Raises ConfigError as :func:`table_at`.
-    """
-    return replace(measurement, known=table_at(measurement.known, wanted, key))

@@ -1,4 +1,5 @@
-"""How well the modes are known: the fit's covariance, carried to eigenvalues by their derivatives.
+"""How well the modes are known: the fit's covariance, carried to eigenvalues by their derivatives; critical speeds
+beyond the speeds of the data, of bearings that are constants by assumption.
 
 With right and left vectors u and v of ``(l^2 M + l (C + W G + C_b) + K + K_b) u = 0`` an eigenvalue moves by
 
@@ -20,10 +21,12 @@ from functools import cached_property
 
 import numpy as np
 
+from pipeline.errors import ConfigError
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.uncertainty import Uncertainty
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.dynamic_stiffness import assemble_systems
 from pipeline.rotor.interpolation import BearingPlaces, bearing_places, shaft_rows
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.parameters import ModelParameter, rotor_change
@@ -32,9 +35,8 @@ from pipeline.twin.modes import (
     Stability,
     StabilityMargin,
     WhirlModes,
-    assemble_mass,
-    assemble_systems,
     find_critical_speeds,
+    find_modes,
     find_reached,
     find_whirling,
     judge_growth,
@@ -134,16 +136,15 @@ def deviate_modes(
     positions = [t for t, parameter in enumerate(measurement.parameters) if parameter.kind == "bearing_position"]
     values = np.concatenate([modes.eigenvalues, (modes.growth + 1j * modes.growing)[:, None]], axis=1)
     rotor = measurement.updated_rotor
-    stiffness, damping = assemble_systems(rotor, bearings)
-    mass = np.broadcast_to(assemble_mass(rotor, bearings.speeds), stiffness.shape)
+    mass, damping, stiffness = assemble_systems(rotor, bearings)
+    mass = np.broadcast_to(mass, stiffness.shape)
     slopes = np.full((*values.shape, len(covariance)), np.nan, dtype=complex)  # (S, K + 1, Z)
     for s, value in enumerate(values):
         present = np.flatnonzero(~np.isnan(value))
-        system = System(mass[s], stiffness[s], damping[s], float(bearings.speeds[s]), bearing_places(rotor))
-        moves = {t: derive_place(rotor, measurement.parameters[t], bearings.values[:, s]) for t in positions}
-        by_coefficient, by_rotor = system.derive(
-            value[present], [moves.get(t, change) for t, change in enumerate(changes)]
-        )
+        for t in positions:
+            changes[t] = derive_place(rotor, measurement.parameters[t], bearings.values[:, s])
+        system = (mass[s], stiffness[s], damping[s], float(bearings.speeds[s]), bearing_places(rotor))
+        by_coefficient, by_rotor = derive_eigenvalues(value[present], *system, changes)
         slopes[s, present, :count] = np.einsum("kbc,bcz->kz", by_coefficient, by_number[:, s], optimize=True)
         if changes:
             by_known = np.einsum("kbc,bct->kt", by_coefficient, measurement.known_variation[s])
@@ -176,9 +177,17 @@ class Behaviour:
     """The modes of one system, and what follows from them."""
 
     modes: WhirlModes
-    critical: list[CriticalSpeed]
-    margin: StabilityMargin
-    deviations: ModeDeviations | None  # of a fit that states them
+    deviations: ModeDeviations | None = None  # of a fit that states them
+
+    @cached_property
+    def critical(self) -> list[CriticalSpeed]:
+        """Ascending."""
+        return find_critical_speeds(self.modes)
+
+    @cached_property
+    def margin(self) -> StabilityMargin:
+        """Over all speeds."""
+        return measure_stability(self.modes)
 
     @cached_property
     def margin_deviations(self) -> tuple[float | None, float | None]:
@@ -191,47 +200,44 @@ class Behaviour:
         return judge_growth(self.margin.largest_growth, self.margin_deviations[0] or 0.0)
 
 
-def describe_modes(modes: WhirlModes, deviations: ModeDeviations | None = None) -> Behaviour:
-    """Critical speeds and stability of these modes."""
-    return Behaviour(modes, find_critical_speeds(modes), measure_stability(modes), deviations)
+def derive_eigenvalues(
+    values: np.ndarray,
+    mass: np.ndarray,
+    stiffness: np.ndarray,
+    damping: np.ndarray,
+    speed: float,
+    places: BearingPlaces,
+    changes: Sequence[RotorModel | None] = (),
+    off: float = 1e-7,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives of the eigenvalues ``values`` (K,) of the rotor on its bearings at one ``speed`` W in rad/s.
 
+    By inverse iteration a share ``off`` beside them: the matrix stays regular, and two steps give the vector.
 
-@dataclass(frozen=True, eq=False)
-class System:
-    """The rotor on its bearings at one speed."""
+    Args:
+        mass: (n, n) M.
+        stiffness: (n, n) K + K_b.
+        damping: (n, n) C + W G + C_b.
 
-    mass: np.ndarray  # (n, n)
-    stiffness: np.ndarray  # (n, n) K + K_b
-    damping: np.ndarray  # (n, n) C + W G + C_b
-    speed: float  # W, rad/s
-    places: BearingPlaces
-
-    def derive(
-        self, values: np.ndarray, changes: Sequence[RotorModel | None] = (), off: float = 1e-7
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of the eigenvalues ``values`` (K,), by inverse iteration a share ``off`` beside them: the matrix
-        stays regular, and two steps give the vector.
-
-        By the coefficients, (K, B, 8) 1/s over N/m and N s/m, and by ``changes`` of the rotor, (K, T) 1/s.
-        """
-        mass, places = self.mass, self.places
-        eigenvalues = values[:, None, None]
-        shifted = eigenvalues * (1.0 + off) + off
-        system = shifted**2 * mass + shifted * self.damping + self.stiffness  # (K, n, n)
-        right, left = _find_null(system), _find_null(system.swapaxes(1, 2))
-        left = left / _multiply(left, 2.0 * eigenvalues * mass + self.damping, right)[:, None]
-        shown = [places.show(vector[..., None]).reshape(len(values), -1, 2) for vector in (left, right)]  # (K, B, 2)
-        by_stiffness = -shown[0][..., None] * shown[1][:, :, None]  # (K, B, 2, 2)
-        by_stiffness = by_stiffness.reshape(*by_stiffness.shape[:2], 4)
-        by_coefficient = np.concatenate([by_stiffness, eigenvalues * by_stiffness], axis=-1)
-        by_rotor = np.zeros((len(values), len(changes)), dtype=complex)
-        for t, change in enumerate(changes):
-            if change is not None:
-                turned = change.damping + self.speed * change.gyroscopic
-                by_rotor[:, t] = -_multiply(
-                    left, eigenvalues**2 * change.mass + eigenvalues * turned + change.stiffness, right
-                )
-        return by_coefficient, by_rotor
+    Returns:
+        By the coefficients at ``places``, (K, B, 8) 1/s over N/m and N s/m; by ``changes`` of the rotor, (K, T) 1/s.
+    """
+    eigenvalues = values[:, None, None]
+    shifted = eigenvalues * (1.0 + off) + off
+    system = shifted**2 * mass + shifted * damping + stiffness  # (K, n, n)
+    right, left = _find_null(system), _find_null(system.swapaxes(1, 2))
+    left = left / _multiply(left, 2.0 * eigenvalues * mass + damping, right)[:, None]
+    shown = [places.show(vector[..., None]).reshape(len(values), -1, 2) for vector in (left, right)]  # (K, B, 2)
+    by_stiffness = -shown[0][..., None] * shown[1][:, :, None]  # (K, B, 2, 2)
+    by_stiffness = by_stiffness.reshape(*by_stiffness.shape[:2], 4)
+    by_coefficient = np.concatenate([by_stiffness, eigenvalues * by_stiffness], axis=-1)
+    by_rotor = np.zeros((len(values), len(changes)), dtype=complex)
+    for t, change in enumerate(changes):
+        if change is not None:
+            turned = change.damping + speed * change.gyroscopic
+            moved = eigenvalues**2 * change.mass + eigenvalues * turned + change.stiffness
+            by_rotor[:, t] = -_multiply(left, moved, right)
+    return by_coefficient, by_rotor
 
 
 def _multiply(left: np.ndarray, matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -246,3 +252,26 @@ def _find_null(system: np.ndarray) -> np.ndarray:
         vectors = np.linalg.solve(system, vectors[..., None])[..., 0]
         vectors = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
     return vectors
+
+
+def expect_criticals(
+    measurement: Measurement, identified: IdentifiedModel, uncertainty: Uncertainty, speeds: np.ndarray
+) -> list[tuple[CriticalSpeed, tuple[float, float]]]:
+    """The critical speeds within ``speeds`` (S,) rad/s beyond the data, ascending, each with its deviations: see
+    :meth:`ModeDeviations.of_critical`.
+
+    ``measurement`` is at the fitted model parameters. Raises ConfigError where a coefficient, identified or known,
+    depends on the speed: nothing says what it is beyond the data.
+    """
+    known = measurement.updated_known
+    if identified.model.hidden is not None or np.ptp(known.values, axis=1).any():
+        raise ConfigError(
+            "critical speeds beyond the data must be of coefficients that do not depend on the speed, but some do: use "
+            "model=constant and known values, or measure there"
+        )
+    table = BearingTable(known.nodes, speeds, np.repeat(known.values[:, :1], len(speeds), axis=1))
+    updated = replace(measurement, known=table)
+    bearings = identified.table(table)
+    modes = find_modes(updated.updated_rotor, bearings)
+    deviations = deviate_modes(modes, updated, bearings, identified, uncertainty)
+    return [(critical, deviations.of_critical(critical)) for critical in find_critical_speeds(modes)]

@@ -12,8 +12,8 @@ from enum import StrEnum
 import numpy as np
 
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.interpolation import bearing_places
-from pipeline.rotor.model import RotorModel, seal_dof
+from pipeline.rotor.dynamic_stiffness import assemble_systems
+from pipeline.rotor.model import RotorModel
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,39 +32,11 @@ class WhirlModes:
         return self.frequency * (1j - self.logarithmic_decrement / (2.0 * math.pi))
 
 
-def assemble_systems(rotor: RotorModel, bearings: BearingTable) -> tuple[np.ndarray, np.ndarray]:
-    """``K + K_b`` and ``C + W G + C_b`` with the seals, (S, n, n) each, at the speeds of ``bearings``."""
-    n = rotor.n_dof
-    stiffness = np.broadcast_to(rotor.stiffness, (len(bearings.speeds), n, n)).copy()
-    damping = rotor.damping + bearings.speeds[:, None, None] * rotor.gyroscopic
-    blocks = bearings.values.reshape(*bearings.values.shape[:2], 2, 2, 2)
-    places = bearing_places(rotor)
-    for block, dof in zip(places.spread(blocks), places.dof, strict=True):
-        where = (slice(None), *np.ix_(dof, dof))
-        stiffness[where] += block[:, 0]
-        damping[where] += block[:, 1]
-    for block, pair in zip(rotor.seals.matrices(bearings.speeds), seal_dof(rotor), strict=True):
-        where = (slice(None), *np.ix_(pair, pair))
-        stiffness[where] += block[:, 0]
-        damping[where] += block[:, 1]
-    return stiffness, damping
-
-
-def assemble_mass(rotor: RotorModel, speeds: np.ndarray) -> np.ndarray:
-    """``M``, (n, n), or with seals (S, n, n) at the ``speeds`` (S,) rad/s."""
-    if not rotor.seals.nodes:
-        return rotor.mass
-    mass = np.broadcast_to(rotor.mass, (len(speeds), *rotor.mass.shape)).copy()
-    for block, pair in zip(rotor.seals.matrices(speeds), seal_dof(rotor), strict=True):
-        mass[(slice(None), *np.ix_(pair, pair))] += block[:, 2]
-    return mass
-
-
 def find_modes(rotor: RotorModel, bearings: BearingTable, count: int = 8) -> WhirlModes:
     """Eigenvalues of ``M q'' + (C + W G + C_b) q' + (K + K_b) q = 0`` at the speeds of ``bearings``."""
     n = rotor.n_dof
-    inverse = np.linalg.inv(assemble_mass(rotor, bearings.speeds))  # one serves all speeds where no seal has mass
-    stiffness, damping = assemble_systems(rotor, bearings)
+    mass, damping, stiffness = assemble_systems(rotor, bearings)
+    inverse = np.linalg.inv(mass)  # one serves all speeds where no seal has mass
     state = np.zeros((len(bearings.speeds), 2 * n, 2 * n))
     state[:, :n, n:] = np.eye(n)
     state[:, n:, :n] = -inverse @ stiffness
@@ -145,18 +117,17 @@ def find_critical_speeds(modes: WhirlModes) -> list[CriticalSpeed]:
     if len(modes.speeds) < 2:
         return speeds
     gap = modes.frequency - modes.speeds[:, None]  # (S, K)
-    for k in range(gap.shape[1]):
-        crosses = (gap[:-1, k] * gap[1:, k] < 0) | (gap[:-1, k] == 0)
-        crosses[-1] |= gap[-1, k] == 0
-        for s in np.flatnonzero(crosses & (gap[:-1, k] != gap[1:, k])):
-            jump = abs(modes.frequency[s + 1, k] - modes.frequency[s, k])
-            if jump > 0.25 * modes.frequency[s, k]:
-                continue
-            t = gap[s, k] / (gap[s, k] - gap[s + 1, k])
-            speed = modes.speeds[s] + t * (modes.speeds[s + 1] - modes.speeds[s])
-            values = modes.logarithmic_decrement[s : s + 2, k]
-            decrement = values[0] + t * (values[1] - values[0])
-            speeds.append(CriticalSpeed(float(speed), float(decrement), (int(s), k)))
+    crosses = (gap[:-1] * gap[1:] < 0) | (gap[:-1] == 0)
+    crosses[-1] |= gap[-1] == 0
+    for k, s in np.argwhere((crosses & (gap[:-1] != gap[1:])).T).tolist():
+        jump = abs(modes.frequency[s + 1, k] - modes.frequency[s, k])
+        if jump > 0.25 * modes.frequency[s, k]:
+            continue
+        t = gap[s, k] / (gap[s, k] - gap[s + 1, k])
+        speed = modes.speeds[s] + t * (modes.speeds[s + 1] - modes.speeds[s])
+        values = modes.logarithmic_decrement[s : s + 2, k]
+        decrement = values[0] + t * (values[1] - values[0])
+        speeds.append(CriticalSpeed(float(speed), float(decrement), (s, k)))
     return sorted(speeds, key=lambda critical: critical.speed)
 
 
@@ -164,11 +135,15 @@ def find_critical_speeds(modes: WhirlModes) -> list[CriticalSpeed]:
 class StabilityMargin:
     """How far a system stays from instability over its speed range."""
 
-    stable: bool
     largest_growth: float  # 1/s, over all modes and speeds; at most zero is stable
     smallest_logarithmic_decrement: float | None  # over the modes within twice the top speed; None without any
     at_speed: float | None  # rad/s, where that is
     place: tuple[int, int] | None  # (speed, mode) of it
+
+    @property
+    def stable(self) -> bool:
+        """Whether nothing grows."""
+        return self.largest_growth <= 0
 
 
 class Stability(StrEnum):
@@ -210,7 +185,6 @@ def measure_stability(modes: WhirlModes) -> StabilityMargin:
     s, k = np.unravel_index(within.argmin(), within.shape)
     exists = np.isfinite(within[s, k])
     return StabilityMargin(
-        bool((modes.growth <= 0).all()),
         float(modes.growth.max()),
         float(within[s, k]) if exists else None,
         float(modes.speeds[s]) if exists else None,

@@ -23,36 +23,7 @@ from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
 
 
-def superpose(
-    dataset: VibrationDataset,
-    runs: Sequence[int],
-    wanted: Sequence[Excitation],
-    frequencies: np.ndarray,
-    residual_unbalance: bool,
-) -> np.ndarray | None:
-    """(S, P) complex, m: the ``wanted`` excitation's response at the channels, from those of the ``runs`` (indices).
-
-    ``frequencies`` (S,) rad/s are those of the excitation. With a ``residual_unbalance``, which acts in every run, the
-    runs' shares must add up to 1. None where no sum of the runs is the excitation.
-    """
-    shares = _find_shares(dataset, runs, wanted, frequencies, residual_unbalance)
-    return None if shares is None else np.asarray(dataset.displacement @ shares)
-
-
-def superpose_with_noise(
-    dataset: VibrationDataset,
-    runs: Sequence[int],
-    wanted: Sequence[Excitation],
-    frequencies: np.ndarray,
-    residual_unbalance: bool,
-    noise: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """:func:`superpose`, and (S, P) m of its own noise, from that of the readings (S, P, R) m."""
-    shares = _find_shares(dataset, runs, wanted, frequencies, residual_unbalance)
-    return None if shares is None else (dataset.displacement @ shares, np.sqrt(noise**2 @ np.abs(shares) ** 2))
-
-
-def _find_shares(
+def find_shares(
     dataset: VibrationDataset,
     runs: Sequence[int],
     wanted: Sequence[Excitation],
@@ -60,7 +31,12 @@ def _find_shares(
     residual_unbalance: bool,
     within: float = 1e-9,
 ) -> np.ndarray | None:
-    """(R,) complex, by how much each run is in the wanted one, of which a share ``within`` may be left over."""
+    """(R,) complex, by how much each of the ``runs`` (indices) is in the ``wanted`` excitation.
+
+    So much of their responses is its response. ``frequencies`` (S,) rad/s are those of the excitation. With a
+    ``residual_unbalance``, which acts in every run, the shares must add up to 1. None where no sum of the runs is the
+    excitation, of which a share ``within`` may be left over.
+    """
     same = [r for r in runs if np.allclose(dataset.frequencies[:, r], frequencies, rtol=1e-9)]
     if not same:
         return None
@@ -136,28 +112,26 @@ def compare_held_out(
     compared = []
     for r in out:
         acting, planes = dataset.excitation_of(int(r)), measurement.unknowns.planes
-        summed = superpose(dataset, fitted.tolist(), acting, dataset.frequencies[:, r], bool(planes))
+        shares = find_shares(dataset, fitted.tolist(), acting, dataset.frequencies[:, r], bool(planes))
         beside = dataset.present[:, r] & dataset.present[:, fitted].all(axis=1)
-        error = error_percent(summed[beside], measured[beside, :, r]) if summed is not None and beside.any() else None
+        told = shares is not None and beside.any()
+        error = error_percent((measured @ shares)[beside], measured[beside, :, r]) if told else None
         model = _model_error(predicted[..., r], measured[..., r])
         compared.append(HeldOut(dataset.runs[r], dataset.speeds, True, model, error))
     every = held_out_speeds(len(dataset.speeds), training.holdout_every)
     together = held_out_range(dataset.speeds, training)
     away = held_out_conditions(dataset.operating, training, len(dataset.speeds))
     known = ~every & ~together & ~away
-    for mask in (every & ~together & ~away, together & ~away):
+    state = name_state({name: values[away] for name, values in dataset.operating.items()}) if away.any() else ""
+    for mask in (every & ~together & ~away, together & ~away, away):
         if not mask.any():
             continue
-        fitted_runs = dataset.at(known | mask).of_runs(fitted)
-        drawn = interpolate_response(fitted_runs, known[known | mask])
-        aim = measured[mask][..., fitted]
+        whole, aim, left = mask is away, measured[mask][..., fitted], known | mask
+        drawn = None if whole else interpolate_response(dataset.at(left).of_runs(fitted), known[left])
         error = None if drawn is None else error_percent(drawn, aim)
         model = _model_error(predicted[mask][..., fitted], aim)
-        compared.append(HeldOut(None, dataset.speeds[mask], bool((mask & together).any()), model, error))
-    if away.any():
-        state = name_state({name: values[away] for name, values in dataset.operating.items()})
-        model = _model_error(predicted[away][..., fitted], measured[away][..., fitted])
-        compared.append(HeldOut(None, dataset.speeds[away], True, model, None, state))
+        in_a_row = whole or bool((mask & together).any())
+        compared.append(HeldOut(None, dataset.speeds[mask], in_a_row, model, error, state if whole else ""))
     return compared
 
 

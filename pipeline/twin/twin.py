@@ -21,10 +21,10 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel, translation_dof
 from pipeline.rotor.stored import load_modelled_bearings, require_nodes
 from pipeline.twin.at_conditions import evaluate_at, mask_state, pick_middle, require_conditions, table_at
-from pipeline.twin.mode_deviations import Behaviour, describe_modes, deviate_modes
+from pipeline.twin.mode_deviations import Behaviour, deviate_modes
 from pipeline.twin.modes import find_modes
 from pipeline.twin.prediction import PredictedVibration, add_deviation, predict
-from pipeline.twin.superposition import superpose
+from pipeline.twin.superposition import find_shares
 
 OPERATING = "machine.prediction.operating"
 
@@ -61,7 +61,7 @@ def build_twin(machine: MachineConfig, answer: Answer, modelled: BearingTable | 
     if truth is not None:
         rotor, truth, acting, place = _build(machine, stated.rotor, truth, unseen)
         systems["modelled"], vibration["modelled"] = truth, predict(rotor, truth, acting, place)
-        behaviour["modelled"] = describe_modes(find_modes(rotor, truth))
+        behaviour["modelled"] = Behaviour(find_modes(rotor, truth))
     systems["identified"] = identified
     vibration["identified"] = predict(points.updated_rotor, identified, unseen, node)
     modes = find_modes(points.updated_rotor, identified)
@@ -70,7 +70,7 @@ def build_twin(machine: MachineConfig, answer: Answer, modelled: BearingTable | 
         given = (answer.model, answer.uncertainty)
         vibration["identified"] = add_deviation(vibration["identified"], points, identified, unseen, *given)
         deviations = deviate_modes(modes, points, identified, *given)
-    behaviour["identified"] = describe_modes(modes, deviations)
+    behaviour["identified"] = Behaviour(modes, deviations)
     return Twin(systems, vibration, behaviour, at, operating)
 
 
@@ -131,10 +131,10 @@ def superpose_unseen(
     dof, resolution = dataset.resolution()
     rows = [np.flatnonzero(dof == translation_dof(node, direction)) for direction in range(2)]
     runs = range(len(dataset.runs))
-    summed = superpose(dataset, runs, list_unseen(machine), dataset.speeds, bool(measurement.unknowns.planes))
-    if summed is None or not all(len(row) for row in rows):
+    shares = find_shares(dataset, runs, list_unseen(machine), dataset.speeds, bool(measurement.unknowns.planes))
+    if shares is None or not all(len(row) for row in rows):
         return None
-    return summed @ resolution[np.concatenate(rows)].T
+    return (dataset.displacement @ shares) @ resolution[np.concatenate(rows)].T
 
 
 def list_unseen(machine: MachineConfig) -> tuple[Excitation, ...]:

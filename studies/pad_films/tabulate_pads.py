@@ -15,7 +15,7 @@ import numpy as np
 from reynolds import PadBearing, tabulate_bearing
 
 from pipeline.files import write_text
-from pipeline.laws.files import COLUMNS, PRELOAD
+from pipeline.laws.table import COLUMNS, PRELOAD
 
 _HEAD = """\
 # Made by Reynolds' equation (isothermal, laminar, rigid; a film breaks where its pressure would fall below ambient):

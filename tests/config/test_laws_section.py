@@ -12,7 +12,7 @@ from pipeline.config.compose import compose_config
 from pipeline.config.messages import explain_schema_errors
 from pipeline.config.quantities import to_si
 from pipeline.errors import ConfigError
-from pipeline.laws.build import LawsConfig
+from pipeline.laws.law_set import LawsConfig
 
 OIL = {"law": "exponential", "reference": "55 degC", "viscosity": {"guess": "20 mPa s", "within": 5}, "slope": 0.03}
 SIZES = {"journal_diameter": "99.6 mm", "length": "49.9 mm", "static_load": "892.7 N"}

@@ -10,12 +10,13 @@ import pytest
 from conftest import refused
 from reading import parsed, read
 
+from benchmarks.ross_oracle import ross_rotor
 from pipeline.config.rotor import RotorConfig
 from pipeline.data.sensors import project
 from pipeline.data.simulate import simulate
 from pipeline.ingest.conventions import list_acting
 from pipeline.rotor.bearings import LinearBearingConfig
-from pipeline.rotor.ross_adapter import assemble, bearing_table, ross, ross_rotor
+from pipeline.rotor.ross_adapter import assemble, bearing_table, ross
 from pipeline.units import RAD_S_PER_RPM
 
 ROTOR = RotorConfig.model_validate(

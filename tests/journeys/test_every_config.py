@@ -11,11 +11,11 @@ import pytest
 from conftest import Made, Run
 from running import DEFAULT, EXPERIMENTS, FIGURES, LINE, composed, contents, few, identified_columns, strict_json
 
+from benchmarks.ross_oracle import ross_rotor
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.compose import compose_config
 from pipeline.config.loader import CONF, list_options
 from pipeline.errors import ConfigError, DataError, IdentifiabilityError
-from pipeline.rotor.ross_adapter import ross_rotor
 from pipeline.stages import STAGES
 from pipeline.units import RAD_S_PER_RPM
 

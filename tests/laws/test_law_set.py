@@ -13,9 +13,8 @@ import torch
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.errors import ConfigError, DataError
-from pipeline.laws.build import LawsConfig, make_laws
-from pipeline.laws.files import FOLDER, read_film_table
-from pipeline.laws.law_set import LawSet
+from pipeline.laws.law_set import LawsConfig, LawSet, make_laws
+from pipeline.laws.table import FOLDER, read_film_table
 from pipeline.rotor.bearings import JournalTableConfig
 from pipeline.rotor.ross_adapter import ross
 

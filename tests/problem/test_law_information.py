@@ -13,7 +13,7 @@ from small_rotor import SPEEDS, small_machine
 
 from pipeline.data.noise import NoiseModel
 from pipeline.errors import IdentifiabilityError
-from pipeline.laws.build import LawsConfig, make_laws
+from pipeline.laws.law_set import LawsConfig, make_laws
 from pipeline.problem.law_information import (
     FURTHER,
     LawInformation,

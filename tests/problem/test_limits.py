@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from conftest import MachineFactory
 
+from benchmarks.ross_oracle import ross_rotor
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.compose import compose_config
 from pipeline.problem.residual import bearing_equations, linear_residual, per_speed_least_squares
-from pipeline.rotor.ross_adapter import ross_rotor
 from pipeline.unknowns import BearingUnknowns, unknown_set
 
 

@@ -176,7 +176,7 @@ def test_a_circle_is_one_line_of_the_full_spectrum(sense: int) -> None:
     probes = {"left": ProbeConfig(node=1, angle="135 deg"), "right": ProbeConfig(node=1, angle="45 deg")}
     seen = np.stack([x * np.cos(p.angle) + y * np.sin(p.angle) for p in probes.values()], axis=1)
     angle = fit_angle(np.arange(0.0, 3.99, 1 / hertz), 1, "here")
-    found = measure_full_spectra(Signals(time, seen, angle, "here"), probes, 1)
+    found = measure_full_spectra([Signals(time, seen, angle, "here")], probes, 1)
     assert found is not None
     assert found.speeds == pytest.approx(np.full(len(found.speeds), 2 * np.pi * hertz), rel=1e-3)
     largest = found.spectrum.argmax(axis=1)

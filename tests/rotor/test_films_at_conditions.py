@@ -14,9 +14,9 @@ from pipeline.config.guesses import ModelledLoad
 from pipeline.config.quantities import Angle, Length
 from pipeline.config.rotor import RotorConfig
 from pipeline.errors import ConfigError
-from pipeline.laws.build import LawsConfig, make_laws
+from pipeline.laws.law_set import LawsConfig, make_laws
 from pipeline.rotor.bearings import PerNodeBearingConfig, _Bearing
-from pipeline.rotor.ross_adapter import bearing_table, ross, ross_rotor
+from pipeline.rotor.ross_adapter import bearing_table, ross
 from pipeline.rotor.stored import load_modelled_bearings
 
 ROTOR = RotorConfig.model_validate(
@@ -101,8 +101,6 @@ def test_a_condition_that_is_missing_is_named() -> None:
     named = "need the operating condition oil_temperature, but there is load: give machine.operating.oil_temperature"
     with refused(named, kind=ConfigError):
         bearing_table(ROTOR, film, SPEEDS, {"load": STATES["load"]})
-    with refused("need the operating condition oil_temperature", kind=ConfigError):
-        ross_rotor(ROTOR, film, SPEEDS[:5])
     with refused("need the operating condition load", kind=ConfigError):
         bearing_table(ROTOR, bearings({**BALL, "static_load": "condition"}), SPEEDS)
     with refused("above Vogel's c", kind=ConfigError):

@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks.machines import refined
+from benchmarks.ross_oracle import ross_rotor
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.loader import list_options
 from pipeline.config.rotor import RotorConfig
@@ -22,7 +23,7 @@ from pipeline.errors import PipelineError
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.dynamic_stiffness import apply, banded, solve
 from pipeline.rotor.model import RotorModel, bearing_dof, translation_dof
-from pipeline.rotor.ross_adapter import assemble, ross_rotor
+from pipeline.rotor.ross_adapter import assemble
 from pipeline.twin.modes import find_critical_speeds, find_modes
 from pipeline.units import RAD_S_PER_RPM
 

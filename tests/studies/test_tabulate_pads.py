@@ -9,8 +9,8 @@ import pytest
 from reynolds import PadBearing, film_forces, tabulate_bearing
 from tabulate_pads import main
 
-from pipeline.laws.files import FOLDER, packaged_tables, read_film_table
 from pipeline.laws.short_bearing import short_coefficients, short_eccentricity
+from pipeline.laws.table import FOLDER, packaged_tables, read_film_table
 
 LUND = np.loadtxt(FOLDER / "lund_thomsen_two_axial_groove.csv", delimiter=",", skiprows=5)
 TWO = (0.0, np.pi)

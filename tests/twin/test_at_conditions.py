@@ -16,7 +16,6 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.twin.at_conditions import (
     evaluate_at,
     mask_state,
-    measurement_at,
     pick_middle,
     require_conditions,
     say_beyond,
@@ -101,7 +100,7 @@ def test_bands_grow_outside_the_measured_temperatures(warm: tuple) -> None:
     measurement, found = warm
     spread = {}
     for celsius in (45.0, 55.0, 65.0, 80.0):
-        there = measurement_at(measurement, {"oil_temperature": celsius + 273.15}, KEY).known
+        there = table_at(measurement.known, {"oil_temperature": celsius + 273.15}, KEY)
         table = found.table(there)
         deviation = found.deviation(table.speeds, table.operating)
         true = warm_bearings(table.speeds, np.full(len(SPEEDS), celsius)).values[..., [0, 3, 4, 7]]
@@ -116,7 +115,7 @@ def test_bands_grow_outside_the_measured_temperatures(warm: tuple) -> None:
 @pytest.mark.slow
 def test_modes_at_a_temperature_that_was_not_measured_lie_within_their_deviations(warm: tuple) -> None:
     measurement, found = warm
-    there = measurement_at(measurement, {"oil_temperature": 72.0 + 273.15}, KEY)
+    there = replace(measurement, known=table_at(measurement.known, {"oil_temperature": 72.0 + 273.15}, KEY))
     table = found.table(there.known)
     modes = find_modes(there.rotor, table)
     deviations = deviate_modes(modes, there, table, found.model, found.uncertainty)

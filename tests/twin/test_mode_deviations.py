@@ -12,14 +12,14 @@ from conftest import Machine
 from pipeline.reporting.summary_text import _describe_stability
 from pipeline.reporting.twin_tables import summarize_modes
 from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.dynamic_stiffness import assemble_systems
 from pipeline.rotor.interpolation import bearing_places, move_bearing
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.parameters import ModelParameter, rotor_change, update_rotor
-from pipeline.twin.mode_deviations import ModeDeviations, System, derive_place, describe_modes, deviate
+from pipeline.twin.mode_deviations import Behaviour, ModeDeviations, derive_eigenvalues, derive_place, deviate
 from pipeline.twin.modes import (
     WhirlModes,
     amplify,
-    assemble_systems,
     find_critical_speeds,
     find_modes,
     follow_modes,
@@ -30,12 +30,11 @@ from pipeline.twin.modes import (
 
 def derive(rotor: RotorModel, bearings: BearingTable, s: int, changes: list[RotorModel | None]) -> tuple:
     """Eigenvalues of the speed s and their derivatives."""
-    stiffness, damping = assemble_systems(rotor, bearings)
+    _, damping, stiffness = assemble_systems(rotor, bearings)
     values = find_modes(rotor, bearings).eigenvalues[s]
     values = values[~np.isnan(values)]
-    return values, *System(rotor.mass, stiffness[s], damping[s], bearings.speeds[s], bearing_places(rotor)).derive(
-        values, changes
-    )
+    system = (rotor.mass, stiffness[s], damping[s], bearings.speeds[s], bearing_places(rotor))
+    return values, *derive_eigenvalues(values, *system, changes)
 
 
 def eigenvalues(rotor: RotorModel, bearings: BearingTable, s: int) -> np.ndarray:
@@ -194,7 +193,7 @@ def test_modes_are_followed_where_their_frequencies_meet() -> None:
 
 
 def test_a_fit_without_deviations_states_none(hydrostatic: Machine) -> None:
-    found = describe_modes(find_modes(hydrostatic.rotor, hydrostatic.bearings))
+    found = Behaviour(find_modes(hydrostatic.rotor, hydrostatic.bearings))
     assert found.deviations is None
     assert found.margin.stable
 
@@ -247,7 +246,7 @@ def test_a_mode_near_critical_damping_widens_no_margin() -> None:
     modes = WhirlModes(np.array([100.0]), frequency, decrement, np.array([-0.9]), np.array([100.0]))
     by_number = np.array([[[-100.0 / (2 * math.pi), 0.0], [0.0, 1e3 + 1e3j]]])
     deviations = ModeDeviations(modes, frequency, decrement, by_number, np.zeros((1, 2)), np.diag([0.006**2, 1.0]))
-    behaviour = describe_modes(modes, deviations)
+    behaviour = Behaviour(modes, deviations)
     growth, found = behaviour.margin_deviations
     assert growth is not None
     assert found == pytest.approx(0.006, rel=0.15)
@@ -264,7 +263,7 @@ def test_a_growth_is_judged_with_its_deviation(growth: float, deviation: float, 
     modes = WhirlModes(np.ones(1), np.full((1, 1), 1.0), np.full((1, 1), 0.1), np.array([growth]), np.array([1.0]))
     empty = np.zeros((1, 1))
     deviations = ModeDeviations(modes, empty, empty, np.zeros((1, 1, 1)), np.ones((1, 1)), np.diag([deviation**2]))
-    behaviour = describe_modes(modes, deviations)
+    behaviour = Behaviour(modes, deviations)
     assert behaviour.stability == verdict
     assert ("UNSTABLE" in _describe_stability(summarize_modes(behaviour, 1000.0)["stability"])) is (
         verdict == "unstable"

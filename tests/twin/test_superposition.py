@@ -14,7 +14,7 @@ from pipeline.data.simulate import simulate
 from pipeline.errors import ConfigError
 from pipeline.identification.fit import fit
 from pipeline.identification.training import setup_of
-from pipeline.twin.superposition import compare_held_out, error_percent, superpose
+from pipeline.twin.superposition import compare_held_out, error_percent, find_shares
 
 FIRST = Excitation("first", "unbalance", 2, 1e-4, 0.0)
 SECOND = Excitation("second", "unbalance", 4, 2e-4, 1.0)
@@ -36,7 +36,7 @@ def runs_of(machine: Machine, *acting: Excitation, hidden: float = 0.0) -> Vibra
 
 def test_a_sum_of_runs_is_predicted_to_rounding(rotor_of: Machine) -> None:
     data = runs_of(rotor_of, FIRST, SECOND, *BOTH)
-    summed = superpose(data, [0, 1], BOTH, data.speeds, False)
+    summed = data.displacement @ find_shares(data, [0, 1], BOTH, data.speeds, False)
     assert summed is not None
     assert error_percent(summed, data.displacement[..., 2]) < 1e-9
 
@@ -45,12 +45,12 @@ def test_a_residual_unbalance_needs_a_run_more(rotor_of: Machine) -> None:
     """Two runs and what they hide are three unknowns; a run as found gives the third, or is subtracted."""
     found = Excitation("as_found", "unbalance", 2, 0.0, 0.0)
     data = runs_of(rotor_of, FIRST, SECOND, *BOTH, found, hidden=5e-5)
-    assert superpose(data, [0, 1], BOTH, data.speeds, True) is None
-    summed = superpose(data, [0, 1, 3], BOTH, data.speeds, True)
+    assert find_shares(data, [0, 1], BOTH, data.speeds, True) is None
+    summed = data.displacement @ find_shares(data, [0, 1, 3], BOTH, data.speeds, True)
     assert summed is not None
     assert error_percent(summed, data.displacement[..., 2]) < 1e-9
     less = subtract_baseline(data, "as_found")
-    again = superpose(less, [0, 1], BOTH, less.speeds, False)
+    again = less.displacement @ find_shares(less, [0, 1], BOTH, less.speeds, False)
     assert again is not None
     assert error_percent(again, less.displacement[..., 2]) < 1e-9
 
@@ -65,8 +65,8 @@ def test_a_residual_unbalance_needs_a_run_more(rotor_of: Machine) -> None:
 )
 def test_another_plane_kind_or_whirl_has_no_answer(rotor_of: Machine, wanted: Excitation) -> None:
     data = runs_of(rotor_of, FIRST, SECOND)
-    assert superpose(data, [0, 1], (wanted,), data.speeds, False) is None
-    assert superpose(data, [0, 1], (FIRST,), 0.5 * data.speeds, False) is None  # another frequency
+    assert find_shares(data, [0, 1], (wanted,), data.speeds, False) is None
+    assert find_shares(data, [0, 1], (FIRST,), 0.5 * data.speeds, False) is None  # another frequency
 
 
 def test_the_model_and_its_rivals_beside_each_other(rotor_of: Machine) -> None:

@@ -12,10 +12,11 @@ from conftest import Machine, MachineFactory, bearings_of
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.ross_oracle import ross_rotor
 from pipeline.config.rotor import RotorConfig
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel, bearing_dof
-from pipeline.rotor.ross_adapter import assemble, ross_rotor
+from pipeline.rotor.ross_adapter import assemble
 from pipeline.twin.modes import WhirlModes, find_critical_speeds, find_modes, measure_stability
 from pipeline.twin.prediction import PredictedVibration, predict, sample_motion
 from pipeline.units import RAD_S_PER_RPM

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.evaluation.contradiction import find_contradiction, list_contradicted
+from pipeline.evaluation.physical_numbers import find_contradiction, list_contradicted
 from pipeline.reporting.physical_numbers import describe_law, list_numbers, tabulate_numbers
 from pipeline.reporting.report.coefficients import describe_coefficients
 from pipeline.reporting.report.content import ReportContent
