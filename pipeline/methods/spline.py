@@ -12,6 +12,7 @@ Legend: M members, S speeds, U unknowns, A active unknowns, K spline coefficient
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -85,7 +86,7 @@ def identify_by_spline(task: Measurement, options: MethodOptions, look_ahead: in
     expected = problem.readings.size - problem.size
     text = f"{problem.size} numbers, chi-square {best.chi_square:.4g} where {expected} is expected"
     text += describe_unbalance(task.unknowns.planes, problem.unbalance(weights)[0].numpy())
-    values, spread = problem.unknowns(weights)[0][0].numpy(), problem.unknown_deviation(weights)[0]
+    values, spread = problem.unknowns(weights)[0][0].numpy(), bound_deviation(problem, weights)
     every, deviation = task.unknowns.from_active(values), task.unknowns.from_active(spread)
     return make_estimate(task, every, deviation, text, doubt(best.chi_square / expected))
 
@@ -192,19 +193,22 @@ def _fit(
     """
     import torch
     from scipy.optimize import least_squares
-    from scipy.sparse import csr_array
 
     basis = make_basis(problem.measurement.dataset.speeds, count)
     problem = enlarge(problem, basis)
     first = np.linalg.lstsq(basis, start, rcond=None)[0].T.ravel()
     large = first.size > dense
 
+    @lru_cache(maxsize=1)  # the Jacobian is asked for where the residual was
+    def differentiate_at(z: bytes) -> np.ndarray:
+        return differentiate(problem, torch.as_tensor(np.frombuffer(z).copy())[None, None])
+
     def residual(z: np.ndarray) -> np.ndarray:
-        return np.asarray(problem.rows(torch.as_tensor(z)[None, None])[0, 0].numpy())
+        return differentiate_at(z.tobytes())[..., -1].ravel()
 
     def jacobian(z: np.ndarray) -> Any:
-        rows = problem.jacobian(torch.as_tensor(z)[None, None])[0, 0].numpy()
-        return csr_array(rows) if large else rows
+        rows = _spread(differentiate_at(z.tobytes())[..., :-1], basis, len(pairs))
+        return rows if large else rows.toarray()
 
     with np.errstate(over="ignore", invalid="ignore"):  # a step too far is taken back
         solution = least_squares(
@@ -219,3 +223,41 @@ def _fit(
             tr_solver="lsmr" if large else "exact",
         )
     return _Fit(problem, torch.as_tensor(solution.x)[None, None], 2 * float(solution.cost))
+
+
+def differentiate(problem: OutputError, weights: torch.Tensor) -> np.ndarray:
+    """(S, rows, A + 2 N + 1) derivative of each speed's rows by its outputs and by the unbalance, and the rows last."""
+    import torch
+
+    blocks = [torch.view_as_real(rows[0]).movedim(-1, 3).flatten(1, 3) for rows in problem._local(weights)]
+    return np.asarray(torch.cat(blocks, dim=1).numpy())
+
+
+def _spread(local: np.ndarray, basis: np.ndarray, n_pairs: int) -> Any:
+    """(S rows, Z) sparse derivative by the weights, from that of each speed; a dense one would fill the memory."""
+    from scipy.sparse import csr_array, hstack
+
+    by_output, by_pairs = np.split(local, [local.shape[2] - n_pairs], axis=2)
+    (n_speeds, n_rows, n_active), (speed, place) = by_output.shape, np.nonzero(basis)
+    data = by_output[speed] * basis[speed, place][:, None, None]
+    row = np.broadcast_to((speed[:, None] * n_rows + np.arange(n_rows))[..., None], data.shape)
+    column = np.broadcast_to((place[:, None] + basis.shape[1] * np.arange(n_active))[:, None], data.shape)
+    shape = (n_speeds * n_rows, n_active * basis.shape[1])
+    spread = csr_array((data.ravel(), (row.ravel(), column.ravel())), shape=shape)
+    return hstack([spread, csr_array(by_pairs.reshape(n_speeds * n_rows, n_pairs))], format="csr")
+
+
+def bound_deviation(problem: OutputError, weights: torch.Tensor) -> np.ndarray:
+    """(S, A) standard deviation of the active unknowns, N/m and N s/m, that of the unbalance allowed for."""
+    n_active, features = len(problem.active), problem.features
+    if features.shape[-1] < features.shape[-2]:
+        return np.asarray(problem.unknown_deviation(weights)[0])
+    # Every speed for itself: the covariance of all weights would fill the memory.
+    local, slope = differentiate(problem, weights)[..., :-1], problem.unknowns(weights)[1][0].numpy()
+    information = local.swapaxes(1, 2) @ local
+    across, by_pairs = information[:, :n_active, n_active:], information[:, n_active:, n_active:].sum(axis=0)
+    inverse = np.linalg.pinv(information[:, :n_active, :n_active], hermitian=True)
+    carried = inverse @ across
+    rest = np.linalg.pinv(by_pairs - (across.swapaxes(1, 2) @ carried).sum(axis=0), hermitian=True)
+    spread = slope @ (inverse + carried @ rest @ carried.swapaxes(1, 2)) @ slope.swapaxes(1, 2)
+    return np.sqrt(np.maximum(np.einsum("saa->sa", spread), 0.0))
