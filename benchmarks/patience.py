@@ -70,8 +70,8 @@ def _refused_study(place: str, patience: float) -> Callable[[], None]:
     from benchmarks.machines import machine
     from pipeline.config.compose import compose_config
     from pipeline.errors import StorageError
-    from pipeline.tuning.parallel import run_study
     from pipeline.tuning.study import StudyProblem
+    from pipeline.tuning.worker import run_study
 
     made = machine("experiment=ball_bearing")
     storage = f"tuning.storage='postgresql+psycopg://me@{place}/x'"

@@ -74,8 +74,8 @@ def _studied(folder: Path, *overrides: str) -> tuple[list[TrialSummary], float]:
     """The trials of a study, and its time in seconds."""
     from pipeline.config.compose import compose_config
     from pipeline.tuning.finalists import summarize
-    from pipeline.tuning.parallel import run_study
     from pipeline.tuning.study import StudyProblem
+    from pipeline.tuning.worker import run_study
 
     made = machine(_EXPERIMENT)
     config = compose_config(["stage=tune", f"tuning.storage=sqlite:///{folder}/optuna.db", *overrides])

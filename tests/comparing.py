@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 from running import composed
 
-from pipeline.comparison.cases import Case, Machine, take_measurement
+from pipeline.comparison.cases import Case, Machine
 from pipeline.methods.catalogue import METHODS
 from pipeline.methods.method import Estimate, MethodOptions
 from pipeline.problem.measurement import Measurement
@@ -22,8 +22,7 @@ def machine(*overrides: str) -> Machine:
 
 def task(case: Case, *overrides: str) -> Measurement:
     """What a method sees of a case."""
-    config = composed(*overrides)
-    return take_measurement(machine(*overrides), case, config.identify, config.comparison)
+    return machine(*overrides).measure(case)
 
 
 def options(*overrides: str) -> MethodOptions:

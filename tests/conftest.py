@@ -297,7 +297,7 @@ class Artifacts:
 @pytest.fixture
 def quiet() -> Iterator[None]:
     """For tests that use MLflow themselves."""
-    from pipeline.tracking.quiet import quiet_mlflow
+    from pipeline.tracking.store import quiet_mlflow
 
     with quiet_mlflow(10.0):
         yield

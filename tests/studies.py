@@ -175,7 +175,7 @@ from pathlib import Path
 import alembic.command, filelock, optuna, optuna_dashboard, psutil, psycopg, torch, torch._dynamo
 import optuna._gp.gp, optuna._gp.optim_mixed, sqlalchemy.dialects.postgresql.psycopg, sqlalchemy.dialects.sqlite
 from pipeline.errors import PipelineError
-from pipeline.tuning import parallel
+from pipeline.tuning import worker
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job hands down an ignored one
 
@@ -204,7 +204,7 @@ def run(order):
     while time.time() < order["begins"]:
         pass
     try:
-        print(*parallel.run_study(problem, seen)[1], end="")
+        print(*worker.run_study(problem, seen)[1], end="")
         code = 0
     except PipelineError as error:
         print(f"{type(error).__name__}: {error}")

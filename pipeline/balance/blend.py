@@ -17,8 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.balance.consistency import find_contradictions
-from pipeline.balance.growth import inflation
-from pipeline.balance.influence import design_of
+from pipeline.balance.influence import Influence, design_of
 from pipeline.balance.linear_vibration import LinearVibration
 from pipeline.data.conditions import Conditions
 from pipeline.errors import IdentifiabilityError
@@ -30,26 +29,18 @@ class Blend(LinearVibration):
     """A physical model and its correction."""
 
     physical: LinearVibration
-    scale: np.ndarray  # (Q,) size of each column of the design
-    correction: np.ndarray  # (Q, D) complex, of the scaled design
-    spread: np.ndarray  # (Q, Q) complex: covariance of the correction, in units of the noise's
+    correction: Influence  # of what the physical model can't follow; its noise is that of the blend
     sizes: tuple[float, float]  # lambda of the baseline and of the weights
-    growth: float  # of the drift with the weights, 1/(kg m)^2
 
     def predict(self, unbalance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Mean (C, D) m, and its covariance (C, D, D) m^2, for weights (C, N) kg m."""
-        design = design_of(np.atleast_2d(unbalance)) / self.scale
-        mean, _ = self.physical.predict(unbalance)
-        leverage = np.einsum("cq,qr,cr->c", design, self.spread, design.conj()).real
-        covariance = leverage[:, None, None] * self.noise.covariance(np.ones(1))
-        grown = inflation(np.atleast_2d(unbalance), self.growth) - 1
-        return mean + design @ self.correction, covariance + grown[:, None, None] * self.noise.condition
+        rest, covariance = self.correction.predict(unbalance)
+        return self.physical.predict(unbalance)[0] + rest, covariance
 
     def influence_at(self, unbalance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Derivative (D, N) m/(kg m) by the weights at ``unbalance`` (N,), and the baseline (D,) m."""
-        slope, baseline = self.physical.influence_at(unbalance)
-        shrunk = self.correction / self.scale[:, None]
-        return slope + shrunk[1:].T, baseline + shrunk[0]
+        (slope, baseline), (steeper, shift) = (m.influence_at(unbalance) for m in (self.physical, self.correction))
+        return slope + steeper, baseline + shift
 
 
 def blend_with_influence(physical: LinearVibration, sound: Conditions) -> Blend:
@@ -72,7 +63,7 @@ def blend(
     """Correct the ``physical`` model by the conditions that it was fitted to, of this ``noise``.
 
     ``weights`` (C,) are about 1, and small for a condition that does not belong to the others, or that drifts more:
-    ``growth`` is that of :mod:`pipeline.balance.growth`, 1/(kg m)^2. Zero is tried for each lambda, and values up to so
+    ``growth`` is that of the drift with the weights, 1/(kg m)^2. Zero is tried for each lambda, and values up to so
     many ``decades`` about 1, three a decade.
     """
     design = design_of(conditions.unbalance)
@@ -87,17 +78,27 @@ def blend(
     prior = _columns(sizes, design.shape[1])
     inner = np.eye(len(prior)) + np.diag(prior) @ scaled.conj().T @ scaled
     spread = np.linalg.solve(inner, np.diag(prior).astype(complex))
+    coefficients = spread @ scaled.conj().T @ rest / scale[:, None]
+    correction = Influence(
+        speeds=physical.speeds,
+        channels=physical.channels,
+        planes=physical.planes,
+        noise=noise,
+        coefficients=coefficients,
+        law=0j,
+        spread=spread / scale[:, None] / scale,
+        shift=np.zeros_like(coefficients),
+        weights=weights,
+        growth=growth,
+    )
     return Blend(
         speeds=physical.speeds,
         channels=physical.channels,
         planes=physical.planes,
         noise=noise,
         physical=physical,
-        scale=scale,
-        correction=spread @ scaled.conj().T @ rest,
-        spread=spread,
+        correction=correction,
         sizes=sizes,
-        growth=growth,
     )
 
 

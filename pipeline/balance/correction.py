@@ -52,15 +52,6 @@ class Weight:
     mass: float
 
 
-@dataclass(frozen=True, eq=False)
-class Correction:
-    """The chosen weights of each plane, and what they leave."""
-
-    weights: tuple[tuple[Weight, ...], ...]  # N
-    unbalance: np.ndarray  # (N,) complex kg m, that the weights make
-    remaining: np.ndarray  # (M,) complex, A c + b
-
-
 def place_holes(given: WeightsConfig, nodes: Sequence[int], source: SourceUnits) -> list[Holes | None]:
     """The holes of the planes at the ``nodes`` (N); None where there are none.
 
@@ -83,8 +74,10 @@ def place_holes(given: WeightsConfig, nodes: Sequence[int], source: SourceUnits)
     return [place(planes[node]) if node in planes else None for node in nodes]
 
 
-def choose_weights(acting: np.ndarray, read: np.ndarray, planes: Sequence[Holes]) -> Correction:
-    """The weights whose ``acting @ c + there`` has the least norm.
+def choose_weights(
+    acting: np.ndarray, read: np.ndarray, planes: Sequence[Holes]
+) -> tuple[tuple[tuple[Weight, ...], ...], np.ndarray]:
+    """The weights of each plane whose ``acting @ c + there`` has the least norm, and c: (N,) kg m that they make.
 
     ``acting`` (M, N) complex with M >= N, ``there`` (M,) complex; all planes have masses of a list, or all have any.
     Raises ConfigError where there are too many choices, or two planes act alike.
@@ -100,8 +93,7 @@ def choose_weights(acting: np.ndarray, read: np.ndarray, planes: Sequence[Holes]
     made = [
         sum(w.mass * plane.unit[w.hole - 1] for w in weights) for weights, plane in zip(chosen, planes, strict=True)
     ]
-    unbalance = np.array(made, dtype=complex)
-    return Correction(tuple(chosen), unbalance, acting @ unbalance + read)
+    return tuple(chosen), np.array(made, dtype=complex)
 
 
 def split_vector(unbalance: complex, holes: Holes, same: float = 1e-9) -> tuple[Weight, ...]:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pipeline.balance.influence import bend, design_of, differentiate
 from pipeline.balance.linear_vibration import LinearVibration
 from pipeline.data.conditions import Conditions
 from pipeline.identification.answer import restore
@@ -44,7 +45,7 @@ class Physical(LinearVibration):
         """Mean (C, D) m and its covariance (C, D, D) m^2 for weights (C, N) kg m."""
         weights = np.atleast_2d(unbalance)
         rows, slopes = self._parts
-        acting = np.concatenate([np.ones((len(weights), 1)), self._act(weights)], axis=1)  # (C, 1 + N)
+        acting = design_of(weights, self._law)  # (C, 1 + N)
         by_number = np.tensordot(acting, slopes, 1)  # (C, D, Z)
         for z, change in self._law_changes(weights):
             by_number[..., z] += change @ rows[1:]
@@ -52,12 +53,8 @@ class Physical(LinearVibration):
         return acting @ rows, covariance
 
     def influence_at(self, unbalance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Derivative (D, N) m/(kg m) by the weights at ``unbalance`` (N,), and the baseline (D,) m.
-
-        The part that turns with the weights, as :meth:`pipeline.balance.influence.Influence.influence_at` has it.
-        """
-        rows, _ = self._parts
-        return rows[1:].T * (1 + 1.5 * self._law * np.abs(np.asarray(unbalance))), rows[0]
+        """Derivative (D, N) m/(kg m) by the weights at ``unbalance`` (N,), and the baseline (D,) m."""
+        return differentiate(self._parts[0], self._law, unbalance)
 
     @property
     def _law(self) -> complex:
@@ -66,15 +63,12 @@ class Physical(LinearVibration):
         every = zip(self.measurement.parameters, values, strict=True)
         return sum((v * p.deviation * PARTS[p.detail] for p, v in every if p.kind == "weight_law"), 0j)
 
-    def _act(self, weights: np.ndarray) -> np.ndarray:
-        return np.asarray(weights * (1 + self._law * np.abs(weights)))
-
     def _law_changes(self, weights: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
         """The numbers z that are parts of the law, and what they change of the acting weights (C, N)."""
         first = self.covariance.shape[0] - len(self.measurement.parameters)
         for t, parameter in enumerate(self.measurement.parameters):
             if parameter.kind == "weight_law":
-                yield first + t, parameter.deviation * PARTS[parameter.detail] * weights * np.abs(weights)
+                yield first + t, parameter.deviation * PARTS[parameter.detail] * bend(weights)
 
     @cached_property
     def _parts(self) -> tuple[np.ndarray, np.ndarray]:
@@ -87,7 +81,7 @@ class Physical(LinearVibration):
         slope = columns[0, ..., :-1].numpy()
         slopes = slope.transpose(2, 0, 1, 3).reshape(n_runs, -1, slope.shape[-1])
         rows = mean[0].numpy().reshape(-1, n_runs).T.copy()
-        acting = np.diag(self._act(trial[1:]))
+        acting = np.diag(design_of(trial[1:], self._law)[:, 1:])
         rows[1:] = (rows[1:] - rows[0]) / acting[:, None]
         slopes[1:] -= slopes[0]
         for z, change in self._law_changes(trial[1:]):

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.balance.bands import circle_of
-from pipeline.balance.linear_vibration import LinearVibration
+from pipeline.balance.linear_vibration import LinearVibration, circle_of
 from pipeline.data.conditions import Conditions
 from pipeline.data.dataset import SYNCHRONOUS
 from pipeline.errors import DataError

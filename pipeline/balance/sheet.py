@@ -1,8 +1,13 @@
-"""The balance sheet: which weights go into which holes, and what unbalance and vibration are expected afterwards.
+"""The balance sheet: which weights go into which holes, what unbalance and vibration are expected, what may remain.
 
 A machine shows y and has the weights w on it. The weights c change that by ``predict(w + c) - predict(w)``, whatever
 the machine's own unbalance, bow and runout are. The unbalance that a vibration v means is ``G v``, with the generalised
 inverse ``G = (J^H S^-1 J)^-1 J^H S^-1`` of the influence coefficients J, S the covariance of what one record shows.
+
+What may remain follows ISO 21940-11. The permissible residual unbalance of the whole rotor is shared by its bearings as
+the centre of mass lies between them, at least 30 and at most 70 % each. What remains in the planes acts on the bearings
+by the lever. The standard is for rotors that stay stiff up to the service speed. The formulas are written from
+knowledge of it, no edition was at hand.
 
 Legend: N planes, D = S P (speed slowest), M entries of D that were read.
 """
@@ -15,12 +20,12 @@ from typing import Literal
 
 import numpy as np
 
-from pipeline.balance.bands import bound_size, circle_of
 from pipeline.balance.correction import Holes, Weight, choose_weights
-from pipeline.balance.linear_vibration import LinearVibration
+from pipeline.balance.linear_vibration import LinearVibration, bound_size, circle_of
 from pipeline.balance.records import Readings
 from pipeline.config.balance import BalanceConfig
 from pipeline.errors import ConfigError, nearest
+from pipeline.rotor.model import DOF_PER_NODE, RotorModel
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -107,10 +112,10 @@ def propose_weights(
         remaining = state.remove[read] + change - influence @ correction
         inverse, spread = _invert(influence, inside)
         acting, left = (np.eye(len(holes)), inverse @ remaining) if minimise == "unbalance" else (influence, remaining)
-        choice = choose_weights(acting[:, active], left, given)
-        if choice.weights == weights:
+        chosen, unbalance = choose_weights(acting[:, active], left, given)
+        if chosen == weights:
             break
-        weights, correction[active] = choice.weights, choice.unbalance
+        weights, correction[active] = chosen, unbalance
     by_plane = dict(zip(active, weights, strict=True))
     after = predict_one(vibration, state.weights + correction) - start
     return BalanceSheet(
@@ -150,3 +155,56 @@ def _invert(influence: np.ndarray, covariance: np.ndarray, most: float = 1e14) -
         )
     spread = np.linalg.inv(information)
     return spread @ weighed.conj().T, spread
+
+
+# --- tolerance ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Tolerance:
+    """At each of the two bearings: what may remain, and by how much each plane acts there."""
+
+    nodes: tuple[int, int]
+    permissible: np.ndarray  # (2,) kg m
+    levers: np.ndarray  # (2, N)
+
+    def remaining(self, unbalance: np.ndarray) -> np.ndarray:
+        """(2,) complex kg m at the bearings, of (N,) in the planes."""
+        return self.levers @ unbalance
+
+    def circle(self, covariance: np.ndarray, circle: np.ndarray) -> np.ndarray:
+        """(2,) kg m, 95 % circles at the bearings, of ``covariance`` (N, N) and ``circle`` (N,) kg m in the planes."""
+        variance = np.einsum("bn,nm,bm->b", self.levers, covariance, self.levers).real
+        return np.sqrt(variance * circle[0] ** 2 / covariance[0, 0].real)
+
+
+def share_tolerance(
+    rotor: RotorModel, planes: Sequence[int], permissible: float, least: float = 0.3, most: float = 0.7
+) -> Tolerance:
+    """``permissible`` (kg m) of the whole rotor at its bearings, to each a share from ``least`` to ``most``.
+
+    Raises ConfigError where there are not two of them.
+    """
+    if len(rotor.bearing_nodes) != 2:
+        raise ConfigError(
+            "machine.balance.tolerance must be that of a rotor on two bearings (ISO 21940-11 shares it between them), "
+            f"but this one has {len(rotor.bearing_nodes)}: leave tolerance out"
+        )
+    first, second = sorted(rotor.bearing_nodes, key=lambda node: rotor.positions[node])
+    begin, span = rotor.positions[first], rotor.positions[second] - rotor.positions[first]
+    beyond = (rotor.positions[list(planes)] - begin) / span  # 0 at the first bearing, 1 at the second
+    share = float(np.clip((find_centre(rotor) - begin) / span, least, most))
+    return Tolerance(
+        nodes=(first, second),
+        permissible=permissible * np.array([1 - share, share]),
+        levers=np.array([1 - beyond, beyond]),
+    )
+
+
+def find_centre(rotor: RotorModel) -> float:
+    """m along the shaft, the centre of mass: the first moment that the mass matrix has of a rigid tilt."""
+    shifted, tilted = np.zeros(rotor.n_dof), np.zeros(rotor.n_dof)
+    shifted[::DOF_PER_NODE] = 1.0
+    tilted[::DOF_PER_NODE] = rotor.positions
+    tilted[3::DOF_PER_NODE] = 1.0  # beta = dx/dz
+    return float(shifted @ rotor.mass @ tilted / (shifted @ rotor.mass @ shifted))

@@ -17,8 +17,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from pipeline.balance.bands import circle_radius, judge_distance
-from pipeline.balance.linear_vibration import LinearVibration
+from pipeline.balance.linear_vibration import LinearVibration, circle_radius, judge_distance
 from pipeline.balance.records import Readings
 from pipeline.errors import DataError
 from pipeline.problem.noise_levels import NoiseLevels, student_factor

@@ -13,7 +13,7 @@ from pipeline.data.dataset import VibrationDataset
 from pipeline.data.noise import NoiseModel
 from pipeline.data.operating import split_states
 from pipeline.data.sensors import Channels, Sensors, list_directions, measure
-from pipeline.laws.law_set import LawSet
+from pipeline.laws.law_set import NO_LAWS, LawSet
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
@@ -29,14 +29,10 @@ class Case:
     data_set: int = 0  # which noise
 
 
-def choose_main_sensors(settings: ComparisonConfig) -> SensorSet:
-    """The sensors of the main case: those at the bearings, if they are asked for."""
-    return "bearings" if "bearings" in settings.sensors else settings.sensors[0]
-
-
 def choose_main_case(settings: ComparisonConfig, n_speeds: int) -> Case:
-    """The largest noise at as many speeds as there are."""
-    return Case(max(settings.noise), choose_main_sensors(settings), min(max(settings.speeds), n_speeds))
+    """The largest noise at as many speeds as there are, by the sensors at the bearings, if they are asked for."""
+    sensors: SensorSet = "bearings" if "bearings" in settings.sensors else settings.sensors[0]
+    return Case(max(settings.noise), sensors, min(max(settings.speeds), n_speeds))
 
 
 def list_cases(settings: ComparisonConfig, n_speeds: int) -> tuple[Case, ...]:
@@ -53,20 +49,35 @@ def list_cases(settings: ComparisonConfig, n_speeds: int) -> tuple[Case, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Machine:
-    """The modelled machine: the truth, and its clean vibration at every node."""
+    """The modelled machine that methods are tried on: all that a result follows from, but for the method and case."""
 
     rotor: RotorModel
-    modelled: BearingTable
-    vibration: VibrationDataset
+    modelled: BearingTable  # the truth
+    vibration: VibrationDataset  # clean, at every node
+    identify: IdentifyConfig
+    settings: ComparisonConfig
     noise_seed: int
-    laws: LawSet | None = None  # what is known of the bearings beforehand
+    seed: int
+    laws: LawSet = NO_LAWS  # what is known of the bearings beforehand
 
-    def measure(self, case: Case, location: int | None, floor: float) -> VibrationDataset:
-        """The data set of a case, with a ``floor`` (m) of the noise. The same noise, scaled, at every level of it."""
-        clean = self.vibration.at(self.speeds(case))
+    def measure(self, case: Case, least_noise: float = 1e-9) -> Measurement:
+        """What a method sees of a case: the truth is hidden except for what is known.
+
+        The noise of a data set is the same, scaled, at every level of it. Of clean data a method is told
+        ``least_noise``: weights need some, and arithmetic leaves less.
+        """
+        unknowns, truth = self.identify.unknowns_of(self.rotor.bearing_nodes), self.truth(case)
+        model, floor = self.settings.response.model, self.settings.floor if case.noise else 0.0
+        sensors = Sensors(self._channels(case.sensors), additive=floor, multiplicative=case.noise)
         generator = np.random.default_rng([self.noise_seed, case.data_set])
-        sensors = Sensors(self._channels(case.sensors, location), additive=floor, multiplicative=case.noise)
-        return measure(clean, sensors, generator)
+        return Measurement(
+            rotor=self.rotor,
+            dataset=measure(self.vibration.at(self.speeds(case)), sensors, generator),
+            known=replace(truth, values=np.where(unknowns.identified[:, None], 0.0, truth.values)),
+            noise=NoiseModel(floor, max(case.noise, least_noise)),
+            unknowns=unknowns,
+            guess=Guess(model.initial_stiffness, model.initial_damping),
+        )
 
     def truth(self, case: Case) -> BearingTable:
         """The modelled coefficients at the speeds of a case."""
@@ -90,29 +101,9 @@ class Machine:
         ]
         return np.sort(np.concatenate(chosen))
 
-    def _channels(self, sensors: SensorSet, location: int | None) -> Channels | None:
+    def _channels(self, sensors: SensorSet) -> Channels | None:
         if sensors == "all":
             return None
-        if sensors == "bearings":
-            return list_directions(self.rotor.bearing_nodes)
-        return list_directions((self.rotor.n_nodes // 2 if location is None else location,))
-
-
-def take_measurement(
-    machine: Machine, case: Case, identify: IdentifyConfig, settings: ComparisonConfig, least_noise: float = 1e-9
-) -> Measurement:
-    """What a method sees of a case: the truth is hidden except for what is known.
-
-    Of clean data it is told ``least_noise``: weights need some, and arithmetic leaves less.
-    """
-    unknowns = identify.unknowns_of(machine.rotor.bearing_nodes)
-    truth, model = machine.truth(case), settings.response.model
-    floor = settings.floor if case.noise else 0.0
-    return Measurement(
-        rotor=machine.rotor,
-        dataset=machine.measure(case, settings.location, floor),
-        known=replace(truth, values=np.where(unknowns.identified[:, None], 0.0, truth.values)),
-        noise=NoiseModel(floor, max(case.noise, least_noise)),
-        unknowns=unknowns,
-        guess=Guess(model.initial_stiffness, model.initial_damping),
-    )
+        location = self.settings.location
+        middle = self.rotor.n_nodes // 2 if location is None else location
+        return list_directions(self.rotor.bearing_nodes if sensors == "bearings" else (middle,))

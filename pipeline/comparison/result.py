@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from dataclasses import asdict
-from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.comparison.cases import Case, Machine, take_measurement
-from pipeline.config.comparison import ComparisonConfig, MethodName, SensorSet
-from pipeline.config.identification import IdentifyConfig
+from pipeline.comparison.cases import Case, Machine
+from pipeline.config.comparison import MethodName, SensorSet
 from pipeline.evaluation.errors import measure_coverage, measure_relative_errors
 from pipeline.methods.catalogue import METHODS
-from pipeline.methods.method import Estimate, MethodOptions, Reason, Refusal
+from pipeline.methods.method import REQUIREMENTS, Estimate, MethodOptions, Refusal
 from pipeline.problem.measurement import Measurement
 
 
@@ -41,7 +38,7 @@ class Result(BaseModel):
     sensors: SensorSet
     speeds: int
     data_set: int
-    outcome: str  # "answered", or the name of a Reason
+    outcome: str  # "answered", or a name of REQUIREMENTS
     words: str
     doubt: str
     seconds: float
@@ -67,19 +64,17 @@ class Result(BaseModel):
 ANSWERED = "answered"
 
 
-def judge_method(
-    machine: Machine, method: MethodName, case: Case, identify: IdentifyConfig, settings: ComparisonConfig, seed: int
-) -> Result:
+def judge_method(machine: Machine, method: MethodName, case: Case) -> Result:
     """Let a method identify a case. The truth is looked at when it has answered."""
-    data = take_measurement(machine, case, identify, settings)
+    data = machine.measure(case)
     started = time.process_time()
-    answer, outcome, reason = _ask(method, data, MethodOptions(settings, seed, machine.laws))
+    answer, outcome, reason = _ask(method, data, MethodOptions(machine.settings, machine.seed, machine.laws))
     seconds = time.process_time() - started  # of the processor: what else runs does not count
     errors: dict[str, dict[str, CoefficientResult]] = {}
     if answer and np.isfinite(answer.coefficients.values).all():
         errors = _measure_errors(data, answer, machine, case)
     elif answer:
-        outcome = Reason.NOT_FINITE.name.lower()
+        outcome = "not_finite"
     # Clean data have no noise that chi-square could be held against.
     doubt = answer.doubt if answer and case.noise else ""
     return Result(
@@ -98,9 +93,9 @@ def _ask(method: MethodName, data: Measurement, options: MethodOptions) -> tuple
     try:
         answer = METHODS[method].identify(data, options)
     except Refusal as refusal:
-        return None, refusal.reason.name.lower(), str(refusal)
+        return None, refusal.reason, str(refusal)
     except np.linalg.LinAlgError as error:
-        return None, Reason.SINGULAR.name.lower(), f"{Reason.SINGULAR.value}, but: {error}"
+        return None, "singular", f"{REQUIREMENTS['singular']}, but: {error}"
     return answer, ANSWERED, answer.words
 
 
@@ -109,23 +104,18 @@ def _measure_errors(
 ) -> dict[str, dict[str, CoefficientResult]]:
     truth = machine.truth(case)
     errors: dict[str, dict[str, CoefficientResult]] = {}
-    for b, node in enumerate(truth.nodes):
-        for name in data.unknowns.coefficients(b):
-            relative = measure_relative_errors(answer.coefficients, truth, name)[b]
-            relative = relative[~np.isnan(relative)]
-            if not len(relative):
-                continue
-            stated: Mapping[str, Any] = {}
-            c = COEFFICIENTS.index(name)
-            deviation = answer.deviation[b, :, c]
-            if not np.isnan(deviation).all():
-                off = answer.coefficients.values[b, :, c] - truth.values[b, :, c]
-                median = float(100 * np.median(deviation / np.abs(truth.values[b, :, c])))
-                stated = {
-                    "median_deviation": median if np.isfinite(median) else None,
-                    "within_interval": float(measure_coverage(off, deviation)),
-                }
-            errors.setdefault(str(node), {})[name] = CoefficientResult(
-                median_error=float(np.median(relative)), p95_error=float(np.percentile(relative, 95)), **stated
-            )
+    for b, c in np.argwhere(data.unknowns.identified):
+        relative = measure_relative_errors(answer.coefficients, truth, COEFFICIENTS[c])[b]
+        relative = relative[~np.isnan(relative)]
+        if not len(relative):
+            continue
+        deviation, true = answer.deviation[b, :, c], truth.values[b, :, c]
+        median, stated = float(100 * np.median(deviation / np.abs(true))), not np.isnan(deviation).all()
+        coverage = measure_coverage(answer.coefficients.values[b, :, c] - true, deviation)
+        errors.setdefault(str(truth.nodes[b]), {})[COEFFICIENTS[c]] = CoefficientResult(
+            median_error=float(np.median(relative)),
+            p95_error=float(np.percentile(relative, 95)),
+            median_deviation=median if np.isfinite(median) else None,
+            within_interval=float(coverage) if stated else None,
+        )
     return errors

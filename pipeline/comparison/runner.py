@@ -6,9 +6,8 @@ import json
 import multiprocessing
 import signal
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -16,8 +15,7 @@ from pydantic import ValidationError
 from pipeline.cache import hash_parts
 from pipeline.comparison.cases import Case, Machine
 from pipeline.comparison.result import Result, judge_method
-from pipeline.config.comparison import ComparisonConfig, MethodName
-from pipeline.config.identification import IdentifyConfig
+from pipeline.config.comparison import MethodName
 from pipeline.errors import DataError, PipelineError
 from pipeline.files import read_json, write_json
 from pipeline.processes import delay_interrupt, end_with_parent, limit_threads
@@ -29,59 +27,39 @@ Done = Callable[[int, int, Result], None]
 """(results so far, of how many, the newest one)."""
 
 
-@dataclass(frozen=True)
-class MethodRun:
-    """One method on one case."""
-
-    method: MethodName
-    case: Case
-
-    @property
-    def file(self) -> str:
-        """Name of the file that keeps the result."""
-        case = self.case
-        return f"{self.method}-{case.sensors}-{case.noise:g}-{case.speeds}-{case.data_set}.json"
+MethodRun = tuple[MethodName, Case]
+"""One method on one case."""
 
 
-@dataclass(frozen=True, eq=False)
-class ComparisonSetup:
-    """Everything that determines a result, except the run."""
-
-    machine: Machine
-    identify: IdentifyConfig
-    settings: ComparisonConfig
-    seed: int
-
-    def result(self, run: MethodRun) -> Result:
-        """Let the method of the run identify its case."""
-        return judge_method(self.machine, run.method, run.case, self.identify, self.settings, self.seed)
-
-    def fingerprint(self) -> str:
-        """The hash of machine, unknowns, settings and program; which cases are asked for does not change a result."""
-        machine = self.machine
-        root = Path(__file__).parents[1]
-        return hash_parts(
-            machine.rotor.fingerprint,
-            machine.vibration.fingerprint,
-            machine.modelled.values.tobytes(),
-            self.identify.model_dump_json(),
-            self.settings.model_dump_json(exclude=_ASKED),
-            f"{machine.noise_seed} {self.seed}",
-            "" if machine.laws is None else json.dumps(machine.laws.to_record(), sort_keys=True),
-            *(path.read_bytes() for package in _PACKAGES for path in sorted((root / package).glob("*.py"))),
-        )
+def name_file(method: MethodName, case: Case) -> str:
+    """Name of the file that keeps a result."""
+    return f"{method}-{case.sensors}-{case.noise:g}-{case.speeds}-{case.data_set}.json"
 
 
-def compare(setup: ComparisonSetup, runs: Sequence[MethodRun], folder: Path, done: Done) -> list[Result]:
+def hash_inputs(machine: Machine) -> str:
+    """The hash of machine, unknowns, settings and program; which cases are asked for does not change a result."""
+    root = Path(__file__).parents[1]
+    return hash_parts(
+        machine.rotor.fingerprint,
+        machine.vibration.fingerprint,
+        machine.modelled.values.tobytes(),
+        machine.identify.model_dump_json(),
+        machine.settings.model_dump_json(exclude=_ASKED),
+        f"{machine.noise_seed} {machine.seed}",
+        json.dumps(machine.laws.to_record(), sort_keys=True) if machine.laws else "",
+        *(path.read_bytes() for package in _PACKAGES for path in sorted((root / package).glob("*.py"))),
+    )
+
+
+def compare(machine: Machine, runs: Sequence[MethodRun], folder: Path, done: Done) -> list[Result]:
     """The results in the order of the runs; those that ``folder`` keeps are read.
 
     Raises StorageError where they can't be kept, PipelineError where a process dies, KeyboardInterrupt.
     """
-    fingerprint = setup.fingerprint()
-    results = {run: kept for run in runs if (kept := _read_kept(folder / run.file, fingerprint)) is not None}
-    todo = [run for run in runs if run not in results]
-    for run, result in _run_all(setup, todo):
-        write_json(folder / run.file, {"fingerprint": fingerprint, "result": result.model_dump()})
+    fingerprint = hash_inputs(machine)
+    results = {run: kept for run in runs if (kept := _read_kept(folder / name_file(*run), fingerprint)) is not None}
+    for run, result in _run_all(machine, [run for run in runs if run not in results]):
+        write_json(folder / name_file(*run), {"fingerprint": fingerprint, "result": result.model_dump()})
         results[run] = result
         done(len(results), len(runs), result)
     return [results[run] for run in runs]
@@ -98,20 +76,18 @@ def _read_kept(path: Path, fingerprint: str) -> Result | None:
         return None
 
 
-def _run_all(setup: ComparisonSetup, runs: Sequence[MethodRun]) -> Iterator[tuple[MethodRun, Result]]:
-    workers = min(setup.settings.workers, len(runs))
+def _run_all(machine: Machine, runs: Sequence[MethodRun]) -> Iterator[tuple[MethodRun, Result]]:
+    workers = min(machine.settings.workers, len(runs))
     if workers <= 1:
-        yield from ((run, setup.result(run)) for run in runs)
+        yield from ((run, judge_method(machine, *run)) for run in runs)
         return
     context = multiprocessing.get_context("spawn")  # torch and BLAS don't survive a fork
-    with ProcessPoolExecutor(workers, context, _begin, (setup,)) as pool:
+    with ProcessPoolExecutor(workers, context, _begin) as pool:
         try:
             with limit_threads(1), delay_interrupt():
-                futures = {pool.submit(_work, run): run for run in runs}
-            while futures:
-                finished, _ = wait(futures, return_when=FIRST_COMPLETED)
-                for future in finished:
-                    yield futures.pop(future), future.result()
+                futures = {pool.submit(_work, machine, *run): run for run in runs}
+            for future in as_completed(futures):
+                yield futures[future], future.result()
         except BrokenProcessPool:
             raise PipelineError(
                 "every process of the comparison must live, but one was killed (too little memory?): run the same "
@@ -124,13 +100,11 @@ def _run_all(setup: ComparisonSetup, runs: Sequence[MethodRun]) -> Iterator[tupl
             raise
 
 
-_setup: ComparisonSetup | None = None
-"""A worker has its own: sent once, not with every run."""
 _working = False
+"""In a worker, whether a method is at work."""
 
 
-def _begin(setup: ComparisonSetup) -> None:
-    global _setup
+def _begin() -> None:
     import torch
 
     # The parent gets Ctrl-C too, and says when it is over: what is at work then ends, and the process in its own time.
@@ -138,7 +112,6 @@ def _begin(setup: ComparisonSetup) -> None:
     signal.signal(signal.SIGTERM, _leave)
     end_with_parent()
     torch.set_num_threads(1)
-    _setup = setup
 
 
 def _leave(*_: object) -> None:
@@ -146,11 +119,10 @@ def _leave(*_: object) -> None:
         raise SystemExit
 
 
-def _work(run: MethodRun) -> Result:
+def _work(machine: Machine, method: MethodName, case: Case) -> Result:
     global _working
-    assert _setup is not None
     _working = True
     try:
-        return _setup.result(run)
+        return judge_method(machine, method, case)
     finally:
         _working = False

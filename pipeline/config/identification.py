@@ -47,6 +47,7 @@ class ModelParametersConfig(Section):
     probe_position: Length | None = None
     runout: Length | None = None
     known_coefficients: PositiveShare | None = None
+    bearing_drift: PositiveShare | None = None
 
     @property
     def deviations(self) -> dict[str, float]:

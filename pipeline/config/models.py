@@ -12,7 +12,7 @@ from pipeline.config.section import Section, rule
 
 
 class _CoefficientModelConfig(Section):
-    parametrisation: Literal["log", "scaled"]
+    parametrisation: Literal["log", "scaled", "impedance"]
     initialisation: Literal["guess", "per_speed"]
     initial_stiffness: Stiffness
     initial_damping: Damping
@@ -25,6 +25,16 @@ class _CoefficientModelConfig(Section):
     corrects_laws: ClassVar[bool] = False
     trains_hidden: ClassVar[bool] = False
     """Whether it has hidden layers that can be trained."""
+
+    @property
+    def families(self) -> tuple[str, ...]:
+        """Kinds of bearings whose population is the prior; none for a model without one."""
+        return ()
+
+    @rule
+    def _coordinates(self) -> Iterator[str]:
+        if (self.parametrisation == "impedance") != bool(self.families):
+            yield f"must have parametrisation: impedance for kind: bearings alone, but got {self.parametrisation}"
 
     @property
     def shape(self) -> dict[str, Any]:
@@ -133,8 +143,37 @@ class FunctionsModelConfig(_CoefficientModelConfig):
             yield f"must have count of at least 4 for cubic B-splines, but got {self.count}"
 
 
+class BearingsModelConfig(_CoefficientModelConfig):
+    """Values of all eight coefficients at ``count`` nodes, even in the logarithm of the speed, with a cubic spline
+    between. Their prior is a population of bearings of the kinds that are ``likely`` (loss ``response``).
+    """
+
+    kind: Literal["bearings"]
+    count: Annotated[int, Field(ge=4, le=64)]
+    likely: Annotated[tuple[BearingFamily, ...], Field(min_length=1)]
+
+    of_speed_alone: ClassVar[bool] = True
+
+    @property
+    def families(self) -> tuple[str, ...]:
+        """The kinds that are likely, each once."""
+        return tuple(dict.fromkeys(self.likely))
+
+    @property
+    def shape(self) -> dict[str, Any]:
+        """The nodes."""
+        return {"hidden": (), "functions": "nodes", "n_functions": self.count, "input_scaling": "log_rpm"}
+
+
+BearingFamily = Literal["plain", "lobed", "tilting_pad", "rolling", "unknown"]
+
 ModelConfig = Annotated[
-    ConstantModelConfig | NetworkModelConfig | FunctionsModelConfig | LawModelConfig | HybridModelConfig,
+    BearingsModelConfig
+    | ConstantModelConfig
+    | NetworkModelConfig
+    | FunctionsModelConfig
+    | LawModelConfig
+    | HybridModelConfig,
     Field(discriminator="kind"),
 ]
 

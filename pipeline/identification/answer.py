@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.identification.blocks import Basis
+from pipeline.identification.blocks import Basis, Prior
 from pipeline.identification.identified import Fit, FittedParameter, IdentifiedModel, PhysicalNumber
 from pipeline.identification.output_error_fit import OutputErrorFit
 from pipeline.identification.problem import OutputError, output_error
@@ -68,7 +68,8 @@ def restore(
     count = to_features.shape[-1]
     told = np.diag(uncertainty.covariance)[places.coefficients].reshape(len(member), -1)[:, :count] > 0
     kept, precision = torch.as_tensor(told), torch.as_tensor(uncertainty.precision)
-    problem = replace(made, kept=kept, precision=precision)
+    functions = Prior(*map(torch.as_tensor, uncertainty.functions))
+    problem = replace(made, kept=kept, precision=precision, functions=functions)
     output = identified.parameters[:, -to_features.shape[1] * len(identified.unknowns.names) :]
     output = output.unflatten(-1, (to_features.shape[1], -1))  # (M, F, U)
     coordinates = (torch.linalg.pinv(to_features) @ output)[member, :, unknown] * kept

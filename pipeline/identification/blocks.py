@@ -20,7 +20,9 @@ import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.errors import ConfigError
+from pipeline.identification.inputs import SPEED
 from pipeline.identification.model import CoefficientModel
+from pipeline.impedance import list_places, to_coefficients
 from pipeline.laws.law_set import NO_LAWS, LawSet
 from pipeline.unknowns import UnknownSet
 
@@ -89,6 +91,13 @@ class Prior:
     def information(self) -> torch.Tensor:
         """(Z, Z)."""
         return self.rows.T @ self.rows
+
+
+def no_prior() -> Prior:
+    """Nothing is known."""
+    import torch
+
+    return Prior(torch.zeros(0, 0, dtype=torch.float64), torch.zeros(0, dtype=torch.float64))
 
 
 # --- coefficients over a basis ---------------------------------------------------------------------------
@@ -211,16 +220,23 @@ class LawTerm:
         self, model: CoefficientModel, theta: torch.Tensor, outputs: torch.Tensor, scale: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """The unknowns of ``theta`` (G, Th) with the model's ``outputs`` (G, M, S, U) and ``scale``, N/m and N s/m;
-        their derivative by the outputs; and (G, M, S, U, Th) that by theta.
+        (G, M, S, U, U) their derivative by the outputs; and (G, M, S, U, Th) that by theta.
         """
         import torch
 
+        if model.parametrisation == "impedance":
+            places, order = list_places(model.unknowns), [COEFFICIENTS.index(name) for name in model.unknowns]
+            coordinates = outputs.new_zeros(*outputs.shape[:-1], len(COEFFICIENTS))
+            coordinates[..., places] = outputs
+            values, slopes = to_coefficients(coordinates, torch.as_tensor(self.points[SPEED]))
+            return values[..., order], slopes[..., order, :][..., places], outputs.new_zeros(*outputs.shape, 0)
         if not self.laws:
-            return *model.physical(outputs, scale), outputs.new_zeros(*outputs.shape, 0)
+            values, by_output = model.physical(outputs, scale)
+            return values, torch.diag_embed(by_output), outputs.new_zeros(*outputs.shape, 0)
         positive, (base, slopes) = torch.tensor(model.positive), self.evaluate(theta)
         values, by_output = model.physical(outputs, torch.where(positive, base, scale), base)
         growth = torch.where(positive, torch.where(positive, outputs, 0.0).exp(), 1.0)
-        return values, by_output, slopes * growth[..., None]
+        return values, torch.diag_embed(by_output), slopes * growth[..., None]
 
 
 def law_term(laws: LawSet, unknowns: UnknownSet, points: Mapping[str, np.ndarray]) -> LawTerm:

@@ -103,7 +103,7 @@ def _share(problem: OutputError, weights: torch.Tensor) -> np.ndarray:
     result = np.zeros((len(problem.active), problem.size))
     for a, (m, _) in enumerate(problem.active):
         features = problem.features[m, 0].numpy()
-        result[a, a * len(features) : (a + 1) * len(features)] = slope[a] / abs(values[a]) * features
+        result[a, a * len(features) : (a + 1) * len(features)] = slope[a, a] / abs(values[a]) * features
     return result
 
 

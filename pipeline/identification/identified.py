@@ -51,7 +51,9 @@ class IdentifiedModel:
         return np.broadcast_to(values, (len(self.bearing_nodes), *values.shape[1:])).copy()
 
     def corrected(self, points: Mapping[str, np.ndarray]) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """(M, S, U) unknowns at ``points`` (name -> (S,)), their derivative by outputs, and (M, S, U, Th) by theta."""
+        """(M, S, U) unknowns at ``points`` (name -> (S,)), and their derivatives by outputs and theta: (M, S, U, U) and
+        (M, S, U, Th).
+        """
         raw = self.model.raw(self.parameters, self.model.scaled_inputs(points))[None]  # (1, M, S, U)
         term, scale = law_term(self.laws, self.unknowns, points), self.model.scale_tensor()
         values, by_outputs, by_numbers = term.correct(self.model, self.theta[None], raw, scale)

@@ -88,11 +88,16 @@ def varying(points: Mapping[str, np.ndarray]) -> tuple[str, ...]:
 # --- functions of them ----------------------------------------------------------------------------------
 
 
-def evaluate_functions(kind: Literal["b_spline", "chebyshev"], count: int, inputs: np.ndarray) -> np.ndarray:
+def evaluate_functions(kind: Literal["b_spline", "chebyshev", "nodes"], count: int, inputs: np.ndarray) -> np.ndarray:
     """(S, F) the first ``count`` functions at ``inputs`` (N,) in [-1, 1].
 
-    Cubic B-splines with evenly spaced knots (four of them or more), or the Chebyshev polynomials from degree 1 on.
+    Cubic B-splines with evenly spaced knots (four of them or more), the Chebyshev polynomials from degree 1 on, or the
+    cubic splines that are one at a node and zero at the others, which are evenly spaced; constant beyond them.
     """
+    if kind == "nodes":
+        from scipy.interpolate import CubicSpline
+
+        return np.asarray(CubicSpline(np.linspace(-1.0, 1.0, count), np.eye(count))(np.clip(inputs, -1.0, 1.0)))
     if kind == "chebyshev":
         return np.polynomial.chebyshev.chebvander(inputs, count)[:, 1:]
     from scipy.interpolate import BSpline

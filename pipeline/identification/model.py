@@ -33,7 +33,7 @@ class CoefficientModel:
 
     unknowns: tuple[CoefficientName, ...]
     inputs: tuple[str, ...]
-    parametrisation: Literal["log", "scaled"]
+    parametrisation: Literal["log", "scaled", "impedance"]
     scale: tuple[tuple[float, ...], ...]  # (bearings or 1) x U, N/m and N s/m
     hidden: tuple[int, ...] | None  # widths; None for constants, empty for fixed functions
     activation: Literal["tanh", "silu", "sine"] = "tanh"
@@ -41,7 +41,7 @@ class CoefficientModel:
     ranges: tuple[tuple[float, float], ...] = ((0.0, 1.0),)  # of each input (SI, the speed in rad/s), mapped to [-1, 1]
     trend: bool = False  # the output layer also sees the inputs and the logarithm of the speed
     fades: bool = False  # the output goes to zero beyond the data: it corrects a law
-    functions: Literal["b_spline", "chebyshev"] | None = None  # what the only layer is fed by
+    functions: Literal["b_spline", "chebyshev", "nodes"] | None = None  # what the only layer is fed by
     n_functions: int = 0  # F
 
     @property

@@ -16,7 +16,7 @@ import numpy as np
 from pipeline.data.dataset import Excitation
 from pipeline.errors import ConfigError
 from pipeline.identification.identified import IdentifiedModel
-from pipeline.identification.model_error import MeanSquareError, measure_error
+from pipeline.identification.model_error import MeanSquareError, measure_error, noise_alone
 from pipeline.identification.output_error_start import OutputErrorStart, prepare_output_error
 from pipeline.identification.problem import OutputError
 from pipeline.identification.selection import add_features, drop_features, weigh_by_evidence, with_sigma
@@ -62,7 +62,10 @@ class OutputErrorFit:
 
         The readings' variances are ``inflation`` times as large as the fit took them; what was known before stays.
         """
-        return measure_error(self.problem.scaled(inflation**-0.5), self.weights)
+        problem, searched = self.problem.scaled(inflation**-0.5), self.start.searched
+        if searched is None:
+            return measure_error(problem, self.weights)
+        return noise_alone(problem, problem.covariance(self.weights)[0] + searched.spread())
 
 
 def fit_output_error(measurement: Measurement, setup: FitSetup, progress: Progress | None = None) -> OutputErrorFit:
@@ -120,8 +123,9 @@ def fit_from(
     factor, shares = np.ones(len(start.measurement.dataset.channels)), _count_fully(problem)
     history: list[dict[str, float | str]] = []
     steps, seconds = 0, 0.0
+    near = near or start.searched is not None
     approach = _LESS_EXACT if problem.places.n_parameters and not near else ()
-    selects = not problem.law.laws and not start.by_evidence
+    selects = not problem.law.laws and not start.by_evidence and start.searched is None
     for turn in range(-len(approach), rounds):
         less = problem.scaled(approach[turn]) if turn < 0 else problem
         minimum = minimise(less, weights, setup, progress=progress)
@@ -208,7 +212,10 @@ def estimate_by_residuals(problem: OutputError, weights: torch.Tensor) -> np.nda
         off = np.where(here, off, np.nan)
         left.append(np.moveaxis(off, 1, 0).reshape(off.shape[1], -1))
     squared = np.nanmedian(np.concatenate(left, axis=1) ** 2, axis=1) / np.log(2.0)
-    rest = max(1.0 - problem.n_fitted / problem.readings.size, 0.05)
+    used = float(problem.n_fitted)
+    if len(problem.functions.aims):  # what the prior says takes nothing of the rest
+        used -= float((problem.covariance(weights)[0] * problem.prior.information().numpy()).sum())
+    rest = max(1.0 - used / problem.readings.size, 0.05)
     return np.asarray(np.sqrt(squared / rest))
 
 

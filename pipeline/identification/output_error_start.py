@@ -9,7 +9,7 @@ Legend: G starts, S speeds, P channels, R runs, M members, U unknowns, Th number
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -24,6 +24,7 @@ from pipeline.identification.linear_start import linear_start, start_at
 from pipeline.identification.model import coefficient_model
 from pipeline.identification.optimizers import levenberg_marquardt, until_still
 from pipeline.identification.problem import OutputError, output_error
+from pipeline.identification.search import Searched, list_choices, search
 from pipeline.identification.selection import add_beyond, with_sigma
 from pipeline.identification.training import FitSetup, initial_guess
 from pipeline.problem.kalman_filter import filter_bearings
@@ -44,6 +45,7 @@ class OutputErrorStart:
     held_out: Mapping[str, OutputError]  # what is predicted in place of fitted: held_out_speeds, held_out_runs
     from_guess: bool  # the sensors were too few for a linear start
     filtered: np.ndarray | None = None  # (M, S, U) at the training speeds: what a filter made of few sensors
+    searched: Searched | None = None  # what a population of bearings makes likely
     law_starts: tuple[int, int] = (0, 0)  # guesses of the laws' numbers that were fitted, and that led to this start
 
     @property
@@ -67,8 +69,10 @@ def prepare_output_error(measurement: Measurement, setup: FitSetup) -> OutputErr
     runs = np.setdiff1d(np.arange(len(measurement.dataset.runs)), held_out)
     plane_scale = _plane_scale(measurement)  # solves the response, of which all problems are parts
     training = align_weights(measurement.select(keep, runs))
-    basis = drawn_basis(setup, training, measurement.dataset.points)
-    begin = _start_by_laws if training.laws else _start_by_coefficients
+    begin: Callable[..., tuple[OutputError, dict[str, Any]]] = _start_by_coefficients
+    begin = _start_by_laws if training.laws else _start_by_population if setup.model.families else begin
+    make_basis = nodes_basis if setup.model.families else drawn_basis
+    basis = make_basis(setup, training, measurement.dataset.points)
     problem, first = begin(training, setup, basis, plane_scale)
     left_out: dict[str, Measurement] = {}
     if not keep.all():
@@ -162,6 +166,33 @@ def _plane_scale(measurement: Measurement) -> float:
     if not units:
         return 1.0
     return float(np.median(np.abs(measurement.dataset.displacement)) / np.median(units[0]))
+
+
+# --- a population of bearings ----------------------------------------------------------------------------
+
+
+def nodes_basis(setup: FitSetup, training: Measurement, points: Mapping[str, np.ndarray]) -> Basis:
+    """The functions of a model of nodes over the ``points`` (name -> (S,)): a weight is a value at a node."""
+    import torch
+
+    sizes = np.ones((training.unknowns.n_members, len(training.unknowns.names)))
+    model = coefficient_model(setup.model, training.unknowns.names, points, sizes)
+    parameters = torch.zeros(training.unknowns.n_members, model.n_parameters, dtype=torch.float64)
+    values = torch.eye(model.n_functions + 1, model.n_functions, dtype=torch.float64)
+    return Basis(model, parameters, values.expand(len(parameters), -1, -1), 0)
+
+
+def _start_by_population(
+    training: Measurement, setup: FitSetup, basis: Basis, plane_scale: float
+) -> tuple[OutputError, dict[str, Any]]:
+    """At the likeliest answer of the families."""
+    problem = output_error(training, basis, plane_scale)
+    model = basis.model
+    nodes = np.geomspace(*model.ranges[0], model.n_functions)
+    choices = list_choices(training, setup.model.families, nodes)
+    searched = search(problem, choices, setup.seed)
+    first = {"weights": searched.weights[:1], "from_guess": False, "searched": searched}
+    return replace(problem, functions=searched.choices.functions()), first
 
 
 # --- bearing laws ----------------------------------------------------------------------------------------

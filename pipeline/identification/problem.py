@@ -25,13 +25,13 @@ planes, T model parameters, Z = A K + Th + 2 N + T weights.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from pipeline.identification.blocks import Basis, LawTerm, Places, Prior, law_term
+from pipeline.identification.blocks import Basis, LawTerm, Places, Prior, law_term, no_prior
 from pipeline.identification.model import CoefficientModel
 from pipeline.identification.readings import Readings, SensorModel, gather_readings, sensor_model
 from pipeline.problem.measurement import Measurement
@@ -55,6 +55,9 @@ class OutputError:
     scale: torch.Tensor  # (M, 1, U) what outputs of 1 stand for, N/m and N s/m
     plane_scale: float  # kg m that a weight of 1 stands for
     law: LawTerm  # what the model's outputs correct
+    functions: Prior = field(
+        default_factory=no_prior
+    )  # of the coefficients as functions of the speed, on their weights
 
     @property
     def measurement(self) -> Measurement:
@@ -107,7 +110,9 @@ class OutputError:
 
         rest = [self.law.prior_precision(), torch.zeros(2 * self.places.n_planes), torch.ones(self.places.n_parameters)]
         precision = torch.cat([(self.precision * self.kept).flatten(), *rest]).to(self.precision.dtype)
-        rows, aims = [torch.diag(precision.sqrt())], [torch.zeros_like(precision)]
+        functions = torch.nn.functional.pad(self.functions.rows, (0, self.places.n_rest))
+        rows = [torch.diag(precision.sqrt()), functions] if len(functions) else [torch.diag(precision.sqrt())]
+        aims = [torch.zeros_like(precision), self.functions.aims]
         guess, unknowns = self.measurement.guess, self.measurement.unknowns
         if guess.within is not None:
             sizes = guess.sizes(unknowns)
@@ -162,13 +167,22 @@ class OutputError:
         return weights[:, 0, self.places.parameters]
 
     def unknowns(self, weights: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """(G, S, A) active unknowns in N/m and N s/m, their derivative by the model's outputs, and (G, S, A, Th) that
-        by theta.
+        """(G, S, A) active unknowns in N/m and N s/m, their derivatives (G, S, A, A) by the model's outputs, and
+        (G, S, A, Th) those by theta.
         """
         member, unknown = [m for m, _ in self.active], [u for _, u in self.active]
         every = self.law.correct(self.model, self.theta(weights), self.outputs(weights), self.scale)
         values, slope, by_numbers = (array[:, member, :, unknown] for array in every)  # (A, G, S, ..)
-        return values.movedim(0, -1), slope.movedim(0, -1), by_numbers.movedim(0, -2)
+        slope = slope[..., unknown] * self._alike[:, None, None]
+        return values.movedim(0, -1), slope.movedim(0, -2), by_numbers.movedim(0, -2)
+
+    @cached_property
+    def _alike(self) -> torch.Tensor:
+        """(A, A) one where two active unknowns are of the same member."""
+        import torch
+
+        member = torch.tensor([m for m, _ in self.active])
+        return (member[:, None] == member).to(torch.float64)
 
     # --- from the machine to the sensors -------------------------------------------------------------
 
@@ -196,7 +210,8 @@ class OutputError:
             expected, by_unknowns, by_planes, by_parameters = self.sensors.derive(b, values, unbalance, parameters)
             by_pairs = self.plane_scale * torch.stack([by_planes, 1j * by_planes], dim=-1).flatten(-2)
             by_theta = by_unknowns @ by_numbers.to(by_unknowns.dtype)[:, :, None]
-            columns = [by_unknowns * slope[:, :, None, None], by_theta, by_pairs, by_parameters]
+            by_outputs = by_unknowns @ slope.to(by_unknowns.dtype)[:, :, None]
+            columns = [by_outputs, by_theta, by_pairs, by_parameters]
             deviations = self.readings.subtract_from(b, expected)[..., None]
             rows = torch.cat([*(column * precision[..., None] for column in columns), deviations], dim=-1)
             yield self.readings.whiten(b, rows)
@@ -314,9 +329,10 @@ class OutputError:
         _, slope, by_numbers = (array.numpy() for array in self.unknowns(weights))
         numbers = np.arange(self.places.numbers.start, self.places.numbers.stop)
         for a, (m, _) in enumerate(self.active):
-            by_features = self.features[m].numpy() * slope[..., a, None]  # (G, S, K)
-            slopes = np.concatenate([by_features, by_numbers[:, :, a]], axis=-1)
-            columns = np.concatenate([np.arange(a * count, (a + 1) * count), numbers])
+            outputs = np.flatnonzero(slope[:, :, a].any(axis=(0, 1)))
+            by_features = [self.features[m].numpy() * slope[..., a, i, None] for i in outputs]  # (G, S, K) each
+            slopes = np.concatenate([*by_features, by_numbers[:, :, a]], axis=-1)
+            columns = np.concatenate([*(np.arange(i * count, (i + 1) * count) for i in outputs), numbers])
             block = spread[:, columns[:, None], columns]
             deviations.append(np.sqrt(np.einsum("gsk,gkl,gsl->gs", slopes, block, slopes, optimize=True)))
         return np.stack(deviations, axis=-1)

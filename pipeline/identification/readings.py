@@ -8,7 +8,7 @@ T model parameters, n columns.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -127,6 +127,18 @@ def gather_readings(measurement: Measurement) -> Readings:
 
 
 @dataclass(frozen=True, eq=False)
+class _Placed:
+    """Runs of a block that see the same bearings."""
+
+    block: ResponseBlock  # at the model parameters
+    variation: ResponseBlock | None  # its derivatives by them; None without any
+    change: torch.Tensor  # dH, (G, S, 2 B, 2 B) N/m
+    factor: torch.Tensor  # (G, B) what these runs' bearings are scaled by
+    eight: torch.Tensor  # (G, S, B, 8) coefficients before that
+    scale: torch.Tensor  # (B, T) derivative of the factor
+
+
+@dataclass(frozen=True, eq=False)
 class SensorModel:
     """The response of a measurement's rotor, of first order in the model parameters about those it was solved at."""
 
@@ -165,13 +177,39 @@ class SensorModel:
 
         return tuple(block.converted(torch.as_tensor) for block in self.measurement.variations)
 
-    def _place(self, b: int, values: torch.Tensor, parameters: torch.Tensor) -> tuple[ResponseBlock, torch.Tensor]:
-        """Block b at the model parameters, and dH, (G, S, 2 B, 2 B) N/m, of its bearings."""
+    @cached_property
+    def _drift(self) -> torch.Tensor:
+        """(R, B, T) how model parameters scale each bearing in each run; empty where none does."""
+        import torch
+
+        parameters, runs = self.measurement.parameters, self.measurement.dataset.runs
+        drifting = [(t, p) for t, p in enumerate(parameters) if p.kind == "bearing_drift" and p.detail in runs]
+        n_bearings = len(self.measurement.rotor.bearing_nodes)
+        scales = torch.zeros(len(runs) if drifting else 0, n_bearings, len(parameters), dtype=torch.float64)
+        for t, parameter in drifting:
+            scales[runs.index(parameter.detail), parameter.place, t] = parameter.deviation
+        return scales
+
+    def _place(self, b: int, values: torch.Tensor, parameters: torch.Tensor) -> Iterator[_Placed]:
+        """Block b at the model parameters: whole, or run by run where bearings drift between the runs."""
+        import torch
+
         shift, (known, by_parameters) = parameters - self.solved_at, self._known
-        block = self.blocks[b].vary(self._variations[b], shift) if self._variations else self.blocks[b]
         known = known + (by_parameters @ shift[:, None, :, None])[..., 0]
         eight = (values @ self._influence.T + known).unflatten(-1, (-1, 8))  # (G, S, B, 8)
-        return block, impedance_change(eight, block.frequencies, self.measurement.response.reference)
+        scales = torch.zeros(len(self.measurement.rotor.bearing_nodes), len(self.solved_at), dtype=torch.float64)
+        whole, variation = self.blocks[b], self._variations[b] if self._variations else None
+        parts = [(whole, variation, scales)]
+        if len(self._drift) and variation is not None:
+            every = [(np.array([i]), self._drift[r]) for i, r in enumerate(whole.runs)]
+            parts = [(whole.of_runs(i), variation.of_runs(i), scale) for i, scale in every]
+        for block, variation, scale in parts:
+            varied = block if variation is None else block.vary(variation, shift)
+            factor = 1 + parameters @ scale.mT  # (G, B)
+            change = impedance_change(
+                eight * factor[:, None, :, None], block.frequencies, self.measurement.response.reference
+            )
+            yield _Placed(varied, variation, change, factor, eight, scale)
 
     def predict(self, values: torch.Tensor, unbalance: torch.Tensor, parameters: torch.Tensor) -> list[torch.Tensor]:
         """(G, S, P, R) m of every block.
@@ -181,8 +219,14 @@ class SensorModel:
             unbalance: (G, N) complex, kg m.
             parameters: (G, T) in prior deviations.
         """
-        placed = (self._place(b, values, parameters) for b in range(len(self.blocks)))
-        return [respond(block, change, unbalance, False).sensors for block, change in placed]
+        import torch
+
+        return [
+            torch.cat(
+                [respond(p.block, p.change, unbalance, False).sensors for p in self._place(b, values, parameters)], -1
+            )
+            for b in range(len(self.blocks))
+        ]
 
     def derive(
         self, b: int, values: torch.Tensor, unbalance: torch.Tensor, parameters: torch.Tensor
@@ -192,17 +236,29 @@ class SensorModel:
         """
         import torch
 
-        block, change = self._place(b, values, parameters)
-        response = respond(block, change, unbalance)
-        by_coefficient = derive(block, response).flatten(-2)  # (G, S, P, R, 8 B)
+        every = [self._derive(placed, unbalance) for placed in self._place(b, values, parameters)]
+        readings, by_unknowns, by_planes, by_parameters = (
+            torch.cat(parts, dim=3) for parts in zip(*every, strict=True)
+        )
+        return readings, by_unknowns, by_planes, by_parameters
+
+    def _derive(self, placed: _Placed, unbalance: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """As :meth:`derive`, of a part of a block."""
+        import torch
+
+        response = respond(placed.block, placed.change, unbalance)
+        by_eight = derive(placed.block, response)  # (G, S, P, R, B, 8)
+        by_scale = torch.einsum("gsprbc,gsbc->gsprb", by_eight, placed.eight.to(by_eight.dtype))
+        by_coefficient = (by_eight * placed.factor[:, None, None, None, :, None]).flatten(-2)
         shape, kind = response.sensors.shape, by_coefficient.dtype
         by_planes = torch.zeros(*shape, unbalance.shape[-1], dtype=kind)
         if response.unit_sensors.shape[-1]:
             by_planes = response.unit_sensors[:, :, :, None, :].expand(by_planes.shape)
         by_parameters = torch.zeros(*shape, len(self.solved_at), dtype=kind)
-        if self._variations:
-            by_model = derive_by_parameters(self._variations[b], response, change, unbalance)
-            by_parameters = by_model + by_coefficient @ self._known[1].to(kind)[:, None]
+        if placed.variation is not None:
+            by_model = derive_by_parameters(placed.variation, response, placed.change, unbalance)
+            by_known = by_coefficient @ self._known[1].to(kind)[:, None]
+            by_parameters = by_model + by_known + by_scale @ placed.scale.to(kind)
         return response.sensors, by_coefficient @ self._influence.to(kind), by_planes, by_parameters
 
 

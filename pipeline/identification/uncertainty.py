@@ -20,7 +20,7 @@ from pipeline.coefficients import COEFFICIENTS
 from pipeline.data.noise import NOMINAL_95
 from pipeline.errors import DataError
 from pipeline.files import write_beside
-from pipeline.identification.blocks import Places
+from pipeline.identification.blocks import Places, law_term
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.inputs import points_of
 from pipeline.identification.model_error import Unfitted, evaluate_local, measure_tolerances
@@ -40,6 +40,7 @@ class Uncertainty:
     active: np.ndarray  # (A, 2) of (member, unknown)
     covariance: np.ndarray  # (Z, Z)
     precision: np.ndarray  # (A, K) of the weights before the data
+    functions: tuple[np.ndarray, np.ndarray]  # rows (N, A K) and aims (N,) of a prior of functions; N = 0 for none
     residual_unbalance: np.ndarray  # (N,) complex, kg m
     planes: np.ndarray  # (N,) nodes
     plane_scale: float  # kg m of a weight of 1
@@ -60,19 +61,19 @@ class Uncertainty:
             inputs = model.scaled_inputs(points)
             basis = (model.features(parameters, inputs) @ torch.as_tensor(self.weights)).numpy()  # (M, S, K)
             _, by_output, by_numbers = identified.corrected(points)
-            slope, by_theta = by_output.numpy(), by_numbers.numpy()  # (M, S, U) and (M, S, U, Th)
+            slope, by_theta = by_output.numpy(), by_numbers.numpy()  # (M, S, U, U) and (M, S, U, Th)
         local = evaluate_local(model, points, self.n_local)  # (S, L)
         basis = np.concatenate([basis, np.broadcast_to(local, (len(basis), *local.shape))], axis=-1)
         n_bearings, count = len(identified.bearing_nodes), basis.shape[-1]
         outer = len(self.active) * count
         result = np.zeros((n_bearings, basis.shape[1], len(COEFFICIENTS), outer + by_theta.shape[-1]))
         for a, (m, u) in enumerate(self.active):
-            by_weights = slope[m, :, u, None] * basis[m]  # (S, K)
             for b in range(n_bearings):
                 if len(basis) == 1 or b == m:
-                    signs = identified.unknowns.expansion[b, :, u]
-                    result[b, :, :, a * count : (a + 1) * count] = signs[None, :, None] * by_weights[:, None]
-                    result[b, :, :, outer:] += signs[None, :, None] * by_theta[m, :, u][:, None]
+                    signs = identified.unknowns.expansion[b]  # (8, U)
+                    by_this_output = slope[m, :, :, u] @ signs.T  # (S, 8)
+                    result[b, :, :, a * count : (a + 1) * count] = by_this_output[..., None] * basis[m][:, None]
+                    result[b, :, :, outer:] += signs[None, :, u, None] * by_theta[m, :, u][:, None]
         return result
 
     def deviation(
@@ -88,9 +89,11 @@ class Uncertainty:
         A coefficient that is an exponential has a log-normal error: its deviation is that whose nominal 95 % interval
         has the upper end of the log-normal one. The two differ where the coefficient is known to a few tens of percent.
         ``covariance`` (Z, Z) is a part of the whole one, which is the default. Beyond the ``widest`` deviation of its
-        logarithm a coefficient is not known at all.
+        logarithm a coefficient is not known at all. Of coordinates of the impedance, see :meth:`_by_draws`.
         """
         whole = self.covariance if covariance is None else covariance
+        if identified.model.parametrisation == "impedance":
+            return self._by_draws(identified, points_of(speeds, operating), whole)
         with np.errstate(over="ignore", invalid="ignore"):  # of coefficients that ran away
             by_weights = self.sensitivity(identified, speeds, operating)
             outer = by_weights.shape[-1]
@@ -102,6 +105,36 @@ class Uncertainty:
             positive = np.abs(unknowns.expansion[..., list(identified.model.positive)]).sum(axis=-1)  # (B, 8)
             deviation = np.where(positive[:, None] > 0, values * np.expm1(NOMINAL_95 * share) / NOMINAL_95, deviation)
         return np.where(unknowns.identified[:, None], deviation, np.nan)
+
+    def _by_draws(
+        self, identified: IdentifiedModel, points: Mapping[str, np.ndarray], covariance: np.ndarray, count: int = 512
+    ) -> np.ndarray:
+        """(B, S, 8) deviations whose nominal 95 % interval about the answer holds that of drawn coordinates.
+
+        Coordinates are normal, and coefficients are not: ``count`` places that fill the normal distribution evenly
+        (Sobol 1967) are carried to them, the same at every speed.
+        """
+        import torch
+        from scipy.stats import norm, qmc
+
+        model, inputs = identified.model, identified.model.scaled_inputs(points)
+        basis = (model.features(identified.parameters, inputs) @ torch.as_tensor(self.weights)).numpy()  # (M, S, K)
+        n_functions, raw = basis.shape[-1], model.raw(identified.parameters, inputs)
+        term, deviations = law_term(identified.laws, identified.unknowns, points), np.zeros(raw.shape)
+        for m in range(len(basis)):
+            mine = np.flatnonzero(self.active[:, 0] == m)
+            places = (mine[:, None] * n_functions + np.arange(n_functions)).ravel()
+            block = covariance[np.ix_(places, places)].reshape(len(mine), n_functions, len(mine), n_functions)
+            spread = np.einsum("sk,ukvl,sl->suv", basis[m], block, basis[m], optimize=True)
+            jitter = 1e-10 * np.trace(spread, axis1=1, axis2=2)[:, None, None] + 1e-30
+            root = np.linalg.cholesky(spread + jitter * np.eye(len(mine)))  # (S, n, n)
+            normal = norm.ppf(qmc.Sobol(len(mine), scramble=False).random(2 * count)[1:])
+            drawn = raw[m].repeat(2 * count, 1, 1)  # the answer itself is the first
+            drawn[1:, :, self.active[mine, 1]] += torch.as_tensor(np.einsum("suv,nv->nsu", root, normal))
+            every = term.correct(model, identified.theta[None], drawn[:, None], model.scale_tensor())[0][:, 0].numpy()
+            low, high = np.quantile(every, [0.025, 0.975], axis=0)
+            deviations[m] = np.maximum(high - every[0], every[0] - low) / NOMINAL_95
+        return identified.unknowns.expand_deviation(deviations)
 
     @property
     def without_tolerances(self) -> np.ndarray:
@@ -141,6 +174,7 @@ def measure_uncertainty(fit: OutputErrorFit, quality: Quality) -> Uncertainty:
         np.array(problem.active, dtype=np.int64).reshape(-1, 2),
         error.matrix + unfitted.covariance(),
         np.asarray((problem.precision * problem.kept).numpy()),
+        (problem.functions.rows.numpy(), problem.functions.aims.numpy()),
         np.asarray(problem.unbalance(fit.weights)[0].numpy()),
         np.array(problem.measurement.unknowns.planes, dtype=np.int64),
         problem.plane_scale,
@@ -165,6 +199,8 @@ def _parts(uncertainty: Uncertainty) -> dict[str, np.ndarray]:
         "active": uncertainty.active,
         "covariance": uncertainty.covariance,
         "precision": uncertainty.precision,
+        "prior_rows": uncertainty.functions[0],
+        "prior_aims": uncertainty.functions[1],
         "residual_unbalance": np.stack([uncertainty.residual_unbalance.real, uncertainty.residual_unbalance.imag]),
         "planes": uncertainty.planes,
         "plane_scale": np.array([uncertainty.plane_scale]),
@@ -192,6 +228,7 @@ def load_uncertainty(folder: Path, identified: IdentifiedModel) -> Uncertainty |
             parts["active"],
             parts["covariance"],
             parts["precision"],
+            (parts["prior_rows"], parts["prior_aims"]),
             unbalance,
             parts["planes"],
             float(parts["plane_scale"][0]),

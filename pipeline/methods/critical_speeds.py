@@ -15,15 +15,14 @@ Legend: S speeds, P channels, R runs, D directions of the unknowns, N modelled m
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
 
 from pipeline.coefficients import column, is_direct, is_stiffness
 from pipeline.config.comparison import PriorConfig
 from pipeline.data.dataset import DIRECTIONS, assemble_forces
-from pipeline.methods.method import Estimate, MethodOptions, Reason, Refusal, make_estimate
+from pipeline.methods.method import Estimate, MethodOptions, Refusal, make_estimate
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.model import translation_dof
 from pipeline.units import RAD_S_PER_RPM
@@ -39,21 +38,22 @@ def identify_by_critical_speeds(
     """
     names = data.unknowns.names
     if not all(is_direct(name) and is_stiffness(name) for name in names):
-        raise Refusal(Reason.STIFFNESS_ALONE, f"{', '.join(names)} are asked for")
+        raise Refusal("stiffness_alone", f"{', '.join(names)} are asked for")
     if not options.constant:
-        raise Refusal(Reason.NOT_CONSTANT, "functions of the speed are asked for")
+        raise Refusal("not_constant", "functions of the speed are asked for")
     places = [_choose_place(data, name) for name in names]
     measured = _find_crossings(data, data.dataset.displacement, places)
     if np.isnan(measured).any():
-        raise Refusal(Reason.NO_CRITICAL_SPEED, f"there is none for {names[int(np.isnan(measured).argmax())]}")
+        raise Refusal("no_critical_speed", f"there is none for {names[int(np.isnan(measured).argmax())]}")
     generator = np.random.default_rng(options.seed)
-    network = _train(*_model_machines(data, options.settings.prior, places, generator, modelled), options.seed)
-    values = network.stiffness(measured[None])[0]
+    machines = _model_machines(data, options.settings.prior, places, generator, modelled)
+    estimate, error = _train(*machines, options.seed)
+    values = estimate(measured[None])[0]
     noise = data.deviation * generator.standard_normal((2, spreads, *data.deviation.shape)) / np.sqrt(2)
     readings = data.dataset.displacement + noise[0] + 1j * noise[1]
     again = np.array([_find_crossings(data, reading, places) for reading in readings])
-    spread = np.log(network.stiffness(again[~np.isnan(again).any(axis=1)])).std(axis=0)
-    deviation = values * np.hypot(spread, network.error)
+    spread = np.log(estimate(again[~np.isnan(again).any(axis=1)])).std(axis=0)
+    deviation = values * np.hypot(spread, error)
     shape = (data.unknowns.n_members, len(data.dataset.speeds), len(names))
     listed = ", ".join(f"{speed / RAD_S_PER_RPM:.1f}" for speed in measured)
     text = f"{modelled} modelled machines; critical speeds {listed} rpm"
@@ -68,7 +68,7 @@ def _choose_place(data: Measurement, name: str) -> tuple[int, int, np.ndarray]:
     excited = [excitation.node for excitation in dataset.excitations if excitation.run == dataset.runs[run]]
     channels = [p for p, channel in enumerate(dataset.channels) if channel[1] == angle]
     if not channels or not excited:
-        raise Refusal(Reason.NO_CRITICAL_SPEED, f"no sensor looks along {name[1]}")
+        raise Refusal("no_critical_speed", f"no sensor looks along {name[1]}")
     nearest = min(channels, key=lambda p: abs(dataset.channels[p][0] - excited[0]))
     return nearest, run, forces[:, translation_dof(excited[0], column(name)), run]
 
@@ -116,24 +116,13 @@ def _model_machines(
     return speeds[seen], stiffness[seen]
 
 
-@dataclass(frozen=True, eq=False)
-class _Trained:
-    """A network from critical speeds to the logarithm of the stiffness."""
-
-    network: Any
-    middle: np.ndarray  # (D,)
-    size: np.ndarray  # (D,)
-    error: np.ndarray  # (D,) root mean square of the logarithm, on machines that it did not learn from
-
-    def stiffness(self, speeds: np.ndarray) -> np.ndarray:
-        """(N, D) N/m from critical speeds (N, D), rad/s."""
-        return np.asarray(np.exp(self.network.predict((speeds - self.middle) / self.size)))
-
-
 def _train(
     speeds: np.ndarray, stiffness: np.ndarray, seed: int, held_out_every: int = 5, hidden: tuple[int, ...] = (16, 16)
-) -> _Trained:
-    """Machines that are held out tell the network's error."""
+) -> tuple[Callable[[np.ndarray], np.ndarray], np.ndarray]:
+    """From critical speeds (N, D), rad/s, to stiffnesses (N, D), N/m, by a network of the logarithm.
+
+    With it comes (D,) the root mean square error of the logarithm, on machines that are held out.
+    """
     from sklearn.neural_network import MLPRegressor
 
     middle, size, held_out = speeds.mean(axis=0), speeds.std(axis=0), np.arange(len(speeds)) % held_out_every == 0
@@ -146,9 +135,12 @@ def _train(
         tol=1e-10,
         random_state=seed,
     )
+
+    def estimate(speeds: np.ndarray) -> np.ndarray:
+        return np.asarray(np.exp(network.predict((speeds - middle) / size)))
+
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # that it could be trained on: its held-out error tells
         network.fit((speeds[~held_out] - middle) / size, np.log(stiffness[~held_out]))
-    made = _Trained(network, middle, size, np.zeros(len(middle)))
-    off = np.log(made.stiffness(speeds[held_out])) - np.log(stiffness[held_out])
-    return replace(made, error=np.sqrt((off**2).mean(axis=0)))
+    off = np.log(estimate(speeds[held_out])) - np.log(stiffness[held_out])
+    return estimate, np.sqrt((off**2).mean(axis=0))

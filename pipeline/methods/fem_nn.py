@@ -19,7 +19,6 @@ from pipeline.identification.training import FitSetup
 from pipeline.methods.method import (
     Estimate,
     MethodOptions,
-    Reason,
     Refusal,
     doubt,
     refuse_undetermined,
@@ -43,9 +42,9 @@ def fit_by(section: Callable[[MethodOptions], FitConfig]) -> Callable[[Measureme
         try:
             fitted = fit(data, setup, diagnosis=diagnosis)
         except IdentifiabilityError as error:
-            raise Refusal(Reason.NOT_DETERMINED, str(error)) from None
+            raise Refusal("not_determined", str(error)) from None
         text = f"{fitted.outcome.label} after {fitted.steps} steps"
-        if fitted.uncertainty is not None:
+        if fitted.uncertainty:
             text += f", {fitted.quality.summary['fit']['chi_square']['numbers']} numbers"
         deviation = fitted.deviation(data.dataset.speeds, data.dataset.operating)
         table = fitted.table(data.known)
@@ -58,16 +57,16 @@ def fit_by(section: Callable[[MethodOptions], FitConfig]) -> Callable[[Measureme
 def fit_trained(data: Measurement, options: MethodOptions) -> Estimate:
     """Fit networks whose hidden layers are trained by the output error. Raises Refusal for constants, or few speeds."""
     if options.constant:
-        raise Refusal(Reason.CONSTANT, "they are the same at every speed: no hidden layer is needed")
+        raise Refusal("constant", "they are the same at every speed: no hidden layer is needed")
     if len(data.dataset.speeds) < FEWEST_SPEEDS:
-        raise Refusal(Reason.FEW_SPEEDS, f"{len(data.dataset.speeds)} can't be halved: give {FEWEST_SPEEDS} or more")
+        raise Refusal("few_speeds", f"{len(data.dataset.speeds)} can't be halved: give {FEWEST_SPEEDS} or more")
     return fit_by(lambda options: options.settings.trained)(data, options)
 
 
 def fit_laws(data: Measurement, options: MethodOptions) -> Estimate:
     """Fit the few numbers of bearing laws by the output error. Raises Refusal where the machine has no laws."""
-    if options.laws is None:
-        raise Refusal(Reason.NO_LAW, "it has none")
+    if not options.laws:
+        raise Refusal("no_law", "it has none")
     return fit_by(lambda options: options.settings.law)(replace(data, laws=options.laws), options)
 
 

@@ -13,7 +13,6 @@ import numpy as np
 from pipeline.methods.method import (
     Estimate,
     MethodOptions,
-    Reason,
     Refusal,
     make_estimate,
     require_determined,
@@ -30,7 +29,7 @@ def identify_by_filter(data: Measurement, options: MethodOptions, least_settled:
     require_determined(data, together=False)
     values, settled = filter_bearings(data)
     if settled.mean() < least_settled:
-        raise Refusal(Reason.NOT_SETTLED, f"it does at {int(settled.sum())} of {len(settled)} speeds")
+        raise Refusal("not_settled", f"it does at {int(settled.sum())} of {len(settled)} speeds")
     text = f"{int(settled.sum())} of {len(settled)} speeds settled"
     return make_estimate(data, values, _propagate_noise(data, values), text)
 

@@ -24,15 +24,14 @@ from pipeline.config.comparison import PriorConfig
 from pipeline.methods.method import (
     Estimate,
     MethodOptions,
-    Reason,
     Refusal,
-    differentiate_response,
     doubt,
     make_estimate,
     require_determined,
     stack_rows,
 )
 from pipeline.problem.measurement import Measurement
+from pipeline.problem.slopes import ReadingSlopes
 
 
 def identify_by_kriging(
@@ -47,9 +46,9 @@ def identify_by_kriging(
     """
     unknowns, speeds = data.unknowns, data.dataset.speeds
     if not all(is_direct(name) for name in unknowns.names):
-        raise Refusal(Reason.EITHER_SIGN, f"{', '.join(unknowns.names)} are asked for")
+        raise Refusal("either_sign", f"{', '.join(unknowns.names)} are asked for")
     if len(unknowns.active) > most_unknowns:
-        raise Refusal(Reason.TOO_MANY_UNKNOWNS, f"there are {len(unknowns.active)}, and {most_unknowns} are its limit")
+        raise Refusal("too_many_unknowns", f"there are {len(unknowns.active)}, and {most_unknowns} are its limit")
     require_determined(data, together=options.constant)
     chosen = np.arange(len(speeds)) if options.constant else _choose(speeds, min(n_speeds, len(speeds)))
     groups = [chosen] if options.constant else [np.array([s]) for s in chosen]
@@ -201,8 +200,7 @@ def _evolve(
 
 def _bound_deviation(measurement: Measurement, x: np.ndarray) -> np.ndarray:
     """(A,) the Cramer-Rao bound of the readings that were matched."""
-    by = differentiate_response(measurement, _repeat_unknowns(measurement, x)) * np.exp(x)
-    rows = stack_rows(by * (np.sqrt(2) / measurement.deviation)[..., None]).reshape(-1, len(x))
+    slopes = ReadingSlopes(measurement, measurement.table(_repeat_unknowns(measurement, x)))
+    rows = np.sqrt(2) * stack_rows(slopes.by_unknown * np.exp(x)).reshape(-1, len(x))
     size = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
-    singular, right = np.linalg.svd(rows / size, full_matrices=False)[1:]
-    return np.asarray(np.sqrt(((right / singular[:, None]) ** 2).sum(axis=0)) / size)
+    return np.asarray(np.linalg.norm(np.linalg.pinv(rows / size), axis=1) / size)

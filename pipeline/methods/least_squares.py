@@ -10,7 +10,6 @@ import numpy as np
 from pipeline.methods.method import (
     Estimate,
     MethodOptions,
-    Reason,
     Refusal,
     describe_sensors,
     make_estimate,
@@ -52,7 +51,7 @@ def solve_tikhonov(data: Measurement, options: MethodOptions) -> Estimate:
     members = require_residual(data, options).by_member()
     if members.matrix.shape[2] <= members.unknowns.present.sum(axis=1).max():
         raise Refusal(
-            Reason.NOTHING_TO_VALIDATE,
+            "nothing_to_validate",
             f"there are {members.matrix.shape[2]} equations for {members.matrix.shape[3]} unknowns",
         )
     inverse = _invert(members, _validate_strength(members))
@@ -69,7 +68,7 @@ def solve_expanded(data: Measurement, options: MethodOptions) -> Estimate:
     """
     expansion = expand(data.response, data.dataset.displacement, data.deviation)
     if expansion is None:
-        raise Refusal(Reason.FORCES_NOT_SEEN, f"they are at {describe_sensors(data)}")
+        raise Refusal("forces_not_seen", f"they are at {describe_sensors(data)}")
     residual = linear_residual(expansion.equations, data.unknowns, data.known)
     refuse_undetermined(judge_identifiability(expansion.equations, residual, options.constant))
     values, _ = per_speed_least_squares(residual)

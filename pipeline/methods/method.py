@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from enum import Enum
 
 import numpy as np
 
@@ -17,41 +16,40 @@ from pipeline.data.operating import split_states
 from pipeline.data.operating_points import group_rows
 from pipeline.errors import DataError, PipelineError
 from pipeline.identification.quality import FAR_FROM_EXPECTED
-from pipeline.laws.law_set import LawSet
+from pipeline.laws.law_set import NO_LAWS, LawSet
 from pipeline.problem.diagnosis import determines, sensor_rows
 from pipeline.problem.identifiability import Identifiability, Solvability, judge_identifiability
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.residual import BearingEquations, LinearResidual
 from pipeline.rotor.bearing_table import BearingTable
 
-
-class Reason(Enum):
-    """What a method can't do, by name."""
-
-    NO_LAW = "the machine must have laws of its bearings"
-    BEARINGS_NOT_MEASURED = "x and y must be measured at every bearing"
-    FORCES_NOT_SEEN = "the sensors must tell the forces at the bearings"
-    NOT_DETERMINED = "the measurement must determine the unknowns"
-    NOTHING_TO_VALIDATE = "there must be more equations than unknowns at a speed"
-    ONE_FREQUENCY = "there must be forces of two or more frequencies at a rotor speed"
-    TOO_MANY_UNKNOWNS = "the surrogate takes few unknowns"
-    EITHER_SIGN = "the unknowns must be positive: a direct coefficient each"
-    STIFFNESS_ALONE = "the unknowns must be direct stiffnesses"
-    CONSTANT = "the coefficients must change with the speed"
-    NOT_CONSTANT = "the coefficients must be the same at every speed"
-    FEW_SPEEDS = "there must be enough speeds"
-    NOT_FINITE = "the answer must be finite"
-    SINGULAR = "the arithmetic must stay regular"
-    NOT_SETTLED = "the iteration must settle"
-    NO_CRITICAL_SPEED = "there must be a critical speed for each unknown among the speeds"
-    RESIDUAL_UNBALANCE = "a residual unbalance can't be identified"
+REQUIREMENTS = {
+    "no_law": "the machine must have laws of its bearings",
+    "bearings_not_measured": "x and y must be measured at every bearing",
+    "forces_not_seen": "the sensors must tell the forces at the bearings",
+    "not_determined": "the measurement must determine the unknowns",
+    "nothing_to_validate": "there must be more equations than unknowns at a speed",
+    "one_frequency": "there must be forces of two or more frequencies at a rotor speed",
+    "too_many_unknowns": "the surrogate takes few unknowns",
+    "either_sign": "the unknowns must be positive: a direct coefficient each",
+    "stiffness_alone": "the unknowns must be direct stiffnesses",
+    "constant": "the coefficients must change with the speed",
+    "not_constant": "the coefficients must be the same at every speed",
+    "few_speeds": "there must be enough speeds",
+    "not_finite": "the answer must be finite",
+    "singular": "the arithmetic must stay regular",
+    "not_settled": "the iteration must settle",
+    "no_critical_speed": "there must be a critical speed for each unknown among the speeds",
+    "residual_unbalance": "a residual unbalance can't be identified",
+}
+"""Name of what a method can't do -> what a task must have for it."""
 
 
 class Refusal(PipelineError):
-    """A method that can't do a task: ``reason`` names why, ``str`` says what came."""
+    """A method that can't do a task: ``reason`` names why, of :data:`REQUIREMENTS`; ``str`` says what came."""
 
-    def __init__(self, reason: Reason, came: str) -> None:
-        super().__init__(f"{reason.value}, but {came}")
+    def __init__(self, reason: str, came: str) -> None:
+        super().__init__(f"{REQUIREMENTS[reason]}, but {came}")
         self.reason = reason
 
 
@@ -61,7 +59,7 @@ class MethodOptions:
 
     settings: ComparisonConfig
     seed: int
-    laws: LawSet | None = None  # of the bearings; None where nothing is known of their type
+    laws: LawSet = NO_LAWS  # of the bearings, where something is known of their type
 
     @property
     def constant(self) -> bool:
@@ -155,7 +153,7 @@ def require_bearing_equations(measurement: Measurement) -> BearingEquations:
     try:
         return measurement.equations
     except DataError:
-        raise Refusal(Reason.BEARINGS_NOT_MEASURED, f"the sensors are at {describe_sensors(measurement)}") from None
+        raise Refusal("bearings_not_measured", f"the sensors are at {describe_sensors(measurement)}") from None
 
 
 def require_residual(measurement: Measurement, options: MethodOptions) -> LinearResidual:
@@ -169,7 +167,7 @@ def refuse_undetermined(reports: tuple[Identifiability, ...]) -> None:
     """Raise Refusal for a bearing whose unknowns the runs determine at no speed."""
     for report in reports:
         if report.verdict is Solvability.NOT_IDENTIFIABLE:
-            raise Refusal(Reason.NOT_DETERMINED, report.reason)
+            raise Refusal("not_determined", report.reason)
 
 
 def require_determined(measurement: Measurement, together: bool) -> None:
@@ -182,7 +180,7 @@ def require_determined(measurement: Measurement, together: bool) -> None:
         where = "all speeds together" if together else "a speed by itself"
         nodes = {node for node, _ in measurement.dataset.channels}
         raise Refusal(
-            Reason.NOT_DETERMINED,
+            "not_determined",
             f"at {where} {describe_sensors(measurement)} leave{'s' * (len(nodes) == 1)} a combination of them free",
         )
 
@@ -202,7 +200,7 @@ def drop_unbalance(measurement: Measurement) -> Measurement:
         return measurement
     keep = np.flatnonzero(~measurement.synchronous())
     if not len(keep):
-        raise Refusal(Reason.RESIDUAL_UNBALANCE, "every run turns with the rotor")
+        raise Refusal("residual_unbalance", "every run turns with the rotor")
     forced = measurement.select(None, keep)
     vars(forced).pop("response", None)  # it has planes
     return replace(forced, unknowns=replace(forced.unknowns, planes=()))
@@ -218,17 +216,6 @@ def stack_rows(values: np.ndarray) -> np.ndarray:
     """Complex numbers (S, P, R, ..) as rows of each speed (S, 2 P R, ..): real parts, then imaginary ones."""
     flat = values.reshape(len(values), -1, *values.shape[3:])
     return np.concatenate([flat.real, flat.imag], axis=1)
-
-
-def differentiate_response(
-    measurement: Measurement, values: np.ndarray, unbalance: np.ndarray | None = None
-) -> np.ndarray:
-    """(S, P, R, A) derivative of the response by the active unknowns, at unknowns (M, S, U).
-
-    ``unbalance`` (N,) kg m is the residual one.
-    """
-    by_coefficient = measurement.response.sensitivity(measurement.table(values), unbalance)
-    return np.einsum("sprbc,bca->spra", by_coefficient, measurement.unknowns.influence)
 
 
 def doubt(misfit: float | None) -> str:

@@ -19,7 +19,6 @@ from pipeline.data.sensors import list_directions, project
 from pipeline.methods.method import (
     Estimate,
     MethodOptions,
-    Reason,
     Refusal,
     describe_sensors,
     describe_unbalance,
@@ -39,15 +38,12 @@ def identify_by_frequencies(measurement: Measurement, options: MethodOptions) ->
     frequencies = [len(np.unique(np.round(frequency, 9))) for frequency in dataset.frequencies]
     equations = require_bearing_equations(data)
     if min(frequencies) < 2:
-        raise Refusal(Reason.ONE_FREQUENCY, "every run turns with the rotor")
+        raise Refusal("one_frequency", "every run turns with the rotor")
     matrix, offset = _join(data, equations)
     length = np.linalg.norm(matrix, axis=1, keepdims=True)
-    left, singular, right = np.linalg.svd(matrix / length, full_matrices=False)
-    if matrix.shape[1] < matrix.shape[2] or (singular[:, -1] < DEPENDENT * singular[:, 0]).any():
-        raise Refusal(
-            Reason.NOT_DETERMINED, f"{dataset.frequencies.shape[1]} runs give {matrix.shape[1]} equations a speed"
-        )
-    inverse = np.einsum("skv,sk,srk->svr", right, 1 / singular, left) / length[:, 0, :, None]
+    if matrix.shape[1] < matrix.shape[2] or (np.linalg.cond(matrix / length) > 1 / DEPENDENT).any():
+        raise Refusal("not_determined", f"{dataset.frequencies.shape[1]} runs give {matrix.shape[1]} equations a speed")
+    inverse = np.linalg.pinv(matrix / length) / length.swapaxes(1, 2)
     answer = -np.einsum("svr,sr->sv", inverse, offset)  # (S, A + 2 N)
     values = unknowns.from_active(answer)
     covariance = residual_covariance(data.rotor, dataset, data.table(values), data.deviation)
@@ -64,7 +60,7 @@ def _project_on_bearings(measurement: Measurement) -> Measurement:
     """The motion of the bearings alone: they then feel an unbalance anywhere on the shaft."""
     channels = list_directions(measurement.rotor.bearing_nodes)
     if not set(channels) <= set(measurement.dataset.channels):
-        raise Refusal(Reason.BEARINGS_NOT_MEASURED, f"the sensors are at {describe_sensors(measurement)}")
+        raise Refusal("bearings_not_measured", f"the sensors are at {describe_sensors(measurement)}")
     return replace(measurement, dataset=project(measurement.dataset, channels))
 
 

@@ -26,7 +26,7 @@ from pipeline.errors import ConfigError
 from pipeline.laws.law_set import NO_LAWS, make_laws
 from pipeline.problem.condition_noise import NO_LEVELS, condition_noise, suffices, to_dataset
 from pipeline.problem.measurement import Guess, Measurement
-from pipeline.problem.model_parameters import model_parameters, usual_tolerances
+from pipeline.problem.model_parameters import model_parameters, usual_deviations, usual_tolerances
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor, require_nodes
@@ -212,6 +212,9 @@ def build_measurement(config: Config, rotor: RotorModel, dataset: VibrationDatas
             stated = stated.with_drift()
         dataset = to_dataset(conditions)
     unknowns, stated_numbers = identify.unknowns_of(rotor.bearing_nodes), identify.model_parameters.deviations
+    usual = identify.usual_tolerances
+    if model.families and usual:
+        usual, stated_numbers = False, usual_deviations(stated_numbers, rotor, dataset, known, unknowns)
     return Measurement(
         rotor,
         dataset,
@@ -222,7 +225,5 @@ def build_measurement(config: Config, rotor: RotorModel, dataset: VibrationDatas
         drift=drift,
         laws=NO_LAWS if laws is None else make_laws(laws, rotor.bearing_nodes),
         parameters=model_parameters(stated_numbers, rotor, dataset, known, unknowns, identify.coupling_node),
-        tolerances=usual_tolerances(stated_numbers, rotor, dataset, known, unknowns)
-        if identify.usual_tolerances
-        else (),
+        tolerances=usual_tolerances(stated_numbers, rotor, dataset, known, unknowns) if usual else (),
     )

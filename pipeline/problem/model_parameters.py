@@ -84,6 +84,11 @@ weight and its place are off by 2 % and 2 degrees (docs/noise.md), the scale of 
 (API 670)."""
 
 
+ALWAYS_FITTED = USUAL | {"disc_mass": 0.02, "bearing_drift": 0.02}
+"""As :data:`USUAL`, for models that fit their tolerances: discs are known to 2 %, and a bearing is in each run as it is
+on average to 2 % (oil temperature, alignment, amplitude)."""
+
+
 def usual_tolerances(
     stated: Collection[str], rotor: RotorModel, dataset: VibrationDataset, known: BearingTable, unknowns: UnknownSet
 ) -> tuple[ModelParameter, ...]:
@@ -95,6 +100,16 @@ def usual_tolerances(
         if kind not in stated
         for place in places[kind]
     )
+
+
+def usual_deviations(
+    stated: Mapping[str, float], rotor: RotorModel, dataset: VibrationDataset, known: BearingTable, unknowns: UnknownSet
+) -> dict[str, float]:
+    """Deviations by kind for :func:`model_parameters`: what is ``stated``, and what the machine has of
+    :data:`ALWAYS_FITTED` besides.
+    """
+    places = _list_places(rotor, dataset, known, unknowns)
+    return {kind: size for kind, size in ALWAYS_FITTED.items() if places[kind]} | dict(stated)
 
 
 _MISSING = {
@@ -149,6 +164,9 @@ def _list_places(
         **dict.fromkeys(OF_DISC, discs),
         **dict.fromkeys(OF_WEIGHT, weights),
         **dict.fromkeys(OF_PROBE, probes),
+        "bearing_drift": [
+            (f"node {node} {run}", b, run) for b, node in enumerate(rotor.bearing_nodes) for run in dataset.runs
+        ],
         "weight_angle": everywhere if weights else [],
         "weight_law": [(component, 0, component) for component in parts if weights],
         "bearing_position": [(f"node {node}", b, "") for b, node in enumerate(rotor.bearing_nodes)],
@@ -236,7 +254,7 @@ def _channel(
 
 def of_machine_alone(parameters: Sequence[ModelParameter]) -> tuple[ModelParameter, ...]:
     """The same with exact probes and weights and a straight shaft, for vibration that no probe shows."""
-    kept_out = (*OF_PROBE, *OF_ALL_WEIGHTS, "runout", "bow")
+    kept_out = (*OF_PROBE, *OF_ALL_WEIGHTS, "runout", "bow", "bearing_drift")
     return tuple(
         replace(parameter, deviation=0.0, place=0) if parameter.kind in kept_out else parameter
         for parameter in parameters

@@ -71,6 +71,11 @@ class ResponseBlock:
             forced_bearings=selected.forced_bearings[..., mine],
         )
 
+    def of_runs(self, at: np.ndarray) -> ResponseBlock:
+        """The same with the runs ``at`` these places alone."""
+        sensors, bearings = self.forced_sensors[..., at], self.forced_bearings[..., at]
+        return replace(self, runs=self.runs[at], forced_sensors=sensors, forced_bearings=bearings)
+
     def converted(self, convert: Callable[[Array], Array]) -> ResponseBlock:
         """The same with every array but the numbers of the runs as ``convert`` makes it."""
         made = {f.name: convert(getattr(self, f.name)) for f in fields(self) if f.name != "runs"}

@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.balance.bands import bound_size
+from pipeline.balance.linear_vibration import bound_size
 from pipeline.balance.records import PredictedRecords
-from pipeline.balance.sheet import BalanceSheet
-from pipeline.balance.tolerance import Tolerance
+from pipeline.balance.sheet import BalanceSheet, Tolerance
 from pipeline.balance.unbalance import Estimates
 from pipeline.data.vibration_files import to_rpm
 from pipeline.ingest.records import Records

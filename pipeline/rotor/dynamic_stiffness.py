@@ -146,20 +146,22 @@ def apply(
 ) -> np.ndarray:
     """The product ``D(w)[rows, columns] @ x`` at every speed: (S, rows, R) from ``x`` (S, columns, R).
 
-    Only the columns that couple to ``rows`` are multiplied, so that the cost does not grow with the nodes.
+    The matrices are sparse: the cost grows with what couples, not with the square of the nodes.
     """
-    blocks = [a[np.ix_(rows, columns)] for a in (rotor.mass, rotor.damping, rotor.gyroscopic, rotor.stiffness)]
-    coupled = np.any([block != 0 for block in blocks], axis=(0, 1))
-    at_rows, at_columns = _locate(seal_dof(rotor), rows), _locate(seal_dof(rotor), columns)
-    coupled[at_columns[at_columns >= 0]] = True
-    mass, damping, gyroscopic, stiffness = (block[:, coupled] for block in blocks)
+    from scipy.sparse import csr_array
+
+    flat, places = np.moveaxis(x, 1, 0).reshape(len(columns), -1), np.ix_(rows, columns)
+    mass, damping, gyroscopic, stiffness = (
+        np.moveaxis((csr_array(matrix[places]) @ flat).reshape(len(rows), len(x), -1), 0, 1)
+        for matrix in (rotor.mass, rotor.damping, rotor.gyroscopic, rotor.stiffness)
+    )
     w, speed = frequencies[:, None, None], speeds[:, None, None]
-    dynamic = stiffness - w**2 * mass + 1j * w * (damping + speed * gyroscopic)
-    kept = np.cumsum(coupled) - 1  # where a column is among those that couple
+    product = stiffness - w**2 * mass + 1j * w * (damping + speed * gyroscopic)
+    at_rows, at_columns = _locate(seal_dof(rotor), rows), _locate(seal_dof(rotor), columns)
     seals = rotor.seals.impedance(frequencies, speeds)
     for t, i, j in np.argwhere((at_rows[:, :, None] >= 0) & (at_columns[:, None] >= 0)):
-        dynamic[:, at_rows[t, i], kept[at_columns[t, j]]] += seals[t, :, i, j]
-    return dynamic @ x[:, coupled]
+        product[:, at_rows[t, i]] += seals[t, :, i, j, None] * x[:, at_columns[t, j]]
+    return np.asarray(product)
 
 
 def assemble_systems(rotor: RotorModel, bearings: BearingTable) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

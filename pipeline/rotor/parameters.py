@@ -41,6 +41,7 @@ UNITS = {
     "probe_position": "m",
     "runout": "m",
     "known_coefficients": "",
+    "bearing_drift": "",
 }
 """Every kind, and the unit of its deviation; without a unit it is a share of the stated value."""
 OF_SHAFT = ("youngs_modulus", "density")

@@ -10,8 +10,7 @@ import numpy as np
 from pipeline.balance.correction import place_holes
 from pipeline.balance.linear_vibration import LinearVibration
 from pipeline.balance.records import Readings, average_records, describe_conditions, match_speeds
-from pipeline.balance.sheet import find_state, propose_weights
-from pipeline.balance.tolerance import share_tolerance
+from pipeline.balance.sheet import find_state, propose_weights, share_tolerance
 from pipeline.balance.unbalance import Estimates, estimate_all
 from pipeline.config.balance import ANY, WeightsConfig
 from pipeline.config.schema import Config

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.comparison.cases import Case, Machine, choose_main_case, list_cases
-from pipeline.comparison.runner import ComparisonSetup, MethodRun, compare
+from pipeline.comparison.runner import compare
 from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError
 from pipeline.files import write_json, write_text
-from pipeline.laws.law_set import make_laws
+from pipeline.laws.law_set import NO_LAWS, make_laws
 from pipeline.methods.catalogue import METHODS
 from pipeline.problem.configured import model_machine
 from pipeline.reporting.comparison_figures import draw_comparison
@@ -41,9 +41,8 @@ def run(analysis: Analysis) -> StageOutput:
     machine = build_machine(config)
     require_nodes(machine.rotor, "comparison.location", [config.comparison.location or 0])
     asked, n_speeds = config.comparison, machine.n_speeds
-    setup = ComparisonSetup(machine, config.identify, asked, config.seed)
     runs = [
-        MethodRun(method, case)
+        (method, case)
         for case in list_cases(asked, n_speeds)
         for method in asked.methods
         if case.data_set < asked.data_sets_of(method)
@@ -51,7 +50,7 @@ def run(analysis: Analysis) -> StageOutput:
     folder = locate_files(config).folder
     try:
         with comparison_progress(config.name, len(runs)) as progress:
-            results = compare(setup, runs, folder / "comparison", progress)
+            results = compare(machine, runs, folder / "comparison", progress)
     except KeyboardInterrupt:
         say(f"{config.name}: interrupted; what is done is kept, and the same command goes on from there")
         raise SystemExit(130) from None
@@ -72,10 +71,18 @@ def build_machine(config: Config) -> Machine:
     """The configured machine, and its vibration without noise at every node."""
     rotor, modelled, vibration = model_machine(config)
     given = config.machine.laws
-    laws = make_laws(given, rotor.bearing_nodes) if given else None
-    machine = Machine(rotor, modelled, vibration, config.machine.probes.seed, laws)
-    require_nodes(machine.rotor, "identify.unbalance_planes", config.identify.unbalance_planes)
-    return machine
+    laws = make_laws(given, rotor.bearing_nodes) if given else NO_LAWS
+    require_nodes(rotor, "identify.unbalance_planes", config.identify.unbalance_planes)
+    return Machine(
+        rotor,
+        modelled,
+        vibration,
+        identify=config.identify,
+        settings=config.comparison,
+        noise_seed=config.machine.probes.seed,
+        seed=config.seed,
+        laws=laws,
+    )
 
 
 def _list_noises(

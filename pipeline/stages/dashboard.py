@@ -18,7 +18,7 @@ def run(analysis: Analysis) -> StageOutput:
     config = analysis.config
     shown = gather_studies(config.tuning, _list_files(config), find_trial_pages(config.tracking))
     storage = without_password(config.tuning.storage)
-    rows = [[study.name, str(study.trials), str(study.linked)] for study in shown]
+    rows = [[name, str(trials), str(linked)] for name, trials, linked in shown]
     table(f"studies in {storage}", ["study", "trials", "of these with a run in MLflow"], rows)
     say(f"look at them with: optuna-dashboard {storage}")
     return StageOutput()

@@ -26,7 +26,7 @@ from pipeline.reporting.diagnosis_tables import (
 )
 from pipeline.reporting.model_error import Budget, draw_budget, print_budget
 from pipeline.stages.analysis import Analysis
-from pipeline.stages.execution import StageOutput
+from pipeline.stages.execution import StageOutput, use_threads
 from pipeline.stages.law_diagnosis import diagnose_laws
 from pipeline.stages.measurement import diagnose, expect, prepare
 
@@ -34,6 +34,7 @@ from pipeline.stages.measurement import diagnose, expect, prepare
 def run(analysis: Analysis) -> StageOutput:
     """``diagnosis.json``, ``diagnosis.csv`` (a row a bearing and speed) and a figure over speed."""
     config, measurement, work = analysis.config, prepare(analysis), analysis.files
+    use_threads(config)
     noise = describe_noise(config)
     numbers = diagnose_laws(config, measurement, noise)
     diagnosis = diagnose(analysis)
@@ -69,13 +70,15 @@ def run(analysis: Analysis) -> StageOutput:
 def _write_budget(analysis: Analysis) -> list[Path]:
     """The systematic budget of ``identify.model_parameters``; none without them, or where a speed tells too little."""
     config, measurement, work = analysis.config, prepare(analysis), analysis.files
-    percent = budget_percent(measurement, diagnose(analysis).answer) if measurement.parameters else None
-    if percent is None:
+    stated = config.identify.model_parameters.deviations
+    every = budget_percent(measurement, diagnose(analysis).answer) if stated else None
+    if every is None:
         return []
+    percent = {kind: every[kind] for kind in stated}
     names, nodes = measurement.unknowns.names, measurement.rotor.bearing_nodes
     shared = measurement.unknowns.shared
     coefficients = [names[u] if shared else f"{names[u]} node {nodes[m]}" for m, u in measurement.unknowns.active]
-    budget = Budget(config.identify.model_parameters.deviations, coefficients, percent)
+    budget = Budget(stated, coefficients, percent)
     print_budget(config.name, budget)
     columns = {f"{kind}_percent": values for kind, values in percent.items()}
     return [

@@ -16,8 +16,7 @@ from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import prepare
 from pipeline.stages.tune import follow_progress, pose_study
 from pipeline.tuning.finalists import TrialSummary, replace_sampler, summarize
-from pipeline.tuning.parallel import run_study
-from pipeline.tuning.worker import ROUNDING
+from pipeline.tuning.worker import ROUNDING, run_study
 
 
 def run(analysis: Analysis) -> StageOutput:

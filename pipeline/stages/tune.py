@@ -34,11 +34,10 @@ from pipeline.tracking import StageRecord
 from pipeline.tuning.attempts import list_results
 from pipeline.tuning.finalists import TrialSummary, choose, hash_study, measure_importances, summarize, train_finalists
 from pipeline.tuning.judging import require_study
-from pipeline.tuning.parallel import run_study
 from pipeline.tuning.storage import close_storage, is_shared, open_storage
 from pipeline.tuning.study import StudyProblem
 from pipeline.tuning.trials_file import TRIALS, format_trials
-from pipeline.tuning.worker import Seen
+from pipeline.tuning.worker import Seen, run_study
 
 SUMMARY = "summary.json"
 AGAIN = "run stage=tune again after moving it away"

@@ -47,24 +47,17 @@ def read_peak(speeds: np.ndarray, amplitudes: np.ndarray) -> SteadyReading | Non
 
     None where the largest is at an end, or the amplitude does not fall to half its power on both sides.
     """
-    top = int(np.argmax(amplitudes))
-    if top in (0, len(amplitudes) - 1):
-        return None
-    half = amplitudes[top] / np.sqrt(2)
-    low = np.flatnonzero(amplitudes[:top] <= half)
-    high = np.flatnonzero(amplitudes[top:] <= half)
-    if not len(low) or not len(high):
-        return None
-    below = _cross(speeds, amplitudes, int(low[-1]), half)
-    above = _cross(speeds, amplitudes, top + int(high[0]) - 1, half)
-    peak = float(speeds[top])
-    return SteadyReading(peak, (above - below) / (2 * peak), float(amplitudes[top]))
+    from scipy.signal import peak_widths
 
-
-def _cross(speeds: np.ndarray, amplitudes: np.ndarray, before: int, level: float) -> float:
-    """The speed at which the amplitude is ``level`` between the rows ``before`` and ``before`` + 1."""
-    pair = before + np.argsort(amplitudes[before : before + 2])
-    return float(np.interp(level, amplitudes[pair], speeds[pair]))
+    top, last = int(np.argmax(amplitudes)), len(amplitudes) - 1
+    largest, half = float(amplitudes[top]), 1 / np.sqrt(2)
+    if top in (0, last) or max(amplitudes[:top].min(), amplitudes[top:].min()) > half * largest:
+        return None
+    # Its height is counted from zero, not from the valleys beside it.
+    whole = (np.array([largest]), np.array([0]), np.array([last]))
+    _, _, *ends = peak_widths(amplitudes, [top], 1 - half, prominence_data=whole)
+    below, above = np.interp(np.ravel(ends), np.arange(last + 1), speeds)
+    return SteadyReading(float(speeds[top]), float(above - below) / (2 * float(speeds[top])), largest)
 
 
 def read_ramp(frequency: float, damping: float, rate: float, points: int = 4001, most: float = 0.5) -> SteadyReading:

@@ -158,15 +158,14 @@ def _fit(problem: _Problem, starts: list[np.ndarray]) -> ModalFit:
     )
 
 
-def choose_modes(run_up: RunUp, degree: int = 2) -> tuple[ModalFit, ModalFit, int]:
-    """The fits with one and with two modes, and the number that Schwarz's criterion prefers.
+def fit_single_and_pair(run_up: RunUp, degree: int = 2) -> tuple[ModalFit, ModalFit]:
+    """The fits with one and with two modes, of which Schwarz's criterion chooses.
 
     Both are weighed with the correlation of the better residual: what one mode leaves over is no noise.
     """
     single, two = fit_modes(run_up, 1, degree), fit_modes(run_up, 2, degree)
     residual = run_up.vectors - single.fitted
-    single = replace(single, criterion=_weigh(residual, 4 + 2 * (degree + 1), two.correlation))
-    return single, two, 2 if two.criterion < single.criterion else 1
+    return replace(single, criterion=_weigh(residual, 4 + 2 * (degree + 1), two.correlation)), two
 
 
 def choose_sense(run_up: RunUp) -> tuple[RunUp, str, float]:

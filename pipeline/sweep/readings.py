@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.sweep.bias import SteadyReading, SweepBias, measure_bias
-from pipeline.sweep.fit import ModalFit, RunUp, choose_modes, choose_sense, fit_decay, read_smoothed_peak
+from pipeline.sweep.fit import ModalFit, RunUp, choose_sense, fit_decay, fit_single_and_pair, read_smoothed_peak
 
 if TYPE_CHECKING:
     from pipeline.ingest.run_up import RunUpConfig
@@ -35,15 +35,11 @@ class RunUpAnalysis:
     sense: str  # what its phases were, lead or lag
     steady: SteadyReading | None
     fits: tuple[ModalFit, ModalFit]  # of one mode, and of two
+    chosen: ModalFit  # the fit with the modes that Schwarz's criterion prefers
     decay: ModalFit | None
     frequency: Reading  # rad/s, of the first mode
     damping: Reading  # its ratio
     bias: SweepBias
-
-    @property
-    def chosen(self) -> ModalFit:
-        """The fit with the modes that Schwarz's criterion prefers."""
-        return min(self.fits, key=lambda fit: fit.criterion)
 
     @property
     def gain(self) -> float:
@@ -56,8 +52,8 @@ def analyse_run_up(run_up: RunUp, settings: RunUpConfig) -> RunUpAnalysis:
     sense = str(settings.phase or "")
     if not sense:
         run_up, sense, _ = choose_sense(run_up)
-    single, two, count = choose_modes(run_up, settings.background_degree)
-    chosen = single if count == 1 else two
+    fits = fit_single_and_pair(run_up, settings.background_degree)
+    chosen = min(fits, key=lambda fit: fit.criterion)
     decay = fit_decay(run_up, float(chosen.frequencies[0]), settings.background_degree)
     readings = [read_mode(chosen, 0)]
     if decay is not None and int(np.argmin(np.abs(chosen.frequencies - decay.frequencies[0]))) == 0:
@@ -67,7 +63,8 @@ def analyse_run_up(run_up: RunUp, settings: RunUpConfig) -> RunUpAnalysis:
         run_up=run_up,
         sense=sense,
         steady=read_smoothed_peak(run_up, settings.steady_rows),
-        fits=(single, two),
+        fits=fits,
+        chosen=chosen,
         decay=decay,
         frequency=frequency,
         damping=damping,

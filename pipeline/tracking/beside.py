@@ -15,7 +15,7 @@ from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING
 
 from pipeline.processes import delay_interrupt, let_interrupt_through
-from pipeline.tracking.record import StageRecord
+from pipeline.tracking.entries import StageRecord
 
 if TYPE_CHECKING:
     from multiprocessing.context import SpawnProcess

@@ -1,4 +1,4 @@
-"""From a record's nested values to the flat names and texts that MLflow accepts; MLflow is not needed."""
+"""What a stage hands to the tracker, and the flat names and texts that MLflow accepts of it; MLflow is not needed."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import json
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass
+from pathlib import Path
 from typing import Any
 
 from pipeline.errors import without_password
@@ -15,6 +17,40 @@ PARAMETER_LENGTH = 6000
 TAG_LENGTH = 8000
 
 _FORBIDDEN_IN_NAME = re.compile(r"[^\w .:/-]")
+
+
+@dataclass(frozen=True)
+class StageRecord:
+    """One stage's work, complete and saved; or a piece of it that is a run of its own, such as a trial of a study.
+
+    :param experiment: the name of the MLflow experiment, such as ``hydrostatic_stiffness``
+    :param stage: the run's name, such as ``train``
+    :param started: start and
+    :param ended: end of the stage as ``time.time()`` gives them (s)
+    :param parameters: the composed configuration, nested; logged flat, and whole as ``config.yaml``
+    :param tags: such as the data's fingerprint, the seed, the outcome, ``pipeline.group``
+    :param metrics: final values by name; those that are not finite are not logged
+    :param history: rows by training step: a key ``step`` and metrics, which need not be the same in each row;
+        texts among them are left out, for MLflow's metrics are numbers
+    :param files: images go to the artifact folder ``figures``, other files to ``files``
+    :param model: a folder that holds ``model.safetensors`` and ``model.json``, logged as a loadable model
+    :param children: logged as runs below this one: parameters, tags, metrics and history of each
+    :param status: ``FINISHED``, ``KILLED`` or ``FAILED``
+    """
+
+    experiment: str
+    stage: str
+    started: float
+    ended: float
+    parameters: Mapping[str, object]
+    tags: Mapping[str, str]
+    metrics: Mapping[str, float]
+    _: KW_ONLY
+    history: Sequence[Mapping[str, float | str]] = ()
+    files: Sequence[Path] = ()
+    model: Path | None = None
+    children: Sequence[StageRecord] = ()
+    status: str = "FINISHED"
 
 
 MetricValue = tuple[str, float, int, int]
@@ -66,10 +102,12 @@ def flatten_tags(tags: Mapping[str, object]) -> dict[str, str]:
     return {clean_name(name): shorten(without_password(str(text)), TAG_LENGTH) for name, text in tags.items()}
 
 
-def collect_final(metrics: Mapping[str, float], time: float) -> tuple[list[MetricValue], list[str]]:
-    """The finite metrics at ``time`` (s since 1970), step 0; and the names of those that are not finite."""
-    finite = {name: value for name, value in metrics.items() if _is_finite(value)}
-    values = [(clean_name(name), float(value), _to_ms(time), 0) for name, value in finite.items()]
+def collect_values(
+    metrics: Mapping[str, float | None], time: float, step: int = 0
+) -> tuple[list[MetricValue], list[str]]:
+    """The finite metrics at ``time`` (s since 1970); and the names of those that are not finite."""
+    finite = {name: float(value) for name, value in metrics.items() if value is not None and math.isfinite(value)}
+    values = [(clean_name(name), value, round(1000 * time), step) for name, value in finite.items()]
     return values, [name for name in metrics if name not in finite]
 
 
@@ -83,22 +121,11 @@ def collect_history(
     :raises KeyError: if a row has no ``step``
     """
     values: list[MetricValue] = []
-    skipped: dict[str, None] = {}
+    skipped: list[str] = []
     for number, row in enumerate(history, start=1):
-        time = _to_ms(started + (ended - started) * number / len(history))
-        for name, value in row.items():
-            if name == "step" or isinstance(value, str):
-                continue
-            if _is_finite(value):
-                values.append((clean_name(name), float(value), time, int(row["step"])))
-            else:
-                skipped[name] = None
-    return values, list(skipped)
-
-
-def _is_finite(value: float | None) -> bool:
-    return value is not None and math.isfinite(value)
-
-
-def _to_ms(seconds: float) -> int:
-    return round(1000 * seconds)
+        numbers = {name: value for name, value in row.items() if name != "step" and not isinstance(value, str)}
+        time = started + (ended - started) * number / len(history)
+        finite, others = collect_values(numbers, time, int(row["step"]))
+        values += finite
+        skipped += others
+    return values, list(dict.fromkeys(skipped))

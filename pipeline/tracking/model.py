@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,8 +14,7 @@ from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.operating import column_of
 from pipeline.data.operating_points import list_columns
 from pipeline.identification.storage import load_model
-from pipeline.tracking.entries import flatten_parameters
-from pipeline.tracking.record import StageRecord
+from pipeline.tracking.entries import StageRecord, flatten_parameters
 from pipeline.units import RAD_S_PER_RPM
 
 if TYPE_CHECKING:
@@ -41,12 +40,15 @@ def log_model(client: MlflowClient, run: Run, record: StageRecord) -> str:
 
     :raises Exception: what MLflow or reading the model raises; the logged model is then marked as failed
     """
+    import pandas as pd
     from mlflow.entities import LoggedModelOutput, LoggedModelStatus
+    from mlflow.models import infer_signature
 
     folder = record.model or Path()
     artifacts = {"weights": folder / "model.safetensors", "description": folder / "model.json"}
     identified = load_model(folder)
-    signature = _describe_signature(folder, list_conditions(identified))
+    example = pd.DataFrame({SPEED: [_EXAMPLE_RPM]} | _exemplify(identified))
+    answer = tabulate_coefficients(identified, example[SPEED].to_numpy(), read_conditions(identified, example))
     logged = client.create_logged_model(
         run.info.experiment_id,
         name=MODEL_NAME,
@@ -55,8 +57,7 @@ def log_model(client: MlflowClient, run: Run, record: StageRecord) -> str:
     )
     try:
         with tempfile.TemporaryDirectory() as scratch:
-            example = {SPEED: [_EXAMPLE_RPM]} | _exemplify(identified)
-            _save(Path(scratch, MODEL_NAME), logged, signature, artifacts, example)
+            _save(Path(scratch, MODEL_NAME), logged, infer_signature(example, answer), artifacts, example)
             client.log_model_artifacts(logged.model_id, str(Path(scratch, MODEL_NAME)))
         client.log_outputs(run.info.run_id, [LoggedModelOutput(logged.model_id, step=0)])
     except BaseException:
@@ -97,11 +98,10 @@ def _save(
     logged: LoggedModel,
     signature: ModelSignature,
     artifacts: Mapping[str, Path],
-    example: Mapping[str, Sequence[float]],
+    example: pd.DataFrame,
 ) -> None:
     from unittest.mock import patch  # it imports asyncio
 
-    import pandas as pd
     from mlflow import pyfunc
     from mlflow.models import Model
 
@@ -123,24 +123,9 @@ def _save(
             artifacts={name: str(artifact) for name, artifact in artifacts.items()},
             code_paths=[str(_PACKAGE_FOLDER)],
             signature=signature,
-            input_example=pd.DataFrame(example),
-            pip_requirements=_pin_requirements("pint" if len(example) > 1 else None),
+            input_example=example,
+            pip_requirements=_pin_requirements("pint" if len(example.columns) > 1 else None),
         )
-
-
-def _describe_signature(folder: Path, conditions: Sequence[str]) -> ModelSignature:
-    """A speed and the conditions in; a bearing node, these and the coefficients this model identifies out."""
-    from mlflow.models import ModelSignature
-    from mlflow.types import ColSpec, Schema
-
-    from pipeline.identification.storage import identified_names
-
-    given = [SPEED, *(column_of(name).column for name in conditions)]
-    columns = [NODE, *given, *identified_names(folder)]
-    return ModelSignature(
-        inputs=Schema([ColSpec("double", name) for name in given]),
-        outputs=Schema([ColSpec("long" if name == NODE else "double", name) for name in columns]),
-    )
 
 
 def _pin_requirements(more: str | None) -> list[str]:

@@ -1,14 +1,22 @@
-"""The way to a tracking store: its client and the experiment in it; an SQLite file is made once, in one piece."""
+"""The way to a tracking store, in silence: its client and the experiment in it, and the pages of a study's trials.
+
+An SQLite file is made once, in one piece.
+"""
 
 from __future__ import annotations
 
 import errno
+import logging
+import math
 import os
 import sqlite3
-from contextlib import closing
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from pipeline.errors import StorageError
 from pipeline.timeout import run_within
 from pipeline.tracking.entries import clean_name
 
@@ -20,16 +28,48 @@ if TYPE_CHECKING:
 ARTIFACT_FOLDER = "mlruns"
 _CREATION_SECONDS = 60.0
 _SQLITE = "sqlite:///"
+_LOGGERS = ("mlflow", "alembic", "sqlalchemy.engine", "urllib3.connectionpool")
+_NEVER = logging.CRITICAL + 1
+_LOCAL = "http://127.0.0.1:5000"
 
 
-class DatabaseProblem(Exception):
-    """A database that can't be used; the text says why and what to do."""
+@contextmanager
+def quiet_mlflow(timeout_seconds: float) -> Iterator[None]:
+    """MLflow is imported, silent, and gives up on a server after ``timeout_seconds`` (s) while this lasts.
+
+    Environment, log levels and warning filters are the process's own: one such block at a time, and nothing
+    but logging in it. Telemetry stays off afterwards.
+
+    :raises ImportError: if MLflow is not installed
+    """
+    from unittest.mock import patch  # it imports asyncio
+
+    os.environ["MLFLOW_DISABLE_TELEMETRY"] = "true"
+    os.environ["DO_NOT_TRACK"] = "1"
+    environment = {
+        # One retry, so each of the two attempts may take half of the time.
+        "MLFLOW_HTTP_REQUEST_TIMEOUT": str(max(1, math.floor(timeout_seconds / 2))),
+        "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "1",
+        "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true",
+        "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false",
+        "MLFLOW_UV_AUTO_DETECT": "false",
+    }
+    # MLflow uses deprecated parts of SQLAlchemy, which a user can't change. A warning that is raised as an error while
+    # SQLAlchemy sets up its classes would leave them broken for the whole process.
+    with patch.dict(os.environ, environment), warnings.catch_warnings(), ExitStack() as put_back:
+        warnings.simplefilter("ignore")
+        import mlflow  # noqa: F401  # for its effect: it sets the levels of these loggers when it is imported
+
+        for logger in map(logging.getLogger, _LOGGERS):
+            put_back.callback(logger.setLevel, logger.level)
+            logger.setLevel(_NEVER)
+        yield
 
 
 def open_experiment(settings: TrackingConfig, name: str) -> tuple[MlflowClient, str]:
     """A client of the store and the id of the experiment ``name`` in it, both made where they are missing.
 
-    :raises DatabaseProblem: if an SQLite file can't be used
+    :raises StorageError: if an SQLite file can't be used
     :raises TimeoutError: if a server or another database gives no answer within the settings' time
     :raises mlflow.exceptions.MlflowException: if the store refuses
     """
@@ -46,9 +86,7 @@ def open_experiment(settings: TrackingConfig, name: str) -> tuple[MlflowClient, 
 def _parse_path(uri: str) -> Path:
     database = uri.removeprefix(_SQLITE)
     if not uri.startswith(_SQLITE) or database in ("", ":memory:") or "?" in database:
-        raise DatabaseProblem(
-            f"'{uri}' names no SQLite file; write sqlite:///FILE (relative) or sqlite:////FOLDER/FILE"
-        )
+        raise StorageError(f"'{uri}' names no SQLite file; write sqlite:///FILE (relative) or sqlite:////FOLDER/FILE")
     return Path(database).absolute()
 
 
@@ -79,7 +117,7 @@ def prepare_database(path: Path, timeout_seconds: float) -> None:
     neither a second process nor a kill ever leaves a half-made one. A file ``<path>-lock`` stays beside it.
 
     :param timeout_seconds: how long another process may hold the database (s)
-    :raises DatabaseProblem: if it can't be made, read or written
+    :raises StorageError: if it can't be made, read or written
     """
     import filelock
 
@@ -91,16 +129,16 @@ def prepare_database(path: Path, timeout_seconds: float) -> None:
                     _create(path)
         _probe(path, timeout_seconds)
     except filelock.Timeout:
-        raise DatabaseProblem(f"another process has held {path}-lock for too long; end it and run again") from None
+        raise StorageError(f"another process has held {path}-lock for too long; end it and run again") from None
     except sqlite3.OperationalError as error:
-        raise DatabaseProblem(f"the database {path} can't be written ({error}); is it in use, or read-only?") from error
+        raise StorageError(f"the database {path} can't be written ({error}); is it in use, or read-only?") from error
     except sqlite3.DatabaseError as error:
-        raise DatabaseProblem(
+        raise StorageError(
             f"{path} is not a sound SQLite database ({error}); move it away, the next run makes a new one"
         ) from error
     except (OSError, NotImplementedError) as error:  # filelock raises the latter where a file system has no locks
         reason = getattr(error, "strerror", None) or error
-        raise DatabaseProblem(f"the database {path} can't be made there ({reason})") from error
+        raise StorageError(f"the database {path} can't be made there ({reason})") from error
 
 
 def _locate_artifacts(path: Path) -> str:
@@ -133,4 +171,45 @@ def _probe(path: Path, timeout_seconds: float) -> None:
         tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
         connection.execute("ROLLBACK")
     if not {"alembic_version", "experiments", "runs"} <= tables:
-        raise DatabaseProblem(f"{path} is a database, but not MLflow's; move it away or give another tracking.uri")
+        raise StorageError(f"{path} is a database, but not MLflow's; move it away or give another tracking.uri")
+
+
+# --- what is in it ------------------------------------------------------------------------------------
+
+
+def find_trial_pages(settings: TrackingConfig) -> Callable[[str], dict[int, str]]:
+    """A function from the name of a study to a note on the page of each trial, by the trial's number.
+
+    It gives none where there is no record of the study, or the store does not answer.
+    """
+    file = settings.uri.removeprefix("sqlite:///")
+    if file != settings.uri and not (Path(file).is_file() and Path(file).stat().st_size):
+        return lambda study: {}  # no need to import MLflow
+
+    def find(study: str) -> dict[int, str]:
+        try:
+            with quiet_mlflow(settings.timeout_seconds):
+                return _find(settings.uri, study)
+        except Exception:  # a page more or less stops nobody from looking at trials
+            return {}
+
+    return find
+
+
+def _find(uri: str, study: str) -> dict[int, str]:
+    from mlflow import MlflowClient
+
+    client, server = MlflowClient(tracking_uri=uri), uri if uri.startswith("http") else _LOCAL
+    start = "" if uri.startswith("http") else f" (served by `mlflow ui --backend-store-uri {uri}`)"
+    experiments = [experiment.experiment_id for experiment in client.search_experiments()]
+    named = study.replace("'", "\\'")
+    stages: list[Any] = client.search_runs(experiments, f"tags.study = '{named}'")
+    pages: dict[int, str] = {}
+    for stage in reversed(stages):  # the latest record of a trial counts
+        below = f"tags.`mlflow.parentRunId` = '{stage.info.run_id}'"
+        for run in client.search_runs([stage.info.experiment_id], below):
+            word, _, number = (run.info.run_name or "").partition(" ")
+            if word == "trial" and number.isdigit():
+                page = f"{server}/#/experiments/{run.info.experiment_id}/runs/{run.info.run_id}"
+                pages[int(number)] = f"[Its run in MLflow]({page}){start}"
+    return pages

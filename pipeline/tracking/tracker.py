@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
-from pipeline.errors import without_password
+from pipeline.errors import StorageError, without_password
 from pipeline.tracking.beside import log_beside
 from pipeline.tracking.entries import (
     MetricValue,
-    collect_final,
+    StageRecord,
     collect_history,
+    collect_values,
     flatten_parameters,
     flatten_tags,
     shorten,
@@ -23,9 +24,7 @@ from pipeline.tracking.entries import (
 )
 from pipeline.tracking.model import log_model
 from pipeline.tracking.provenance import describe_provenance
-from pipeline.tracking.quiet import quiet_mlflow
-from pipeline.tracking.record import StageRecord
-from pipeline.tracking.store import DatabaseProblem, open_experiment
+from pipeline.tracking.store import open_experiment, quiet_mlflow
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
@@ -33,7 +32,6 @@ if TYPE_CHECKING:
 
     from pipeline.config.schema import TrackingConfig
 
-_T = TypeVar("_T")
 _METRICS_A_BATCH = 1000
 _PARAMETERS_A_BATCH = 100
 _FIGURES = {".png", ".svg", ".jpg", ".jpeg"}
@@ -71,9 +69,9 @@ def get_ready() -> None:
 
 def _log(record: StageRecord, settings: TrackingConfig) -> list[str]:
     client, experiment_id = open_experiment(settings, record.experiment)
-    run = client.create_run(
-        experiment_id, start_time=round(1000 * record.started), tags=_make_tags(record), run_name=record.stage
-    )
+    tags = flatten_tags(describe_provenance() | _stage_tags(record) | dict(record.tags))
+    start = round(1000 * record.started)
+    run = client.create_run(experiment_id, start_time=start, tags=tags, run_name=record.stage)
     run_id = run.info.run_id
     try:
         problems = _log_parts(client, run, record, settings.timeout_seconds)
@@ -88,67 +86,58 @@ def _log(record: StageRecord, settings: TrackingConfig) -> list[str]:
     return problems
 
 
-def _make_tags(record: StageRecord) -> dict[str, str]:
-    place = {"pipeline.experiment": record.experiment, "pipeline.stage": record.stage}
-    return flatten_tags(describe_provenance() | place | dict(record.tags))
+def _stage_tags(record: StageRecord) -> dict[str, str]:
+    """Tags by which the runs of an experiment and of a stage are looked for."""
+    return {"pipeline.experiment": record.experiment, "pipeline.stage": record.stage}
 
 
 def _log_parts(client: MlflowClient, run: Run, record: StageRecord, patience_seconds: float) -> list[str]:
+    """Log each part of the record by itself; sentences on those that MLflow does not have."""
     run_id = run.info.run_id
-    parts = _Parts(record.stage, patience_seconds)
+    model_ids: list[str] = []
     not_finite: list[str] = []
-    final = partial(collect_final, record.metrics, record.ended)
-    history = partial(collect_history, record.history, record.started, record.ended)
 
-    parts.log("the parameters", lambda: _log_parameters(client, run_id, record))
-    parts.log("the configuration", lambda: client.log_text(run_id, _write_yaml(record), "config.yaml"))
-    # The model comes before the metrics, which belong to it too.
-    model_id = parts.log("the model", partial(log_model, client, run, record)) if record.model else None
-    not_finite += parts.log("the metrics", lambda: _log_metrics(client, run_id, final(), model_id)) or []
-    not_finite += parts.log("the history", lambda: _log_metrics(client, run_id, history())) or []
-    for path, artifact_folder in _sort_files(record.files):
-        parts.log(f"the file {path}", partial(_log_file, client, run_id, path, artifact_folder))
-    for child in record.children:
-        parts.log(child.stage, partial(_log_child, client, run, record, child))
+    def log_metrics(collected: tuple[list[MetricValue], list[str]], *model_id: str) -> None:
+        _log_values(client, run_id, collected[0], {}, *model_id)
+        not_finite.extend(collected[1])
+
+    parts: list[tuple[str, Callable[[], object]]] = [
+        ("the parameters", lambda: _log_values(client, run_id, (), record.parameters)),
+        ("the configuration", lambda: client.log_text(run_id, _write_yaml(record), "config.yaml")),
+    ]
+    if record.model:  # it comes before the metrics, which belong to it too
+        parts.append(("the model", lambda: model_ids.append(log_model(client, run, record))))
+    parts += [
+        ("the metrics", lambda: log_metrics(collect_values(record.metrics, record.ended), *model_ids)),
+        ("the history", lambda: log_metrics(collect_history(record.history, record.started, record.ended))),
+    ]
+    parts += [
+        (f"the file {path}", partial(_log_file, client, run_id, path, f)) for path, f in _sort_files(record.files)
+    ]
+    parts += [(child.stage, partial(_log_child, client, run, record, child)) for child in record.children]
+    problems = try_parts(parts, record.stage, patience_seconds)
     if not_finite:
         names = ", ".join(dict.fromkeys(not_finite))
-        parts.problems.append(f"MLflow does not have the values of {names} that are not finite.")
-    if parts.not_tried:
-        names = ", ".join(parts.not_tried)
-        parts.problems.append(f"MLflow took too long to answer, so these were not tried: {names}.")
-    return parts.problems
+        problems.append(f"MLflow does not have the values of {names} that are not finite.")
+    return problems
 
 
-class _Parts:
-    """It logs each part by itself, until the parts that failed have taken ``patience_seconds`` together."""
-
-    def __init__(self, stage: str, patience_seconds: float) -> None:
-        self.problems: list[str] = []
-        self.not_tried: list[str] = []
-        self._stage = stage
-        self._patience_seconds = patience_seconds
-
-    def log(self, what: str, action: Callable[[], _T]) -> _T | None:
-        """What ``action`` returns; None where it failed or was not tried, and that is noted."""
-        if self._patience_seconds <= 0:
-            self.not_tried.append(what)
-            return None
+def try_parts(parts: Sequence[tuple[str, Callable[[], object]]], stage: str, patience_seconds: float) -> list[str]:
+    """Log each part until those that failed have taken ``patience_seconds`` together; sentences on what is missing."""
+    problems, not_tried = [], []
+    for name, log in parts:
+        if patience_seconds <= 0:
+            not_tried.append(name)
+            continue
         begin = time.monotonic()
         try:
-            return action()
+            log()
         except Exception as error:
-            self._patience_seconds -= time.monotonic() - begin
-            self.problems.append(f"MLflow does not have {what} of stage '{self._stage}': {_tell_reason(error)}.")
-            return None
-
-
-def _log_parameters(client: MlflowClient, run_id: str, record: StageRecord) -> None:
-    from mlflow.entities import Param
-    from mlflow.utils import chunk_list
-
-    parameters = [Param(name, text) for name, text in flatten_parameters(record.parameters).items()]
-    for batch in chunk_list(parameters, _PARAMETERS_A_BATCH):
-        client.log_batch(run_id, params=batch)
+            patience_seconds -= time.monotonic() - begin
+            problems.append(f"MLflow does not have {name} of stage '{stage}': {_tell_reason(error)}.")
+    if not_tried:
+        problems.append(f"MLflow took too long to answer, so these were not tried: {', '.join(not_tried)}.")
+    return problems
 
 
 def _write_yaml(record: StageRecord) -> str:
@@ -157,33 +146,32 @@ def _write_yaml(record: StageRecord) -> str:
     return without_password(yaml.safe_dump(simplify(record.parameters), sort_keys=False, allow_unicode=True))
 
 
-def _log_metrics(
-    client: MlflowClient, run_id: str, found: tuple[list[MetricValue], list[str]], model_id: str | None = None
-) -> list[str]:
-    """Log the values that were ``found``; the names of those that are not finite."""
-    from mlflow.entities import Metric
+def _log_values(
+    client: MlflowClient,
+    run_id: str,
+    metrics: Sequence[MetricValue],
+    parameters: Mapping[str, object],
+    model_id: str | None = None,
+) -> None:
+    """Log metrics and parameters in as few requests as MLflow takes them in."""
+    from mlflow.entities import Metric, Param
     from mlflow.utils import chunk_list
 
-    values, not_finite = found
-    for batch in chunk_list([Metric(*value, model_id=model_id, run_id=run_id) for value in values], _METRICS_A_BATCH):
+    params = [Param(name, text) for name, text in flatten_parameters(parameters).items()]
+    for batch in chunk_list(params, _PARAMETERS_A_BATCH):
+        client.log_batch(run_id, params=batch)
+    for batch in chunk_list([Metric(*value, model_id=model_id, run_id=run_id) for value in metrics], _METRICS_A_BATCH):
         client.log_batch(run_id, metrics=batch)
-    return not_finite
 
 
 def _log_child(client: MlflowClient, run: Run, record: StageRecord, child: StageRecord) -> None:
-    """Log a run below ``run`` in three requests, since a study has many."""
-    from mlflow.entities import Metric, Param
-
-    place = {"pipeline.experiment": record.experiment, "pipeline.stage": record.stage}
-    tags = flatten_tags(place | dict(child.tags) | {"mlflow.parentRunId": run.info.run_id})
-    below = client.create_run(
-        run.info.experiment_id, start_time=round(1000 * child.started), tags=tags, run_name=child.stage
-    ).info.run_id
-    values = collect_final(child.metrics, child.ended)[0]
-    values += collect_history(child.history, child.started, child.ended)[0]
-    metrics = [Metric(*value) for value in values[:_METRICS_A_BATCH]]
-    parameters = [Param(name, text) for name, text in flatten_parameters(child.parameters).items()]
-    client.log_batch(below, metrics=metrics, params=parameters[:_PARAMETERS_A_BATCH])
+    """Log a run below ``run`` in few requests, since a study has many."""
+    tags = flatten_tags(_stage_tags(record) | dict(child.tags) | {"mlflow.parentRunId": run.info.run_id})
+    start = round(1000 * child.started)
+    below = client.create_run(run.info.experiment_id, start_time=start, tags=tags, run_name=child.stage).info.run_id
+    final, _ = collect_values(child.metrics, child.ended)
+    history, _ = collect_history(child.history, child.started, child.ended)
+    _log_values(client, below, final + history, child.parameters)
     client.set_terminated(below, child.status, end_time=round(1000 * child.ended))
 
 
@@ -210,6 +198,6 @@ def _tell_reason(error: Exception) -> str:
     system = re.search(r"\[Errno -?\d+\] ([\w ]+)", text)
     if system and "Max retries exceeded" in text:
         text = f"the server can't be reached ({system.group(1).strip().lower()})"
-    if not isinstance(error, DatabaseProblem):
+    if not isinstance(error, StorageError):
         text = shorten(text, _REASON_LENGTH)
     return without_password(text).rstrip(".")

@@ -8,7 +8,7 @@ import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,7 +25,6 @@ from pipeline.tuning.worker import ROUNDING
 
 if TYPE_CHECKING:
     import optuna
-    from optuna.trial import FrozenTrial
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,28 +68,28 @@ class Finalist:
 
 def summarize(study: optuna.Study) -> list[TrialSummary]:
     """The study's finished trials; a trial that was stopped is there by its repeat alone."""
-    return [_summarize(place, trial) for place, trial in list_results(study).items()]
-
-
-def _summarize(place: int, trial: FrozenTrial) -> TrialSummary:
-    attributes = trial.user_attrs
-    return TrialSummary(
-        number=place,
-        state={"FAIL": "failed"}.get(trial.state.name, trial.state.name.lower()),
-        loss=attributes.get("held_out_loss", None if trial.value is None else 10**trial.value),
-        seconds=attributes.get("training_seconds"),
-        epochs=attributes.get("epochs"),
-        outcome=attributes.get("outcome", ""),
-        reason=attributes.get("reason", ""),
-        parameters=dict(trial.params),
-        curve={step: 10**value for step, value in sorted(trial.intermediate_values.items())},
-        started=trial.datetime_start.timestamp() if trial.datetime_start else 0.0,
-        ended=trial.datetime_complete.timestamp() if trial.datetime_complete else 0.0,
-    )
+    return [
+        TrialSummary(
+            number=place,
+            state={"FAIL": "failed"}.get(trial.state.name, trial.state.name.lower()),
+            loss=trial.user_attrs.get("held_out_loss", None if trial.value is None else 10**trial.value),
+            seconds=trial.user_attrs.get("training_seconds"),
+            epochs=trial.user_attrs.get("epochs"),
+            outcome=trial.user_attrs.get("outcome", ""),
+            reason=trial.user_attrs.get("reason", ""),
+            parameters=dict(trial.params),
+            curve={step: 10**value for step, value in sorted(trial.intermediate_values.items())},
+            started=trial.datetime_start.timestamp() if trial.datetime_start else 0.0,
+            ended=trial.datetime_complete.timestamp() if trial.datetime_complete else 0.0,
+        )
+        for place, trial in list_results(study).items()
+    ]
 
 
 def train_finalists(study: optuna.Study, problem: StudyProblem) -> list[Finalist]:
     """The default, then the best other trials, each trained with every seed of ``tuning.seeds``."""
+    import torch
+
     config = problem.config.tuning
     results = list_results(study)
     complete = [(trial.value, place) for place, trial in results.items() if trial.state.name == "COMPLETE"]
@@ -102,14 +101,14 @@ def train_finalists(study: optuna.Study, problem: StudyProblem) -> list[Finalist
     # One training at a time, as in `stage=train`: a batch would go on until its slowest seed is done.
     each = [(problem, place, values, seed) for place, values in chosen.items() for seed in config.seeds]
     with open_pool(min(config.workers, len(each)), problem.config.threads) as run_all:
-        trained = [_with_parameters(*run) for run in run_all(_train_seed, each)]
+        trained = list(run_all(_train_seed, each))
     batches = [trained[i : i + len(config.seeds)] for i in range(0, len(trained), len(config.seeds))]
     return [
         Finalist(
             trial=place,
             values=values,
             losses=np.array([run.loss for run in runs]),
-            models=[run.model for run in runs],
+            models=[replace(run.model, parameters=torch.as_tensor(run.model.parameters)) for run in runs],
             outcomes=[run.outcome for run in runs],
             seconds=sum(run.seconds for run in runs),
         )
@@ -117,20 +116,15 @@ def train_finalists(study: optuna.Study, problem: StudyProblem) -> list[Finalist
     ]
 
 
-def _train_seed(given: tuple[StudyProblem, int, Mapping[str, Value], int]) -> tuple[Judged, np.ndarray]:
-    """A training, and the parameters (M, Q) of its model: torch's tensors do not come back from another process."""
+def _train_seed(given: tuple[StudyProblem, int, Mapping[str, Value], int]) -> Judged:
+    """A training whose model has an array of parameters: torch's tensors do not come back from another process."""
     problem, place, values, seed = given
     setup = replace(setup_of(apply_values(problem.config, values, f"trial {place}")), seed=seed)
     trained = judge(problem.measurement, setup, lambda *_: None)
     if trained.outcome is Outcome.INTERRUPTED:
         raise KeyboardInterrupt
-    return _with_parameters(trained, np.empty(0)), trained.model.parameters.numpy()
-
-
-def _with_parameters(trained: Judged, parameters: np.ndarray) -> Judged:
-    import torch
-
-    return replace(trained, model=replace(trained.model, parameters=torch.from_numpy(parameters)))
+    parameters: Any = trained.model.parameters.numpy()
+    return replace(trained, model=replace(trained.model, parameters=parameters))
 
 
 def choose(finalists: Sequence[Finalist], config: TuningConfig) -> Finalist:

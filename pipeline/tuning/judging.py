@@ -44,30 +44,19 @@ def judge(measurement: Measurement, setup: FitSetup, step: Step) -> Judged:
 
     Raises ConfigError, DataError and IdentifiabilityError as :func:`pipeline.identification.fit.fit`.
     """
-    if loss_of(setup.loss).weighs_noise:
-        return _judge_by_readings(measurement, setup, step)
-    return _judge_by_residual(measurement, setup, step)
-
-
-def _judge_by_readings(measurement: Measurement, setup: FitSetup, step: Step) -> Judged:
-    def progress(phase: str, number: int, total: int, loss: float) -> None:
-        step(phase, number, total, None)
-
-    fitted = loss_of(setup.loss).fit(measurement, setup, progress)
-    square = fitted.quality.summary["fit"]["held_out_speeds"]["mean_square_over_noise"]
-    return Judged(
-        loss=float(np.sqrt(square)),
-        outcome=fitted.outcome,
-        steps=fitted.steps,
-        seconds=fitted.seconds,
-        training_loss=fitted.loss,
-        model=fitted.model,
-    )
-
-
-def _judge_by_residual(measurement: Measurement, setup: FitSetup, step: Step) -> Judged:
     from pipeline.identification.residual_loss import initial_parameters, prepare_residual
 
+    loss = loss_of(setup.loss)
+    if loss.weighs_noise:
+        fitted = loss.fit(measurement, setup, lambda phase, number, total, _: step(phase, number, total, None))
+        return Judged(
+            loss=float(np.sqrt(fitted.quality.summary["fit"]["held_out_speeds"]["mean_square_over_noise"])),
+            outcome=fitted.outcome,
+            steps=fitted.steps,
+            seconds=fitted.seconds,
+            training_loss=fitted.loss,
+            model=fitted.model,
+        )
     training, last = prepare_residual(measurement, setup), phases(setup.optimizer)[-1]
 
     def watch(phase: str, number: int, total: int, best: torch.Tensor) -> None:

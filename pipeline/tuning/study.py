@@ -18,8 +18,7 @@ from pipeline.errors import ConfigError, without_password
 from pipeline.identification.fit import loss_of
 from pipeline.problem.measurement import Measurement
 from pipeline.tuning.judging import describe_objective
-from pipeline.tuning.samplers import make_pruner, make_sampler
-from pipeline.tuning.space import find_default
+from pipeline.tuning.space import find_default, make_pruner, make_sampler
 from pipeline.tuning.storage import open_storage
 
 if TYPE_CHECKING:

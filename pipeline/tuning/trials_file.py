@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from types import SimpleNamespace
@@ -107,22 +106,14 @@ def _make(line: dict[str, Any]) -> FrozenTrial:
     return trial
 
 
-@dataclass(frozen=True)
-class ShownStudy:
-    """A study of the database."""
-
-    name: str
-    trials: int
-    linked: int  # trials with a note on their run in MLflow
-
-
 def gather_studies(
     config: TuningConfig, files: Sequence[Path], find_pages: Callable[[str], Mapping[int, str]]
-) -> list[ShownStudy]:
+) -> list[tuple[str, int, int]]:
     """Put each of ``files`` (``NAME/trials.jsonl``) into the database as ``NAME (committed)``, anew where it changed.
 
     A study of the same name that runs here keeps its own. ``find_pages`` gives the page of each trial of a study, by
-    its place: it becomes the trial's note.
+    its place: it becomes the trial's note. Of each study in the database come its name, the number of its trials, and
+    how many of these have a note on their run in MLflow.
 
     :raises StorageError: where the database can't be used
     :raises DataError: where a file holds no study
@@ -143,10 +134,7 @@ def gather_studies(
                 optuna.delete_study(study_name=name, storage=storage)
             add_trials(path, name, storage).set_user_attr(_FILE, mark)
         every = [optuna.load_study(study_name=name, storage=storage) for name in optuna.get_all_study_names(storage)]
-        shown = [
-            ShownStudy(study.study_name, len(study.get_trials(deepcopy=False)), _link(study, find_pages))
-            for study in every
-        ]
+        shown = [(study.study_name, len(study.get_trials(deepcopy=False)), _link(study, find_pages)) for study in every]
     settle(config)
     return shown
 

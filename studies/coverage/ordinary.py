@@ -1,12 +1,11 @@
 """Do the 95 % bands hold on ordinary machines, by the path that users take? Machines of draw.py, identified from files.
 
-    python studies/coverage/ordinary.py output=FOLDER [method=program] [seeds=0-11] [workers=2] [cases=NAME,...]
+    python studies/coverage/ordinary.py output=FOLDER [seeds=0-11] [workers=2] [cases=NAME,...]
 
 Each machine is written as its user has it: a machine file that states rotor and runs, and two tables of vibration and
 excitation. `stage=[train,verdict]` reads them with nothing stated beside; nothing of what is silently wrong reaches it.
 Then, and only then, its files are held against the real coefficients. Seeds 0 to 11 are there to choose a method by;
-others judge it. A machine that is done is not done again; the summary is `ordinary_METHOD.json`. `method=population`
-has the answer of population.py in place of the program's.
+others judge it. A machine that is done is not done again; the summary is `ordinary.json`.
 
 What is counted, pointwise over the speed: *within* is the share of speeds at which the real coefficient lies inside the
 exported 95 % band; a machine's figure is the mean over its sixteen coefficients. *Half width* and *error* are those of
@@ -93,24 +92,6 @@ def judge(folder: Path, felt: BearingTable) -> dict[str, Any]:
     }
 
 
-def judge_population(folder: Path, drawn: Drawn, felt: BearingTable) -> dict[str, Any]:
-    """The answer by a population of bearings (population.py), which has no verdicts: what it decides is usable."""
-    from population import identify as identify_by_population
-
-    from pipeline.config.compose import compose_config
-    from pipeline.stages.measurement import load_measurement
-
-    config = compose_config([f"machine.file={folder / 'machine.yaml'}", "tracking=none", f"output={folder / 'answer'}"])
-    diameter = float(drawn.stated["rotor"]["shaft"][0]["outer_diameter"].split()[0]) * 1e-3
-    answer = identify_by_population(load_measurement(config), diameter)
-    words = [["with care" if share > 0.5 else "no" for share in bearing] for bearing in answer.decided.mean(axis=1)]
-    return {
-        "chi_square_over_readings": answer.chi_square,
-        "families": answer.families,
-        "coefficients": compare(felt, answer.values, answer.low, answer.high, words),
-    }
-
-
 def compare(
     felt: BearingTable, values: np.ndarray, low: np.ndarray, high: np.ndarray, words: list[list[str]]
 ) -> list[dict[str, Any]]:
@@ -138,16 +119,13 @@ def compare(
     return rows
 
 
-def run_case(folder: Path, seed: int, case: str, method: str) -> dict[str, Any]:
+def run_case(folder: Path, seed: int, case: str) -> dict[str, Any]:
     """One machine, from drawing to judging; read again where it is done."""
-    done = folder / f"judged_{method}.json"
+    done = folder / "judged.json"
     if not done.exists():
         floor, noise, trouble = CASES[case]
         drawn = draw_machine(seed, floor, trouble)
         felt = write_user_files(folder, drawn, noise, seed)
-        if method == "population":
-            write_json(done, judge_population(folder, drawn, felt))
-            return dict(json.loads(done.read_text(encoding="utf-8")))
         refused = "" if (folder / "answer" / "verdicts.json").exists() else identify(folder)
         write_json(done, {"refused": refused, "coefficients": []} if refused else judge(folder, felt))
     return dict(json.loads(done.read_text(encoding="utf-8")))
@@ -187,15 +165,15 @@ def main(arguments: list[str]) -> None:
     first, _, last = given.get("seeds", "0-11").partition("-")
     seeds = range(int(first), int(last or first) + 1)
     cases = given["cases"].split(",") if "cases" in given else list(CASES)
-    folder, method = Path(given["output"]).resolve(), given.get("method", "program")
+    folder = Path(given["output"]).resolve()
     tasks = [(case, seed) for case in cases for seed in seeds]
     with ThreadPoolExecutor(int(given.get("workers", "2"))) as pool:
-        judged = pool.map(lambda task: run_case(folder / f"{task[0]}-{task[1]}", task[1], task[0], method), tasks)
+        judged = pool.map(lambda task: run_case(folder / f"{task[0]}-{task[1]}", task[1], task[0]), tasks)
         results: dict[str, list[dict[str, Any]]] = {}
         for (case, seed), machine in zip(tasks, judged, strict=True):
             results.setdefault(case, []).append(machine)
             print(f"{case}, seed {seed}: {json.dumps(summarize([machine]))}", flush=True)
-    write_json(folder / f"ordinary_{method}.json", {case: summarize(machines) for case, machines in results.items()})
+    write_json(folder / "ordinary.json", {case: summarize(machines) for case, machines in results.items()})
 
 
 if __name__ == "__main__":

@@ -11,8 +11,8 @@ from conftest import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.balance.bands import bound_size, circle_radius, judge_distance
 from pipeline.balance.correction import Holes
+from pipeline.balance.linear_vibration import bound_size, circle_radius, judge_distance
 from pipeline.balance.sheet import State, predict_one, propose_weights
 from pipeline.errors import ConfigError
 

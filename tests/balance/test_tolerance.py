@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.machines import Machine
-from pipeline.balance.tolerance import find_centre, share_tolerance
+from pipeline.balance.sheet import find_centre, share_tolerance
 from pipeline.config.balance import ToleranceConfig
 from pipeline.errors import ConfigError
 

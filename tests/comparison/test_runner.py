@@ -11,20 +11,20 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from comparing import composed, machine, task
+from comparing import machine, task
 from conftest import Artifacts
 from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.__main__ import main
 from pipeline.comparison import runner
-from pipeline.comparison.cases import Case
+from pipeline.comparison.cases import Case, Machine
 from pipeline.comparison.result import Result
-from pipeline.comparison.runner import ComparisonSetup, MethodRun, compare
+from pipeline.comparison.runner import MethodRun, compare, hash_inputs, name_file
 from pipeline.config.compose import compose_config
 from pipeline.errors import PipelineError
 from pipeline.methods.catalogue import METHODS
-from pipeline.methods.method import Reason
+from pipeline.methods.method import REQUIREMENTS
 from pipeline.problem.kalman_filter import _gain
 from pipeline.problem.noise import bearing_rows, residual_sensitivity
 from pipeline.problem.residual import bearing_equations, linear_residual
@@ -42,13 +42,13 @@ FAST = [
 WRITTEN = {"comparison.csv", "comparison.json", "comparison.md", "figures/comparison.png"}
 
 
-def setup_of(**changed: Any) -> ComparisonSetup:
+def setup_of(**changed: Any) -> Machine:
     """A comparison at few speeds."""
-    config = composed(*FEW)
-    return ComparisonSetup(machine(*FEW), config.identify, config.comparison.model_copy(update=changed), config.seed)
+    few = machine(*FEW)
+    return replace(few, settings=few.settings.model_copy(update=changed))
 
 
-RUNS = [MethodRun("least_squares", Case(noise, "bearings", 12)) for noise in (0.0, 0.001, 0.01)]
+RUNS = [("least_squares", Case(noise, "bearings", 12)) for noise in (0.0, 0.001, 0.01)]
 
 
 def nothing(done: int, total: int, result: Result) -> None:
@@ -96,16 +96,16 @@ def test_what_is_done_is_not_done_again(tmp_path: Path, monkeypatch: pytest.Monk
     with pytest.raises(KeyboardInterrupt):
         compare(own, RUNS, tmp_path, stop)
     asked: list[MethodRun] = []
-    real = ComparisonSetup.result
+    real = runner.judge_method
 
-    def counted(self: ComparisonSetup, item: MethodRun) -> Result:
+    def counted(machine: Machine, *item: Any) -> Result:
         asked.append(item)
-        return real(self, item)
+        return real(machine, *item)
 
-    monkeypatch.setattr(ComparisonSetup, "result", counted)
+    monkeypatch.setattr(runner, "judge_method", counted)
     results = compare(own, RUNS, tmp_path, nothing)
     assert asked == RUNS[2:]
-    assert [r.case for r in results] == [item.case for item in RUNS]
+    assert [r.case for r in results] == [case for _, case in RUNS]
     assert compare(own, RUNS, tmp_path, nothing) == results
     assert asked == RUNS[2:]
 
@@ -127,20 +127,20 @@ def test_an_interrupted_stage_says_how_to_go_on(
 def test_a_damaged_or_old_result_is_made_again(damage: str, tmp_path: Path) -> None:
     own = setup_of(workers=1)
     first = compare(own, RUNS[:1], tmp_path, nothing)
-    path = tmp_path / RUNS[0].file
+    path = tmp_path / name_file(*RUNS[0])
     path.write_text(damage)
     again = compare(own, RUNS[:1], tmp_path, nothing)
     assert again[0].coefficients == first[0].coefficients
-    assert json.loads(path.read_text())["fingerprint"] == own.fingerprint()
+    assert json.loads(path.read_text())["fingerprint"] == hash_inputs(own)
 
 
 def test_results_are_of_their_settings_alone() -> None:
     """Other methods and cases leave the others' results; another guess, noise or machine does not."""
     own = setup_of()
-    assert setup_of(workers=7, methods=("kalman",), noise=(0.5,)).fingerprint() == own.fingerprint()
-    assert setup_of(location=2).fingerprint() != own.fingerprint()
-    assert replace(own, seed=1).fingerprint() != own.fingerprint()
-    assert replace(own, machine=replace(own.machine, noise_seed=1)).fingerprint() != own.fingerprint()
+    assert hash_inputs(setup_of(workers=7, methods=("kalman",), noise=(0.5,))) == hash_inputs(own)
+    assert hash_inputs(setup_of(location=2)) != hash_inputs(own)
+    assert hash_inputs(replace(own, seed=1)) != hash_inputs(own)
+    assert hash_inputs(replace(own, noise_seed=1)) != hash_inputs(own)
 
 
 @pytest.mark.slow
@@ -150,7 +150,7 @@ def test_processes_give_the_bits_of_one(tmp_path: Path) -> None:
     assert [r.coefficients for r in one] == [r.coefficients for r in two]
 
 
-def killed(item: MethodRun) -> Result:
+def killed(*_: object) -> Result:
     """What the operating system does to a process where the memory is spent."""
     os._exit(1)
 
@@ -199,11 +199,11 @@ FEW_STEPS = [
 @pytest.mark.parametrize("experiment", OTHERS)
 def test_every_method_says_something_of_other_machines(experiment: str, tmp_path: Path) -> None:
     config = compose_config([f"experiment={experiment}", *FIVE_SPEEDS, *FEW_STEPS, "comparison.workers=1"])
-    own = ComparisonSetup(build_machine(config), config.identify, config.comparison, config.seed)
+    own = build_machine(config)
     sensors = ("bearings", "location")
-    items = [MethodRun(method, Case(0.01, where, 5)) for where in sensors for method in METHODS]
+    items = [(method, Case(0.01, where, 5)) for where in sensors for method in METHODS]
     results = compare(own, items, tmp_path, nothing)
-    names = {"answered", *(reason.name.lower() for reason in Reason)}
+    names = {"answered", *REQUIREMENTS}
     assert {result.outcome for result in results} <= names
     for result in results:
         assert result.answered == bool(result.coefficients)

@@ -38,7 +38,7 @@ def held(fit: OutputErrorFit, truth: np.ndarray, matrix: np.ndarray, n_local: in
         functions = np.concatenate([problem.features[m].numpy(), local], axis=1)
         own = slice(a * count, (a + 1) * count)
         spread = np.sqrt(np.einsum("sk,kl,sl->s", functions, matrix[own, own], functions))
-        inside.append(np.abs(values[:, a] - truth[:, a]) <= 1.96 * spread * np.abs(slope[:, a]))
+        inside.append(np.abs(values[:, a] - truth[:, a]) <= 1.96 * spread * np.abs(slope[:, a, a]))
     return float(np.mean(inside))
 
 

@@ -110,8 +110,8 @@ def test_two_workers_do_the_trials_of_one(machine: MachineFactory, tmp_path: Pat
     """Random search without pruning: the very same trials, all of them accounted for, and nothing to complain of."""
     from pipeline.config.compose import compose_config
     from pipeline.tuning.finalists import summarize
-    from pipeline.tuning.parallel import run_study
     from pipeline.tuning.study import StudyProblem
+    from pipeline.tuning.worker import run_study
 
     made, trials = machine("experiment=hydrostatic_stiffness"), []
     for workers in (1, 2):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from comparing import machine, options, task
 
-from pipeline.comparison.cases import Case, Machine
+from pipeline.comparison.cases import Case
 from pipeline.methods.catalogue import METHODS
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
@@ -63,7 +63,7 @@ def test_a_case_of_few_speeds_has_them_at_each_condition() -> None:
     at = {"oil_temperature": np.repeat([COLD, WARM], count)}
     speeds = np.tile(whole.vibration.speeds, 2)
     twice = replace(whole.vibration, speeds=speeds, operating=at)
-    two = Machine(whole.rotor, whole.modelled, twice, 0)
+    two = replace(whole, vibration=twice)
     assert two.n_speeds == count
     one = whole.speeds(CASE)
     np.testing.assert_array_equal(two.speeds(CASE), np.concatenate([one, one + count]))

@@ -11,7 +11,7 @@ from comparing import answer, composed, errors, machine, options, task
 from pipeline.comparison.cases import Case, choose_main_case, list_cases
 from pipeline.config.comparison import METHOD_NAMES
 from pipeline.methods.catalogue import METHODS
-from pipeline.methods.method import Reason, Refusal
+from pipeline.methods.method import Refusal
 
 EXACT = 1e-10  # percent, rounding
 FILM = ("experiment=hydrostatic_stiffness", "machine.speeds.step_rpm=100")
@@ -110,31 +110,28 @@ BY_EQUATIONS = (
 )
 BY_EXPANSION = ("least_squares_expanded", "smoothed")
 REFUSED = [
-    *((m, Case(0.0, "location", 60), Reason.BEARINGS_NOT_MEASURED, FILM) for m in BY_EQUATIONS),
-    *((m, Case(0.0, "all", 30), Reason.NOT_DETERMINED, ONE_RUN) for m in BY_EQUATIONS),
-    *((m, Case(0.0, "location", 60), Reason.FORCES_NOT_SEEN, FILM) for m in BY_EXPANSION),
-    *((m, Case(0.0, "all", 30), Reason.NOT_DETERMINED, ONE_RUN) for m in BY_EXPANSION),
-    *((m, Case(0.0, "all", 60), Reason.RESIDUAL_UNBALANCE, (*FILM, BALANCED)) for m in (*BY_EQUATIONS, *BY_EXPANSION)),
-    *(
-        (m, Case(0.0, "location", 591), Reason.NOT_DETERMINED, BALLS)
-        for m in ("kalman", "kriging", "spline", "response")
-    ),
-    ("trained", Case(0.0, "all", 591), Reason.CONSTANT, BALLS),
-    ("trained", Case(0.0, "all", 3), Reason.FEW_SPEEDS, FILM),
-    ("law", Case(0.0, "all", 60), Reason.NO_LAW, FILM),
-    ("multi_frequency", Case(0.0, "all", 60), Reason.ONE_FREQUENCY, FILM),
-    ("multi_frequency", Case(0.0, "location", 12), Reason.BEARINGS_NOT_MEASURED, BLOWS),
-    ("kriging", Case(0.0, "all", 30), Reason.EITHER_SIGN, EIGHT),
-    ("kriging", Case(0.0, "all", 60), Reason.TOO_MANY_UNKNOWNS, (*FILM, "identify.unknowns=[kxx,kyy,cxx,cyy]")),
-    ("critical_speeds", Case(0.0, "all", 60), Reason.NOT_CONSTANT, FILM),
-    ("critical_speeds", Case(0.0, "all", 60), Reason.STIFFNESS_ALONE, (*FILM, "identify.unknowns=[kxx,cxx]")),
-    ("critical_speeds", Case(0.0, "all", 60), Reason.NO_CRITICAL_SPEED, (*BALLS, "machine.speeds.stop_rpm=2000")),
+    *((m, Case(0.0, "location", 60), "bearings_not_measured", FILM) for m in BY_EQUATIONS),
+    *((m, Case(0.0, "all", 30), "not_determined", ONE_RUN) for m in BY_EQUATIONS),
+    *((m, Case(0.0, "location", 60), "forces_not_seen", FILM) for m in BY_EXPANSION),
+    *((m, Case(0.0, "all", 30), "not_determined", ONE_RUN) for m in BY_EXPANSION),
+    *((m, Case(0.0, "all", 60), "residual_unbalance", (*FILM, BALANCED)) for m in (*BY_EQUATIONS, *BY_EXPANSION)),
+    *((m, Case(0.0, "location", 591), "not_determined", BALLS) for m in ("kalman", "kriging", "spline", "response")),
+    ("trained", Case(0.0, "all", 591), "constant", BALLS),
+    ("trained", Case(0.0, "all", 3), "few_speeds", FILM),
+    ("law", Case(0.0, "all", 60), "no_law", FILM),
+    ("multi_frequency", Case(0.0, "all", 60), "one_frequency", FILM),
+    ("multi_frequency", Case(0.0, "location", 12), "bearings_not_measured", BLOWS),
+    ("kriging", Case(0.0, "all", 30), "either_sign", EIGHT),
+    ("kriging", Case(0.0, "all", 60), "too_many_unknowns", (*FILM, "identify.unknowns=[kxx,kyy,cxx,cyy]")),
+    ("critical_speeds", Case(0.0, "all", 60), "not_constant", FILM),
+    ("critical_speeds", Case(0.0, "all", 60), "stiffness_alone", (*FILM, "identify.unknowns=[kxx,cxx]")),
+    ("critical_speeds", Case(0.0, "all", 60), "no_critical_speed", (*BALLS, "machine.speeds.stop_rpm=2000")),
 ]
 
 
 @pytest.mark.parametrize(("method", "case", "reason", "overrides"), REFUSED)
 def test_what_a_method_cannot_do_it_refuses_by_name(
-    method: str, case: Case, reason: Reason, overrides: tuple[str, ...]
+    method: str, case: Case, reason: str, overrides: tuple[str, ...]
 ) -> None:
     with pytest.raises(Refusal) as refusal:
         answer(method, case, *overrides)

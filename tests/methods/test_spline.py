@@ -9,8 +9,8 @@ from comparing import composed, errors, options, task
 from pipeline.comparison.cases import Case
 from pipeline.identification.fit import fit
 from pipeline.identification.training import FitSetup
-from pipeline.methods.method import Estimate
-from pipeline.methods.spline import identify_by_spline
+from pipeline.methods.method import Estimate, stack_rows
+from pipeline.methods.spline import enlarge, identify_by_spline, make_basis, pose
 
 FILM = ("experiment=hydrostatic_stiffness", "machine.speeds.step_rpm=100")
 BALLS = ("experiment=ball_bearing", "machine.speeds.step_rpm=100")
@@ -58,3 +58,38 @@ def test_the_spline_finds_the_residual_unbalance() -> None:
     for node, size in hidden.items():
         assert f"{size:.3g} g mm at node {node}" in found.words
     assert errors(found, case, *BLOWS).max() < 1e-6
+
+
+def test_its_problem_is_that_of_the_response_equations(rng: np.random.Generator) -> None:
+    """Chi-square, gradient and information are those of the predicted readings over their noise, by the chain rule."""
+    import torch
+
+    data = task(Case(0.01, "bearings", 6), *BLOWS)
+    basis, active, planes = make_basis(data.dataset.speeds, 4), data.unknowns.active, data.unknowns.planes
+    sizes = data.guess.sizes(data.unknowns)
+    problem = enlarge(pose(data, sizes), basis)
+    weights = 0.1 * rng.standard_normal(problem.size)
+    numbers, pairs = np.split(weights, [len(active) * 4])
+    outputs = (numbers.reshape(-1, 4) @ basis.T).T  # (S, A)
+    direct = np.array([data.unknowns.names[u][1] == data.unknowns.names[u][2] for _, u in active])
+    size = np.array([sizes[m, u] for m, u in active])
+    values = data.unknowns.from_active(size * np.where(direct, np.exp(outputs), outputs))
+    unbalance, weight = 1e-4 * (pairs[::2] + 1j * pairs[1::2]), np.sqrt(2) / data.deviation
+    off = data.response.predict(data.table(values), unbalance) - data.dataset.displacement
+    slope = size * np.where(direct, np.exp(outputs), 1.0)
+    by_coefficient = data.response.sensitivity(data.table(values), unbalance)
+    by_output = np.einsum("sprbc,bca->spra", by_coefficient, data.unknowns.influence) * slope[:, None, None]
+    by_number = (by_output[..., None] * basis[:, None, None, None]).reshape(*by_output.shape[:3], -1)
+    by_plane = 1e-4 * data.response.derive_by_unbalance(data.table(values))
+    by_pair = np.stack([by_plane, 1j * by_plane], axis=-1).reshape(*by_plane.shape[:-1], 2 * len(planes))
+    rows = stack_rows(off * weight).ravel()
+    columns = stack_rows(np.concatenate([by_number, by_pair], axis=-1) * weight[..., None]).reshape(len(rows), -1)
+    at = torch.as_tensor(weights)[None, None]
+    got, jacobian = problem.rows(at)[0, 0].numpy(), problem.jacobian(at)[0, 0].numpy()
+    assert got @ got == pytest.approx(rows @ rows, rel=1e-9)
+    scale = np.linalg.norm(columns, axis=0)
+    np.testing.assert_allclose(
+        jacobian.T @ got / scale, columns.T @ rows / scale, rtol=1e-8, atol=1e-9 * abs(rows).max()
+    )
+    outer = scale[:, None] * scale
+    np.testing.assert_allclose(jacobian.T @ jacobian / outer, columns.T @ columns / outer, atol=1e-9)

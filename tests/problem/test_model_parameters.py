@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from scipy.optimize import least_squares
 
 from pipeline.coefficients import COEFFICIENTS
@@ -13,6 +14,7 @@ from pipeline.config.rotor import RotorConfig
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.data.noise import NoiseModel
 from pipeline.errors import ConfigError
+from pipeline.identification.readings import sensor_model
 from pipeline.problem.budget import systematic_shifts
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.problem.model_parameters import model_parameters
@@ -42,6 +44,7 @@ DEVIATIONS = {
     "bow": 1e-5,
     "weight_angle": 0.2,
     "weight_law": 400.0,
+    "bearing_drift": 0.02,
 }
 
 
@@ -87,12 +90,32 @@ def test_every_kind_has_its_parameters(measurement: Measurement) -> None:
         "probe_position": 4,
         "runout": 8,
         "known_coefficients": 12,
+        "bearing_drift": 4,
     }
 
 
 def readings(measurement: Measurement) -> np.ndarray:
     """(S, P, R) on the known coefficients, with a residual unbalance."""
     return measurement.response.predict(measurement.updated_known, np.array([1e-4 + 2e-5j]))
+
+
+def test_a_bearing_that_drifts_is_another_one_in_that_run(measurement: Measurement) -> None:
+    """One deviation at bearing 0 in run b: readings of run a stay, those of b are those of a scaled bearing."""
+    at = [(p.kind, p.place, p.detail) for p in measurement.parameters].index(("bearing_drift", 0, "b"))
+    alone = replace(measurement, parameters=(measurement.parameters[at],), values=())
+    model, none = sensor_model(alone), torch.zeros(1, 0, dtype=torch.float64)
+    values = torch.as_tensor(alone.known.values[..., [0, 3]].swapaxes(0, 1).reshape(1, 7, -1))
+    unbalance = torch.zeros(1, 1, dtype=torch.complex128)
+    (moved,) = model.predict(values, unbalance, none.new_ones(1, 1))
+    scaled = alone.known.values * np.array([1.02, 1.0])[:, None, None]
+    for run, bearings in ((0, alone.known), (1, replace(alone.known, values=scaled))):
+        expected = alone.response.predict(bearings)[..., run]
+        assert np.allclose(moved[0, ..., run].numpy(), expected, rtol=1e-12, atol=0)
+    step = 1e-4
+    ahead, behind = (model.predict(values, unbalance, none.new_full((1, 1), s))[0] for s in (step, -step))
+    found = model.derive(0, values, unbalance, none.new_zeros(1, 1))[3][0, ..., 0].numpy()
+    expected = ((ahead - behind) / (2 * step))[0].numpy()
+    assert np.abs(found - expected).max() <= 1e-6 * np.abs(expected).max()
 
 
 def test_derivatives_are_those_of_differences(measurement: Measurement) -> None:

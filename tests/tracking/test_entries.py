@@ -25,7 +25,7 @@ from pipeline.tracking.entries import (
 )
 from pipeline.tracking.model import tabulate_coefficients
 from pipeline.tracking.provenance import describe_provenance
-from pipeline.tracking.quiet import quiet_mlflow
+from pipeline.tracking.store import quiet_mlflow
 
 pytestmark = pytest.mark.slow  # it trains, or starts processes
 
@@ -35,11 +35,11 @@ def test_parts_are_given_up_once_failures_have_taken_the_time() -> None:
         time.sleep(0.02)
         raise OSError("no answer")
 
-    parts = tracker._Parts("train", patience_seconds=0.01)
-    parts.log("the metrics", slow_failure)
-    parts.log("the history", lambda: pytest.fail("tried"))
-    assert parts.problems == ["MLflow does not have the metrics of stage 'train': no answer."]
-    assert parts.not_tried == ["the history"]
+    parts = [("the metrics", slow_failure), ("the history", lambda: pytest.fail("tried"))]
+    assert tracker.try_parts(parts, "train", patience_seconds=0.01) == [
+        "MLflow does not have the metrics of stage 'train': no answer.",
+        "MLflow took too long to answer, so these were not tried: the history.",
+    ]
 
 
 def test_table_of_bearings_with_different_coefficients() -> None:

@@ -20,10 +20,10 @@ from running import PYTHON
 
 import pipeline
 from pipeline.config.schema import TrackingConfig
+from pipeline.errors import StorageError
 from pipeline.tracking import StageRecord, track, tracker
 from pipeline.tracking.model import tabulate_coefficients
-from pipeline.tracking.quiet import quiet_mlflow
-from pipeline.tracking.store import DatabaseProblem, prepare_database
+from pipeline.tracking.store import prepare_database, quiet_mlflow
 
 pytestmark = pytest.mark.slow  # it trains, or starts processes
 
@@ -311,7 +311,7 @@ def test_failed_creation_leaves_no_database(tmp_path: Path, monkeypatch: pytest.
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(sqlalchemy_store, "SqlAlchemyStore", half_made)
-    with pytest.raises(DatabaseProblem, match="No space left on device"):
+    with pytest.raises(StorageError, match="No space left on device"):
         prepare_database(tmp_path / "mlflow.db", 1.0)
     assert [path.name for path in tmp_path.iterdir()] == ["mlflow.db-lock"]
 
@@ -323,7 +323,7 @@ def test_two_processes_make_a_fresh_database_together(tmp_path: Path) -> None:
         sys.path.insert(0, sys.argv[1])
         from pipeline.config.schema import TrackingConfig
         from pipeline.tracking import StageRecord, track
-        from pipeline.tracking.quiet import quiet_mlflow
+        from pipeline.tracking.store import quiet_mlflow
         with quiet_mlflow(10.0):
             from mlflow.store.tracking import sqlalchemy_store
         Path(f"ready-{sys.argv[2]}").touch()

@@ -56,7 +56,7 @@ def test_studies_are_gathered_once_and_beside_those_of_this_machine(tmp_path: Pa
     copy.write_bytes(source.read_bytes())
     for _ in range(2):
         shown = gather_studies(config, [copy], lambda study: {3: "its page"} if "committed" in study else {})
-        assert [(one.name, one.trials, one.linked) for one in shown] == [
+        assert shown == [
             ("paper", 1, 0),
             ("paper (committed)", 20, 1),
         ]
@@ -64,7 +64,7 @@ def test_studies_are_gathered_once_and_beside_those_of_this_machine(tmp_path: Pa
     attributes = storage.get_study_system_attrs(study._study_id)
     assert get_note_from_system_attrs(attributes, study.get_trials()[3]._trial_id)["body"] == "its page"
     copy.write_text("".join(copy.read_text().splitlines(keepends=True)[:-1]))
-    assert [one.trials for one in gather_studies(config, [copy], lambda study: {})] == [1, 19]
+    assert [trials for _, trials, _ in gather_studies(config, [copy], lambda study: {})] == [1, 19]
     copy.write_text("{}\n")
     with pytest.raises(DataError, match="must hold a study and its trials"):
         gather_studies(config, [copy], lambda study: {})

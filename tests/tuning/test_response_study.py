@@ -16,9 +16,9 @@ from pipeline.identification.training import setup_of
 from pipeline.stages.measurement import load_measurement
 from pipeline.stages.tune import pose_study
 from pipeline.tuning.finalists import choose, train_finalists
-from pipeline.tuning.parallel import run_study
 from pipeline.tuning.space import find_default, translate
 from pipeline.tuning.study import StudyProblem
+from pipeline.tuning.worker import run_study
 from studies import silent, trials_of, with_config, with_tuning
 
 pytestmark = pytest.mark.slow  # it trains

@@ -20,7 +20,7 @@ from running import FEW_SPEEDS
 from pipeline.config.compose import compose_config
 from pipeline.config.schema import Config
 from pipeline.stages import run_stage
-from pipeline.tracking.quiet import quiet_mlflow
+from pipeline.tracking.store import quiet_mlflow
 from studies import wait_until
 
 pytestmark = pytest.mark.slow

@@ -15,8 +15,8 @@ from postgres import PASSWORD, Server, free_port, run_postgres
 
 from pipeline.errors import StorageError
 from pipeline.tuning.attempts import REPEATS
-from pipeline.tuning.parallel import run_study
 from pipeline.tuning.study import StudyProblem
+from pipeline.tuning.worker import run_study
 from studies import (
     ALONE,
     Forks,

@@ -18,9 +18,9 @@ from pipeline.__main__ import main
 from pipeline.config.compose import compose_mapping, validate
 from pipeline.config.schema import Config
 from pipeline.errors import StorageError
-from pipeline.tuning.parallel import run_study
 from pipeline.tuning.storage import close_storage, open_storage
 from pipeline.tuning.study import StudyProblem, open_study
+from pipeline.tuning.worker import run_study
 from studies import CHEAP, FOREIGN, Forks, Make, Undisturbed, finished, refused, silent, trials_of
 
 pytestmark = pytest.mark.slow  # some of it trains

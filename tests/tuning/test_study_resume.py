@@ -21,9 +21,9 @@ from pipeline.errors import ConfigError
 from pipeline.identification.training import Outcome
 from pipeline.tuning import judging
 from pipeline.tuning.attempts import REPEATS, list_attempts, repeat_stopped
-from pipeline.tuning.parallel import run_study
 from pipeline.tuning.space import find_default
 from pipeline.tuning.study import StudyProblem, open_study
+from pipeline.tuning.worker import run_study
 from studies import (
     ALONE,
     CHEAP,

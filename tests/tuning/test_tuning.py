@@ -133,7 +133,7 @@ def test_a_study_reopened_before_every_trial_draws_the_same(name: str) -> None:
     """The draws depend on seed, trial and parameter, not on how long the sampler has lived."""
     import optuna
 
-    from pipeline.tuning.samplers import make_sampler
+    from pipeline.tuning.space import make_sampler
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     config = untuned(f"tuning.sampler={name}", "tuning.startup_trials=4").tuning
@@ -151,7 +151,7 @@ def test_a_study_reopened_before_every_trial_draws_the_same(name: str) -> None:
 def test_the_sampler_seed_matters() -> None:
     import optuna
 
-    from pipeline.tuning.samplers import make_sampler
+    from pipeline.tuning.space import make_sampler
 
     first = []
     for seed in (0, 1):

@@ -1,0 +1,275 @@
+"""The answer that a population of bearings makes most likely: a tempered search over what kinds of bearings there are.
+
+Each choice of a family for every bearing (:mod:`pipeline.laws.population`) is a prior of functions of the one problem.
+For each, the problem is solved from the prior's mean and from draws, with readings that count little at first; in
+coordinates in which the prior has unit variance. Choices count by their evidence (Laplace's approximation), with the
+noise as large as the best of them leaves it. Where several are likely, what they differ by is part of the covariance.
+
+Legend: G choices and starts, B bearings, K nodes, A active unknowns, Z weights, Y numbers of unit variance.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.config.identification import LevenbergMarquardtConfig
+from pipeline.errors import ConfigError
+from pipeline.identification.blocks import Prior
+from pipeline.identification.optimizers import levenberg_marquardt, until_still
+from pipeline.identification.problem import OutputError, output_error
+from pipeline.impedance import list_places
+from pipeline.laws.population import FamilyPrior, make_priors
+from pipeline.problem.measurement import Measurement
+from pipeline.rotor.parameters import OF_PROBE, OF_WEIGHT
+from pipeline.rotor.weight import estimate_journals, find_static_loads
+
+if TYPE_CHECKING:
+    import torch
+
+
+@dataclass(frozen=True, eq=False)
+class Choices:
+    """Families of the bearings, and what they make of the coefficients' weights before the data: ``mean + root y``."""
+
+    priors: tuple[tuple[FamilyPrior, ...], ...]  # G of B
+    mean: torch.Tensor  # (G, A K)
+    root: torch.Tensor  # (G, A K, Y)
+
+    def select(self, at: Sequence[int]) -> Choices:
+        """Those at these places."""
+        index = list(at)
+        return Choices(tuple(self.priors[i] for i in index), self.mean[index], self.root[index])
+
+    @property
+    def families(self) -> tuple[tuple[str, ...], ...]:
+        """Names of the families."""
+        return tuple(tuple(prior.family for prior in several) for several in self.priors)
+
+    def functions(self) -> Prior:
+        """The prior of the first choice as whitened rows."""
+        import torch
+
+        root = torch.block_diag(*(torch.as_tensor(prior.root) for prior in self.priors[0]))
+        rows = torch.linalg.solve_triangular(root, torch.eye(len(root), dtype=root.dtype), upper=False)
+        return Prior(rows, rows @ self.mean[0])
+
+
+def list_choices(
+    measurement: Measurement, families: Sequence[str], nodes: np.ndarray, most: int = 36, negligible: float = 1e-3
+) -> Choices:
+    """Every choice of the ``families`` over the bearings, at nodes (K,) rad/s; the same family for all bearings where
+    that were more than ``most``. Directions whose deviation is ``negligible`` are left out.
+
+    Raises ConfigError for bearings that share coefficients, ties between these, and direct ones that are known.
+    """
+    import torch
+
+    rotor, unknowns = measurement.rotor, measurement.unknowns
+    if unknowns.shared or (np.abs(unknowns.expansion).sum(axis=1) > 1).any():
+        raise ConfigError(
+            "model=bearings must have identify.shared=false and identify.structure=none, since each bearing and "
+            "direction has coordinates of its own: leave these out, or choose model=network_fluid_film"
+        )
+    priors = []
+    for m, (load, diameter) in enumerate(zip(find_static_loads(rotor), estimate_journals(rotor), strict=True)):
+        coordinates = list_places([unknowns.names[u] for member, u in unknowns.active if member == m])
+        made = make_priors(families, nodes, float(load), float(diameter))
+        priors.append([prior.select(coordinates) for prior in made])
+    every: list[tuple[FamilyPrior, ...]] = list(itertools.product(*priors))
+    if len(every) > most:
+        every = list(zip(*priors, strict=True))
+    axes = {prior: _axes(prior, negligible) for prior in itertools.chain(*priors)}
+    count = max(root.shape[1] for root in axes.values())
+    wide = {prior: torch.nn.functional.pad(root, (0, count - root.shape[1])) for prior, root in axes.items()}
+    return Choices(
+        tuple(every),
+        torch.stack([torch.as_tensor(np.concatenate([prior.mean for prior in several])) for several in every]),
+        torch.stack([torch.block_diag(*(wide[prior] for prior in several)) for several in every]),
+    )
+
+
+def _axes(prior: FamilyPrior, negligible: float) -> torch.Tensor:
+    """(.., n) principal axes of a prior, each as long as its deviation."""
+    import torch
+
+    left, deviations, _ = np.linalg.svd(prior.root)
+    kept = deviations > negligible
+    return torch.as_tensor(left[:, kept] * deviations[kept])
+
+
+@dataclass(frozen=True, eq=False)
+class Whitened:
+    """A problem in numbers (G, 1, Y') of unit variance before the data: those of the choices, and all other weights."""
+
+    problem: OutputError  # without a prior of functions
+    choices: Choices
+
+    @property
+    def size(self) -> int:
+        """Y'."""
+        return int(self.choices.root.shape[-1]) + self.problem.places.n_rest
+
+    def weights(self, y: torch.Tensor) -> torch.Tensor:
+        """(G, 1, Z)."""
+        import torch
+
+        count = self.choices.root.shape[-1]
+        first = self.choices.mean[:, None] + y[..., :count] @ self.choices.root.mT
+        return torch.cat([first, y[..., count:]], dim=-1)
+
+    def rows(self, y: torch.Tensor, /) -> torch.Tensor:
+        """(G, 1, rows), the numbers of the choices last."""
+        import torch
+
+        return torch.cat([self.problem.rows(self.weights(y)), y[..., : self.choices.root.shape[-1]]], dim=-1)
+
+    def normal(self, y: torch.Tensor, /) -> tuple[torch.Tensor, torch.Tensor]:
+        """Gradient (G, 1, Y') and information (G, 1, Y', Y')."""
+        import torch
+
+        (gradient, matrix), root = self.problem.normal(self.weights(y)), self.choices.root[:, None]
+        n, count = root.shape[-2:]
+        first = gradient[..., :n] @ self.choices.root + y[..., :count]
+        across = root.mT @ matrix[..., :n, n:]
+        inner = root.mT @ matrix[..., :n, :n] @ root + torch.eye(count, dtype=y.dtype)
+        above = torch.cat([inner, across], dim=-1)
+        below = torch.cat([across.mT, matrix[..., n:, n:]], dim=-1)
+        return torch.cat([first, gradient[..., n:]], dim=-1), torch.cat([above, below], dim=-2)
+
+    def loss(self, y: torch.Tensor, /) -> torch.Tensor:
+        """(G, 1) root of the mean square of all rows."""
+        return (self.rows(y).square().sum(-1) / self.problem.readings.size).sqrt()
+
+    def rounding(self) -> torch.Tensor:
+        """As the problem's."""
+        return self.problem.rounding()
+
+    def scatter(self) -> float:
+        """None: readings are weighed by their noise."""
+        return 0.0
+
+    def members(self) -> tuple[Whitened, ...]:
+        """All bearings together."""
+        return (self,)
+
+    def minimise(self, y: torch.Tensor, still: float, steps: int = 25) -> torch.Tensor:
+        """Where all choices end, once no step lowers a loss by the share ``still``."""
+        section = LevenbergMarquardtConfig(steps=steps, patience=1, initial_damping=1e-3)
+        return levenberg_marquardt(self, y, section, until_still(still), by_diagonal=True)
+
+    def evidence(self, y: torch.Tensor) -> torch.Tensor:
+        """(G,) logarithm of the evidence about minima, up to a constant; minus infinity where there is none."""
+        import torch
+
+        curvature = torch.linalg.slogdet(self.normal(y)[1][:, 0])[1]
+        return (-(self.rows(y).square().sum(-1)[:, 0] + curvature) / 2).nan_to_num(-float("inf"), neginf=-float("inf"))
+
+
+@dataclass(frozen=True, eq=False)
+class Searched:
+    """The most likely answer, and others that are likely, too."""
+
+    choices: Choices  # the best first
+    weights: torch.Tensor  # (G, 1, Z)
+    covariance: torch.Tensor  # (G, Z, Z) of each by itself
+    shares: np.ndarray  # (G,) of the evidence, with the sum one
+
+    def spread(self) -> np.ndarray:
+        """(Z, Z) mean square of what the other answers differ from the best by, with what they leave open beyond it."""
+        import torch
+
+        off, shares = (self.weights - self.weights[:1])[:, 0], torch.as_tensor(self.shares)
+        more = off[:, :, None] * off[:, None] + self.covariance - self.covariance[:1]
+        return np.asarray(torch.einsum("g,gzy->zy", shares, more).numpy())
+
+
+def search(problem: OutputError, choices: Choices, seed: int = 0, kept: int = 5) -> Searched:
+    """The minima of the likely choices, at the noise that the best of them leaves."""
+    import torch
+
+    rough, parameters = _simplify(problem)
+    started, y = _descend(Whitened(rough, choices), seed)
+    whitened, share = Whitened(problem, started.choices), 1.0
+    y = _lift(y, parameters, whitened)
+    for _ in range(2):
+        evidence = whitened.evidence(y)
+        order = evidence.argsort(descending=True, stable=True)[:kept].tolist()
+        whitened, y = replace(whitened, choices=whitened.choices.select(order)), y[order]
+        share *= _noise(whitened, y)
+        whitened = replace(whitened, problem=problem.scaled(share))
+        y = whitened.minimise(y, 1e-4, steps=20)
+    evidence = whitened.evidence(y)
+    order = evidence.argsort(descending=True, stable=True).tolist()
+    whitened, y, evidence = replace(whitened, choices=whitened.choices.select(order)), y[order], evidence[order]
+    shares = (evidence - evidence[0]).exp()
+    rest = torch.eye(problem.places.n_rest, dtype=y.dtype)
+    roots = torch.stack([torch.block_diag(root, rest) for root in whitened.choices.root])
+    covariance = roots @ torch.linalg.inv(whitened.normal(y)[1][:, 0]) @ roots.mT
+    return Searched(whitened.choices, whitened.weights(y), covariance, np.asarray((shares / shares.sum()).numpy()))
+
+
+def _simplify(problem: OutputError, speeds: int = 40) -> tuple[OutputError, list[int]]:
+    """The problem of a few ``speeds`` that knows no tolerances of probes, weights and runs; which parameters it has."""
+    measurement, small = problem.measurement, (*OF_WEIGHT, *OF_PROBE, "bearing_drift")
+    kept = [t for t, parameter in enumerate(measurement.parameters) if parameter.kind not in small]
+    count = len(measurement.dataset.speeds)
+    few = np.unique(np.linspace(0, count - 1, min(count, speeds)).round().astype(int))
+    parameters = tuple(measurement.parameters[t] for t in kept)
+    simpler = replace(measurement, parameters=parameters, values=(), solved=vars(measurement).get("response"))
+    return output_error(simpler.select(few), problem.basis, problem.plane_scale), kept
+
+
+def _lift(y: torch.Tensor, parameters: list[int], whitened: Whitened) -> torch.Tensor:
+    """Numbers of a simpler problem as those of the whole one, whose other parameters are as stated."""
+    import torch
+
+    places = whitened.problem.places
+    rest = torch.zeros(len(y), 1, places.n_parameters, dtype=y.dtype)
+    rest[..., parameters] = y[..., y.shape[-1] - len(parameters) :]
+    return torch.cat([y[..., : y.shape[-1] - len(parameters)], rest], dim=-1)
+
+
+def _noise(whitened: Whitened, y: torch.Tensor) -> float:
+    """What the precision is to be multiplied by, for the first choice to leave as much as is expected."""
+    import torch
+
+    problem = whitened.problem
+    square = float(problem.rows(whitened.weights(y))[0].square().sum())
+    told = y.shape[-1] - float(torch.linalg.inv(whitened.normal(y)[1][0, 0]).diagonal().sum())
+    return float(np.sqrt(max(problem.readings.size - told, 1.0) / square))
+
+
+def _descend(
+    whitened: Whitened,
+    seed: int,
+    draws: int = 1,
+    stages: Sequence[tuple[float, int, int]] = ((0.003, 8, 20), (0.05, 12, 12), (1.0, 20, 12)),
+) -> tuple[Whitened, torch.Tensor]:
+    """Minima of the likeliest choices, from each prior's mean and so many ``draws``.
+
+    The ``stages`` are shares of the readings' weight, their most steps, and how many starts stay after them.
+    """
+    import torch
+
+    n_choices, generator = len(whitened.choices.families), torch.Generator().manual_seed(seed)
+    starts = replace(whitened, choices=whitened.choices.select([*range(n_choices)] * (1 + draws)))
+    y = 0.7 * torch.randn(n_choices * (1 + draws), 1, starts.size, generator=generator, dtype=torch.float64)
+    y[:n_choices] = 0.0
+    y[..., starts.size - starts.problem.places.n_rest :] = 0.0
+    for share, steps, most in stages:
+        tempered = replace(starts, problem=whitened.problem.scaled(share**0.5))
+        y = tempered.minimise(y, 1e-2, steps)
+        order = tempered.evidence(y).argsort(descending=True, stable=True)[:most].tolist()
+        starts, y = replace(starts, choices=starts.choices.select(order)), y[order]
+    chosen = _best_of_each(starts.choices)
+    return replace(starts, choices=starts.choices.select(chosen)), y[chosen]
+
+
+def _best_of_each(choices: Choices) -> list[int]:
+    """The first place of each choice."""
+    return [i for i, families in enumerate(choices.families) if families not in choices.families[:i]]
